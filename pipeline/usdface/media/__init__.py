@@ -1,0 +1,1 @@
+"""Video, images, rendering and contact sheets."""

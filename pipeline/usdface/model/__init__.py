@@ -1,0 +1,1 @@
+"""Trained mappings: fit one from references, predict with one, choose between several."""

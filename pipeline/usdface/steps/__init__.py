@@ -1,0 +1,1 @@
+"""One step per file: a spec in, files written, a report out; glue only."""

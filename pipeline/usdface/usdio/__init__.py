@@ -1,0 +1,1 @@
+"""The only importer of pxr: assets to and from USD layers."""
