@@ -1,7 +1,7 @@
 """The nouns that travel between the parts: frozen dataclasses of arrays.
 
-Lengths are millimetres, Y is up, rates are exact fractions and frames are integers; `usdio` converts
-once at the border. Nothing here reads, writes or computes.
+Lengths are millimetres, Y is up, rates are exact fractions and frames are integers; `usdio`
+converts once at the border. Nothing here reads, writes or computes.
 """
 
 from dataclasses import dataclass, field
@@ -235,6 +235,31 @@ class Rig:
 
 
 @dataclass(frozen=True)
+class MotionSpace:
+    """What a performer's face does, in few numbers: principal components over whole takes.
+
+    Attributes
+    ----------
+    mean : (markers * 3,) float array
+        [mm]
+    components : (dimensions, markers * 3) float array
+        Orthonormal rows, the largest variance first.
+    variances : (dimensions,) float array
+        [mm^2]
+    total_variance : float
+        Of all dimensions, kept or not [mm^2].
+    sample : (frames, dimensions) float array
+        Coordinates of frames spread over the takes: the motion without labels.
+    """
+
+    mean: FloatArray
+    components: FloatArray
+    variances: FloatArray
+    total_variance: float
+    sample: FloatArray
+
+
+@dataclass(frozen=True)
 class References:
     """Frames of a take with the rig weights an animator wants there; pair *i* is at index *i*.
 
@@ -256,6 +281,8 @@ class References:
         The performer's neutral face in the space of `markers` [mm].
     rig_file : Path
     rig_prim : str
+    motion : MotionSpace or None
+        Of the takes the pairs were selected from; None for pairs made by hand.
     """
 
     marker_names: tuple[str, ...]
@@ -269,6 +296,7 @@ class References:
     neutral: FloatArray
     rig_file: Path
     rig_prim: str
+    motion: MotionSpace | None = None
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""Job specs: one pydantic model per step; no numpy, no USD, no disk."""
