@@ -169,7 +169,7 @@ class ShapeKey:
 
 @dataclass(frozen=True)
 class MeshShape:
-    """What one channel does to one mesh: keys in ascending weight, the last at 1."""
+    """What one channel does to one mesh: keys in ascending weight, the full target at 1."""
 
     name: str
     keys: tuple[ShapeKey, ...]

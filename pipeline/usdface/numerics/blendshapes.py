@@ -1,0 +1,149 @@
+"""Deform points by weighted shapes, in-betweens included, as UsdSkel does."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Key:
+    """One sculpted position.
+
+    Attributes
+    ----------
+    weight : float
+        The channel's weight at which this key is reached in full.
+    points : (n,) int array
+        The points it moves.
+    offsets : (n, 3) float array
+        How far it moves them.
+    """
+
+    weight: float
+    points: NDArray[np.int64]
+    offsets: FloatArray
+
+
+@dataclass(frozen=True)
+class Track:
+    """What one channel does to one mesh: several meshes may follow the same channel.
+
+    Attributes
+    ----------
+    channel : int
+        Column of the weights that drives it.
+    keys : sequence of Key
+        The full target and any in-betweens.
+    """
+
+    channel: int
+    keys: Sequence[Key]
+
+
+class BlendShapes:
+    """Shapes over a set of points, ready to be weighted for many frames.
+
+    Between two neighbouring keys of a track (the neutral is a key at 0) points move along a
+    straight line; outside the outermost keys they go on along it. This is UsdSkel's rule.
+
+    Parameters
+    ----------
+    point_count : int
+        Number of points.
+    channel_count : int
+        Number of channels, those that move nothing included.
+    tracks : sequence of Track
+
+    Raises
+    ------
+    ValueError
+        If two keys of a track are reached at the same weight.
+    """
+
+    def __init__(self, point_count: int, channel_count: int, tracks: Sequence[Track]) -> None:
+        self.point_count = point_count
+        self.channel_count = channel_count
+        self._knots: list[tuple[int, list[tuple[float, int]]]] = []
+        keys: list[Key] = []
+        for track in tracks:
+            ordered = sorted(track.keys, key=lambda key: key.weight)
+            if any(a.weight == b.weight for a, b in pairwise(ordered)):
+                raise ValueError(
+                    f"channel {track.channel} has two keys at one weight; keep one of them"
+                )
+            knots = [(key.weight, len(keys) + row) for row, key in enumerate(ordered)]
+            self._knots.append((track.channel, knots))
+            keys.extend(ordered)
+        columns = [(3 * key.points[:, None] + np.arange(3)).ravel() for key in keys]
+        row_starts = np.concatenate([[0], np.cumsum([len(column) for column in columns])])
+        self.key_offsets: sparse.csr_array = sparse.csr_array(
+            (
+                np.concatenate([key.offsets.ravel() for key in keys] or [np.zeros(0)]),
+                np.concatenate(columns or [np.zeros(0, dtype=np.int64)]),
+                row_starts.astype(np.int64),
+            ),
+            shape=(len(keys), 3 * point_count),
+        )
+
+    @property
+    def has_inbetweens(self) -> bool:
+        """Whether any channel bends: has keys beside its full target."""
+        return any(len(knots) > 1 for _, knots in self._knots)
+
+    def key_weights(self, weights: ArrayLike) -> FloatArray:
+        """Turn channel weights into key weights.
+
+        Parameters
+        ----------
+        weights : (frames, channels) array_like
+
+        Returns
+        -------
+        (frames, keys) float array
+        """
+        weights = np.atleast_2d(np.asarray(weights, dtype=np.float64))
+        if weights.shape[1] != self.channel_count:
+            raise ValueError(f"{weights.shape[1]} weights for {self.channel_count} channels")
+        shares = np.zeros((len(weights), self.key_offsets.shape[0]))
+        for channel, knots in self._knots:
+            _share_between(weights[:, channel], knots, shares)
+        return shares
+
+    def offsets(self, weights: ArrayLike) -> FloatArray:
+        """Return how far the weights move the points: (frames, points, 3) float array."""
+        moved = self.key_weights(weights) @ self.key_offsets
+        return np.asarray(moved).reshape(-1, self.point_count, 3)
+
+    def target_offsets(self) -> sparse.csr_array:
+        """Return each channel at weight 1: (channels, 3 * points) sparse array."""
+        full = sparse.csr_array(self.key_weights(np.eye(self.channel_count)))
+        return sparse.csr_array(full @ self.key_offsets)
+
+    def gram(self) -> FloatArray:
+        """Return what a small error of the weights does to the surface.
+
+        Returns
+        -------
+        (channels, channels) float array
+            ``G`` such that ``sqrt(e @ G @ e)`` is the root mean square distance of the points.
+        """
+        targets = self.target_offsets()
+        return np.asarray((targets @ targets.T).toarray()) / max(self.point_count, 1)
+
+
+def _share_between(weights: FloatArray, knots: list[tuple[float, int]], shares: FloatArray) -> None:
+    """Write the two neighbouring keys' shares of one track, the neutral at 0 being a key."""
+    stops = sorted([*knots, (0.0, -1)])
+    at = np.array([stop[0] for stop in stops])
+    upper = np.clip(np.searchsorted(at, weights, side="right"), 1, len(at) - 1)
+    toward = (weights - at[upper - 1]) / (at[upper] - at[upper - 1])
+    for index, (_, row) in enumerate(stops):
+        if row >= 0:
+            shares[:, row] = np.where(upper == index, toward, 0.0)
+            shares[:, row] += np.where(upper == index + 1, 1.0 - toward, 0.0)

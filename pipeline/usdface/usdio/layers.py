@@ -1,0 +1,218 @@
+"""Open stages and write layers so that a reader sees the old file or the new one, never half."""
+
+import contextlib
+import os
+import secrets
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils
+
+from usdface.errors import InputError
+from usdface.provenance import Provenance
+from usdface.usdio.plugin import SCHEMA_VERSION
+
+CENTIMETRES = 0.01
+MM_PER_STAGE_UNIT = 10.0
+"""Layers that this package writes are in centimetres, as most film rigs are."""
+
+LAYER_SUFFIXES = (".usda", ".usdc", ".usd")
+
+
+@contextlib.contextmanager
+def usd_errors_as_input_errors(path: Path, doing: str) -> Iterator[None]:
+    """Turn USD's own errors into an InputError that names the file; keep its chatter off stderr."""
+    delegate = UsdUtils.CoalescingDiagnosticDelegate()
+    try:
+        yield
+    except Tf.ErrorException as error:
+        reason = str(error).strip().splitlines()[-1].strip()
+        raise InputError(f"{path}: USD failed while {doing}: {reason}") from error
+    finally:
+        delegate.TakeUncoalescedDiagnostics()
+
+
+def open_layer(path: Path) -> Sdf.Layer:
+    """Open one layer as it is on disk now.
+
+    Raises
+    ------
+    InputError
+        If the file is absent, is no USD layer, or was written by a newer schema than ours.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; check the path")
+    if not Usd.Stage.IsSupportedFile(str(path)):
+        raise InputError(
+            f"{path}: not a USD file by its name; expected .usd, .usda, .usdc or .usdz"
+        )
+    with usd_errors_as_input_errors(path, "opening it"):
+        layer = Sdf.Layer.FindOrOpen(str(path))
+        if layer is not None:
+            layer.Reload()
+    if layer is None:
+        raise InputError(f"{path}: not a readable USD layer; is it complete, and really USD?")
+    schema = dict(layer.customLayerData.get("usdface", {})).get("schema", 0)
+    if isinstance(schema, int) and schema > SCHEMA_VERSION:
+        raise InputError(
+            f"{path}: written with usdface schema {schema}, this version knows {SCHEMA_VERSION}; "
+            "update usdface"
+        )
+    return layer
+
+
+def open_stage(path: Path) -> Usd.Stage:
+    """Open a stage from a file as it is on disk now.
+
+    Raises
+    ------
+    InputError
+        If the file or a layer it is built from cannot be read.
+    """
+    layer = open_layer(path)
+    with usd_errors_as_input_errors(path, "composing it"):
+        stage = Usd.Stage.Open(layer)
+        for used in stage.GetUsedLayers():
+            if not used.anonymous:
+                used.Reload()
+        missing = sorted(
+            asset
+            for asset in layer.subLayerPaths
+            if not Sdf.Layer.FindOrOpen(layer.ComputeAbsolutePath(asset))
+        )
+    if missing:
+        raise InputError(
+            f"{path}: its sublayer {missing[0]} cannot be read; put it back beside the file"
+        )
+    return stage
+
+
+def millimetres(stage: Usd.Stage) -> float:
+    """Return how many millimetres one unit of a stage is."""
+    return float(UsdGeom.GetStageMetersPerUnit(stage)) * 1000.0
+
+
+def is_z_up(stage: Usd.Stage) -> bool:
+    """Whether a stage's up axis is Z."""
+    return bool(UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z)
+
+
+def check_layer_name(path: Path) -> None:
+    """Refuse a file name that USD would not recognise, before any work is done."""
+    if path.suffix not in LAYER_SUFFIXES:
+        raise InputError(
+            f"{path}: a USD layer is written, so the name must end in {', '.join(LAYER_SUFFIXES)}"
+        )
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a temporary name beside `path`; on success it takes the place of `path`.
+
+    Raises
+    ------
+    InputError
+        If the folder is absent or cannot be written; an existing file is then left as it was.
+    """
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}-{secrets.token_hex(4)}{path.suffix}")
+    try:
+        if not path.parent.is_dir():
+            raise InputError(f"{path}: folder {path.parent} does not exist; create it first")
+        yield temporary
+        with temporary.open("rb+") as stream:
+            os.fsync(stream.fileno())
+        temporary.replace(path)
+    except (OSError, Tf.ErrorException) as error:
+        reason = str(error).strip().splitlines()[-1].strip()
+        raise InputError(
+            f"{path}: cannot be written: {reason}; check the folder's permissions and free space"
+        ) from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def new_layer(path: Path, provenance: Provenance | None = None) -> Iterator[Sdf.Layer]:
+    """Yield an empty layer that replaces the file at `path` once the block ends without error."""
+    check_layer_name(path)
+    with replacing(path) as temporary:
+        delegate = UsdUtils.CoalescingDiagnosticDelegate()
+        try:
+            layer = Sdf.Layer.CreateNew(str(temporary))
+            yield layer
+            if provenance is not None:
+                layer.customLayerData = {"usdface": provenance_data(provenance)}
+            if not layer.Save():
+                raise OSError("USD could not save the layer")
+            del layer
+        finally:
+            delegate.TakeUncoalescedDiagnostics()
+    stale = Sdf.Layer.Find(str(path))
+    if stale is not None:
+        stale.Reload(force=True)
+
+
+def provenance_data(provenance: Provenance) -> dict[str, object]:
+    """Return what ``customLayerData["usdface"]`` holds."""
+    return {
+        "version": provenance.version,
+        "schema": SCHEMA_VERSION,
+        "step": provenance.step,
+        "spec": provenance.spec,
+        "specHash": provenance.spec_hash,
+        # A path may hold characters that a dictionary key may not: keep two lists.
+        "inputs": list(provenance.inputs.keys()),
+        "inputHashes": list(provenance.inputs.values()),
+    }
+
+
+def read_provenance(path: Path) -> Provenance | None:
+    """Return what a layer says of its making, or None if this package did not write it."""
+    data = dict(open_layer(path).customLayerData.get("usdface", {}))
+    if "version" not in data:
+        return None
+    return Provenance(
+        step=str(data.get("step", "")),
+        spec=str(data.get("spec", "")),
+        inputs=dict(
+            zip(
+                map(str, data.get("inputs", ())),
+                map(str, data.get("inputHashes", ())),
+                strict=False,
+            )
+        ),
+        version=str(data["version"]),
+    )
+
+
+def dependencies(path: Path) -> list[Path]:
+    """Return every layer a USD file is built from, itself first; textures and movies are not."""
+    layer = open_layer(path)
+    with usd_errors_as_input_errors(path, "finding what it is built from"):
+        layers, _, _ = UsdUtils.ComputeAllDependencies(layer.identifier)
+    found = [Path(each.realPath) for each in layers if each.realPath]
+    return [path, *(each for each in found if each.resolve() != path.resolve())]
+
+
+def author_timing(layer: Sdf.Layer, *, rate: Fraction, first: float, last: float) -> None:
+    """Set rate and range: USD rescales a layer silently when one rate is missing."""
+    layer.timeCodesPerSecond = float(rate)
+    layer.framesPerSecond = float(rate)
+    layer.startTimeCode = first
+    layer.endTimeCode = last
+
+
+def author_units(layer: Sdf.Layer) -> None:
+    """Set centimetres and Y up on a layer."""
+    root = layer.pseudoRoot
+    root.SetInfo("metersPerUnit", CENTIMETRES)
+    root.SetInfo("upAxis", "Y")
+
+
+def relative_path(target: Path, layer_path: Path) -> str:
+    """Return `target` as a layer beside it should name it: relative, so that folders can move."""
+    relative = os.path.relpath(target.resolve(), layer_path.resolve().parent)
+    relative = relative.replace(os.sep, "/")
+    return relative if relative.startswith(".") else f"./{relative}"
