@@ -1,0 +1,192 @@
+"""Principal components of long recordings, from moments summed in blocks.
+
+Deng et al. (2006), section 5 and eq. 3: a frame's markers, packed into one vector, become a few
+coordinates along the directions in which the face moves most.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+BLOCK_ROWS = 8192
+"""Rows converted to float64 at a time: keeps the working set near the cache, whatever the take."""
+
+
+@dataclass(frozen=True)
+class PCA:
+    """Directions of largest variance.
+
+    Attributes
+    ----------
+    mean : (d,) float array
+    components : (k, d) float array
+        Orthonormal rows, the largest variance first; the largest entry of each row is positive,
+        so that the same data give the same signs everywhere.
+    variances : (k,) float array
+        Of the data along each row (divisor n - 1).
+    total_variance : float
+        Along all d directions, kept or not.
+    """
+
+    mean: Array
+    components: Array
+    variances: Array
+    total_variance: float
+
+
+@dataclass(frozen=True)
+class Moments:
+    """How many vectors were seen, their mean, and the scatter around it."""
+
+    count: int
+    mean: Array
+    scatter: Array
+
+
+def sum_moments(blocks: Iterable[ArrayLike]) -> Moments:
+    """Sum count, mean and scatter of the rows of many arrays, in float64 and bounded memory.
+
+    Parameters
+    ----------
+    blocks : iterable of (n, d) arrays
+        Any float type; each is read in slices of `BLOCK_ROWS` rows.
+
+    Raises
+    ------
+    ValueError
+        If the blocks are empty, differ in width, or hold a value that is not finite.
+    """
+    origin = total = scatter = None
+    count = 0
+    for block in blocks:
+        rows = np.asarray(block)
+        if rows.ndim != 2:
+            raise ValueError(f"expected blocks of shape (rows, columns), got {rows.shape}")
+        for start in range(0, len(rows), BLOCK_ROWS):
+            part = rows[start : start + BLOCK_ROWS].astype(np.float64)
+            if origin is None or total is None or scatter is None:
+                origin = part[0].copy()  # sums around a data point cancel far less than around 0
+                total = np.zeros_like(origin)
+                scatter = np.zeros((len(origin), len(origin)))
+            if part.shape[1] != len(origin):
+                raise ValueError(f"blocks of {len(origin)} and of {part.shape[1]} columns")
+            part -= origin
+            if not np.isfinite(part).all():
+                bad = start + int(np.flatnonzero(~np.isfinite(part).all(axis=1))[0])
+                raise ValueError(f"row {bad} holds a value that is not finite")
+            total += part.sum(axis=0)
+            scatter += part.T @ part
+            count += len(part)
+    if origin is None or total is None or scatter is None:
+        raise ValueError("no rows to take moments of")
+    offset = total / count
+    return Moments(count, origin + offset, scatter - count * np.outer(offset, offset))
+
+
+def fit_pca(
+    data: ArrayLike, *, dimensions: int | None = None, variance: float | None = None
+) -> PCA:
+    """Fit principal components to the rows of one array.
+
+    Parameters
+    ----------
+    data : (n, d) float array
+    dimensions : int, optional
+        How many to keep; by default as many as the data have.
+    variance : float, optional
+        Keep the fewest that hold this share of the total variance, in (0, 1].
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two rows, both options are given, or one is out of range.
+    """
+    rows = np.asarray(data)
+    if rows.ndim != 2 or len(rows) < 2:
+        raise ValueError(f"principal components need at least 2 rows, got shape {rows.shape}")
+    if len(rows) > rows.shape[1]:
+        return pca_from_moments(sum_moments([rows]), dimensions=dimensions, variance=variance)
+    # Few rows: the thin SVD is exact where the covariance would square the condition number.
+    points = rows.astype(np.float64)
+    if not np.isfinite(points).all():
+        raise ValueError("the data hold values that are not finite")
+    mean = points.mean(axis=0)
+    _, singular, components = np.linalg.svd(points - mean, full_matrices=False)
+    variances = singular**2 / (len(points) - 1)
+    return _keep(
+        mean, components[:-1], variances[:-1], float(variances.sum()), dimensions, variance
+    )
+
+
+def pca_from_moments(
+    moments: Moments, *, dimensions: int | None = None, variance: float | None = None
+) -> PCA:
+    """Fit principal components from summed moments; see `fit_pca`."""
+    if moments.count < 2:
+        raise ValueError(f"principal components need at least 2 rows, got {moments.count}")
+    values, vectors = np.linalg.eigh(moments.scatter / (moments.count - 1))
+    rank = min(moments.count - 1, len(values))
+    values = np.maximum(values[::-1], 0.0)
+    components = vectors.T[::-1][:rank]
+    total = float(values.sum())
+    return _keep(moments.mean, components, values[:rank], total, dimensions, variance)
+
+
+def project(pca: PCA, data: ArrayLike) -> Array:
+    """Coordinates of rows along the components (Deng et al. 2006, eq. 3).
+
+    Parameters
+    ----------
+    pca : PCA
+    data : (n, d) float array
+        Any float type; converted in slices.
+
+    Returns
+    -------
+    (n, k) float array
+    """
+    rows = np.asarray(data)
+    out = np.empty((len(rows), len(pca.components)))
+    offset = pca.components @ pca.mean
+    for start in range(0, len(rows), BLOCK_ROWS):
+        part = slice(start, start + BLOCK_ROWS)
+        np.matmul(rows[part].astype(np.float64), pca.components.T, out=out[part])
+    out -= offset
+    return out
+
+
+def reconstruct(pca: PCA, coordinates: Array) -> Array:
+    """Rows back from their coordinates; exact where every direction was kept."""
+    return coordinates @ pca.components + pca.mean
+
+
+def _keep(
+    mean: Array,
+    components: Array,
+    variances: Array,
+    total: float,
+    dimensions: int | None,
+    share: float | None,
+) -> PCA:
+    if dimensions is not None and share is not None:
+        raise ValueError("give dimensions or variance, not both")
+    kept = len(variances)
+    if dimensions is not None:
+        if not 1 <= dimensions <= kept:
+            raise ValueError(
+                f"dimensions must be from 1 to {kept} for these data, got {dimensions}"
+            )
+        kept = dimensions
+    if share is not None:
+        if not 0 < share <= 1:
+            raise ValueError(f"variance is a share in (0, 1], got {share}")
+        reached = np.cumsum(variances) >= share * total * (1 - 1e-12)
+        kept = int(np.argmax(reached)) + 1 if reached.any() else kept
+    rows = components[:kept].copy()
+    peak = rows[np.arange(kept), np.abs(rows).argmax(axis=1)]
+    rows *= np.where(peak < 0, -1.0, 1.0)[:, None]
+    return PCA(mean, rows, variances[:kept].copy(), total)

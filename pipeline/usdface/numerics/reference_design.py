@@ -1,0 +1,273 @@
+"""Which frames of a recording to tune by hand: designs that learn most from few frames.
+
+Every design is greedy and deterministic: one frame after another, never the same twice, ties to
+the earlier frame, memory linear in the number of frames. Frames already tuned stay in the design
+and count for what they cover.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+BATCH = 4096
+"""Frames whose variance is computed at a time by `design_gp_variance`."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """Chosen frames, and how much each was worth when it was chosen.
+
+    Attributes
+    ----------
+    chosen : (count,) int array
+        Row indices in the order of choice; frames already there are not repeated.
+    gain : (count,) float array
+        Leverage, squared distance or variance of each frame at its turn; it never grows.
+    """
+
+    chosen: IntArray
+    gain: Array
+
+
+def whiten(coordinates: Array, variances: Array, *, power: float = 0.5) -> Array:
+    """Scale coordinates by ``variance ** (-power / 2)``: 0 leaves them, 1 makes all equal."""
+    floor = 1e-9 * float(variances.max(initial=0.0)) + 1e-300
+    scaled: Array = coordinates * np.maximum(variances, floor) ** (-power / 2)
+    return scaled
+
+
+def design_d_optimal(
+    features: Array,
+    count: int,
+    *,
+    already: IntArray | None = None,
+    candidates: BoolArray | None = None,
+    ridge: float = 1e-3,
+) -> Design:
+    """Choose frames that make a linear fit best determined: greedy largest leverage.
+
+    Each frame added multiplies the determinant of the information matrix by one plus its
+    leverage, so the largest leverage is the largest step.
+
+    Parameters
+    ----------
+    features : (frames, d) float array
+        Whitened; a constant column is added for the intercept.
+    count : int
+        How many to choose beside those already there.
+    already : (n,) int array, optional
+        Rows that are in the design and stay in it.
+    candidates : (frames,) bool array, optional
+        Rows that may be chosen; by default all.
+    ridge : float
+        Information assumed before the first frame; only breaks ties among the first few.
+
+    Raises
+    ------
+    ValueError
+        If `count` exceeds the rows that may be chosen, or an input is malformed.
+    """
+    free, start = _open_rows(features, count, already, candidates)
+    rows = np.column_stack([features, np.ones(len(features))])
+    inverse = np.eye(rows.shape[1]) / ridge
+    leverage = np.einsum("ij,ij->i", rows, rows) / ridge
+    chosen, gain = [], []
+    for turn in range(-len(start), count):
+        pick = int(start[turn]) if turn < 0 else _best(leverage, free)
+        if turn >= 0:
+            chosen.append(pick)
+            gain.append(float(leverage[pick]))
+        free[pick] = False
+        direction = inverse @ rows[pick]
+        spread = 1.0 + float(rows[pick] @ direction)
+        inverse -= np.outer(direction, direction) / spread
+        leverage -= (rows @ direction) ** 2 / spread
+    return _design(chosen, gain)
+
+
+def design_k_centre(
+    features: Array,
+    count: int,
+    *,
+    already: IntArray | None = None,
+    candidates: BoolArray | None = None,
+) -> Design:
+    """Choose frames so that none is far from a chosen one: greedy farthest point.
+
+    The first frame, where nothing is there yet, is the one farthest from the mean. The largest
+    remaining distance is at most twice what the best possible set of that size leaves.
+
+    Parameters
+    ----------
+    features, count, already, candidates
+        As for `design_d_optimal`.
+
+    References
+    ----------
+    Gonzalez (1985), Theoretical Computer Science 38, 293-306.
+    """
+    free, start = _open_rows(features, count, already, candidates)
+    squared = np.einsum("ij,ij->i", features, features)
+
+    def distance_to(point: Array) -> Array:
+        away = squared - 2.0 * (features @ point) + float(point @ point)
+        clamped: Array = np.maximum(away, 0.0)
+        return clamped
+
+    nearest = np.full(len(features), np.inf)
+    chosen, gain = [], []
+    for turn in range(-len(start), count):
+        if turn < 0:
+            pick = int(start[turn])
+        elif np.isinf(nearest).all():
+            from_mean = distance_to(features.mean(axis=0))
+            pick = _best(from_mean, free)
+            chosen.append(pick)
+            gain.append(np.inf)
+        else:
+            pick = _best(nearest, free)
+            chosen.append(pick)
+            gain.append(float(nearest[pick]))
+        free[pick] = False
+        np.minimum(nearest, distance_to(features[pick]), out=nearest)
+    return _design(chosen, gain)
+
+
+def design_gp_variance(
+    features: Array,
+    count: int,
+    *,
+    already: IntArray | None = None,
+    candidates: BoolArray | None = None,
+    linear: float = 10.0,
+    radial: float = 3.0,
+    width: float = 1.0,
+    noise: float = 1e-3,
+) -> Design:
+    """Choose frames whose weights the others say least about: greedy largest GP variance.
+
+    The covariance is ``linear * <x, y> / mean|x|^2 + radial * exp(-|x - y|^2 / (2 width m))``
+    with m the median squared distance between frames. Variance never grows as frames are added,
+    so an old value bounds the new one from above: only frames whose bound could still win are
+    computed again. The result is that of the full pivoted Cholesky factorisation.
+
+    Parameters
+    ----------
+    features, count, already, candidates
+        As for `design_d_optimal`.
+    linear, radial, width, noise : float
+        See above; `noise` is the variance of a tuned weight around the truth.
+
+    References
+    ----------
+    Krause, Singh and Guestrin (2008), JMLR 9, 235-284; Minoux (1978) for the lazy evaluation.
+    """
+    free, start = _open_rows(features, count, already, candidates)
+    kernel = _Kernel.for_rows(features, linear=linear, radial=radial, width=width)
+    bound = kernel.diagonal(features)
+    rows = np.empty((len(start) + count, features.shape[1]))
+    factor = np.zeros((len(rows), len(rows)))
+    chosen, gain = [], []
+    for turn in range(len(start) + count):
+        seen, lower = rows[:turn], factor[:turn, :turn]
+        if turn < len(start):
+            pick = int(start[turn])
+        else:
+            pick = _lazy_best(features, bound, free, kernel, seen, lower)
+            chosen.append(pick)
+            gain.append(float(bound[pick]))
+        free[pick] = False
+        rows[turn] = features[pick]
+        row = solve_triangular(lower, kernel(seen, features[pick : pick + 1])[:, 0], lower=True)
+        own = float(kernel.diagonal(features[pick : pick + 1])[0]) + noise
+        factor[turn, :turn] = row
+        factor[turn, turn] = np.sqrt(max(own - float(row @ row), noise))
+    return _design(chosen, gain)
+
+
+@dataclass(frozen=True)
+class _Kernel:
+    linear: float
+    radial: float
+    exponent: float
+
+    @classmethod
+    def for_rows(cls, rows: Array, *, linear: float, radial: float, width: float) -> "_Kernel":
+        mean_square = float(np.einsum("ij,ij->", rows, rows)) / len(rows)
+        some = rows[np.linspace(0, len(rows) - 1, min(len(rows), 512)).astype(int)]
+        squared = np.einsum("ij,ij->i", some, some)
+        away = squared[:, None] + squared - 2 * some @ some.T
+        median = float(np.median(away[np.triu_indices(len(some), 1)])) if len(some) > 1 else 1.0
+        median = max(median, 1e-12 * mean_square, 1e-300)
+        return cls(linear / max(mean_square, 1e-300), radial, -0.5 / (width * median))
+
+    def __call__(self, left: Array, right: Array) -> Array:
+        product = left @ right.T
+        away = (left**2).sum(1)[:, None] + (right**2).sum(1) - 2 * product
+        out: Array = self.linear * product
+        out += self.radial * np.exp(self.exponent * np.maximum(away, 0.0))
+        return out
+
+    def diagonal(self, rows: Array) -> Array:
+        out: Array = self.linear * np.einsum("ij,ij->i", rows, rows) + self.radial
+        return out
+
+
+def _lazy_best(
+    features: Array, bound: Array, free: BoolArray, kernel: _Kernel, seen: Array, lower: Array
+) -> int:
+    """Index of the largest variance; refreshes, in place, only the bounds that could hold it."""
+    fresh = np.zeros(len(features), dtype=bool)
+    best, best_value = -1, -np.inf
+    while True:
+        open_rows = np.flatnonzero(free & ~fresh & (bound >= best_value))
+        if not len(open_rows):
+            return best
+        if len(open_rows) > BATCH:
+            top = np.argpartition(bound[open_rows], len(open_rows) - BATCH)[-BATCH:]
+            open_rows = np.sort(open_rows[top])
+        rows = features[open_rows]
+        value = kernel.diagonal(rows)
+        if len(seen):
+            shared = solve_triangular(lower, kernel(seen, rows), lower=True, check_finite=False)
+            value -= np.einsum("ij,ij->j", shared, shared)
+        bound[open_rows] = value
+        fresh[open_rows] = True
+        top_value = float(value.max())
+        pick = int(open_rows[int(value.argmax())])
+        if top_value > best_value or (top_value == best_value and pick < best):
+            best, best_value = pick, top_value
+
+
+def _best(score: Array, free: BoolArray) -> int:
+    return int(np.where(free, score, -np.inf).argmax())
+
+
+def _open_rows(
+    features: Array, count: int, already: IntArray | None, candidates: BoolArray | None
+) -> tuple[BoolArray, IntArray]:
+    if features.ndim != 2 or not len(features):
+        raise ValueError(f"features must be (frames, dimensions), got {features.shape}")
+    if not np.isfinite(features).all():
+        bad = int(np.flatnonzero(~np.isfinite(features).all(axis=1))[0])
+        raise ValueError(f"features of row {bad} are not finite")
+    start = np.zeros(0, dtype=np.int64) if already is None else np.unique(already)
+    if len(start) and not (0 <= start[0] and start[-1] < len(features)):
+        raise ValueError(f"already names rows {start[0]} to {start[-1]} of {len(features)}")
+    free = np.ones(len(features), dtype=bool) if candidates is None else candidates.copy()
+    if free.shape != (len(features),):
+        raise ValueError(f"candidates must have one entry per frame, got {free.shape}")
+    free[start] = False
+    if not 0 <= count <= int(free.sum()):
+        raise ValueError(f"cannot choose {count} of {int(free.sum())} frames that are free")
+    return free, start
+
+
+def _design(chosen: list[int], gain: list[float]) -> Design:
+    return Design(np.array(chosen, dtype=np.int64), np.array(gain, dtype=np.float64))
