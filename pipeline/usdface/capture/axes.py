@@ -1,0 +1,88 @@
+"""Units and axes of a capture brought to millimetres with Y up."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdface.errors import InputError
+
+_MM_PER_UNIT = {
+    "mm": 1.0,
+    "millimeter": 1.0,
+    "millimetre": 1.0,
+    "cm": 10.0,
+    "centimeter": 10.0,
+    "centimetre": 10.0,
+    "dm": 100.0,
+    "decimeter": 100.0,
+    "decimetre": 100.0,
+    "m": 1000.0,
+    "meter": 1000.0,
+    "metre": 1000.0,
+    "in": 25.4,
+    "inch": 25.4,
+    "inches": 25.4,
+    "ft": 304.8,
+    "feet": 304.8,
+}
+_AXES = {"X": 0, "Y": 1, "Z": 2}
+Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""Rotation that stands a Z-up capture upright."""
+
+
+def mm_per_unit(units: str, *, where: str) -> float:
+    """Return how many millimetres one unit is.
+
+    Raises
+    ------
+    InputError
+        If the unit is not known.
+    """
+    key = units.strip().lower()
+    scale = _MM_PER_UNIT.get(key, _MM_PER_UNIT.get(key.removesuffix("s")))
+    if scale is None:
+        raise InputError(
+            f"{where}: unit {units!r}; it must be one of mm, cm, dm, m, in or ft; "
+            "say which it is with --units"
+        )
+    return scale
+
+
+def rotation_to_y_up(*, up: str, where: str) -> NDArray[np.float64]:
+    """Return the rotation that brings `up` ('y' or 'z') to Y.
+
+    Raises
+    ------
+    InputError
+        If `up` is neither.
+    """
+    if up.lower() not in ("y", "z"):
+        raise InputError(f"{where}: up axis {up!r}; it must be y or z")
+    return np.eye(3) if up.lower() == "y" else Z_UP
+
+
+def rotation_from_screen(x_screen: str, y_screen: str, *, where: str) -> NDArray[np.float64]:
+    """Return the rotation to Y up from the axes that point right and up: ``'+X'``, ``'-Z'``.
+
+    Raises
+    ------
+    InputError
+        If the two are not different axes.
+    """
+    right, up = _signed_axis(x_screen), _signed_axis(y_screen)
+    if right is None or up is None or not np.isclose(right @ up, 0):
+        raise InputError(
+            f"{where}: X_SCREEN {x_screen!r}, Y_SCREEN {y_screen!r}; they must be two different "
+            "axes such as '+X' and '+Z'; say which axis is up with --up"
+        )
+    return np.stack([right, up, np.cross(right, up)])
+
+
+def _signed_axis(text: str) -> NDArray[np.float64] | None:
+    """Return the unit vector of ``'+X'``, ``'-y'`` or ``'Z'``."""
+    text = text.strip().upper()
+    axis = _AXES.get(text[-1:])
+    if axis is None or text[:-1] not in ("", "+", "-"):
+        return None
+    vector = np.zeros(3)
+    vector[axis] = -1.0 if text[0] == "-" else 1.0
+    return vector

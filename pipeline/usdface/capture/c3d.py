@@ -1,0 +1,239 @@
+"""C3D, the exchange format of optical capture: points, analog channels and events.
+
+Our own reader, because takes run to hundreds of thousands of frames: samples are read in the
+stretches asked for, so a long take costs no more memory than its result, and takes of more than
+65,535 frames are read whole.
+
+References
+----------
+The C3D file format, user guide; https://www.c3d.org
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdface.capture.c3d_layout import C3dLayout, read_layout
+from usdface.errors import InputError
+
+_EVENT_MARK = 12345
+_HEADER_EVENT_LIMIT = 18
+_CHUNK_BYTES = 32 << 20
+
+
+@dataclass(frozen=True)
+class C3dPoints:
+    """A stretch of point samples, in the file's own units and axes.
+
+    Attributes
+    ----------
+    positions : (frames, points, 3) float32 array
+        As stored, also where a point was not seen.
+    residuals : (frames, points) float32 array
+        Reconstruction residual in the file's units; negative where the point was not seen.
+    """
+
+    positions: NDArray[np.float32]
+    residuals: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class C3dEvent:
+    """A marked moment: its label, whose it is, and seconds from the first frame's clock."""
+
+    label: str
+    context: str
+    seconds: float
+
+
+@dataclass(frozen=True)
+class C3dFile:
+    """An opened C3D file: what it holds is read, its samples are read on demand.
+
+    Attributes
+    ----------
+    path : Path
+    layout : C3dLayout
+        Counts, rates, parameters.
+    point_labels : tuple of str
+        As written, subject prefixes included; shorter than the points when some have no label.
+    analog_labels, analog_units : tuple of str
+    units, x_screen, y_screen : str
+        Empty where the file does not say.
+    """
+
+    path: Path
+    layout: C3dLayout
+    point_labels: tuple[str, ...]
+    analog_labels: tuple[str, ...]
+    analog_units: tuple[str, ...]
+    units: str
+    x_screen: str
+    y_screen: str
+
+    @property
+    def frame_count(self) -> int:
+        """Point frames in the file."""
+        return self.layout.frame_count
+
+    @property
+    def analog_rate(self) -> float:
+        """Samples per second of each analog channel; 0 without channels."""
+        return self.layout.rate * self.layout.analog_per_frame if self.layout.analog_count else 0.0
+
+    def read_points(self, start: int = 0, stop: int | None = None) -> C3dPoints:
+        """Read the points of frames `start` to `stop`, by index from 0, the last left out.
+
+        Raises
+        ------
+        InputError
+            If the file became shorter since it was opened.
+        """
+        layout = self.layout
+        frames = range(layout.frame_count)[start:stop]
+        positions = np.empty((len(frames), layout.point_count, 3), np.float32)
+        residuals = np.empty((len(frames), layout.point_count), np.float32)
+        for chunk in self._chunks(frames):
+            items = self._read_items(chunk)[:, : layout.point_count * 4]
+            samples = items.reshape(len(chunk), layout.point_count, 4)
+            rows = slice(chunk.start - frames.start, chunk.stop - frames.start)
+            positions[rows] = samples[..., :3]
+            residuals[rows] = _residuals(samples[..., 3], abs(layout.scale))
+            if layout.scale > 0:
+                positions[rows] *= np.float32(layout.scale)
+        return C3dPoints(positions, residuals)
+
+    def read_analog(self, start: int = 0, stop: int | None = None) -> NDArray[np.float32]:
+        """Read the analog samples of point frames `start` to `stop`, scaled to their units.
+
+        Returns
+        -------
+        (frames * analog_per_frame, channels) float32 array
+        """
+        layout = self.layout
+        frames = range(layout.frame_count)[start:stop]
+        shape = (len(frames) * layout.analog_per_frame, layout.analog_count)
+        samples = np.empty(shape, np.float32)
+        scale, offset = self._analog_calibration()
+        for chunk in self._chunks(frames):
+            rows = slice(
+                (chunk.start - frames.start) * layout.analog_per_frame,
+                (chunk.stop - frames.start) * layout.analog_per_frame,
+            )
+            items = self._read_items(chunk)[:, layout.point_count * 4 :]
+            stored = items.reshape(-1, layout.analog_count).astype(np.float32)
+            samples[rows] = (stored - offset) * scale
+        return samples
+
+    def events(self) -> tuple[C3dEvent, ...]:
+        """Return the events: of the EVENT group, else those of the header."""
+        parameters = self.layout.parameters
+        times = parameters.numbers("EVENT:TIMES")
+        labels, contexts = parameters.texts("EVENT:LABELS"), parameters.texts("EVENT:CONTEXTS")
+        if times.size and labels:
+            pairs = times[: times.size // 2 * 2].reshape(-1, 2)  # minutes, seconds
+            return tuple(
+                C3dEvent(
+                    label, contexts[i] if i < len(contexts) else "", float(60 * pair[0] + pair[1])
+                )
+                for i, (label, pair) in enumerate(zip(labels, pairs, strict=False))
+            )
+        return self._header_events()
+
+    def _header_events(self) -> tuple[C3dEvent, ...]:
+        header, processor = self.layout.header, self.layout.processor
+        mark, count = (int(word) for word in np.frombuffer(header, processor.unsigned, 2, 149 * 2))
+        if mark != _EVENT_MARK:
+            return ()
+        times = processor.floats(header[152 * 2 : 188 * 2])
+        labels = [
+            header[at : at + 4].decode("latin-1").strip(" \x00")
+            for at in range(198 * 2, 234 * 2, 4)
+        ]
+        return tuple(
+            C3dEvent(labels[i], "", float(times[i])) for i in range(min(count, _HEADER_EVENT_LIMIT))
+        )
+
+    def _analog_calibration(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return scale and offset per channel; a channel without them is passed as stored."""
+        parameters, count = self.layout.parameters, self.layout.analog_count
+        scale, offset = np.ones(count, np.float32), np.zeros(count, np.float32)
+        general = parameters.number("ANALOG:GEN_SCALE")
+        scales, offsets = (
+            parameters.numbers("ANALOG:SCALE")[:count],
+            parameters.numbers("ANALOG:OFFSET")[:count],
+        )
+        scale[: scales.size] = scales
+        offset[: offsets.size] = offsets
+        if parameters.text("ANALOG:FORMAT").upper().startswith("UNSIGNED"):
+            offset %= 0x10000
+        return scale * np.float32(1.0 if general is None else general), offset
+
+    def _chunks(self, frames: range) -> list[range]:
+        step = max(1, _CHUNK_BYTES // (self.layout.frame_items * 4))
+        return [frames[at : at + step] for at in range(0, len(frames), step)]
+
+    def _read_items(self, frames: range) -> NDArray[np.generic]:
+        """Read all numbers of some frames, as stored."""
+        layout = self.layout
+        stride = layout.frame_items * layout.item_size
+        raw = bytearray(stride * len(frames))
+        with self.path.open("rb") as file:
+            file.seek(layout.data_start + stride * frames.start)
+            found = file.readinto(raw)
+        if found < len(raw):
+            raise InputError(
+                f"{self.path} frame {layout.first_frame + frames.start + found // stride}: "
+                "the file ended while it was read; wait until it is fully written, then read it again"
+            )
+        items: NDArray[np.generic]
+        if layout.scale < 0:
+            items = layout.processor.floats(raw)
+        elif layout.parameters.text("ANALOG:FORMAT").upper().startswith("UNSIGNED"):
+            items = _unsigned_analog(np.frombuffer(raw, layout.processor.integer), layout)
+        else:
+            items = np.frombuffer(raw, layout.processor.integer)
+        return items.reshape(len(frames), layout.frame_items)
+
+
+def open_c3d(path: Path) -> C3dFile:
+    """Open a C3D file and check that it holds what it promises.
+
+    Raises
+    ------
+    InputError
+        If the file is not a C3D file, is damaged, or ends too early.
+    """
+    layout = read_layout(path)
+    parameters = layout.parameters
+    return C3dFile(
+        path=path,
+        layout=layout,
+        point_labels=parameters.texts("POINT:LABELS")[: layout.point_count],
+        analog_labels=parameters.texts("ANALOG:LABELS")[: layout.analog_count],
+        analog_units=parameters.texts("ANALOG:UNITS")[: layout.analog_count],
+        units=parameters.text("POINT:UNITS"),
+        x_screen=parameters.text("POINT:X_SCREEN"),
+        y_screen=parameters.text("POINT:Y_SCREEN"),
+    )
+
+
+def _residuals(words: NDArray[np.generic], scale: float) -> NDArray[np.float32]:
+    """Decode the fourth number of a point: cameras in the high byte, the residual in the low one.
+
+    Negative, or not a number: the point was not seen.
+    """
+    values = words.astype(np.float32)
+    with np.errstate(invalid="ignore"):
+        seen = (values >= 0) & (values < 0x8000)
+    packed = np.where(seen, values, 0).astype(np.int32)
+    return np.where(seen, (packed & 0xFF) * np.float32(scale), np.float32(-1))
+
+
+def _unsigned_analog(items: NDArray[np.int16], layout: C3dLayout) -> NDArray[np.int32]:
+    """Widen integers so that unsigned analog samples stay positive."""
+    wide = items.astype(np.int32).reshape(-1, layout.frame_items)
+    wide[:, layout.point_count * 4 :] &= 0xFFFF
+    return wide

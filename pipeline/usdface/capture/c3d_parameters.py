@@ -1,0 +1,177 @@
+"""The parameter section of a C3D file: groups of named values that describe the data.
+
+Every offset and count is checked against the section before it is used. Real files hold damaged
+parameters behind sound ones, so the first damaged record ends the reading and is noted: what the
+data needs is either already there, or its absence is reported by name.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdface.capture.c3d_processor import Processor
+
+_TYPE_TEXT = -1
+_TYPE_BYTE = 1
+_TYPE_INTEGER = 2
+_TYPE_REAL = 4
+_SECTION_HEADER_SIZE = 4
+
+Value = NDArray[np.float64] | tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Values by ``'GROUP:NAME'`` in capitals: numbers as float64, text as a tuple of str.
+
+    Attributes
+    ----------
+    values : mapping of str to float64 array or tuple of str
+        Integers keep their sign as stored; see `unsigned` for counts.
+    notes : tuple of str
+        What could not be read.
+    """
+
+    values: Mapping[str, Value]
+    notes: tuple[str, ...] = ()
+
+    def numbers(self, name: str) -> NDArray[np.float64]:
+        """Return the numbers of a parameter, flat; empty when it is absent or text."""
+        value = self.values.get(name)
+        return value if isinstance(value, np.ndarray) else np.empty(0)
+
+    def number(self, name: str) -> float | None:
+        """Return the first number of a parameter, or None."""
+        numbers = self.numbers(name)
+        return float(numbers[0]) if numbers.size else None
+
+    def unsigned(self, name: str) -> int | None:
+        """Return the first number as a count: 16-bit integers above 32,767 are stored negative."""
+        number = self.number(name)
+        if number is None or not math.isfinite(number):
+            return None
+        return int(number) + 0x10000 if -0x8000 <= number < 0 else int(number)
+
+    def long(self, name: str) -> int | None:
+        """Return a 32-bit count that is stored as two 16-bit words, the low one first."""
+        words = self.numbers(name)
+        if words.size < 2 or not np.isfinite(words).all():
+            return None
+        low, high = (int(word) % 0x10000 for word in words[:2])
+        return low + (high << 16)
+
+    def texts(self, name: str) -> tuple[str, ...]:
+        """Return the texts of a parameter and of its continuations ``NAME2``, ``NAME3`` and so on.
+
+        One parameter holds at most 255 entries, so long label lists are continued.
+        """
+        found: list[str] = []
+        part = 1
+        while True:
+            value = self.values.get(name if part == 1 else f"{name}{part}")
+            if not isinstance(value, tuple):
+                return tuple(found)
+            found.extend(value)
+            part += 1
+
+    def text(self, name: str) -> str:
+        """Return the first text of a parameter; empty when absent."""
+        value = self.values.get(name)
+        return value[0] if isinstance(value, tuple) and value else ""
+
+
+@dataclass(frozen=True)
+class _Record:
+    """One group or parameter as it lies in the section."""
+
+    name: str
+    group: int
+    following: int
+    value: Value | None
+
+
+def parse_parameters(section: bytes, *, processor: Processor) -> Parameters:
+    """Parse a parameter section, its four header bytes included.
+
+    Parameters
+    ----------
+    section : bytes
+        From the section's first byte to the start of the data, or further.
+    processor : Processor
+        How integers and floats are stored.
+    """
+    groups: dict[int, str] = {}
+    found: dict[tuple[int, str], Value] = {}
+    notes: list[str] = []
+    position = _SECTION_HEADER_SIZE
+    while position + 2 <= len(section):
+        name_length = abs(int.from_bytes(section[position : position + 1], signed=True))
+        group = int.from_bytes(section[position + 1 : position + 2], signed=True)
+        if name_length == 0 or group == 0:
+            break
+        try:
+            record = _parse_record(section, position, name_length, group, processor)
+        except ValueError as error:
+            notes.append(
+                f"parameter section damaged at byte {position}: {error}; the rest of it is ignored"
+            )
+            break
+        if record.value is None:
+            groups[-group] = record.name
+        else:
+            found.setdefault((group, record.name), record.value)
+        if record.following > len(section):
+            notes.append(f"parameter {record.name} at byte {position} links past the section's end")
+        if record.following <= position:
+            break
+        position = record.following
+    values = {f"{groups.get(group, group)}:{name}": value for (group, name), value in found.items()}
+    return Parameters(values, tuple(notes))
+
+
+def _parse_record(
+    section: bytes, position: int, name_length: int, group: int, processor: Processor
+) -> _Record:
+    link = position + 2 + name_length
+    if link + 2 > len(section):
+        raise ValueError("a name runs past its end")
+    name = section[position + 2 : link].decode("latin-1").strip().upper()
+    offset = int(np.frombuffer(section, processor.unsigned, 1, link)[0])
+    following = link + offset if offset else 0
+    if group < 0:
+        return _Record(name, group, following, None)
+    return _Record(name, group, following, _parse_value(section, link + 2, name, processor))
+
+
+def _parse_value(section: bytes, position: int, name: str, processor: Processor) -> Value:
+    if position + 2 > len(section):
+        raise ValueError(f"{name} has no room for its type")
+    kind = int.from_bytes(section[position : position + 1], signed=True)
+    rank = section[position + 1]
+    dimensions = tuple(section[position + 2 : position + 2 + rank])
+    start = position + 2 + rank
+    if kind not in (_TYPE_TEXT, _TYPE_BYTE, _TYPE_INTEGER, _TYPE_REAL) or len(dimensions) < rank:
+        raise ValueError(f"{name} has type {kind} and {rank} dimensions")
+    count = math.prod(dimensions)
+    stop = start + count * abs(kind)
+    if stop > len(section):
+        raise ValueError(f"{name} claims {count} values, {stop - len(section)} bytes past its end")
+    raw = section[start:stop]
+    if kind == _TYPE_TEXT:
+        return _split_texts(raw, dimensions)
+    if kind == _TYPE_BYTE:
+        return np.frombuffer(raw, np.int8).astype(np.float64)
+    if kind == _TYPE_INTEGER:
+        return np.frombuffer(raw, processor.integer).astype(np.float64)
+    return processor.floats(raw).astype(np.float64)
+
+
+def _split_texts(raw: bytes, dimensions: tuple[int, ...]) -> tuple[str, ...]:
+    length = dimensions[0] if dimensions else 1
+    if length == 0:
+        return ("",) * min(math.prod(dimensions[1:]), 0xFF)
+    pieces = (raw[start : start + length] for start in range(0, len(raw), length))
+    return tuple(piece.decode("latin-1").strip(" \t\r\n\x00") for piece in pieces)

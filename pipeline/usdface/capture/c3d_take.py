@@ -1,0 +1,94 @@
+"""A C3D file as a take."""
+
+from pathlib import Path
+
+import numpy as np
+
+from usdface.capture.axes import mm_per_unit, rotation_from_screen, rotation_to_y_up
+from usdface.capture.c3d import C3dFile, open_c3d
+from usdface.capture.marker_labels import list_some, settle_labels
+from usdface.capture.marker_take import Capture, CaptureOptions, build_marker_take
+from usdface.capture.rates import exact_rate
+from usdface.errors import InputError
+
+_CHUNK_FRAMES = 8192
+
+
+def is_c3d(head: bytes) -> bool:
+    """Tell a C3D file by its first bytes."""
+    return len(head) >= 2 and head[1] == 0x50 and head[0] > 0 and head[:2] != b"PP"
+
+
+def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
+    """Read the labelled points of a C3D file as markers.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged or ends early, its units or axes are unknown, labels are empty or
+        doubled, or nothing is left to use.
+    """
+    file = open_c3d(path)
+    notes = list(file.layout.notes)
+    missing = file.layout.point_count - len(file.point_labels)
+    if missing:
+        notes.append(
+            f"the last {missing} of {file.layout.point_count} points have no label, left out"
+        )
+    if not file.point_labels:
+        raise InputError(
+            f"{path}: POINT:LABELS is empty for {file.layout.point_count} points; "
+            "export labelled markers"
+        )
+    labels = settle_labels(file.point_labels, where=f"{path} POINT:LABELS")
+    if labels.dropped:
+        notes.append(
+            f"{len(labels.dropped)} unlabelled points were left out: {list_some(labels.dropped)}"
+        )
+    if labels.subjects:
+        notes.append(f"subject prefixes taken off: {list_some(labels.subjects)}")
+    scale = _mm_scale(file, options, notes)
+    rotation = (scale * _rotation(file, options, notes)).astype(np.float32)
+    columns = np.array(labels.columns)
+
+    positions = np.empty((file.frame_count, len(columns), 3), np.float32)
+    visible = np.empty((file.frame_count, len(columns)), bool)
+    for start in range(0, file.frame_count, _CHUNK_FRAMES):
+        rows = slice(start, min(start + _CHUNK_FRAMES, file.frame_count))
+        points = file.read_points(rows.start, rows.stop)
+        with np.errstate(invalid="ignore", over="ignore"):  # damaged samples are hidden later
+            positions[rows] = points.positions[:, columns] @ rotation.T
+        visible[rows] = points.residuals[:, columns] >= 0
+    return build_marker_take(
+        path,
+        labels.names,
+        positions,
+        visible,
+        rate=exact_rate(file.layout.rate, where=f"{path} POINT:RATE"),
+        first_frame=file.layout.first_frame,
+        options=options,
+        notes=notes,
+        format_name="c3d",
+    )
+
+
+def _mm_scale(file: C3dFile, options: CaptureOptions, notes: list[str]) -> float:
+    if options.units is not None:
+        if file.units and file.units.lower() != options.units.lower():
+            notes.append(f"POINT:UNITS says {file.units}; {options.units} was asked for and used")
+        return mm_per_unit(options.units, where=f"{file.path} units")
+    if not file.units:
+        notes.append("POINT:UNITS is empty; mm assumed, say otherwise with --units")
+    return mm_per_unit(file.units or "mm", where=f"{file.path} POINT:UNITS")
+
+
+def _rotation(file: C3dFile, options: CaptureOptions, notes: list[str]) -> np.ndarray:
+    if options.up is not None:
+        return rotation_to_y_up(up=options.up, where=f"{file.path} up axis")
+    if not file.x_screen or not file.y_screen:
+        notes.append(
+            "POINT:X_SCREEN and Y_SCREEN do not say which axis is up; "
+            "Y assumed, say otherwise with --up"
+        )
+        return np.eye(3)
+    return rotation_from_screen(file.x_screen, file.y_screen, where=f"{file.path} POINT")

@@ -1,0 +1,110 @@
+"""Marker labels as capture systems write them, reduced to the names a take keeps."""
+
+import difflib
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from usdface.errors import InputError
+
+_UNLABELLED = re.compile(r"\*.*|u_?\d+|(?:unlabell?ed|unnamed|uname)\W*\d*", re.IGNORECASE)
+_SHOWN = 6
+
+
+@dataclass(frozen=True)
+class MarkerLabels:
+    """Which columns of a capture are markers.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Unique, subject prefixes taken off.
+    columns : tuple of int
+        Column of each name.
+    dropped : tuple of str
+        Labels of points that no one has labelled.
+    subjects : tuple of str
+        Prefixes that were taken off.
+    """
+
+    names: tuple[str, ...]
+    columns: tuple[int, ...]
+    dropped: tuple[str, ...]
+    subjects: tuple[str, ...]
+
+
+def settle_labels(labels: Sequence[str], *, where: str) -> MarkerLabels:
+    """Take subject prefixes off and leave unlabelled points out.
+
+    Raises
+    ------
+    InputError
+        If a label is empty or appears twice, or if none is left.
+    """
+    names: list[str] = []
+    columns: list[int] = []
+    dropped: list[str] = []
+    subjects: dict[str, None] = {}
+    empty: list[int] = []
+    for column, label in enumerate(labels):
+        prefix, _, name = label.strip().rpartition(":")
+        if not name:
+            empty.append(column + 1)
+        elif _UNLABELLED.fullmatch(name):
+            dropped.append(label)
+        else:
+            names.append(name)
+            columns.append(column)
+            if prefix:
+                subjects[prefix] = None
+    doubled = [name for name, count in Counter(names).items() if count > 1]
+    faults = []
+    if empty:
+        faults.append(f"{len(empty)} markers have an empty label ({list_some(empty)})")
+    if doubled:
+        faults.append(f"{len(doubled)} labels appear more than once ({list_some(doubled)})")
+    if faults:
+        several = (
+            f"; the file holds the subjects {list_some(list(subjects))}"
+            if len(subjects) > 1
+            else ""
+        )
+        raise InputError(
+            f"{where}: {' and '.join(faults)}{several}; give every marker its own label in the "
+            "capture software, or export one subject alone"
+        )
+    if not names:
+        raise InputError(
+            f"{where}: no labelled marker among {len(labels)} ({list_some(dropped)}); "
+            "label the markers in the capture software, then export again"
+        )
+    return MarkerLabels(tuple(names), tuple(columns), tuple(dropped), tuple(subjects))
+
+
+def match_names(
+    wanted: Sequence[str], names: Sequence[str], *, where: str, role: str
+) -> tuple[str, ...]:
+    """Return `wanted` as the take names them, with or without the subject's prefix.
+
+    Raises
+    ------
+    InputError
+        If a name is not a marker of the take, with the nearest ones.
+    """
+    known = set(names)
+    found = tuple(name if name in known else name.rpartition(":")[2] for name in wanted)
+    missing = [name for name in found if name not in known]
+    if missing:
+        near = difflib.get_close_matches(missing[0], names, n=_SHOWN) or list(names)
+        raise InputError(
+            f"{where}: {role} {list_some(missing)} not among the {len(names)} markers; "
+            f"did you mean {list_some(near)}?"
+        )
+    return tuple(dict.fromkeys(found))
+
+
+def list_some(items: Sequence[object]) -> str:
+    """Return the first few items, and how many more there are."""
+    shown = ", ".join(str(item) for item in items[:_SHOWN])
+    return f"{shown}, … {len(items) - _SHOWN} more" if len(items) > _SHOWN else shown

@@ -1,0 +1,184 @@
+"""Markers as a reader found them, made into a take: nothing missing, nothing silent."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdface.assets import Markers, Take
+from usdface.capture.marker_labels import list_some, match_names
+from usdface.errors import InputError
+
+FARTHEST_MM = 1e5
+"""No capture volume is larger than 100 m: a sample beyond is damage, and is not seen."""
+
+
+@dataclass(frozen=True)
+class CaptureOptions:
+    """What the user says about a capture, where the file is silent or wrong.
+
+    Attributes
+    ----------
+    units : str or None
+        Overrules the file: ``'mm'``, ``'cm'``, ``'m'``, ``'in'``, …
+    up : {'y', 'z'} or None
+        Overrules the file.
+    rigid : tuple of str
+        Names of the markers that move with the skull alone.
+    neutral : int or None
+        Frame number of the neutral face.
+    """
+
+    units: str | None = None
+    up: str | None = None
+    rigid: tuple[str, ...] = ()
+    neutral: int | None = None
+
+
+@dataclass(frozen=True)
+class Capture:
+    """A capture file, read.
+
+    Attributes
+    ----------
+    take : Take
+    format : str
+        Key of the reader, such as ``'c3d'``.
+    notes : tuple of str
+        What was dropped, repaired or assumed, one sentence each.
+    """
+
+    take: Take
+    format: str
+    notes: tuple[str, ...] = ()
+
+
+def build_marker_take(
+    path: Path,
+    names: Sequence[str],
+    positions: NDArray[np.float32],
+    visible: NDArray[np.bool_],
+    *,
+    rate: Fraction,
+    first_frame: int,
+    options: CaptureOptions,
+    notes: Sequence[str],
+    format_name: str,
+    timecode_start: str = "",
+) -> Capture:
+    """Make a take of markers that are already in mm with Y up.
+
+    Parameters
+    ----------
+    path : Path
+        The capture; its stem names the take.
+    names : sequence of str
+        Unique, one per column.
+    positions : (frames, markers, 3) float32 array
+        [mm]; changed in place. Anything where not visible.
+    visible : (frames, markers) bool array
+        Changed in place: samples that are not finite, at the origin or beyond `FARTHEST_MM` are
+        not seen whatever the file says.
+    rate : Fraction
+    first_frame : int
+    options : CaptureOptions
+    notes : sequence of str
+        What the reader has noted so far.
+    format_name : str
+    timecode_start : str
+
+    Raises
+    ------
+    InputError
+        If no marker is ever seen, a rigid marker is unknown or the neutral frame is outside.
+    """
+    found = list(notes)
+    found += _hide_impossible(positions, visible)
+    ever_seen = np.asarray(visible.any(axis=0))
+    if not ever_seen.any():
+        raise InputError(
+            f"{path}: none of {len(names)} markers is seen in any of {len(positions)} frames; "
+            "export the reconstructed trajectories"
+        )
+    if not ever_seen.all():
+        never = [name for name, seen in zip(names, ever_seen, strict=True) if not seen]
+        found.append(f"{len(never)} markers are never seen and were left out: {list_some(never)}")
+        positions, visible = positions[:, ever_seen], visible[:, ever_seen]
+        names = [name for name, seen in zip(names, ever_seen, strict=True) if seen]
+    if not visible.all():
+        share = 100.0 * (1.0 - float(visible.mean()))
+        found.append(f"{share:.2f} % of the samples are gaps")
+    hold_last_seen(positions, visible)
+    neutral_frame = _settle_neutral(path, visible, first_frame, options.neutral, found)
+    markers = Markers(
+        names=tuple(names),
+        positions=positions,
+        visible=visible,
+        confidence=visible.astype(np.float32),
+        rigid=match_names(options.rigid, names, where=str(path), role="rigid marker"),
+        neutral_frame=neutral_frame,
+    )
+    take = Take(
+        name=path.stem,
+        rate=rate,
+        first_frame=first_frame,
+        markers=markers,
+        timecode_start=timecode_start,
+    )
+    return Capture(take, format_name, tuple(found))
+
+
+def hold_last_seen(positions: NDArray[np.float32], visible: NDArray[np.bool_]) -> None:
+    """Give unseen samples the last seen position, or before the first sighting that one; in place.
+
+    Parameters
+    ----------
+    positions : (frames, markers, 3) array
+    visible : (frames, markers) bool array
+        Every marker must be seen at least once.
+    """
+    frames = np.arange(len(visible))
+    for marker in np.flatnonzero(~visible.all(axis=0)):
+        seen = visible[:, marker]
+        latest = np.maximum.accumulate(np.where(seen, frames, -1))
+        latest[latest < 0] = int(np.argmax(seen))
+        positions[~seen, marker] = positions[latest[~seen], marker]
+
+
+def _hide_impossible(positions: NDArray[np.float32], visible: NDArray[np.bool_]) -> list[str]:
+    """Mark samples no camera can have seen as unseen, and say how many there were."""
+    counts = np.zeros(3, np.int64)
+    for marker in range(positions.shape[1]):  # one at a time: temporaries stay small on long takes
+        track, seen = positions[:, marker], visible[:, marker]
+        broken = seen & ~np.isfinite(track).all(axis=1)
+        with np.errstate(invalid="ignore"):
+            origin = seen & (track == 0).all(axis=1)
+            far = seen & ~broken & (np.abs(track) > FARTHEST_MM).any(axis=1)
+        counts += [broken.sum(), origin.sum(), far.sum()]
+        seen &= ~(broken | origin | far)
+    reasons = ("not numbers", "exactly at the origin", f"more than {FARTHEST_MM / 1000:g} m away")
+    return [
+        f"{count} samples were {reason} and count as gaps"
+        for count, reason in zip(counts.tolist(), reasons, strict=True)
+        if count
+    ]
+
+
+def _settle_neutral(
+    path: Path, visible: NDArray[np.bool_], first_frame: int, neutral: int | None, notes: list[str]
+) -> int:
+    last_frame = first_frame + len(visible) - 1
+    if neutral is None:
+        neutral = first_frame + int(np.argmax(visible.sum(axis=1)))  # the first with the most seen
+        notes.append(
+            f"no neutral frame named; frame {neutral}, the first with the most markers seen, used"
+        )
+    if not first_frame <= neutral <= last_frame:
+        raise InputError(
+            f"{path}: neutral frame {neutral} is outside the take, {first_frame} to {last_frame}; "
+            "name a frame number of the capture with --neutral"
+        )
+    return neutral

@@ -1,0 +1,103 @@
+"""Tell a capture's format by its content, and read it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from usdface.capture.c3d_take import is_c3d, read_c3d_take
+from usdface.capture.marker_take import Capture, CaptureOptions
+from usdface.errors import InputError
+
+_HEAD_BYTES = 64 << 10
+
+
+@dataclass(frozen=True)
+class CaptureFormat:
+    """One format: how to recognise it and how to read it."""
+
+    name: str
+    description: str
+    recognise: Callable[[bytes], bool]
+    read: Callable[[Path, CaptureOptions], Capture]
+
+
+FORMATS: tuple[CaptureFormat, ...] = (
+    CaptureFormat("c3d", "C3D, optical capture", is_c3d, read_c3d_take),
+)
+"""In the order they are tried: the surest marks first."""
+
+
+def read_capture(
+    path: Path,
+    *,
+    format: str | None = None,
+    units: str | None = None,
+    up: str | None = None,
+    rigid: Sequence[str] = (),
+    neutral: int | None = None,
+) -> Capture:
+    """Read any capture file as a take in millimetres, Y up.
+
+    Parameters
+    ----------
+    path : Path
+    format : str, optional
+        Name of one of `FORMATS`; told from the content when left out, whatever the extension.
+    units : str, optional
+        ``'mm'``, ``'cm'``, ``'m'``, …; overrules the file.
+    up : {'y', 'z'}, optional
+        Overrules the file.
+    rigid : sequence of str
+        Names of the markers that move with the skull alone.
+    neutral : int, optional
+        Frame number of the neutral face; the first frame with the most markers seen by default.
+
+    Returns
+    -------
+    Capture
+        The take, and notes of everything that was dropped, repaired or assumed.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is of no known format, is damaged, or contradicts the options.
+    """
+    path = Path(path)
+    options = CaptureOptions(units=units, up=up, rigid=tuple(rigid), neutral=neutral)
+    try:
+        chosen = _named_format(format) if format is not None else recognise_format(path)
+        return chosen.read(path, options)
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read: {error.strerror or error}; check the path and its permissions"
+        ) from error
+
+
+def recognise_format(path: Path) -> CaptureFormat:
+    """Tell a file's format by its first bytes.
+
+    Raises
+    ------
+    InputError
+        If no format fits; the message lists the known ones.
+    """
+    with path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    for candidate in FORMATS:
+        if candidate.recognise(head):
+            return candidate
+    raise InputError(
+        f"{path}: not a capture file we know (it begins with {head[:24]!r}); known are "
+        f"{_known_formats()}; export one of these, or name the format with --format"
+    )
+
+
+def _named_format(name: str) -> CaptureFormat:
+    for candidate in FORMATS:
+        if candidate.name == name.lower():
+            return candidate
+    raise InputError(f"capture format {name!r} is not known; known are {_known_formats()}")
+
+
+def _known_formats() -> str:
+    return ", ".join(f"{candidate.name} ({candidate.description})" for candidate in FORMATS)

@@ -1,0 +1,216 @@
+"""Our C3D reader and writer against ezc3d, against each other, and against damage."""
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import ezc3d
+import numpy as np
+import pytest
+
+from usdface.capture.c3d import open_c3d
+from usdface.capture.c3d_write import write_c3d
+from usdface.errors import InputError
+
+BTK_SAME = (
+    "pc_int.c3d",
+    "sgi_int.c3d",
+    "DEC_INT.C3D",
+    "pc_real.c3d",
+    "sgi_real.c3d",
+    "Dec_real.c3d",
+)
+
+
+@pytest.fixture
+def take() -> tuple[np.ndarray, np.ndarray, list[str]]:
+    rng = np.random.default_rng(0)
+    positions = rng.normal(0, 100, (40, 5, 3)).astype(np.float32)
+    visible = rng.random((40, 5)) > 0.2
+    return positions, visible, ["brow_L", "brow_R", "lip_U", "lip_D", "nose"]
+
+
+def read_with_ezc3d(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    data = ezc3d.c3d(str(path))["data"]
+    return data["points"][:3].transpose(2, 1, 0), data["meta_points"]["residuals"][0].T >= 0
+
+
+def test_written_points_come_back_with_their_gaps(take, tmp_path):
+    positions, visible, labels = take
+    write_c3d(tmp_path / "take.c3d", positions, visible, labels, rate=119.88, first_frame=1001)
+    file = open_c3d(tmp_path / "take.c3d")
+    points = file.read_points()
+    assert file.point_labels == tuple(labels)
+    assert (file.layout.first_frame, file.units) == (1001, "mm")
+    assert file.layout.rate == pytest.approx(119.88)
+    np.testing.assert_array_equal(points.residuals >= 0, visible)
+    np.testing.assert_array_equal(points.positions[visible], positions[visible])
+    assert file.layout.notes == ()
+
+
+def test_ezc3d_reads_what_we_write(take, tmp_path):
+    positions, visible, labels = take
+    path = tmp_path / "take.c3d"
+    write_c3d(path, positions, visible, labels, rate=60, first_frame=7)
+    points, seen = read_with_ezc3d(path)
+    header = ezc3d.c3d(str(path))["header"]["points"]
+    np.testing.assert_array_equal(seen, visible)
+    np.testing.assert_array_equal(points[visible], positions[visible])
+    assert (header["first_frame"] + 1, header["frame_rate"]) == (7, 60.0)  # it counts from 0
+
+
+def test_we_read_what_ezc3d_writes(take, tmp_path):
+    positions, _, labels = take
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["RATE"]["value"] = [100.0]
+    file["parameters"]["POINT"]["LABELS"]["value"] = labels
+    file["data"]["points"] = np.concatenate([positions, np.ones((40, 5, 1))], 2).transpose(2, 1, 0)
+    file.write(str(tmp_path / "ezc3d.c3d"))
+    points = open_c3d(tmp_path / "ezc3d.c3d").read_points()
+    np.testing.assert_array_equal(points.positions, positions)
+
+
+def test_a_slice_of_frames_equals_the_same_slice_of_the_whole(take, tmp_path):
+    positions, visible, labels = take
+    write_c3d(tmp_path / "take.c3d", positions, visible, labels, rate=60)
+    file = open_c3d(tmp_path / "take.c3d")
+    np.testing.assert_array_equal(
+        file.read_points(11, 29).residuals, file.read_points().residuals[11:29]
+    )
+    assert file.read_points(39, 99).positions.shape == (1, 5, 3)
+
+
+def test_more_frames_than_sixteen_bits_count_are_all_read(tmp_path):
+    frames = 66_000
+    positions = np.arange(1, frames * 6 + 1, dtype=np.float32).reshape(frames, 2, 3)
+    write_c3d(tmp_path / "long.c3d", positions, np.ones((frames, 2), bool), ["a", "b"], rate=120)
+    file = open_c3d(tmp_path / "long.c3d")
+    assert file.frame_count == frames
+    np.testing.assert_array_equal(file.read_points(65_990).positions, positions[65_990:])
+
+
+@pytest.mark.parametrize(
+    "hidden", [("TRIAL", "LONG_FRAMES"), ("TRIAL",)], ids=["neither", "only LONG_FRAMES"]
+)
+def test_a_full_frame_count_is_completed_from_what_the_file_says(tmp_path, hidden):
+    frames = 65_536 + 40  # 64 points of 16 bytes: a frame is two blocks, so there is no padding
+    positions = np.ones((frames, 64, 3), np.float32)
+    labels = [f"m{i}" for i in range(64)]
+    path = tmp_path / "long.c3d"
+    write_c3d(path, positions, np.ones((frames, 64), bool), labels, rate=120)
+    content = bytearray(path.read_bytes())
+    for name in hidden:
+        at = content.index(name.encode())
+        content[at : at + len(name)] = b"X" * len(name)
+    path.write_bytes(content)
+    assert open_c3d(path).frame_count == frames
+
+
+def test_more_than_255_labels_continue_in_further_parameters(tmp_path):
+    labels = [f"marker_{i:03d}" for i in range(600)]
+    write_c3d(tmp_path / "many.c3d", np.ones((2, 600, 3)), np.ones((2, 600), bool), labels, rate=60)
+    assert open_c3d(tmp_path / "many.c3d").point_labels == tuple(labels)
+
+
+def test_analog_samples_come_back_beside_the_points(take, tmp_path):
+    positions, visible, labels = take
+    analog = np.random.default_rng(1).normal(size=(40 * 16, 2)).astype(np.float32)
+    path = tmp_path / "analog.c3d"
+    write_c3d(
+        path, positions, visible, labels, rate=60, analog=analog, analog_labels=["mic", "sync"]
+    )
+    file = open_c3d(path)
+    assert (file.analog_labels, file.analog_rate) == (("mic", "sync"), 960.0)
+    np.testing.assert_array_equal(file.read_analog(), analog)
+    np.testing.assert_array_equal(file.read_analog(10, 12), analog[160:192])
+    np.testing.assert_allclose(ezc3d.c3d(str(path))["data"]["analogs"][0].T, analog)
+
+
+@pytest.mark.parametrize("name", BTK_SAME)
+def test_every_byte_order_and_storage_gives_the_same_points(shared_data, name):
+    one = open_c3d(shared_data / "c3d/btk" / BTK_SAME[0])
+    other = open_c3d(shared_data / "c3d/btk" / name)
+    a, b = one.read_points(), other.read_points()
+    np.testing.assert_array_equal(a.residuals >= 0, b.residuals >= 0)
+    seen = a.residuals >= 0
+    assert (
+        np.abs(a.positions - b.positions)[seen].max() <= one.layout.scale * 1.01
+    )  # cut off, not rounded
+    np.testing.assert_allclose(one.read_analog(), other.read_analog(), rtol=1e-5, atol=1e-4)
+    assert one.point_labels == other.point_labels
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "markers_analogs.c3d",
+        "btk/pc_int.c3d",
+        "btk/pc_real.c3d",
+        "btk/Dec_real.c3d",
+        "btk/DEC_INT.C3D",
+    ],
+)
+def test_points_and_analog_agree_with_ezc3d(shared_data, name):
+    path = shared_data / "c3d" / name
+    file = open_c3d(path)
+    ours = file.read_points()
+    points, seen = read_with_ezc3d(path)
+    np.testing.assert_array_equal(ours.residuals >= 0, seen)
+    np.testing.assert_allclose(ours.positions[seen], points[seen], rtol=1e-6)
+    analog = ezc3d.c3d(str(path))["data"]["analogs"][0].T
+    np.testing.assert_allclose(file.read_analog(), analog, rtol=1e-4, atol=1e-3)
+
+
+def test_a_damaged_parameter_behind_sound_ones_is_noted_and_the_points_are_read(shared_data):
+    file = open_c3d(shared_data / "c3d/btk/bad_parameter_section.c3d")
+    assert (file.layout.point_count, file.frame_count) == (45, 332)
+    assert any("parameter" in note for note in file.layout.notes)
+
+
+def test_recorded_points_match_the_table_that_came_with_them(shared_data):
+    table = np.genfromtxt(
+        shared_data / "markers_animface/CheeksMoCap.csv", delimiter=",", skip_header=1
+    )
+    points = open_c3d(shared_data / "markers_animface/CheeksMoCap.c3d").read_points()
+    in_mm = 10 * table[:, 2:].reshape(len(table), -1, 3)  # the table is in centimetres
+    np.testing.assert_allclose(points.positions, in_mm, atol=0.05)
+
+
+def whole_and_damaged(path: Path) -> Iterator[tuple[str, bytes]]:
+    content = path.read_bytes()
+    yield "empty", b""
+    yield "two bytes", content[:2]
+    yield "header only", content[:512]
+    yield "cut in the parameters", content[:700]
+    yield "cut in the data", content[:-600]
+    yield "a picture", b"\x89PNG\r\n\x1a\n" + content[8:]
+    yield "processor 99", content[:515] + b"\x63" + content[516:]
+    yield "data past the end", content[:16] + struct.pack("<H", 60000) + content[18:]
+    yield (
+        "65535 points",
+        content.replace(
+            b"\x04USED"[1:] + b"\x05\x00\x02\x00\x05\x00", b"USED\x05\x00\x02\x00\xff\xff"
+        ),
+    )
+
+
+@pytest.mark.parametrize("case", range(8))
+def test_damage_is_refused_with_the_file_the_place_and_the_remedy(take, tmp_path, case):
+    positions, visible, labels = take
+    path = tmp_path / "take.c3d"
+    write_c3d(path, positions, visible, labels, rate=60)
+    name, content = list(whole_and_damaged(path))[case]
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"take\.c3d.*; (export|choose|copy)"):
+        open_c3d(path)
+    assert name
+
+
+def test_a_file_that_shrinks_while_it_is_read_names_the_frame(take, tmp_path):
+    positions, visible, labels = take
+    path = tmp_path / "take.c3d"
+    write_c3d(path, positions, visible, labels, rate=60)
+    file = open_c3d(path)
+    path.write_bytes(path.read_bytes()[: file.layout.data_start + 81])
+    with pytest.raises(InputError, match="frame 2: the file ended"):
+        file.read_points()
