@@ -1,0 +1,117 @@
+"""What every spec shares: frozen, no unknown keys, limits in the types, paths it reads and writes."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+FRAMES_PATTERN = r"^-?\d+--?\d+$"
+
+
+@dataclass(frozen=True)
+class Reads:
+    """Marks a path that a step reads.
+
+    Attributes
+    ----------
+    alone : bool
+        Only this very file matters, not the layers it is built from.
+    """
+
+    alone: bool = False
+
+
+@dataclass(frozen=True)
+class Writes:
+    """Marks a path that a step writes."""
+
+
+@dataclass(frozen=True)
+class Positional:
+    """Marks a field that the command line takes without an option's name."""
+
+
+def _named(path: Path) -> Path:
+    if not path.name:
+        raise ValueError(f"{str(path)!r} names no file")
+    return path
+
+
+FilePath = Annotated[Path, AfterValidator(_named)]
+ReadPath = Annotated[FilePath, Reads()]
+WritePath = Annotated[FilePath, Writes()]
+Name = Annotated[str, Field(min_length=1, max_length=200)]
+PrimPath = Annotated[str, Field(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")]
+Frames = Annotated[str, Field(pattern=FRAMES_PATTERN, examples=["101-240"])]
+
+
+def frame_range(frames: str | None) -> tuple[int, int] | None:
+    """Turn ``"101-240"`` into (101, 240); None stays None."""
+    if frames is None:
+        return None
+    split = frames.index("-", 1)
+    return int(frames[:split]), int(frames[split + 1 :])
+
+
+class Spec(BaseModel):
+    """One unit of work: what to read, what to write, how."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False
+    )
+
+    example: ClassVar[str] = ""
+    """A command line that shows the common use."""
+
+    step: str
+
+    @classmethod
+    def fields_marked(cls, kind: type[Any]) -> dict[str, Any]:
+        """Return the fields that carry a mark of this kind, with the mark."""
+        found = {}
+        for name, field in cls.model_fields.items():
+            marks = [mark for mark in field.metadata if isinstance(mark, kind)]
+            if marks:
+                found[name] = marks[0]
+        return found
+
+    def paths(self, kind: type[Reads] | type[Writes]) -> tuple[Path, ...]:
+        """Return every path this spec reads, or every path it writes."""
+        found: list[Path] = []
+        for name in type(self).fields_marked(kind):
+            value = getattr(self, name)
+            if isinstance(value, Path):
+                found.append(value)
+            elif value is not None:
+                found.extend(value)
+        return tuple(found)
+
+    def read_alone(self) -> tuple[Path, ...]:
+        """Return the paths of which only the file itself counts, not what it refers to."""
+        marks = type(self).fields_marked(Reads)
+        return tuple(
+            path
+            for name, mark in marks.items()
+            if mark.alone and isinstance(path := getattr(self, name), Path)
+        )
+
+    def outputs(self) -> tuple[Path, ...]:
+        """Return the files this spec makes: those that tell whether it has been done."""
+        return self.paths(Writes)
+
+    def anchored(self, folder: Path) -> Self:
+        """Return the same spec with its relative paths taken from a folder."""
+        changed: dict[str, Any] = {}
+        for kind in (Reads, Writes):
+            for name in type(self).fields_marked(kind):
+                value = getattr(self, name)
+                if isinstance(value, Path):
+                    changed[name] = folder / value
+                elif value is not None:
+                    changed[name] = tuple(folder / each for each in value)
+        return self.model_copy(update=changed)
+
+
+Axis = Literal["y", "z"]
+Units = Literal["mm", "cm", "m", "in"]

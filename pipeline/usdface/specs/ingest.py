@@ -1,0 +1,68 @@
+"""What `usdface ingest` is told."""
+
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from usdface.specs.base import (
+    Axis,
+    Name,
+    Positional,
+    PrimPath,
+    ReadPath,
+    Reads,
+    Spec,
+    Units,
+    WritePath,
+)
+
+
+class IngestSpec(Spec):
+    """Turn a capture into one USD take.
+
+    The capture is told by its content: C3D, or a USD file with markers as Points, Skeleton joints
+    or Xforms and weights as SkelAnimation. What was dropped or assumed is said.
+    """
+
+    example: ClassVar[str] = (
+        "usdface ingest kitchen.c3d --out kitchen.take.usda --video kitchen.mov --neutral 120"
+    )
+
+    step: Literal["ingest"] = "ingest"
+    sources: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
+    """Capture files of one take."""
+    out: WritePath
+    """The take to write (.usda keeps its samples in a .usdc beside it)."""
+    video: ReadPath | None = None
+    """The camera's recording; the take refers to it."""
+    video_offset: float = 0.0
+    """Seconds: the capture's time when the video starts (negative: the camera started first)."""
+    audio: ReadPath | None = None
+    """Sound recorded with the capture; the take refers to it."""
+    format: Name | None = None
+    """The capture's format, where its content does not tell."""
+    units: Units | None = None
+    """Length unit of the capture, where the file is silent or wrong."""
+    up: Axis | None = None
+    """Up axis of the capture, where the file is silent or wrong."""
+    rigid: tuple[Name, ...] = ()
+    """Labels of the markers that move with the skull alone."""
+    neutral: int | None = None
+    """Frame number of the neutral face."""
+    prim: PrimPath | None = None
+    """The prim that holds the markers, where a USD source has several sets."""
+    take: Name | None = None
+    """Name of the take; the file's by default."""
+    performer: str = ""
+    """Who was recorded."""
+    emotion: str = ""
+    """Emotion of the whole take, where it has one."""
+    timecode: Annotated[str, Field(pattern=r"^(\d\d:\d\d:\d\d[:;]\d\d)?$")] = ""
+    """SMPTE timecode of the first frame, where the file has none."""
+
+    @model_validator(mode="after")
+    def _offset_needs_video(self) -> Self:
+        if self.video_offset and self.video is None:
+            raise ValueError("video_offset is given without a video")
+        return self

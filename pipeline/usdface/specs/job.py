@@ -1,0 +1,62 @@
+"""A job: steps in the order they build on each other."""
+
+from pathlib import Path
+from typing import Annotated, ClassVar, Self
+
+from pydantic import Field, model_validator
+
+from usdface.specs.base import Name, Reads, Spec, Writes
+from usdface.specs.clean import CleanSpec
+from usdface.specs.ingest import IngestSpec
+from usdface.specs.map import MapSpec
+from usdface.specs.references import ReferencesImportSpec, SelectSpec
+from usdface.specs.sheet import SheetSpec
+from usdface.specs.train import TrainSpec
+
+STEP_SPECS: tuple[type[Spec], ...] = (
+    IngestSpec,
+    CleanSpec,
+    SelectSpec,
+    ReferencesImportSpec,
+    TrainSpec,
+    MapSpec,
+    SheetSpec,
+)
+
+AnyStep = Annotated[
+    IngestSpec | CleanSpec | SelectSpec | ReferencesImportSpec | TrainSpec | MapSpec | SheetSpec,
+    Field(discriminator="step"),
+]
+
+
+class JobSpec(Spec):
+    """Several steps as one file; relative paths are relative to it."""
+
+    example: ClassVar[str] = "usdface run kitchen.job.yaml"
+
+    step: str = "job"
+    job: Name
+    """Name of the job."""
+    steps: Annotated[tuple[AnyStep, ...], Field(min_length=1)]
+    """The steps, each after those whose files it reads."""
+
+    @model_validator(mode="after")
+    def _files_are_made_once_and_before_they_are_read(self) -> Self:
+        made: dict[Path, int] = {}
+        for number, step in enumerate(self.steps, start=1):
+            for path in step.outputs():
+                if path in made:
+                    raise ValueError(
+                        f"steps {made[path]} and {number} both write {path}; give each its own"
+                    )
+                made[path] = number
+        for number, step in enumerate(self.steps, start=1):
+            for path in step.paths(Reads):
+                if made.get(path, 0) > number:
+                    raise ValueError(
+                        f"step {number} reads {path} before step {made[path]} writes it; "
+                        "put them in the other order"
+                    )
+                if path in step.paths(Writes):
+                    raise ValueError(f"step {number} writes {path}, which it reads")
+        return self

@@ -1,0 +1,43 @@
+"""What `usdface map` is told."""
+
+from typing import Annotated, ClassVar, Literal
+
+from usdface.specs.base import (
+    FilePath,
+    Frames,
+    Positional,
+    PrimPath,
+    ReadPath,
+    Reads,
+    Spec,
+    WritePath,
+)
+
+
+class MapSpec(Spec):
+    """Turn a cleaned take into BlendShape weights on a rig.
+
+    Writes NAME.usda to open, and NAME.weights.usdc, which holds only the animation and the overs
+    that point the rig at it. The rig is referenced, never written.
+    """
+
+    example: ClassVar[str] = (
+        "usdface map kitchen.clean.take.usda --mapping hero.mapping.usdc --rig hero.usd "
+        "--out kitchen.hero.usda"
+    )
+
+    step: Literal["map"] = "map"
+    take: Annotated[FilePath, Reads(), Positional()]
+    """The cleaned take."""
+    mapping: ReadPath
+    """The trained mapping."""
+    rig: ReadPath
+    """The character."""
+    out: WritePath
+    """The performance to open."""
+    prim: PrimPath | None = None
+    """Where the rig is put in the performance; its own default prim's name by default."""
+    rig_prim: PrimPath | None = None
+    """The face in the rig's file, where it holds several."""
+    frames: Frames | None = None
+    """Map these frames only, as FIRST-LAST."""

@@ -1,0 +1,86 @@
+"""Read specs from YAML or JSON and write them back, with messages that name the field."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import TypeAdapter, ValidationError
+
+from usdface.errors import InputError
+from usdface.specs.base import Spec
+from usdface.specs.job import AnyStep, JobSpec
+
+LARGEST_SPEC_BYTES = 16 << 20
+"""A job of thousands of steps is far below this; more is not a spec."""
+
+_STEP: TypeAdapter[Any] = TypeAdapter(AnyStep)
+
+
+def read_job(path: Path) -> JobSpec:
+    """Read a job from a file; a single step makes a job of one.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is no YAML or JSON, or does not validate; every fault is named.
+    """
+    data = _read_data(path)
+    if not isinstance(data, dict):
+        raise InputError(
+            f"{path}: holds {type(data).__name__}, not a job; it needs `job` and `steps`"
+        )
+    if "step" in data and "steps" not in data:
+        data = {"job": path.stem, "steps": [data]}
+    try:
+        job = JobSpec.model_validate(data)
+    except ValidationError as error:
+        raise InputError(f"{path}: {describe_faults(error)}") from error
+    folder = path.parent
+    return job.model_copy(update={"steps": tuple(step.anchored(folder) for step in job.steps)})
+
+
+def spec_text(spec: Spec, path: Path) -> str:
+    """Return a spec as the text of a file: JSON by that extension, else YAML."""
+    data = spec.model_dump(mode="json", exclude_defaults=True)
+    data = {"step": spec.step, **data} if spec.step != "job" else data
+    if path.suffix == ".json":
+        return json.dumps(data, indent=2, ensure_ascii=False) + "\n"
+    return str(yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100))
+
+
+def describe_faults(error: ValidationError) -> str:
+    """Return every fault of a spec as ``field -> sub[2]: reason``, one a line."""
+    lines = []
+    for fault in error.errors():
+        place = ""
+        for part in fault["loc"]:
+            place += f"[{part}]" if isinstance(part, int) else f"{' -> ' if place else ''}{part}"
+        reason = fault["msg"].removeprefix("Value error, ")
+        given = fault.get("input")
+        shown = "" if isinstance(given, dict | list | tuple) else f" (got {given!r})"
+        lines.append(f"{place}: {reason}{shown}" if place else reason)
+    if len(lines) == 1:
+        return lines[0]
+    return f"{len(lines)} faults\n" + "\n".join(f"  {line}" for line in lines)
+
+
+def _read_data(path: Path) -> Any:
+    try:
+        if path.stat().st_size > LARGEST_SPEC_BYTES:
+            raise InputError(f"{path}: {path.stat().st_size} bytes are too many for a spec")
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not UTF-8 at byte {error.start}; save it as UTF-8") from error
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: is no valid YAML or JSON: {reason}") from error
+    except RecursionError as error:
+        raise InputError(f"{path}: is nested too deeply for a spec") from error
+
+
+__all__ = ["describe_faults", "read_job", "spec_text"]

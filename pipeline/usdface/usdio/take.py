@@ -1,0 +1,239 @@
+"""Read a take that follows our contract, whole or by ranges of frames."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdSkel
+
+from usdface.assets import Markers, Take, Video, WeightsClip
+from usdface.errors import InputError
+from usdface.usdio.layers import open_stage
+from usdface.usdio.space import column_matrix, stage_to_ours
+from usdface.usdio.take_write import AUDIO, CONFIDENCE, HEAD_MOTION, MARKERS, SOURCE, VISIBLE
+
+RATE_DENOMINATOR = 1001
+"""Broadcast rates are whole numbers over 1 or 1001: 30000/1001 is 29.97."""
+
+
+def is_take(path: Path) -> bool:
+    """Whether a USD file follows the take contract."""
+    root = open_stage(path).GetDefaultPrim()
+    return bool(root) and root.HasAPI("FaceTakeAPI")
+
+
+def exact_rate(rate: float) -> Fraction:
+    """Return the exact rate behind a float such as 59.94005994."""
+    for candidate in (Fraction(round(rate)), Fraction(round(rate * 1.001) * 1000, 1001)):
+        if abs(float(candidate) - rate) < 1e-4:
+            return candidate
+    return Fraction(rate).limit_denominator(RATE_DENOMINATOR)
+
+
+class TakeReader:
+    """A take on disk: its header at once, its frames when asked for.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    InputError
+        If the file is no take, or its contract is broken.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._stage = open_stage(path)
+        root = self._stage.GetDefaultPrim()
+        if not root or not root.HasAPI("FaceTakeAPI"):
+            raise InputError(
+                f"{path}: not a take: its default prim has no FaceTakeAPI; "
+                "make one from it with `usdface ingest`"
+            )
+        self._root = root
+        rate = self._stage.GetTimeCodesPerSecond()
+        if not rate > 0:
+            raise InputError(f"{path}: timeCodesPerSecond is {rate:g}; a take needs a rate above 0")
+        self.rate = exact_rate(rate)
+        self.first_frame = round(self._stage.GetStartTimeCode())
+        self.last_frame = round(self._stage.GetEndTimeCode())
+        self._ours = stage_to_ours(self._stage)
+        self._prims = {
+            place.name: self._stage.GetPrimAtPath(root.GetPath().AppendChild(place.name))
+            for place in (MARKERS, HEAD_MOTION, SOURCE, AUDIO)
+        }
+
+    @property
+    def name(self) -> str:
+        """The take's name; the file's, where the take has none."""
+        return str(self._value("face:take") or self.path.name.split(".")[0])
+
+    @property
+    def marker_names(self) -> tuple[str, ...]:
+        """Names of the markers; empty where the take has none."""
+        prim = self._prims[MARKERS.name]
+        names = prim.GetAttribute("face:markers:names").Get() if prim else None
+        return tuple(map(str, names or ()))
+
+    def read(self, first: int | None = None, last: int | None = None) -> Take:
+        """Read the frames `first` to `last`, inclusive; all by default.
+
+        Raises
+        ------
+        InputError
+            If the range holds no frame of the take, or a frame is broken.
+        """
+        first = self.first_frame if first is None else first
+        last = self.last_frame if last is None else last
+        if not self.first_frame <= first <= last <= self.last_frame:
+            raise InputError(
+                f"{self.path}: frames {first}-{last} are not all in the take, which has "
+                f"{self.first_frame}-{self.last_frame}"
+            )
+        frames = range(first, last + 1)
+        return Take(
+            name=self.name,
+            rate=self.rate,
+            first_frame=first,
+            markers=self._read_markers(frames),
+            source=self._read_source(frames),
+            head_motion=self._read_head_motion(frames),
+            video=self._read_video(),
+            audio=self._read_audio(),
+            performer=str(self._value("face:performer") or ""),
+            emotion=str(self._value("face:emotion") or ""),
+            timecode_start=str(self._value("face:timecode:start") or ""),
+        )
+
+    def _value(self, name: str) -> object:
+        attribute = self._root.GetAttribute(name)
+        return attribute.Get() if attribute else None
+
+    def _read_markers(self, frames: range) -> Markers | None:
+        prim = self._prims[MARKERS.name]
+        if not prim:
+            return None
+        names = self.marker_names
+        if not names:
+            raise InputError(
+                f"{self.path} <{prim.GetPath()}>: face:markers:names is empty; "
+                "ingest the capture again"
+            )
+        positions = self._read_vectors(prim, frames, len(names)) @ self._ours.T.astype(np.float32)
+        shape = positions.shape[:2]
+        visible = self._read_primvar(prim, VISIBLE, frames, shape, np.dtype(np.bool_))
+        confidence = self._read_primvar(prim, CONFIDENCE, frames, shape, np.dtype(np.float32))
+        rigid = prim.GetAttribute("face:markers:rigid").Get() or ()
+        anchor = prim.GetAttribute("face:markers:anchor").Get() or ""
+        space = str(prim.GetAttribute("face:markers:space").Get())
+        neutral = prim.GetAttribute("face:markers:neutralFrame").Get()
+        return Markers(
+            names=names,
+            positions=positions,
+            visible=visible,
+            confidence=confidence,
+            rigid=tuple(map(str, rigid)),
+            neutral_frame=self.first_frame if neutral is None else int(neutral),
+            anchor=str(anchor),
+            space="stabilized" if space == "stabilized" else "captured",
+        )
+
+    def _read_vectors(self, prim: Usd.Prim, frames: range, count: int) -> np.ndarray:
+        attribute = UsdGeom.Points(prim).GetPointsAttr()
+        out = np.empty((len(frames), count, 3), dtype=np.float32)
+        for index, frame in enumerate(frames):
+            value = attribute.Get(frame)
+            if value is None or len(value) != count:
+                got = 0 if value is None else len(value)
+                raise InputError(
+                    f"{self.path} <{attribute.GetPath()}> frame {frame}: {got} points for "
+                    f"{count} marker names; ingest the capture again"
+                )
+            out[index] = np.asarray(value)
+        bad = ~np.isfinite(out).all(axis=2)
+        if bad.any():
+            frame, marker = np.argwhere(bad)[0]
+            raise InputError(
+                f"{self.path} <{attribute.GetPath()}> frame {frames[frame]}: marker {marker} is "
+                "NaN or infinite; a marker that is not seen must keep its last position"
+            )
+        return out
+
+    def _read_primvar(
+        self, prim: Usd.Prim, name: str, frames: range, shape: tuple[int, int], kind: np.dtype
+    ) -> np.ndarray:
+        attribute = prim.GetAttribute(name)
+        out = np.ones(shape, dtype=kind)
+        if not attribute or not attribute.HasAuthoredValue():
+            return out
+        for index, frame in enumerate(frames):
+            value = attribute.Get(frame)
+            if value is None or len(value) != shape[1]:
+                raise InputError(
+                    f"{self.path} <{attribute.GetPath()}> frame {frame}: needs one value per "
+                    f"marker, {shape[1]}; ingest the capture again"
+                )
+            out[index] = np.asarray(value)
+        return out
+
+    def _read_source(self, frames: range) -> WeightsClip | None:
+        prim = self._prims[SOURCE.name]
+        if not prim:
+            return None
+        animation = UsdSkel.Animation(prim)
+        names = tuple(map(str, animation.GetBlendShapesAttr().Get() or ()))
+        attribute = animation.GetBlendShapeWeightsAttr()
+        values = np.zeros((len(frames), len(names)), dtype=np.float32)
+        for index, frame in enumerate(frames):
+            row = attribute.Get(frame)
+            if row is None or len(row) != len(names):
+                raise InputError(
+                    f"{self.path} <{attribute.GetPath()}> frame {frame}: "
+                    f"{0 if row is None else len(row)} weights for {len(names)} names"
+                )
+            values[index] = np.asarray(row)
+        return WeightsClip(names, values, frames[0], self.rate)
+
+    def _read_head_motion(self, frames: range) -> np.ndarray | None:
+        prim = self._prims[HEAD_MOTION.name]
+        if not prim:
+            return None
+        transform = UsdGeom.Xformable(prim)
+        motion = np.array(
+            [column_matrix(transform.GetLocalTransformation(frame)) for frame in frames]
+        )
+        turn = self._ours / np.linalg.norm(self._ours[0])
+        motion[:, :3, :3] = turn @ motion[:, :3, :3] @ turn.T
+        motion[:, :3, 3] = motion[:, :3, 3] @ self._ours.T
+        return motion
+
+    def _read_video(self) -> Video | None:
+        asset = self._value("face:video:file")
+        if asset is None or not str(getattr(asset, "path", "")):
+            return None
+        rate = self._value("face:video:rate")
+        return Video(
+            file=self._resolve(asset),
+            rate=exact_rate(float(rate)) if isinstance(rate, float) and rate > 0 else None,
+            offset=float(str(self._value("face:video:offset") or 0)),
+            drift=float(str(self._value("face:video:drift") or 0)),
+        )
+
+    def _read_audio(self) -> Path | None:
+        prim = self._prims[AUDIO.name]
+        asset = prim.GetAttribute("filePath").Get() if prim else None
+        return None if asset is None else self._resolve(asset)
+
+    def _resolve(self, asset: object) -> Path:
+        """Return where an asset is, or would be: it may be missing, and that is not our error."""
+        resolved = str(getattr(asset, "resolvedPath", ""))
+        if resolved:
+            return Path(resolved)
+        return (self.path.parent / str(getattr(asset, "path", ""))).resolve()
+
+
+def read_take(path: Path, *, first: int | None = None, last: int | None = None) -> Take:
+    """Read a take, or a range of its frames; see `TakeReader.read`."""
+    return TakeReader(path).read(first, last)
