@@ -1,0 +1,130 @@
+"""Another take of the same marker set, brought to a mapping's markers and head space."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from usdface.assets import BoolArray, Float32Array, FloatArray, Mapping, Markers
+from usdface.errors import InputError
+
+MINIMUM_SHARE = 0.5
+"""Of the mapping's markers, how many a take must have: with fewer, most of the face is a guess."""
+
+MINIMUM_RIGID = 3
+RIGID_TOLERANCE_MM = 5.0
+
+
+@dataclass(frozen=True)
+class MappedMarkers:
+    """A take's markers as a mapping reads them.
+
+    Attributes
+    ----------
+    positions : (frames, markers, 3) float32 array
+        In the mapping's marker order and head space [mm]; 0 where the take lacks the marker.
+    visible : (frames, markers) bool array
+        Where a position may be used: measured or repaired.
+    missing : tuple of str
+        Markers of the mapping that the take lacks.
+    extra : tuple of str
+        Markers of the take that the mapping does not know; ignored.
+    moved_mm : float
+        How far the take's head space was from the mapping's: root mean square over markers [mm].
+    """
+
+    positions: Float32Array
+    visible: BoolArray
+    missing: tuple[str, ...]
+    extra: tuple[str, ...]
+    moved_mm: float
+
+
+def into_head_space(mapping: Mapping, markers: Markers) -> MappedMarkers:
+    """Match markers by name and move the take rigidly onto the mapping's neutral head.
+
+    One rigid movement for the whole take: the median position of each rigid marker goes to where
+    that marker stood when the mapping was trained.
+
+    Parameters
+    ----------
+    mapping : Mapping
+    markers : Markers
+        Stabilised.
+
+    Raises
+    ------
+    InputError
+        If the take is not stabilised, shares too few markers with the mapping, or its rigid
+        markers are too few or too far from where the mapping had them.
+    """
+    if markers.space != "stabilized":
+        raise InputError("the take still holds head motion; run the clean step on it first")
+    place = {name: i for i, name in enumerate(markers.names)}
+    common = [name for name in mapping.marker_names if name in place]
+    missing = tuple(name for name in mapping.marker_names if name not in place)
+    known = set(mapping.marker_names)
+    if len(common) < MINIMUM_SHARE * len(mapping.marker_names):
+        raise InputError(
+            f"the take has {len(common)} of the mapping's {len(known)} markers, at least "
+            f"{int(np.ceil(MINIMUM_SHARE * len(known)))} are needed; lacking {_some(missing)}. "
+            "Rename the take's markers, or train a mapping for this marker set"
+        )
+    slots = [i for i, name in enumerate(mapping.marker_names) if name in place]
+    own = [place[mapping.marker_names[i]] for i in slots]
+    frames = len(markers.positions)
+    positions = np.zeros((frames, len(mapping.marker_names), 3), dtype=np.float32)
+    visible = np.zeros((frames, len(mapping.marker_names)), dtype=bool)
+    positions[:, slots] = markers.positions[:, own]
+    visible[:, slots] = markers.visible[:, own] | (markers.confidence[:, own] > 0)
+    visible &= np.isfinite(positions).all(axis=2)
+    rotation, shift, moved = _rigid_movement(mapping, positions, visible)
+    positions @= rotation.T.astype(np.float32)
+    positions += shift.astype(np.float32)
+    positions[~visible] = 0.0
+    extra = tuple(name for name in markers.names if name not in known)
+    return MappedMarkers(positions, visible, missing, extra, moved)
+
+
+def _rigid_movement(
+    mapping: Mapping, positions: Float32Array, visible: BoolArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """Rotation and shift that put the take's rigid markers where the mapping had them."""
+    # The mean over whole takes, not the neutral frame: one frame is noisy, the mean is not.
+    rest = mapping.arrays["motion_mean"].reshape(-1, 3)
+    names = [
+        name
+        for name in mapping.rigid
+        if name in mapping.marker_names and visible[:, mapping.marker_names.index(name)].any()
+    ]
+    if len(names) < MINIMUM_RIGID:
+        raise InputError(
+            f"the take has {len(names)} of the mapping's {len(mapping.rigid)} rigid markers, at "
+            f"least {MINIMUM_RIGID} are needed to find its head space; name them in the take"
+        )
+    slots = [mapping.marker_names.index(name) for name in names]
+    middle = np.array(
+        [np.median(positions[visible[:, i], i].astype(np.float64), axis=0) for i in slots]
+    )
+    target = rest[slots]
+    trust = np.ones(len(slots))
+    for _ in range(10):  # a rigid marker that slipped must not turn the head
+        centre = np.average(middle, axis=0, weights=trust)
+        goal = np.average(target, axis=0, weights=trust)
+        turned, _ = Rotation.align_vectors(target - goal, middle - centre, weights=trust)
+        rotation = turned.as_matrix()
+        away = np.linalg.norm((middle - centre) @ rotation.T - (target - goal), axis=1)
+        trust = 1 / (1 + (away / 1.0) ** 2) ** 2
+    if np.median(away) > RIGID_TOLERANCE_MM:
+        raise InputError(
+            f"the take's rigid markers are {np.median(away):.1f} mm from where the mapping had "
+            f"them ({names[int(away.argmax())]}: {away.max():.1f} mm); it is another marker set "
+            "or another performer: train a mapping for it"
+        )
+    shift = goal - rotation @ centre
+    moved = rest @ rotation.T + shift - rest
+    return rotation, shift, float(np.sqrt((moved**2).sum(axis=1).mean()))
+
+
+def _some(names: tuple[str, ...]) -> str:
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")

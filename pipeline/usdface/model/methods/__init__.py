@@ -1,0 +1,27 @@
+"""The regression methods by name; one file each."""
+
+from usdface.errors import InputError
+from usdface.model.methods import d06, gaussian_rbf, linear
+from usdface.model.methods.contract import Fitted, Method, Pairs, Settings
+
+__all__ = ["AUTO", "METHODS", "Fitted", "Method", "Pairs", "Settings", "find_method"]
+
+METHODS: dict[str, Method] = {
+    module.METHOD.name: module.METHOD for module in (d06, linear, gaussian_rbf)
+}
+
+AUTO = ("ridge", "rbf", "d06")
+"""What `auto` tries."""
+
+
+def find_method(name: str) -> Method:
+    """Look a method up by name.
+
+    Raises
+    ------
+    InputError
+        If there is none; the message lists those there are.
+    """
+    if name not in METHODS:
+        raise InputError(f"no method {name!r}; choose one of auto, {', '.join(sorted(METHODS))}")
+    return METHODS[name]

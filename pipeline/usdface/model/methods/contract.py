@@ -1,0 +1,87 @@
+"""What a regression method offers: candidates to try, a fit, and a prediction from its arrays."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from usdface.assets import FloatArray, IntArray, MotionSpace
+
+Settings = dict[str, float | int | str | bool]
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """What a method learns from.
+
+    Attributes
+    ----------
+    coordinates : (pairs, dimensions) float array
+        Of the reference markers in the motion space [mm].
+    weights : (pairs, shapes) float array
+        What the animator set, within `ranges`.
+    ranges : (shapes, 2) float array
+    gram : (shapes, shapes) float array
+        Mean over the rig's points of the dot products of the shapes' displacements [mm^2]; the
+        identity when no rig is known.
+    motion : MotionSpace
+        With coordinates of frames that nobody tuned.
+    """
+
+    coordinates: FloatArray
+    weights: FloatArray
+    ranges: FloatArray
+    gram: FloatArray
+    motion: MotionSpace
+
+    def rows(self, chosen: IntArray) -> "Pairs":
+        """Keep some of the pairs, all else equal."""
+        return replace(self, coordinates=self.coordinates[chosen], weights=self.weights[chosen])
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What a fit learned: all that its prediction reads.
+
+    Attributes
+    ----------
+    arrays : dict of str to float array
+        float64, so that a mapping reopened from disk predicts the same to the last bit.
+    settings : dict
+        Hyper-parameters, given and chosen.
+    """
+
+    arrays: dict[str, FloatArray]
+    settings: Settings
+
+
+@dataclass(frozen=True)
+class Method:
+    """One way from coordinates to weights.
+
+    Attributes
+    ----------
+    name : str
+        Key in the registry and in mappings.
+    summary : str
+        One line for people who choose.
+    candidates : callable
+        ``(pairs, dimensions or None) -> settings to try``; dimensions fixes that setting.
+    fit : callable
+        ``(pairs, settings) -> Fitted``
+    predict : callable
+        ``(arrays, settings, coordinates (frames, dimensions)) -> weights (frames, shapes)``, not
+        yet limited to ranges.
+    """
+
+    name: str
+    summary: str
+    candidates: Callable[[Pairs, int | None], tuple[Settings, ...]]
+    fit: Callable[[Pairs, Settings], Fitted]
+    predict: Callable[[dict[str, FloatArray], Settings, FloatArray], FloatArray]
+
+
+def dimension_choices(pairs: Pairs, fixed: int | None, usual: tuple[int, ...]) -> tuple[int, ...]:
+    """Dimensions worth trying: the usual ones that the pairs and the motion space can carry."""
+    if fixed is not None:
+        return (fixed,)
+    most = min(len(pairs.coordinates) - 1, pairs.coordinates.shape[1])
+    return tuple(sorted({min(d, most) for d in usual}))

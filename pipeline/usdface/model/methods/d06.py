@@ -1,0 +1,70 @@
+"""The published method: Gaussian RBF with weight decay on four principal components.
+
+Deng, Chiang, Fox and Neumann (2006), *Animating Blendshape Faces by Cross-Mapping Motion Capture
+Data*, sections 5 and 6.
+"""
+
+from usdface.assets import FloatArray
+from usdface.model.methods.contract import Fitted, Method, Pairs, Settings, dimension_choices
+from usdface.numerics.rbf_ridge import (
+    RBFRidge,
+    centre_widths,
+    fit_rbf_ridge,
+    predict_rbf_ridge,
+)
+
+PAPER_DIMENSIONS = 4
+PAPER_WIDTH = 2.0
+"""Multiple of the distance to the nearest centre; the paper gives none, this is customary."""
+
+
+def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
+    choices = dimension_choices(pairs, dimensions, (PAPER_DIMENSIONS,))
+    return tuple({"dimensions": d, "width": PAPER_WIDTH} for d in choices)
+
+
+def _fit(pairs: Pairs, settings: Settings) -> Fitted:
+    centres = pairs.coordinates[:, : int(settings["dimensions"])]
+    widths = centre_widths(centres, multiple=float(settings["width"]))
+    model = fit_rbf_ridge(centres, pairs.weights, widths=widths)
+    return Fitted(rbf_arrays(model), settings)
+
+
+def _predict(
+    arrays: dict[str, FloatArray], settings: Settings, coordinates: FloatArray
+) -> FloatArray:
+    model = rbf_from_arrays(arrays)
+    return predict_rbf_ridge(model, coordinates[:, : int(settings["dimensions"])])
+
+
+def rbf_arrays(model: RBFRidge) -> dict[str, FloatArray]:
+    """Name a network's parts for a mapping."""
+    return {
+        "centres": model.centres,
+        "widths": model.widths,
+        "coefficients": model.coefficients,
+        "ridge": model.ridge,
+        "freedom": model.freedom,
+        "gcv": model.score,
+    }
+
+
+def rbf_from_arrays(arrays: dict[str, FloatArray]) -> RBFRidge:
+    """Put a network together again."""
+    return RBFRidge(
+        centres=arrays["centres"],
+        widths=arrays["widths"],
+        coefficients=arrays["coefficients"],
+        ridge=arrays["ridge"],
+        freedom=arrays["freedom"],
+        score=arrays["gcv"],
+    )
+
+
+METHOD = Method(
+    name="d06",
+    summary="Gaussian RBF, 4 components, a width per centre, ridge by GCV: the paper as published",
+    candidates=_candidates,
+    fit=_fit,
+    predict=_predict,
+)

@@ -1,0 +1,45 @@
+"""Gaussian RBF on as many components as the pairs carry, one wide width, a straight tail."""
+
+import numpy as np
+
+from usdface.assets import FloatArray
+from usdface.model.methods.contract import Fitted, Method, Pairs, Settings, dimension_choices
+from usdface.model.methods.d06 import rbf_arrays, rbf_from_arrays
+from usdface.numerics.linear_ridge import LinearRidge, fit_linear_ridge, predict_linear_ridge
+from usdface.numerics.rbf_ridge import fit_rbf_ridge, predict_rbf_ridge, shared_widths
+
+
+def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
+    choices = dimension_choices(pairs, dimensions, (8, 16, 24, 32))
+    return tuple({"dimensions": d, "width": width} for d in choices for width in (4.0, 8.0, 16.0))
+
+
+def _fit(pairs: Pairs, settings: Settings) -> Fitted:
+    features = pairs.coordinates[:, : int(settings["dimensions"])]
+    line = fit_linear_ridge(features, pairs.weights)
+    # The network learns what the line leaves over, so far from all pairs the line goes on. It
+    # learns from leave-one-out residuals: the fitted ones are small where the line overfits.
+    widths = shared_widths(features, multiple=float(settings["width"]))
+    network = fit_rbf_ridge(features, line.loo_residuals, widths=widths)
+    arrays = {"mean": line.mean, "slope": line.coefficients, "intercept": line.intercept}
+    return Fitted(rbf_arrays(network) | arrays, settings)
+
+
+def _predict(
+    arrays: dict[str, FloatArray], settings: Settings, coordinates: FloatArray
+) -> FloatArray:
+    features = coordinates[:, : int(settings["dimensions"])]
+    nothing = np.zeros(0)
+    line = LinearRidge(arrays["mean"], arrays["slope"], arrays["intercept"], nothing, nothing)
+    return predict_linear_ridge(line, features) + predict_rbf_ridge(
+        rbf_from_arrays(arrays), features
+    )
+
+
+METHOD = Method(
+    name="rbf",
+    summary="Gaussian RBF over a straight line, components and width by cross-validation",
+    candidates=_candidates,
+    fit=_fit,
+    predict=_predict,
+)

@@ -1,0 +1,180 @@
+"""References to a mapping: choose a method and its settings, fit on all pairs."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.assets import CandidateScore, FloatArray, IntArray, Mapping, MotionSpace, References
+from usdface.errors import InputError
+from usdface.model.coordinates import marker_coordinates
+from usdface.model.familiarity import fit_familiarity
+from usdface.model.methods import AUTO, Method, Pairs, Settings, find_method
+from usdface.model.motion import motion_from_pca
+from usdface.model.reference_checks import check_dimensions, check_references
+from usdface.numerics.cross_validation import (
+    Fold,
+    blocked_folds,
+    predict_out_of_fold,
+    surface_rms_mm,
+    weight_rmse,
+)
+from usdface.numerics.pca import fit_pca
+from usdface.progress import Progress, silent
+
+FOLDS = 5
+
+MINIMUM_TO_COMPARE = 8
+"""Pairs below which cross-validation says nothing: the first, simplest candidate is taken."""
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    method: Method
+    settings: Settings
+
+
+def train_mapping(
+    references: References,
+    *,
+    ranges: FloatArray,
+    gram: FloatArray | None,
+    method: str = "auto",
+    dimensions: int | None = None,
+    progress: Progress = silent,
+) -> Mapping:
+    """Learn the function from markers to weights that the references show.
+
+    Every candidate predicts each pair from pairs of other moments; the one whose errors move the
+    rig's surface least is fitted on all pairs.
+
+    Parameters
+    ----------
+    references : References
+        Pairs; `references.motion` says what the face does beyond them.
+    ranges : (shapes, 2) float array
+        Lowest and highest weight of each shape. Weights beyond are limited to it, and their
+        number is kept in ``settings['limited_weights']``.
+    gram : (shapes, shapes) float array or None
+        Mean over the rig's points of the dot products of the shapes' displacements [mm^2]: makes
+        errors count as they show. Without it every weight counts alike.
+    method : str
+        A key of `usdface.model.methods.METHODS`, or ``'auto'`` to try several.
+    dimensions : int, optional
+        Principal components to use; by default chosen.
+    progress : callable
+
+    Raises
+    ------
+    InputError
+        If the references cannot be learned from; all faults are listed.
+    """
+    sound = check_references(references, ranges=ranges, gram=gram)
+    checked = sound.references
+    motion = checked.motion if checked.motion is not None else _motion_of_pairs(checked)
+    check_dimensions(dimensions, pairs=len(checked.weights), available=len(motion.components))
+    pairs = Pairs(
+        coordinates=marker_coordinates(motion, checked.markers).values,
+        weights=checked.weights,
+        ranges=ranges.astype(np.float64),
+        gram=np.eye(len(ranges)) if gram is None else gram.astype(np.float64),
+        motion=motion,
+    )
+    candidates = _candidates(pairs, method, dimensions)
+    if len(pairs.weights) < MINIMUM_TO_COMPARE:
+        candidates = candidates[:1]
+    folds = blocked_folds(checked.frames, checked.takes, folds=FOLDS)
+    scored = []
+    for i, candidate in enumerate(candidates if len(candidates) > 1 else []):
+        progress(0.9 * i / len(candidates), f"cross-validating {candidate.method.name}")
+        scored.append((_score(candidate, pairs, folds, with_rig=gram is not None), candidate))
+    scored.sort(key=lambda entry: _order(entry[0]))
+    best = scored[0][1] if scored else candidates[0]
+    progress(0.9, f"fitting {best.method.name}")
+    fitted = best.method.fit(pairs, best.settings)
+    progress(1.0, f"trained {best.method.name}")
+    space = {
+        "motion_mean": motion.mean,
+        "motion_components": motion.components,
+        "motion_variances": motion.variances,
+        "motion_total": np.array([motion.total_variance]),
+    }
+    arrays = fitted.arrays | space | fit_familiarity(pairs.coordinates, motion)
+    return Mapping(
+        method=best.method.name,
+        marker_names=checked.marker_names,
+        shape_names=checked.shape_names,
+        rigid=checked.rigid,
+        neutral=checked.neutral.astype(np.float64),
+        ranges=pairs.ranges,
+        arrays={
+            name: np.ascontiguousarray(value, dtype=np.float64) for name, value in arrays.items()
+        },
+        settings=fitted.settings
+        | {"pairs": len(pairs.weights), "limited_weights": sound.limited_weights},
+        scores=tuple(score for score, _ in scored),
+    )
+
+
+def motion_of(mapping: Mapping) -> MotionSpace:
+    """Put the motion space of a mapping together; without the sample, which training used up."""
+    try:
+        return MotionSpace(
+            mean=mapping.arrays["motion_mean"],
+            components=mapping.arrays["motion_components"],
+            variances=mapping.arrays["motion_variances"],
+            total_variance=float(mapping.arrays["motion_total"][0]),
+            sample=np.zeros((0, len(mapping.arrays["motion_variances"]))),
+        )
+    except KeyError as error:
+        raise InputError(
+            f"the mapping lacks the array {error}; train it again with this version"
+        ) from error
+
+
+def _motion_of_pairs(references: References) -> MotionSpace:
+    packed = references.markers.reshape(len(references.markers), -1).astype(np.float64)
+    return motion_from_pca(fit_pca(packed), packed)
+
+
+def _candidates(pairs: Pairs, method: str, dimensions: int | None) -> list[_Candidate]:
+    names = AUTO if method == "auto" else (method,)
+    return [
+        _Candidate(found, settings)
+        for found in map(find_method, names)
+        for settings in found.candidates(pairs, dimensions)
+    ]
+
+
+def _score(
+    candidate: _Candidate, pairs: Pairs, folds: tuple[Fold, ...], *, with_rig: bool
+) -> CandidateScore:
+    def fit_predict(train: IntArray, test: IntArray) -> FloatArray:
+        seen = pairs.rows(train)
+        settings = dict(candidate.settings)
+        if "dimensions" in settings:  # a fold may have too few pairs for what all of them carry
+            settings["dimensions"] = min(int(settings["dimensions"]), max(len(train) - 1, 1))
+        fitted = candidate.method.fit(seen, settings)
+        predicted = candidate.method.predict(
+            fitted.arrays, fitted.settings, pairs.coordinates[test]
+        )
+        return np.clip(predicted, pairs.ranges[:, 0], pairs.ranges[:, 1])
+
+    predicted = predict_out_of_fold(fit_predict, folds, width=pairs.weights.shape[1])
+    errors = predicted - pairs.weights
+    return CandidateScore(
+        method=candidate.method.name,
+        settings=_readable(candidate.settings),
+        weight_rmse=weight_rmse(errors),
+        vertex_rms_mm=surface_rms_mm(errors, pairs.gram) if with_rig else float("nan"),
+    )
+
+
+def _order(score: CandidateScore) -> float:
+    return score.weight_rmse if np.isnan(score.vertex_rms_mm) else score.vertex_rms_mm
+
+
+def _readable(settings: Settings) -> str:
+    return " ".join(
+        f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"
+        for name, value in settings.items()
+    )

@@ -1,0 +1,91 @@
+import numpy as np
+import pytest
+
+from tests.model.synthetic import MARKERS, SyntheticFace, references_of, synthetic_face
+from usdface.assets import Mapping
+from usdface.errors import InputError
+from usdface.model import predict_weights, train_mapping
+
+
+def trained(face: SyntheticFace, method: str = "ridge") -> Mapping:
+    chosen = np.arange(0, len(face.positions), 30)
+    return train_mapping(
+        references_of(face, chosen), ranges=face.ranges, gram=face.gram, method=method
+    )
+
+
+def test_weights_stay_within_their_ranges() -> None:
+    face = synthetic_face(bend=0.5)
+    weights = predict_weights(trained(face), face.positions * 1.2).weights
+    assert weights.min() >= 0.0
+    assert weights.max() <= 1.0
+
+
+def test_frames_do_not_depend_on_their_neighbours() -> None:
+    face = synthetic_face()
+    mapping = trained(face, "rbf")
+    whole = predict_weights(mapping, face.positions)
+    part = predict_weights(mapping, face.positions[500:510])
+    np.testing.assert_allclose(part.weights, whole.weights[500:510], atol=1e-12)
+    np.testing.assert_allclose(part.confidence, whole.confidence[500:510], atol=1e-9)
+
+
+def test_unseen_markers_are_spoken_for_by_the_others() -> None:
+    face = synthetic_face(noise=0.01)
+    mapping = trained(face)
+    visible = np.ones(face.positions.shape[:2], dtype=bool)
+    visible[:, [6, 11, 17]] = False
+    hidden = face.positions.copy()
+    hidden[~visible] = np.nan
+    prediction = predict_weights(mapping, hidden, visible=visible)
+    whole = predict_weights(mapping, face.positions)
+    assert np.sqrt(((prediction.weights - whole.weights) ** 2).mean()) < 0.02
+    assert prediction.confidence.mean() < whole.confidence.mean()
+    assert prediction.confidence.mean() > 0.9 * whole.confidence.mean()
+
+
+def test_with_no_marker_seen_nothing_is_certain() -> None:
+    face = synthetic_face()
+    prediction = predict_weights(
+        trained(face),
+        np.full((3, MARKERS, 3), np.nan),
+        visible=np.zeros((3, MARKERS), dtype=bool),
+    )
+    assert np.isfinite(prediction.weights).all()
+    np.testing.assert_allclose(prediction.confidence, 0.0, atol=1e-3)
+
+
+def test_confidence_is_high_at_references_and_falls_with_strange_faces() -> None:
+    face = synthetic_face()
+    mapping = trained(face)
+    strange = face.neutral + 3.0 * (face.positions - face.neutral)
+    at_references = predict_weights(mapping, face.positions[::30]).confidence
+    assert at_references.min() > 0.95
+    assert np.median(predict_weights(mapping, strange).confidence) < 0.5
+
+
+def test_residual_tells_a_swapped_pair_of_markers() -> None:
+    face = synthetic_face()
+    mapping = trained(face)
+    swapped = face.positions.copy()
+    swapped[:, [8, 15]] = swapped[:, [15, 8]]
+    clean = predict_weights(mapping, face.positions).residual_mm
+    assert predict_weights(mapping, swapped).residual_mm.min() > 5 * clean.max()
+
+
+def test_no_frames_give_no_weights() -> None:
+    face = synthetic_face()
+    assert predict_weights(trained(face), face.positions[:0]).weights.shape == (0, 6)
+
+
+def test_positions_that_do_not_fit_are_refused() -> None:
+    face = synthetic_face()
+    mapping = trained(face)
+    with pytest.raises(InputError, match=r"the mapping reads \(frames, 24, 3\)"):
+        predict_weights(mapping, face.positions[:, :5])
+    broken = face.positions.copy()
+    broken[7, 3] = np.nan
+    with pytest.raises(InputError, match="marker m03 of frame index 7 is not finite; clean"):
+        predict_weights(mapping, broken)
+    with pytest.raises(InputError, match="visible has shape"):
+        predict_weights(mapping, face.positions, visible=np.ones((2, 2), dtype=bool))
