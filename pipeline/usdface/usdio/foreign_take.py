@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,10 +73,11 @@ def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
     top = stage.GetPseudoRoot() if prim is None else stage.GetPrimAtPath(prim)
     if not top:
         raise InputError(f"{path}: there is no prim <{prim}>; check --prim")
-    found = [*_points_sets(top), *_joint_sets(top)] or list(_xform_sets(top))
+    found: list[_MarkerSet] = [*_points_sets(top), *_joint_sets(top)]
+    found = found or [*_xform_sets(top)]
     if len(found) > 1:
-        names = ", ".join(f"<{each.path}> ({each.kind})" for each in found)
-        raise InputError(f"{path}: {len(found)} sets of markers: {names}; name one with --prim")
+        places = ", ".join(f"<{each.path}> ({each.kind})" for each in found)
+        raise InputError(f"{path}: {len(found)} sets of markers: {places}; name one with --prim")
     weights = _weights_prim(top)
     if not found and weights is None:
         raise InputError(
@@ -151,6 +153,17 @@ def _frame_grid(stage: Usd.Stage, times: list[float], path: Path) -> _Grid:
         stage_times=at[0] + spacing * np.arange(len(sampled)),
         sampled=sampled,
     )
+
+
+class _MarkerSet(Protocol):
+    """Markers of one kind at one place: their names, when they are sampled, where they are."""
+
+    kind: str
+    path: str
+    names: tuple[str, ...]
+    times: list[float]
+
+    def at(self, time: float) -> NDArray[np.float64]: ...
 
 
 class _PointsSet:

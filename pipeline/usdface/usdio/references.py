@@ -1,0 +1,318 @@
+"""References: pair *i* at time code *i*; what people tuned and what was proposed in two layers.
+
+Time samples do not merge from layer to layer: the strongest layer that has any wins at every time
+code. So the tuned layer, once it exists, holds weights of *every* pair, and says by
+``face:reference:tuned`` which of them a person set; the others are copies of the proposals and are
+renewed with them.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from pxr import Kind, Sdf, Usd, UsdGeom, UsdSkel, Vt
+
+from usdface.assets import FloatArray, MotionSpace, References, Rig
+from usdface.errors import InputError
+from usdface.provenance import Provenance
+from usdface.usdio.layers import (
+    MM_PER_STAGE_UNIT,
+    author_timing,
+    author_units,
+    new_layer,
+    open_layer,
+    open_stage,
+    relative_path,
+)
+from usdface.usdio.rig_reference import define_reference, point_skeletons_at, rig_of
+
+ROOT = Sdf.Path("/References")
+MARKERS = ROOT.AppendChild("Markers")
+RIG = ROOT.AppendChild("Rig")
+WEIGHTS = ROOT.AppendChild("Weights")
+WEIGHTS_ATTRIBUTE = WEIGHTS.AppendProperty("blendShapeWeights")
+FRAME = ROOT.AppendProperty("face:reference:frame")
+TAKE = ROOT.AppendProperty("face:reference:take")
+TUNED = ROOT.AppendProperty("face:reference:tuned")
+
+PAIRS_PER_SECOND = 24
+"""Only a viewer's playback speed: pairs have no time of their own."""
+
+
+@dataclass(frozen=True)
+class TunedPair:
+    """Weights that a person set for one frame of a take, by shape name."""
+
+    pair: int
+    take: str
+    frame: int
+    weights: dict[str, float]
+
+
+def write_references(
+    path: Path,
+    references: References,
+    rig: Rig,
+    *,
+    tuned_path: Path,
+    proposed_path: Path,
+    provenance: Provenance | None = None,
+) -> None:
+    """Write a references asset and its proposals; what people tuned stays.
+
+    Parameters
+    ----------
+    path, tuned_path, proposed_path : Path
+        The layer to open, and the two beneath it. The tuned layer's tuned pairs are kept as they
+        are; they must be among `references`, at the time codes they have.
+    references : References
+    rig : Rig
+    provenance : Provenance, optional
+    """
+    _write_weights(proposed_path, references, references.weights, provenance)
+    kept = read_tuned_pairs(tuned_path)
+    _write_tuned(tuned_path, references, kept)
+    with new_layer(path, provenance) as layer:
+        _author_header(layer, references)
+        layer.subLayerPaths = [relative_path(each, path) for each in (tuned_path, proposed_path)]
+        _author_pairs(layer, references)
+        animation = _define(layer, WEIGHTS, "SkelAnimation")
+        names = Sdf.AttributeSpec(
+            animation, "blendShapes", Sdf.ValueTypeNames.TokenArray, Sdf.VariabilityUniform
+        )
+        names.default = list(references.shape_names)
+        define_reference(layer, str(RIG), rig, path)
+        point_skeletons_at(layer, str(RIG), rig, WEIGHTS)
+
+
+def read_tuned_pairs(tuned_path: Path) -> list[TunedPair]:
+    """Return what people tuned, as the tuned layer alone says it; empty without the layer."""
+    if not tuned_path.is_file():
+        return []
+    layer = open_layer(tuned_path)
+    prim = layer.GetPrimAtPath(WEIGHTS)
+    if prim is None or "blendShapes" not in prim.attributes:
+        return []
+    names = [str(name) for name in prim.attributes["blendShapes"].default or ()]
+    found = []
+    for time in layer.ListTimeSamplesForPath(TUNED):
+        if not layer.QueryTimeSample(TUNED, time):
+            continue
+        weights = layer.QueryTimeSample(WEIGHTS_ATTRIBUTE, time)
+        if weights is None or len(weights) != len(names):
+            raise InputError(
+                f"{tuned_path} <{WEIGHTS_ATTRIBUTE}> time code {time:g}: "
+                f"{0 if weights is None else len(weights)} weights for {len(names)} shapes; "
+                "restore the layer from its last version"
+            )
+        found.append(
+            TunedPair(
+                pair=round(time) - 1,
+                take=str(layer.QueryTimeSample(TAKE, time)),
+                frame=int(layer.QueryTimeSample(FRAME, time)),
+                weights=dict(zip(names, np.array(weights, np.float64).tolist(), strict=True)),
+            )
+        )
+    return found
+
+
+def write_tuned_weights(
+    references: References,
+    pairs: list[TunedPair],
+    *,
+    tuned_path: Path,
+    provenance: Provenance | None = None,
+) -> None:
+    """Add tuned pairs to the tuned layer; pairs tuned before stay unless they are given again."""
+    kept = {each.pair: each for each in read_tuned_pairs(tuned_path)}
+    kept.update({each.pair: each for each in pairs})
+    _write_tuned(tuned_path, references, [kept[pair] for pair in sorted(kept)], provenance)
+
+
+def _write_tuned(
+    path: Path,
+    references: References,
+    tuned: list[TunedPair],
+    provenance: Provenance | None = None,
+) -> None:
+    if not tuned:
+        if not path.is_file():
+            with new_layer(path) as layer:
+                _author_header(layer, references)
+        return
+    weights = references.weights.copy()
+    column = {name: index for index, name in enumerate(references.shape_names)}
+    for each in tuned:
+        for name, value in each.weights.items():
+            if name in column:
+                weights[each.pair, column[name]] = value
+    with new_layer(path, provenance) as layer:
+        _author_weights(layer, references, weights)
+        is_tuned = {each.pair for each in tuned}
+        over = Sdf.CreatePrimInLayer(layer, ROOT)
+        Sdf.AttributeSpec(over, FRAME.name, Sdf.ValueTypeNames.Int)
+        Sdf.AttributeSpec(over, TAKE.name, Sdf.ValueTypeNames.Token)
+        Sdf.AttributeSpec(over, TUNED.name, Sdf.ValueTypeNames.Bool)
+        for pair in range(len(references.frames)):
+            layer.SetTimeSample(FRAME, pair + 1, int(references.frames[pair]))
+            layer.SetTimeSample(TAKE, pair + 1, references.takes[pair])
+            layer.SetTimeSample(TUNED, pair + 1, pair in is_tuned)
+
+
+def _write_weights(
+    path: Path, references: References, weights: FloatArray, provenance: Provenance | None
+) -> None:
+    with new_layer(path, provenance) as layer:
+        _author_weights(layer, references, weights)
+
+
+def _author_weights(layer: Sdf.Layer, references: References, weights: FloatArray) -> None:
+    _author_header(layer, references)
+    over = Sdf.CreatePrimInLayer(layer, WEIGHTS)
+    names = Sdf.AttributeSpec(
+        over, "blendShapes", Sdf.ValueTypeNames.TokenArray, Sdf.VariabilityUniform
+    )
+    names.default = list(references.shape_names)
+    Sdf.AttributeSpec(over, WEIGHTS_ATTRIBUTE.name, Sdf.ValueTypeNames.FloatArray)
+    for pair, row in enumerate(np.ascontiguousarray(weights, dtype=np.float32)):
+        layer.SetTimeSample(WEIGHTS_ATTRIBUTE, pair + 1, Vt.FloatArray.FromNumpy(row))
+
+
+def _author_header(layer: Sdf.Layer, references: References) -> None:
+    author_units(layer)
+    author_timing(
+        layer, rate=Fraction(PAIRS_PER_SECOND), first=1, last=max(len(references.frames), 1)
+    )
+    layer.defaultPrim = ROOT.name
+
+
+def _author_pairs(layer: Sdf.Layer, references: References) -> None:
+    root = _define(layer, ROOT, "Xform")
+    root.SetInfo("kind", Kind.Tokens.assembly)
+    root.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["FaceReferencesAPI"]))
+    Sdf.AttributeSpec(root, FRAME.name, Sdf.ValueTypeNames.Int)
+    Sdf.AttributeSpec(root, TAKE.name, Sdf.ValueTypeNames.Token)
+    if references.motion is not None:
+        _author_motion(root, references.motion)
+    points = _define(layer, MARKERS, "Points")
+    points.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["FaceMarkersAPI"]))
+    for name, kind, value in (
+        ("face:markers:names", Sdf.ValueTypeNames.TokenArray, list(references.marker_names)),
+        ("face:markers:rigid", Sdf.ValueTypeNames.TokenArray, list(references.rigid)),
+        ("face:markers:space", Sdf.ValueTypeNames.Token, "stabilized"),
+        ("face:neutral", Sdf.ValueTypeNames.DoubleArray, _doubles(references.neutral / 10.0)),
+    ):
+        Sdf.AttributeSpec(points, name, kind, Sdf.VariabilityUniform).default = value
+    widths = Sdf.AttributeSpec(points, "widths", Sdf.ValueTypeNames.FloatArray)
+    widths.default = [0.3]
+    widths.SetInfo("interpolation", UsdGeom.Tokens.constant)
+    placed = Sdf.AttributeSpec(points, "points", Sdf.ValueTypeNames.Point3fArray)
+    stage_points = (references.markers / MM_PER_STAGE_UNIT).astype(np.float32)
+    flat = stage_points.reshape(-1, 3)
+    extent = Sdf.AttributeSpec(points, "extent", Sdf.ValueTypeNames.Float3Array)
+    extent.default = Vt.Vec3fArray.FromNumpy(np.stack([flat.min(0), flat.max(0)]))
+    for pair in range(len(references.frames)):
+        layer.SetTimeSample(FRAME, pair + 1, int(references.frames[pair]))
+        layer.SetTimeSample(TAKE, pair + 1, references.takes[pair])
+        layer.SetTimeSample(placed.path, pair + 1, Vt.Vec3fArray.FromNumpy(stage_points[pair]))
+
+
+def _author_motion(root: Sdf.PrimSpec, motion: MotionSpace) -> None:
+    doubles = Sdf.ValueTypeNames.DoubleArray
+    for name, value in (
+        ("face:motion:mean", motion.mean / MM_PER_STAGE_UNIT),
+        ("face:motion:components", motion.components),
+        ("face:motion:variances", motion.variances / MM_PER_STAGE_UNIT**2),
+        ("face:motion:sample", motion.sample / MM_PER_STAGE_UNIT),
+    ):
+        Sdf.AttributeSpec(root, name, doubles).default = _doubles(value)
+    total = Sdf.AttributeSpec(root, "face:motion:totalVariance", Sdf.ValueTypeNames.Double)
+    total.default = motion.total_variance / MM_PER_STAGE_UNIT**2
+
+
+def read_references(path: Path) -> References:
+    """Read a references asset as it composes: tuned weights where there are any, else proposals.
+
+    Raises
+    ------
+    InputError
+        If the file is no references asset, or its parts do not fit together.
+    """
+    stage = open_stage(path)
+    root = stage.GetPrimAtPath(ROOT)
+    if not root or not root.HasAPI("FaceReferencesAPI"):
+        raise InputError(
+            f"{path}: not a references asset: no </References> with FaceReferencesAPI; "
+            "make one with `usdface select`"
+        )
+    points = UsdGeom.Points(stage.GetPrimAtPath(MARKERS))
+    animation = UsdSkel.Animation(stage.GetPrimAtPath(WEIGHTS))
+    if not points or not animation:
+        raise InputError(f"{path}: </References/Markers> or </References/Weights> is missing")
+    pairs = range(1, round(stage.GetEndTimeCode()) + 1)
+    marker_names = tuple(map(str, points.GetPrim().GetAttribute("face:markers:names").Get()))
+    shape_names = tuple(map(str, animation.GetBlendShapesAttr().Get()))
+    weights = _stack(path, animation.GetBlendShapeWeightsAttr(), pairs, len(shape_names), "weights")
+    markers = _stack(path, points.GetPointsAttr(), pairs, len(marker_names), "points")
+    frames = root.GetAttribute(FRAME.name)
+    takes = root.GetAttribute(TAKE.name)
+    tuned = root.GetAttribute(TUNED.name)
+    neutral = np.array(points.GetPrim().GetAttribute("face:neutral").Get(), dtype=np.float64)
+    rig_file, rig_prim = rig_of(stage, animation.GetPrim())
+    return References(
+        marker_names=marker_names,
+        shape_names=shape_names,
+        markers=markers * MM_PER_STAGE_UNIT,
+        weights=weights,
+        frames=np.array([frames.Get(pair) for pair in pairs], dtype=np.int64),
+        takes=tuple(str(takes.Get(pair)) for pair in pairs),
+        tuned=np.array([bool(tuned.Get(pair)) for pair in pairs]),
+        rigid=tuple(map(str, points.GetPrim().GetAttribute("face:markers:rigid").Get() or ())),
+        neutral=neutral.reshape(-1, 3) * MM_PER_STAGE_UNIT,
+        rig_file=rig_file,
+        rig_prim=rig_prim,
+        motion=_read_motion(root),
+    )
+
+
+def _stack(path: Path, attribute: Usd.Attribute, pairs: range, count: int, what: str) -> FloatArray:
+    rows = []
+    for pair in pairs:
+        value = attribute.Get(pair)
+        if value is None or len(value) != count or not np.isfinite(np.asarray(value)).all():
+            got = "none" if value is None else f"{len(value)}"
+            raise InputError(
+                f"{path} <{attribute.GetPath()}> time code {pair}: {got} {what} where {count} "
+                "finite ones are needed; restore the layer or select again"
+            )
+        rows.append(np.array(value, dtype=np.float64))
+    return np.array(rows)
+
+
+def _read_motion(root: Usd.Prim) -> MotionSpace | None:
+    def get(name: str) -> FloatArray:
+        return np.array(root.GetAttribute(name).Get() or [], dtype=np.float64)
+
+    mean, variances = get("face:motion:mean"), get("face:motion:variances")
+    if not len(mean) or not len(variances):
+        return None
+    return MotionSpace(
+        mean=mean * MM_PER_STAGE_UNIT,
+        components=get("face:motion:components").reshape(len(variances), len(mean)),
+        variances=variances * MM_PER_STAGE_UNIT**2,
+        total_variance=float(root.GetAttribute("face:motion:totalVariance").Get())
+        * MM_PER_STAGE_UNIT**2,
+        sample=get("face:motion:sample").reshape(-1, len(variances)) * MM_PER_STAGE_UNIT,
+    )
+
+
+def _doubles(values: FloatArray) -> Vt.DoubleArray:
+    return Vt.DoubleArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float64).ravel())
+
+
+def _define(layer: Sdf.Layer, path: Sdf.Path, type_name: str) -> Sdf.PrimSpec:
+    prim = Sdf.CreatePrimInLayer(layer, path)
+    prim.specifier = Sdf.SpecifierDef
+    prim.typeName = type_name
+    return prim
