@@ -41,7 +41,7 @@ def test_unseen_markers_are_spoken_for_by_the_others() -> None:
     whole = predict_weights(mapping, face.positions)
     assert np.sqrt(((prediction.weights - whole.weights) ** 2).mean()) < 0.02
     assert prediction.confidence.mean() < whole.confidence.mean()
-    assert prediction.confidence.mean() > 0.9 * whole.confidence.mean()
+    assert prediction.confidence.mean() > 0.8 * whole.confidence.mean()
 
 
 def test_with_no_marker_seen_nothing_is_certain() -> None:

@@ -20,7 +20,8 @@ class Coordinates:
     values : (frames, dimensions) float array
         [mm]
     certainty : (frames,) float array
-        Share of the face's motion that the markers seen determine [0-1]; 1 when all are seen.
+        Share of the markers that are seen times the share of the face's motion that they
+        determine [0-1].
     residual_mm : (frames,) float array
         Root mean square distance of the markers seen from what the motion space can say [mm].
     """
@@ -98,6 +99,5 @@ def _conditional(
     left = noise * float(np.trace(np.linalg.inv(precision)))
     held = noise * float((1 / (1 + prior)).sum())  # what stays unknown even with all markers
     total = float(motion.variances.sum())
-    return values.astype(np.float64), float(
-        np.clip(1 - (left - held) / max(total, 1e-300), 0.0, 1.0)
-    )
+    determined = float(np.clip(1 - (left - held) / max(total, 1e-300), 0.0, 1.0))
+    return values.astype(np.float64), determined * float(pattern.mean())
