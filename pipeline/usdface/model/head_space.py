@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from usdface.assets import BoolArray, Float32Array, FloatArray, Mapping, Markers
+from usdface.assets import BoolArray, Float32Array, FloatArray, IntArray, Mapping, Markers
 from usdface.errors import InputError
 
 MINIMUM_SHARE = 0.5
@@ -40,8 +40,47 @@ class MappedMarkers:
     moved_mm: float
 
 
-def into_head_space(mapping: Mapping, markers: Markers) -> MappedMarkers:
-    """Match markers by name and move the take rigidly onto the mapping's neutral head.
+@dataclass(frozen=True)
+class HeadSpace:
+    """How a take's markers become a mapping's: found once, used for every chunk of the take.
+
+    Attributes
+    ----------
+    own : (n,) int array
+        Columns of the take that the mapping reads.
+    slots : (n,) int array
+        Where they go in the mapping's order.
+    count : int
+        Number of the mapping's markers.
+    rotation : (3, 3) float array
+    shift : (3,) float array
+        [mm]
+    missing, extra : tuple of str
+        Markers that only the mapping, or only the take, has.
+    moved_mm : float
+        How far the take's head space was from the mapping's: root mean square over markers [mm].
+    """
+
+    own: IntArray
+    slots: IntArray
+    count: int
+    rotation: FloatArray
+    shift: FloatArray
+    missing: tuple[str, ...]
+    extra: tuple[str, ...]
+    moved_mm: float
+
+    def place(self, markers: Markers) -> MappedMarkers:
+        """Bring frames of the take into the mapping's order and head space."""
+        positions, visible = _in_order(markers, self.own, self.slots, self.count)
+        positions @= self.rotation.T.astype(np.float32)
+        positions += self.shift.astype(np.float32)
+        positions[~visible] = 0.0
+        return MappedMarkers(positions, visible, self.missing, self.extra, self.moved_mm)
+
+
+def find_head_space(mapping: Mapping, markers: Markers) -> HeadSpace:
+    """Match markers by name and find the rigid movement onto the mapping's neutral head.
 
     One rigid movement for the whole take: the median position of each rigid marker goes to where
     that marker stood when the mapping was trained.
@@ -50,7 +89,7 @@ def into_head_space(mapping: Mapping, markers: Markers) -> MappedMarkers:
     ----------
     mapping : Mapping
     markers : Markers
-        Stabilised.
+        Stabilised; frames spread over the take are enough.
 
     Raises
     ------
@@ -70,20 +109,30 @@ def into_head_space(mapping: Mapping, markers: Markers) -> MappedMarkers:
             f"{int(np.ceil(MINIMUM_SHARE * len(known)))} are needed; lacking {_some(missing)}. "
             "Rename the take's markers, or train a mapping for this marker set"
         )
-    slots = [i for i, name in enumerate(mapping.marker_names) if name in place]
-    own = [place[mapping.marker_names[i]] for i in slots]
+    slots = np.array([i for i, name in enumerate(mapping.marker_names) if name in place])
+    own = np.array([place[mapping.marker_names[i]] for i in slots])
+    count = len(mapping.marker_names)
+    positions, visible = _in_order(markers, own, slots, count)
+    rotation, shift, moved = _rigid_movement(mapping, positions, visible)
+    extra = tuple(name for name in markers.names if name not in known)
+    return HeadSpace(own, slots, count, rotation, shift, missing, extra, moved)
+
+
+def into_head_space(mapping: Mapping, markers: Markers) -> MappedMarkers:
+    """Bring a whole take into a mapping's order and head space; see `find_head_space`."""
+    return find_head_space(mapping, markers).place(markers)
+
+
+def _in_order(
+    markers: Markers, own: IntArray, slots: IntArray, count: int
+) -> tuple[Float32Array, BoolArray]:
     frames = len(markers.positions)
-    positions = np.zeros((frames, len(mapping.marker_names), 3), dtype=np.float32)
-    visible = np.zeros((frames, len(mapping.marker_names)), dtype=bool)
+    positions = np.zeros((frames, count, 3), dtype=np.float32)
+    visible = np.zeros((frames, count), dtype=bool)
     positions[:, slots] = markers.positions[:, own]
     visible[:, slots] = markers.visible[:, own] | (markers.confidence[:, own] > 0)
     visible &= np.isfinite(positions).all(axis=2)
-    rotation, shift, moved = _rigid_movement(mapping, positions, visible)
-    positions @= rotation.T.astype(np.float32)
-    positions += shift.astype(np.float32)
-    positions[~visible] = 0.0
-    extra = tuple(name for name in markers.names if name not in known)
-    return MappedMarkers(positions, visible, missing, extra, moved)
+    return positions, visible
 
 
 def _rigid_movement(

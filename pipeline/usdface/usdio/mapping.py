@@ -90,9 +90,8 @@ def read_mapping(path: Path) -> Mapping:
 
 
 def _score(entry: dict[str, Any]) -> CandidateScore:
-    return CandidateScore(
-        **{key: math.nan if value is None else value for key, value in entry.items()}
-    )
+    fields: dict[str, Any] = {k: math.nan if v is None else v for k, v in entry.items()}
+    return CandidateScore(**fields)
 
 
 def _read_arrays(path: Path, prim: Usd.Prim) -> dict[str, FloatArray]:
