@@ -63,7 +63,7 @@ class Camera:
         right, up, backward = self.axes()
         rays = x[:, None] * right + y[:, None] * up - backward
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        return rays.astype(np.float32)
+        return np.asarray(rays, np.float32)
 
     def project(self, points: ArrayLike, *, width: int, height: int) -> FloatArray:
         """Return column, row [pixels] and distance along the view [mm] of each point.
@@ -222,7 +222,7 @@ def _face_mask(count: int, weights: ArrayLike | None) -> BoolArray:
         raise ValueError(f"weights must be one per point, {count}, got shape {reach.shape}")
     if not np.any(reach > 0):
         return np.ones(count, bool)
-    return reach > FACE_REACH * reach.max()
+    return np.asarray(reach > FACE_REACH * reach.max())
 
 
 def _triple(vector: FloatArray) -> tuple[float, float, float]:

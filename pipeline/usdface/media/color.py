@@ -63,7 +63,7 @@ def heat_ramp(values: ArrayLike, *, low: float = 0.0, high: float = 1.0) -> Floa
     below = np.minimum(at.astype(np.int64), len(_TABLE) - 2)
     part = (at - below)[..., None]
     ramp = _TABLE[below] * (1 - part) + _TABLE[below + 1] * part
-    return np.where(np.isnan(given)[..., None], 0.18, ramp)
+    return np.asarray(np.where(np.isnan(given)[..., None], 0.18, ramp), np.float64)
 
 
 def _ramp_table(steps: int = 256) -> FloatArray:

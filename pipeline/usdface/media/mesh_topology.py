@@ -107,4 +107,4 @@ def vertex_normals(points: FloatArray, triangles: IntArray, operator: Sparse) ->
     a, b, c = (points[triangles[:, k]] for k in range(3))
     summed = np.asarray(operator @ np.cross(b - a, c - a))
     length = np.linalg.norm(summed, axis=1, keepdims=True)
-    return np.divide(summed, length, out=np.zeros_like(summed), where=length > 0)
+    return np.asarray(np.divide(summed, length, out=np.zeros_like(summed), where=length > 0))

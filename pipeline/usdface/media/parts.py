@@ -139,7 +139,7 @@ def find_pieces(meshes: Sequence[RigMesh], *, exposure: FloatArray) -> Pieces:
 
 
 def _label(meshes: Sequence[RigMesh]) -> tuple[IntArray, list[Part | None]]:
-    """Number the pieces; a mesh whose name says what it is stays whole, unless it is eyes."""
+    """Count the pieces; a mesh whose name says what it is stays whole, unless it is eyes."""
     labels, named = [], list[Part | None]()
     for mesh in meshes:
         part = part_from_name(mesh.path)

@@ -15,7 +15,6 @@ from usdface.media.camera import Camera
 from usdface.media.color import ByteImage, bytes_from_linear, heat_ramp
 from usdface.media.gather import share_between_neighbours
 from usdface.media.mesh_topology import vertex_normals
-from usdface.media.parts import Part
 from usdface.media.surface import Surface, build_surface
 from usdface.media.tracing import PATTERNS, Found, Tracer, light_seen, sky_seen
 

@@ -155,7 +155,7 @@ def light_seen(
 
 
 def _sequence(ray_count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The R2 sequence (Roberts 2018): (patterns, rays) numbers that fill the unit square evenly."""
+    """Return (patterns, rays) points that fill the unit square evenly: R2 (Roberts 2018)."""
     index = np.arange(PATTERNS)[:, None] + PATTERNS * np.arange(ray_count)[None, :]
     # Shuffle which pattern sits where in a block, so that neighbours differ most.
     index = (index * 7) % (PATTERNS * ray_count) if ray_count % 7 else index

@@ -1,0 +1,58 @@
+"""Open a movie or sound file that someone else made, trusting nothing in it."""
+
+from pathlib import Path
+from typing import Any
+
+import av
+import av.error
+
+from usdface.errors import InputError
+
+# Playlists and scripts (hls, concat, …) name other files and hosts: none of them is here, and no
+# protocol but plain files is allowed.
+_FORMATS = (
+    "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mxf,mpegts,mpeg,mpegvideo,"
+    "wav,w64,aiff,flac,mp3,ogg,caf,aac"
+)
+
+
+def open_media(path: Path) -> Any:
+    """Open a media file for reading.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    av.container.InputContainer
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it is empty, or it is not a whole movie or sound file.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; check the path")
+    if path.stat().st_size == 0:
+        raise InputError(f"{path}: the file is empty; copy or export it again")
+    options = {"protocol_whitelist": "file", "format_whitelist": _FORMATS}
+    try:
+        # Absolute, so that no name is taken for a protocol.
+        return av.open(str(path.absolute()), options=options)
+    except (av.error.FFmpegError, OSError, ValueError) as error:
+        raise unreadable(path, error) from error
+
+
+def unreadable(path: Path, error: Exception, *, where: str = "") -> InputError:
+    """Return the error for a file that the decoder gave up on."""
+    reason = getattr(error, "strerror", None) or str(error)
+    return InputError(
+        f"{path}:{where} cannot be read as a movie or sound ({reason}); it may be cut short or of "
+        "another format: copy it again, or export H.264, ProRes or WAV"
+    )
+
+
+def start_seconds(container: Any) -> float:
+    """Return the time stamp that players call zero: the first of any stream [s]."""
+    return 0.0 if container.start_time is None else float(container.start_time) / av.time_base

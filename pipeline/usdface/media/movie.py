@@ -1,0 +1,196 @@
+"""Write a review movie that scrubs: every frame a key frame, colours tagged, time code kept."""
+
+import re
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import av.error
+import numpy as np
+
+from usdface.assets import Float32Array
+from usdface.errors import InputError
+from usdface.media.color import ByteImage
+from usdface.media.replacing import replacing
+
+_H264 = ("libx264", "libopenh264", "h264_videotoolbox", "h264_mf")
+_OPTIONS = {
+    "libx264": {"crf": "18", "preset": "veryfast", "g": "1"},
+    "libopenh264": {"g": "1", "b": "20M"},
+    "libvpx-vp9": {"crf": "24", "b": "0", "cpu-used": "6", "row-mt": "1", "g": "12"},
+}
+_CONTAINERS = {".mp4": "mp4", ".mov": "mov", ".mkv": "matroska", ".webm": "webm"}
+_TIMECODE = re.compile(r"\d{2}:\d{2}:\d{2}[:;]\d{2}")
+_BLOCK = 1024  # samples that AAC takes at a time
+_BT709 = 1
+
+
+def write_movie(
+    path: Path | str,
+    frames: Iterable[ByteImage],
+    *,
+    rate: Fraction,
+    audio: Float32Array | None = None,
+    sample_rate: int = 48000,
+    timecode: str = "",
+) -> None:
+    """Encode pictures, and sound if there is some, into a movie that replaces `path` at the end.
+
+    H.264 where this machine can encode it, else VP9. Pictures of odd size grow by one row or
+    column, as both need even sizes.
+
+    Parameters
+    ----------
+    path : Path
+        ``.mp4``, ``.mov``, ``.mkv`` or ``.webm``.
+    frames : iterable of (height, width, 3) uint8 array
+        sRGB, all of one size. Taken one by one: a generator keeps memory small.
+    rate : Fraction
+        Frames per second.
+    audio : (samples,) float array, optional
+        Mono [-1 to 1], from the first frame on.
+    sample_rate : int
+        Samples per second of `audio`.
+    timecode : str
+        SMPTE time of the first frame, ``HH:MM:SS:FF``, or ``;`` before FF for drop-frame.
+
+    Raises
+    ------
+    InputError
+        If the extension is unknown, there is no frame, sizes differ, the time code is malformed or
+        the folder cannot be written. An old file is left as it was.
+    """
+    file = Path(path)
+    container_format = _CONTAINERS.get(file.suffix.lower())
+    if container_format is None:
+        raise InputError(f"{file}: movies end in {', '.join(_CONTAINERS)}; rename it")
+    if timecode and not _TIMECODE.fullmatch(timecode):
+        raise InputError(f"{file}: timecode {timecode!r} is not HH:MM:SS:FF; correct it")
+    if not rate > 0:
+        raise InputError(f"{file}: a rate of {rate} frames a second cannot be written")
+    pictures = iter(frames)
+    first = next(pictures, None)
+    if first is None:
+        raise InputError(f"{file}: there is no frame to write; check the frame range")
+    with replacing(file) as temporary:
+        try:
+            with av.open(str(temporary), "w", format=container_format) as container:
+                if timecode:
+                    container.metadata["timecode"] = timecode
+                _encode(
+                    container,
+                    _same_size(file, first, pictures),
+                    size=_even_size(first),
+                    rate=Fraction(rate),
+                    audio=audio,
+                    sample_rate=sample_rate,
+                )
+        except (av.error.FFmpegError, OSError) as error:
+            raise InputError(f"{file}: the movie cannot be encoded ({error})") from error
+
+
+def video_encoder(container_format: str) -> str:
+    """Return the encoder that a container gets on this machine.
+
+    Raises
+    ------
+    InputError
+        If this build of PyAV has neither H.264 nor VP9.
+    """
+    names = ("libvpx-vp9",) if container_format == "webm" else (*_H264, "libvpx-vp9")
+    for name in names:
+        if name in av.codecs_available:
+            return name
+    raise InputError(f"PyAV here has none of {', '.join(names)}; install the av wheel from PyPI")
+
+
+def _encode(
+    container: Any,
+    pictures: Iterator[ByteImage],
+    *,
+    size: tuple[int, int],
+    rate: Fraction,
+    audio: Float32Array | None,
+    sample_rate: int,
+) -> None:
+    encoder = video_encoder(container.format.name)
+    video = container.add_stream(encoder, rate=rate, options=_OPTIONS.get(encoder, {}))
+    video.height, video.width = size
+    video.pix_fmt = "yuv420p"
+    context = video.codec_context
+    context.time_base = 1 / rate
+    # Tagged as BT.709: no player then re-maps what is made to look right on an sRGB screen.
+    context.color_primaries = context.color_trc = context.colorspace = _BT709
+    context.color_range = 1  # limited, as broadcast and every player expect
+    sound = None
+    if audio is not None:
+        codec = "libopus" if container.format.name == "webm" else "aac"
+        sound = container.add_stream(codec, rate=sample_rate, layout="mono")
+    written = 0
+    for number, picture in enumerate(pictures):
+        padded = _padded(picture, size)
+        frame = av.VideoFrame.from_ndarray(padded, format="rgb24")
+        frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+        frame.pts, frame.time_base = number, 1 / rate
+        container.mux(video.encode(frame))
+        if audio is not None:
+            until = min(int((number + 1) / rate * sample_rate), len(audio))
+            written = _encode_sound(container, sound, audio, written, until, sample_rate)
+    container.mux(video.encode())
+    if audio is not None:
+        _encode_sound(container, sound, audio, written, len(audio), sample_rate, last=True)
+        container.mux(sound.encode())  # type: ignore[union-attr]
+
+
+def _encode_sound(
+    container: Any,
+    stream: Any,
+    audio: Float32Array,
+    start: int,
+    stop: int,
+    sample_rate: int,
+    *,
+    last: bool = False,
+) -> int:
+    """Encode whole blocks up to a sample, and at the end what is left; return where it stopped."""
+    while start < stop and (last or stop - start >= _BLOCK):
+        block = np.asarray(audio[start : min(start + _BLOCK, stop)], np.float32)
+        frame = av.AudioFrame.from_ndarray(
+            np.ascontiguousarray(np.clip(block, -1, 1)[None]), format="fltp", layout="mono"
+        )
+        frame.sample_rate, frame.pts = sample_rate, start
+        frame.time_base = Fraction(1, sample_rate)
+        container.mux(stream.encode(frame))
+        start += len(block)
+    return start
+
+
+def _even_size(picture: ByteImage) -> tuple[int, int]:
+    height, width = picture.shape[:2]
+    return height + height % 2, width + width % 2
+
+
+def _padded(picture: ByteImage, size: tuple[int, int]) -> ByteImage:
+    rows, columns = size[0] - picture.shape[0], size[1] - picture.shape[1]
+    if rows or columns:
+        picture = np.pad(picture, ((0, rows), (0, columns), (0, 0)), mode="edge")
+    return np.ascontiguousarray(picture)
+
+
+def _same_size(file: Path, first: ByteImage, rest: Iterator[ByteImage]) -> Iterator[ByteImage]:
+    """Pass pictures on, refusing one that does not fit the movie."""
+    number, picture = 0, first
+    while True:
+        if picture.shape != first.shape or picture.dtype != np.uint8 or picture.ndim != 3:
+            raise InputError(
+                f"{file}: picture {number} is {picture.shape} {picture.dtype}, the first is "
+                f"{first.shape} {first.dtype}; every one must be (height, width, 3) uint8"
+            )
+        yield picture
+        try:
+            picture = next(rest)
+        except StopIteration:
+            return
+        number += 1
