@@ -1,5 +1,7 @@
-"""What every spec shares: frozen, no unknown keys, limits in the types, paths it reads and writes."""
+"""What every spec shares: frozen, unknown keys refused, limits in types, marked paths."""
 
+import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -102,14 +104,23 @@ class Spec(BaseModel):
 
     def anchored(self, folder: Path) -> Self:
         """Return the same spec with its relative paths taken from a folder."""
+        return self._with_paths(lambda path: folder / path)
+
+    def relative_to(self, folder: Path) -> Self:
+        """Return the same spec with paths as they read from a folder, as a saved spec needs."""
+        return self._with_paths(
+            lambda path: path if path.is_absolute() else Path(os.path.relpath(path, folder))
+        )
+
+    def _with_paths(self, change: Callable[[Path], Path]) -> Self:
         changed: dict[str, Any] = {}
         for kind in (Reads, Writes):
             for name in type(self).fields_marked(kind):
                 value = getattr(self, name)
                 if isinstance(value, Path):
-                    changed[name] = folder / value
+                    changed[name] = change(value)
                 elif value is not None:
-                    changed[name] = tuple(folder / each for each in value)
+                    changed[name] = tuple(change(each) for each in value)
         return self.model_copy(update=changed)
 
 

@@ -8,6 +8,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from usdface.assets import Markers, Take, Video, WeightsClip
 from usdface.errors import InputError
+from usdface.timecode import shift_timecode
 from usdface.usdio.layers import open_stage
 from usdface.usdio.space import column_matrix, stage_to_ours
 from usdface.usdio.take_write import AUDIO, CONFIDENCE, HEAD_MOTION, MARKERS, SOURCE, VISIBLE
@@ -77,6 +78,11 @@ class TakeReader:
         names = prim.GetAttribute("face:markers:names").Get() if prim else None
         return tuple(map(str, names or ()))
 
+    def timecode_at(self, frame: int) -> str:
+        """Return the SMPTE timecode of a frame; empty where the take has none."""
+        start = str(self._value("face:timecode:start") or "")
+        return shift_timecode(start, frame - self.first_frame, self.rate)
+
     def read(self, first: int | None = None, last: int | None = None) -> Take:
         """Read the frames `first` to `last`, inclusive; all by default.
 
@@ -104,7 +110,7 @@ class TakeReader:
             audio=self._read_audio(),
             performer=str(self._value("face:performer") or ""),
             emotion=str(self._value("face:emotion") or ""),
-            timecode_start=str(self._value("face:timecode:start") or ""),
+            timecode_start=self.timecode_at(first),
         )
 
     def _value(self, name: str) -> object:

@@ -1,0 +1,241 @@
+"""Every command: those of steps are made from their specs, the others are written out here."""
+
+import inspect
+import sys
+import traceback
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from usdface.cli.console import (
+    ProgressStyle,
+    exit_code_of,
+    listening,
+    out,
+    raise_on_terminate,
+    set_up_logging,
+    show_error,
+    show_json,
+    show_report,
+)
+from usdface.cli.spec_options import build_spec, command_of
+from usdface.errors import InputError, UsdfaceError
+from usdface.specs.base import Spec
+from usdface.specs.clean import CleanSpec
+from usdface.specs.ingest import IngestSpec
+from usdface.specs.map import MapSpec
+from usdface.specs.reading import read_job, spec_text
+from usdface.specs.references import ReferencesImportSpec, SelectSpec
+from usdface.specs.sheet import SheetSpec
+from usdface.specs.train import TrainSpec
+from usdface.version import __version__
+
+EPILOG = "Exit codes: 0 done, 1 a check failed, 2 bad input, 3 interrupted."
+
+app = typer.Typer(
+    name="usdface",
+    help="Facial capture to BlendShape weights, as a stage of an OpenUSD pipeline.",
+    epilog=EPILOG,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+references = typer.Typer(help="Work on a references asset.", no_args_is_help=True)
+
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for scripts.")]
+ShowProgress = Annotated[
+    ProgressStyle,
+    typer.Option("--progress", help="How progress is shown; a bar on a terminal by default."),
+]
+Overwrite = Annotated[
+    bool,
+    typer.Option(
+        "--overwrite", help="Replace outputs, whoever wrote them and however new they are."
+    ),
+]
+SaveSpec = Annotated[
+    Path | None,
+    typer.Option("--save-spec", help="Write the spec of this command to a file and stop."),
+]
+
+
+def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
+    return inspect.Parameter(
+        name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation
+    )
+
+
+COMMON = [
+    _keyword("overwrite", Overwrite, False),
+    _keyword("save_spec", SaveSpec, None),
+    _keyword("progress", ShowProgress, "auto"),
+    _keyword("as_json", Json, False),
+]
+
+
+def _run_step(
+    spec_type: type[Spec],
+    values: dict[str, Any],
+    *,
+    overwrite: bool,
+    save_spec: Path | None,
+    progress: ProgressStyle,
+    as_json: bool,
+) -> None:
+    spec = build_spec(spec_type, values)
+    if save_spec is not None:
+        try:
+            text = spec_text(spec.relative_to(save_spec.parent), save_spec)
+            save_spec.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"{save_spec}: cannot be written: {error.strerror}") from error
+        out.print(f"wrote {save_spec}", markup=False)
+        return
+    from usdface.steps.execute import execute
+
+    with listening(progress) as listener:
+        report = execute(spec, overwrite=overwrite, progress=listener)
+    show_report(report, as_json=as_json)
+
+
+def _add(parent: typer.Typer, name: str, spec: type[Spec]) -> None:
+    parent.command(name, epilog=EPILOG)(command_of(spec, _run_step, COMMON))
+
+
+_STEPS: tuple[type[Spec], ...] = (
+    IngestSpec,
+    CleanSpec,
+    SelectSpec,
+    TrainSpec,
+    MapSpec,
+    SheetSpec,
+)
+for _spec in _STEPS:
+    _add(app, _spec.model_fields["step"].default, _spec)
+_add(references, "import", ReferencesImportSpec)
+app.add_typer(references, name="references")
+
+
+@app.command(epilog=EPILOG)
+def run(
+    job: Annotated[Path, typer.Argument(help="A job as YAML or JSON.", show_default=False)],
+    progress: ShowProgress = "auto",
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Run the steps of a job whose outputs are missing or out of date.
+
+    Example:
+
+    usdface run kitchen.job.yaml
+    """
+    from usdface.steps.jobs import run_job
+
+    spec = read_job(job)
+    with listening(progress) as listener:
+        reports = run_job(spec, progress=listener, overwrite=overwrite)
+    if as_json:
+        show_json({"job": spec.job, "steps": [report.as_data() for report in reports]})
+        return
+    for report in reports:
+        show_report(report, as_json=False)
+
+
+@app.command(epilog=EPILOG)
+def check(
+    job: Annotated[Path, typer.Argument(help="A job as YAML or JSON.", show_default=False)],
+    as_json: Json = False,
+) -> None:
+    """Validate a job without running it, and say what it would run.
+
+    Example:
+
+    usdface check kitchen.job.yaml
+    """
+    from usdface.steps.jobs import check_job
+
+    states = check_job(read_job(job))
+    if as_json:
+        show_json([{"step": s.spec.step, "state": s.state, "reason": s.reason} for s in states])
+        return
+    for number, state in enumerate(states, start=1):
+        out.print(f"{number}. {state.spec.step}: {state.state} ({state.reason})", markup=False)
+
+
+@app.command(epilog=EPILOG)
+def describe(
+    mapping: Annotated[Path, typer.Argument(help="A trained mapping.", show_default=False)],
+    as_json: Json = False,
+) -> None:
+    """Say what a mapping is: its method, its settings, and what was tried to choose them.
+
+    Example:
+
+    usdface describe hero.mapping.usdc
+    """
+    from usdface.steps.describe import describe_mapping
+
+    show_report(describe_mapping(mapping), as_json=as_json)
+
+
+@app.command(epilog=EPILOG)
+def demo(
+    out_folder: Annotated[
+        Path, typer.Option("--out", help="Folder to make the demo in.", show_default=False)
+    ],
+    progress: ShowProgress = "auto",
+    as_json: Json = False,
+) -> None:
+    """Make a face, an actor and a take, and map one to the other: a first job to learn from.
+
+    Everything is generated here; the job file stays in the folder, to be changed and run again.
+
+    Example:
+
+    usdface demo --out demo
+    """
+    from usdface.demo.job import run_demo
+
+    with listening(progress) as listener:
+        report = run_demo(out_folder, progress=listener)
+    show_report(report, as_json=as_json)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        out.print(f"usdface {__version__}", markup=False)
+        raise typer.Exit
+
+
+@app.callback()
+def _top(
+    verbose: Annotated[
+        bool, typer.Option("--verbose", help="Log what is done, and show where bugs happen.")
+    ] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    set_up_logging(verbose=verbose)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit with its code."""
+    raise_on_terminate()
+    given = sys.argv[1:] if arguments is None else arguments
+    try:
+        app(args=given, standalone_mode=True)
+    except (UsdfaceError, KeyboardInterrupt) as error:
+        show_error(str(error) or "interrupted")
+        sys.exit(exit_code_of(error))
+    except Exception as error:
+        if "--verbose" in given:
+            traceback.print_exc()
+        show_error(
+            f"a fault in usdface itself: {type(error).__name__}: {error}\n"
+            "Nothing was left half written. Please report it with the output of "
+            "`usdface --verbose` and the same arguments."
+        )
+        sys.exit(exit_code_of(error))

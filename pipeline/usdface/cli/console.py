@@ -1,0 +1,94 @@
+"""How the command line speaks: results, progress, errors, signals, exit codes."""
+
+import contextlib
+import json
+import logging
+import signal
+import sys
+from collections.abc import Iterator
+from typing import Any, Literal
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from usdface.errors import CancelledError, UsdfaceError
+from usdface.progress import Progress as Listener
+from usdface.progress import silent
+from usdface.steps.report import Report
+
+ProgressStyle = Literal["auto", "bar", "openjd", "none"]
+
+out = Console(highlight=False, soft_wrap=True)
+err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+@contextlib.contextmanager
+def listening(style: ProgressStyle) -> Iterator[Listener]:
+    """Yield a listener that draws a bar on a terminal or speaks a farm's language."""
+    if style == "openjd":
+        yield _openjd
+    elif style == "bar" or (style == "auto" and err.is_terminal):
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+        with Progress(*columns, console=err, transient=True) as bar:
+            task = bar.add_task("", total=1.0)
+
+            def report(fraction: float, message: str) -> None:
+                bar.update(task, completed=fraction, description=message)
+
+            yield report
+    else:
+        yield silent
+
+
+def _openjd(fraction: float, message: str) -> None:
+    sys.stdout.write(f"openjd_progress: {100 * min(max(fraction, 0.0), 1.0):.1f}\n")
+    sys.stdout.write(f"openjd_status: {message}\n")
+    sys.stdout.flush()
+
+
+def show_report(report: Report, *, as_json: bool) -> None:
+    """Print a step's result for a person or for a script."""
+    if as_json:
+        show_json(report.as_data())
+        return
+    out.print(report.summary, markup=False)
+    for note in report.notes:
+        out.print(f"  note: {note}", markup=False)
+    for path in report.outputs:
+        out.print(f"  wrote {path}", markup=False)
+
+
+def show_json(data: Any) -> None:
+    """Print data for a script: one JSON document, nothing beside it."""
+    sys.stdout.write(json.dumps(data, indent=2, ensure_ascii=False, default=str) + "\n")
+
+
+def show_error(message: str) -> None:
+    """Print an error for a person; on a farm its first line becomes the task's status."""
+    err.print(f"usdface: {message}", markup=False, style="bold red" if err.is_terminal else None)
+
+
+def set_up_logging(*, verbose: bool) -> None:
+    """Send log records to stderr; only warnings unless verbose."""
+    logging.basicConfig(
+        level=logging.INFO if verbose else logging.WARNING,
+        format="%(levelname)s %(name)s: %(message)s",
+        stream=sys.stderr,
+    )
+
+
+def raise_on_terminate() -> None:
+    """Turn the one SIGTERM a farm sends into an exception, so that half files are removed."""
+
+    def cancel(signum: int, frame: object) -> None:
+        raise CancelledError("stopped on request; nothing half done was left")
+
+    with contextlib.suppress(ValueError):  # only the main thread may set handlers
+        signal.signal(signal.SIGTERM, cancel)
+
+
+def exit_code_of(error: BaseException) -> int:
+    """Return what the process should exit with: 1 a check failed, 2 bad input, 3 interrupted."""
+    if isinstance(error, UsdfaceError):
+        return error.exit_code
+    return CancelledError.exit_code if isinstance(error, KeyboardInterrupt) else 2

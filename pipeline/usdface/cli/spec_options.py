@@ -1,0 +1,117 @@
+"""A command from a spec: each field an option, its documentation the help.
+
+Spec, JSON Schema and command line thus never disagree.
+"""
+
+import inspect
+import types
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+import typer
+from pydantic import ValidationError
+from pydantic.fields import FieldInfo
+
+from usdface.errors import InputError
+from usdface.specs.base import Positional, Spec
+from usdface.specs.reading import describe_faults
+
+
+def options_of(spec: type[Spec]) -> list[inspect.Parameter]:
+    """Return the parameters by which the command line fills a spec."""
+    parameters = []
+    for name, field in spec.model_fields.items():
+        if name == "step":
+            continue
+        kind = _command_line_type(field.annotation)
+        required = field.is_required()
+        if any(isinstance(mark, Positional) for mark in field.metadata):
+            info: Any = typer.Argument(help=field.description, show_default=False)
+        else:
+            info = typer.Option(_option_name(name, field), help=field.description)
+        default = inspect.Parameter.empty if required else _default(field, kind)
+        parameters.append(
+            inspect.Parameter(
+                name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=default,
+                annotation=Annotated[kind, info],
+            )
+        )
+    return sorted(parameters, key=lambda each: each.default is not inspect.Parameter.empty)
+
+
+def build_spec(spec: type[Spec], values: dict[str, Any]) -> Spec:
+    """Make a spec of what the command line was given.
+
+    Raises
+    ------
+    InputError
+        If a value is outside its limits; every fault is named.
+    """
+    given: dict[str, Any] = {}
+    for name, field in spec.model_fields.items():
+        value = values.get(name)
+        if value is None:
+            continue
+        if _is_list_of_names(field.annotation) and isinstance(value, str):
+            value = [part.strip() for part in value.split(",") if part.strip()]
+        given[name] = value
+    try:
+        return spec.model_validate(given)
+    except ValidationError as error:
+        raise InputError(describe_faults(error)) from error
+
+
+def command_of(spec: type[Spec], run: Callable[..., None], common: list[inspect.Parameter]) -> Any:
+    """Return a function whose signature is a spec's options and the common ones."""
+
+    def command(**values: Any) -> None:
+        shared = {each.name: values.pop(each.name) for each in common}
+        run(spec, values, **shared)
+
+    parameters = [*options_of(spec), *common]
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = {each.name: each.annotation for each in parameters}
+    command.__doc__ = help_of(spec)
+    return command
+
+
+def help_of(spec: type[Spec]) -> str:
+    """Return a spec's documentation with its example, as the command line shows it."""
+    text = inspect.cleandoc(spec.__doc__ or "")
+    return f"{text}\n\nExample:\n\n{spec.example}" if spec.example else text
+
+
+def _option_name(name: str, field: FieldInfo) -> str:
+    flag = f"--{name.replace('_', '-')}"
+    return f"{flag}/--no-{flag[2:]}" if field.annotation is bool else flag
+
+
+def _default(field: FieldInfo, kind: Any) -> Any:
+    value = field.get_default(call_default_factory=True)
+    return None if value == () or (value == "" and kind is not bool) else value
+
+
+def _command_line_type(annotation: Any) -> Any:
+    """Return the type that the command line parses; limits are checked by the spec."""
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        return _command_line_type(get_args(annotation)[0])
+    if origin in (Union, types.UnionType):
+        inner = [each for each in get_args(annotation) if each is not type(None)]
+        return _command_line_type(inner[0]) | None
+    if origin is tuple:
+        element = _command_line_type(get_args(annotation)[0])
+        return list[Path] if element is Path else str | None
+    if origin is Literal:
+        return annotation
+    return annotation if annotation in (int, float, bool, Path) else str | None
+
+
+def _is_list_of_names(annotation: Any) -> bool:
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        return _is_list_of_names(get_args(annotation)[0])
+    return origin is tuple and _command_line_type(get_args(annotation)[0]) is not Path

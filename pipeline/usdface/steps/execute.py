@@ -1,0 +1,48 @@
+"""Run the step that a spec describes."""
+
+from collections.abc import Callable
+from importlib import import_module
+
+from usdface.progress import Progress, silent
+from usdface.provenance import Provenance
+from usdface.specs.base import Spec
+from usdface.steps.outputs import check_inputs, check_outputs, make_provenance
+from usdface.steps.report import Report
+
+Step = Callable[..., Report]
+
+
+def find_step(name: str) -> Step:
+    """Return a step's function; its module is imported only now, so that others start quickly."""
+    module = import_module(f"usdface.steps.{name.replace('-', '_')}")
+    step: Step = module.run
+    return step
+
+
+def execute(
+    spec: Spec,
+    *,
+    overwrite: bool = False,
+    progress: Progress = silent,
+    provenance: Provenance | None = None,
+) -> Report:
+    """Check what a spec reads and writes, then run its step.
+
+    Parameters
+    ----------
+    spec : Spec
+    overwrite : bool
+        Replace outputs whoever wrote them and however new they are.
+    progress : callable
+    provenance : Provenance, optional
+        Of this spec, where it has been computed already.
+
+    Raises
+    ------
+    InputError
+        If an input is missing or cannot be used, or an output must not be replaced.
+    """
+    check_inputs(spec)
+    check_outputs(spec, overwrite=overwrite)
+    step = find_step(spec.step)
+    return step(spec, provenance=provenance or make_provenance(spec), progress=progress)

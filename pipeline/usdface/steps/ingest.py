@@ -1,0 +1,147 @@
+"""Capture files in, one USD take out."""
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+from usdface.assets import Take, Video
+from usdface.capture.marker_take import Capture, CaptureOptions, build_marker_take
+from usdface.capture.sniff import read_capture
+from usdface.errors import InputError
+from usdface.media.video import VideoReader
+from usdface.progress import Progress, silent
+from usdface.provenance import Provenance
+from usdface.specs.ingest import IngestSpec
+from usdface.steps.report import Report
+from usdface.usdio.foreign_take import read_foreign_take
+from usdface.usdio.layers import LAYER_SUFFIXES
+from usdface.usdio.take import is_take, read_take
+from usdface.usdio.take_write import samples_path, write_take
+
+log = logging.getLogger(__name__)
+
+
+def run(
+    spec: IngestSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Read captures of one take and write it as USD."""
+    captures = []
+    for index, source in enumerate(spec.sources):
+        progress(0.6 * index / len(spec.sources), f"reading {source.name}")
+        captures.append(_read_source(source, spec))
+    take = _merge(captures, spec)
+    take = replace(
+        take,
+        name=spec.take or take.name,
+        performer=spec.performer or take.performer,
+        emotion=spec.emotion or take.emotion,
+        timecode_start=spec.timecode or take.timecode_start,
+        audio=spec.audio or take.audio,
+        video=take.video if spec.video is None else _open_video(spec.video, spec.video_offset),
+    )
+    progress(0.7, f"writing {spec.out.name}")
+    write_take(spec.out, take, provenance=provenance)
+    progress(1.0, f"wrote {spec.out.name}")
+    notes = tuple(note for capture in captures for note in capture.notes)
+    log.info("%s: %d frames", spec.out, take.frame_count)
+    return _report(spec, take, notes)
+
+
+def _read_source(source: Path, spec: IngestSpec) -> Capture:
+    if source.suffix in (*LAYER_SUFFIXES, ".usdz"):
+        return _read_usd(source, spec)
+    return read_capture(
+        source,
+        format=spec.format,
+        units=spec.units,
+        up=spec.up,
+        rigid=spec.rigid,
+        neutral=spec.neutral,
+    )
+
+
+def _read_usd(source: Path, spec: IngestSpec) -> Capture:
+    if is_take(source):
+        take = read_take(source)
+        if take.markers is not None:
+            markers = replace(
+                take.markers,
+                rigid=spec.rigid or take.markers.rigid,
+                neutral_frame=(
+                    take.markers.neutral_frame if spec.neutral is None else spec.neutral
+                ),
+            )
+            take = replace(take, markers=markers)
+        return Capture(take, "usd")
+    if spec.units is not None or spec.up is not None:
+        raise InputError(
+            f"{source}: a USD file states its own units and up axis; author metersPerUnit and "
+            "upAxis in it instead of --units and --up"
+        )
+    found = read_foreign_take(source, prim=spec.prim)
+    if not found.names:
+        take = Take(source.stem, found.rate, found.first_frame, source=found.source)
+        return Capture(take, "usd", ("no markers, only blendshape weights",))
+    capture = build_marker_take(
+        source,
+        found.names,
+        found.positions,
+        found.visible,
+        rate=found.rate,
+        first_frame=found.first_frame,
+        options=CaptureOptions(rigid=spec.rigid, neutral=spec.neutral),
+        notes=[f"markers were found as {found.kind}"],
+        format_name="usd",
+    )
+    return replace(capture, take=replace(capture.take, source=found.source))
+
+
+def _merge(captures: list[Capture], spec: IngestSpec) -> Take:
+    """Put markers of one file and weights of another into one take."""
+    with_markers = [each.take for each in captures if each.take.markers is not None]
+    with_weights = [each.take for each in captures if each.take.source is not None]
+    if len(with_markers) > 1 or len(with_weights) > 1:
+        what = "markers" if len(with_markers) > 1 else "blendshape weights"
+        raise InputError(
+            f"{', '.join(map(str, spec.sources))}: more than one has {what}; a take is one "
+            "recording: ingest them one by one"
+        )
+    take = (with_markers or with_weights)[0]
+    if with_markers and with_weights and with_weights[0] is not take:
+        source = with_weights[0].source
+        if source is not None and source.rate != take.rate:
+            raise InputError(
+                f"{', '.join(map(str, spec.sources))}: {float(take.rate):g} and "
+                f"{float(source.rate):g} frames per second; resample one of them first"
+            )
+        take = replace(take, source=source)
+    return take
+
+
+def _open_video(file: Path, offset: float) -> Video:
+    with VideoReader(file) as video:
+        return Video(file=file, rate=video.rate, offset=offset)
+
+
+def _report(spec: IngestSpec, take: Take, notes: tuple[str, ...]) -> Report:
+    rate = float(take.rate)
+    figures: dict[str, object] = {
+        "frames": take.frame_count,
+        "rate": rate,
+        "first_frame": take.first_frame,
+    }
+    parts = [f"{take.frame_count} frames at {rate:g} per second ({take.frame_count / rate:.1f} s)"]
+    if take.markers is not None:
+        gaps = float(1 - take.markers.visible.mean())
+        figures |= {
+            "markers": len(take.markers.names),
+            "rigid": list(take.markers.rigid),
+            "neutral_frame": take.markers.neutral_frame,
+            "gap_share": gaps,
+        }
+        parts.append(f"{len(take.markers.names)} markers, {100 * gaps:.2f} % gaps")
+    if take.source is not None:
+        figures["channels"] = len(take.source.names)
+        parts.append(f"{len(take.source.names)} weights")
+    outputs = tuple(dict.fromkeys((spec.out, samples_path(spec.out))))
+    return Report(outputs, f"{take.name}: {', '.join(parts)}", notes, figures)

@@ -1,0 +1,148 @@
+"""Run the steps of a job that are missing or out of date; look a job over without running it."""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from usdface.errors import InputError
+from usdface.progress import Progress, part, silent
+from usdface.provenance import Provenance
+from usdface.specs.base import Reads, Spec, Writes
+from usdface.specs.job import JobSpec
+from usdface.steps.execute import execute
+from usdface.steps.outputs import make_provenance, provenance_of
+from usdface.steps.report import Report
+
+log = logging.getLogger(__name__)
+
+State = Literal["done", "stale", "missing"]
+
+
+@dataclass(frozen=True)
+class StepState:
+    """Where one step of a job stands.
+
+    Attributes
+    ----------
+    spec : Spec
+    state : {'done', 'stale', 'missing'}
+        Whether its outputs are there, and made from the inputs as they are now.
+    reason : str
+    """
+
+    spec: Spec
+    state: State
+    reason: str
+
+
+def run_job(job: JobSpec, *, progress: Progress = silent, overwrite: bool = False) -> list[Report]:
+    """Run what a job lacks, in order; a step whose outputs are up to date is skipped.
+
+    Parameters
+    ----------
+    job : JobSpec
+    progress : callable
+    overwrite : bool
+        Replace outputs that this package did not write.
+
+    Raises
+    ------
+    InputError
+        If a step fails; what earlier steps wrote stays, and running again goes on from there.
+    """
+    reports = []
+    for index, spec in enumerate(job.steps):
+        label = f"step {index + 1} of {len(job.steps)}, {spec.step}"
+        own = part(progress, index / len(job.steps), (index + 1) / len(job.steps))
+        missing = [path for path in spec.paths(Reads) if not path.exists()]
+        if missing:
+            raise InputError(f"{label}: {missing[0]}: no such file; check the path")
+        provenance = make_provenance(spec)
+        state = _state(spec, provenance)
+        if state.state == "done":
+            log.info("%s: up to date", label)
+            reports.append(Report(spec.outputs(), f"{spec.step}: up to date"))
+            own(1.0, f"{spec.step}: up to date")
+            continue
+        log.info("%s: %s", label, state.reason)
+        if not overwrite:
+            _refuse_foreign_outputs(spec, label)
+        try:
+            report = execute(
+                spec, overwrite=True, progress=_labelled(own, spec.step), provenance=provenance
+            )
+        except InputError as error:
+            raise InputError(f"{label}: {error}") from error
+        reports.append(report)
+    return reports
+
+
+def check_job(job: JobSpec) -> list[StepState]:
+    """Say of each step whether it is done, stale or missing.
+
+    Raises
+    ------
+    InputError
+        If a step reads a file that neither exists nor is made by an earlier step, or writes where
+        it cannot; every fault is named.
+    """
+    faults: list[str] = []
+    states: list[StepState] = []
+    to_come: set[Path] = set()
+    for number, spec in enumerate(job.steps, start=1):
+        label = f"step {number}, {spec.step}"
+        reads = spec.paths(Reads)
+        faults += [
+            f"{label}: {path}: no such file, and no earlier step makes it"
+            for path in reads
+            if not path.exists() and path not in to_come
+        ]
+        faults += [
+            f"{label}: {path}: folder {path.parent} does not exist"
+            for path in spec.paths(Writes)
+            if not path.parent.is_dir()
+        ]
+        if any(path in to_come or not path.exists() for path in reads):
+            state = StepState(spec, "missing", "waits for an earlier step")
+        else:
+            state = _state(spec, make_provenance(spec))
+        if state.state != "done":
+            to_come.update(spec.outputs())
+        states.append(state)
+    if faults:
+        raise InputError("\n".join(faults))
+    return states
+
+
+def _state(spec: Spec, provenance: Provenance) -> StepState:
+    for path in spec.outputs():
+        if not path.exists():
+            return StepState(spec, "missing", f"{path.name} is not there")
+        made = provenance_of(path)
+        if made is None or made.step != provenance.step:
+            return StepState(spec, "stale", f"{path.name} was made by something else")
+        if made.spec != provenance.spec:
+            return StepState(spec, "stale", f"{path.name} was made with other settings")
+        changed = [
+            name for name, value in provenance.inputs.items() if made.inputs.get(name) != value
+        ]
+        if changed:
+            return StepState(spec, "stale", f"{changed[0]} has changed since")
+    return StepState(spec, "done", "up to date")
+
+
+def _refuse_foreign_outputs(spec: Spec, label: str) -> None:
+    for path in spec.paths(Writes):
+        if path.exists() and provenance_of(path) is None:
+            raise InputError(
+                f"{label}: {path}: exists and was not written by usdface; move it away, or run "
+                "with --overwrite"
+            )
+
+
+def _labelled(progress: Progress, step: str) -> Progress:
+    def report(fraction: float, message: str) -> None:
+        progress(fraction, f"{step}: {message}")
+
+    return report

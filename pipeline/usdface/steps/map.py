@@ -1,0 +1,144 @@
+"""A cleaned take and a mapping in, a performance out; a take of any length in bounded memory."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from usdface.assets import Mapping, Markers, Rig
+from usdface.errors import InputError
+from usdface.model.head_space import HeadSpace, find_head_space
+from usdface.model.predict import predict_weights
+from usdface.progress import Progress, silent
+from usdface.provenance import Provenance
+from usdface.specs.base import frame_range
+from usdface.specs.map import MapSpec
+from usdface.steps.report import Report
+from usdface.usdio.mapping import read_mapping
+from usdface.usdio.performance import weights_path, writing_performance
+from usdface.usdio.rig import read_rig
+from usdface.usdio.take import TakeReader
+
+CHUNK_FRAMES = 4096
+SAMPLE_FRAMES = 512
+"""Frames spread over the take from which its head space is found: a median needs no more."""
+
+DOUBTFUL = 0.5
+"""Confidence below which a frame is worth a look."""
+
+
+def run(
+    spec: MapSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Map every frame of a take and write the performance as it goes."""
+    mapping = read_mapping(spec.mapping)
+    rig = read_rig(spec.rig, prim=spec.rig_prim)
+    _check_rig(spec, mapping, rig)
+    take = TakeReader(spec.take)
+    first, last = frame_range(spec.frames) or (take.first_frame, take.last_frame)
+    space = _head_space(spec, mapping, take)
+    notes = _notes(space)
+    confidence: list[np.ndarray] = []
+    residual: list[np.ndarray] = []
+    with writing_performance(
+        spec.out,
+        rig,
+        shape_names=mapping.shape_names,
+        rate=take.rate,
+        first_frame=first,
+        last_frame=last,
+        place=spec.prim,
+        regions=("face",),
+        timecode_start=take.timecode_at(first),
+        provenance=provenance,
+    ) as writer:
+        for start in range(first, last + 1, CHUNK_FRAMES):
+            stop = min(start + CHUNK_FRAMES - 1, last)
+            placed = space.place(_markers(spec, take, start, stop))
+            solved = predict_weights(mapping, placed.positions, visible=placed.visible)
+            writer.append(
+                solved.weights,
+                confidence=solved.confidence,
+                residual_mm=solved.residual_mm[:, None],
+            )
+            confidence.append(solved.confidence)
+            residual.append(solved.residual_mm)
+            progress((stop - first + 1) / (last - first + 1), f"mapped to frame {stop}")
+    return _report(spec, first, np.concatenate(confidence), np.concatenate(residual), notes)
+
+
+def _check_rig(spec: MapSpec, mapping: Mapping, rig: Rig) -> None:
+    missing = [name for name in mapping.shape_names if name not in rig.shapes]
+    if len(missing) == len(mapping.shape_names):
+        raise InputError(
+            f"{spec.rig}: none of the mapping's {len(missing)} shapes ({', '.join(missing[:3])}, "
+            f"...) is on this rig, which has {', '.join(rig.shapes[:3])}, ...; is it the rig the "
+            "mapping was trained for?"
+        )
+    if missing:
+        raise InputError(
+            f"{spec.rig}: {len(missing)} of the mapping's {len(mapping.shape_names)} shapes are "
+            f"not on this rig: {', '.join(missing[:5])}; train again for it"
+        )
+
+
+def _head_space(spec: MapSpec, mapping: Mapping, take: TakeReader) -> HeadSpace:
+    count = take.last_frame - take.first_frame + 1
+    picks = np.unique(np.linspace(take.first_frame, take.last_frame, min(count, SAMPLE_FRAMES)))
+    parts = [_markers(spec, take, int(frame), int(frame)) for frame in picks]
+    sample = replace(
+        parts[0],
+        positions=np.concatenate([part.positions for part in parts]),
+        visible=np.concatenate([part.visible for part in parts]),
+        confidence=np.concatenate([part.confidence for part in parts]),
+    )
+    try:
+        return find_head_space(mapping, sample)
+    except InputError as error:
+        raise InputError(f"{spec.take}: {error}") from error
+
+
+def _markers(spec: MapSpec, take: TakeReader, first: int, last: int) -> Markers:
+    markers = take.read(first, last).markers
+    if markers is None:
+        raise InputError(f"{spec.take}: has no markers; ingest a capture that has")
+    return markers
+
+
+def _notes(space: HeadSpace) -> list[str]:
+    notes = []
+    if space.missing:
+        notes.append(
+            f"the take lacks {len(space.missing)} of the mapping's markers: "
+            f"{', '.join(space.missing[:5])}; the others speak for them, with less confidence"
+        )
+    if space.extra:
+        notes.append(
+            f"{len(space.extra)} markers of the take are unknown to the mapping and are ignored: "
+            f"{', '.join(space.extra[:5])}"
+        )
+    return notes
+
+
+def _report(
+    spec: MapSpec, first: int, confidence: np.ndarray, residual: np.ndarray, notes: list[str]
+) -> Report:
+    low = np.flatnonzero(confidence < DOUBTFUL)
+    if len(low):
+        worst = first + int(confidence.argmin())
+        notes.append(
+            f"{len(low)} frames have a confidence below {DOUBTFUL:g}, the lowest at frame {worst}: "
+            "the references show nothing like them"
+        )
+    count = len(confidence)
+    return Report(
+        (spec.out, weights_path(spec.out)),
+        f"{count} frames, mean confidence {confidence.mean():.2f}, markers explained to "
+        f"{np.sqrt((residual**2).mean()):.2f} mm",
+        tuple(notes),
+        {
+            "frames": count,
+            "mean_confidence": float(confidence.mean()),
+            "doubtful_frames": [first + int(index) for index in low[:1000]],
+            "residual_mm": float(np.sqrt((residual**2).mean())),
+        },
+    )

@@ -1,0 +1,111 @@
+"""Before a step runs: are its inputs there, and may its outputs be written."""
+
+import os
+from pathlib import Path
+
+from usdface.errors import InputError
+from usdface.media.image import read_image_metadata
+from usdface.provenance import Provenance, canonical_json, hash_files
+from usdface.specs.base import Reads, Spec, Writes
+from usdface.usdio.layers import LAYER_SUFFIXES, dependencies, read_provenance
+
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff")
+
+
+def check_inputs(spec: Spec) -> None:
+    """Raise InputError naming every file that a spec reads and that is not there."""
+    missing = [path for path in spec.paths(Reads) if not path.exists()]
+    if missing:
+        names = ", ".join(map(str, missing))
+        raise InputError(f"{spec.step}: {names}: no such file; check the path")
+
+
+def check_outputs(spec: Spec, *, overwrite: bool) -> None:
+    """Raise InputError if an output cannot be written, or would replace what should be kept.
+
+    A file is replaced without asking only if this package wrote it and an input has changed since.
+    """
+    inputs = [path for path in spec.paths(Reads) if path.exists()]
+    newest_input = max((path.stat().st_mtime_ns for path in inputs), default=0)
+    for path in spec.paths(Writes):
+        folder = path.parent
+        if not folder.is_dir():
+            raise InputError(f"{path}: folder {folder} does not exist; create it first")
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise InputError(f"{path}: folder {folder} cannot be written; check its permissions")
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder; name a file with --out")
+        if not path.exists() or overwrite:
+            continue
+        if provenance_of(path) is None:
+            raise InputError(
+                f"{path}: exists and was not written by usdface; choose another --out, or "
+                "--overwrite it"
+            )
+        if path.stat().st_mtime_ns > newest_input:
+            raise InputError(
+                f"{path}: exists and is newer than what it is made from; choose another --out, or "
+                "--overwrite it"
+            )
+
+
+def provenance_of(path: Path) -> Provenance | None:
+    """Return what a file says of its making; None where it says nothing or cannot be read."""
+    try:
+        if path.suffix in LAYER_SUFFIXES:
+            return read_provenance(path)
+        if path.suffix.lower() in IMAGE_SUFFIXES:
+            return _from_metadata(read_image_metadata(path))
+    except InputError:
+        return None
+    return None
+
+
+def make_provenance(spec: Spec) -> Provenance:
+    """Hash a spec's inputs; paths are kept relative to the output, so that folders can move."""
+    anchor = spec.outputs()[0].resolve().parent if spec.outputs() else Path.cwd()
+    alone = set(spec.read_alone())
+    inputs = {
+        _relative(path, anchor): _hash(path, alone=path in alone) for path in spec.paths(Reads)
+    }
+    data = spec.model_dump(mode="json", exclude_defaults=True)
+    for kind in (Reads, Writes):
+        for name in type(spec).fields_marked(kind):
+            value = getattr(spec, name)
+            if isinstance(value, Path):
+                data[name] = _relative(value, anchor)
+            elif value is not None:
+                data[name] = [_relative(each, anchor) for each in value]
+    return Provenance(step=spec.step, spec=canonical_json(data), inputs=inputs)
+
+
+def provenance_metadata(provenance: Provenance) -> dict[str, object]:
+    """Return provenance as the metadata of an image."""
+    return {
+        "usdface": provenance.version,
+        "step": provenance.step,
+        "spec": provenance.spec,
+        "inputs": dict(provenance.inputs),
+    }
+
+
+def _from_metadata(metadata: dict[str, object]) -> Provenance | None:
+    inputs = metadata.get("inputs")
+    if "usdface" not in metadata or not isinstance(inputs, dict):
+        return None
+    return Provenance(
+        step=str(metadata.get("step", "")),
+        spec=str(metadata.get("spec", "")),
+        inputs={str(key): str(value) for key, value in inputs.items()},
+        version=str(metadata["usdface"]),
+    )
+
+
+def _hash(path: Path, *, alone: bool) -> str:
+    if alone or path.suffix not in (*LAYER_SUFFIXES, ".usdz"):
+        return hash_files([path])
+    return hash_files(dependencies(path))
+
+
+def _relative(path: Path, anchor: Path) -> str:
+    return os.path.relpath(path.resolve(), anchor).replace(os.sep, "/")

@@ -1,0 +1,104 @@
+"""References in, a mapping out."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from usdface.assets import Mapping, References
+from usdface.deformer import Deformer
+from usdface.errors import InputError
+from usdface.model.train import train_mapping
+from usdface.progress import Progress, silent
+from usdface.provenance import Provenance
+from usdface.specs.train import TrainSpec
+from usdface.steps.report import Report
+from usdface.usdio.mapping import write_mapping
+from usdface.usdio.references import read_references
+from usdface.usdio.rig import read_rig
+
+
+def run(
+    spec: TrainSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Learn the mapping that the references show."""
+    references = read_references(spec.references)
+    notes = []
+    tuned = int(references.tuned.sum())
+    if spec.tuned_only:
+        if not tuned:
+            raise InputError(
+                f"{spec.references}: no pair is tuned; tune some, or train without --tuned-only"
+            )
+        references = _only(references, references.tuned)
+    elif tuned < len(references.tuned):
+        notes.append(
+            f"{len(references.tuned) - tuned} of {len(references.tuned)} pairs are proposals that "
+            "nobody has tuned"
+        )
+    rig = read_rig(references.rig_file, prim=references.rig_prim)
+    missing = [name for name in references.shape_names if name not in rig.shapes]
+    if missing:
+        raise InputError(
+            f"{spec.references}: {len(missing)} of its shapes are not on {rig.file}: "
+            f"{', '.join(missing[:5])}; select again for this rig"
+        )
+    columns = [rig.shapes.index(name) for name in references.shape_names]
+    gram = Deformer(rig).shapes.gram()[np.ix_(columns, columns)]
+    mapping = train_mapping(
+        references,
+        ranges=rig.ranges[columns],
+        gram=gram,
+        method=spec.method,
+        dimensions=spec.dimensions,
+        progress=progress,
+    )
+    mapping = replace(mapping, references=spec.references.name)
+    write_mapping(spec.out, mapping, provenance=provenance)
+    return Report(
+        (spec.out,), _summary(mapping, references), tuple(notes), describe_figures(mapping)
+    )
+
+
+def describe_figures(mapping: Mapping) -> dict[str, object]:
+    """Return what a mapping is, as plain data."""
+    return {
+        "method": mapping.method,
+        "markers": len(mapping.marker_names),
+        "shapes": len(mapping.shape_names),
+        "settings": dict(mapping.settings),
+        "scores": [
+            {
+                "method": score.method,
+                "settings": score.settings,
+                "weight_rmse": score.weight_rmse,
+                "vertex_rms_mm": score.vertex_rms_mm,
+            }
+            for score in mapping.scores
+        ],
+        "references": mapping.references,
+    }
+
+
+def _summary(mapping: Mapping, references: References) -> str:
+    summary = (
+        f"{mapping.method} on {len(references.frames)} pairs, {len(mapping.marker_names)} markers "
+        f"to {len(mapping.shape_names)} shapes"
+    )
+    if mapping.scores:
+        best = mapping.scores[0]
+        summary += (
+            f"; cross-validated error {best.vertex_rms_mm:.2f} mm on the surface, "
+            f"{best.weight_rmse:.3f} in the weights"
+        )
+    return summary
+
+
+def _only(references: References, keep: np.ndarray) -> References:
+    return replace(
+        references,
+        markers=references.markers[keep],
+        weights=references.weights[keep],
+        frames=references.frames[keep],
+        takes=tuple(take for take, kept in zip(references.takes, keep, strict=True) if kept),
+        tuned=references.tuned[keep],
+    )
