@@ -13,7 +13,7 @@ import numpy as np
 from usdface.assets import Float32Array
 from usdface.errors import InputError
 from usdface.media.color import ByteImage
-from usdface.media.replacing import replacing
+from usdface.replacing import replacing
 
 _H264 = ("libx264", "libopenh264", "h264_videotoolbox", "h264_mf")
 _OPTIONS = {

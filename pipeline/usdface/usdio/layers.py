@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import secrets
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -11,6 +10,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils
 
 from usdface.errors import InputError
 from usdface.provenance import Provenance
+from usdface.replacing import replacing
 from usdface.usdio.plugin import SCHEMA_VERSION
 
 CENTIMETRES = 0.01
@@ -107,48 +107,17 @@ def check_layer_name(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary name beside `path`; on success it takes the place of `path`.
-
-    Raises
-    ------
-    InputError
-        If the folder is absent or cannot be written; an existing file is then left as it was.
-    """
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}-{secrets.token_hex(4)}{path.suffix}")
-    try:
-        if not path.parent.is_dir():
-            raise InputError(f"{path}: folder {path.parent} does not exist; create it first")
-        yield temporary
-        with temporary.open("rb+") as stream:
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-    except (OSError, Tf.ErrorException) as error:
-        reason = str(error).strip().splitlines()[-1].strip()
-        raise InputError(
-            f"{path}: cannot be written: {reason}; check the folder's permissions and free space"
-        ) from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-
-
-@contextlib.contextmanager
 def new_layer(path: Path, provenance: Provenance | None = None) -> Iterator[Sdf.Layer]:
     """Yield an empty layer that replaces the file at `path` once the block ends without error."""
     check_layer_name(path)
-    with replacing(path) as temporary:
-        delegate = UsdUtils.CoalescingDiagnosticDelegate()
-        try:
-            layer = Sdf.Layer.CreateNew(str(temporary))
-            yield layer
-            if provenance is not None:
-                layer.customLayerData = {"usdface": provenance_data(provenance)}
-            if not layer.Save():
-                raise OSError("USD could not save the layer")
-            del layer
-        finally:
-            delegate.TakeUncoalescedDiagnostics()
+    with replacing(path) as temporary, usd_errors_as_input_errors(path, "writing it"):
+        layer = Sdf.Layer.CreateNew(str(temporary))
+        yield layer
+        if provenance is not None:
+            layer.customLayerData = {"usdface": provenance_data(provenance)}
+        if not layer.Save():
+            raise InputError(f"{path}: USD could not save it; is the disk full?")
+        del layer
     stale = Sdf.Layer.Find(str(path))
     if stale is not None:
         stale.Reload(force=True)
