@@ -4,6 +4,7 @@ import numpy as np
 
 from usdface.assets import FloatArray, IntArray, Rig
 from usdface.numerics.blendshapes import BlendShapes, Key, Track
+from usdface.numerics.triangulation import triangulate
 
 
 class Deformer:
@@ -19,6 +20,8 @@ class Deformer:
         Every mesh at rest [mm].
     starts : (meshes + 1,) int array
         Mesh *i* owns the points ``starts[i]:starts[i + 1]``.
+    triangles : (triangles, 3) int array
+        Every face of every mesh, cut into triangles.
     shapes : BlendShapes
         Channels in the rig's order.
     """
@@ -27,6 +30,12 @@ class Deformer:
         counts = [len(mesh.points) for mesh in rig.meshes]
         self.starts: IntArray = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         self.neutral: FloatArray = np.concatenate([mesh.points for mesh in rig.meshes])
+        self.triangles: IntArray = np.concatenate(
+            [
+                triangulate(mesh.face_counts, mesh.face_indices)[0] + start
+                for mesh, start in zip(rig.meshes, self.starts, strict=False)
+            ]
+        )
         channels = {name: index for index, name in enumerate(rig.shapes)}
         self.shapes = BlendShapes(
             len(self.neutral),

@@ -8,23 +8,22 @@ from scipy import sparse
 
 from usdface.assets import Float32Array, FloatArray, IntArray, RigMesh
 from usdface.errors import InputError
-from usdface.media import shading
+from usdface.media.complexion import paint
 from usdface.media.mesh_topology import (
     Sparse,
     check_topology,
     normal_operator,
-    triangulate,
     vertex_normals,
 )
-from usdface.media.parts import Part, Pieces, find_pieces
+from usdface.media.parts import Part, find_pieces
 from usdface.media.subdivision import catmull_clark
 from usdface.media.tracing import PATTERNS, Tracer, sky_seen
+from usdface.numerics.triangulation import triangulate
 
 COARSE_POINTS = 6000
 """Subdivide a Catmull-Clark cage of fewer points; finer ones look smooth at sheet size."""
 
 EXPOSURE_RAYS = 48
-_CLOSED, _OPEN = 0.02, 0.10  # of the sky seen at rest: inside of a mouth below, skin above
 
 
 @dataclass(frozen=True)
@@ -99,6 +98,9 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
     eyes = np.array([eye_rows.get(p, -1) for p in range(len(pieces.parts))])
     kept = parts != Part.HIDDEN
     triangles = drawn.triangles[kept]
+    if not kept.all():  # lash cards and tear lines hid skin that is seen without them
+        seen = _Drawn(drawn.matrix, triangles, drawn.corner_of_triangle[kept])
+        exposure, outward = _rest_exposure(visible, seen)
     cage = np.concatenate([mesh.points for mesh in visible])
     rest = np.asarray(drawn.matrix @ cage)
     return Surface(
@@ -106,7 +108,7 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
         triangles=triangles,
         normals=normal_operator(triangles, point_count=len(rest)),
         parts=parts[kept],
-        albedo=np.asarray(drawn.matrix @ _albedo(visible, pieces, exposure), np.float32),
+        albedo=np.asarray(drawn.matrix @ paint(visible, pieces, exposure=exposure), np.float32),
         painted=any(mesh.colors is not None for mesh in visible),
         rest=rest.astype(np.float32),
         eyes=eyes[pieces.of_point[drawn.corner_of_triangle[kept]]],
@@ -212,21 +214,3 @@ def _exposure(cage: FloatArray, drawn: _Drawn, *, outward: float) -> tuple[Float
         )
     best = max(results, key=lambda side: float(results[side].mean()))
     return results[best].astype(np.float64), best
-
-
-def _albedo(meshes: Sequence[RigMesh], pieces: Pieces, exposure: FloatArray) -> FloatArray:
-    """Return the rig's own colours, and elsewhere those of its parts."""
-    palette = np.zeros((len(Part), 3))
-    palette[Part.SKIN], palette[Part.EYE] = shading.SKIN, shading.SCLERA
-    palette[Part.TEETH], palette[Part.MOUTH] = shading.TEETH, shading.TONGUE
-    palette[Part.HAIR] = shading.HAIR
-    parts = pieces.parts[pieces.of_point]
-    inside = np.clip((_OPEN - exposure) / (_OPEN - _CLOSED), 0, 1)
-    inside = np.where(parts == Part.SKIN, inside**2 * (3 - 2 * inside), 0.0)[:, None]
-    albedo = palette[parts] * (1 - inside) + shading.INNER_MOUTH * inside
-    first = 0
-    for mesh in meshes:
-        if mesh.colors is not None:
-            albedo[first : first + len(mesh.points)] = mesh.colors
-        first += len(mesh.points)
-    return albedo
