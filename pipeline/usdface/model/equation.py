@@ -1,0 +1,123 @@
+"""The equation-solving way to weights: no examples, only the rig's own geometry.
+
+The baseline of Deng et al. 2006, section 7, and the source of the weights that are proposed to
+animators.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdface.assets import BoolArray, FloatArray, Rig
+from usdface.deformer import Deformer
+from usdface.errors import InputError
+from usdface.numerics.blendshape_equation import solve_weights
+from usdface.numerics.registration import (
+    VirtualMarkers,
+    character_motion,
+    marker_deltas,
+    register_markers,
+)
+
+Positions = NDArray[np.float32] | FloatArray
+
+MOTION_FRAMES = 2000
+"""Frames spread over a take that registration may look at."""
+
+
+@dataclass(frozen=True)
+class BlendshapeEquation:
+    """A performer's markers on a character: all that solving for weights needs.
+
+    Attributes
+    ----------
+    virtual : VirtualMarkers
+    deltas : (shapes, markers, 3) float array
+        What each shape at 1 does to the virtual markers [mm].
+    neutral : (markers, 3) float array
+        The performer's neutral face [mm].
+    ranges : (shapes, 2) float array
+    """
+
+    virtual: VirtualMarkers
+    deltas: FloatArray
+    neutral: FloatArray
+    ranges: FloatArray
+
+    def solve(
+        self,
+        positions: Positions,
+        *,
+        visible: BoolArray | None = None,
+        method: Literal["lstsq", "bounded"] = "bounded",
+    ) -> FloatArray:
+        """Return weights (frames, shapes) that move the virtual markers as the performer's.
+
+        Parameters
+        ----------
+        positions : (frames, markers, 3) float array
+            Stabilised [mm].
+        visible : (frames, markers) bool array, optional
+        method : {'lstsq', 'bounded'}
+            Plain least squares, as published, limited to the ranges afterwards; or least squares
+            within the ranges.
+        """
+        motion = character_motion(self.virtual, positions, self.neutral)
+        solved = solve_weights(
+            self.deltas, motion, method=method, ranges=self.ranges, visible=visible
+        )
+        return np.clip(solved.weights, self.ranges[:, 0], self.ranges[:, 1])
+
+
+def set_up_equation(
+    rig: Rig,
+    deformer: Deformer,
+    *,
+    neutral: FloatArray,
+    positions: Positions,
+    visible: BoolArray,
+    rigid: tuple[int, ...],
+) -> BlendshapeEquation:
+    """Find where a performer's markers sit on a character, and what its shapes do there.
+
+    Parameters
+    ----------
+    rig : Rig
+    deformer : Deformer
+        Of that rig.
+    neutral : (markers, 3) float array
+        The performer's neutral face, stabilised [mm].
+    positions : (frames, markers, 3) float array
+        A stabilised take [mm]; frames spread over it are looked at.
+    visible : (frames, markers) bool array
+    rigid : tuple of int
+        Markers that move with the skull alone.
+
+    Raises
+    ------
+    InputError
+        If the markers cannot be put on the rig's face.
+    """
+    picks = np.unique(np.linspace(0, len(positions) - 1, MOTION_FRAMES).astype(np.int64))
+    offsets = deformer.shapes.target_offsets()
+    try:
+        virtual = register_markers(
+            neutral,
+            deformer.neutral,
+            deformer.triangles,
+            offsets=offsets,
+            motion=positions[picks],
+            visible=visible[picks],
+            rigid=rigid,
+            ranges=rig.ranges,
+        )
+    except ValueError as error:
+        raise InputError(f"the markers cannot be placed on {rig.file}: {error}") from error
+    return BlendshapeEquation(
+        virtual=virtual,
+        deltas=marker_deltas(virtual, offsets),
+        neutral=neutral,
+        ranges=rig.ranges,
+    )

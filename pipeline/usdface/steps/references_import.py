@@ -1,0 +1,90 @@
+"""Bring tuned weights into a references asset, by frame and shape name."""
+
+import numpy as np
+
+from usdface.assets import References
+from usdface.errors import InputError
+from usdface.progress import Progress, silent
+from usdface.provenance import Provenance
+from usdface.specs.references import ReferencesImportSpec, tuned_path
+from usdface.steps.report import Report
+from usdface.steps.weight_tables import WeightTable, read_weight_table
+from usdface.usdio.references import TunedPair, read_references, write_tuned_weights
+
+
+def run(
+    spec: ReferencesImportSpec,
+    *,
+    provenance: Provenance | None = None,
+    progress: Progress = silent,
+) -> Report:
+    """Match the file's rows to pairs and its columns to shapes, and write the tuned layer."""
+    references = read_references(spec.references)
+    table = read_weight_table(spec.weights)
+    known = [name for name in table.names if name in references.shape_names]
+    if not known:
+        raise InputError(
+            f"{spec.weights}: none of its {len(table.names)} columns "
+            f"({', '.join(table.names[:3])}, ...) is a shape of the rig "
+            f"({', '.join(references.shape_names[:3])}, ...); rename the columns"
+        )
+    pairs = _pairs(spec, references, table, known)
+    if not pairs:
+        raise InputError(
+            f"{spec.weights}: none of its {len(table.frames)} frames "
+            f"({table.frames[0]}-{table.frames[-1]}) is one of the {len(references.frames)} pairs; "
+            "is --at right?"
+        )
+    write_tuned_weights(
+        references, pairs, tuned_path=tuned_path(spec.references), provenance=provenance
+    )
+    progress(1.0, "imported")
+    notes = []
+    unknown = [name for name in table.names if name not in references.shape_names]
+    if unknown:
+        notes.append(
+            f"{len(unknown)} columns are no shapes of the rig and were left out: "
+            f"{', '.join(unknown[:5])}"
+        )
+    missing = [name for name in references.shape_names if name not in table.names]
+    if missing:
+        notes.append(
+            f"{len(missing)} shapes are not in the file and keep their weight: "
+            f"{', '.join(missing[:5])}"
+        )
+    rest = len(references.frames) - len(pairs)
+    if rest:
+        notes.append(f"{rest} pairs are not in the file and stay as they were")
+    return Report(
+        (tuned_path(spec.references),),
+        f"{len(pairs)} of {len(references.frames)} pairs tuned, {len(known)} shapes each",
+        tuple(notes),
+        {"pairs": len(pairs), "shapes": len(known)},
+    )
+
+
+def _pairs(
+    spec: ReferencesImportSpec, references: References, table: WeightTable, known: list[str]
+) -> list[TunedPair]:
+    columns = [table.names.index(name) for name in known]
+    row_of = {frame: row for row, frame in enumerate(table.frames)}
+    keys = (
+        references.frames
+        if spec.at == "frames"
+        else np.arange(1, len(references.frames) + 1, dtype=np.int64)
+    )
+    if spec.at == "frames" and len(set(references.takes)) > 1:
+        raise InputError(
+            f"{spec.references}: its pairs are of {len(set(references.takes))} takes, so a frame "
+            "number alone does not tell which; number the rows by pair and use --at pairs"
+        )
+    pairs = []
+    for pair, key in enumerate(keys.tolist()):
+        if key not in row_of:
+            continue
+        # A shape the file does not name keeps what composes now.
+        weights = dict(zip(references.shape_names, references.weights[pair].tolist(), strict=True))
+        values = table.weights[row_of[key], columns].tolist()
+        weights.update(zip(known, values, strict=True))
+        pairs.append(TunedPair(pair, references.takes[pair], int(references.frames[pair]), weights))
+    return pairs

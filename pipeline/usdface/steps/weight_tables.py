@@ -1,0 +1,122 @@
+"""Weights by frame from files of any tool: CSV, JSON or USD."""
+
+import csv
+import json
+import math
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from usdface.assets import FloatArray
+from usdface.errors import InputError
+from usdface.usdio.layers import LAYER_SUFFIXES
+from usdface.usdio.performance import read_weights
+
+LARGEST_TABLE_BYTES = 1 << 30
+
+
+@dataclass(frozen=True)
+class WeightTable:
+    """Weights of named shapes at frames.
+
+    Attributes
+    ----------
+    names : tuple of str
+    frames : tuple of int
+    weights : (frames, shapes) float array
+    """
+
+    names: tuple[str, ...]
+    frames: tuple[int, ...]
+    weights: FloatArray
+
+    def columns(self, names: tuple[str, ...]) -> FloatArray:
+        """Return the weights in another order of shapes; 0 for those the table lacks."""
+        place = {name: index for index, name in enumerate(self.names)}
+        out = np.zeros((len(self.frames), len(names)))
+        for index, name in enumerate(names):
+            if name in place:
+                out[:, index] = self.weights[:, place[name]]
+        return out
+
+
+def read_weight_table(path: Path) -> WeightTable:
+    """Read weights from .csv or .json (a ``frame`` column, then one per shape), or from USD.
+
+    Raises
+    ------
+    InputError
+        If the file is no such table; the line and the column are named.
+    """
+    if path.suffix in (*LAYER_SUFFIXES, ".usdz"):
+        clip = read_weights(path)
+        last = clip.first_frame + len(clip.values)
+        numbers = tuple(range(clip.first_frame, last))
+        return WeightTable(clip.names, numbers, clip.values.astype(np.float64))
+    text = _read_text(path)
+    rows = _json_rows(path, text) if path.suffix == ".json" else _csv_rows(path, text)
+    if not rows:
+        raise InputError(f"{path}: holds no rows of weights")
+    names = tuple(name for name in rows[0][1] if name != "frame")
+    frames: list[int] = []
+    weights = np.zeros((len(rows), len(names)))
+    for index, (where, row) in enumerate(rows):
+        frames.append(round(_number(path, where, "frame", row.get("frame"))))
+        for column, name in enumerate(names):
+            weights[index, column] = _number(path, where, name, row.get(name))
+    frame, count = Counter(frames).most_common(1)[0]
+    if count > 1:
+        raise InputError(f"{path}: frame {frame} is there {count} times; keep one row")
+    return WeightTable(names, tuple(frames), weights)
+
+
+def _read_text(path: Path) -> str:
+    try:
+        if path.stat().st_size > LARGEST_TABLE_BYTES:
+            raise InputError(f"{path}: {path.stat().st_size} bytes are too many for a table")
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not UTF-8 at byte {error.start}; save it as UTF-8") from error
+
+
+def _csv_rows(path: Path, text: str) -> list[tuple[str, dict[str, object]]]:
+    reader = csv.DictReader(text.splitlines())
+    header = reader.fieldnames or []
+    if "frame" not in header:
+        raise InputError(
+            f"{path} line 1: has no `frame` column; the first line must name the columns: frame, "
+            "then one per shape"
+        )
+    repeated = sorted({name for name in header if header.count(name) > 1})
+    if repeated:
+        raise InputError(f"{path} line 1: column {repeated[0]!r} is there twice; keep one")
+    try:
+        return [(f"line {reader.line_num}", dict(row)) for row in reader]
+    except csv.Error as error:
+        raise InputError(f"{path} line {reader.line_num}: {error}") from error
+
+
+def _json_rows(path: Path, text: str) -> list[tuple[str, dict[str, object]]]:
+    try:
+        data = json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: is no valid JSON: {error}") from error
+    if not isinstance(data, list) or not all(isinstance(row, dict) for row in data):
+        raise InputError(f'{path}: must be a list of rows like {{"frame": 12, "jawOpen": 0.4}}')
+    names = list(dict.fromkeys(name for row in data for name in row))
+    filled = [{name: row.get(name, 0.0) for name in names} | row for row in data]
+    return [(f"row {index + 1}", row) for index, row in enumerate(filled)]
+
+
+def _number(path: Path, where: str, column: str, value: object) -> float:
+    try:
+        number = float(str(value))
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(f"{path} {where}, column {column!r}: {value!r} is no number; correct it")
+    return number
