@@ -181,7 +181,7 @@ def test_failed_write_leaves_the_old_movie_and_no_rubbish(tmp_path: Path) -> Non
     ("change", "message"),
     [
         ({"path": "review.gif"}, "movies end in"),
-        ({"timecode": "25h"}, "not HH:MM:SS:FF"),
+        ({"timecode": "25h"}, "not hh:mm:ss:ff"),
         ({"frames": []}, "no frame to write"),
         ({"frames": [np.zeros((8, 8, 3), np.uint8), np.zeros((8, 9, 3), np.uint8)]}, "picture 1"),
         ({"path": "nowhere/review.mp4"}, "does not exist"),

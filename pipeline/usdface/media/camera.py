@@ -166,7 +166,9 @@ def frame_face(
     half = np.tan(np.radians(fov_degrees / 2))
     # The plane of the widest part decides the scale: the middle of the depth is close to it.
     distance = span / 2 / half + (high[2] - low[2]) / 2
-    target = (low + high) / 2 @ axes
+    # Chins want less room than foreheads.
+    middle = (low + high) / 2 + [0.0, 0.03 * span, 0.0]
+    target = middle @ axes
     return Camera(
         eye=_triple(target + distance * backward), target=_triple(target), fov_degrees=fov_degrees
     )

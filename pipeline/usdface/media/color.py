@@ -25,13 +25,15 @@ _RAMP = np.array(
 def srgb_from_linear(linear: ArrayLike) -> FloatArray:
     """Encode linear light [0-1] with the sRGB curve; values outside are limited."""
     light = np.clip(np.asarray(linear, np.float64), 0.0, 1.0)
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    return np.asarray(
+        np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    )
 
 
 def linear_from_srgb(encoded: ArrayLike) -> FloatArray:
     """Decode sRGB [0-1] to linear light [0-1]."""
     code = np.clip(np.asarray(encoded, np.float64), 0.0, 1.0)
-    return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+    return np.asarray(np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4))
 
 
 _ENCODE = np.round(srgb_from_linear(np.arange(4096) / 4095) * 255).astype(np.uint8)
@@ -88,7 +90,7 @@ def _ramp_table(steps: int = 256) -> FloatArray:
             [-0.0041960863, -0.7034186147, 1.7076147010],
         ]
     )
-    return np.clip((lab @ to_cone.T) ** 3 @ to_linear.T, 0.0, 1.0)
+    return np.asarray(np.clip((lab @ to_cone.T) ** 3 @ to_linear.T, 0.0, 1.0))
 
 
 _TABLE = _ramp_table()

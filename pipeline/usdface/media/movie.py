@@ -1,6 +1,5 @@
 """Write a review movie that scrubs: every frame a key frame, colours tagged, time code kept."""
 
-import re
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -14,6 +13,7 @@ from usdface.assets import Float32Array
 from usdface.errors import InputError
 from usdface.media.color import ByteImage
 from usdface.replacing import replacing
+from usdface.timecode import frames_of
 
 _H264 = ("libx264", "libopenh264", "h264_videotoolbox", "h264_mf")
 _OPTIONS = {
@@ -22,7 +22,6 @@ _OPTIONS = {
     "libvpx-vp9": {"crf": "24", "b": "0", "cpu-used": "6", "row-mt": "1", "g": "12"},
 }
 _CONTAINERS = {".mp4": "mp4", ".mov": "mov", ".mkv": "matroska", ".webm": "webm"}
-_TIMECODE = re.compile(r"\d{2}:\d{2}:\d{2}[:;]\d{2}")
 _BLOCK = 1024  # samples that AAC takes at a time
 _BT709 = 1
 
@@ -66,10 +65,10 @@ def write_movie(
     container_format = _CONTAINERS.get(file.suffix.lower())
     if container_format is None:
         raise InputError(f"{file}: movies end in {', '.join(_CONTAINERS)}; rename it")
-    if timecode and not _TIMECODE.fullmatch(timecode):
-        raise InputError(f"{file}: timecode {timecode!r} is not HH:MM:SS:FF; correct it")
     if not rate > 0:
         raise InputError(f"{file}: a rate of {rate} frames a second cannot be written")
+    if timecode:
+        frames_of(timecode, Fraction(rate))
     pictures = iter(frames)
     first = next(pictures, None)
     if first is None:

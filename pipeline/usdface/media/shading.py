@@ -109,7 +109,7 @@ def shade(hits: Hits, *, plain: bool = False) -> Float32Array:
         reach = hits.lit if number == 0 else hits.openness
         diffuse = np.clip((facing[:, None] + wrap) / (1 + wrap), 0, None)
         total += hits.albedo * diffuse * color * reach[:, None]
-        if number < 2:
+        if number == 0:  # one light in each eye, as in a portrait
             half = views + direction
             half /= np.linalg.norm(half, axis=1, keepdims=True)
             lobe = np.clip(np.einsum("ij,ij->i", normals, half), 0, 1) ** shine
