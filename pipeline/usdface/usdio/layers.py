@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 
-from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
 
 from usdface.errors import InputError
 from usdface.provenance import Provenance
@@ -132,8 +132,8 @@ def provenance_data(provenance: Provenance) -> dict[str, object]:
         "spec": provenance.spec,
         "specHash": provenance.spec_hash,
         # A path may hold characters that a dictionary key may not: keep two lists.
-        "inputs": list(provenance.inputs.keys()),
-        "inputHashes": list(provenance.inputs.values()),
+        "inputs": Vt.StringArray(list(provenance.inputs.keys())),
+        "inputHashes": Vt.StringArray(list(provenance.inputs.values())),
     }
 
 

@@ -12,7 +12,7 @@ from pxr import Sdf, Usd, Vt
 from usdface.assets import CandidateScore, FloatArray, Mapping
 from usdface.errors import InputError
 from usdface.provenance import Provenance
-from usdface.usdio.layers import new_layer, open_stage
+from usdface.usdio.layers import author_units, new_layer, open_stage
 
 ROOT = Sdf.Path("/Mapping")
 ARRAY = "face:array:"
@@ -34,6 +34,7 @@ def write_mapping(path: Path, mapping: Mapping, *, provenance: Provenance | None
         prim.specifier = Sdf.SpecifierDef
         prim.typeName = "FaceMapping"
         layer.defaultPrim = ROOT.name
+        author_units(layer)
         for name, kind, value in (
             ("method", Sdf.ValueTypeNames.Token, mapping.method),
             ("markers", tokens, list(mapping.marker_names)),

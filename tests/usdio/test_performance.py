@@ -1,0 +1,163 @@
+"""Performances: the rig is referenced, the weights lie beneath, edits stay."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
+
+from tests.usdio.small_rig import small_rig
+from usdface.deformer import Deformer
+from usdface.errors import InputError
+from usdface.usdio import performance
+from usdface.usdio.performance import read_performance, weights_path, writing_performance
+from usdface.usdio.rig import read_rig
+from usdface.usdio.rig_write import write_rig
+from usdface.usdio.validation import validate
+
+NAMES = ("smile", "jawOpen", "eyeBlink")  # another order than the rig's
+WEIGHTS = np.random.default_rng(0).random((20, 3)).astype(np.float32)
+
+
+def write(folder: Path, *, place: str | None = None, weights=WEIGHTS, first: int = 1001) -> Path:
+    if not (folder / "rig.usda").exists():
+        write_rig(folder / "rig.usda", small_rig())
+    path = folder / "shot.hero.usda"
+    with writing_performance(
+        path,
+        read_rig(folder / "rig.usda"),
+        shape_names=NAMES,
+        rate=Fraction(30000, 1001),
+        first_frame=first,
+        last_frame=first + len(weights) - 1,
+        place=place,
+        regions=("face",),
+        timecode_start="00:01:00;02",
+    ) as writer:
+        for start in range(0, len(weights), 7):
+            part = weights[start : start + 7]
+            writer.append(
+                part,
+                confidence=np.linspace(0, 1, len(weights))[start : start + 7],
+                residual_mm=np.full((len(part), 1), 0.5),
+            )
+    return path
+
+
+def test_performance_reads_back_the_same(tmp_path: Path) -> None:
+    back = read_performance(write(tmp_path))
+    assert back.weights.names == NAMES
+    np.testing.assert_array_equal(back.weights.values, WEIGHTS)
+    assert (back.weights.first_frame, back.weights.rate) == (1001, Fraction(30000, 1001))
+    assert back.rig_file.resolve() == (tmp_path / "rig.usda").resolve()
+    assert (back.rig_prim, back.regions) == ("/Hero", ("face",))
+    np.testing.assert_allclose(back.confidence, np.linspace(0, 1, 20), atol=1e-6)
+    np.testing.assert_allclose(back.residual_mm, 0.5)
+    assert back.timecode_start == "00:01:00;02"
+
+
+@pytest.mark.parametrize("place", [None, "/shot/cast/hero_01"])
+def test_what_usdskel_bakes_from_the_layer_is_what_we_deform(tmp_path: Path, place) -> None:
+    stage = Usd.Stage.Open(str(write(tmp_path, place=place)))
+    flat = Usd.Stage.Open(stage.Flatten())
+    root = UsdSkel.Root(flat.GetPrimAtPath(place or "/Hero"))
+    assert UsdSkel.BakeSkinning(root, Gf.Interval(1001, 1020))
+    rig = read_rig(tmp_path / "rig.usda")
+    order = [NAMES.index(name) for name in rig.shapes]
+    ours = Deformer(rig).points(WEIGHTS[:, order])
+    skin = UsdGeom.Mesh(flat.GetPrimAtPath(f"{place or '/Hero'}/geo/skin"))
+    for index in (0, 7, 19):
+        baked = 10 * np.array(skin.GetPointsAttr().Get(1001 + index))
+        np.testing.assert_allclose(ours[index, :12], baked, atol=1e-3)
+
+
+def test_written_performance_passes_every_validator(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    assert validate(path) == []
+    assert [f for f in validate(weights_path(path)) if f.severity == "error"] == []
+
+
+def test_timing_units_and_default_prim_are_always_authored(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    for each in (path, weights_path(path)):
+        layer = Sdf.Layer.FindOrOpen(str(each))
+        assert (layer.startTimeCode, layer.endTimeCode) == (1001, 1020)
+        assert layer.timeCodesPerSecond == layer.framesPerSecond == pytest.approx(29.97, abs=1e-3)
+        assert layer.defaultPrim == "Hero"
+        assert layer.pseudoRoot.GetInfo("metersPerUnit") == pytest.approx(0.01)
+
+
+def test_the_rig_file_is_never_written(tmp_path: Path) -> None:
+    write_rig(tmp_path / "rig.usda", small_rig())
+    before = (tmp_path / "rig.usda").read_bytes()
+    write(tmp_path)
+    assert (tmp_path / "rig.usda").read_bytes() == before
+
+
+def test_mapping_again_keeps_what_others_put_into_the_performance(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    edits = Sdf.Layer.CreateNew(str(tmp_path / "edits.usda"))
+    edits.Save()
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    layer.subLayerPaths.insert(0, "./edits.usda")
+    Sdf.CreatePrimInLayer(layer, "/Hero/FaceSolve").comment = "kept"
+    layer.Save()
+    write(tmp_path, weights=WEIGHTS[::-1], first=901)
+    again = Sdf.Layer.FindOrOpen(str(path))
+    again.Reload()
+    assert list(again.subLayerPaths) == ["./edits.usda", "./shot.hero.weights.usdc"]
+    assert again.GetPrimAtPath("/Hero/FaceSolve").comment == "kept"
+    np.testing.assert_array_equal(read_performance(path).weights.values, WEIGHTS[::-1])
+    assert read_performance(path).weights.first_frame == 901
+
+
+def test_long_takes_saved_in_lots_equal_short_ones(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(performance, "FRAMES_IN_MEMORY", 8)
+    np.testing.assert_array_equal(read_performance(write(tmp_path)).weights.values, WEIGHTS)
+
+
+def test_an_interrupted_mapping_leaves_the_old_performance(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    before = {each.name: each.read_bytes() for each in tmp_path.iterdir()}
+    rig = read_rig(tmp_path / "rig.usda")
+
+    def interrupted() -> None:
+        with writing_performance(
+            path, rig, shape_names=NAMES, rate=Fraction(24), first_frame=1, last_frame=100
+        ) as writer:
+            writer.append(WEIGHTS)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == before
+
+
+def test_a_rig_inside_an_instance_is_refused_with_the_way_out(tmp_path: Path) -> None:
+    write_rig(tmp_path / "inner.usda", small_rig())
+    stage = Usd.Stage.CreateNew(str(tmp_path / "rig.usda"))
+    hero = stage.DefinePrim("/Set/Hero")
+    hero.GetReferences().AddReference("./inner.usda")
+    hero.SetInstanceable(True)
+    stage.Save()
+    with pytest.raises(InputError, match="instanceable = false"):
+        write(tmp_path)
+
+
+def test_validation_finds_a_sample_of_the_wrong_length(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    layer = Sdf.Layer.FindOrOpen(str(weights_path(path)))
+    layer.SetTimeSample("/Hero/FaceSolve.blendShapeWeights", 1004, [0.5])
+    layer.Save()
+    findings = [each for each in validate(path) if each.check == "usdface:Weights"]
+    assert "1 weights for 3 shapes" in findings[0].message
+    assert findings[0].where.endswith("time code 1004")
+
+
+def test_validation_finds_shapes_that_no_mesh_has(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    layer = Sdf.Layer.FindOrOpen(str(weights_path(path)))
+    layer.GetAttributeAtPath("/Hero/FaceSolve.blendShapes").default = ["smile", "jaw", "blink"]
+    layer.Save()
+    assert any("2 shapes are on no mesh: blink, jaw" in each.message for each in validate(path))

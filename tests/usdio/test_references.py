@@ -1,0 +1,148 @@
+"""References: pairs on a timeline, and tuning that no proposal can touch."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdSkel
+
+from tests.usdio.small_rig import small_rig
+from usdface.assets import MotionSpace, References
+from usdface.errors import InputError
+from usdface.usdio.references import (
+    TunedPair,
+    read_references,
+    read_tuned_pairs,
+    write_references,
+    write_tuned_weights,
+)
+from usdface.usdio.rig import read_rig
+from usdface.usdio.rig_write import write_rig
+from usdface.usdio.validation import validate
+
+
+def small_references(folder: Path, pairs: int = 5, seed: int = 0) -> References:
+    rng = np.random.default_rng(seed)
+    components = np.linalg.qr(rng.normal(size=(12, 3)))[0].T
+    return References(
+        marker_names=("a", "b", "c", "d"),
+        shape_names=("jawOpen", "eyeBlink", "smile"),
+        markers=rng.normal(0, 50, (pairs, 4, 3)),
+        weights=rng.random((pairs, 3)).astype(np.float32).astype(np.float64),
+        frames=np.arange(pairs) * 7 + 100 * seed,
+        takes=("kitchen",) * pairs,
+        tuned=np.zeros(pairs, dtype=np.bool_),
+        rigid=("a", "b", "c"),
+        neutral=rng.normal(0, 50, (4, 3)),
+        rig_file=folder / "rig.usda",
+        rig_prim="/Hero",
+        motion=MotionSpace(
+            mean=rng.normal(0, 50, 12),
+            components=components,
+            variances=np.array([9.0, 4.0, 1.0]),
+            total_variance=15.0,
+            sample=rng.normal(size=(20, 3)),
+        ),
+    )
+
+
+def write(folder: Path, references: References) -> Path:
+    write_rig(folder / "rig.usda", small_rig())
+    path = folder / "hero.references.usda"
+    write_references(
+        path,
+        references,
+        read_rig(folder / "rig.usda"),
+        tuned_path=folder / "hero.references.tuned.usda",
+        proposed_path=folder / "hero.references.proposed.usda",
+    )
+    return path
+
+
+def tune(folder: Path, references: References, pairs: dict[int, float]) -> None:
+    tuned = [
+        TunedPair(
+            pair,
+            references.takes[pair],
+            int(references.frames[pair]),
+            dict.fromkeys(references.shape_names, value),
+        )
+        for pair, value in pairs.items()
+    ]
+    write_tuned_weights(references, tuned, tuned_path=folder / "hero.references.tuned.usda")
+
+
+def test_references_read_back_the_same(tmp_path: Path) -> None:
+    references = small_references(tmp_path)
+    back = read_references(write(tmp_path, references))
+    for field in ("marker_names", "shape_names", "takes", "rigid", "rig_prim"):
+        assert getattr(back, field) == getattr(references, field)
+    for field in ("weights", "frames", "tuned"):
+        np.testing.assert_array_equal(getattr(back, field), getattr(references, field))
+    np.testing.assert_allclose(back.markers, references.markers, rtol=1e-6)
+    np.testing.assert_allclose(back.neutral, references.neutral, rtol=1e-12)
+    assert back.rig_file.resolve() == references.rig_file.resolve()
+    for field in ("mean", "components", "variances", "sample", "total_variance"):
+        np.testing.assert_allclose(
+            getattr(back.motion, field), getattr(references.motion, field), rtol=1e-12
+        )
+
+
+def test_a_viewer_that_scrubs_sees_each_pair_on_the_rig(tmp_path: Path) -> None:
+    references = small_references(tmp_path)
+    stage = Usd.Stage.Open(str(write(tmp_path, references)))
+    skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath("/References/Rig/rig/skeleton"))
+    cache = UsdSkel.Cache()
+    cache.Populate(UsdSkel.Root(stage.GetPrimAtPath("/References/Rig")), Usd.PrimDefaultPredicate)
+    query = cache.GetSkelQuery(skeleton).GetAnimQuery()
+    assert tuple(query.GetBlendShapeOrder()) == references.shape_names
+    for pair, row in enumerate(references.weights):
+        np.testing.assert_array_equal(query.ComputeBlendShapeWeights(pair + 1), row)
+
+
+def test_tuned_pairs_win_and_the_others_still_show_proposals(tmp_path: Path) -> None:
+    references = small_references(tmp_path)
+    path = write(tmp_path, references)
+    tune(tmp_path, references, {1: 0.25, 3: 0.75})
+    back = read_references(path)
+    np.testing.assert_array_equal(back.tuned, [False, True, False, True, False])
+    np.testing.assert_array_equal(back.weights[1], [0.25] * 3)
+    np.testing.assert_array_equal(back.weights[[0, 2, 4]], references.weights[[0, 2, 4]])
+
+
+def test_proposing_again_never_touches_what_was_tuned(tmp_path: Path) -> None:
+    references = small_references(tmp_path)
+    path = write(tmp_path, references)
+    tune(tmp_path, references, {1: 0.25})
+    other = small_references(tmp_path, pairs=8, seed=1)
+    frames = other.frames.copy()
+    frames[1] = references.frames[1]
+    write(tmp_path, replace(other, frames=frames))
+    back = read_references(path)
+    np.testing.assert_array_equal(back.weights[1], [0.25] * 3)
+    np.testing.assert_array_equal(back.tuned, np.arange(8) == 1)
+    rest = np.arange(8) != 1
+    np.testing.assert_array_equal(back.weights[rest], other.weights[rest])
+
+
+def test_tuning_more_keeps_what_was_tuned_before(tmp_path: Path) -> None:
+    references = small_references(tmp_path)
+    write(tmp_path, references)
+    tune(tmp_path, references, {1: 0.25, 2: 0.5})
+    tune(tmp_path, references, {2: 1.0})
+    tuned = read_tuned_pairs(tmp_path / "hero.references.tuned.usda")
+    assert [(each.pair, each.weights["smile"]) for each in tuned] == [(1, 0.25), (2, 1.0)]
+
+
+def test_written_references_pass_every_validator(tmp_path: Path) -> None:
+    references = small_references(tmp_path)
+    path = write(tmp_path, references)
+    tune(tmp_path, references, {1: 0.25})
+    assert validate(path) == []
+
+
+def test_a_take_is_no_references_asset(tmp_path: Path) -> None:
+    write_rig(tmp_path / "rig.usda", small_rig())
+    with pytest.raises(InputError, match=r"not a references asset.*usdface select"):
+        read_references(tmp_path / "rig.usda")
