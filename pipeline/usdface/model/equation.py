@@ -70,6 +70,17 @@ class BlendshapeEquation:
         )
         return np.clip(solved.weights, self.ranges[:, 0], self.ranges[:, 1])
 
+    def explained(self, weights: FloatArray) -> FloatArray:
+        """Return where weights put the markers on the performer: (frames, markers, 3) [mm]."""
+        moved = np.einsum("fs,smc->fmc", weights, self.deltas)
+        return np.asarray(self.neutral + (moved / self.virtual.scale) @ self.virtual.rotation)
+
+    def residual_mm(self, positions: Positions, weights: FloatArray) -> FloatArray:
+        """Return the root mean square distance of markers and what weights explain: (frames,)."""
+        motion = character_motion(self.virtual, positions, self.neutral)
+        away = motion - np.einsum("fs,smc->fmc", weights, self.deltas)
+        return np.asarray(np.sqrt((away**2).sum(axis=2).mean(axis=1)))
+
 
 def set_up_equation(
     rig: Rig,
