@@ -1,15 +1,19 @@
-"""Regenerate what is derived from one source: USD schema files and JSON Schemas.
+"""Regenerate what is derived from one source: USD schema files and JSON Schemas of the specs.
 
 `poe schemas` writes them into the repository; a test writes them elsewhere and compares.
 """
 
+import json
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
+from usdface.specs.job import STEP_SPECS, JobSpec
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 USD_SCHEMA = REPOSITORY / "schemas" / "usdface"
+JSON_SCHEMAS = REPOSITORY / "schemas" / "json"
 PLUG_INFO_TOKENS = {
     "@PLUG_INFO_LIBRARY_PATH@": "",
     "@PLUG_INFO_RESOURCE_PATH@": ".",
@@ -44,10 +48,23 @@ def usd_schema() -> dict[str, str]:
     }
 
 
+def json_schemas() -> dict[str, str]:
+    """Return the JSON Schema of a job and of every step's spec, by file name."""
+    specs = {"job": JobSpec} | {spec.model_fields["step"].default: spec for spec in STEP_SPECS}
+    return {
+        f"{name}.schema.json": json.dumps(spec.model_json_schema(), indent=2) + "\n"
+        for name, spec in specs.items()
+    }
+
+
 def main() -> None:
     """Write every generated file into the repository."""
     for name, text in usd_schema().items():
         (USD_SCHEMA / name).write_text(text, encoding="utf-8")
+    for old in JSON_SCHEMAS.glob("*.json"):
+        old.unlink()
+    for name, text in json_schemas().items():
+        (JSON_SCHEMAS / name).write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

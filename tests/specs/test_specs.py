@@ -1,0 +1,147 @@
+"""Specs: what is accepted, what is refused, and with which words."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tests.regenerate import JSON_SCHEMAS, json_schemas
+from usdface.errors import InputError
+from usdface.specs.base import Reads, Writes, frame_range
+from usdface.specs.job import STEP_SPECS, JobSpec
+from usdface.specs.map import MapSpec
+from usdface.specs.reading import read_job, spec_text
+from usdface.specs.references import tuned_path
+
+JOB = """
+job: kitchen_talk_v003
+steps:
+  - {step: ingest, sources: [kitchen.c3d], out: kitchen.take.usda}
+  - {step: clean, take: kitchen.take.usda, out: kitchen.clean.take.usda}
+  - {step: select, takes: [kitchen.clean.take.usda], rig: hero.usd, count: 50, out: hero.references.usda}
+  - {step: references-import, references: hero.references.usda, weights: tuned.csv}
+  - {step: train, references: hero.references.usda, out: hero.mapping.usdc}
+  - {step: map, take: kitchen.clean.take.usda, mapping: hero.mapping.usdc, rig: hero.usd, out: kitchen.hero.usda}
+  - {step: sheet, performance: kitchen.hero.usda, take: kitchen.clean.take.usda, out: kitchen.sheet.jpg}
+"""  # noqa: E501
+
+
+def write(folder: Path, text: str, name: str = "kitchen.job.yaml") -> Path:
+    (folder / name).write_text(text, encoding="utf-8")
+    return folder / name
+
+
+def test_a_job_reads_with_its_paths_beside_it(tmp_path: Path) -> None:
+    job = read_job(write(tmp_path, JOB))
+    assert [step.step for step in job.steps] == [
+        "ingest",
+        "clean",
+        "select",
+        "references-import",
+        "train",
+        "map",
+        "sheet",
+    ]
+    for step in job.steps:
+        for path in (*step.paths(Reads), *step.paths(Writes), *step.outputs()):
+            assert path.parent == tmp_path
+    assert job.steps[3].outputs() == (tuned_path(tmp_path / "hero.references.usda"),)
+
+
+def test_a_single_step_is_a_job_of_one(tmp_path: Path) -> None:
+    job = read_job(
+        write(tmp_path, '{"step": "clean", "take": "a.usda", "out": "b.usda"}', "c.json")
+    )
+    assert job.job == "c"
+    assert job.steps[0].step == "clean"
+
+
+@pytest.mark.parametrize("name", ["job.yaml", "job.json"])
+@pytest.mark.parametrize("index", range(7))
+def test_a_saved_spec_reads_back_the_same(tmp_path: Path, name: str, index: int) -> None:
+    spec = JobSpec.model_validate(yaml.safe_load(JOB)).steps[index]
+    path = write(tmp_path, spec_text(spec, Path(name)), name)
+    assert read_job(path).steps == (spec.anchored(tmp_path),)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("count: 50", "count: 1"), r"steps\[2\] -> select -> count: .*greater than.*got 1"),
+        (("step: train", "step: teach"), r"steps\[4\]: .*'teach'"),
+        (("out: kitchen.take.usda", "oot: x"), r"steps\[0\] -> ingest -> oot: Extra inputs"),
+        (("sources: [kitchen.c3d]", "sources: []"), r"sources: .*at least 1"),
+        (("job: kitchen_talk_v003", "job: ''"), r"job: .*at least 1 character"),
+        (("take: kitchen.take.usda, ", ""), r"clean -> take: Field required"),
+        (
+            ("out: hero.mapping.usdc", "out: kitchen.take.usda"),
+            r"steps 1 and 5 both write kitchen\.take\.usda",
+        ),
+        (
+            ("take: kitchen.take.usda", "take: kitchen.hero.usda"),
+            r"step 2 reads kitchen\.hero\.usda before step 6 writes it",
+        ),
+        (("out: kitchen.sheet.jpg", "out: kitchen.hero.usda"), r"both write kitchen\.hero"),
+    ],
+    ids=lambda value: value[1] if isinstance(value, tuple) else None,
+)
+def test_a_faulty_job_is_refused_with_the_field_named(tmp_path, change, message) -> None:
+    with pytest.raises(InputError, match=message):
+        read_job(write(tmp_path, JOB.replace(*change)))
+
+
+def test_every_fault_is_told_at_once(tmp_path: Path) -> None:
+    text = JOB.replace("count: 50", "count: 1").replace("sources: [kitchen.c3d]", "sources: []")
+    with pytest.raises(InputError, match=r"2 faults\n.*sources.*\n.*count"):
+        read_job(write(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"job: [", r"no valid YAML or JSON"),
+        (b"\xff\xfe\x00", r"is not UTF-8 at byte 0"),
+        (b"- 1\n- 2", r"holds list, not a job"),
+        (b"", r"holds NoneType, not a job"),
+        (b"job: !!python/object/apply:os.system ['true']", r"no valid YAML or JSON"),
+        (b"[" * 100_000, r"nested too deeply|no valid YAML"),
+    ],
+    ids=["broken", "binary", "list", "empty", "code", "deep"],
+)
+def test_a_file_that_is_no_spec_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
+    path = tmp_path / "job.yaml"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        read_job(path)
+
+
+def test_a_missing_job_names_the_path(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no\.yaml: cannot be read"):
+        read_job(tmp_path / "no.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"), [("1-240", (1, 240)), ("-5--2", (-5, -2)), ("-3-7", (-3, 7))]
+)
+def test_frame_ranges(text: str, expected: tuple[int, int]) -> None:
+    assert frame_range(text) == expected
+
+
+def test_specs_are_frozen() -> None:
+    spec = MapSpec(take="a.usda", mapping="m.usda", rig="r.usda", out="o.usda")
+    with pytest.raises(ValueError, match="frozen"):
+        spec.out = Path("x")
+
+
+def test_every_field_of_every_spec_is_documented() -> None:
+    for spec in STEP_SPECS:
+        assert spec.example.startswith("usdface ")
+        for name, field in spec.model_fields.items():
+            assert name == "step" or field.description, f"{spec.__name__}.{name}"
+
+
+def test_committed_json_schemas_are_those_of_the_models() -> None:
+    schemas = json_schemas()
+    assert {path.name for path in JSON_SCHEMAS.glob("*.json")} == set(schemas)
+    for name, text in schemas.items():
+        assert (JSON_SCHEMAS / name).read_text(encoding="utf-8") == text, "run `poe schemas`"
