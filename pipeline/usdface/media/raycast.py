@@ -142,7 +142,7 @@ def draw(view: View) -> Float32Array:
     slots[rays] = np.arange(len(rays))
     hit = (slots >= 0).reshape(height, width)
     holes = ndimage.binary_fill_holes(hit) & ~hit
-    picture = _background(height, width)
+    picture = background(height, width)
     picture[holes] = _HOLE
     flat = picture.reshape(-1, 3)
     flat[rays] = _light(view, samples, seen)
@@ -241,7 +241,8 @@ def _light(view: View, samples: _Samples, seen: Float32Array) -> Float32Array:
     return shading.shade(hits, plain=view.heat)
 
 
-def _background(height: int, width: int) -> Float32Array:
+def background(height: int, width: int) -> Float32Array:
+    """Return the studio wall behind every tile, a little lighter on top, as linear light."""
     column = np.linspace(_TOP, _BOTTOM, height, dtype=np.float32)
     tint = np.array([0.96, 1.0, 1.06], np.float32)
     return np.ascontiguousarray(
@@ -291,7 +292,7 @@ def _resample(view: View, edges: IntArray, near_hole: BoolArray, known: _Known) 
         sky=view.effort.edge_sky_rays,
         light=view.effort.edge_light_rays,
     )
-    light = _background(view.height, view.width)[owner // view.width, 0]
+    light = background(view.height, view.width)[owner // view.width, 0]
     light[near_hole[owner]] = _HOLE
     light[rays] = _light(view, samples, seen)
     return np.asarray(light.reshape(len(edges), count, 3).mean(axis=1), np.float32)

@@ -9,11 +9,9 @@ import OpenImageIO as oiio  # noqa: N813  # the name all its users know it by
 
 from usdface.assets import Float32Array
 from usdface.errors import InputError
+from usdface.media.canvas import Color
 from usdface.media.color import ByteImage
 from usdface.media.pixel_font import pixel_mask
-
-Color = tuple[int, int, int]
-"""sRGB bytes."""
 
 Weight = Literal["regular", "bold", "mono"]
 Anchor = Literal["left", "middle", "right"]
@@ -90,9 +88,9 @@ def text_mask(text: str, *, size: int, weight: Weight = "regular") -> Float32Arr
     (height, width) float32 array
         [0-1]; read-only. The base line lies at ``baseline(size)``.
     """
-    line = " ".join(text.split()) if text.strip() else ""
+    line = "".join(" " if letter.isspace() else letter for letter in text)
     height = round(size * 1.35)
-    if not line:
+    if not line.strip():
         mask = np.zeros((height, 0), np.float32)
     elif not font_works():
         mask = pixel_mask(line, size=size)
@@ -160,12 +158,19 @@ def shortened(text: str, style: TextStyle, *, max_width: int) -> str:
     """Return the text, cut in the middle if it is too wide: names differ at both ends."""
     if text_width(text, style) <= max_width:
         return text
-    for kept in range(len(text) - 1, 0, -1):
-        head = (kept + 1) // 2
-        cut = text[:head].rstrip() + "…" + text[len(text) - (kept - head) :].lstrip()
-        if text_width(cut, style) <= max_width:
-            return cut
-    return ""
+    fits, too_long = 0, len(text)
+    while too_long - fits > 1:
+        middle = (fits + too_long) // 2
+        if text_width(_cut(text, middle), style) <= max_width:
+            fits = middle
+        else:
+            too_long = middle
+    return _cut(text, fits) if fits else ""
+
+
+def _cut(text: str, kept: int) -> str:
+    head = (kept + 1) // 2
+    return text[:head].rstrip() + "…" + text[len(text) - (kept - head) :].lstrip()
 
 
 def _draw_line(line: str, size: int, weight: Weight, height: int) -> Float32Array:

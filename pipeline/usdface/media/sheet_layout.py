@@ -1,0 +1,194 @@
+"""What goes on a contact sheet, and how large everything on it is."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.assets import FloatArray
+from usdface.errors import InputError
+from usdface.media.color import ByteImage
+from usdface.media.error_strip import ErrorCurve, strip_height
+
+BEST_ASPECT = 1.5
+"""Width over height that fills a screen and a landscape page alike."""
+
+MARGIN = 36
+GUTTER = 6
+GROUP_GAP = 40
+ROW_GAP = 14
+CAPTION = 26
+COLUMN_HEAD = 30
+LEGEND = 34
+LEAST_WIDTH = 800  # for the title and the strip above a few small tiles
+TITLE = 50
+FACTS = 30
+
+
+@dataclass(frozen=True)
+class Tile:
+    """One picture of a row.
+
+    Attributes
+    ----------
+    pixels : (h, w, 3) uint8 array or None
+        sRGB, of any size. None leaves the tile empty, with `caption` in it as the reason.
+    caption : str
+        Written below it.
+    value : float or None
+        Its error, in the sheet's unit; written below it beside its colour on the ramp.
+    """
+
+    pixels: ByteImage | None
+    caption: str = ""
+    value: float | None = None
+
+
+@dataclass(frozen=True)
+class SheetRow:
+    """One frame of the take.
+
+    Attributes
+    ----------
+    frame : int
+    timecode : str
+        Empty when unknown.
+    tiles : tuple of Tile
+        One for each column.
+    note : str
+        Why this frame is shown, if there is a reason.
+    """
+
+    frame: int
+    timecode: str
+    tiles: tuple[Tile, ...]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class SheetSpec:
+    """All that is on a sheet.
+
+    Attributes
+    ----------
+    title : str
+        The shot or the performance.
+    facts : tuple of str
+        Take, performer, mapping … one line, set apart by dots.
+    columns : tuple of str
+        Heads of the columns.
+    rows : tuple of SheetRow
+        In the order to read them.
+    curves : tuple of ErrorCurve
+        Errors over the whole take; none leaves the strip out.
+    first_frame : int
+        Frame number of each curve's first value.
+    notes : tuple of str
+        Legend: what marks and colours mean, where the numbers come from.
+    unit : str
+        Of all errors.
+    high : float or None
+        Error in the ramp's last colour; chosen from the curves and rows when None.
+    tile_height : int
+        [pixels]
+    groups : int or None
+        How many blocks of rows stand side by side; None lets the sheet's shape decide.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[SheetRow, ...]
+    facts: tuple[str, ...] = ()
+    curves: tuple[ErrorCurve, ...] = ()
+    first_frame: int = 0
+    notes: tuple[str, ...] = ()
+    unit: str = "mm"
+    high: float | None = None
+    tile_height: int = 320
+    groups: int | None = None
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Sizes of a sheet [pixels]."""
+
+    column_widths: tuple[int, ...]
+    tile_height: int
+    groups: int
+    rows_per_group: int
+    head_height: int
+
+    @property
+    def group_width(self) -> int:
+        """Width of one block of rows."""
+        return sum(self.column_widths) + GUTTER * (len(self.column_widths) - 1)
+
+    @property
+    def row_height(self) -> int:
+        """From one row's head to the next one's."""
+        return CAPTION + self.tile_height + CAPTION + ROW_GAP
+
+    @property
+    def width(self) -> int:
+        """Width of the sheet."""
+        groups = self.groups * self.group_width + (self.groups - 1) * GROUP_GAP
+        return max(2 * MARGIN + groups, LEAST_WIDTH)
+
+    @property
+    def height(self) -> int:
+        """Height of the sheet."""
+        return self.head_height + COLUMN_HEAD + self.rows_per_group * self.row_height + MARGIN
+
+
+def check_sheet(spec: SheetSpec) -> None:
+    """Refuse a sheet that cannot be laid out.
+
+    Raises
+    ------
+    InputError
+        If there is no row or column, or a row's tiles do not fit the columns.
+    """
+    if not spec.rows or not spec.columns:
+        raise InputError("a sheet needs rows and columns; select at least one frame")
+    for row in spec.rows:
+        if len(row.tiles) != len(spec.columns):
+            raise InputError(
+                f"row of frame {row.frame} has {len(row.tiles)} tiles and the sheet "
+                f"{len(spec.columns)} columns; give one tile for each column"
+            )
+    if not 48 <= spec.tile_height <= 4096:
+        raise InputError(f"tiles of {spec.tile_height} pixels; choose 48 to 4096")
+
+
+def all_errors(spec: SheetSpec) -> FloatArray:
+    """Return every error on the sheet, those of the strips included."""
+    shown = [t.value for row in spec.rows for t in row.tiles if t.value is not None]
+    return np.concatenate([np.array(shown, float), *(curve.values for curve in spec.curves)])
+
+
+def has_legend(spec: SheetSpec) -> bool:
+    """Whether there is anything to explain."""
+    return bool(spec.notes or len(all_errors(spec)))
+
+
+def lay_out(spec: SheetSpec) -> Layout:
+    """Find the sizes; of all ways to stand rows side by side, the one nearest `BEST_ASPECT`."""
+    head = MARGIN - 8 + TITLE + (FACTS if spec.facts else 0) + 18
+    head += strip_height(len(spec.curves)) if spec.curves else 0
+    head += LEGEND if has_legend(spec) else 0
+    widths = tuple(
+        round(_column_aspect(spec.rows, column) * spec.tile_height)
+        for column in range(len(spec.columns))
+    )
+    count = len(spec.rows)
+    choices = [spec.groups] if spec.groups else range(1, count + 1)
+    layouts = [Layout(widths, spec.tile_height, g, -(-count // g), head) for g in choices]
+    # Of two equal shapes the one with fewer groups reads better; min keeps the first.
+    return min(layouts, key=lambda one: abs(np.log(one.width / one.height / BEST_ASPECT)))
+
+
+def _column_aspect(rows: Sequence[SheetRow], column: int) -> float:
+    """Return the width over height of a column: that of its widest picture, within reason."""
+    shapes = [r.tiles[column].pixels for r in rows]
+    aspects = [p.shape[1] / p.shape[0] for p in shapes if p is not None]
+    return float(np.clip(max(aspects, default=1.0), 0.6, 16 / 9))
