@@ -1,0 +1,125 @@
+"""The stand-in for the witness camera: the actor filmed while speaking, with sound."""
+
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from usdface.assets import FloatArray
+from usdface.demo.acting import ActedPerformance
+from usdface.demo.capture import ActorFace, head_poses
+from usdface.demo.head import DemoHead
+from usdface.demo.rig import mesh_points, rig_from_head
+from usdface.demo.script import DURATION
+from usdface.demo.voice import speak
+from usdface.media.camera import Camera
+from usdface.media.color import ByteImage
+from usdface.media.movie import write_movie
+from usdface.media.render import FaceRenderer
+from usdface.progress import Progress, silent
+
+RATE = Fraction(24)
+SIZE = (240, 270)
+"""Width and height of the clip [pixels]."""
+
+OFFSET_SECONDS = -0.4
+"""Take time of the clip's first frame: the camera ran before the capture did."""
+
+TAIL_SECONDS = 0.25
+"""How long the camera went on after the capture."""
+
+_SAMPLE_RATE = 48000
+_CAMERA = Camera(eye=(190.0, 1505.0, 1290.0), target=(60.0, 1494.0, 150.0), fov_degrees=15.5)
+
+
+class _Studio:
+    """The actor in front of the camera; kept by each process that draws."""
+
+    def __init__(self, head: DemoHead) -> None:
+        self._face = ActorFace(head)
+        self._renderer = FaceRenderer(rig_from_head(replace(head, shapes={})).meshes)
+        self._order = np.concatenate(list(mesh_points(head).values()))
+
+    def film(self, pose: FloatArray, weights: FloatArray) -> ByteImage:
+        points = self._face.pose(weights)[self._order] @ pose[:3, :3].T + pose[:3, 3]
+        return self._renderer.render(
+            points, camera=_CAMERA, width=SIZE[0], height=SIZE[1], quality="draft"
+        )
+
+
+def write_clip(
+    path: Path,
+    head: DemoHead,
+    acted: ActedPerformance,
+    *,
+    workers: int = 1,
+    progress: Progress = silent,
+) -> None:
+    """Film the actor's performance.
+
+    Parameters
+    ----------
+    path : Path
+        ``.mp4`` or another movie that `usdface.media.movie` writes.
+    head : DemoHead
+        Of the actor.
+    acted : ActedPerformance
+    workers : int
+        Processes that draw.
+    progress : callable
+    """
+    rate = float(acted.weights.rate)
+    count = int((DURATION + TAIL_SECONDS - OFFSET_SECONDS) * RATE)
+    take_time = np.arange(count) / float(RATE) + OFFSET_SECONDS
+    frames = np.clip(np.round(take_time * rate), 0, len(acted.weights.values) - 1).astype(int)
+    ordered = ActorFace(head, np.zeros(1, np.int64)).ordered(
+        acted.weights.names, acted.weights.values[frames].astype(np.float64)
+    )
+    poses = head_poses(acted)[frames]
+    lead = np.zeros(round(-OFFSET_SECONDS * _SAMPLE_RATE), np.float32)
+    voice = speak(_SAMPLE_RATE)
+    tail = np.zeros(round(TAIL_SECONDS * _SAMPLE_RATE), np.float32)
+    room = np.random.default_rng(7).standard_normal(len(lead) + len(voice) + len(tail))
+    sound = np.concatenate([lead, voice, tail]) + 6e-4 * room.astype(np.float32)
+    write_movie(
+        path,
+        _drawn(head, poses, ordered, workers=workers, progress=progress),
+        rate=RATE,
+        audio=sound.astype(np.float32),
+        sample_rate=_SAMPLE_RATE,
+    )
+
+
+def _drawn(
+    head: DemoHead, poses: FloatArray, weights: FloatArray, *, workers: int, progress: Progress
+) -> Iterator[ByteImage]:
+    """Draw all pictures in order."""
+    if workers > 1:
+        with ProcessPoolExecutor(workers, initializer=_open_studio, initargs=(head,)) as pool:
+            yield from _told(pool.map(_film, poses, weights, chunksize=8), len(poses), progress)
+    else:
+        yield from _told(map(_Studio(head).film, poses, weights), len(poses), progress)
+
+
+def _told(pictures: Iterator[ByteImage], count: int, progress: Progress) -> Iterator[ByteImage]:
+    for number, picture in enumerate(pictures, start=1):
+        yield picture
+        if number % 8 == 0 or number == count:
+            progress(number / count, "filming the actor")
+
+
+_studio: _Studio | None = None  # of this process, where it is one of several that draw
+
+
+def _open_studio(head: DemoHead) -> None:
+    global _studio
+    _studio = _Studio(head)
+
+
+def _film(pose: FloatArray, weights: FloatArray) -> ByteImage:
+    if _studio is None:
+        raise RuntimeError("this process was started without an actor to film")
+    return _studio.film(pose, weights)

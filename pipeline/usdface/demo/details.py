@@ -1,0 +1,240 @@
+"""What is set into the skin: eyeballs, teeth, tongue, ears, brows and lashes (left halves)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.assets import FloatArray, IntArray
+from usdface.demo.halves import grid_faces
+from usdface.demo.proportions import Style
+from usdface.demo.sculpt import Form, trace
+
+
+@dataclass(frozen=True)
+class HalfMesh:
+    """The left half of one piece.
+
+    Attributes
+    ----------
+    points : (points, 3) float array
+        [mm]
+    faces : (faces, 4) int array
+    colors : (points, 3) float array
+        Linear.
+    """
+
+    points: FloatArray
+    faces: IntArray
+    colors: FloatArray
+
+
+def smooth_step(start: float, stop: float, x: FloatArray) -> FloatArray:
+    """Smooth ramp from 0 at start to 1 at stop; a falling one where start > stop."""
+    t = np.clip((x - start) / (stop - start), 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+def eyeball(style: Style) -> HalfMesh:
+    """Build a sphere of rings about the gaze, close together where the colour changes."""
+    eye, iris = style.eye, np.array(style.palette.iris)
+    border = np.arcsin(eye.iris)
+    pupil = 0.46 * border
+    angles = np.concatenate(
+        [
+            [0.002, 0.7 * pupil, pupil, pupil + 0.025],
+            np.linspace(pupil + 0.07, border - 0.06, 4),
+            [border - 0.03, border + 0.015],
+            np.linspace(border + 0.12, 2.5, 9),
+        ]
+    )
+    turns = np.arange(32) * 2.0 * np.pi / 32
+    along = (angles - pupil) / (border - pupil)
+    light = np.interp(along, [0.0, 0.25, 0.75, 0.93, 1.0], [0.55, 1.0, 1.35, 0.9, 0.25])
+    ring = (
+        light[:, None, None] * iris * (1.0 + 0.75 * smooth_step(0.5, -1.0, np.sin(turns)))[:, None]
+    )
+    ring = ring * (1.0 + 0.10 * np.cos(11.0 * turns) + 0.06 * np.sin(5.0 * turns + 1.0))[:, None]
+    white = np.array([0.80, 0.775, 0.755]) - np.outer(
+        smooth_step(0.55, 1.3, angles), [0.10, 0.20, 0.20]
+    )
+    colors = np.where((angles < pupil + 0.01)[:, None, None], 0.004, ring)
+    colors = np.where((angles > border)[:, None, None], white[:, None], colors)
+    points = np.stack(
+        [
+            np.outer(np.sin(angles), np.cos(turns)),
+            np.outer(np.sin(angles), np.sin(turns)),
+            np.outer(np.cos(angles), np.ones(32)),
+        ],
+        axis=-1,
+    )
+    return HalfMesh(
+        points=points.reshape(-1, 3) * eye.radius + eye.center,
+        faces=grid_faces(len(angles), 32, closed=True, flip=True),
+        colors=colors.reshape(-1, 3),
+    )
+
+
+_TOOTH_WIDTHS = {True: (8.6, 6.6, 7.4, 6.8, 6.6, 9.5), False: (5.4, 5.8, 6.6, 6.8, 6.8, 10.0)}
+_TOOTH_HEIGHTS = {True: (9.6, 8.6, 9.4, 8.2, 7.6, 7.0), False: (8.6, 8.6, 9.0, 8.0, 7.4, 7.0)}
+
+
+def teeth(style: Style, *, front: float, upper: bool) -> HalfMesh:
+    """Build one dental arch with a tooth for every bulge, and the gum above it.
+
+    Parameters
+    ----------
+    style : Style
+    front : float
+        z of the foremost tooth [mm].
+    upper : bool
+    """
+    widths = 0.92 * np.array(_TOOTH_WIDTHS[upper])
+    samples = np.array([0.0, 0.12, 0.35, 0.65, 0.88])
+    starts = np.concatenate([[0.0], np.cumsum(widths)])
+    along = np.concatenate([s + samples * w for s, w in zip(starts, widths, strict=False)])
+    inside = np.tile(samples, len(widths))
+    height = np.repeat(_TOOTH_HEIGHTS[upper], len(samples))
+    swell = np.sin(np.pi * inside) ** 0.45
+    tight = 0.0 if upper else 2.2
+    # The arch as a half ellipse, walked by its arc length.
+    fine = np.linspace(0.0, 0.5 * np.pi, 400)
+    arch = np.stack([(25.0 - tight) * np.sin(fine), (36.0 - tight) * (np.cos(fine) - 1.0)], axis=1)
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(arch, axis=0), axis=1))])
+    x = np.interp(along, length, arch[:, 0])
+    z = np.interp(along, length, arch[:, 1])
+    direction = np.stack([x / 25.0**2, (z + 36.0) / 36.0**2], axis=1)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    sign = 1.0 if upper else -1.0
+    edge = style.mouth.height + (-1.5 if upper else -2.2)
+    rows = (  # part of the tooth's height from its edge, out of the arch, how much the teeth part
+        (1.9, -2.5, 0.0),
+        (1.35, 0.4, 0.25),
+        (1.02, 0.3, 0.9),
+        (0.55, 0.55, 1.0),
+        (0.12, 0.05, 1.0),
+        (0.0, -0.6, 1.0),
+        (0.06, -2.6, 0.3),
+        (1.0, -4.5, 0.0),
+    )
+    points, colors = [], []
+    gum, enamel = np.array([0.45, 0.14, 0.135]), np.array([0.84, 0.80, 0.71])
+    for part, out, parted in rows:
+        push = out - 0.9 * parted * (1.0 - swell)
+        lift = part * height + 0.9 * (1.0 - swell) * (part < 0.1)
+        row = np.column_stack([x, sign * lift, z]) + np.column_stack(
+            [push * direction[:, 0], 0.0 * x, push * direction[:, 1]]
+        )
+        place = np.array([0.0, edge, front - (0.0 if upper else 2.6)])
+        points.append(row + place)
+        shade = 0.45 + 0.55 * smooth_step(0.0, 0.6, swell) if parted > 0.5 else 1.0 + 0.0 * swell
+        colors.append(
+            np.outer(shade, gum if part > 1.01 else enamel) * (0.5 if out < -2.0 else 1.0)
+        )
+    stacked = np.concatenate(points)
+    stacked[np.tile(np.arange(len(x)) == 0, len(rows)), 0] = 0.0
+    return HalfMesh(stacked, grid_faces(len(rows), len(x), flip=upper), np.concatenate(colors))
+
+
+def tongue(style: Style, *, front: float) -> HalfMesh:
+    """Build a flattened half ellipsoid with a groove along its middle."""
+    across, along = np.meshgrid(
+        np.linspace(0.0, np.pi, 9), np.linspace(0.03, 0.5 * np.pi, 10), indexing="ij"
+    )
+    width = np.sin(along) ** 0.75
+    x = 16.0 * width * np.sin(0.5 * across)
+    y = 5.0 * np.cos(0.5 * across) * width * np.sign(1.0) - 1.4 * np.exp(-((x / 3.0) ** 2)) * width
+    under = across > 0.75 * np.pi
+    y = np.where(under, -4.0 * width, y)
+    z = 34.0 * (np.cos(along) - 1.0)
+    points = np.stack([x, y + style.mouth.height - 9.5, z + front - 8.0], axis=-1)
+    points[0, :, 0] = 0.0
+    colors = np.array([0.50, 0.165, 0.155]) * (1.0 - 0.35 * np.exp(-((x / 2.5) ** 2)))[..., None]
+    return HalfMesh(points.reshape(-1, 3), grid_faces(9, 10, flip=True), colors.reshape(-1, 3))
+
+
+def ear(style: Style, form: Form) -> HalfMesh:
+    """Build a shell of rings set into the side of the head: concha, antihelix, helix and back."""
+    reach = np.array(
+        [0.03, 0.25, 0.40, 0.50, 0.58, 0.66, 0.74, 0.82, 0.90, 0.97, 1.0, 0.97, 0.84, 0.6]
+    )
+    rise = np.array([-3.0, -3.2, -2.2, 0.2, 2.4, 3.0, 2.0, 1.2, 2.8, 4.4, 3.0, 0.2, -3.0, -8.0])
+    turns = np.arange(28) * 2.0 * np.pi / 28
+    s, c = np.sin(turns), np.cos(turns)
+    lobe, front, top = (
+        smooth_step(-0.35, -0.95, s),
+        smooth_step(0.1, 0.9, c),
+        smooth_step(0.2, 1.0, s),
+    )
+    depth = (15.0 + 2.2 * s - 3.0 * lobe) * c - 1.5 * front
+    height = 27.0 * s + 2.0 * c
+    u, v = np.outer(reach, depth), np.outer(reach, height)
+    w = rise[:, None] * (1.0 - 0.55 * lobe) * (1.0 - 0.55 * front * (reach > 0.45)[:, None])
+    w = w + np.maximum(-u, 0.0) * 0.45 + 1.0 * top * reach[:, None]
+    # The tragus: a small flap over the canal, from the front.
+    w = w + 4.0 * np.exp(-(((u - 8.0) / 3.5) ** 2) - ((v + 3.0) / 5.0) ** 2)
+    middle = np.array([0.0, style.eye.center[1] - 17.0, -13.0])
+    start = middle * (0.0, 1.0, 1.0) + (200.0, 0.0, 0.0)
+    side = trace(form, start[None], np.array([[-1.0, 0.0, 0.0]]))[0, 0]
+    lean = np.radians(10.0)
+    back, up = u * np.cos(lean) + v * np.sin(lean) * -1.0, v * np.cos(lean) + u * np.sin(lean)
+    points = np.stack([side - 0.5 + w, middle[1] + up, middle[2] + back], axis=-1)
+    skin = np.array(style.palette.skin)
+    dark = np.interp(reach, [0.0, 0.35, 0.6, 0.8, 0.97], [0.42, 0.62, 0.95, 0.75, 1.0])
+    colors = dark[:, None] * skin * (1.0, 0.90, 0.88)
+    return HalfMesh(
+        points.reshape(-1, 3),
+        grid_faces(len(reach), 28, closed=True),
+        np.repeat(colors, 28, axis=0),
+    )
+
+
+def brow(style: Style, form: Form) -> HalfMesh:
+    """Build a tapering pad of hair on the ridge over the eye."""
+    e, s = style.eye, style.skull
+    rows, columns = 29, 7
+    along, across = np.linspace(0.0, 1.0, rows)[:, None], np.linspace(-1.0, 1.0, columns)[None]
+    half = 3.6 * np.minimum(1.0, 0.45 + along / 0.22) * (1.0 - 0.80 * along**2.2)
+    half = half * (1.0 + 0.10 * np.cos(np.arange(rows) * 2.3)[:, None])
+    x = (
+        e.center[0]
+        - e.half_width * 1.02
+        + e.half_width * 2.35 * along
+        - 1.5 * across * (1.0 - along)
+    )
+    arch = 7.0 * np.sin(np.pi * np.minimum(0.06 + 0.82 * along, 1.0)) ** 1.2
+    y = e.center[1] + s.brow_height - 1.0 + arch - 5.5 * along**2 + half * across
+    flat = np.stack([x, y, np.full_like(x, 200.0)], axis=-1).reshape(-1, 3)
+    on_skin = trace(form, flat, np.tile((0.0, 0.0, -1.0), (len(flat), 1)))
+    pad = 1.7 * np.sqrt(np.maximum(1.0 - across**2, 0.0)) * (1.0 - 0.5 * along) - 0.5
+    points = on_skin + np.stack([0 * pad, 0.15 * pad, pad], axis=-1).reshape(-1, 3)
+    shade = 1.0 + 0.25 * np.cos(np.arange(rows * columns) * 1.7)
+    return HalfMesh(
+        points, grid_faces(rows, columns, flip=True), np.outer(shade, style.palette.brow)
+    )
+
+
+def lashes(style: Style, rim: FloatArray) -> HalfMesh:
+    """Build a fringe on the edge of the upper lid, longest towards the outer corner.
+
+    Parameters
+    ----------
+    style : Style
+    rim : (points, 3) float array
+        The lid's edge from the inner to the outer corner.
+    """
+    center = np.array(style.eye.center)
+    across = (rim[:, 0] - center[0]) / style.eye.half_width
+    length = (0.7 + 2.3 * smooth_step(-0.9, 0.7, across)) * smooth_step(-1.05, -0.7, across)
+    length = length * smooth_step(1.02, 0.8, across) + 0.25
+    out = rim - center
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    rows = []
+    for part, curl in ((-0.25, -0.1), (0.15, 0.05), (0.6, 0.22), (1.0, 0.55)):
+        lift = np.column_stack([0.35 * across * part, np.full(len(rim), curl), 0.0 * across])
+        rows.append(rim + (part * length)[:, None] * out + length[:, None] * lift)
+    points = np.concatenate(rows)
+    return HalfMesh(
+        points,
+        grid_faces(4, len(rim)),
+        np.tile(0.35 * np.array(style.palette.brow), (len(points), 1)),
+    )

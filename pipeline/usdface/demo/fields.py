@@ -1,0 +1,151 @@
+"""Displacement fields on a head: soft handles, turning lids, the hinge of the jaw, lips.
+
+Every field is computed in the frame of the left side, over |x|, so that left and right shapes are
+exact mirror images. Fields are (points, 3) float arrays in mm.
+"""
+
+import numpy as np
+
+from usdface.assets import FloatArray
+from usdface.demo.details import smooth_step
+from usdface.demo.half_cage import Mark
+from usdface.demo.head import DemoHead, Part, lip_rim, lower_lid_edge, upper_lid_edge
+
+Push = tuple[float, float, float]
+
+_BLINK_MEETS = 0.16
+"""Where closed lids meet, as a part of the opening from the lower lid's edge."""
+
+
+class FaceFields:
+    """The fields of one head; keeps the weights that all of them share."""
+
+    def __init__(self, head: DemoHead) -> None:
+        style = head.style
+        self.head, self.style = head, style
+        self.x = np.abs(head.points[:, 0])
+        self.y, self.z = head.points[:, 1], head.points[:, 2]
+        self.eye_ring, self.eye_side = head.marks[:, Mark.EYE_RING], head.marks[:, Mark.EYE_SIDE]
+        ring, self.lip_side = head.marks[:, Mark.MOUTH_RING], head.marks[:, Mark.MOUTH_SIDE]
+        inside = np.interp(ring, [-5.0, -4.0, -3.0, -2.0, -1.0, 0.0], [0, 0.05, 0.25, 0.7, 0.95, 1])
+        soft = np.isin(head.parts, (Part.SKIN, Part.BROWS)) * smooth_step(0.0, 40.0, self.z)
+        self.soft = np.where(ring < 0.0, inside, soft)
+        """How far flesh follows a handle [0-1]: all in front, nothing at the back."""
+        self.off_lid = smooth_step(0.8, 3.6, self.eye_ring)
+        self._lip_weights(ring)
+        self._lid_angles()
+
+    def _lip_weights(self, ring: FloatArray) -> None:
+        mouth = self.style.mouth
+        across = self.x / mouth.half_width
+        self.above_line = self.y - (mouth.height + mouth.curve * np.minimum(across, 1.2) ** 2)
+        """Height over the line where the lips meet [mm]."""
+        self.open_width = np.maximum(1.0 - np.minimum(across, 1.0) ** 2, 0.0) ** 0.55
+        """1 in the middle of the lips, 0 in the corners, round like an open mouth."""
+        reach = smooth_step(4.3, 1.6, ring) * self.soft
+        self.upper = reach * np.clip(self.lip_side, 0.0, 1.0)
+        self.lower = reach * np.clip(-self.lip_side, 0.0, 1.0)
+        self.lips = smooth_step(3.6, 1.6, ring) * self.soft
+
+        # The jaw: its flesh parts from the upper face along a line from the mouth to the ear.
+        parted = np.clip(self.lip_side, -1.0, 1.0) * self.open_width * smooth_step(4.6, 1.0, ring)
+        line = self.above_line - 0.38 * np.maximum(78.0 - self.z, 0.0)
+        down = np.clip(line / 24.0 + parted, -1.0, 1.0)
+        flesh = (0.5 - 0.5 * np.sin(0.5 * np.pi * down)) * smooth_step(-14.0, 46.0, self.z)
+        bag = 0.5 - 0.5 * np.clip(self.lip_side, -1.0, 1.0) * self.open_width**0.5
+        skin = self.head.parts == Part.SKIN
+        self.jaw = np.where(skin, np.where(ring < -0.5, bag, flesh), 0.0)
+        """How far each point moves with the jaw [0-1]."""
+        self.jaw[np.isin(self.head.parts, (Part.LOWER_TEETH, Part.TONGUE))] = 1.0
+
+    def _lid_angles(self) -> None:
+        head, center = self.head, np.array(self.style.eye.center)
+        self.angle = np.arctan2(self.y - center[1], self.z - center[2])
+        self.reach = np.hypot(self.y - center[1], self.z - center[2])
+        x = self.x[head.anchors]
+        edges = {}
+        for name, edge in (
+            ("upper", upper_lid_edge(head.points, head.marks)),
+            ("lower", lower_lid_edge(head.points, head.marks)),
+        ):
+            edges[name] = np.interp(x, head.points[edge, 0], self.angle[edge])
+        opening = np.maximum(edges["upper"] - edges["lower"], 0.0)
+        follow = np.interp(
+            self.eye_ring,
+            [-3.0, -2.0, 0.0, 1.0, 2.0, 3.0, 4.0],
+            [0.3, 0.8, 1, 0.82, 0.34, 0.08, 0.0],
+        )
+        follow[head.parts == Part.LASHES] = 1.0
+        side = np.where(head.parts == Part.LASHES, 1.0, self.eye_side)
+        self.close_upper = -follow * np.clip(8.0 * side, 0.0, 1.0) * (1.0 - _BLINK_MEETS) * opening
+        self.raise_lower = follow * np.clip(-8.0 * side, 0.0, 1.0) * _BLINK_MEETS * opening
+
+    def push(
+        self, cx: float, cy: float, rx: float, ry: float, by: Push, mask: FloatArray | float = 1.0
+    ) -> FloatArray:
+        """Displace by so much, with a Gaussian falloff of radii rx, ry round (cx, cy)."""
+        fall = np.exp(-(((self.x - cx) / rx) ** 2) - ((self.y - cy) / ry) ** 2)
+        return np.outer(self.soft * fall * mask, by)
+
+    def fold(
+        self, start: tuple[float, float], stop: tuple[float, float], width: float, depth: float
+    ) -> FloatArray:
+        """Press in a crease along a line, with a roll of flesh on its outer side."""
+        axis = np.subtract(stop, start)
+        offset = np.column_stack([self.x, self.y]) - start
+        along = np.clip(offset @ axis / (axis @ axis), 0.0, 1.0)
+        near = offset - np.outer(along, axis)
+        outer = (near[:, 0] * -axis[1] + near[:, 1] * axis[0]) / np.linalg.norm(axis)
+        ends = np.sin(np.pi * np.clip(0.12 + 0.76 * along, 0.0, 1.0))
+        distance = np.linalg.norm(near, axis=1)
+        dent = -np.exp(-((distance / width) ** 2))
+        roll = np.exp(-((distance / (2.6 * width)) ** 2)) * smooth_step(0.0, width, outer)
+        amount = depth * ends * (dent + 0.8 * roll) * self.soft * (self.lips < 0.5)
+        return np.outer(amount, (0.25, 0.0, 1.0))
+
+    def lids(self, upper: float, lower: float) -> FloatArray:
+        """Turn the lids about the eyeball: 1 and 1 close the eye, negative values open it."""
+        turn = upper * self.close_upper + lower * self.raise_lower
+        angle = self.angle + turn
+        center = self.style.eye.center
+        moved = np.zeros_like(self.head.points)
+        moved[:, 1] = center[1] + self.reach * np.sin(angle) - self.y
+        moved[:, 2] = center[2] + self.reach * np.cos(angle) - self.z
+        moved[np.abs(turn) < 1e-9] = 0.0
+        return moved
+
+    def gaze(self, outwards: float, upwards: float) -> FloatArray:
+        """Turn the eyeball by degrees."""
+        yaw, pitch = np.radians([outwards, upwards])
+        turn_y = np.array(
+            [[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]]
+        )
+        turn_x = np.array(
+            [[1, 0, 0], [0, np.cos(pitch), np.sin(pitch)], [0, -np.sin(pitch), np.cos(pitch)]]
+        )
+        local = np.column_stack([self.x, self.y, self.z]) - self.style.eye.center
+        moved: FloatArray = local @ (turn_y @ turn_x).T - local
+        moved[self.head.parts != Part.EYES] = 0.0
+        return moved
+
+    def hinge(self, degrees: float) -> FloatArray:
+        """Open the jaw about the axis through its joints in front of the ears."""
+        turn = np.radians(degrees)
+        y, z = self.y + 20.0, self.z + 2.0
+        moved = np.zeros_like(self.head.points)
+        moved[:, 1] = np.cos(turn) * y - np.sin(turn) * z - y
+        moved[:, 2] = np.sin(turn) * y + np.cos(turn) * z - z
+        return self.jaw[:, None] * moved
+
+    def lip_gap(self, opened: FloatArray) -> FloatArray:
+        """Return what a pose puts between the lips at each point's x: lower minus upper [mm]."""
+        head = self.head
+        rims = [lip_rim(head.points, head.marks, upper=up) for up in (True, False)]
+        signed = head.points[:, 0]
+        pulled = []
+        for rim in rims:
+            x, values = head.points[rim, 0], opened[rim]
+            pulled.append(np.column_stack([np.interp(signed, x, v) for v in values.T]))
+        end = max(float(head.points[rim, 0].max()) for rim in rims)
+        gap: FloatArray = pulled[1] - pulled[0]
+        return gap * smooth_step(1.3, 1.0, self.x / end)[:, None]

@@ -1,0 +1,217 @@
+"""The whole built-in head of a style: skin, eyes, teeth, tongue, ears, brows, lashes and hair."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+
+import numpy as np
+from scipy import sparse
+
+from usdface.assets import FloatArray, IntArray
+from usdface.demo import details
+from usdface.demo.cage import build_cage
+from usdface.demo.complexion import skin_colors
+from usdface.demo.details import HalfMesh
+from usdface.demo.hair import hair_cap
+from usdface.demo.half_cage import FAR, Mark
+from usdface.demo.halves import mirror_half
+from usdface.demo.proportions import Style
+from usdface.demo.refine import refine
+from usdface.demo.sculpt import Form, head_form, settle
+
+
+class Part(IntEnum):
+    """Which piece of the head a point belongs to."""
+
+    SKIN = 0
+    EARS = 1
+    EYES = 2
+    UPPER_TEETH = 3
+    LOWER_TEETH = 4
+    TONGUE = 5
+    BROWS = 6
+    LASHES = 7
+    HAIR = 8
+
+
+@dataclass(frozen=True)
+class DemoHead:
+    """All pieces of one head in a row, and the shapes that move them.
+
+    Attributes
+    ----------
+    style : Style
+    points : (points, 3) float array
+        [mm]
+    faces : (faces, 4) int array
+    parts : (points,) int array
+        A `Part` for each point.
+    marks : (points, len(Mark)) float array
+        What the loops of the cage say about each point; see `Mark`.
+    colors : (points, 3) float array
+        Linear.
+    mirror : (points,) int array
+        Index of each point's mirror image.
+    anchors : (points,) int array
+        The point whose motion each one follows: lashes the edge of the lid, all others their own.
+    shapes : mapping of str to tuple of (float, array)
+        For each shape its in-betweens and, at weight 1, its target: (weight, offsets [mm]).
+    """
+
+    style: Style
+    points: FloatArray
+    faces: IntArray
+    parts: IntArray
+    marks: FloatArray
+    colors: FloatArray
+    mirror: IntArray
+    anchors: IntArray
+    shapes: Mapping[str, tuple[tuple[float, FloatArray], ...]] = field(default_factory=dict)
+
+    def posed(self, weights: Mapping[str, float]) -> FloatArray:
+        """Return the points with shapes at these weights; in-betweens as UsdSkel blends them."""
+        moved = self.points.copy()
+        for name, weight in weights.items():
+            keys = ((0.0, np.zeros_like(self.points)), *self.shapes[name])
+            upper = next(
+                (k for k in range(1, len(keys) - 1) if weight <= keys[k][0]), len(keys) - 1
+            )
+            (low, start), (high, stop) = keys[upper - 1], keys[upper]
+            moved += start + (stop - start) * ((weight - low) / (high - low))
+        return moved
+
+
+def bare_head(style: Style) -> DemoHead:
+    """Build the head of a style at rest, without shapes."""
+    form = head_form(style)
+    skin = _skin(style, form)
+    rim = upper_lid_edge(skin.points, skin.marks)
+    front = float(skin.points[_lip_middle(skin), 2]) - 4.0
+    halves = {
+        Part.EARS: details.ear(style, form),
+        Part.EYES: details.eyeball(style),
+        Part.UPPER_TEETH: details.teeth(style, front=front, upper=True),
+        Part.LOWER_TEETH: details.teeth(style, front=front, upper=False),
+        Part.TONGUE: details.tongue(style, front=front),
+        Part.BROWS: details.brow(style, form),
+        Part.LASHES: details.lashes(style, skin.points[rim]),
+        Part.HAIR: hair_cap(style, form),
+    }
+    head = skin
+    for part, half in halves.items():
+        head = _with_piece(head, part, half)
+    lash = np.flatnonzero(head.parts == Part.LASHES)
+    rows = len(lash) // 2 // len(rim)
+    left = np.tile(rim, rows)
+    anchors = head.anchors.copy()
+    anchors[lash] = np.concatenate([left, head.mirror[left]])
+    return replace(head, anchors=anchors)
+
+
+def _skin(style: Style, form: Form) -> DemoHead:
+    """Refine the cage, lay it on the sculpted form and paint it."""
+    cage = build_cage(style, form)
+    fine = refine(cage.faces, cage.mirror, levels=2)
+    points, marks = fine.matrix @ cage.points, fine.matrix @ cage.marks
+    amount = np.clip(1.3 * marks[:, Mark.SETTLE] - 0.15, 0.0, 1.0)
+    smooth = _neighbour_mean(fine.faces, len(points))
+    points = settle(form, points, amount)
+    for _ in range(4):  # where the form folds sharply, points pile up: spread them again
+        points += 0.6 * amount[:, None] * (smooth @ points - points)
+    points = settle(form, points, 0.8 * amount)
+    points = _close_lips(style, points, marks)
+    points = _clear_eyeball(style, points, marks)
+    points = 0.5 * (points + points[fine.mirror] * (-1.0, 1.0, 1.0))
+    return DemoHead(
+        style=style,
+        points=points,
+        faces=fine.faces,
+        parts=np.full(len(points), int(Part.SKIN)),
+        marks=marks,
+        colors=skin_colors(style, points, marks),
+        mirror=fine.mirror,
+        anchors=np.arange(len(points)),
+    )
+
+
+def _neighbour_mean(faces: IntArray, count: int) -> sparse.csr_array:
+    """Matrix that takes each point to the mean of the points its edges lead to."""
+    ends = np.concatenate([faces, np.roll(faces, 1, axis=1)], axis=1).ravel()
+    others = np.concatenate([np.roll(faces, 1, axis=1), faces], axis=1).ravel()
+    beside = sparse.csr_array((np.ones(len(ends)), (ends, others)), shape=(count, count))
+    return sparse.csr_array(sparse.diags_array(1.0 / beside.sum(axis=1)) @ beside)
+
+
+def lip_rim(points: FloatArray, marks: FloatArray, *, upper: bool) -> IntArray:
+    """Return indices of the points where one lip meets the other, from right to left corner."""
+    side = marks[:, Mark.MOUTH_SIDE]
+    on_rim = np.abs(marks[:, Mark.MOUTH_RING]) < 1e-6
+    found = np.flatnonzero(on_rim & ((side > 1e-6) if upper else (side < -1e-6)))
+    return found[np.argsort(points[found, 0])]
+
+
+def _close_lips(style: Style, points: FloatArray, marks: FloatArray) -> FloatArray:
+    """Refining rounds the lips and parts them: bring both rims onto one line again."""
+    upper, lower = lip_rim(points, marks, upper=True), lip_rim(points, marks, upper=False)
+    x = points[:, 0]
+    top, bottom = (np.interp(x, points[r, 0], points[r, 1]) for r in (upper, lower))
+    top_z, bottom_z = (np.interp(x, points[r, 0], points[r, 2]) for r in (upper, lower))
+    ring, side = marks[:, Mark.MOUTH_RING], marks[:, Mark.MOUTH_SIDE]
+    near = details.smooth_step(2.2, 0.0, np.abs(ring)) * (np.abs(x) < style.mouth.half_width)
+    half_gap = 0.5 * (top - bottom) - 0.06
+    moved = points.copy()
+    moved[:, 1] -= near * np.sign(side) * half_gap
+    moved[:, 2] -= near * np.sign(side) * 0.5 * (top_z - bottom_z)
+    return moved
+
+
+def _clear_eyeball(style: Style, points: FloatArray, marks: FloatArray) -> FloatArray:
+    """Keep the lids, inside and out, off the eyeball."""
+    center = np.array(style.eye.center)
+    ring = marks[:, Mark.EYE_RING]
+    to_left = np.ones_like(points)
+    to_left[points[:, 0] < 0.0, 0] = -1.0
+    offset = points * to_left - center
+    length = np.linalg.norm(offset, axis=1)
+    least = style.eye.radius + np.interp(
+        ring, [-3.0, -1.0, 0.0, 1.0, 2.0], [0.8, 0.8, 1.9, 2.2, 1.5]
+    )
+    push = np.where(ring < 2.5, np.maximum(least / np.maximum(length, 1e-6), 1.0), 1.0)
+    moved: FloatArray = points + (push - 1.0)[:, None] * offset * to_left
+    return moved
+
+
+def upper_lid_edge(points: FloatArray, marks: FloatArray) -> IntArray:
+    """Return indices of the left upper lid's edge with both corners, the inner one first."""
+    ring, side = marks[:, Mark.EYE_RING], marks[:, Mark.EYE_SIDE]
+    found = np.flatnonzero((np.abs(ring) < 1e-6) & (side > -1e-6) & (points[:, 0] > 0.0))
+    return found[np.argsort(points[found, 0])]
+
+
+def lower_lid_edge(points: FloatArray, marks: FloatArray) -> IntArray:
+    """Return indices of the left lower lid's edge with both corners, the inner one first."""
+    return upper_lid_edge(
+        points, marks * np.where(np.arange(len(Mark)) == Mark.EYE_SIDE, -1.0, 1.0)
+    )
+
+
+def _lip_middle(skin: DemoHead) -> int:
+    rim = lip_rim(skin.points, skin.marks, upper=True)
+    return int(rim[len(rim) // 2])
+
+
+def _with_piece(head: DemoHead, part: Part, half: HalfMesh) -> DemoHead:
+    whole = mirror_half(half.points, half.faces)
+    count, first = len(whole.points), len(head.points)
+    marks = np.zeros((count, len(Mark)))
+    marks[:, [Mark.MOUTH_RING, Mark.EYE_RING]] = FAR
+    return replace(
+        head,
+        points=np.concatenate([head.points, whole.points]),
+        faces=np.concatenate([head.faces, whole.faces + first]),
+        parts=np.concatenate([head.parts, np.full(count, int(part))]),
+        marks=np.concatenate([head.marks, marks]),
+        colors=np.concatenate([head.colors, half.colors[whole.source]]),
+        mirror=np.concatenate([head.mirror, whole.mirror + first]),
+        anchors=np.concatenate([head.anchors, first + np.arange(count)]),
+    )

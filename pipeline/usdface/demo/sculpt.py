@@ -1,0 +1,171 @@
+"""The bare head as an implicit form: soft unions of ellipsoids and tapered capsules.
+
+The form is a function of position whose zero set is the skin, without the lips and the edges of
+the lids, which `usdface.demo.cage` places by hand. It knows nothing of topology.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from usdface.assets import FloatArray
+from usdface.demo.proportions import Style, Vec
+
+Form = Callable[[FloatArray], FloatArray]
+
+
+def ellipsoid(points: FloatArray, center: Vec, radii: Vec) -> FloatArray:
+    """Approximate signed distance to an ellipsoid; exact on its surface."""
+    scaled = (points - center) / radii
+    near = np.linalg.norm(scaled, axis=-1)
+    gradient = np.linalg.norm(scaled / radii, axis=-1)
+    distance: FloatArray = near * (near - 1.0) / np.maximum(gradient, 1e-6)
+    return distance
+
+
+def capsule(
+    points: FloatArray, start: Vec, stop: Vec, start_radius: float, stop_radius: float
+) -> FloatArray:
+    """Signed distance to a capsule whose radius changes along its axis (approximate)."""
+    axis = np.subtract(stop, start)
+    offset = points - start
+    along = np.clip(offset @ axis / (axis @ axis), 0.0, 1.0)
+    radius = start_radius + along * (stop_radius - start_radius)
+    distance: FloatArray = np.linalg.norm(offset - along[..., None] * axis, axis=-1) - radius
+    return distance
+
+
+def blend(first: FloatArray, second: FloatArray, rounding: float) -> FloatArray:
+    """Union of two forms with a fillet of about `rounding` mm (cubic, so curvature is smooth)."""
+    overlap = np.maximum(rounding - np.abs(first - second), 0.0) / rounding
+    return np.minimum(first, second) - overlap**3 * rounding / 6.0
+
+
+def carve(form: FloatArray, tool: FloatArray, rounding: float) -> FloatArray:
+    """Take the tool away from the form, with a softened edge."""
+    return -blend(-form, tool, rounding)
+
+
+def head_form(style: Style) -> Form:
+    """Return the signed distance function of a style's bare head, symmetric in x.
+
+    Parameters
+    ----------
+    style : Style
+
+    Returns
+    -------
+    callable
+        (..., 3) float array [mm] to (...) float array [mm], negative inside.
+    """
+
+    def distance(points: FloatArray) -> FloatArray:
+        p = points * (1.0, 1.0, 1.0)
+        p[..., 0] = np.abs(p[..., 0])
+        d = _skull(style, p)
+        d = _face(style, d, p)
+        d = _nose(style, d, p)
+        return _eye(style, d, p)
+
+    return distance
+
+
+def _skull(style: Style, p: FloatArray) -> FloatArray:
+    s = style.skull
+    d = ellipsoid(p, s.cranium, s.cranium_radii)
+    d = blend(d, ellipsoid(p, s.face, s.face_radii), 40.0)
+    chin_corner = (s.chin[0] + 9.0, s.chin[1] + 1.0, s.chin[2] - 4.0)
+    jaw = capsule(p, s.jaw_angle, chin_corner, s.jaw_radius, s.chin_radii[1] - 1.0)
+    d = blend(d, jaw, 26.0)
+    middle = 0.5 * (s.neck_front + s.neck_back)
+    radius = 0.5 * (s.neck_front - s.neck_back)
+    slim = p * (radius / s.neck_half, 1.0, 1.0)
+    top, bottom = (0.0, -55.0, middle), (0.0, -200.0, middle - 6.0)
+    neck = capsule(slim, top, bottom, radius - 2.0, radius + 3.0)
+    return blend(d, neck, 26.0)
+
+
+def _face(style: Style, d: FloatArray, p: FloatArray) -> FloatArray:
+    s, m = style.skull, style.mouth
+    d = blend(d, ellipsoid(p, s.chin, s.chin_radii), 16.0)
+    d = blend(d, ellipsoid(p, s.cheekbone, s.cheekbone_radii), 24.0)
+    d = blend(d, ellipsoid(p, s.cheek, s.cheek_radii), 24.0)
+    d = blend(d, ellipsoid(p, s.muzzle, s.muzzle_radii), 20.0)
+    inner = (9.0, s.brow_height - 3.0, s.brow_depth)
+    outer = (50.0, s.brow_height - 1.0, s.brow_depth - 21.0)
+    d = blend(d, capsule(p, inner, outer, s.brow_radius, s.brow_radius - 2.0), 18.0)
+    fold = (0.0, m.height - m.lower - 7.0, s.muzzle[2] + s.muzzle_radii[2] + 4.0)
+    return carve(d, ellipsoid(p, fold, (17.0, 4.5, 5.5)), 9.0)
+
+
+def _nose(style: Style, d: FloatArray, p: FloatArray) -> FloatArray:
+    n = style.nose
+    root = (0.0, n.root[0], n.root[1] - n.bridge_radius)
+    tip = (0.0, n.tip[0], n.tip[1] - n.tip_radius)
+    d = blend(d, capsule(p, root, tip, n.bridge_radius, n.tip_radius * 0.72), 13.0)
+    columella = (0.0, n.base[0] + 3.5, n.base[1] - 3.0)
+    d = blend(d, capsule(p, columella, (0.0, tip[1], tip[2] - 2.0), 3.6, 5.0), 4.0)
+    d = blend(d, ellipsoid(p, n.wing, n.wing_radii), 7.0)
+    ball = ellipsoid(p, tip, (n.tip_radius, n.tip_radius * 0.92, n.tip_radius))
+    d = blend(d, ball, 6.0)
+    groove = n.base[0] - 1.0, style.mouth.height + style.mouth.upper
+    z = n.base[1] + 2.0
+    philtrum = capsule(p, (0.0, groove[0], z), (0.0, groove[1], z + 3.0), 2.2, 3.2)
+    return carve(d, philtrum, 3.5)
+
+
+def _eye(style: Style, d: FloatArray, p: FloatArray) -> FloatArray:
+    e = style.eye
+    x, y, z = e.center
+    socket = ellipsoid(
+        p,
+        (x - 1.0, y + 5.0, z + e.radius + 3.0),
+        (e.half_width + 7.0, 17.0, e.socket + 2.0),
+    )
+    d = carve(d, socket, 14.0)
+    corner = ellipsoid(p, (x - e.half_width - 3.0, y + 2.0, z + e.radius + 1.0), (6.0, 8.0, 7.0))
+    d = carve(d, corner, 8.0)
+    lids = np.linalg.norm(p - e.center, axis=-1) - (e.radius + LID_THICKNESS)
+    return blend(d, lids, 7.0)
+
+
+LID_THICKNESS = 2.2
+"""How far the outer skin of the lids stands off the eyeball [mm]."""
+
+
+def trace(form: Form, origins: FloatArray, directions: FloatArray) -> FloatArray:
+    """First points where rays from outside meet the form.
+
+    Parameters
+    ----------
+    form : callable
+    origins, directions : (n, 3) float arrays
+        Directions need not be normalised; a ray that misses ends where it came nearest.
+
+    Returns
+    -------
+    (n, 3) float array
+    """
+    unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    points = np.array(origins, dtype=float)
+    nearest, best = points.copy(), np.full(len(points), np.inf)
+    for _ in range(80):
+        value = form(points)
+        closer = value < best
+        nearest[closer], best[closer] = points[closer], value[closer]
+        points += 0.75 * np.minimum(value, 30.0)[:, None] * unit
+    return nearest
+
+
+def settle(form: Form, points: FloatArray, amount: FloatArray) -> FloatArray:
+    """Move points along the form's gradient onto its surface, each by its amount (0 stays)."""
+    step = 0.05
+    moved = np.array(points)
+    for _ in range(4):
+        value = form(moved)
+        gradient = np.stack(
+            [form(moved + step * axis) - form(moved - step * axis) for axis in np.eye(3)], axis=1
+        ) / (2.0 * step)
+        scale = np.maximum(np.einsum("ij,ij->i", gradient, gradient), 0.2)
+        moved -= np.clip(value / scale, -6.0, 6.0)[:, None] * gradient
+    return points + amount[:, None] * (moved - points)

@@ -1,0 +1,29 @@
+"""Both demo heads, built once for all tests that only look at them."""
+
+import pytest
+
+from usdface.demo.acting import ActedPerformance, performance
+from usdface.demo.head import DemoHead
+from usdface.demo.proportions import ACTOR, CHARACTER
+from usdface.demo.shapes import make_head
+
+
+@pytest.fixture(scope="session")
+def character() -> DemoHead:
+    return make_head(CHARACTER)
+
+
+@pytest.fixture(scope="session")
+def actor() -> DemoHead:
+    return make_head(ACTOR)
+
+
+@pytest.fixture(scope="session", params=["character", "actor"])
+def head(request: pytest.FixtureRequest) -> DemoHead:
+    found: DemoHead = request.getfixturevalue(request.param)
+    return found
+
+
+@pytest.fixture(scope="session")
+def acted() -> ActedPerformance:
+    return performance()
