@@ -16,7 +16,7 @@ from usdface.specs.references import tuned_path
 JOB = """
 job: kitchen_talk_v003
 steps:
-  - {step: ingest, sources: [kitchen.c3d], out: kitchen.take.usda}
+  - {step: ingest, sources: [kitchen.c3d], video: kitchen.mov, out: kitchen.take.usda}
   - {step: clean, take: kitchen.take.usda, out: kitchen.clean.take.usda}
   - {step: select, takes: [kitchen.clean.take.usda], rig: hero.usd, count: 50, out: hero.references.usda}
   - {step: references-import, references: hero.references.usda, weights: tuned.csv}
@@ -45,6 +45,7 @@ def test_a_job_reads_with_its_paths_beside_it(tmp_path: Path) -> None:
     for step in job.steps:
         for path in (*step.paths(Reads), *step.paths(Writes), *step.outputs()):
             assert path.parent == tmp_path
+    assert job.steps[0].paths(Reads) == (tmp_path / "kitchen.c3d", tmp_path / "kitchen.mov")
     assert job.steps[3].outputs() == (tuned_path(tmp_path / "hero.references.usda"),)
 
 
@@ -62,6 +63,12 @@ def test_a_saved_spec_reads_back_the_same(tmp_path: Path, name: str, index: int)
     spec = JobSpec.model_validate(yaml.safe_load(JOB)).steps[index]
     path = write(tmp_path, spec_text(spec, Path(name)), name)
     assert read_job(path).steps == (spec.anchored(tmp_path),)
+
+
+def test_a_saved_job_reads_back_the_same(tmp_path: Path) -> None:
+    job = JobSpec.model_validate(yaml.safe_load(JOB))
+    path = write(tmp_path, spec_text(job, Path("j.yaml")))
+    assert read_job(path).steps == tuple(step.anchored(tmp_path) for step in job.steps)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
@@ -56,6 +56,14 @@ def frame_range(frames: str | None) -> tuple[int, int] | None:
     return int(frames[:split]), int(frames[split + 1 :])
 
 
+def _marks_within(annotation: Any) -> list[Any]:
+    """Return the marks inside an optional type: pydantic lifts only the outermost."""
+    found = list(getattr(annotation, "__metadata__", ()))
+    for inner in get_args(annotation):
+        found += _marks_within(inner)
+    return found
+
+
 class Spec(BaseModel):
     """One unit of work: what to read, what to write, how."""
 
@@ -73,9 +81,10 @@ class Spec(BaseModel):
         """Return the fields that carry a mark of this kind, with the mark."""
         found = {}
         for name, field in cls.model_fields.items():
-            marks = [mark for mark in field.metadata if isinstance(mark, kind)]
-            if marks:
-                found[name] = marks[0]
+            marks = (*field.metadata, *_marks_within(field.annotation))
+            for mark in marks:
+                if isinstance(mark, kind):
+                    found[name] = mark
         return found
 
     def paths(self, kind: type[Reads] | type[Writes]) -> tuple[Path, ...]:

@@ -42,11 +42,17 @@ def read_job(path: Path) -> JobSpec:
 
 def spec_text(spec: Spec, path: Path) -> str:
     """Return a spec as the text of a file: JSON by that extension, else YAML."""
-    data = spec.model_dump(mode="json", exclude_defaults=True)
-    data = {"step": spec.step, **data} if spec.step != "job" else data
+    data = _as_written(spec)
     if path.suffix == ".json":
         return json.dumps(data, indent=2, ensure_ascii=False) + "\n"
     return str(yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100))
+
+
+def _as_written(spec: Spec) -> dict[str, Any]:
+    """Return what a person would write: the step's name first, defaults left out."""
+    if isinstance(spec, JobSpec):
+        return {"job": spec.job, "steps": [_as_written(step) for step in spec.steps]}
+    return {"step": spec.step, **spec.model_dump(mode="json", exclude_defaults=True)}
 
 
 def describe_faults(error: ValidationError) -> str:
@@ -81,6 +87,3 @@ def _read_data(path: Path) -> Any:
         raise InputError(f"{path}: is no valid YAML or JSON: {reason}") from error
     except RecursionError as error:
         raise InputError(f"{path}: is nested too deeply for a spec") from error
-
-
-__all__ = ["describe_faults", "read_job", "spec_text"]
