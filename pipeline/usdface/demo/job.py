@@ -52,7 +52,7 @@ def run_demo(folder: Path, *, progress: Progress = silent) -> Report:
     job_file.write_text(_HEADER + spec_text(job, job_file), encoding="utf-8")
     reports = run_job(read_job(job_file), progress=part(progress, INPUTS_SHARE, 1.0))
     error = _held_out_error(inputs, folder)
-    outputs = tuple(path for report in reports for path in report.outputs)
+    outputs = tuple(dict.fromkeys(path for report in reports for path in report.outputs))
     return Report(
         (job_file, *outputs),
         f"{len(error)} frames that were not keyed: surface error {np.mean(error):.2f} mm on "

@@ -189,10 +189,11 @@ def _choose_rows(judged: _Judged, deformer: Deformer, count: int) -> list[tuple[
     worst_count = min(count // WORST_SHARE, count - 1)
     gram = deformer.shapes.gram()
     strength = np.einsum("fs,st,ft->f", judged.weights, gram, judged.weights)
+    apart = max(len(strength) // (3 * count), 1)
     chosen: dict[int, str] = {}
     for stretch in np.array_split(np.arange(len(strength)), count - worst_count):
-        chosen[int(stretch[strength[stretch].argmax()])] = ""
-    apart = max(len(strength) // (2 * count), 1)
+        free = [row for row in stretch if all(abs(row - other) >= apart for other in chosen)]
+        chosen[int(max(free or stretch, key=lambda row: strength[row]))] = ""
     error = np.nan_to_num(judged.error_mm, nan=-1.0)
     for row in np.argsort(-error).tolist():
         if len(chosen) >= count:
