@@ -7,7 +7,7 @@ from scipy import sparse
 
 from usdface.assets import FloatArray, RigMesh
 from usdface.media import shading
-from usdface.media.mesh_topology import Sparse
+from usdface.media.mesh_topology import Sparse, polygon_edges
 from usdface.media.parts import Part, Pieces
 
 _CLOSED, _OPEN = 0.015, 0.09  # of the sky seen at rest: inside of a mouth below, skin above
@@ -57,15 +57,9 @@ def _neighbours(meshes: Sequence[RigMesh]) -> Sparse:
     """Return the symmetric (points, points) matrix that is 1 where an edge joins two points."""
     pairs, first = [], 0
     for mesh in meshes:
-        counts, points = mesh.face_counts, mesh.face_indices
-        starts = np.cumsum(counts) - counts
-        face = np.repeat(np.arange(len(counts)), counts)
-        corner = np.arange(len(points))
-        last = corner - starts[face] == counts[face] - 1
-        following = points[np.where(last, starts[face], corner + 1)]
-        pairs.append(np.stack([points, following]) + first)
+        pairs.append(polygon_edges(mesh.face_counts, mesh.face_indices) + first)
         first += len(mesh.points)
-    rows, columns = np.concatenate(pairs, axis=1)
+    rows, columns = np.concatenate(pairs).T
     ones = np.ones(len(rows))
     one_way = sparse.csr_array((ones, (rows, columns)), shape=(first, first))
     links = one_way + one_way.T

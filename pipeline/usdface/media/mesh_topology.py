@@ -36,6 +36,27 @@ def check_topology(mesh: RigMesh) -> None:
         )
 
 
+def polygon_edges(face_counts: IntArray, face_indices: IntArray) -> IntArray:
+    """Return the two points of every side of every polygon, in the order of the corners.
+
+    Parameters
+    ----------
+    face_counts : (faces,) int array
+    face_indices : (corners,) int array
+
+    Returns
+    -------
+    (corners, 2) int array
+        An edge between two polygons is there twice.
+    """
+    starts = np.cumsum(face_counts) - face_counts
+    corner = np.arange(len(face_indices))
+    faces = np.repeat(np.arange(len(face_counts)), face_counts)
+    last = corner - starts[faces] == face_counts[faces] - 1
+    following = np.where(last, starts[faces], corner + 1)
+    return np.stack([face_indices, face_indices[following]], axis=1)
+
+
 def components(face_counts: IntArray, face_indices: IntArray, *, point_count: int) -> IntArray:
     """Return the number of the connected piece that each point belongs to.
 

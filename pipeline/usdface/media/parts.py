@@ -12,7 +12,7 @@ from enum import IntEnum
 import numpy as np
 
 from usdface.assets import FloatArray, IntArray, RigMesh
-from usdface.media.mesh_topology import components
+from usdface.media.mesh_topology import components, polygon_edges
 
 
 class Part(IntEnum):
@@ -77,7 +77,7 @@ _SPHERE_MISFIT = (
 )
 _EYE_SHEET = 2.7  # of an eye's radius, from its middle: how far lash cards reach
 _CLOSED_IN = 0.15  # of the sky seen at rest, by pieces that live in the mouth
-_TOOTH_SIZE = 0.2  # of the head's width
+_TOOTH_SIZE = 0.26  # of the head's width
 
 
 def part_from_name(path: str) -> Part | None:
@@ -155,15 +155,10 @@ def _label(meshes: Sequence[RigMesh]) -> tuple[IntArray, list[Part | None]]:
 
 def _on_border(mesh: RigMesh) -> FloatArray:
     """Return which points lie on an open edge."""
-    counts, points = mesh.face_counts, mesh.face_indices
-    faces = np.repeat(np.arange(len(counts)), counts)
-    starts = np.cumsum(counts) - counts
-    corner = np.arange(len(points))
-    last = corner - starts[faces] == counts[faces] - 1
-    pairs = np.sort(np.stack([points, points[np.where(last, starts[faces], corner + 1)]]), axis=0)
-    edges, uses = np.unique(pairs, axis=1, return_counts=True)
+    sides = np.sort(polygon_edges(mesh.face_counts, mesh.face_indices), axis=1)
+    edges, uses = np.unique(sides, axis=0, return_counts=True)
     border = np.zeros(len(mesh.points), bool)
-    border[edges[:, uses == 1]] = True
+    border[edges[uses == 1]] = True
     return border
 
 

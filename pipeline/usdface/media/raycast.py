@@ -167,7 +167,7 @@ def _sample(view: View, pixels: FloatArray) -> _Samples:
     albedo = _mix(view.colors, corners, found.barycentric)
     # The back of the skin, seen through an eye hole: inside of the head, no surface to judge.
     albedo[away] *= _INSIDE
-    if not view.heat and not view.surface.painted:
+    if not view.heat:
         _paint_irises(view.surface, found, corners, albedo)
     return _Samples(found, normals, views, albedo, view.surface.parts[found.triangles])
 

@@ -44,6 +44,16 @@ class FaceRenderer:
         """Number of points of all meshes in a row, drawn or not."""
         return sum(self._sizes)
 
+    @property
+    def surface(self) -> Surface:
+        """What the rig was recognised to be."""
+        return self._surface
+
+    @property
+    def eyes_put_in(self) -> bool:
+        """Whether the rig has lids and no eyes, so that balls stand in: a sheet should say so."""
+        return self._surface.eyes_put_in
+
     def render(
         self,
         points: Sequence[ArrayLike] | ArrayLike,

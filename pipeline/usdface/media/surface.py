@@ -15,7 +15,8 @@ from usdface.media.mesh_topology import (
     normal_operator,
     vertex_normals,
 )
-from usdface.media.parts import Part, find_pieces
+from usdface.media.parts import Part, Pieces, find_pieces
+from usdface.media.stand_in_eyes import fit_stand_in_eyes
 from usdface.media.subdivision import catmull_clark
 from usdface.media.tracing import PATTERNS, Tracer, sky_seen
 from usdface.numerics.triangulation import triangulate
@@ -23,7 +24,9 @@ from usdface.numerics.triangulation import triangulate
 COARSE_POINTS = 6000
 """Subdivide a Catmull-Clark cage of fewer points; finer ones look smooth at sheet size."""
 
-EXPOSURE_RAYS = 48
+_EXPOSURE_RAYS = 48  # to colour by: below, the inside of the mouth has a ragged edge
+_SORTING_RAYS = 12  # to tell pieces apart, by their median
+_PROBES = 2000  # points that decide which way normals point
 
 
 @dataclass(frozen=True)
@@ -41,18 +44,18 @@ class Surface:
         A `Part` each.
     albedo : (drawn points, 3) float32 array
         Linear.
-    painted : bool
-        True where the rig brought its own colours, so that no iris is painted over them.
     rest : (drawn points, 3) float32 array
         [mm]
     eyes : (triangles,) int array
-        Row of `eye_centers`, -1 where the triangle is no eye's.
+        Row of `eye_centers` on eyes without colours of their own, else -1.
     eye_centers : (eyes, 3) float32 array
         [mm]
     size : float
         Height of the drawn surface at rest [mm]; scales distances of light.
     outward : float
         +1 if normals point out of the head, -1 if the mesh is wound the other way.
+    eyes_put_in : bool
+        True where the rig has no eyes and balls stand in for them.
     """
 
     matrix: Sparse
@@ -60,12 +63,12 @@ class Surface:
     normals: Sparse
     parts: IntArray
     albedo: Float32Array
-    painted: bool
     rest: Float32Array
     eyes: IntArray
     eye_centers: Float32Array
     size: float
     outward: float
+    eyes_put_in: bool
 
 
 def build_surface(meshes: Sequence[RigMesh]) -> Surface:
@@ -90,33 +93,41 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
     if not visible:
         names = ", ".join(f"<{mesh.path}>" for mesh in meshes) or "none"
         raise InputError(f"no visible mesh with polygons to draw among: {names}")
-    drawn = _concatenate([_refine(mesh) for mesh in visible])
-    exposure, outward = _rest_exposure(visible, drawn)
-    pieces = find_pieces(visible, exposure=exposure)
+    selection = _selection(meshes, visible)
+    drawn, pieces = _recognise(visible)
+    stand_ins = None if np.any(pieces.parts == Part.EYE) else fit_stand_in_eyes(visible)
+    if stand_ins is not None:
+        visible = [*visible, *stand_ins.meshes]
+        selection = sparse.vstack([selection, stand_ins.matrix @ selection])
+        drawn, pieces = _recognise(visible)
     parts = pieces.parts[pieces.of_point[drawn.corner_of_triangle]]
     eye_rows = {piece: row for row, piece in enumerate(pieces.eyeballs)}
     eyes = np.array([eye_rows.get(p, -1) for p in range(len(pieces.parts))])
+    plain = np.concatenate([np.full(len(m.points), m.colors is None) for m in visible])
+    eye_of_point = np.where(plain, eyes[pieces.of_point], -1)
     kept = parts != Part.HIDDEN
     triangles = drawn.triangles[kept]
-    if not kept.all():  # lash cards and tear lines hid skin that is seen without them
-        seen = _Drawn(drawn.matrix, triangles, drawn.corner_of_triangle[kept])
-        exposure, outward = _rest_exposure(visible, seen)
+    # Without lash cards and tear lines: they hide skin that is seen.
+    shown = _Drawn(drawn.matrix, triangles, drawn.corner_of_triangle[kept])
+    exposure = _rest_exposure(visible, shown, rays=_EXPOSURE_RAYS)
     cage = np.concatenate([mesh.points for mesh in visible])
     rest = np.asarray(drawn.matrix @ cage)
     return Surface(
-        matrix=drawn.matrix @ _selection(meshes, visible),
+        matrix=drawn.matrix @ selection,
         triangles=triangles,
         normals=normal_operator(triangles, point_count=len(rest)),
         parts=parts[kept],
-        albedo=np.asarray(drawn.matrix @ paint(visible, pieces, exposure=exposure), np.float32),
-        painted=any(mesh.colors is not None for mesh in visible),
+        albedo=np.asarray(
+            drawn.matrix @ paint(visible, pieces, exposure=exposure.seen), np.float32
+        ),
         rest=rest.astype(np.float32),
-        eyes=eyes[pieces.of_point[drawn.corner_of_triangle[kept]]],
+        eyes=eye_of_point[drawn.corner_of_triangle[kept]],
         eye_centers=np.array(
             [ball.center for ball in pieces.eyeballs.values()], np.float32
         ).reshape(-1, 3),
         size=float(max(np.ptp(rest[:, 1]), 1e-6)),
-        outward=outward,
+        outward=exposure.outward,
+        eyes_put_in=stand_ins is not None,
     )
 
 
@@ -127,6 +138,21 @@ class _Drawn:
     matrix: Sparse
     triangles: IntArray
     corner_of_triangle: IntArray  # a cage point that each triangle belongs to
+
+
+@dataclass(frozen=True)
+class _Exposure:
+    """How much sky each cage point sees [0-1], and whether normals point out (1) or in (-1)."""
+
+    seen: FloatArray
+    outward: float
+
+
+def _recognise(meshes: Sequence[RigMesh]) -> tuple[_Drawn, Pieces]:
+    """Refine the meshes and tell their pieces apart."""
+    drawn = _concatenate([_refine(mesh) for mesh in meshes])
+    exposure = _rest_exposure(meshes, drawn, rays=_SORTING_RAYS)
+    return drawn, find_pieces(meshes, exposure=exposure.seen)
 
 
 def _refine(mesh: RigMesh) -> _Drawn:
@@ -169,18 +195,26 @@ def _selection(meshes: Sequence[RigMesh], visible: Sequence[RigMesh]) -> Sparse:
     )
 
 
-def _rest_exposure(meshes: Sequence[RigMesh], drawn: _Drawn) -> tuple[FloatArray, float]:
-    """Return how much sky each point sees, eyes open or shut, and which way normals point.
+def _rest_exposure(meshes: Sequence[RigMesh], drawn: _Drawn, *, rays: int) -> _Exposure:
+    """Find how much sky each point sees, eyes open or shut, and which way normals point.
 
     A lid that is folded away at rest is skin all the same: it is seen in a blink. What neither
     pose shows is the inside of the mouth and of the sockets.
     """
     rest = np.concatenate([mesh.points for mesh in meshes])
-    seen, outward = _exposure(rest, drawn, outward=0.0)
+    few = np.arange(len(rest))[:: max(len(rest) // _PROBES, 1)]
+    out, into = (
+        _sky_over(rest, drawn, few, outward=side, rays=PATTERNS).mean() for side in (1.0, -1.0)
+    )
+    outward = 1.0 if out >= into else -1.0
+    every = np.arange(len(rest))
+    seen = _sky_over(rest, drawn, every, outward=outward, rays=rays)
     blink = np.concatenate([_blinking(mesh) for mesh in meshes])
-    if np.any(blink != rest):
-        seen = np.maximum(seen, _exposure(blink, drawn, outward=outward)[0])
-    return seen, outward
+    folded = np.flatnonzero(np.any(blink != rest, axis=1))
+    if len(folded):
+        shut = _sky_over(blink, drawn, folded, outward=outward, rays=rays)
+        seen[folded] = np.maximum(seen[folded], shut)
+    return _Exposure(seen=seen, outward=outward)
 
 
 def _blinking(mesh: RigMesh) -> FloatArray:
@@ -191,26 +225,23 @@ def _blinking(mesh: RigMesh) -> FloatArray:
     return posed
 
 
-def _exposure(cage: FloatArray, drawn: _Drawn, *, outward: float) -> tuple[FloatArray, float]:
+def _sky_over(
+    cage: FloatArray, drawn: _Drawn, which: IntArray, *, outward: float, rays: int
+) -> FloatArray:
+    """Return how much sky some of the cage's points see in a pose of it [0-1]."""
     fine = np.asarray(drawn.matrix @ cage)
     operator = normal_operator(drawn.triangles, point_count=len(fine))
-    # Catmull-Clark keeps the cage's points first, so these rows are theirs after one mesh only;
-    # the matrix' largest entry of a column finds them for any number of meshes.
     normals = vertex_normals(fine, drawn.triangles, operator)
-    rows = np.asarray(np.abs(drawn.matrix).argmax(axis=0)).reshape(-1)
-    points, facing = fine[rows].astype(np.float32), normals[rows].astype(np.float32)
-    tracer = Tracer(fine.astype(np.float32), drawn.triangles)
+    # A cage point's place on the drawn surface is where it weighs most.
+    rows = np.asarray(np.abs(drawn.matrix).argmax(axis=0)).reshape(-1)[which]
+    aim = (outward * normals[rows]).astype(np.float32)
     lift = np.float32(2e-3 * np.ptp(fine[:, 1]))
-    results = {}
-    for side in (1.0, -1.0) if outward == 0 else (outward,):
-        aim = np.float32(side) * facing
-        results[side] = sky_seen(
-            tracer,
-            points + lift * aim,
-            aim,
-            patterns=np.arange(len(points)) % PATTERNS,
-            ray_count=EXPOSURE_RAYS,
-            reach=1e6,
-        )
-    best = max(results, key=lambda side: float(results[side].mean()))
-    return results[best].astype(np.float64), best
+    seen = sky_seen(
+        Tracer(fine.astype(np.float32), drawn.triangles),
+        fine[rows].astype(np.float32) + lift * aim,
+        aim,
+        patterns=which % PATTERNS,
+        ray_count=rays,
+        reach=1e6,
+    )
+    return seen.astype(np.float64)
