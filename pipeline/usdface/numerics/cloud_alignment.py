@@ -21,6 +21,7 @@ _PITCHES_DEGREES = (-20, 0, 20)
 _TILT_LIMIT = np.cos(np.deg2rad(40))  # Y is roughly up: a face on its side is a wrong answer
 _TRIM = 0.85  # of the pairs that are believed
 _PROPORTION_LIMIT = 1.35  # how far one axis may differ from the mean of the three
+_PROPORTION_BELIEF = 0.6  # of what one axis seems to differ: wrong pairs stretch it too
 _COARSE_SKIN, _FINE_SKIN = 500, 3000
 _COARSE_STEPS, _FINE_STEPS = 12, 40
 _MOTION_MM = 40.0  # what the whole range of motion counts for, on a head 200 mm high
@@ -251,6 +252,7 @@ def _fit(
     if proportions:
         scale = (w @ (turned * xc)) / mean_square
         middle = np.prod(np.maximum(scale, 1e-9)) ** (1 / 3)
+        scale = middle * np.clip(scale / middle, 1e-3, None) ** _PROPORTION_BELIEF
         scale = np.clip(scale, middle / _PROPORTION_LIMIT, middle * _PROPORTION_LIMIT)
     else:
         scale = np.full(3, np.sqrt((w @ xc**2).sum() / mean_square.sum()))
