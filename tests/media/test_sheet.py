@@ -86,7 +86,7 @@ def test_strip_keeps_the_peak_of_a_single_frame() -> None:
     hot = bytes_from_linear(heat_ramp(np.array([2.0]), high=2.0))[0]
     columns = np.flatnonzero(np.all(page == hot, axis=2).any(axis=0))
     assert len(columns) == 1
-    assert columns[0] == pytest.approx(96 + 0.61803 * 600, abs=1)
+    assert columns[0] == pytest.approx(112 + 0.61803 * 584, abs=1)
 
 
 def test_strip_marks_the_frames_of_the_rows() -> None:
@@ -97,7 +97,7 @@ def test_strip_marks_the_frames_of_the_rows() -> None:
     draw_error_strip(page, [curve], **options)
     draw_error_strip(marked, [curve], **options, marks=[(1300, "1")])
     columns = np.flatnonzero(np.any(page != marked, axis=(0, 2)))
-    assert abs(columns.mean() - (96 + 300)) < 4
+    assert abs(columns.mean() - (112 + 292)) < 4
 
 
 def test_unknown_errors_leave_a_gap() -> None:
@@ -105,9 +105,9 @@ def test_unknown_errors_leave_a_gap() -> None:
     values[200:400] = np.nan
     page = np.zeros((120, 696, 3), np.uint8)
     draw_error_strip(page, [ErrorCurve("", values)], x=0, y=0, width=696, first_frame=0, high=1.0)
-    lane = page[40]
-    assert np.all(lane[96 + 210 : 96 + 390] == lane[96 + 300])
-    assert np.any(lane[96 + 100] != lane[96 + 300])
+    lane = page[60]
+    assert np.all(lane[112 + 210 : 112 + 380] == lane[112 + 300])
+    assert np.any(lane[112 + 100] != lane[112 + 300])
 
 
 def test_range_is_round_and_holds_nearly_all() -> None:

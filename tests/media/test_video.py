@@ -7,6 +7,7 @@ import pytest
 
 from tests.media.bar_code import draw_number, read_number, turn_in_header, write_numbered
 from usdface.errors import InputError
+from usdface.media import video
 from usdface.media.video import VideoReader, read_audio, write_movie
 
 FILM = Fraction(24000, 1001)
@@ -23,12 +24,12 @@ def test_written_movie_gives_every_frame_back_at_random_times(tmp_path: Path) ->
     path = tmp_path / "review.mp4"
     write_movie(path, pictures(60), rate=FILM, timecode="01:02:03:04")
     rng = np.random.default_rng(0)
-    with VideoReader(path) as video:
-        assert video.rate == FILM
-        assert video.timecode == "01:02:03:04"
-        assert video.duration == pytest.approx(60 / FILM)
+    with VideoReader(path) as movie:
+        assert movie.rate == FILM
+        assert movie.timecode == "01:02:03:04"
+        assert movie.duration == pytest.approx(60 / FILM)
         for number in rng.integers(0, 60, 25):
-            picture = video.frame_at(float((number + rng.uniform(0, 0.99)) / FILM))
+            picture = movie.frame_at(float((number + rng.uniform(0, 0.99)) / FILM))
             assert picture is not None
             assert read_number(picture) == number
 
@@ -37,12 +38,12 @@ def test_written_movie_gives_every_frame_back_at_random_times(tmp_path: Path) ->
 def test_constant_rate_with_b_frames_is_read_frame_exactly(tmp_path: Path) -> None:
     path = tmp_path / "cfr.mp4"
     write_numbered(path, list(range(200)), base=1 / FILM, rate=FILM)
-    with VideoReader(path) as video:
-        assert video.rate == FILM
+    with VideoReader(path) as movie:
+        assert movie.rate == FILM
         order = np.random.default_rng(0).permutation(200)[:40]
-        read = [read_number(video.frame_at(float(n / FILM))) for n in order]
+        read = [read_number(movie.frame_at(float(n / FILM))) for n in order]
         np.testing.assert_array_equal(read, order)
-        assert [read_number(video.frame(n)) for n in range(90, 130)] == list(range(90, 130))
+        assert [read_number(movie.frame(n)) for n in range(90, 130)] == list(range(90, 130))
 
 
 @needs_h264
@@ -51,21 +52,41 @@ def test_variable_rate_shows_the_frame_whose_own_time_has_come(tmp_path: Path) -
     rng = np.random.default_rng(0)
     stamps = np.concatenate([[0], np.cumsum(rng.choice([1500, 3000, 3750, 6000], 199))])
     write_numbered(path, stamps.tolist(), base=Fraction(1, 90000), rate=Fraction(30))
-    with VideoReader(path) as video:
-        assert video.rate is None
-        np.testing.assert_allclose(video.times, stamps / 90000, atol=1e-9)
+    with VideoReader(path) as movie:
+        assert movie.rate is None
+        np.testing.assert_allclose(movie.times, stamps / 90000, atol=1e-9)
         for seconds in rng.uniform(0, stamps[-1] / 90000, 30):
             expected = int(np.searchsorted(stamps, seconds * 90000, side="right")) - 1
-            assert read_number(video.frame_at(float(seconds))) == expected
+            assert read_number(movie.frame_at(float(seconds))) == expected
+
+
+def test_table_of_contents_of_lone_frames_is_what_reading_them_all_finds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "intra.mov"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mjpeg", rate=FILM)
+        stream.width, stream.height, stream.pix_fmt = 320, 180, "yuvj420p"
+        for number in range(40):
+            frame = av.VideoFrame.from_ndarray(draw_number(number), format="rgb24")
+            container.mux(stream.encode(frame.reformat(format="yuvj420p")))
+        container.mux(stream.encode())
+    with VideoReader(path) as quick:
+        assert [read_number(quick.frame(n)) for n in (0, 17, 39, 3)] == [0, 17, 39, 3]
+        times, duration = quick.times, quick.duration
+    monkeypatch.setattr(video, "_table_of_contents", lambda *_: None)
+    with VideoReader(path) as thorough:
+        np.testing.assert_array_equal(thorough.times, times)
+        assert thorough.duration == pytest.approx(duration)
 
 
 def test_rotated_movie_is_turned_upright(tmp_path: Path) -> None:
     path = tmp_path / "phone.mp4"
     write_movie(path, pictures(8), rate=Fraction(30))
     turn_in_header(path)
-    with VideoReader(path) as video:
-        assert (video.width, video.height) == (180, 320)
-        upright = video.frame_at(5 / 30)
+    with VideoReader(path) as movie:
+        assert (movie.width, movie.height) == (180, 320)
+        upright = movie.frame_at(5 / 30)
     assert upright is not None
     assert read_number(np.rot90(upright, 1)) == 5  # clockwise as shown, back to how it was drawn
 
@@ -75,8 +96,8 @@ def test_colours_survive_the_movie(tmp_path: Path) -> None:
     colours = np.array([[200, 40, 40], [40, 180, 60], [50, 60, 210], [128, 128, 128]], np.uint8)
     picture = np.repeat(np.repeat(colours[None], 64, axis=0), 64, axis=1).reshape(64, 256, 3)
     write_movie(path, [picture] * 3, rate=Fraction(25))
-    with VideoReader(path) as video:
-        read = video.frame(1)
+    with VideoReader(path) as movie:
+        read = movie.frame(1)
     assert read is not None
     difference = read[32, 32::64].astype(int) - colours
     # BT.709 tags on an unspecified small picture would read as BT.601: errors of 15 and more.
@@ -86,17 +107,17 @@ def test_colours_survive_the_movie(tmp_path: Path) -> None:
 def test_odd_sizes_grow_to_even_ones(tmp_path: Path) -> None:
     path = tmp_path / "odd.mov"
     write_movie(path, [np.full((101, 203, 3), 90, np.uint8)] * 2, rate=Fraction(24))
-    with VideoReader(path) as video:
-        assert (video.width, video.height) == (204, 102)
+    with VideoReader(path) as movie:
+        assert (movie.width, movie.height) == (204, 102)
 
 
 def test_there_is_no_frame_before_and_after_the_movie(tmp_path: Path) -> None:
     path = tmp_path / "short.mp4"
     write_movie(path, pictures(10), rate=Fraction(10))
-    with VideoReader(path) as video:
-        assert video.frame_at(-0.05) is None
-        assert video.frame_at(1.05) is None
-        assert read_number(video.frame_at(0.99)) == 9
+    with VideoReader(path) as movie:
+        assert movie.frame_at(-0.05) is None
+        assert movie.frame_at(1.05) is None
+        assert read_number(movie.frame_at(0.99)) == 9
 
 
 def test_sound_comes_back_where_it_was(tmp_path: Path) -> None:

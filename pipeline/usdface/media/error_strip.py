@@ -10,17 +10,17 @@ from usdface.media.canvas import Color, fill_box
 from usdface.media.color import ByteImage, bytes_from_linear, heat_ramp
 from usdface.media.text import TextStyle, draw_text, text_width
 
-LANE_HEIGHT = 44
+LANE_HEIGHT = 52
 _GAP = 6
-_LABEL_WIDTH = 96
-_MARK_HEIGHT = 22
-_AXIS_HEIGHT = 24
+_LABEL_WIDTH = 112
+_MARK_HEIGHT = 26
+_AXIS_HEIGHT = 30
 
 _LANE: Color = (33, 35, 39)
 _MARK: Color = (236, 238, 242)
-_LABEL = TextStyle(size=15, color=(196, 200, 206))
-_NUMBER = TextStyle(size=13, color=(236, 238, 242), weight="mono")
-_AXIS = TextStyle(size=13, color=(132, 137, 146), weight="mono")
+_LABEL = TextStyle(size=18, color=(196, 200, 206))
+_NUMBER = TextStyle(size=16, color=(236, 238, 242), weight="mono")
+_AXIS = TextStyle(size=15, color=(132, 137, 146), weight="mono")
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def draw_error_strip(
         finite = curve.values[np.isfinite(curve.values)]
         if len(finite):
             mean = f"{finite.mean():.2f} {unit}"
-            draw_text(page, mean, x=x, y=lane + 22, style=_AXIS, max_width=_LABEL_WIDTH - 8)
+            draw_text(page, mean, x=x, y=lane + 26, style=_AXIS, max_width=_LABEL_WIDTH - 8)
         _draw_lane(page, curve.values, left, lane, inner, count=count, high=high)
 
     bottom = top + len(curves) * (LANE_HEIGHT + _GAP) - _GAP

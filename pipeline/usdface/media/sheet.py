@@ -41,14 +41,14 @@ _PAGE: Color = (22, 23, 26)
 _RULE: Color = (58, 61, 67)
 _FRAME: Color = (64, 67, 74)
 
-_TITLE_STYLE = TextStyle(size=34, color=(244, 245, 247), weight="bold")
-_FACTS_STYLE = TextStyle(size=17, color=(166, 171, 180))
-_COLUMN = TextStyle(size=17, color=(198, 203, 211), weight="bold")
-_TEXT = TextStyle(size=15, color=(198, 203, 211))
-_DIM = TextStyle(size=15, color=(132, 137, 146))
-_CODE = TextStyle(size=15, color=(222, 225, 230), weight="mono")
-_VALUE = TextStyle(size=17, color=(214, 217, 223))
-_BEST = TextStyle(size=17, color=(255, 255, 255), weight="bold")
+_TITLE_STYLE = TextStyle(size=42, color=(244, 245, 247), weight="bold")
+_FACTS_STYLE = TextStyle(size=20, color=(166, 171, 180))
+_COLUMN = TextStyle(size=21, color=(198, 203, 211), weight="bold")
+_TEXT = TextStyle(size=17, color=(198, 203, 211))
+_DIM = TextStyle(size=17, color=(132, 137, 146))
+_CODE = TextStyle(size=17, color=(222, 225, 230), weight="mono")
+_VALUE = TextStyle(size=21, color=(214, 217, 223))
+_BEST = TextStyle(size=21, color=(255, 255, 255), weight="bold")
 
 
 def compose_sheet(spec: SheetSpec) -> ByteImage:
@@ -142,7 +142,7 @@ def draw_legend(
     bar = min(240, width // 4)
     ramp = bytes_from_linear(heat_ramp(np.linspace(0, 1, bar)))
     start = x + draw_text(page, "0", x=x, y=y, style=_TEXT) + 8
-    page[y + 4 : y + 18, start : start + bar] = ramp
+    page[y + 5 : y + 20, start : start + bar] = ramp
     end = start + bar + 8
     end += draw_text(page, f"{high:g} {unit}", x=end, y=y, style=_TEXT) + 28
     draw_text(page, "   ·   ".join(notes), x=end, y=y, style=_DIM, max_width=x + width - end)
@@ -184,7 +184,7 @@ def _draw_row(
 ) -> None:
     badge = str(number)
     wide = max(text_width(badge, _CODE) + 12, 26)
-    fill_box(page, x, y + 3, wide, 20, _RULE)
+    fill_box(page, x, y + 2, wide, 24, _RULE)
     draw_text(page, badge, x=x + wide // 2, y=y + 3, style=_CODE, anchor="middle")
     at, right = x + wide + 12, x + layout.group_width
     for label, style in ((f"frame {row.frame}", _CODE), (row.timecode, _CODE), (row.note, _DIM)):
@@ -203,15 +203,15 @@ def _draw_row(
             picture = fit_picture(tile.pixels, width=width, height=height)
         page[top : top + height, at : at + width] = picture
         outline_box(page, at, top, width, height, _FRAME)
-        below = top + height + 4
+        below = top + height + 2
         used = 0
         if tile.value is not None:
             color = bytes_from_linear(heat_ramp(np.array([tile.value]), high=high))[0]
-            fill_box(page, at, below + 3, 14, 14, (int(color[0]), int(color[1]), int(color[2])))
+            fill_box(page, at, below + 6, 16, 16, (int(color[0]), int(color[1]), int(color[2])))
             style = _BEST if tile.value == best else _VALUE
             label = f"{tile.value:.2f} {spec.unit}" if np.isfinite(tile.value) else "no value"
-            room = max(width - 22, 0)
-            used = 22 + draw_text(page, label, x=at + 22, y=below, style=style, max_width=room)
+            room = max(width - 24, 0)
+            used = 24 + draw_text(page, label, x=at + 24, y=below, style=style, max_width=room)
             used += 14
         if tile.pixels is not None:
             draw_text(

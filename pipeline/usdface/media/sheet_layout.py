@@ -17,12 +17,12 @@ MARGIN = 36
 GUTTER = 6
 GROUP_GAP = 40
 ROW_GAP = 14
-CAPTION = 26
-COLUMN_HEAD = 30
-LEGEND = 34
+CAPTION = 30
+COLUMN_HEAD = 36
+LEGEND = 42
 LEAST_WIDTH = 800  # for the title and the strip above a few small tiles
-TITLE = 50
-FACTS = 30
+TITLE = 60
+FACTS = 34
 
 
 @dataclass(frozen=True)

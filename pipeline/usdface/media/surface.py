@@ -1,7 +1,7 @@
 """What a rig looks like before it moves: finer polygons, what each piece is, and its colours."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -108,7 +108,7 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
     kept = parts != Part.HIDDEN
     triangles = drawn.triangles[kept]
     # Without lash cards and tear lines: they hide skin that is seen.
-    shown = _Drawn(drawn.matrix, triangles, drawn.corner_of_triangle[kept])
+    shown = replace(drawn, triangles=triangles, corner_of_triangle=drawn.corner_of_triangle[kept])
     exposure = _rest_exposure(visible, shown, rays=_EXPOSURE_RAYS)
     cage = np.concatenate([mesh.points for mesh in visible])
     rest = np.asarray(drawn.matrix @ cage)
@@ -138,6 +138,7 @@ class _Drawn:
     matrix: Sparse
     triangles: IntArray
     corner_of_triangle: IntArray  # a cage point that each triangle belongs to
+    row_of_point: IntArray  # the drawn point that each cage point became
 
 
 @dataclass(frozen=True)
@@ -169,7 +170,8 @@ def _refine(mesh: RigMesh) -> _Drawn:
         counts, indices = step.face_counts, step.face_indices
         cage_corner = cage_corner[step.parents]
     triangles, faces = triangulate(counts, indices)
-    return _Drawn(sparse.csr_array(matrix), triangles, cage_corner[faces])
+    # Subdivision keeps the cage's points first.
+    return _Drawn(sparse.csr_array(matrix), triangles, cage_corner[faces], np.arange(count))
 
 
 def _concatenate(drawn: Sequence[_Drawn]) -> _Drawn:
@@ -180,6 +182,9 @@ def _concatenate(drawn: Sequence[_Drawn]) -> _Drawn:
         triangles=np.concatenate([d.triangles + r for d, r in zip(drawn, rows, strict=False)]),
         corner_of_triangle=np.concatenate(
             [d.corner_of_triangle + c for d, c in zip(drawn, columns, strict=False)]
+        ),
+        row_of_point=np.concatenate(
+            [d.row_of_point + r for d, r in zip(drawn, rows, strict=False)]
         ),
     )
 
@@ -232,8 +237,7 @@ def _sky_over(
     fine = np.asarray(drawn.matrix @ cage)
     operator = normal_operator(drawn.triangles, point_count=len(fine))
     normals = vertex_normals(fine, drawn.triangles, operator)
-    # A cage point's place on the drawn surface is where it weighs most.
-    rows = np.asarray(np.abs(drawn.matrix).argmax(axis=0)).reshape(-1)[which]
+    rows = drawn.row_of_point[which]
     aim = (outward * normals[rows]).astype(np.float32)
     lift = np.float32(2e-3 * np.ptp(fine[:, 1]))
     seen = sky_seen(

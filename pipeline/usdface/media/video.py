@@ -89,7 +89,9 @@ class VideoReader:
                 "are read: export a smaller movie"
             )
         stream.thread_type = "AUTO"
-        self._index = _read_index(self._container, stream, self.path)
+        self._index = _table_of_contents(stream, self.path) or _read_index(
+            self._container, stream, self.path
+        )
         base = Fraction(stream.time_base)
         self._tick = float(base)
         start = start_seconds(self._container)
@@ -186,6 +188,27 @@ class VideoReader:
             f"{self.path}: the frame at {seconds:.3f} s cannot be decoded; the file may be damaged "
             "there: copy or export it again"
         )
+
+
+def _table_of_contents(stream: Any, path: Path) -> _Index | None:
+    """Take time stamps from the file's own table, where that is sure to be right.
+
+    It tells decoding times. Where every frame stands alone (ProRes, DNxHD, MJPEG) these are the
+    times of showing, and tens of gigabytes need not be read to learn them.
+    """
+    entries = getattr(stream, "index_entries", None)  # PyAV 16 on
+    if not stream.codec.intra_only or entries is None or len(entries) < max(stream.frames, 2):
+        return None
+    if len(entries) > MAX_FRAMES:
+        return None
+    shown = [entry for entry in entries if not entry.is_discard]
+    stamps = np.array([entry.timestamp for entry in shown], np.int64)
+    steps = np.diff(stamps)
+    last = shown[-1] if shown else None
+    whole = last is not None and last.pos + last.size <= path.stat().st_size
+    if not whole or not len(steps) or steps.min() <= 0:
+        return None
+    return _Index(stamps=stamps, keys=stamps, last_duration=int(np.median(steps)))
 
 
 def _read_index(container: Any, stream: Any, path: Path) -> _Index:
