@@ -43,15 +43,44 @@ def _named(path: Path) -> Path:
 FilePath = Annotated[Path, AfterValidator(_named)]
 ReadPath = Annotated[FilePath, Reads()]
 WritePath = Annotated[FilePath, Writes()]
+
+
+def _ending(suffixes: tuple[str, ...], what: str) -> Callable[[Path], Path]:
+    def check(path: Path) -> Path:
+        if path.suffix.lower() not in suffixes:
+            raise ValueError(f"{what} is written, so the name must end in {', '.join(suffixes)}")
+        return path
+
+    return check
+
+
+LAYER_SUFFIXES = (".usda", ".usdc", ".usd")
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff")
+
+LayerOut = Annotated[WritePath, AfterValidator(_ending(LAYER_SUFFIXES, "a USD layer"))]
+ImageOut = Annotated[WritePath, AfterValidator(_ending(IMAGE_SUFFIXES, "a picture"))]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 PrimPath = Annotated[str, Field(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")]
-Frames = Annotated[str, Field(pattern=FRAMES_PATTERN, examples=["101-240"])]
+
+
+def _in_order(frames: str) -> str:
+    first, last = _split_frames(frames)
+    if last < first:
+        raise ValueError(f"the last frame, {last}, precedes the first, {first}")
+    return frames
+
+
+Frames = Annotated[
+    str, Field(pattern=FRAMES_PATTERN, examples=["101-240"]), AfterValidator(_in_order)
+]
 
 
 def frame_range(frames: str | None) -> tuple[int, int] | None:
     """Turn ``"101-240"`` into (101, 240); None stays None."""
-    if frames is None:
-        return None
+    return None if frames is None else _split_frames(frames)
+
+
+def _split_frames(frames: str) -> tuple[int, int]:
     split = frames.index("-", 1)
     return int(frames[:split]), int(frames[split + 1 :])
 
@@ -110,6 +139,10 @@ class Spec(BaseModel):
     def outputs(self) -> tuple[Path, ...]:
         """Return the files this spec makes: those that tell whether it has been done."""
         return self.paths(Writes)
+
+    def changes(self) -> tuple[Path, ...]:
+        """Return the files that are other files once this spec has been done."""
+        return self.outputs()
 
     def anchored(self, folder: Path) -> Self:
         """Return the same spec with its relative paths taken from a folder."""

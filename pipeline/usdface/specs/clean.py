@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from usdface.specs.base import FilePath, Name, Positional, Reads, Spec, WritePath
+from usdface.specs.base import FilePath, LayerOut, Name, Positional, Reads, Spec
 
 
 class CleanSpec(Spec):
@@ -19,7 +19,7 @@ class CleanSpec(Spec):
     step: Literal["clean"] = "clean"
     take: Annotated[FilePath, Reads(), Positional()]
     """The take to clean."""
-    out: WritePath
+    out: LayerOut
     """The cleaned take."""
     rigid: tuple[Name, ...] = ()
     """Markers that move with the skull alone; the take's own, or found, by default."""

@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 
 from usdface.specs.base import (
     Axis,
+    LayerOut,
     Name,
     Positional,
     PrimPath,
@@ -14,7 +15,6 @@ from usdface.specs.base import (
     Reads,
     Spec,
     Units,
-    WritePath,
 )
 
 
@@ -32,7 +32,7 @@ class IngestSpec(Spec):
     step: Literal["ingest"] = "ingest"
     sources: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
     """Capture files of one take."""
-    out: WritePath
+    out: LayerOut
     """The take to write (.usda keeps its samples in a .usdc beside it)."""
     video: ReadPath | None = None
     """The camera's recording; the take refers to it."""

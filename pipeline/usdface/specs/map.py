@@ -5,12 +5,12 @@ from typing import Annotated, ClassVar, Literal
 from usdface.specs.base import (
     FilePath,
     Frames,
+    LayerOut,
     Positional,
     PrimPath,
     ReadPath,
     Reads,
     Spec,
-    WritePath,
 )
 
 
@@ -33,7 +33,7 @@ class MapSpec(Spec):
     """The trained mapping."""
     rig: ReadPath
     """The character."""
-    out: WritePath
+    out: LayerOut
     """The performance to open."""
     prim: PrimPath | None = None
     """Where the rig is put in the performance; its own default prim's name by default."""

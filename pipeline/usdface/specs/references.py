@@ -8,12 +8,12 @@ from pydantic import Field
 from usdface.specs.base import (
     FilePath,
     Frames,
+    LayerOut,
     Positional,
     PrimPath,
     ReadPath,
     Reads,
     Spec,
-    WritePath,
 )
 
 
@@ -44,7 +44,7 @@ class SelectSpec(Spec):
     """Cleaned takes of one performer."""
     rig: ReadPath
     """The character."""
-    out: WritePath
+    out: LayerOut
     """The references asset: pair i at time code i."""
     count: Annotated[int, Field(ge=2, le=10_000)] = 100
     """How many pairs there shall be."""
@@ -78,3 +78,7 @@ class ReferencesImportSpec(Spec):
     def outputs(self) -> tuple[Path, ...]:
         """Return the layer that holds what people tuned."""
         return (tuned_path(self.references),)
+
+    def changes(self) -> tuple[Path, ...]:
+        """Return that layer, and the asset that composes it."""
+        return (*self.outputs(), self.references)

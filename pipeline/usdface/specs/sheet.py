@@ -7,11 +7,11 @@ from pydantic import Field
 from usdface.specs.base import (
     FilePath,
     Frames,
+    ImageOut,
     Positional,
     ReadPath,
     Reads,
     Spec,
-    WritePath,
 )
 
 
@@ -31,7 +31,7 @@ class SheetSpec(Spec):
     """The performance to show."""
     take: ReadPath
     """The cleaned take it was mapped from."""
-    out: WritePath
+    out: ImageOut
     """The picture: .jpg, .png or .exr."""
     rows: Annotated[int, Field(ge=1, le=400)] = 12
     """How many frames to show."""

@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from usdface.specs.base import FilePath, Name, Positional, Reads, Spec, WritePath
+from usdface.specs.base import FilePath, LayerOut, Name, Positional, Reads, Spec
 
 
 class TrainSpec(Spec):
@@ -19,7 +19,7 @@ class TrainSpec(Spec):
     step: Literal["train"] = "train"
     references: Annotated[FilePath, Reads(), Positional()]
     """The references asset, tuned."""
-    out: WritePath
+    out: LayerOut
     """The mapping to write."""
     method: Name = "auto"
     """The regression, or `auto`."""

@@ -108,7 +108,7 @@ def check_job(job: JobSpec) -> list[StepState]:
         else:
             state = _state(spec, make_provenance(spec))
         if state.state != "done":
-            to_come.update(spec.outputs())
+            to_come.update(spec.changes())
         states.append(state)
     if faults:
         raise InputError("\n".join(faults))

@@ -6,10 +6,8 @@ from pathlib import Path
 from usdface.errors import InputError
 from usdface.media.image import read_image_metadata
 from usdface.provenance import Provenance, canonical_json, hash_files
-from usdface.specs.base import Reads, Spec, Writes
-from usdface.usdio.layers import LAYER_SUFFIXES, dependencies, read_provenance
-
-IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff")
+from usdface.specs.base import IMAGE_SUFFIXES, LAYER_SUFFIXES, Reads, Spec, Writes
+from usdface.usdio.layers import dependencies, read_provenance
 
 
 def check_inputs(spec: Spec) -> None:

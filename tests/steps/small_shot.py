@@ -1,0 +1,93 @@
+"""A shot made once for many tests: the demo's actor, four seconds, and every file up to a sheet."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from usdface.capture.c3d_write import write_c3d
+from usdface.demo.acting import performance
+from usdface.demo.build import _write_weights
+from usdface.demo.capture import simulate_capture
+from usdface.demo.markers import place_markers
+from usdface.demo.proportions import ACTOR
+from usdface.demo.rig import demo_rig
+from usdface.demo.shapes import make_head
+from usdface.usdio.rig_write import write_rig
+
+FRAMES = 480
+PAIRS = 24
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Files of a shot that has been run; tests copy what they change."""
+
+    folder: Path
+    rigid: tuple[str, ...]
+    neutral: int
+
+    def __truediv__(self, name: str) -> Path:
+        return self.folder / name
+
+
+def make_inputs(folder: Path) -> Shot:
+    """Write rig, capture, keys and a job; run nothing."""
+    rig = demo_rig()
+    write_rig(folder / "hero.usdc", rig)
+    actor, acted = make_head(ACTOR), performance()
+    markers = place_markers(actor)
+    captured = simulate_capture(actor, acted, markers)
+    write_c3d(
+        folder / "shot.c3d",
+        captured.positions[:FRAMES],
+        captured.visible[:FRAMES],
+        markers.names,
+        rate=acted.weights.rate,
+        first_frame=1,
+    )
+    _write_weights(folder / "keys.csv", acted.weights, rig.shapes)
+    steps = [
+        {
+            "step": "ingest",
+            "sources": ["shot.c3d"],
+            "out": "shot.take.usda",
+            "rigid": list(markers.rigid),
+            "neutral": acted.neutral_frame,
+            "timecode": "01:00:00:00",
+        },
+        {"step": "clean", "take": "shot.take.usda", "out": "shot.clean.take.usda"},
+        {
+            "step": "select",
+            "takes": ["shot.clean.take.usda"],
+            "rig": "hero.usdc",
+            "count": PAIRS,
+            "out": "hero.references.usda",
+        },
+        {
+            "step": "references-import",
+            "references": "hero.references.usda",
+            "weights": "keys.csv",
+        },
+        {"step": "train", "references": "hero.references.usda", "out": "hero.mapping.usdc"},
+        {
+            "step": "map",
+            "take": "shot.clean.take.usda",
+            "mapping": "hero.mapping.usdc",
+            "rig": "hero.usdc",
+            "out": "shot.hero.usda",
+        },
+        {
+            "step": "sheet",
+            "performance": "shot.hero.usda",
+            "take": "shot.clean.take.usda",
+            "against": "keys.csv",
+            "out": "shot.sheet.jpg",
+            "rows": 2,
+            "tile": 96,
+            "quality": "draft",
+        },
+    ]
+    text = yaml.safe_dump({"job": "shot", "steps": steps}, sort_keys=False)
+    (folder / "shot.job.yaml").write_text(text, encoding="utf-8")
+    return Shot(folder, markers.rigid, acted.neutral_frame)

@@ -1,0 +1,143 @@
+"""A job runs what it lacks, says where it stands, and goes on after a failure."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.steps.small_shot import FRAMES, Shot
+from usdface.deformer import Deformer
+from usdface.errors import InputError
+from usdface.specs.reading import read_job
+from usdface.steps import jobs
+from usdface.steps.jobs import check_job, run_job
+from usdface.steps.weight_tables import read_weight_table
+from usdface.usdio.performance import read_performance
+from usdface.usdio.references import read_references
+from usdface.usdio.rig import read_rig
+from usdface.usdio.take import read_take
+from usdface.usdio.validation import validate
+
+STEPS = ["ingest", "clean", "select", "references-import", "train", "map", "sheet"]
+
+
+def ran(shot: Shot, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Run the job and return the steps it really ran."""
+    done: list[str] = []
+    execute = jobs.execute
+
+    def spy(spec, **options):
+        done.append(spec.step)
+        return execute(spec, **options)
+
+    monkeypatch.setattr(jobs, "execute", spy)
+    run_job(read_job(shot / "shot.job.yaml"))
+    monkeypatch.setattr(jobs, "execute", execute)
+    return done
+
+
+def test_the_whole_way_gives_weights_near_the_animators(finished_shot: Shot) -> None:
+    performance = read_performance(finished_shot / "shot.hero.usda")
+    rig = read_rig(finished_shot / "hero.usdc")
+    truth = read_weight_table(finished_shot / "keys.csv").columns(performance.weights.names)
+    error = performance.weights.values - truth[:FRAMES]
+    order = [rig.shapes.index(name) for name in performance.weights.names]
+    gram = Deformer(rig).shapes.gram()[np.ix_(order, order)]
+    keyed = read_references(finished_shot / "hero.references.usda").frames - 1
+    new = np.setdiff1d(np.arange(FRAMES), keyed)
+
+    def surface(errors: np.ndarray) -> float:
+        return float(np.sqrt(np.einsum("fs,st,ft->f", errors, gram, errors)).mean())
+
+    at_rest = surface(truth[:FRAMES][new])
+    assert surface(error[new]) < 0.5 * at_rest
+    assert performance.timecode_start == "01:00:00:00"
+
+
+def test_every_layer_that_was_written_passes_every_validator(finished_shot: Shot) -> None:
+    layers = [
+        "hero.usdc",
+        "shot.take.usda",
+        "shot.clean.take.usda",
+        "hero.references.usda",
+        "hero.mapping.usdc",
+        "shot.hero.usda",
+    ]
+    for name in layers:
+        assert validate(finished_shot / name) == [], name
+
+
+def test_cleaning_keeps_the_heads_motion(finished_shot: Shot) -> None:
+    raw = read_take(finished_shot / "shot.take.usda")
+    clean = read_take(finished_shot / "shot.clean.take.usda")
+    still, motion = clean.markers.positions.astype(float), clean.head_motion
+    back = np.einsum("fij,fmj->fmi", motion[:, :3, :3], still) + motion[:, None, :3, 3]
+    away = np.linalg.norm(back - raw.markers.positions, axis=2)[raw.markers.visible]
+    assert np.median(away) < 0.5, "stabilised markers and head motion must give the capture back"
+    travel = np.ptp(motion[:, :3, 3], axis=0).max()
+    assert travel > 10, "the actor moved, so the motion must be there"
+
+
+def test_a_second_run_has_nothing_to_do(shot: Shot, monkeypatch) -> None:
+    # A moved folder changes no hash: paths are kept relative.
+    assert ran(shot, monkeypatch) == []
+    assert {state.state for state in check_job(read_job(shot / "shot.job.yaml"))} == {"done"}
+
+
+def test_only_what_depends_on_a_change_runs_again(shot: Shot, monkeypatch) -> None:
+    keys = (shot / "keys.csv").read_text().splitlines()
+    keys[40] = keys[40].replace("0.0000", "0.0100")
+    (shot / "keys.csv").write_text("\n".join(keys))
+    states = check_job(read_job(shot / "shot.job.yaml"))
+    assert [state.state for state in states] == ["done"] * 3 + ["stale"] + ["missing"] * 3
+    assert "keys.csv has changed" in states[3].reason
+    assert ran(shot, monkeypatch)[0] == "references-import"
+
+
+def test_other_settings_run_that_step_and_what_follows(shot: Shot, monkeypatch) -> None:
+    job = shot / "shot.job.yaml"
+    job.write_text(job.read_text().replace("rows: 2", "rows: 3"))
+    assert ran(shot, monkeypatch) == ["sheet"]
+
+
+def test_a_job_that_failed_goes_on_where_it_stopped(shot: Shot, monkeypatch) -> None:
+    for name in ("hero.mapping.usdc", "shot.hero.usda", "shot.hero.weights.usdc"):
+        (shot / name).unlink()
+    kept = (shot / "hero.usdc").rename(shot / "away.usdc")
+    with pytest.raises(InputError, match=r"hero\.usdc: no such file"):
+        run_job(read_job(shot / "shot.job.yaml"))
+    kept.rename(shot / "hero.usdc")
+    assert ran(shot, monkeypatch) == ["train", "map"]  # the same bytes: the sheet is up to date
+
+
+def test_a_job_never_replaces_a_file_of_someone_else(shot: Shot) -> None:
+    (shot / "shot.sheet.jpg").write_bytes(b"my drawing")
+    with pytest.raises(InputError, match=r"step 7 of 7, sheet:.*was not written by usdface"):
+        run_job(read_job(shot / "shot.job.yaml"))
+    assert (shot / "shot.sheet.jpg").read_bytes() == b"my drawing"
+
+
+def test_checking_names_every_file_that_is_missing(shot: Shot) -> None:
+    (shot / "shot.c3d").unlink()
+    (shot / "keys.csv").unlink()
+    with pytest.raises(InputError, match=r"shot\.c3d: no such file.*\n.*keys\.csv: no such file"):
+        check_job(read_job(shot / "shot.job.yaml"))
+
+
+def test_running_twice_gives_the_same_bytes(shot: Shot, monkeypatch) -> None:
+    names = ["shot.hero.weights.usdc", "hero.mapping.usdc", "shot.sheet.jpg"]
+    before = {name: (shot / name).read_bytes() for name in names}
+    for name in ("hero.mapping.usdc", "shot.hero.usda", "shot.hero.weights.usdc", "shot.sheet.jpg"):
+        (shot / name).unlink()
+    assert ran(shot, monkeypatch) == ["train", "map", "sheet"]
+    assert {name: (shot / name).read_bytes() for name in names} == before
+
+
+def test_no_temporary_file_is_left(finished_shot: Shot) -> None:
+    assert list(finished_shot.folder.glob(".*")) == []
+
+
+def test_steps_are_all_there() -> None:
+    folder = Path(jobs.__file__).parent
+    for step in STEPS:
+        assert (folder / f"{step.replace('-', '_')}.py").is_file()
