@@ -16,7 +16,9 @@ def face_normals(points: FloatArray, faces: np.ndarray) -> FloatArray:
 
 
 def test_left_and_right_mirror_each_other_exactly(head: DemoHead) -> None:
-    np.testing.assert_array_equal(head.points[head.mirror] * (-1.0, 1.0, 1.0), head.points)
+    face = head.parts != Part.HAIR
+    mirrored = head.points[head.mirror] * (-1.0, 1.0, 1.0)
+    np.testing.assert_array_equal(mirrored[face], head.points[face])
     np.testing.assert_array_equal(head.mirror[head.mirror], np.arange(len(head.points)))
     np.testing.assert_array_equal(head.colors[head.mirror], head.colors)
 

@@ -30,7 +30,7 @@ class DemoInputs:
     video : Path
         The actor on camera, with sound.
     animator_weights : Path
-        CSV: `frame` (of the capture), then one column per shape that the performance uses.
+        CSV: `frame` (of the capture), then one column per shape of the rig.
     transcript : Path
         What is said, as plain text.
     rigid_markers : tuple of str
@@ -79,7 +79,8 @@ def write_demo_inputs(folder: Path, *, workers: int = 2, progress: Progress = si
     folder.mkdir(parents=True, exist_ok=True)
     progress(0.0, "sculpting the character")
     rig_file = folder / "character.usdc"
-    write_rig(rig_file, demo_rig())
+    character = demo_rig()
+    write_rig(rig_file, character)
     progress(0.10, "casting the actor")
     actor = make_head(ACTOR)
     acted = performance()
@@ -96,7 +97,7 @@ def write_demo_inputs(folder: Path, *, workers: int = 2, progress: Progress = si
         first_frame=FIRST_FRAME,
     )
     weights_file = folder / "animator_weights.csv"
-    _write_weights(weights_file, acted.weights)
+    _write_weights(weights_file, acted.weights, character.shapes)
     transcript_file = folder / "transcript.txt"
     transcript_file.write_text(acted.transcript + "\n", encoding="utf-8")
     video_file = folder / "actor.mp4"
@@ -116,9 +117,12 @@ def write_demo_inputs(folder: Path, *, workers: int = 2, progress: Progress = si
     )
 
 
-def _write_weights(path: Path, weights: WeightsClip) -> None:
+def _write_weights(path: Path, weights: WeightsClip, shapes: tuple[str, ...]) -> None:
+    """Write what an animator keys: every shape of the rig, those left alone at 0."""
+    column = {name: index for index, name in enumerate(weights.names)}
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
-        writer.writerow(["frame", *weights.names])
+        writer.writerow(["frame", *shapes])
         for number, row in enumerate(weights.values, start=weights.first_frame):
-            writer.writerow([number, *(f"{value:.4f}" for value in row)])
+            keyed = [row[column[name]] if name in column else 0.0 for name in shapes]
+            writer.writerow([number, *(f"{value:.4f}" for value in keyed)])

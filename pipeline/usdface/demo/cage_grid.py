@@ -46,7 +46,7 @@ def _grid_guess(style: Style) -> tuple[FloatArray, FloatArray]:
     # Per row: height at the midline and at the ear (columns 8 and 9), then at the nape.
     heights = np.array(
         [
-            (chin - 87.0, chin - 83.0, chin - 77.0),
+            (chin - 100.0, chin - 96.0, chin - 90.0),
             (chin - 53.0, chin - 47.0, chin - 39.0),
             (chin - 28.0, jaw - 52.0, jaw - 40.0),
             (chin - 17.0, jaw - 29.0, jaw - 22.0),
@@ -118,11 +118,9 @@ def _grid_guess(style: Style) -> tuple[FloatArray, FloatArray]:
     guess[:3, :, 0], guess[:3, :, 2] = 0.0, -20.0
     aim[:3, :, 0], aim[:3, :, 2] = -np.sin(neck), -np.cos(neck)
     guess[2, :7, 1] += 2.0
-    under = guess[3, :9].copy()
-    under[:, 0] = [0.0, 7.0, 14.5, 22.0, 29.0, 35.5, 41.0, 46.0, 48.0]
-    under[:, 2] = [56.0, 55.0, 52.0, 45.0, 36.0, 26.0, 15.0, 5.0, -6.0]
-    guess[3, :9] = under
-    aim[3, :9] = (0.0, 1.0, 0.12)
+    guess[3, :7, 0] = [0.0, 7.0, 14.5, 21.5, 27.5, 32.0, 35.5]
+    guess[3, :7, 2] = [56.0, 55.0, 52.0, 46.0, 38.0, 29.0, 19.0]
+    aim[3, :7] = (0.0, 1.0, 0.12)
     guess[4, :7, 2] = [78.0, 77.0, 72.0, 60.0, 46.0, 33.0, 20.0]
     aim[4, :7] = (0.0, 0.85, -0.53)
     return _swept_crown(guess, aim)
@@ -150,12 +148,12 @@ def _nose_points(style: Style) -> list[tuple[int, int, tuple[float, float, float
     wx, wy, wz = n.wing
     side = wx + n.wing_radii[0]
     return [
-        (8, 0, (0.0, base_y - 0.5, base_z + 1.0)),
+        (8, 0, (0.0, base_y - 0.5, base_z + 0.5)),
         (8, 1, (3.6, base_y - 0.3, base_z + 0.2)),
-        (8, 2, (wx + 2.0, base_y + 0.8, wz - 5.5)),
-        (9, 0, (0.0, base_y + 2.5, tip_z - 5.5)),
-        (9, 1, (4.4, base_y + 3.4, tip_z - 6.0)),
-        (9, 2, (side - 2.2, base_y + 2.4, wz + 4.5)),
+        (8, 2, (wx + 1.5, base_y + 0.8, wz - 5.0)),
+        (9, 0, (0.0, base_y + 3.0, tip_z - 5.0)),
+        (9, 1, (4.4, base_y + 3.6, tip_z - 6.0)),
+        (9, 2, (side - 2.4, base_y + 2.6, wz + 4.5)),
         (10, 0, (0.0, tip_y, tip_z + 0.5)),
         (10, 1, (7.0, tip_y - 1.0, tip_z - 4.5)),
         (10, 2, (side + 0.6, wy + 1.0, wz)),

@@ -119,16 +119,15 @@ def lay_eye(half: HalfCage, style: Style, form: Form, grid: IntArray) -> None:
     fold[:, 2] += np.where(side > 0, 2.2, 0.0) * np.abs(high)
     fold[:, 1] -= np.where(side > 0, 1.2, 0.0) * np.abs(high)
     edge = center + (lid(-0.3, -0.5, -0.5, skin) - center) * (e.radius + 0.75) / skin
-    tuck = center + (lid(2.0, 3.5, 3.5, skin) - center) * (e.radius + 0.9) / skin
-    deep = tuck - np.array([0.0, 0.0, 9.0])
+    tuck = center + (lid(1.2, 2.2, 2.2, skin) - center) * (e.radius + 0.9) / skin
+    none = np.zeros_like(side)
     rings = [
-        (3.0, fold, 0.35),
-        (2.0, crease, 0.0),
-        (1.0, middle, 0.0),
-        (0.0, rim, 0.0),
-        (-1.0, edge, 0.0),
-        (-2.0, tuck, 0.0),
-        (-3.0, deep, 0.0),
+        (3.0, fold, np.where(side > 0, 0.35, 1.0)),
+        (2.0, crease, np.where(side > 0, 0.0, 0.85)),
+        (1.0, middle, none),
+        (0.0, rim, none),
+        (-1.0, edge, none),
+        (-2.0, tuck, none),
     ]
     previous = outer
     for index, ring_side in zip(outer, side, strict=True):
@@ -136,8 +135,8 @@ def lay_eye(half: HalfCage, style: Style, form: Form, grid: IntArray) -> None:
         half.mark(index, Mark.EYE_SIDE, ring_side)
     for number, positions, settle in rings:
         ring = [
-            half.point(p, settle=settle, eye_ring=number, eye_side=s)
-            for p, s in zip(positions, side, strict=True)
+            half.point(p, settle=on_form, eye_ring=number, eye_side=s)
+            for p, s, on_form in zip(positions, side, settle, strict=True)
         ]
         half.strip([*ring, ring[0]], [*previous, previous[0]])
         previous = ring

@@ -22,7 +22,7 @@ from usdface.media.render import FaceRenderer
 from usdface.progress import Progress, silent
 
 RATE = Fraction(24)
-SIZE = (240, 270)
+SIZE = (216, 240)
 """Width and height of the clip [pixels]."""
 
 OFFSET_SECONDS = -0.4
@@ -32,7 +32,7 @@ TAIL_SECONDS = 0.25
 """How long the camera went on after the capture."""
 
 _SAMPLE_RATE = 48000
-_CAMERA = Camera(eye=(190.0, 1505.0, 1290.0), target=(60.0, 1494.0, 150.0), fov_degrees=15.5)
+_CAMERA = Camera(eye=(190.0, 1512.0, 1290.0), target=(60.0, 1503.0, 150.0), fov_degrees=15.0)
 
 
 class _Studio:

@@ -44,8 +44,8 @@ def skin_colors(style: Style, points: FloatArray, marks: FloatArray) -> FloatArr
     lip = np.array(style.palette.lip) * np.where(side > 0.0, 0.86, 1.04)[:, None]
     color = _mix(color, lip, smooth_step(2.30, 1.80, ring))
     color = _mix(color, 0.55 * np.array(style.palette.lip), smooth_step(0.45, -0.1, ring))
-    color = _mix(color, np.array([0.20, 0.045, 0.04]), smooth_step(-0.4, -1.6, ring))
-    color = _mix(color, np.array([0.012, 0.003, 0.003]), smooth_step(-1.6, -3.2, ring))
+    color = _mix(color, np.array([0.30, 0.075, 0.065]), smooth_step(-0.4, -1.6, ring))
+    color = _mix(color, np.array([0.045, 0.010, 0.009]), smooth_step(-1.6, -3.2, ring))
     corner = spot(mouth.half_width + 1.0, mouth.height + mouth.curve, 3.0, 1.6)
     color *= 1.0 - 0.45 * corner[:, None] * (ring > -0.5)[:, None]
 
@@ -63,7 +63,7 @@ def skin_colors(style: Style, points: FloatArray, marks: FloatArray) -> FloatArr
     crease = np.exp(-(((ring - 2.1) / 0.35) ** 2)) * smooth_step(0.1, 0.6, side)
     color *= 1.0 - np.outer(crease, (0.18, 0.28, 0.28))
     return _mix(
-        color, np.array([0.03, 0.008, 0.006]), smooth_step(0.05, 0.75, marks[:, Mark.NOSTRIL])
+        color, np.array([0.03, 0.008, 0.006]), smooth_step(0.02, 0.45, marks[:, Mark.NOSTRIL])
     )
 
 

@@ -11,8 +11,8 @@ from usdface.demo.sculpt import Form, trace
 
 
 @dataclass(frozen=True)
-class HalfMesh:
-    """The left half of one piece.
+class Piece:
+    """One piece of the head, or its left half.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ def smooth_step(start: float, stop: float, x: FloatArray) -> FloatArray:
     return t * t * (3.0 - 2.0 * t)
 
 
-def eyeball(style: Style) -> HalfMesh:
+def eyeball(style: Style) -> Piece:
     """Build a sphere of rings about the gaze, close together where the colour changes."""
     eye, iris = style.eye, np.array(style.palette.iris)
     border = np.arcsin(eye.iris)
@@ -49,9 +49,9 @@ def eyeball(style: Style) -> HalfMesh:
     )
     turns = np.arange(32) * 2.0 * np.pi / 32
     along = (angles - pupil) / (border - pupil)
-    light = np.interp(along, [0.0, 0.25, 0.75, 0.93, 1.0], [0.55, 1.0, 1.35, 0.9, 0.25])
+    light = np.interp(along, [0.0, 0.25, 0.75, 0.93, 1.0], [0.50, 0.9, 1.15, 0.75, 0.18])
     ring = (
-        light[:, None, None] * iris * (1.0 + 0.75 * smooth_step(0.5, -1.0, np.sin(turns)))[:, None]
+        light[:, None, None] * iris * (1.0 + 0.9 * smooth_step(0.6, -1.0, np.sin(turns)))[:, None]
     )
     ring = ring * (1.0 + 0.10 * np.cos(11.0 * turns) + 0.06 * np.sin(5.0 * turns + 1.0))[:, None]
     white = np.array([0.80, 0.775, 0.755]) - np.outer(
@@ -67,7 +67,7 @@ def eyeball(style: Style) -> HalfMesh:
         ],
         axis=-1,
     )
-    return HalfMesh(
+    return Piece(
         points=points.reshape(-1, 3) * eye.radius + eye.center,
         faces=grid_faces(len(angles), 32, closed=True, flip=True),
         colors=colors.reshape(-1, 3),
@@ -78,7 +78,7 @@ _TOOTH_WIDTHS = {True: (8.6, 6.6, 7.4, 6.8, 6.6, 9.5), False: (5.4, 5.8, 6.6, 6.
 _TOOTH_HEIGHTS = {True: (9.6, 8.6, 9.4, 8.2, 7.6, 7.0), False: (8.6, 8.6, 9.0, 8.0, 7.4, 7.0)}
 
 
-def teeth(style: Style, *, front: float, upper: bool) -> HalfMesh:
+def teeth(style: Style, *, front: float, upper: bool) -> Piece:
     """Build one dental arch with a tooth for every bulge, and the gum above it.
 
     Parameters
@@ -105,7 +105,7 @@ def teeth(style: Style, *, front: float, upper: bool) -> HalfMesh:
     direction = np.stack([x / 25.0**2, (z + 36.0) / 36.0**2], axis=1)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     sign = 1.0 if upper else -1.0
-    edge = style.mouth.height + (-1.5 if upper else -2.2)
+    edge = style.mouth.height + (-2.8 if upper else -2.2)
     rows = (  # part of the tooth's height from its edge, out of the arch, how much the teeth part
         (1.9, -2.5, 0.0),
         (1.35, 0.4, 0.25),
@@ -132,10 +132,10 @@ def teeth(style: Style, *, front: float, upper: bool) -> HalfMesh:
         )
     stacked = np.concatenate(points)
     stacked[np.tile(np.arange(len(x)) == 0, len(rows)), 0] = 0.0
-    return HalfMesh(stacked, grid_faces(len(rows), len(x), flip=upper), np.concatenate(colors))
+    return Piece(stacked, grid_faces(len(rows), len(x), flip=upper), np.concatenate(colors))
 
 
-def tongue(style: Style, *, front: float) -> HalfMesh:
+def tongue(style: Style, *, front: float) -> Piece:
     """Build a flattened half ellipsoid with a groove along its middle."""
     across, along = np.meshgrid(
         np.linspace(0.0, np.pi, 9), np.linspace(0.03, 0.5 * np.pi, 10), indexing="ij"
@@ -149,10 +149,10 @@ def tongue(style: Style, *, front: float) -> HalfMesh:
     points = np.stack([x, y + style.mouth.height - 9.5, z + front - 8.0], axis=-1)
     points[0, :, 0] = 0.0
     colors = np.array([0.50, 0.165, 0.155]) * (1.0 - 0.35 * np.exp(-((x / 2.5) ** 2)))[..., None]
-    return HalfMesh(points.reshape(-1, 3), grid_faces(9, 10, flip=True), colors.reshape(-1, 3))
+    return Piece(points.reshape(-1, 3), grid_faces(9, 10, flip=True), colors.reshape(-1, 3))
 
 
-def ear(style: Style, form: Form) -> HalfMesh:
+def ear(style: Style, form: Form) -> Piece:
     """Build a shell of rings set into the side of the head: concha, antihelix, helix and back."""
     reach = np.array(
         [0.03, 0.25, 0.40, 0.50, 0.58, 0.66, 0.74, 0.82, 0.90, 0.97, 1.0, 0.97, 0.84, 0.6]
@@ -181,39 +181,32 @@ def ear(style: Style, form: Form) -> HalfMesh:
     skin = np.array(style.palette.skin)
     dark = np.interp(reach, [0.0, 0.35, 0.6, 0.8, 0.97], [0.42, 0.62, 0.95, 0.75, 1.0])
     colors = dark[:, None] * skin * (1.0, 0.90, 0.88)
-    return HalfMesh(
+    return Piece(
         points.reshape(-1, 3),
         grid_faces(len(reach), 28, closed=True),
         np.repeat(colors, 28, axis=0),
     )
 
 
-def brow(style: Style, form: Form) -> HalfMesh:
+def brow(style: Style, form: Form) -> Piece:
     """Build a tapering pad of hair on the ridge over the eye."""
     e, s = style.eye, style.skull
-    rows, columns = 29, 7
+    rows, columns = 33, 9
     along, across = np.linspace(0.0, 1.0, rows)[:, None], np.linspace(-1.0, 1.0, columns)[None]
-    half = 3.6 * np.minimum(1.0, 0.45 + along / 0.22) * (1.0 - 0.80 * along**2.2)
-    half = half * (1.0 + 0.10 * np.cos(np.arange(rows) * 2.3)[:, None])
-    x = (
-        e.center[0]
-        - e.half_width * 1.02
-        + e.half_width * 2.35 * along
-        - 1.5 * across * (1.0 - along)
-    )
-    arch = 7.0 * np.sin(np.pi * np.minimum(0.06 + 0.82 * along, 1.0)) ** 1.2
-    y = e.center[1] + s.brow_height - 1.0 + arch - 5.5 * along**2 + half * across
+    half = 3.1 * np.minimum(1.0, np.sqrt(0.02 + along / 0.22)) * (1.0 - 0.82 * along**1.8)
+    x = e.center[0] - e.half_width * 0.98 + e.half_width * 2.3 * along
+    x = x - 1.6 * across * (1.0 - along)  # the inner end leans as its hairs do
+    arch = 8.0 * np.sin(np.pi * np.minimum(0.02 + 0.80 * along, 1.0)) ** 1.1
+    y = e.center[1] + s.brow_height + 0.5 + arch - 7.0 * along**2 + half * across
     flat = np.stack([x, y, np.full_like(x, 200.0)], axis=-1).reshape(-1, 3)
     on_skin = trace(form, flat, np.tile((0.0, 0.0, -1.0), (len(flat), 1)))
-    pad = 1.7 * np.sqrt(np.maximum(1.0 - across**2, 0.0)) * (1.0 - 0.5 * along) - 0.5
+    pad = 1.3 * np.sqrt(np.maximum(1.0 - across**2, 0.0)) * (1.0 - 0.5 * along) - 0.5
     points = on_skin + np.stack([0 * pad, 0.15 * pad, pad], axis=-1).reshape(-1, 3)
-    shade = 1.0 + 0.25 * np.cos(np.arange(rows * columns) * 1.7)
-    return HalfMesh(
-        points, grid_faces(rows, columns, flip=True), np.outer(shade, style.palette.brow)
-    )
+    shade = 1.0 + 0.15 * np.cos(np.arange(rows * columns) * 1.7)
+    return Piece(points, grid_faces(rows, columns, flip=True), np.outer(shade, style.palette.brow))
 
 
-def lashes(style: Style, rim: FloatArray) -> HalfMesh:
+def lashes(style: Style, rim: FloatArray) -> Piece:
     """Build a fringe on the edge of the upper lid, longest towards the outer corner.
 
     Parameters
@@ -225,7 +218,7 @@ def lashes(style: Style, rim: FloatArray) -> HalfMesh:
     center = np.array(style.eye.center)
     across = (rim[:, 0] - center[0]) / style.eye.half_width
     length = (0.7 + 2.3 * smooth_step(-0.9, 0.7, across)) * smooth_step(-1.05, -0.7, across)
-    length = length * smooth_step(1.02, 0.8, across) + 0.25
+    length = length * smooth_step(1.0, 0.72, across) + 0.25
     out = rim - center
     out /= np.linalg.norm(out, axis=1, keepdims=True)
     rows = []
@@ -233,7 +226,7 @@ def lashes(style: Style, rim: FloatArray) -> HalfMesh:
         lift = np.column_stack([0.35 * across * part, np.full(len(rim), curl), 0.0 * across])
         rows.append(rim + (part * length)[:, None] * out + length[:, None] * lift)
     points = np.concatenate(rows)
-    return HalfMesh(
+    return Piece(
         points,
         grid_faces(4, len(rim)),
         np.tile(0.35 * np.array(style.palette.brow), (len(points), 1)),

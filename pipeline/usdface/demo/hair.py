@@ -1,31 +1,53 @@
-"""Short hair combed back from the forehead: a cap over the skull with locks cut into it."""
+"""Short hair combed back from a side parting: a cap over the skull with locks cut into it.
+
+Hair is the one thing on the head that is not symmetric; no shape moves it.
+"""
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from usdface.assets import FloatArray
-from usdface.demo.details import HalfMesh, smooth_step
+from usdface.demo.details import Piece, smooth_step
 from usdface.demo.halves import grid_faces
 from usdface.demo.proportions import Style
 from usdface.demo.sculpt import Form, trace
 
 # The hairline: azimuth from the front [degrees], height above the eyes [mm].
-_LINE_AZIMUTH = (0, 12, 24, 36, 48, 58, 66, 72, 78, 82, 87, 92, 100, 110, 120, 132, 148, 165, 180)
-_LINE_HEIGHT = (64, 65, 66, 64, 55, 42, 24, 2, -18, -20, -4, 12, 19, 18, 6, -24, -52, -64, -66)
-_COLUMNS, _ROWS = 61, 30
+_LINE_AZIMUTH = (0, 12, 24, 34, 44, 54, 63, 70, 76, 80, 85, 90, 97, 106, 116, 130, 148, 165, 180)
+_LINE_HEIGHT = (62, 63, 65, 66, 60, 47, 30, 8, -14, -17, -6, 8, 14, 12, 0, -28, -54, -65, -67)
+_COLUMNS, _ROWS = 120, 32
+_PARTING = 20.0
+"""x of the parting over the forehead [mm]."""
 
 
-def hair_cap(style: Style, form: Form) -> HalfMesh:
-    """Grow the hair of a style on its sculpted head."""
-    azimuth = np.linspace(0.0, 180.0, _COLUMNS)
-    line = PchipInterpolator(_LINE_AZIMUTH, _LINE_HEIGHT)(azimuth)
+def hair_cap(style: Style, form: Form) -> Piece:
+    """Grow the hair of a style on its sculpted head.
+
+    Parameters
+    ----------
+    style : Style
+    form : callable
+        Signed distance to the head [mm].
+
+    Returns
+    -------
+    Piece
+        The whole head of hair.
+    """
+    azimuth = np.linspace(-180.0, 180.0, _COLUMNS, endpoint=False)
+    line = PchipInterpolator(_LINE_AZIMUTH, _LINE_HEIGHT)(np.abs(azimuth))
+    # The fringe hangs into the forehead on one side of the parting.
+    line -= 8.0 * np.exp(-(((azimuth + 24.0) / 20.0) ** 2)) - 5.0 * np.exp(
+        -(((azimuth - 17.0) / 9.0) ** 2)
+    )
+    line -= 2.2 * np.sin(azimuth * 0.42) * smooth_step(70.0, 40.0, np.abs(azimuth))
     turn = np.radians(azimuth)
     middle = np.array(style.skull.cranium)
     side = np.stack([np.sin(turn), 0.0 * turn, np.cos(turn)], axis=1)
     start = side * 300.0 + np.stack([0 * line, line, 0 * line - 8.0], axis=1)
     edge = trace(form, start, -side)
     low = np.arctan2(edge[:, 1] - middle[1], np.hypot(edge[:, 0], edge[:, 2] - middle[2]))
-    along = np.concatenate([[0.0, 0.0, 0.008, 0.02], np.linspace(0.045, 1.0, _ROWS - 4)])
+    along = np.concatenate([[0.0, 0.0, 0.01, 0.025], np.linspace(0.05, 1.0, _ROWS - 4)])
     rise = low + (0.5 * np.pi - 1e-3 - low) * along[:, None]
     outward = np.stack(
         [np.sin(turn) * np.cos(rise), np.sin(rise), np.cos(turn) * np.cos(rise)], axis=-1
@@ -33,26 +55,32 @@ def hair_cap(style: Style, form: Form) -> HalfMesh:
     flat = outward.reshape(-1, 3)
     scalp = trace(form, middle + 300.0 * flat, -flat).reshape(outward.shape)
     height, lock = _thickness(along[:, None], azimuth, scalp)
-    border = np.concatenate([[-2.5, 0.6, 2.0, 3.2], np.full(_ROWS - 4, 4.0)])[:, None]
+    border = np.concatenate([[-2.5, 0.5, 1.8, 3.0], np.full(_ROWS - 4, 4.0)])[:, None]
     points = scalp + (border / 4.0 * height)[..., None] * outward
-    points[:, [0, -1], 0] = 0.0
-    shade = (0.72 + 0.5 * lock)[..., None] * np.array(style.palette.hair)
-    return HalfMesh(points.reshape(-1, 3), grid_faces(_ROWS, _COLUMNS), shade.reshape(-1, 3))
+    shade = (0.60 + 0.62 * lock)[..., None] * np.array(style.palette.hair)
+    return Piece(
+        points.reshape(-1, 3), grid_faces(_ROWS, _COLUMNS, closed=True), shade.reshape(-1, 3)
+    )
 
 
 def _thickness(
     along: FloatArray, azimuth: FloatArray, scalp: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """How far the hair stands off the scalp [mm], and the ridge of each lock [0-1]."""
-    front = smooth_step(75.0, 20.0, azimuth)
-    nape = smooth_step(100.0, 150.0, azimuth)
-    volume = 6.0 + 9.0 * front * smooth_step(0.0, 0.22, along) + 4.0 * smooth_step(0.2, 0.6, along)
-    volume = volume - 2.0 * nape * smooth_step(0.3, 0.0, along)
-    # Locks run back from the forehead: their ridges follow x over the top and y down the sides.
-    across = np.abs(scalp[..., 0]) * 0.75 - 0.40 * scalp[..., 1] + 0.06 * scalp[..., 2]
-    lock = 0.5 + 0.5 * np.sin(across * 0.52 + 1.2 * np.sin(scalp[..., 2] * 0.035))
-    lock = 0.65 * lock**0.6 + 0.35 * (0.5 + 0.5 * np.sin(across * 1.27 + 0.8))
-    calm = smooth_step(0.97, 0.7, along)
-    return volume + 2.6 * (lock - 0.5) * calm * smooth_step(0.0, 0.06, along), lock * calm + 0.5 * (
-        1 - calm
-    )
+    x, y, z = scalp[..., 0], scalp[..., 1], scalp[..., 2]
+    crown = smooth_step(1.0, 0.72, along)
+    swept = smooth_step(85.0, 20.0, np.abs(azimuth + 18.0)) * crown
+    nape = smooth_step(95.0, 150.0, np.abs(azimuth))
+    volume = 6.5 + 10.0 * swept * smooth_step(0.0, 0.25, along) + 3.0 * smooth_step(0.2, 0.6, along)
+    volume = volume - 2.5 * nape * smooth_step(0.35, 0.0, along)
+    top = smooth_step(45.0, 75.0, y) * crown
+    aside = x - _PARTING - 0.12 * (z - 60.0)
+    volume = volume - 5.0 * np.exp(-((aside / 4.0) ** 2)) * top * smooth_step(-40.0, 10.0, z)
+    # Locks run back from the forehead and away from the parting, in planes through the head.
+    across = np.abs(aside) * 0.75 - 0.40 * y + 0.08 * z
+    across = across + 2.0 * np.sin(0.045 * z + 0.03 * y)
+    broad = 0.5 + 0.5 * np.sin(0.34 * across)
+    fine = 0.5 + 0.5 * np.sin(0.95 * across + 1.4 * np.sin(0.05 * z))
+    lock = 0.68 * broad**0.55 + 0.32 * fine
+    relief = 3.6 * (lock - 0.6) * crown * smooth_step(0.0, 0.05, along)
+    return volume + relief, lock * crown + 0.55 * (1.0 - crown)

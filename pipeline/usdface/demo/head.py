@@ -11,10 +11,9 @@ from usdface.assets import FloatArray, IntArray
 from usdface.demo import details
 from usdface.demo.cage import build_cage
 from usdface.demo.complexion import skin_colors
-from usdface.demo.details import HalfMesh
 from usdface.demo.hair import hair_cap
 from usdface.demo.half_cage import FAR, Mark
-from usdface.demo.halves import mirror_half
+from usdface.demo.halves import Whole, mirror_half
 from usdface.demo.proportions import Style
 from usdface.demo.refine import refine
 from usdface.demo.sculpt import Form, head_form, settle
@@ -51,7 +50,7 @@ class DemoHead:
     colors : (points, 3) float array
         Linear.
     mirror : (points,) int array
-        Index of each point's mirror image.
+        Index of each point's mirror image; hair is not symmetric and is its own.
     anchors : (points,) int array
         The point whose motion each one follows: lashes the edge of the lid, all others their own.
     shapes : mapping of str to tuple of (float, array)
@@ -86,7 +85,7 @@ def bare_head(style: Style) -> DemoHead:
     form = head_form(style)
     skin = _skin(style, form)
     rim = upper_lid_edge(skin.points, skin.marks)
-    front = float(skin.points[_lip_middle(skin), 2]) - 4.0
+    front = float(skin.points[_lip_middle(skin), 2]) - 5.0
     halves = {
         Part.EARS: details.ear(style, form),
         Part.EYES: details.eyeball(style),
@@ -95,11 +94,14 @@ def bare_head(style: Style) -> DemoHead:
         Part.TONGUE: details.tongue(style, front=front),
         Part.BROWS: details.brow(style, form),
         Part.LASHES: details.lashes(style, skin.points[rim]),
-        Part.HAIR: hair_cap(style, form),
     }
     head = skin
     for part, half in halves.items():
-        head = _with_piece(head, part, half)
+        whole = mirror_half(half.points, half.faces)
+        head = _with_piece(head, part, whole, half.colors[whole.source])
+    hair = hair_cap(style, form)
+    own = np.arange(len(hair.points))
+    head = _with_piece(head, Part.HAIR, Whole(hair.points, hair.faces, own, own), hair.colors)
     lash = np.flatnonzero(head.parts == Part.LASHES)
     rows = len(lash) // 2 // len(rim)
     left = np.tile(rim, rows)
@@ -116,7 +118,7 @@ def _skin(style: Style, form: Form) -> DemoHead:
     amount = np.clip(1.3 * marks[:, Mark.SETTLE] - 0.15, 0.0, 1.0)
     smooth = _neighbour_mean(fine.faces, len(points))
     points = settle(form, points, amount)
-    for _ in range(4):  # where the form folds sharply, points pile up: spread them again
+    for _ in range(6):  # where the form folds sharply, points pile up: spread them again
         points += 0.6 * amount[:, None] * (smooth @ points - points)
     points = settle(form, points, 0.8 * amount)
     points = _close_lips(style, points, marks)
@@ -200,8 +202,7 @@ def _lip_middle(skin: DemoHead) -> int:
     return int(rim[len(rim) // 2])
 
 
-def _with_piece(head: DemoHead, part: Part, half: HalfMesh) -> DemoHead:
-    whole = mirror_half(half.points, half.faces)
+def _with_piece(head: DemoHead, part: Part, whole: Whole, colors: FloatArray) -> DemoHead:
     count, first = len(whole.points), len(head.points)
     marks = np.zeros((count, len(Mark)))
     marks[:, [Mark.MOUTH_RING, Mark.EYE_RING]] = FAR
@@ -211,7 +212,7 @@ def _with_piece(head: DemoHead, part: Part, half: HalfMesh) -> DemoHead:
         faces=np.concatenate([head.faces, whole.faces + first]),
         parts=np.concatenate([head.parts, np.full(count, int(part))]),
         marks=np.concatenate([head.marks, marks]),
-        colors=np.concatenate([head.colors, half.colors[whole.source]]),
+        colors=np.concatenate([head.colors, colors]),
         mirror=np.concatenate([head.mirror, whole.mirror + first]),
         anchors=np.concatenate([head.anchors, first + np.arange(count)]),
     )

@@ -23,8 +23,8 @@ class Skull:
     chin_radii: Vec = (15.0, 13.0, 15.0)
     cheekbone: Vec = (40.0, -18.0, 52.0)
     cheekbone_radii: Vec = (20.0, 16.0, 19.0)
-    cheek: Vec = (29.0, -46.0, 55.0)
-    cheek_radii: Vec = (22.0, 25.0, 25.0)
+    cheek: Vec = (31.0, -42.0, 54.5)
+    cheek_radii: Vec = (23.0, 23.0, 24.0)
     muzzle: Vec = (0.0, -70.0, 58.0)
     muzzle_radii: Vec = (30.0, 26.0, 28.0)
     brow_height: float = 22.0
@@ -54,12 +54,12 @@ class Nose:
     """The nose, from its root between the eyes to the base on the lip."""
 
     root: tuple[float, float] = (2.0, 82.0)
-    tip: tuple[float, float] = (-34.0, 101.0)
-    base: tuple[float, float] = (-45.0, 87.0)
-    bridge_radius: float = 6.5
-    tip_radius: float = 8.5
-    wing: Vec = (9.5, -40.0, 88.5)
-    wing_radii: Vec = (5.5, 6.0, 9.0)
+    tip: tuple[float, float] = (-35.5, 102.5)
+    base: tuple[float, float] = (-46.0, 86.5)
+    bridge_radius: float = 5.5
+    tip_radius: float = 7.6
+    wing: Vec = (9.0, -40.0, 88.0)
+    wing_radii: Vec = (5.0, 5.6, 8.0)
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Mouth:
 
     height: float = -67.0
     half_width: float = 23.0
-    curve: float = 2.2
+    curve: float = 3.0
     upper: float = 6.5
     lower: float = 9.0
     fullness: float = 4.4
@@ -80,7 +80,7 @@ class Palette:
 
     skin: Vec = (0.68, 0.40, 0.285)
     lip: Vec = (0.56, 0.19, 0.165)
-    iris: Vec = (0.08, 0.22, 0.11)
+    iris: Vec = (0.075, 0.175, 0.095)
     hair: Vec = (0.15, 0.058, 0.022)
     brow: Vec = (0.075, 0.030, 0.013)
 

@@ -76,11 +76,11 @@ def _skull(style: Style, p: FloatArray) -> FloatArray:
     d = blend(d, ellipsoid(p, s.face, s.face_radii), 40.0)
     chin_corner = (s.chin[0] + 9.0, s.chin[1] + 1.0, s.chin[2] - 4.0)
     jaw = capsule(p, s.jaw_angle, chin_corner, s.jaw_radius, s.chin_radii[1] - 1.0)
-    d = blend(d, jaw, 26.0)
+    d = blend(d, jaw, 32.0)
     middle = 0.5 * (s.neck_front + s.neck_back)
     radius = 0.5 * (s.neck_front - s.neck_back)
     slim = p * (radius / s.neck_half, 1.0, 1.0)
-    top, bottom = (0.0, -55.0, middle), (0.0, -200.0, middle - 6.0)
+    top, bottom = (0.0, -55.0, middle), (0.0, -240.0, middle - 8.0)
     neck = capsule(slim, top, bottom, radius - 2.0, radius + 3.0)
     return blend(d, neck, 26.0)
 
@@ -88,7 +88,7 @@ def _skull(style: Style, p: FloatArray) -> FloatArray:
 def _face(style: Style, d: FloatArray, p: FloatArray) -> FloatArray:
     s, m = style.skull, style.mouth
     d = blend(d, ellipsoid(p, s.chin, s.chin_radii), 16.0)
-    d = blend(d, ellipsoid(p, s.cheekbone, s.cheekbone_radii), 24.0)
+    d = blend(d, ellipsoid(p, s.cheekbone, s.cheekbone_radii), 32.0)
     d = blend(d, ellipsoid(p, s.cheek, s.cheek_radii), 24.0)
     d = blend(d, ellipsoid(p, s.muzzle, s.muzzle_radii), 20.0)
     inner = (9.0, s.brow_height - 3.0, s.brow_depth)
@@ -123,10 +123,10 @@ def _eye(style: Style, d: FloatArray, p: FloatArray) -> FloatArray:
         (e.half_width + 7.0, 17.0, e.socket + 2.0),
     )
     d = carve(d, socket, 14.0)
-    corner = ellipsoid(p, (x - e.half_width - 3.0, y + 2.0, z + e.radius + 1.0), (6.0, 8.0, 7.0))
+    corner = ellipsoid(p, (x - e.half_width - 3.0, y + 2.0, z + e.radius + 3.0), (6.0, 8.0, 7.0))
     d = carve(d, corner, 8.0)
     lids = np.linalg.norm(p - e.center, axis=-1) - (e.radius + LID_THICKNESS)
-    return blend(d, lids, 7.0)
+    return blend(d, lids, 10.0)
 
 
 LID_THICKNESS = 2.2

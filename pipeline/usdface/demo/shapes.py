@@ -103,14 +103,15 @@ def _brow_pairs(f: FaceFields) -> dict[str, FloatArray]:
     by = ey + f.style.skull.brow_height + 2.0
 
     def brow(x: float, width: float, by_mm: tuple[float, float, float]) -> FloatArray:
-        return f.push(x, by, width, 15.0, by_mm, f.off_lid)
+        hanging = np.exp(-((np.minimum(f.y - by + 5.0, 0.0) / 9.0) ** 2))  # spares the fold below
+        return f.push(x, by, width, 15.0, by_mm, f.off_lid * hanging)
 
     frown = f.fold((4.0, by - 6.0), (5.5, by + 9.0), 2.4, 1.4)
     return {
         "browDown": brow(13, 17, (-3.2, -7.6, 1.6))
         + brow(ex + 8, 18, (-1.0, -4.2, 0.6))
         + frown
-        + f.lids(0.12, 0.0),
+        + f.lids(0.18, 0.0),
         "browOuterUp": brow(ex + 12, 17, (0.4, 8.0, -1.0)) + brow(ex - 4, 14, (0, 2.0, 0)),
     }
 
@@ -148,19 +149,19 @@ def _mouth_pairs(f: FaceFields) -> dict[str, FloatArray]:
     m, n = f.style.mouth, f.style.nose
     w, my = m.half_width, m.height
     eye_x, eye_y = f.style.eye.center[:2]
-    aside = 1.0 - np.exp(-((f.x / (0.55 * w)) ** 2))
+    aside = 1.0 - np.exp(-((f.x / (0.68 * w)) ** 2.6))
 
     def corner(x: float, y: float, z: float, size: float = 1.0) -> FloatArray:
         return f.push(w, my + m.curve, 19 * size, 14.5 * size, (x, y, z), aside)
 
-    along_lip = np.exp(-(((f.x - 0.42 * w) / (0.85 * w)) ** 2))
+    along_lip = np.exp(-((np.maximum(f.x - 0.45 * w, 0.0) / (0.6 * w)) ** 2))
     press = f.lips * np.exp(-(((f.x - 0.55 * w) / (0.7 * w)) ** 2))
     pressed = np.column_stack([0 * press, -0.30 * press * f.above_line, -1.8 * press])
     smile_line = ((n.wing[0] + 6.5, n.wing[1] + 2.0), (w + 13.0, my - 2.0))
     return {
-        "mouthSmile": corner(8.0, 9.5, -7.0)
+        "mouthSmile": corner(8.0, 8.6, -6.5)
         + f.push(w + 9, my + 21, 17, 14, (1.6, 5.0, 4.6))
-        + f.fold(*smile_line, 3.0, 1.8)
+        + f.fold(*smile_line, 3.6, 0.9)
         + f.push(n.wing[0], n.wing[1], 8, 8, (1.2, 0.6, 0))
         + f.lids(0.0, 0.9)
         + f.push(eye_x + 3, eye_y - 22, 18, 9, (0, 1.6, 1.2), f.off_lid),
@@ -203,10 +204,11 @@ def _whole(f: FaceFields) -> dict[str, FloatArray]:
     closing = f.lip_gap(wide_open)
     tall = np.maximum(np.abs(f.above_line) - 7.0, 0.0)
     # Lips part by their side; round the corners, where they have none, flesh parts by height.
-    parted = np.where(
-        f.lips > 1e-6, np.clip(4.0 * side, -1.0, 1.0), np.clip(f.above_line / 6.0, -1, 1)
-    )
-    share = np.where(parted > 0.0, 0.28 * parted, 0.72 * parted)
+    by_height = np.clip(f.above_line / 7.0, -1.0, 1.0)
+    parted = by_height + smooth_step(0.0, 0.6, f.lips) * (np.clip(4.0 * side, -1, 1) - by_height)
+    share = np.where(parted > 0.0, 0.40 * parted, 0.60 * parted)
+    # The jaw swings back as it drops: the lower lip alone makes up for that, over the teeth.
+    forward = np.minimum(parted, 0.0)
     near = f.soft * np.exp(-((tall / 13.0) ** 2))
     upper_cone, lower_cone = f.upper * f.open_width, f.lower * f.open_width
     chin = f.push(0, skull.chin[1] + 2.0, 17, 12, (0, 4.4, 1.8))
@@ -215,7 +217,8 @@ def _whole(f: FaceFields) -> dict[str, FloatArray]:
         + f.fold((0.0, by + 22.0), (20.0, by + 21.0), 3.0, -0.9),
         "jawOpen": wide_open,
         "jawForward": np.outer(f.jaw, (0, -0.6, 7.5)),
-        "mouthClose": closing * (share * near)[:, None],
+        "mouthClose": closing * np.column_stack([share, share, forward]) * near[:, None]
+        + f.push(w + 3.0, my - 2.0, 9, 10, (0, 2.4, 0)),
         "cheekPuff": f.push(w + 14, my + 2, 17, 21, (6.5, 0, 8.5), 1.0 - 0.7 * f.lips)
         + f.push(0, my + 12, 22, 7, (0, 0, 2.4))
         + f.push(0, my - 14, 20, 6, (0, 0, 1.6))
