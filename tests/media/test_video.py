@@ -7,6 +7,7 @@ import pytest
 
 from tests.media.bar_code import draw_number, read_number, turn_in_header, write_numbered
 from usdface.errors import InputError
+from usdface.media import movie as movie_writer
 from usdface.media import video
 from usdface.media.video import VideoReader, read_audio, write_movie
 
@@ -118,6 +119,19 @@ def test_there_is_no_frame_before_and_after_the_movie(tmp_path: Path) -> None:
         assert movie.frame_at(-0.05) is None
         assert movie.frame_at(1.05) is None
         assert read_number(movie.frame_at(0.99)) == 9
+
+
+@pytest.mark.skipif("libvpx-vp9" not in av.codecs_available, reason="this PyAV has no VP9")
+def test_without_h264_the_movie_is_vp9_and_reads_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(movie_writer, "_H264", ())
+    path = tmp_path / "review.mp4"
+    write_movie(path, pictures(12), rate=Fraction(25))
+    with VideoReader(path) as movie:
+        assert [read_number(movie.frame(n)) for n in (7, 2, 11)] == [7, 2, 11]
+    with av.open(str(path)) as container:
+        assert container.streams.video[0].codec.name.startswith(("vp9", "libvpx"))
 
 
 def test_sound_comes_back_where_it_was(tmp_path: Path) -> None:

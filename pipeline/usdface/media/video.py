@@ -196,7 +196,7 @@ def _table_of_contents(stream: Any, path: Path) -> _Index | None:
     It tells decoding times. Where every frame stands alone (ProRes, DNxHD, MJPEG) these are the
     times of showing, and tens of gigabytes need not be read to learn them.
     """
-    entries = getattr(stream, "index_entries", None)  # PyAV 16 on
+    entries = getattr(stream, "index_entries", None)  # not in every PyAV
     if not stream.codec.intra_only or entries is None or len(entries) < max(stream.frames, 2):
         return None
     if len(entries) > MAX_FRAMES:
