@@ -291,8 +291,7 @@ def _notes(truth_known: bool, judged: list[_Judged]) -> tuple[str, ...]:
     what = (
         "error: RMS distance of the surface from what was keyed"
         if truth_known
-        else "error: RMS distance of the markers from what the weights explain; it favours the "
-        "baseline, which minimises just that"
+        else "error: RMS distance of the markers from what the weights explain; not the truth"
     )
     means = ", ".join(f"{each.label} {np.nanmean(each.error_mm):.2f} mm" for each in judged)
     return (what, f"mean: {means}")

@@ -1,0 +1,159 @@
+"""Accuracy on a take with known weights: references from its first half, scored on its second.
+
+The figures are those of the fixtures' own ruler, ``tools/score.py``. Everything runs as a user
+would run it, through specs and files.
+"""
+
+import csv
+import importlib.util
+import json
+import tempfile
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from tests.conftest import SHARED_DATA
+from usdface.deformer import Deformer
+from usdface.model.equation import set_up_equation
+from usdface.model.methods import METHODS
+from usdface.specs.clean import CleanSpec
+from usdface.specs.ingest import IngestSpec
+from usdface.specs.map import MapSpec
+from usdface.specs.references import ReferencesImportSpec, SelectSpec
+from usdface.specs.train import TrainSpec
+from usdface.steps.execute import execute
+from usdface.usdio.performance import read_performance
+from usdface.usdio.rig import read_rig
+from usdface.usdio.take import read_take
+
+HALF = 4030
+"""Frames of the first half: the recording resampled from 30 to 60 frames per second is 8,059."""
+
+COUNTS = (25, 50, 100)
+COLUMNS = ("weight_rmse", "vertex_rms_mm", "vertex_p95_mm", "blink_bias", "jitter")
+
+
+def run(counts: tuple[int, ...] = COUNTS, methods: tuple[str, ...] = ()) -> None:
+    """Print one table per number of references."""
+    if not (SHARED_DATA / "crosstake").is_dir():
+        print(f"skipped: no crosstake in {SHARED_DATA}")
+        return
+    ruler = _ruler()
+    rig_file = SHARED_DATA / "rigs" / "facecap_head.usdc"
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        truth = _prepare(folder)
+        solved = _equation(folder, rig_file)
+        for count in counts:
+            print(f"{count} references from the first half, scored on the second\n")
+            print(f"| method | {' | '.join(COLUMNS)} |")
+            print(f"|---|{'---|' * len(COLUMNS)}")
+            for label, weights in solved.items():
+                _row(label, _score(ruler, weights, truth, rig_file))
+            references = _references(folder, rig_file, count)
+            for method in methods or ("auto", *METHODS):
+                weights = _map(references, rig_file, method)
+                _row(method, _score(ruler, weights, truth, rig_file))
+            print()
+
+
+def _ruler() -> ModuleType:
+    path = SHARED_DATA.parent / "tools" / "score.py"
+    spec = importlib.util.spec_from_file_location("score", path)
+    if spec is None or spec.loader is None:
+        raise SystemExit(f"no ruler at {path}")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _prepare(folder: Path) -> Any:
+    source = SHARED_DATA / "crosstake"
+    said = json.loads((source / "take.json").read_text())
+    execute(
+        IngestSpec(
+            sources=(source / "take.c3d",),
+            out=folder / "x.take.usda",
+            rigid=tuple(said["rigid"]),
+            neutral=said["neutral_frame"] + 1,  # an index there, a frame number here
+        )
+    )
+    execute(CleanSpec(take=folder / "x.take.usda", out=folder / "x.clean.take.usda"))
+    truth = np.load(source / "truth.npz")
+    with (folder / "keys.csv").open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["frame", *truth["shapes"]])
+        writer.writerows([i, *row] for i, row in enumerate(truth["weights"], start=1))
+    return truth
+
+
+def _equation(folder: Path, rig_file: Path) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    """Solve the blendshape equation, which needs no references."""
+    take, rig = read_take(folder / "x.clean.take.usda"), read_rig(rig_file)
+    markers = take.markers
+    equation = set_up_equation(
+        rig,
+        Deformer(rig),
+        neutral=markers.positions[markers.neutral_frame - take.first_frame].astype(float),
+        positions=markers.positions,
+        visible=markers.visible,
+        rigid=tuple(markers.names.index(name) for name in markers.rigid),
+    )
+    return {
+        label: (rig.shapes, equation.solve(markers.positions, method=method))
+        for label, method in (
+            ("equation, least squares", "lstsq"),
+            ("equation, within ranges", "bounded"),
+        )
+    }
+
+
+def _references(folder: Path, rig_file: Path, count: int) -> Path:
+    references = folder / f"{count}.references.usda"
+    execute(
+        SelectSpec(
+            takes=(folder / "x.clean.take.usda",),
+            rig=rig_file,
+            out=references,
+            count=count,
+            frames=f"1-{HALF}",
+        )
+    )
+    execute(ReferencesImportSpec(references=references, weights=folder / "keys.csv"))
+    return references
+
+
+def _map(references: Path, rig_file: Path, method: str) -> tuple[tuple[str, ...], np.ndarray]:
+    folder = references.parent
+    mapping, out = folder / "x.mapping.usdc", folder / "x.hero.usda"
+    execute(TrainSpec(references=references, out=mapping, method=method), overwrite=True)
+    execute(
+        MapSpec(take=folder / "x.clean.take.usda", mapping=mapping, rig=rig_file, out=out),
+        overwrite=True,
+    )
+    clip = read_performance(out).weights
+    return clip.names, clip.values.astype(float)
+
+
+def _score(
+    ruler: ModuleType, solved: tuple[tuple[str, ...], np.ndarray], truth: Any, rig_file: Path
+) -> dict[str, float]:
+    names, weights = solved
+    shapes = [str(name) for name in truth["shapes"]]
+    ordered = np.stack([weights[:, names.index(name)] for name in shapes], axis=1)
+    seen = np.array([not name.lower().startswith("eyelook") for name in shapes])
+    figures: dict[str, float] = ruler.metrics(
+        ordered[HALF:],
+        truth["weights"].astype(float)[HALF:],
+        shapes,
+        ruler.rig_shapes(str(rig_file)),
+        60.0,
+        seen,
+    )
+    return figures
+
+
+def _row(label: str, figures: dict[str, float]) -> None:
+    print(f"| {label} | {' | '.join(f'{figures[name]:.3f}' for name in COLUMNS)} |", flush=True)
