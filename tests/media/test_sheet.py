@@ -6,14 +6,14 @@ import pytest
 from usdface.errors import InputError
 from usdface.media.color import bytes_from_linear, heat_ramp
 from usdface.media.error_strip import ErrorCurve, draw_error_strip
-from usdface.media.sheet import SheetRow, SheetSpec, Tile, compose_sheet, round_range
+from usdface.media.sheet import SheetRow, SheetPage, Tile, compose_sheet, round_range
 from usdface.media.sheet_layout import lay_out
 from usdface.media.tiles import empty_tile, fit_picture
 
 COLUMNS = ("video", "markers", "baseline", "ours")
 
 
-def make_spec(row_count: int = 12, **changes) -> SheetSpec:
+def make_spec(row_count: int = 12, **changes) -> SheetPage:
     rng = np.random.default_rng(0)
     rows = tuple(
         SheetRow(
@@ -29,7 +29,7 @@ def make_spec(row_count: int = 12, **changes) -> SheetSpec:
         )
         for n in range(row_count)
     )
-    spec = SheetSpec(
+    spec = SheetPage(
         title="Küche_v003",
         columns=COLUMNS,
         rows=rows,
@@ -74,7 +74,7 @@ def test_nothing_is_drawn_over_the_page_margin(tile_height: int) -> None:
 
 def test_sheet_without_curves_values_and_facts_is_still_made() -> None:
     rows = (SheetRow(7, "", tuple(Tile(None) for _ in COLUMNS)),)
-    sheet = compose_sheet(SheetSpec("bare", COLUMNS, rows, tile_height=64))
+    sheet = compose_sheet(SheetPage("bare", COLUMNS, rows, tile_height=64))
     assert sheet.dtype == np.uint8
 
 
@@ -155,4 +155,4 @@ def test_sheet_that_cannot_be_laid_out_says_why(changes: dict, message: str) -> 
 def test_tile_of_floats_is_refused() -> None:
     rows = (SheetRow(1, "", (Tile(np.zeros((8, 8, 3))),)),)
     with pytest.raises(InputError, match="uint8"):
-        compose_sheet(SheetSpec("x", ("a",), rows))
+        compose_sheet(SheetPage("x", ("a",), rows))

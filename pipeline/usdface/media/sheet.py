@@ -23,7 +23,7 @@ from usdface.media.sheet_layout import (
     TITLE,
     Layout,
     SheetRow,
-    SheetSpec,
+    SheetPage,
     Tile,
     all_errors,
     check_sheet,
@@ -33,7 +33,7 @@ from usdface.media.sheet_layout import (
 from usdface.media.text import TextStyle, draw_text, text_width
 from usdface.media.tiles import empty_tile, fit_picture
 
-__all__ = ["ErrorCurve", "SheetRow", "SheetSpec", "Tile", "compose_sheet"]
+__all__ = ["ErrorCurve", "SheetRow", "SheetPage", "Tile", "compose_sheet"]
 
 MAX_PIXELS = 400_000_000
 
@@ -51,12 +51,12 @@ _VALUE = TextStyle(size=21, color=(214, 217, 223))
 _BEST = TextStyle(size=21, color=(255, 255, 255), weight="bold")
 
 
-def compose_sheet(spec: SheetSpec) -> ByteImage:
+def compose_sheet(spec: SheetPage) -> ByteImage:
     """Compose a contact sheet.
 
     Parameters
     ----------
-    spec : SheetSpec
+    spec : SheetPage
 
     Returns
     -------
@@ -150,7 +150,7 @@ def draw_legend(
 
 def _draw_group(
     page: ByteImage,
-    spec: SheetSpec,
+    spec: SheetPage,
     layout: Layout,
     rows: Sequence[SheetRow],
     first: int,
@@ -173,7 +173,7 @@ def _draw_group(
 
 def _draw_row(
     page: ByteImage,
-    spec: SheetSpec,
+    spec: SheetPage,
     layout: Layout,
     row: SheetRow,
     number: int,

@@ -66,7 +66,7 @@ class SheetRow:
 
 
 @dataclass(frozen=True)
-class SheetSpec:
+class SheetPage:
     """All that is on a sheet.
 
     Attributes
@@ -140,7 +140,7 @@ class Layout:
         return self.head_height + COLUMN_HEAD + self.rows_per_group * self.row_height + MARGIN
 
 
-def check_sheet(spec: SheetSpec) -> None:
+def check_sheet(spec: SheetPage) -> None:
     """Refuse a sheet that cannot be laid out.
 
     Raises
@@ -160,18 +160,18 @@ def check_sheet(spec: SheetSpec) -> None:
         raise InputError(f"tiles of {spec.tile_height} pixels; choose 48 to 4096")
 
 
-def all_errors(spec: SheetSpec) -> FloatArray:
+def all_errors(spec: SheetPage) -> FloatArray:
     """Return every error on the sheet, those of the strips included."""
     shown = [t.value for row in spec.rows for t in row.tiles if t.value is not None]
     return np.concatenate([np.array(shown, float), *(curve.values for curve in spec.curves)])
 
 
-def has_legend(spec: SheetSpec) -> bool:
+def has_legend(spec: SheetPage) -> bool:
     """Whether there is anything to explain."""
     return bool(spec.notes or len(all_errors(spec)))
 
 
-def lay_out(spec: SheetSpec) -> Layout:
+def lay_out(spec: SheetPage) -> Layout:
     """Find the sizes; of all ways to stand rows side by side, the one nearest `BEST_ASPECT`."""
     head = MARGIN - 8 + TITLE + (FACTS if spec.facts else 0) + 18
     head += strip_height(len(spec.curves)) if spec.curves else 0

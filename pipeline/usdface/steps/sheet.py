@@ -14,8 +14,7 @@ from usdface.media.error_strip import ErrorCurve
 from usdface.media.image import write_image
 from usdface.media.markers_view import draw_markers, frame_markers
 from usdface.media.render import FaceRenderer
-from usdface.media.sheet import SheetRow, Tile, compose_sheet
-from usdface.media.sheet import SheetSpec as SheetPage
+from usdface.media.sheet import SheetPage, SheetRow, Tile, compose_sheet
 from usdface.media.video import VideoReader
 from usdface.model.equation import BlendshapeEquation, set_up_equation
 from usdface.progress import Progress, silent
@@ -76,6 +75,7 @@ def run(
         judged.append(_judge("equation", solved, truth, equation, positions, deformer))
     judged.append(_judge("usdface", weights, truth, equation, positions, deformer))
     rows = _choose_rows(judged[-1], deformer, spec.rows)
+    renderer = FaceRenderer(rig.meshes)
     page = SheetPage(
         title=f"{take.name} on {rig.file.stem}",
         facts=_facts(performance, take, frames),
@@ -83,7 +83,7 @@ def run(
         rows=tuple(_draw_rows(spec, take, rig, deformer, equation, frames, judged, rows, progress)),
         curves=tuple(ErrorCurve(each.label, each.error_mm) for each in judged),
         first_frame=int(frames[0]),
-        notes=_notes(truth is not None, judged),
+        notes=_notes(truth is not None, judged, stand_in_eyes=renderer.eyes_put_in),
         tile_height=spec.tile,
     )
     progress(0.95, f"writing {spec.out.name}")
@@ -207,6 +207,7 @@ def _draw_rows(
     spec: SheetSpec,
     take: Take,
     rig: Rig,
+    renderer: FaceRenderer,
     deformer: Deformer,
     equation: BlendshapeEquation,
     frames: IntArray,
@@ -217,7 +218,6 @@ def _draw_rows(
     positions = _positions(take, frames)
     visible = _visible(take, frames)
     explained = equation.explained(judged[-1].weights[[row for row, _ in rows]])
-    renderer = FaceRenderer(rig.meshes)
     camera = frame_rig(rig.meshes, yaw_degrees=YAW_DEGREES)
     cloud_frame = frame_markers(positions)
     with ExitStack() as open_files:
@@ -287,14 +287,15 @@ def _facts(performance: Performance, take: Take, frames: IntArray) -> tuple[str,
     return tuple(facts)
 
 
-def _notes(truth_known: bool, judged: list[_Judged]) -> tuple[str, ...]:
+def _notes(truth_known: bool, judged: list[_Judged], *, stand_in_eyes: bool) -> tuple[str, ...]:
     what = (
         "error: RMS distance of the surface from what was keyed"
         if truth_known
         else "error: RMS distance of the markers from what the weights explain; not the truth"
     )
     means = ", ".join(f"{each.label} {np.nanmean(each.error_mm):.2f} mm" for each in judged)
-    return (what, f"mean: {means}")
+    eyes = ("the rig has no eyes: stand-ins are drawn",) if stand_in_eyes else ()
+    return (what, f"mean: {means}", *eyes)
 
 
 def _report(
