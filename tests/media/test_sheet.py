@@ -6,7 +6,7 @@ import pytest
 from usdface.errors import InputError
 from usdface.media.color import bytes_from_linear, heat_ramp
 from usdface.media.error_strip import ErrorCurve, draw_error_strip
-from usdface.media.sheet import SheetRow, SheetPage, Tile, compose_sheet, round_range
+from usdface.media.sheet import SheetPage, SheetRow, Tile, compose_sheet, round_range
 from usdface.media.sheet_layout import lay_out
 from usdface.media.tiles import empty_tile, fit_picture
 

@@ -22,8 +22,8 @@ from usdface.media.sheet_layout import (
     MARGIN,
     TITLE,
     Layout,
-    SheetRow,
     SheetPage,
+    SheetRow,
     Tile,
     all_errors,
     check_sheet,
@@ -33,7 +33,7 @@ from usdface.media.sheet_layout import (
 from usdface.media.text import TextStyle, draw_text, text_width
 from usdface.media.tiles import empty_tile, fit_picture
 
-__all__ = ["ErrorCurve", "SheetRow", "SheetPage", "Tile", "compose_sheet"]
+__all__ = ["ErrorCurve", "SheetPage", "SheetRow", "Tile", "compose_sheet"]
 
 MAX_PIXELS = 400_000_000
 

@@ -54,6 +54,18 @@ class _Judged:
     error_mm: FloatArray
 
 
+@dataclass(frozen=True)
+class _Scene:
+    """What is drawn: the frames of a take, and the face that is to act them."""
+
+    take: Take
+    frames: IntArray
+    positions: FloatArray
+    deformer: Deformer
+    equation: BlendshapeEquation
+    renderer: FaceRenderer
+
+
 def run(
     spec: SheetSpec, *, provenance: Provenance | None = None, progress: Progress = silent
 ) -> Report:
@@ -76,11 +88,12 @@ def run(
     judged.append(_judge("usdface", weights, truth, equation, positions, deformer))
     rows = _choose_rows(judged[-1], deformer, spec.rows)
     renderer = FaceRenderer(rig.meshes)
+    scene = _Scene(take, frames, positions, deformer, equation, renderer)
     page = SheetPage(
         title=f"{take.name} on {rig.file.stem}",
         facts=_facts(performance, take, frames),
         columns=_columns(take, judged),
-        rows=tuple(_draw_rows(spec, take, rig, deformer, equation, frames, judged, rows, progress)),
+        rows=tuple(_draw_rows(spec, scene, rig, judged, rows, progress)),
         curves=tuple(ErrorCurve(each.label, each.error_mm) for each in judged),
         first_frame=int(frames[0]),
         notes=_notes(truth is not None, judged, stand_in_eyes=renderer.eyes_put_in),
@@ -205,32 +218,29 @@ def _choose_rows(judged: _Judged, deformer: Deformer, count: int) -> list[tuple[
 
 def _draw_rows(
     spec: SheetSpec,
-    take: Take,
+    scene: _Scene,
     rig: Rig,
-    renderer: FaceRenderer,
-    deformer: Deformer,
-    equation: BlendshapeEquation,
-    frames: IntArray,
     judged: list[_Judged],
     rows: list[tuple[int, str]],
     progress: Progress,
 ) -> Iterator[SheetRow]:
-    positions = _positions(take, frames)
-    visible = _visible(take, frames)
-    explained = equation.explained(judged[-1].weights[[row for row, _ in rows]])
+    take = scene.take
+    visible = _visible(take, scene.frames)
+    explained = scene.equation.explained(judged[-1].weights[[row for row, _ in rows]])
     camera = frame_rig(rig.meshes, yaw_degrees=YAW_DEGREES)
-    cloud_frame = frame_markers(positions)
+    cloud_frame = frame_markers(scene.positions)
     with ExitStack() as open_files:
         video = open_files.enter_context(VideoReader(take.video.file)) if take.video else None
         for number, (row, note) in enumerate(rows):
-            progress(0.3 + 0.65 * number / len(rows), f"drawing frame {frames[row]}")
+            frame = int(scene.frames[row])
+            progress(0.3 + 0.65 * number / len(rows), f"drawing frame {frame}")
             tiles = []
             if video is not None:
-                tiles.append(_video_tile(video, take, int(frames[row])))
+                tiles.append(_video_tile(video, take, frame))
             tiles.append(
                 Tile(
                     draw_markers(
-                        positions[row],
+                        scene.positions[row],
                         width=spec.tile,
                         height=spec.tile,
                         frame=cloud_frame,
@@ -240,8 +250,8 @@ def _draw_rows(
                 )
             )
             for each in judged:
-                picture = renderer.render(
-                    deformer.points(each.weights[row : row + 1])[0],
+                picture = scene.renderer.render(
+                    scene.deformer.points(each.weights[row : row + 1])[0],
                     camera=camera,
                     width=spec.tile,
                     height=spec.tile,
@@ -249,7 +259,6 @@ def _draw_rows(
                 )
                 error = float(each.error_mm[row])
                 tiles.append(Tile(picture, value=None if np.isnan(error) else error))
-            frame = int(frames[row])
             timecode = shift_timecode(take.timecode_start, frame - take.first_frame, take.rate)
             yield SheetRow(frame=frame, timecode=timecode, tiles=tuple(tiles), note=note)
 
