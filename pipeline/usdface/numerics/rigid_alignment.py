@@ -139,7 +139,49 @@ def align_rigid_robust(
     return RigidAlignment(rotations, translations, determined, weights)
 
 
-def remove_motion(positions: ArrayLike, alignment: RigidAlignment) -> NDArray[np.float64]:
+def align_frames(
+    positions: ArrayLike, targets: ArrayLike, *, weights: ArrayLike
+) -> RigidAlignment:
+    """Align each frame's own target to it: ``positions = rotation @ target + translation``.
+
+    Parameters
+    ----------
+    positions, targets : (frames, points, 3) array_like
+        Finite.
+    weights : (frames, points) array_like
+        Not negative.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit.
+    """
+    points, goals, w = np.asarray(positions), np.asarray(targets), np.asarray(weights, np.float64)
+    if points.shape != goals.shape or w.shape != points.shape[:2]:
+        raise ValueError(
+            f"positions {points.shape}, targets {goals.shape} and weights {w.shape} must agree"
+        )
+    count = len(points)
+    rotations, translations = np.empty((count, 3, 3)), np.empty((count, 3))
+    determined = np.empty(count, bool)
+    for start in range(0, count, _CHUNK_FRAMES):
+        rows = slice(start, start + _CHUNK_FRAMES)
+        x, y = points[rows].astype(np.float64), goals[rows].astype(np.float64)
+        share = w[rows] / np.maximum(w[rows].sum(axis=1), np.finfo(np.float64).tiny)[:, None]
+        x_center = np.einsum("fk,fki->fi", share, x)
+        y_center = np.einsum("fk,fki->fi", share, y)
+        x -= x_center[:, None]
+        x *= share[..., None]
+        y -= y_center[:, None]
+        R, known = optimal_rotations(np.swapaxes(x, 1, 2) @ y, rank_tolerance=_RANK_TOLERANCE)
+        known &= (w[rows] > 0).sum(axis=1) >= 3
+        R[~known] = np.eye(3)
+        rotations[rows], determined[rows] = R, known
+        translations[rows] = x_center - np.einsum("fij,fj->fi", R, y_center)
+    return RigidAlignment(rotations, translations, determined, w)
+
+
+def remove_motion(positions: ArrayLike, alignment: RigidAlignment) -> NDArray[np.floating]:
     """Bring captured positions into the reference's space.
 
     Parameters
@@ -150,15 +192,17 @@ def remove_motion(positions: ArrayLike, alignment: RigidAlignment) -> NDArray[np
     Returns
     -------
     (frames, any, 3) float array
+        In single precision where `positions` are.
     """
     points = np.asarray(positions)
-    still = np.empty(points.shape)
+    still = np.empty(points.shape, np.result_type(points.dtype, np.float32))
     for start in range(0, len(points), _CHUNK_FRAMES):
         rows = slice(start, start + _CHUNK_FRAMES)
         np.matmul(
             points[rows] - alignment.translations[rows, None],
             alignment.rotations[rows],  # row vectors times R are R.T times column vectors
             out=still[rows],
+            casting="same_kind",
         )
     return still
 

@@ -32,7 +32,8 @@ class Stabilization:
     Attributes
     ----------
     positions : (frames, markers, 3) float array
-        [mm] Stabilised; the neutral frame stays where it was captured.
+        [mm] Stabilised; the neutral frame stays where it was captured. In single precision where
+        the input is.
     head_motion : (frames, 4, 4) float array
         For column vectors: ``captured = head_motion @ stabilised``.
     pose_confidence : (frames,) float array
@@ -43,7 +44,7 @@ class Stabilization:
         [0-1] How far each rigid marker was believed; near 0 when swapped or off.
     """
 
-    positions: NDArray[np.float64]
+    positions: NDArray[np.floating]
     head_motion: NDArray[np.float64]
     pose_confidence: NDArray[np.float64]
     reference: NDArray[np.float64]
@@ -138,7 +139,7 @@ def _check_reference(start: NDArray[np.float64], named: int, neutral: int) -> No
         )
 
 
-def _mean_shape(still: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _mean_shape(still: NDArray[np.floating], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return the median place of each rigid marker; swaps and strays do not move it."""
     rows = np.unique(np.linspace(0, len(still) - 1, _REFERENCE_SAMPLE).astype(np.int64))
     shape = np.empty(still.shape[1:])

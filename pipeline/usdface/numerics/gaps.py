@@ -1,0 +1,181 @@
+"""Fill gaps in marker tracks: short ones along the curve, long ones from the other markers.
+
+A prediction from the other markers (see `low_rank`) knows where a hidden marker goes; its samples
+beside the gap know how far that prediction is off just there. Short gaps follow a cubic spline
+through the neighbouring samples; with a prediction, the spline runs through what the prediction
+leaves, and long gaps blend that rest from one end to the other.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
+
+SPLINE_LIMIT = 8
+"""[frames] Longest gap that a spline bridges without a prediction's help."""
+_END_SAMPLES = 5
+"""Samples beside a gap whose mean tells the prediction's error: one alone carries its noise."""
+_SPLINE_SUPPORT = 4
+_FADE_FRAMES = 30.0
+"""[frames] At the ends of a take nothing holds the prediction's error; it is let go this slowly."""
+_LEAST_CONFIDENCE = 0.1
+_SPLINE_HALF_LIFE = 8.0
+_PREDICTION_HALF_LIFE = 120.0
+
+
+@dataclass(frozen=True)
+class GapFill:
+    """Tracks with their gaps filled where that was allowed.
+
+    Attributes
+    ----------
+    positions : (frames, markers, 3) float array
+        [mm] Samples of gaps that were left are unchanged.
+    filled : (frames, markers) bool array
+    confidence : (frames, markers) float array
+        [0-1] 1 where seen, lower the deeper in a filled gap, 0 where left.
+    """
+
+    positions: NDArray[np.floating]
+    filled: NDArray[np.bool_]
+    confidence: NDArray[np.float32]
+
+
+def fill_gaps(
+    positions: ArrayLike,
+    visible: ArrayLike,
+    *,
+    max_gap: int,
+    prediction: ArrayLike | None = None,
+    noise: float = 0.0,
+) -> GapFill:
+    """Fill every gap of at most `max_gap` frames.
+
+    Parameters
+    ----------
+    positions : (frames, markers, 3) array_like
+        [mm] Anything where not visible.
+    visible : (frames, markers) array_like of bool
+    max_gap : int
+        Longest gap to fill [frames]; longer ones are left whole.
+    prediction : (frames, markers, 3) array_like, optional
+        Where the other markers say each marker is. Without it, gaps longer than `SPLINE_LIMIT`
+        and gaps at the ends of the take are left.
+    noise : float
+        Standard deviation of a measured coordinate [mm]: what the prediction leaves beside a gap
+        is believed only as far as it rises above it.
+
+    Raises
+    ------
+    ValueError
+        If `max_gap` is negative or the shapes differ.
+    """
+    points, seen = np.array(positions), np.asarray(visible, bool)
+    expected = None if prediction is None else np.asarray(prediction)
+    if max_gap < 0:
+        raise ValueError(f"max_gap must be 0 or more frames, got {max_gap}")
+    if points.shape[:2] != seen.shape or (expected is not None and expected.shape != points.shape):
+        raise ValueError(
+            f"positions {points.shape}, visible {seen.shape} and prediction "
+            f"{None if expected is None else expected.shape} must agree"
+        )
+    confidence = seen.astype(np.float32)
+    filled = np.zeros_like(seen)
+    for marker in np.flatnonzero(~seen.all(axis=0) & seen.any(axis=0)):
+        track, ok = points[:, marker].copy(), seen[:, marker]
+        base = None if expected is None else expected[:, marker]
+        for start, stop in runs(~ok):
+            if stop - start > max_gap:
+                continue
+            values = _fill_one(track, ok, start, stop, base, noise)
+            if values is None:
+                continue
+            points[start:stop, marker] = values
+            filled[start:stop, marker] = True
+            confidence[start:stop, marker] = _gap_confidence(start, stop, len(ok), base is not None)
+    return GapFill(points, filled, confidence)
+
+
+def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the stretches where `mask` is True as (start, stop), the stop left out."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
+
+
+def _fill_one(
+    track: NDArray[np.floating],
+    ok: NDArray[np.bool_],
+    start: int,
+    stop: int,
+    base: NDArray[np.floating] | None,
+    noise: float,
+) -> NDArray[np.floating] | None:
+    """Return the positions of one gap, or None where nothing can be said."""
+    inner = 0 < start and stop < len(ok)
+    if base is None:
+        if not inner or stop - start > SPLINE_LIMIT:
+            return None
+        return _spline(track, ok, start, stop)
+    offset = _blend_offsets(track - base, ok, start, stop, noise)
+    return np.asarray(base[start:stop] + offset)
+
+
+def _spline(
+    track: NDArray[np.floating], ok: NDArray[np.bool_], start: int, stop: int
+) -> NDArray[np.floating]:
+    """Cubic spline through the nearest seen samples on both sides."""
+    low, high = max(0, start - 3 * _SPLINE_SUPPORT), stop + 3 * _SPLINE_SUPPORT
+    near = np.flatnonzero(ok[low:high]) + low
+    before, after = near[near < start][-_SPLINE_SUPPORT:], near[near >= stop][:_SPLINE_SUPPORT]
+    knots = np.concatenate([before, after])
+    curve = CubicSpline(knots, track[knots]) if len(knots) > 2 else None
+    frames = np.arange(start, stop)
+    if curve is None:
+        return np.stack([np.interp(frames, knots, track[knots, axis]) for axis in range(3)], axis=1)
+    return np.asarray(curve(frames))
+
+
+def _blend_offsets(
+    offsets: NDArray[np.floating], ok: NDArray[np.bool_], start: int, stop: int, noise: float
+) -> NDArray[np.float64]:
+    """Return what to add to the prediction: the rest at both ends, blended across the gap."""
+    before = _end_offset(offsets, ok, range(start - 1, max(-1, start - 1 - _END_SAMPLES), -1), noise)
+    after = _end_offset(offsets, ok, range(stop, min(len(ok), stop + _END_SAMPLES)), noise)
+    frames = np.arange(start, stop, dtype=np.float64)
+    if start == 0 or stop == len(ok):
+        edge, distance = (after, stop - frames) if start == 0 else (before, frames - start + 1)
+        return np.exp(-distance / _FADE_FRAMES)[:, None] * edge
+    share = ((frames - start + 1) / (stop - start + 1))[:, None]
+    return (1.0 - share) * before + share * after
+
+
+def _end_offset(
+    offsets: NDArray[np.floating], ok: NDArray[np.bool_], frames: range, noise: float
+) -> NDArray[np.float64]:
+    """Return the mean rest of the samples beside a gap, as far as it rises above the noise.
+
+    Positive-part James-Stein shrinkage in three dimensions.
+    """
+    chosen = [frame for frame in frames if ok[frame]]
+    if not chosen:
+        return np.zeros(3)
+    mean = offsets[chosen].mean(axis=0, dtype=np.float64)
+    square = float(mean @ mean)
+    if square == 0.0:
+        return mean
+    # The samples' own noise, and that of a prediction of about the same quality.
+    expected = 2.0 * noise**2 * (1.0 + 1.0 / len(chosen))
+    return np.asarray(mean * max(0.0, 1.0 - expected / square))
+
+
+def _gap_confidence(
+    start: int, stop: int, frame_count: int, predicted: bool
+) -> NDArray[np.floating]:
+    """Return a confidence that halves with the distance from the nearest seen sample."""
+    frames = np.arange(start, stop)
+    before = frames - start + 1 if start > 0 else np.full(stop - start, frame_count)
+    after = stop - frames if stop < frame_count else np.full(stop - start, frame_count)
+    half_life = _PREDICTION_HALF_LIFE if predicted else _SPLINE_HALF_LIFE
+    value = 0.9 * 0.5 ** (np.minimum(before, after) / half_life)
+    return np.asarray(np.maximum(value, _LEAST_CONFIDENCE))
