@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from tests.demo.test_shapes import lid_gap, lip_offset
 from usdface.demo.acting import ActedPerformance, performance
 from usdface.demo.head import DemoHead
 from usdface.demo.script import LINES, VISEME_OF_PHONE, VISEMES, timed_phones
@@ -108,3 +109,28 @@ def test_the_voice_speaks_when_the_mouth_does_and_is_silent_at_rest() -> None:
     rest = float(np.sqrt(np.mean(sound[: rate // 2] ** 2)))
     assert np.mean(energy["AA"]) > 30.0 * rest
     assert np.mean(energy["AA"]) > 3.0 * np.mean(energy["P"])
+
+
+def test_lids_never_cross_and_blinks_close_the_eye_in_every_mood(
+    character: DemoHead, acted: ActedPerformance
+) -> None:
+    """Smiles and squints lift the lower lid already: the blink has to leave them room."""
+    blink = channel(acted, "eyeBlinkLeft")
+    peaks = [k for k in range(1, len(blink) - 1) if blink[k - 1] < blink[k] >= blink[k + 1]]
+    for frame in [*peaks, *range(0, len(blink), 97)]:
+        pose = dict(zip(acted.weights.names, acted.weights.values[frame].tolist(), strict=True))
+        gap = lid_gap(character, character.posed(pose))
+        assert gap.min() > -1.2, frame
+        if frame in peaks:
+            assert gap.max() < 2.5, frame
+
+
+def test_lips_touch_on_the_character_in_sounds_made_with_the_lips(
+    character: DemoHead, acted: ActedPerformance
+) -> None:
+    for sound in timed_phones():
+        if sound.phone in ("P", "B", "M"):
+            frame = round(0.5 * (sound.start + sound.stop) * float(acted.weights.rate))
+            pose = dict(zip(acted.weights.names, acted.weights.values[frame].tolist(), strict=True))
+            opening = lip_offset(character, character.posed(pose))[:, 1]
+            assert -3.0 < np.median(opening) < 1.5, sound

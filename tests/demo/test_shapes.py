@@ -21,13 +21,17 @@ ARKIT = (
 ).split()
 
 
-def lip_gap(head: DemoHead, points: FloatArray) -> FloatArray:
-    """Distance between the lips, at points that faced each other at rest [mm]."""
+def lip_offset(head: DemoHead, points: FloatArray) -> FloatArray:
+    """From the lower to the upper lip, between points that faced each other at rest [mm]."""
     upper = lip_rim(head.points, head.marks, upper=True)
     lower = lip_rim(head.points, head.marks, upper=False)
     x = head.points[upper, 0]
     facing = np.stack([np.interp(x, head.points[lower, 0], points[lower, k]) for k in range(3)], 1)
-    return np.linalg.norm(points[upper] - facing, axis=1)
+    return points[upper] - facing
+
+
+def lip_gap(head: DemoHead, points: FloatArray) -> FloatArray:
+    return np.linalg.norm(lip_offset(head, points), axis=1)
 
 
 def lid_gap(head: DemoHead, points: FloatArray) -> FloatArray:

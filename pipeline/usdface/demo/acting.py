@@ -13,6 +13,7 @@ import numpy as np
 
 from usdface.assets import FloatArray, WeightsClip
 from usdface.demo.details import smooth_step
+from usdface.demo.lid_turns import LID_TURNS, closing
 from usdface.demo.script import (
     DURATION,
     EMOTIONS,
@@ -80,6 +81,11 @@ _ASYMMETRY = {
 }
 
 
+_PARTING_LIPS = tuple(
+    name + side for name in ("mouthUpperUp", "mouthLowerDown") for side in ("Left", "Right")
+)
+
+
 @dataclass(frozen=True)
 class Interval:
     """A labelled stretch of the performance, in frame numbers, both ends included."""
@@ -139,7 +145,12 @@ def performance(rate: int = 120) -> ActedPerformance:
     _add(curves, _beats(time))
     _add(curves, _gaze(time))
     _add(curves, _blinks(time))
-    curves["mouthClose"] = closure * curves["jawOpen"]
+    _share_lids(curves)
+    for name in _PARTING_LIPS:  # lips that must touch win over a mood that bares teeth
+        curves[name] *= 1.0 - 0.85 * closure
+    # A sneer lifts the upper lip some 4 mm, a seventh of what an open jaw parts the lips.
+    sneer = 0.5 * (curves["noseSneerLeft"] + curves["noseSneerRight"])
+    curves["mouthClose"] = closure * (curves["jawOpen"] + 0.13 * sneer)
     names = tuple(sorted(name for name, curve in curves.items() if np.max(curve) > 0.02))
     values = np.stack([np.clip(curves[name], 0.0, 1.0) for name in names], axis=1)
     rotation, translation = _head_motion(time)
@@ -244,6 +255,18 @@ def _blinks(time: FloatArray) -> dict[str, FloatArray]:
         curves["eyeBlink" + side] = 0.98 * lids
         curves["cheekSquint" + side] = 0.10 * lids
     return curves
+
+
+def _share_lids(curves: dict[str, FloatArray]) -> None:
+    """Take back the blinks where other shapes close the eye already: lids meet, never cross."""
+    for side in ("Left", "Right"):
+        shut = sum(
+            closing(name) * np.clip(curves[name + side], 0.0, 1.0)
+            for name in LID_TURNS
+            if name != "eyeBlink" and name + side in curves
+        )
+        room = np.clip(1.0 - np.asarray(shut), 0.0, 1.0)
+        curves["eyeBlink" + side] *= room
 
 
 def _gaze(time: FloatArray) -> dict[str, FloatArray]:

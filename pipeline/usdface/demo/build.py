@@ -44,7 +44,7 @@ class DemoInputs:
     phones : tuple of Interval
         Sounds by capture frames.
     truth : WeightsClip
-        The animator's weights on every frame, as in the CSV.
+        The animator's weights on every frame, of the shapes that the performance uses.
     """
 
     rig: Path

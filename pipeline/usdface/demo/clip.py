@@ -35,7 +35,7 @@ _SAMPLE_RATE = 48000
 _CAMERA = Camera(eye=(190.0, 1512.0, 1290.0), target=(60.0, 1503.0, 150.0), fov_degrees=15.0)
 
 
-class _Studio:
+class Studio:
     """The actor in front of the camera; kept by each process that draws."""
 
     def __init__(self, head: DemoHead) -> None:
@@ -44,6 +44,7 @@ class _Studio:
         self._order = np.concatenate(list(mesh_points(head).values()))
 
     def film(self, pose: FloatArray, weights: FloatArray) -> ByteImage:
+        """Draw one picture of the head at a (4, 4) pose in the room, weights as `ActorFace` has them."""
         points = self._face.pose(weights)[self._order] @ pose[:3, :3].T + pose[:3, 3]
         return self._renderer.render(
             points, camera=_CAMERA, width=SIZE[0], height=SIZE[1], quality="draft"
@@ -101,7 +102,7 @@ def _drawn(
         with ProcessPoolExecutor(workers, initializer=_open_studio, initargs=(head,)) as pool:
             yield from _told(pool.map(_film, poses, weights, chunksize=8), len(poses), progress)
     else:
-        yield from _told(map(_Studio(head).film, poses, weights), len(poses), progress)
+        yield from _told(map(Studio(head).film, poses, weights), len(poses), progress)
 
 
 def _told(pictures: Iterator[ByteImage], count: int, progress: Progress) -> Iterator[ByteImage]:
@@ -111,12 +112,12 @@ def _told(pictures: Iterator[ByteImage], count: int, progress: Progress) -> Iter
             progress(number / count, "filming the actor")
 
 
-_studio: _Studio | None = None  # of this process, where it is one of several that draw
+_studio: Studio | None = None  # of this process, where it is one of several that draw
 
 
 def _open_studio(head: DemoHead) -> None:
     global _studio
-    _studio = _Studio(head)
+    _studio = Studio(head)
 
 
 def _film(pose: FloatArray, weights: FloatArray) -> ByteImage:

@@ -10,11 +10,9 @@ from usdface.assets import FloatArray
 from usdface.demo.details import smooth_step
 from usdface.demo.half_cage import Mark
 from usdface.demo.head import DemoHead, Part, lip_rim, lower_lid_edge, upper_lid_edge
+from usdface.demo.lid_turns import BLINK_MEETS
 
 Push = tuple[float, float, float]
-
-_BLINK_MEETS = 0.16
-"""Where closed lids meet, as a part of the opening from the lower lid's edge."""
 
 
 class FaceFields:
@@ -77,8 +75,8 @@ class FaceFields:
         )
         follow[head.parts == Part.LASHES] = 1.0
         side = np.where(head.parts == Part.LASHES, 1.0, self.eye_side)
-        self.close_upper = -follow * np.clip(8.0 * side, 0.0, 1.0) * (1.0 - _BLINK_MEETS) * opening
-        self.raise_lower = follow * np.clip(-8.0 * side, 0.0, 1.0) * _BLINK_MEETS * opening
+        self.close_upper = -follow * np.clip(8.0 * side, 0.0, 1.0) * (1.0 - BLINK_MEETS) * opening
+        self.raise_lower = follow * np.clip(-8.0 * side, 0.0, 1.0) * BLINK_MEETS * opening
 
     def push(
         self, cx: float, cy: float, rx: float, ry: float, by: Push, mask: FloatArray | float = 1.0

@@ -13,8 +13,29 @@ from usdface.demo.proportions import Style
 from usdface.demo.sculpt import Form, trace
 
 # The hairline: azimuth from the front [degrees], height above the eyes [mm].
-_LINE_AZIMUTH = (0, 12, 24, 34, 44, 54, 63, 70, 76, 80, 85, 90, 97, 106, 116, 130, 148, 165, 180)
-_LINE_HEIGHT = (62, 63, 65, 66, 60, 47, 30, 8, -14, -17, -6, 8, 14, 12, 0, -28, -54, -65, -67)
+_LINE_AZIMUTH = (
+    0,
+    12,
+    24,
+    34,
+    44,
+    54,
+    63,
+    70,
+    75,
+    79,
+    84,
+    90,
+    97,
+    104,
+    110,
+    116,
+    126,
+    142,
+    160,
+    180,
+)
+_LINE_HEIGHT = (62, 63, 65, 66, 60, 47, 30, 9, -8, -10, -4, 8, 13, 11, 1, -16, -36, -54, -65, -67)
 _COLUMNS, _ROWS = 120, 32
 _PARTING = 20.0
 """x of the parting over the forehead [mm]."""

@@ -25,6 +25,8 @@ class Skull:
     cheekbone_radii: Vec = (20.0, 16.0, 19.0)
     cheek: Vec = (31.0, -42.0, 54.5)
     cheek_radii: Vec = (23.0, 23.0, 24.0)
+    jowl: Vec = (30.0, -64.0, 38.0)
+    jowl_radii: Vec = (16.5, 22.0, 26.0)
     muzzle: Vec = (0.0, -70.0, 58.0)
     muzzle_radii: Vec = (30.0, 26.0, 28.0)
     brow_height: float = 22.0
@@ -115,6 +117,8 @@ ACTOR = Style(
         cheekbone_radii=(19.0, 15.0, 18.0),
         cheek=(30.0, -52.0, 52.0),
         cheek_radii=(22.0, 26.0, 24.0),
+        jowl=(33.0, -70.0, 34.0),
+        jowl_radii=(17.0, 25.0, 27.0),
         muzzle=(0.0, -77.0, 57.0),
         muzzle_radii=(31.0, 27.0, 28.0),
         brow_height=18.0,

@@ -143,11 +143,11 @@ VISEMES: Mapping[str, Weights] = MappingProxyType(
         | {"jawOpen": 0.04},
         "NN": both(mouthUpperUp=0.10, mouthLowerDown=0.18) | {"jawOpen": 0.10},
         "RR": {"mouthFunnel": 0.34, "mouthPucker": 0.22, "jawOpen": 0.12},
-        "AA": both(mouthLowerDown=0.18, mouthUpperUp=0.14) | {"jawOpen": 0.52},
-        "EH": both(mouthStretch=0.20, mouthLowerDown=0.26, mouthUpperUp=0.16) | {"jawOpen": 0.32},
+        "AA": both(mouthLowerDown=0.18, mouthUpperUp=0.14) | {"jawOpen": 0.60},
+        "EH": both(mouthStretch=0.20, mouthLowerDown=0.26, mouthUpperUp=0.16) | {"jawOpen": 0.37},
         "IY": both(mouthSmile=0.18, mouthStretch=0.30, mouthLowerDown=0.30, mouthUpperUp=0.16)
         | {"jawOpen": 0.12},
-        "OH": {"mouthFunnel": 0.48, "jawOpen": 0.38, "mouthPucker": 0.10},
+        "OH": {"mouthFunnel": 0.48, "jawOpen": 0.44, "mouthPucker": 0.10},
         "UU": {"mouthPucker": 0.68, "mouthFunnel": 0.24, "jawOpen": 0.12},
     }
 )

@@ -90,6 +90,7 @@ def _face(style: Style, d: FloatArray, p: FloatArray) -> FloatArray:
     d = blend(d, ellipsoid(p, s.chin, s.chin_radii), 16.0)
     d = blend(d, ellipsoid(p, s.cheekbone, s.cheekbone_radii), 32.0)
     d = blend(d, ellipsoid(p, s.cheek, s.cheek_radii), 24.0)
+    d = blend(d, ellipsoid(p, s.jowl, s.jowl_radii), 24.0)
     d = blend(d, ellipsoid(p, s.muzzle, s.muzzle_radii), 20.0)
     inner = (9.0, s.brow_height - 3.0, s.brow_depth)
     outer = (50.0, s.brow_height - 1.0, s.brow_depth - 21.0)

@@ -8,6 +8,7 @@ from usdface.assets import FloatArray
 from usdface.demo.details import smooth_step
 from usdface.demo.fields import FaceFields
 from usdface.demo.head import DemoHead, Part, bare_head
+from usdface.demo.lid_turns import LID_TURNS
 from usdface.demo.proportions import Style
 
 Keys = tuple[tuple[float, FloatArray], ...]
@@ -111,7 +112,7 @@ def _brow_pairs(f: FaceFields) -> dict[str, FloatArray]:
         "browDown": brow(13, 17, (-3.2, -7.6, 1.6))
         + brow(ex + 8, 18, (-1.0, -4.2, 0.6))
         + frown
-        + f.lids(0.18, 0.0),
+        + f.lids(*LID_TURNS["browDown"]),
         "browOuterUp": brow(ex + 12, 17, (0.4, 8.0, -1.0)) + brow(ex - 4, 14, (0, 2.0, 0)),
     }
 
@@ -120,17 +121,17 @@ def _eye_pairs(f: FaceFields) -> dict[str, FloatArray]:
     ex, ey = f.style.eye.center[:2]
     by = ey + f.style.skull.brow_height
     return {
-        "eyeWide": f.lids(-0.34, -1.3) + f.push(ex, by, 20, 14, (0, 1.6, 0), f.off_lid),
-        "eyeSquint": f.lids(0.22, 2.0)
+        "eyeWide": f.lids(*LID_TURNS["eyeWide"]) + f.push(ex, by, 20, 14, (0, 1.6, 0), f.off_lid),
+        "eyeSquint": f.lids(*LID_TURNS["eyeSquint"])
         + f.push(ex + 3, ey - 20, 18, 9, (0, 2.6, 1.8), f.off_lid)
         + f.push(ex + 22, ey - 3, 9, 10, (-1.6, 0.4, 0.5), f.off_lid),
-        "cheekSquint": f.lids(0.0, 1.7)
+        "cheekSquint": f.lids(*LID_TURNS["cheekSquint"])
         + f.push(ex + 4, ey - 25, 19, 12, (0.6, 5.2, 3.6), f.off_lid)
         + f.fold((ex - 14, ey - 15), (ex + 16, ey - 17), 2.6, 0.8),
         "eyeLookUp": f.gaze(0, 24)
-        + f.lids(-0.24, 0.3)
+        + f.lids(*LID_TURNS["eyeLookUp"])
         + f.push(ex, by, 18, 12, (0, 0.8, 0), f.off_lid),
-        "eyeLookDown": f.gaze(0, -26) + f.lids(0.50, -1.6),
+        "eyeLookDown": f.gaze(0, -26) + f.lids(*LID_TURNS["eyeLookDown"]),
         "eyeLookOut": f.gaze(30, 0) + _lid_bulge(f, 1.0),
         "eyeLookIn": f.gaze(-30, 0) + _lid_bulge(f, -1.0),
     }
@@ -163,7 +164,7 @@ def _mouth_pairs(f: FaceFields) -> dict[str, FloatArray]:
         + f.push(w + 9, my + 21, 17, 14, (1.6, 5.0, 4.6))
         + f.fold(*smile_line, 3.6, 0.9)
         + f.push(n.wing[0], n.wing[1], 8, 8, (1.2, 0.6, 0))
-        + f.lids(0.0, 0.9)
+        + f.lids(*LID_TURNS["mouthSmile"])
         + f.push(eye_x + 3, eye_y - 22, 18, 9, (0, 1.6, 1.2), f.off_lid),
         "mouthFrown": corner(1.5, -8.0, -2.2, 0.92)
         + f.push(w + 4, my - 17, 11, 10, (0.5, -2.6, 1.6))
@@ -186,7 +187,7 @@ def _mouth_pairs(f: FaceFields) -> dict[str, FloatArray]:
         + np.outer(f.upper * np.exp(-(((f.x - 0.55 * w) / (0.5 * w)) ** 2)), (0, 4.0, 0.8))
         + f.fold(*smile_line, 2.8, 1.6)
         + f.fold((5.0, n.root[0] - 9.0), (9.0, n.root[0] - 2.0), 2.0, 0.8)
-        + f.lids(0.06, 0.8),
+        + f.lids(*LID_TURNS["noseSneer"]),
     }
 
 
@@ -227,8 +228,8 @@ def _whole(f: FaceFields) -> dict[str, FloatArray]:
         + np.outer(upper_cone, (0, 5.0, 4.0))
         + np.outer(lower_cone, (0, -5.6, 4.0)),
         "mouthPucker": np.column_stack([-0.50 * gather, zero, 6.5 * round_mouth])
-        + np.outer(upper_cone, (0, 0.8, 4.2))
-        + np.outer(lower_cone, (0, -0.8, 4.2)),
+        + np.outer(upper_cone, (0, 0.1, 4.6))
+        + np.outer(lower_cone, (0, -0.1, 4.6)),
         "mouthRollUpper": _rolled(f, f.upper, 1.0),
         "mouthRollLower": _rolled(f, f.lower, -1.0),
         "mouthShrugLower": np.outer(f.lower, (0, 3.4, 3.0))
@@ -251,7 +252,7 @@ def _tongue_out(f: FaceFields) -> FloatArray:
     tongue = f.head.parts == Part.TONGUE
     back = f.z[tongue].min() if np.any(tongue) else 0.0
     along = np.clip((f.z - back) / 36.0, 0.0, 1.0) * tongue
-    return np.outer(along, (0.0, 5.5, 26.0)) - np.outer(along**3, (0.0, 5.0, 0.0))
+    return np.outer(along, (0.0, 9.5, 27.0)) - np.outer(along**4, (0.0, 4.0, 0.0))
 
 
 def _sideways(f: FaceFields) -> dict[str, FloatArray]:

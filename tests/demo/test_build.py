@@ -1,0 +1,84 @@
+"""The files of the demo, read back by the readers that everything else uses."""
+
+import csv
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from usdface.capture.c3d_take import read_c3d_take
+from usdface.capture.marker_take import CaptureOptions
+from usdface.demo.acting import ActedPerformance
+from usdface.demo.build import DemoInputs, write_demo_inputs
+from usdface.demo.capture import ActorFace, head_poses
+from usdface.demo.clip import OFFSET_SECONDS, RATE, SIZE, Studio
+from usdface.demo.head import DemoHead
+from usdface.demo.rig import rig_from_head
+from usdface.demo.script import timed_phones
+from usdface.media.sound import read_audio
+from usdface.usdio.rig import read_rig
+from usdface.usdio.rig_write import write_rig
+
+
+def test_the_rig_survives_usd(character: DemoHead, tmp_path: Path) -> None:
+    rig = rig_from_head(character)
+    write_rig(tmp_path / "character.usdc", rig)
+    again = read_rig(tmp_path / "character.usdc")
+    assert set(again.shapes) == set(rig.shapes)
+    at = {mesh.path: mesh for mesh in again.meshes}
+    for mesh in rig.meshes:
+        np.testing.assert_allclose(at[mesh.path].points, mesh.points, atol=1e-3)
+        assert len(at[mesh.path].shapes) == len(mesh.shapes)
+
+
+def test_the_camera_sees_a_face_that_moves(actor: DemoHead, acted: ActedPerformance) -> None:
+    studio = Studio(actor)
+    weights = ActorFace(actor, np.zeros(1, np.int64)).ordered(
+        acted.weights.names, acted.weights.values[[30, 1020]].astype(float)
+    )
+    poses = head_poses(acted)[[30, 1020]]
+    rest, angry = (studio.film(pose, row) for pose, row in zip(poses, weights, strict=True))
+    assert rest.shape == (SIZE[1], SIZE[0], 3)
+    assert rest.std() > 20.0
+    assert np.abs(rest.astype(int) - angry.astype(int)).mean() > 3.0
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> DemoInputs:
+    return write_demo_inputs(tmp_path_factory.mktemp("demo"))
+
+
+@pytest.mark.slow
+def test_the_capture_reads_back_with_its_frames_and_rate(inputs: DemoInputs) -> None:
+    options = CaptureOptions(rigid=inputs.rigid_markers, neutral=inputs.neutral_frame)
+    take = read_c3d_take(inputs.capture, options).take
+    assert take.rate == Fraction(120)
+    assert take.first_frame == inputs.truth.first_frame
+    assert take.frame_count == len(inputs.truth.values)
+    assert take.markers is not None
+    assert len(take.markers.names) == 102
+    assert set(inputs.rigid_markers) <= set(take.markers.names)
+
+
+@pytest.mark.slow
+def test_the_animators_file_holds_the_truth(inputs: DemoInputs) -> None:
+    with inputs.animator_weights.open(encoding="utf-8") as stream:
+        rows = list(csv.reader(stream))
+    values = np.array(rows[1:], float)
+    np.testing.assert_array_equal(values[:, 0], np.arange(len(values)) + inputs.truth.first_frame)
+    assert set(rows[0][1:]) == set(read_rig(inputs.rig).shapes)
+    for name, truth in zip(inputs.truth.names, inputs.truth.values.T, strict=True):
+        np.testing.assert_allclose(values[:, rows[0].index(name)], truth, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_the_clip_runs_ahead_of_the_capture_by_its_offset(inputs: DemoInputs) -> None:
+    """The first sound is heard when the script says, on the video's own clock."""
+    sound = read_audio(inputs.video, rate=16000)
+    assert len(sound) / 16000 > 15.0
+    assert RATE == 24
+    first = timed_phones()[1]
+    loud = np.convolve(sound.astype(float) ** 2, np.ones(320) / 320, mode="same")
+    heard = np.flatnonzero(loud > 0.05 * loud.max())[0] / 16000
+    assert abs(heard + OFFSET_SECONDS - first.start) < 0.12
