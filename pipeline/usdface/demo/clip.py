@@ -44,7 +44,7 @@ class Studio:
         self._order = np.concatenate(list(mesh_points(head).values()))
 
     def film(self, pose: FloatArray, weights: FloatArray) -> ByteImage:
-        """Draw one picture of the head at a (4, 4) pose in the room, weights as `ActorFace` has them."""
+        """Draw one picture: (4, 4) pose in the room, weights in `ActorFace`'s order."""
         points = self._face.pose(weights)[self._order] @ pose[:3, :3].T + pose[:3, 3]
         return self._renderer.render(
             points, camera=_CAMERA, width=SIZE[0], height=SIZE[1], quality="draft"
