@@ -19,13 +19,13 @@ IntArray = NDArray[np.int64]
 _YAWS_DEGREES = range(0, 360, 30)
 _PITCHES_DEGREES = (-20, 0, 20)
 _TILT_LIMIT = np.cos(np.deg2rad(40))  # Y is roughly up: a face on its side is a wrong answer
-_TRIM = 0.85  # of the pairs that are believed
+_TRIM = 0.95  # of the pairs that are believed
 _PROPORTION_LIMIT = 1.35  # how far one axis may differ from the mean of the three
 _PROPORTION_BELIEF = 0.6  # of what one axis seems to differ: wrong pairs stretch it too
 _COARSE_SKIN, _FINE_SKIN = 500, 3000
 _COARSE_STEPS, _FINE_STEPS = 12, 40
 _MOTION_MM = 40.0  # what the whole range of motion counts for, on a head 200 mm high
-_BACKWARD = 0.5  # weight of skin looking for markers, against markers looking for skin
+_BACKWARD = 1.0  # weight of skin looking for markers, against markers looking for skin
 
 
 @dataclass(frozen=True)
