@@ -111,6 +111,17 @@ def test_the_actor_is_not_the_character(
     assert 0.5 < difference.max() < 8.0
 
 
+def test_skin_moves_without_jumps_as_a_shape_comes_on(actor: DemoHead, markers: MarkerSet) -> None:
+    face = ActorFace(actor, markers.points)
+    rows = np.zeros((101, len(actor.shapes)))
+    for name in ("jawOpen", "eyeBlinkLeft", "mouthSmileLeft", "browInnerUp"):
+        rows[:] = 0.0
+        rows[:, list(actor.shapes).index(name)] = np.linspace(0.0, 1.0, len(rows))
+        path = np.stack([face.pose(row) for row in rows])
+        reach = np.linalg.norm(path[-1] - path[0], axis=-1).max()
+        assert np.linalg.norm(np.diff(path, axis=0), axis=-1).max() < 0.025 * reach, name
+
+
 def test_the_actor_at_rest_is_the_head_at_rest(actor: DemoHead) -> None:
     face = ActorFace(actor)
     np.testing.assert_allclose(face.pose(np.zeros(len(actor.shapes))), actor.points, atol=1e-9)

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from usdface.assets import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.demo.acting import ActedPerformance
+from usdface.demo.details import smooth_step
 from usdface.demo.head import DemoHead
 from usdface.demo.markers import RADIUS, MarkerSet
 
@@ -77,7 +78,8 @@ class ActorFace:
     def pose(self, weights: FloatArray) -> FloatArray:
         """Points of the face [mm], head still, for weights in the order of the head's shapes."""
         bent = weights * (1.0 + self._bend * (1.0 - weights))
-        felt = np.clip((bent * np.where(bent > 0.9, 1.0, self._gain)) @ self._mixed, 0.0, 1.0)
+        gain = self._gain + (1.0 - self._gain) * smooth_step(0.6, 1.0, weights)  # full is full
+        felt = np.clip((bent * gain) @ self._mixed, 0.0, 1.0)
         moved = np.zeros_like(self._rest)
         for weight, keys in zip(felt, self._keys, strict=True):
             if weight > 1e-4:
