@@ -1,0 +1,242 @@
+"""Where one recording lies in another, to a hundredth of a second: onsets of sound, correlated.
+
+Two microphones in two places hear other colours of the same sound; what they share is when each
+band of it begins. Over long recordings the clocks part by more than the width of the peak, so
+stretches of a minute are correlated one by one and added along every drift that clocks may have.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy import fft
+
+Array = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+
+HOPS_PER_SECOND = 100
+_WINDOW_SECONDS = 0.025
+_BANDS = 24
+_LOWEST_HZ, _HIGHEST_HZ = 125.0, 7000.0
+_FRAMES_AT_ONCE = 1 << 14
+
+_STRETCH = 60 * HOPS_PER_SECOND
+"""Hops in which clocks 300 ppm apart move by less than two hops."""
+
+_PEAK_HOPS = 30
+"""Half width of a peak: syllables make onsets resemble themselves this far."""
+
+_SHORTEST_OVERLAP = HOPS_PER_SECOND
+_OVERLAP_SHARE = 0.2
+_RIVAL_PEAK = 6.0
+"""Height above which a second peak is no accident: the highest of a million random scores is 5."""
+
+_MAD_TO_DEVIATION = 1.4826
+
+
+@dataclass(frozen=True)
+class OnsetCorrelation:
+    """How well the onsets of two recordings agree at every shift.
+
+    Attributes
+    ----------
+    shifts : (n,) float array
+        How much later a sound is in the second recording than in the first [s]; ascending.
+    scores : (n,) float array
+        Correlation in robust standard deviations of all shifts; NaN where too little overlaps.
+    shift : float
+        The best, at the middle of the first recording [s].
+    drift : float
+        How much the shift grows per second, of the few values tried.
+    drift_step : float
+        Distance between the values tried; 0 where one was enough.
+    peak : float
+        Score of the best shift.
+    rival : float
+        The shift that explains the recordings second best, away from the best [s].
+    ratio : float
+        How many times better the best is: the smaller of the ratio of the scores and, for a rival
+        that is no accident, of the correlation per second of overlap. 1 for a sound that repeats.
+    """
+
+    shifts: Array
+    scores: Array
+    shift: float
+    drift: float
+    drift_step: float
+    peak: float
+    rival: float
+    ratio: float
+
+
+def onset_flux(sound: Float32Array, *, rate: int) -> Float32Array:
+    """Return how strongly sound sets in, by band, a hundred times a second.
+
+    Parameters
+    ----------
+    sound : (samples,) float32 array
+    rate : int
+        Samples per second.
+
+    Returns
+    -------
+    (24, hops) float32 array
+        Rise of the logarithmic power; each band has mean 0 and deviation 1. A band that never
+        changes is 0.
+    """
+    hop, size = rate // HOPS_PER_SECOND, round(_WINDOW_SECONDS * rate)
+    count = (len(sound) - size) // hop + 1
+    if count < 2:
+        return np.zeros((_BANDS, 0), np.float32)
+    length = fft.next_fast_len(size, real=True)
+    edges = _band_edges(rate, length)
+    window = np.hanning(size).astype(np.float32)
+    frames = sliding_window_view(sound, size)[::hop]
+    power = np.empty((_BANDS, count), np.float32)
+    for start in range(0, count, _FRAMES_AT_ONCE):
+        spectrum = fft.rfft(frames[start : start + _FRAMES_AT_ONCE] * window, length, axis=1)
+        energy = spectrum.real**2 + spectrum.imag**2
+        bands = np.add.reduceat(energy[:, : edges[-1]], edges[:-1], axis=1)
+        power[:, start : start + len(bands)] = bands.T
+    # A floor at the band's usual power keeps the flutter of noise small; digital silence, as where
+    # a recording has gaps, is not usual.
+    floor = np.empty((_BANDS, 1), np.float32)
+    for band, row in enumerate(power):
+        heard = row[row > 1e-9 * row.max()]
+        floor[band] = np.median(heard) if len(heard) else 1.0
+    rise = np.maximum(np.diff(np.log(power + floor), axis=1), 0)
+    rise -= rise.mean(axis=1, keepdims=True)
+    deviation = rise.std(axis=1, keepdims=True)
+    rise /= np.where(deviation > 1e-6, deviation, np.inf)
+    flux: Float32Array = rise
+    return flux
+
+
+def correlate_onsets(
+    first: Float32Array, second: Float32Array, *, largest_drift: float
+) -> OnsetCorrelation | None:
+    """Find the shift at which onsets agree best.
+
+    Parameters
+    ----------
+    first, second : (bands, hops) float32 array
+        From `onset_flux`.
+    largest_drift : float
+        Largest change of the shift per second to try, as a share.
+
+    Returns
+    -------
+    OnsetCorrelation or None
+        None where the recordings are too short, or one never changes.
+    """
+    hops = first.shape[1], second.shape[1]
+    if min(hops) < _SHORTEST_OVERLAP or not first.any() or not second.any():
+        return None
+    middles, products = _stretch_products(first, second)
+    overlap = _overlap(*hops)
+    shortest = max(_SHORTEST_OVERLAP, _OVERLAP_SHARE * min(hops))
+    enough = overlap >= shortest
+    weight = np.where(enough, 1 / np.sqrt(np.maximum(overlap, 1)), 0.0).astype(np.float32)
+    drifts = _drifts(hops[0], largest_drift)
+    best_sum, best_drift, best_score = np.zeros(0, np.float32), 0.0, -np.inf
+    for drift in drifts:
+        total = np.zeros(sum(hops) - 1, np.float32)
+        for middle, (place, product) in zip(middles, products, strict=True):
+            _add_at(total, product, place - round(drift * (middle - hops[0] / 2)))
+        score = float((total * weight).max())
+        if score > best_score:
+            best_sum, best_drift, best_score = total, drift, score
+    shifts = (np.arange(sum(hops) - 1) - (hops[0] - 1)) / HOPS_PER_SECOND
+    return _judge(
+        shifts,
+        best_sum.astype(np.float64),
+        np.where(enough, overlap, np.nan),
+        drift=best_drift,
+        drift_step=float(drifts[1] - drifts[0]) if len(drifts) > 1 else 0.0,
+    )
+
+
+def _judge(
+    shifts: Array, products: Array, overlap: Array, *, drift: float, drift_step: float
+) -> OnsetCorrelation:
+    # Divided by the root of the overlap, chance is equally large at every shift.
+    scores = products / np.sqrt(overlap)
+    centre = np.nanmedian(scores)
+    deviation = _MAD_TO_DEVIATION * float(np.nanmedian(np.abs(scores - centre)))
+    scores = (scores - centre) / max(deviation, 1e-12)
+    best = int(np.nanargmax(scores))
+    away = np.isfinite(scores)
+    away[max(best - _PEAK_HOPS, 0) : best + _PEAK_HOPS + 1] = False
+    peak, ratio, rival = float(scores[best]), np.inf, np.nan
+    candidates = np.flatnonzero(away)
+    if len(candidates):
+        second = candidates[int(np.argmax(scores[candidates]))]
+        rival, ratio = float(shifts[second]), peak / max(float(scores[second]), 1e-12)
+        # What repeats agrees just as well a period further on, only over a shorter overlap.
+        real = candidates[scores[candidates] >= _RIVAL_PEAK]
+        if len(real):
+            agreement = products / overlap
+            repeat = real[int(np.argmax(agreement[real]))]
+            repeat_ratio = float(agreement[best] / agreement[repeat])
+            if repeat_ratio < ratio:
+                rival, ratio = float(shifts[repeat]), repeat_ratio
+    return OnsetCorrelation(
+        shifts, scores, float(shifts[best]), drift, drift_step, peak, rival, ratio
+    )
+
+
+def _stretch_products(
+    first: Float32Array, second: Float32Array
+) -> tuple[list[float], list[tuple[int, Float32Array]]]:
+    """Correlate each stretch of the first with all of the second.
+
+    Returns the stretches' middles, and for each the index of its first lag among all lags and the
+    products from there on.
+    """
+    hops = first.shape[1]
+    edges = np.linspace(0, hops, -(-hops // _STRETCH) + 1).astype(int)
+    size = int(np.diff(edges).max())
+    length = fft.next_fast_len(second.shape[1] + size, real=True)
+    spectrum = fft.rfft(second, length, axis=1)
+    middles, products = list[float](), list[tuple[int, Float32Array]]()
+    for start, stop in pairwise(edges.tolist()):
+        stretch = fft.rfft(first[:, start:stop], length, axis=1)
+        product = fft.irfft((stretch.conj() * spectrum).sum(axis=0), length).astype(np.float32)
+        before = stop - start - 1
+        lags = np.concatenate([product[length - before :], product[: second.shape[1]]])
+        middles.append((start + stop) / 2)
+        products.append((hops - stop, lags))
+    return middles, products
+
+
+def _overlap(first: int, second: int) -> Array:
+    """Return how many hops overlap at each lag, from the second before the first to after it."""
+    lags = np.arange(first + second - 1) - (first - 1)
+    overlap = np.minimum(first, second - lags) - np.maximum(0, -lags)
+    return overlap.astype(np.float64)
+
+
+def _drifts(hops: int, largest: float) -> Array:
+    """Return the drifts to try: so close that between two the peak is not smeared."""
+    if hops <= _STRETCH:
+        return np.zeros(1)
+    count = int(np.ceil(largest * hops / 2))
+    return np.linspace(-largest, largest, 2 * count + 1)
+
+
+def _add_at(total: Float32Array, part: Float32Array, place: int) -> None:
+    start, stop = max(place, 0), min(place + len(part), len(total))
+    if stop > start:
+        total[start:stop] += part[start - place : stop - place]
+
+
+def _band_edges(rate: int, length: int) -> NDArray[np.int64]:
+    highest = min(_HIGHEST_HZ, 0.45 * rate)
+    bins = np.geomspace(_LOWEST_HZ, highest, _BANDS + 1) * length / rate
+    edges: NDArray[np.int64] = np.round(bins).astype(np.int64)
+    # Low bands may be narrower than one bin of the spectrum: each keeps at least one.
+    for index in range(1, len(edges)):
+        edges[index] = max(edges[index], edges[index - 1] + 1)
+    return edges
