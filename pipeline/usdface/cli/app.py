@@ -84,6 +84,16 @@ def _run_step(
     progress: ProgressStyle,
     as_json: bool,
 ) -> None:
+    folder = _folder_to_ingest(spec_type, values)
+    if folder is not None:
+        from usdface.steps.ingest_folder import ingest_folder
+
+        target = values.pop("out")
+        shared = build_spec(IngestSpec, values | {"out": target / "all.take.usda"})
+        with listening(progress) as listener:
+            report = ingest_folder(folder, target, shared, overwrite=overwrite, progress=listener)
+        show_report(report, as_json=as_json)
+        return
     spec = build_spec(spec_type, values)
     if save_spec is not None:
         try:
@@ -98,6 +108,12 @@ def _run_step(
     with listening(progress) as listener:
         report = execute(spec, overwrite=overwrite, progress=listener)
     show_report(report, as_json=as_json)
+
+
+def _folder_to_ingest(spec_type: type[Spec], values: dict[str, Any]) -> Path | None:
+    """Return the folder that `ingest` is pointed at, if it is one."""
+    sources = values.get("sources") if spec_type is IngestSpec else None
+    return sources[0] if sources and len(sources) == 1 and sources[0].is_dir() else None
 
 
 def _add(parent: typer.Typer, name: str, spec: type[Spec]) -> None:

@@ -7,7 +7,7 @@ import inspect
 import types
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import typer
 from pydantic import ValidationError
@@ -16,6 +16,8 @@ from pydantic.fields import FieldInfo
 from usdface.errors import InputError
 from usdface.specs.base import Positional, Spec
 from usdface.specs.reading import describe_faults
+
+SpecType = TypeVar("SpecType", bound=Spec)
 
 
 def options_of(spec: type[Spec]) -> list[inspect.Parameter]:
@@ -42,7 +44,7 @@ def options_of(spec: type[Spec]) -> list[inspect.Parameter]:
     return sorted(parameters, key=lambda each: each.default is not inspect.Parameter.empty)
 
 
-def build_spec(spec: type[Spec], values: dict[str, Any]) -> Spec:
+def build_spec(spec: type[SpecType], values: dict[str, Any]) -> SpecType:
     """Make a spec of what the command line was given.
 
     Raises

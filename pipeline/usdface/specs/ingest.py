@@ -22,7 +22,9 @@ class IngestSpec(Spec):
     """Turn a capture into one USD take.
 
     The capture is told by its content: C3D, or a USD file with markers as Points, Skeleton joints
-    or Xforms and weights as SkelAnimation. What was dropped or assumed is said.
+    or Xforms and weights as SkelAnimation. What was dropped or assumed is said. Point it at a
+    folder, with a folder as --out, and every take in it is ingested; files of one stem belong
+    together.
     """
 
     example: ClassVar[str] = (
@@ -31,7 +33,7 @@ class IngestSpec(Spec):
 
     step: Literal["ingest"] = "ingest"
     sources: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
-    """Capture files of one take."""
+    """Capture files of one take, or a folder of takes."""
     out: LayerOut
     """The take to write (.usda keeps its samples in a .usdc beside it)."""
     video: ReadPath | None = None

@@ -1,0 +1,133 @@
+"""Every take in a folder: files of one stem belong together."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from usdface.capture.sniff import recognise_format
+from usdface.errors import CheckFailedError, InputError
+from usdface.progress import Progress, part, silent
+from usdface.specs.base import LAYER_SUFFIXES
+from usdface.specs.ingest import IngestSpec
+from usdface.steps.execute import execute
+from usdface.steps.report import Report
+
+VIDEO_SUFFIXES = (".mov", ".mp4", ".mxf", ".mkv", ".avi", ".webm", ".m4v")
+AUDIO_SUFFIXES = (".wav", ".flac", ".aif", ".aiff", ".mp3", ".m4a")
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """What a folder holds of one take.
+
+    Attributes
+    ----------
+    name : str
+        The files' common stem.
+    captures : tuple of Path
+    video, audio : Path or None
+    """
+
+    name: str
+    captures: tuple[Path, ...]
+    video: Path | None
+    audio: Path | None
+
+
+def find_bundles(folder: Path) -> list[Bundle]:
+    """Group a folder's files by stem; files that are no capture and stand alone are left out."""
+    captures: dict[str, list[Path]] = {}
+    media: dict[tuple[str, tuple[str, ...]], Path] = {}
+    for path in sorted(folder.iterdir()):
+        if not path.is_file() or path.name.startswith("."):
+            continue
+        suffix = path.suffix.lower()
+        for kind in (VIDEO_SUFFIXES, AUDIO_SUFFIXES):
+            if suffix in kind:
+                media.setdefault((path.stem, kind), path)
+        if suffix not in (*VIDEO_SUFFIXES, *AUDIO_SUFFIXES) and _is_capture(path):
+            captures.setdefault(path.stem, []).append(path)
+    return [
+        Bundle(
+            stem,
+            tuple(paths),
+            media.get((stem, VIDEO_SUFFIXES)),
+            media.get((stem, AUDIO_SUFFIXES)),
+        )
+        for stem, paths in captures.items()
+    ]
+
+
+def ingest_folder(
+    folder: Path,
+    out: Path,
+    shared: IngestSpec,
+    *,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> Report:
+    """Ingest every take in a folder; one that fails does not stop the others.
+
+    Parameters
+    ----------
+    folder : Path
+    out : Path
+        Folder for the takes; made if it is not there.
+    shared : IngestSpec
+        Units, rigid markers and so on for every take; its files are not used.
+    overwrite : bool
+    progress : callable
+
+    Raises
+    ------
+    InputError
+        If the folder holds no capture, or `out` cannot be made.
+    CheckFailedError
+        If a take could not be ingested; each is named with its reason.
+    """
+    bundles = find_bundles(folder)
+    if not bundles:
+        raise InputError(f"{folder}: holds no capture file that is known")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{out}: cannot be made: {error.strerror}; choose another --out"
+        ) from error
+    done: list[Report] = []
+    failed: list[str] = []
+    for index, bundle in enumerate(bundles):
+        spec = shared.model_copy(
+            update={
+                "sources": bundle.captures,
+                "out": out / f"{bundle.name}.take.usda",
+                "video": bundle.video,
+                "audio": bundle.audio,
+                "take": bundle.name,
+            }
+        )
+        own = part(progress, index / len(bundles), (index + 1) / len(bundles))
+        try:
+            done.append(execute(spec, overwrite=overwrite, progress=own))
+        except InputError as error:
+            failed.append(str(error))
+    if failed:
+        told = "\n".join(f"  {message}" for message in failed)
+        raise CheckFailedError(
+            f"{len(done)} takes of {folder} ingested, {len(failed)} could not be:\n{told}"
+        )
+    return Report(
+        tuple(path for report in done for path in report.outputs),
+        f"{len(done)} takes of {folder}",
+        tuple(line for report in done for line in (report.summary, *report.notes)),
+        {"takes": [report.as_data() for report in done]},
+    )
+
+
+def _is_capture(path: Path) -> bool:
+    if path.suffix in LAYER_SUFFIXES:
+        return not path.name.endswith((".take.usda", ".samples.usdc"))
+    try:
+        recognise_format(path)
+    except (InputError, OSError):
+        return False
+    return True
