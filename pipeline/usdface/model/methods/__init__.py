@@ -1,13 +1,14 @@
 """The regression methods by name; one file each."""
 
 from usdface.errors import InputError
-from usdface.model.methods import d06, gaussian_rbf, linear
+from usdface.model.methods import d06, gaussian_rbf, hybrid, kernel_cca, linear, multiquadric
 from usdface.model.methods.contract import Fitted, Method, Pairs, Settings
 
 __all__ = ["AUTO", "METHODS", "Fitted", "Method", "Pairs", "Settings", "find_method"]
 
 METHODS: dict[str, Method] = {
-    module.METHOD.name: module.METHOD for module in (d06, linear, gaussian_rbf)
+    module.METHOD.name: module.METHOD
+    for module in (d06, linear, gaussian_rbf, multiquadric, kernel_cca, hybrid)
 }
 
 AUTO = ("ridge", "rbf", "d06")
