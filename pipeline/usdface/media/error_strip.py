@@ -99,7 +99,7 @@ def draw_error_strip(
         if at - half > taken + 3:
             draw_text(page, label, x=at, y=y + 2, style=_NUMBER, anchor="middle")
             taken = at + half
-    _draw_axis(page, left, bottom + 4, inner, first_frame=first_frame, count=count)
+    draw_frame_axis(page, left, bottom + 4, inner, first_frame=first_frame, count=count)
 
 
 def _draw_lane(
@@ -134,7 +134,7 @@ def _column_maxima(values: FloatArray, width: int, *, count: int) -> FloatArray:
     return np.where(np.isfinite(maxima), maxima, np.nan)
 
 
-def _draw_axis(
+def draw_frame_axis(
     page: ByteImage, left: int, top: int, width: int, *, first_frame: int, count: int
 ) -> None:
     """Write round frame numbers below the lanes."""

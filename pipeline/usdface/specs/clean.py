@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from usdface.specs.base import FilePath, LayerOut, Name, Positional, Reads, Spec
+from usdface.specs.base import FilePath, ImageOut, LayerOut, Name, Positional, Reads, Spec
 
 
 class CleanSpec(Spec):
@@ -29,5 +29,7 @@ class CleanSpec(Spec):
     """Longest gap to fill, in frames; 2 seconds by default. Longer ones keep confidence 0."""
     relabel: bool = True
     """Mend swapped labels and mistracked markers."""
+    report: ImageOut | None = None
+    """A picture of what was repaired, marker by marker over time."""
     smooth: bool = True
     """Remove measured noise; blinks keep their height."""

@@ -4,17 +4,24 @@ import numpy as np
 
 from usdface.assets import Markers, Take
 from usdface.errors import InputError
+from usdface.media.color import ByteImage
+from usdface.media.image import write_image
+from usdface.media.repair_chart import RepairKind, draw_repairs
 from usdface.numerics.cleaning import CleanedMarkers, clean_markers
 from usdface.numerics.rigid_markers import find_rigid_markers
 from usdface.progress import Progress, part, silent
 from usdface.provenance import Provenance
 from usdface.specs.clean import CleanSpec
+from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
 from usdface.usdio.take import read_take
 from usdface.usdio.take_write import samples_path, write_take
 
 LONGEST_GAP_SECONDS = 2.0
 """What is filled by default: beyond, the other markers hardly tell what one did."""
+
+POSE_COLOR, FILLED_COLOR, SWAPPED_COLOR = (92, 98, 110), (86, 156, 214), (232, 178, 66)
+STRAY_COLOR, LEFT_COLOR = (206, 96, 190), (226, 74, 66)
 
 SWAPS_TOLD = 20
 """More repairs than this are counted, not listed."""
@@ -74,8 +81,13 @@ def run(
         head_motion=cleaned.head_motion,
     )
     write_take(spec.out, written, over=spec.take, provenance=provenance)
-    progress(1.0, "done")
     outputs = tuple(dict.fromkeys((spec.out, samples_path(spec.out))))
+    if spec.report is not None:
+        picture = _picture(cleaned, markers, take)
+        made = {} if provenance is None else provenance_metadata(provenance)
+        write_image(spec.report, picture, metadata=made)
+        outputs += (spec.report,)
+    progress(1.0, "done")
     return Report(outputs, _summary(cleaned, take), tuple(notes), _figures(cleaned, rigid))
 
 
@@ -132,6 +144,33 @@ def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]
             "rigid markers; the head's pose is interpolated there"
         )
     return notes
+
+
+def _picture(cleaned: CleanedMarkers, markers: Markers, take: Take) -> ByteImage:
+    swapped = np.zeros_like(cleaned.strays)
+    for swap in cleaned.swaps:
+        swapped[swap.start : swap.stop, [swap.first, swap.second]] = True
+    interpolated = np.zeros_like(cleaned.strays)
+    interpolated[cleaned.pose_confidence < 1.0] = True
+    kinds = (
+        RepairKind("head pose interpolated", POSE_COLOR, interpolated),
+        RepairKind("gap filled", FILLED_COLOR, cleaned.filled & ~cleaned.strays),
+        RepairKind("label put back", SWAPPED_COLOR, swapped),
+        RepairKind("stray replaced", STRAY_COLOR, cleaned.strays),
+        RepairKind("gap left", LEFT_COLOR, ~cleaned.visible),
+    )
+    return draw_repairs(
+        markers.names,
+        kinds,
+        title=f"{take.name}: what was repaired",
+        facts=(
+            f"frames {take.first_frame}-{take.first_frame + take.frame_count - 1}",
+            f"{float(take.rate):g} fps",
+            f"{len(markers.names)} markers",
+            f"noise {cleaned.noise_mm:.2f} mm",
+        ),
+        first_frame=take.first_frame,
+    )
 
 
 def _summary(cleaned: CleanedMarkers, take: Take) -> str:
