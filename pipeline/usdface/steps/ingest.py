@@ -12,6 +12,7 @@ from usdface.media.video import VideoReader
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
 from usdface.specs.ingest import IngestSpec
+from usdface.steps.joined_captures import join_captures
 from usdface.steps.report import Report
 from usdface.usdio.foreign_take import read_foreign_take
 from usdface.usdio.layers import LAYER_SUFFIXES
@@ -29,7 +30,8 @@ def run(
     for index, source in enumerate(spec.sources):
         progress(0.6 * index / len(spec.sources), f"reading {source.name}")
         captures.append(_read_source(source, spec))
-    take = _merge(captures, spec)
+    joined = join_captures([capture.take for capture in captures], spec.sources)
+    take = joined.take
     take = replace(
         take,
         name=spec.take or take.name,
@@ -42,7 +44,7 @@ def run(
     progress(0.7, f"writing {spec.out.name}")
     write_take(spec.out, take, provenance=provenance)
     progress(1.0, f"wrote {spec.out.name}")
-    notes = tuple(note for capture in captures for note in capture.notes)
+    notes = (*(note for capture in captures for note in capture.notes), *joined.notes)
     log.info("%s: %d frames", spec.out, take.frame_count)
     return _report(spec, take, notes)
 
@@ -94,28 +96,6 @@ def _read_usd(source: Path, spec: IngestSpec) -> Capture:
         format_name="usd",
     )
     return replace(capture, take=replace(capture.take, source=found.source))
-
-
-def _merge(captures: list[Capture], spec: IngestSpec) -> Take:
-    """Put markers of one file and weights of another into one take."""
-    with_markers = [each.take for each in captures if each.take.markers is not None]
-    with_weights = [each.take for each in captures if each.take.source is not None]
-    if len(with_markers) > 1 or len(with_weights) > 1:
-        what = "markers" if len(with_markers) > 1 else "blendshape weights"
-        raise InputError(
-            f"{', '.join(map(str, spec.sources))}: more than one has {what}; a take is one "
-            "recording: ingest them one by one"
-        )
-    take = (with_markers or with_weights)[0]
-    if with_markers and with_weights and with_weights[0] is not take:
-        source = with_weights[0].source
-        if source is not None and source.rate != take.rate:
-            raise InputError(
-                f"{', '.join(map(str, spec.sources))}: {float(take.rate):g} and "
-                f"{float(source.rate):g} frames per second; resample one of them first"
-            )
-        take = replace(take, source=source)
-    return take
 
 
 def _open_video(file: Path, offset: float) -> Video:
