@@ -21,6 +21,7 @@ from usdface.cli.console import (
 )
 from usdface.cli.spec_options import build_spec, command_of
 from usdface.errors import InputError, UsdfaceError
+from usdface.specs.align import AlignSpec
 from usdface.specs.base import Spec
 from usdface.specs.clean import CleanSpec
 from usdface.specs.ingest import IngestSpec
@@ -122,6 +123,7 @@ def _add(parent: typer.Typer, name: str, spec: type[Spec]) -> None:
 
 _STEPS: tuple[type[Spec], ...] = (
     IngestSpec,
+    AlignSpec,
     CleanSpec,
     SelectSpec,
     TrainSpec,

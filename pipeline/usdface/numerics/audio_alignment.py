@@ -91,7 +91,12 @@ class SoundAlignment:
 
 
 def align_sounds(
-    first: Float32Array, second: Float32Array, *, rate: int, progress: Progress = silent
+    first: Float32Array,
+    second: Float32Array,
+    *,
+    rate: int,
+    names: tuple[str, str] = ("first", "second"),
+    progress: Progress = silent,
 ) -> SoundAlignment:
     """Find when the sounds of one recording are heard in another.
 
@@ -101,6 +106,8 @@ def align_sounds(
         The same event by two microphones; either may start or end first.
     rate : int
         Samples per second of both, as each recorder believes; at least 4000.
+    names : (2,) tuple of str
+        What to call the recordings where something is wrong with one.
     progress : callable
 
     Returns
@@ -114,10 +121,10 @@ def align_sounds(
     ValueError
         If an array is not one row of finite samples, or the rate is too low.
     """
-    first, second = _checked(first, "first"), _checked(second, "second")
+    first, second = _checked(first, names[0]), _checked(second, names[1])
     if rate < _LOWEST_RATE:
         raise ValueError(f"rate {rate} is too low to tell delays; give 16000 samples per second")
-    doubts = _unusable(first, second, rate)
+    doubts = _unusable((first, second), names, rate)
     if doubts:
         return SoundAlignment(0.0, 0.0, 0.0, doubts)
     progress(0.0, "finding onsets")
@@ -300,9 +307,11 @@ def _window_seconds(overlap: float) -> float:
     return float(np.clip(overlap / _WINDOWS_PER_OVERLAP, _SHORTEST_WINDOW, _LONGEST_WINDOW))
 
 
-def _unusable(first: Float32Array, second: Float32Array, rate: int) -> tuple[str, ...]:
+def _unusable(
+    sounds: tuple[Float32Array, Float32Array], names: tuple[str, str], rate: int
+) -> tuple[str, ...]:
     doubts = []
-    for name, sound in (("first", first), ("second", second)):
+    for name, sound in zip(names, sounds, strict=True):
         if len(sound) < SHORTEST_SECONDS * rate:
             doubts.append(
                 f"the {name} recording lasts {len(sound) / rate:.2f} s, {SHORTEST_SECONDS:g} s are "

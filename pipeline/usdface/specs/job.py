@@ -5,6 +5,7 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
+from usdface.specs.align import AlignSpec
 from usdface.specs.base import Name, Reads, Spec, Writes
 from usdface.specs.clean import CleanSpec
 from usdface.specs.ingest import IngestSpec
@@ -15,6 +16,7 @@ from usdface.specs.train import TrainSpec
 
 STEP_SPECS: tuple[type[Spec], ...] = (
     IngestSpec,
+    AlignSpec,
     CleanSpec,
     SelectSpec,
     ReferencesImportSpec,
@@ -24,7 +26,14 @@ STEP_SPECS: tuple[type[Spec], ...] = (
 )
 
 AnyStep = Annotated[
-    IngestSpec | CleanSpec | SelectSpec | ReferencesImportSpec | TrainSpec | MapSpec | SheetSpec,
+    IngestSpec
+    | AlignSpec
+    | CleanSpec
+    | SelectSpec
+    | ReferencesImportSpec
+    | TrainSpec
+    | MapSpec
+    | SheetSpec,
     Field(discriminator="step"),
 ]
 
