@@ -37,7 +37,10 @@ class IngestSpec(Spec):
     out: LayerOut
     """The take to write (.usda keeps its samples in a .usdc beside it)."""
     video: ReadPath | None = None
-    """The camera's recording; the take refers to it."""
+    """The camera's recording, a movie or one picture of a numbered sequence; the take refers to
+    it."""
+    video_rate: Annotated[float, Field(gt=0, le=100_000)] | None = None
+    """Frames per second of a sequence of pictures: they do not say."""
     video_offset: float = 0.0
     """Seconds: the capture's time when the video starts (negative: the camera started first)."""
     audio: ReadPath | None = None
@@ -65,6 +68,6 @@ class IngestSpec(Spec):
 
     @model_validator(mode="after")
     def _offset_needs_video(self) -> Self:
-        if self.video_offset and self.video is None:
-            raise ValueError("video_offset is given without a video")
+        if self.video is None and (self.video_offset or self.video_rate is not None):
+            raise ValueError("video_offset or video_rate is given without a video")
         return self

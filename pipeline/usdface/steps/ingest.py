@@ -6,9 +6,10 @@ from pathlib import Path
 
 from usdface.assets import Take, Video
 from usdface.capture.marker_take import Capture, CaptureOptions, build_marker_take
+from usdface.capture.rates import exact_rate
 from usdface.capture.sniff import read_capture
 from usdface.errors import InputError
-from usdface.media.video import VideoReader
+from usdface.media.image_sequence import open_video
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
 from usdface.specs.ingest import IngestSpec
@@ -39,7 +40,7 @@ def run(
         emotion=spec.emotion or take.emotion,
         timecode_start=spec.timecode or take.timecode_start,
         audio=spec.audio or take.audio,
-        video=take.video if spec.video is None else _open_video(spec.video, spec.video_offset),
+        video=take.video if spec.video is None else _open_video(spec.video, spec),
     )
     progress(0.7, f"writing {spec.out.name}")
     write_take(spec.out, take, provenance=provenance)
@@ -98,9 +99,10 @@ def _read_usd(source: Path, spec: IngestSpec) -> Capture:
     return replace(capture, take=replace(capture.take, source=found.source))
 
 
-def _open_video(file: Path, offset: float) -> Video:
-    with VideoReader(file) as video:
-        return Video(file=file, rate=video.rate, offset=offset)
+def _open_video(file: Path, spec: IngestSpec) -> Video:
+    rate = None if spec.video_rate is None else exact_rate(spec.video_rate, where=str(file))
+    with open_video(file, rate) as video:
+        return Video(file=file, rate=video.rate, offset=spec.video_offset)
 
 
 def _report(spec: IngestSpec, take: Take, notes: tuple[str, ...]) -> Report:

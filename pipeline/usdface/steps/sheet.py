@@ -12,6 +12,7 @@ from usdface.errors import InputError
 from usdface.media.camera import frame_rig
 from usdface.media.error_strip import ErrorCurve
 from usdface.media.image import write_image
+from usdface.media.image_sequence import ImageSequence, open_video
 from usdface.media.markers_view import draw_markers, frame_markers
 from usdface.media.render import FaceRenderer
 from usdface.media.sheet import SheetPage, SheetRow, Tile, compose_sheet
@@ -230,7 +231,10 @@ def _draw_rows(
     camera = frame_rig(rig.meshes, yaw_degrees=YAW_DEGREES)
     cloud_frame = frame_markers(scene.positions)
     with ExitStack() as open_files:
-        video = open_files.enter_context(VideoReader(take.video.file)) if take.video else None
+        video: VideoReader | ImageSequence | None = None
+        if take.video is not None:
+            video = open_video(take.video.file, take.video.rate)
+            open_files.enter_context(video)
         for number, (row, note) in enumerate(rows):
             frame = int(scene.frames[row])
             progress(0.3 + 0.65 * number / len(rows), f"drawing frame {frame}")
@@ -269,16 +273,17 @@ def _visible(take: Take, frames: IntArray) -> BoolArray:
     return take.markers.visible[frames - take.first_frame]
 
 
-def _video_tile(video: VideoReader, take: Take, frame: int) -> Tile:
+def _video_tile(video: VideoReader | ImageSequence, take: Take, frame: int) -> Tile:
     """Find the video's picture at a frame of the take, by the clock that aligns the two."""
     if take.video is None:
         raise InputError(f"{take.name}: has no video")
     seconds = (frame - take.first_frame) / float(take.rate)
     at = (seconds - take.video.offset) / (1.0 + take.video.drift * 1e-6)
     try:
-        return Tile(video.frame_at(at))
+        picture = video.frame_at(at)
     except InputError:
-        return Tile(None, caption="no video here")
+        return Tile(None, caption="cannot be decoded")
+    return Tile(picture, caption="" if picture is not None else "no video here")
 
 
 def _columns(take: Take, judged: list[_Judged]) -> tuple[str, ...]:
