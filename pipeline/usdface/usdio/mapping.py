@@ -12,6 +12,7 @@ from pxr import Sdf, Usd, Vt
 from usdface.assets import CandidateScore, FloatArray, Mapping
 from usdface.errors import InputError
 from usdface.provenance import Provenance
+from usdface.usdio.authoring import author_uniform, define_prim
 from usdface.usdio.layers import author_units, new_layer, open_stage
 
 ROOT = Sdf.Path("/Mapping")
@@ -20,7 +21,7 @@ ARRAY = "face:array:"
 
 def write_mapping(path: Path, mapping: Mapping, *, provenance: Provenance | None = None) -> None:
     """Write a mapping; read back, it predicts the same to the last bit."""
-    tokens, doubles, string = (
+    tokens, numbers, string = (
         Sdf.ValueTypeNames.TokenArray,
         Sdf.ValueTypeNames.DoubleArray,
         Sdf.ValueTypeNames.String,
@@ -30,9 +31,7 @@ def write_mapping(path: Path, mapping: Mapping, *, provenance: Provenance | None
         for score in mapping.scores
     ]
     with new_layer(path, provenance) as layer:
-        prim = Sdf.CreatePrimInLayer(layer, ROOT)
-        prim.specifier = Sdf.SpecifierDef
-        prim.typeName = "FaceMapping"
+        prim = define_prim(layer, ROOT, "FaceMapping")
         layer.defaultPrim = ROOT.name
         author_units(layer)
         for name, kind, value in (
@@ -40,17 +39,17 @@ def write_mapping(path: Path, mapping: Mapping, *, provenance: Provenance | None
             ("markers", tokens, list(mapping.marker_names)),
             ("rigid", tokens, list(mapping.rigid)),
             ("channels", tokens, list(mapping.shape_names)),
-            ("neutral", doubles, _doubles(mapping.neutral)),
-            ("ranges", doubles, _doubles(mapping.ranges)),
+            ("neutral", numbers, doubles(mapping.neutral)),
+            ("ranges", numbers, doubles(mapping.ranges)),
             ("settings", string, json.dumps(mapping.settings)),
             ("scores", string, json.dumps(scores)),
             ("references", string, mapping.references),
         ):
-            _uniform(prim, f"face:mapping:{name}", kind, value)
+            author_uniform(prim, f"face:mapping:{name}", kind, value)
         for name, array in mapping.arrays.items():
-            _uniform(prim, f"{ARRAY}{name}", doubles, _doubles(array))
+            author_uniform(prim, f"{ARRAY}{name}", numbers, doubles(array))
             shape = Vt.IntArray([int(size) for size in array.shape])
-            _uniform(prim, f"{ARRAY}{name}:shape", Sdf.ValueTypeNames.IntArray, shape)
+            author_uniform(prim, f"{ARRAY}{name}:shape", Sdf.ValueTypeNames.IntArray, shape)
 
 
 def read_mapping(path: Path) -> Mapping:
@@ -129,11 +128,3 @@ def _value(path: Path, prim: Usd.Prim, name: str) -> Any:
     if value is None and name in ("method", "markers", "channels", "neutral", "ranges", "rigid"):
         raise InputError(f"{path} <{prim.GetPath()}>: face:mapping:{name} is missing; train again")
     return value
-
-
-def _doubles(values: FloatArray) -> Vt.DoubleArray:
-    return Vt.DoubleArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float64).ravel())
-
-
-def _uniform(prim: Sdf.PrimSpec, name: str, kind: Sdf.ValueTypeName, value: object) -> None:
-    Sdf.AttributeSpec(prim, name, kind, Sdf.VariabilityUniform).default = value

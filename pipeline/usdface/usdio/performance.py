@@ -11,6 +11,7 @@ from pxr import Sdf, Usd, UsdSkel, Vt
 from usdface.assets import FloatArray, Performance, Rig, WeightsClip
 from usdface.errors import InputError
 from usdface.provenance import Provenance
+from usdface.usdio.authoring import apply_api, author_uniform, define_prim
 from usdface.usdio.layers import (
     author_timing,
     author_units,
@@ -123,18 +124,18 @@ def writing_performance(
         author_units(layer)
         author_timing(layer, rate=rate, first=first_frame, last=last_frame)
         layer.defaultPrim = Sdf.Path(place).GetPrefixes()[0].name
-        prim = Sdf.CreatePrimInLayer(layer, animation)
-        prim.specifier = Sdf.SpecifierDef
-        prim.typeName = "SkelAnimation"
-        prim.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["FaceSolveAPI"]))
-        _uniform(prim, "blendShapes", Sdf.ValueTypeNames.TokenArray, list(shape_names))
+        prim = define_prim(layer, animation, "SkelAnimation")
+        apply_api(prim, "FaceSolveAPI")
+        author_uniform(prim, "blendShapes", Sdf.ValueTypeNames.TokenArray, list(shape_names))
         Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
         Sdf.AttributeSpec(prim, "face:confidence", Sdf.ValueTypeNames.Float)
         if regions:
             Sdf.AttributeSpec(prim, "face:residual", Sdf.ValueTypeNames.FloatArray)
-            _uniform(prim, "face:residual:regions", Sdf.ValueTypeNames.TokenArray, list(regions))
+            author_uniform(
+                prim, "face:residual:regions", Sdf.ValueTypeNames.TokenArray, list(regions)
+            )
         if timecode_start:
-            _uniform(prim, "face:timecode:start", Sdf.ValueTypeNames.String, timecode_start)
+            author_uniform(prim, "face:timecode:start", Sdf.ValueTypeNames.String, timecode_start)
         point_skeletons_at(layer, place, rig, animation)
         writer = WeightsWriter(layer, animation, first_frame)
         yield writer
@@ -252,7 +253,3 @@ def _read_series(prim: Usd.Prim, name: str, frames: range) -> FloatArray | None:
     if not attribute or not attribute.GetNumTimeSamples():
         return None
     return np.array([np.array(attribute.Get(frame)) for frame in frames], dtype=np.float64)
-
-
-def _uniform(prim: Sdf.PrimSpec, name: str, kind: Sdf.ValueTypeName, value: object) -> None:
-    Sdf.AttributeSpec(prim, name, kind, Sdf.VariabilityUniform).default = value

@@ -16,6 +16,7 @@ from pxr import Kind, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from usdface.assets import FloatArray, MotionSpace, References, Rig
 from usdface.errors import InputError
 from usdface.provenance import Provenance
+from usdface.usdio.authoring import apply_api, author_uniform, define_prim, doubles
 from usdface.usdio.layers import (
     MM_PER_STAGE_UNIT,
     author_timing,
@@ -77,11 +78,9 @@ def write_references(
         _author_header(layer, references)
         layer.subLayerPaths = [relative_path(each, path) for each in (tuned_path, proposed_path)]
         _author_pairs(layer, references)
-        animation = _define(layer, WEIGHTS, "SkelAnimation")
-        names = Sdf.AttributeSpec(
-            animation, "blendShapes", Sdf.ValueTypeNames.TokenArray, Sdf.VariabilityUniform
-        )
-        names.default = list(references.shape_names)
+        animation = define_prim(layer, WEIGHTS, "SkelAnimation")
+        names = list(references.shape_names)
+        author_uniform(animation, "blendShapes", Sdf.ValueTypeNames.TokenArray, names)
         define_reference(layer, str(RIG), rig, path)
         point_skeletons_at(layer, str(RIG), rig, WEIGHTS)
 
@@ -170,10 +169,8 @@ def _write_weights(
 def _author_weights(layer: Sdf.Layer, references: References, weights: FloatArray) -> None:
     _author_header(layer, references)
     over = Sdf.CreatePrimInLayer(layer, WEIGHTS)
-    names = Sdf.AttributeSpec(
-        over, "blendShapes", Sdf.ValueTypeNames.TokenArray, Sdf.VariabilityUniform
-    )
-    names.default = list(references.shape_names)
+    names = list(references.shape_names)
+    author_uniform(over, "blendShapes", Sdf.ValueTypeNames.TokenArray, names)
     Sdf.AttributeSpec(over, WEIGHTS_ATTRIBUTE.name, Sdf.ValueTypeNames.FloatArray)
     for pair, row in enumerate(np.ascontiguousarray(weights, dtype=np.float32)):
         layer.SetTimeSample(WEIGHTS_ATTRIBUTE, pair + 1, Vt.FloatArray.FromNumpy(row))
@@ -188,22 +185,26 @@ def _author_header(layer: Sdf.Layer, references: References) -> None:
 
 
 def _author_pairs(layer: Sdf.Layer, references: References) -> None:
-    root = _define(layer, ROOT, "Xform")
+    root = define_prim(layer, ROOT, "Xform")
     root.SetInfo("kind", Kind.Tokens.assembly)
-    root.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["FaceReferencesAPI"]))
+    apply_api(root, "FaceReferencesAPI")
     Sdf.AttributeSpec(root, FRAME.name, Sdf.ValueTypeNames.Int)
     Sdf.AttributeSpec(root, TAKE.name, Sdf.ValueTypeNames.Token)
     if references.motion is not None:
         _author_motion(root, references.motion)
-    points = _define(layer, MARKERS, "Points")
-    points.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["FaceMarkersAPI"]))
+    points = define_prim(layer, MARKERS, "Points")
+    apply_api(points, "FaceMarkersAPI")
     for name, kind, value in (
         ("face:markers:names", Sdf.ValueTypeNames.TokenArray, list(references.marker_names)),
         ("face:markers:rigid", Sdf.ValueTypeNames.TokenArray, list(references.rigid)),
         ("face:markers:space", Sdf.ValueTypeNames.Token, "stabilized"),
-        ("face:neutral", Sdf.ValueTypeNames.DoubleArray, _doubles(references.neutral / 10.0)),
+        (
+            "face:markers:neutral",
+            Sdf.ValueTypeNames.DoubleArray,
+            doubles(references.neutral / MM_PER_STAGE_UNIT),
+        ),
     ):
-        Sdf.AttributeSpec(points, name, kind, Sdf.VariabilityUniform).default = value
+        author_uniform(points, name, kind, value)
     widths = Sdf.AttributeSpec(points, "widths", Sdf.ValueTypeNames.FloatArray)
     widths.default = [0.3]
     widths.SetInfo("interpolation", UsdGeom.Tokens.constant)
@@ -219,14 +220,14 @@ def _author_pairs(layer: Sdf.Layer, references: References) -> None:
 
 
 def _author_motion(root: Sdf.PrimSpec, motion: MotionSpace) -> None:
-    doubles = Sdf.ValueTypeNames.DoubleArray
+    kind = Sdf.ValueTypeNames.DoubleArray
     for name, value in (
         ("face:motion:mean", motion.mean / MM_PER_STAGE_UNIT),
         ("face:motion:components", motion.components),
         ("face:motion:variances", motion.variances / MM_PER_STAGE_UNIT**2),
         ("face:motion:sample", motion.sample / MM_PER_STAGE_UNIT),
     ):
-        Sdf.AttributeSpec(root, name, doubles).default = _doubles(value)
+        Sdf.AttributeSpec(root, name, kind).default = doubles(value)
     total = Sdf.AttributeSpec(root, "face:motion:totalVariance", Sdf.ValueTypeNames.Double)
     total.default = motion.total_variance / MM_PER_STAGE_UNIT**2
 
@@ -258,7 +259,9 @@ def read_references(path: Path) -> References:
     frames = root.GetAttribute(FRAME.name)
     takes = root.GetAttribute(TAKE.name)
     tuned = root.GetAttribute(TUNED.name)
-    neutral = np.array(points.GetPrim().GetAttribute("face:neutral").Get(), dtype=np.float64)
+    neutral = np.array(
+        points.GetPrim().GetAttribute("face:markers:neutral").Get(), dtype=np.float64
+    )
     rig_file, rig_prim = rig_of(stage, animation.GetPrim())
     return References(
         marker_names=marker_names,
@@ -305,14 +308,3 @@ def _read_motion(root: Usd.Prim) -> MotionSpace | None:
         * MM_PER_STAGE_UNIT**2,
         sample=get("face:motion:sample").reshape(-1, len(variances)) * MM_PER_STAGE_UNIT,
     )
-
-
-def _doubles(values: FloatArray) -> Vt.DoubleArray:
-    return Vt.DoubleArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float64).ravel())
-
-
-def _define(layer: Sdf.Layer, path: Sdf.Path, type_name: str) -> Sdf.PrimSpec:
-    prim = Sdf.CreatePrimInLayer(layer, path)
-    prim.specifier = Sdf.SpecifierDef
-    prim.typeName = type_name
-    return prim

@@ -7,6 +7,7 @@ from pxr import Sdf, Usd, UsdSkel
 
 from usdface.assets import Rig
 from usdface.errors import InputError
+from usdface.usdio.authoring import apply_api, define_prim
 from usdface.usdio.layers import open_stage, relative_path
 from usdface.usdio.rig import skeletons_of
 
@@ -21,9 +22,7 @@ def define_reference(layer: Sdf.Layer, place: str, rig: Rig, layer_path: Path) -
     source = Sdf.Path(rig.prim).GetPrefixes()[0]
     for above in Sdf.Path(place).GetParentPath().GetPrefixes():
         if not layer.GetPrimAtPath(above):
-            parent = Sdf.CreatePrimInLayer(layer, above)
-            parent.specifier = Sdf.SpecifierDef
-            parent.typeName = "Xform"
+            define_prim(layer, above, "Xform")
     prim = Sdf.CreatePrimInLayer(layer, place)
     prim.specifier = Sdf.SpecifierDef
     reference = Sdf.Reference(relative_path(rig.file, layer_path), source)
@@ -48,7 +47,7 @@ def point_skeletons_at(layer: Sdf.Layer, place: str, rig: Rig, animation: Sdf.Pa
             )
         path = skeleton.GetPath().ReplacePrefix(top, Sdf.Path(place))
         over = Sdf.CreatePrimInLayer(layer, path)
-        over.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["SkelBindingAPI"]))
+        apply_api(over, "SkelBindingAPI")
         source = Sdf.RelationshipSpec(over, "skel:animationSource", False)
         source.targetPathList.explicitItems = [animation]
 

@@ -7,6 +7,7 @@ from pxr import Gf, Kind, Sdf, UsdGeom, UsdMedia, Vt
 
 from usdface.assets import Markers, Take
 from usdface.provenance import Provenance
+from usdface.usdio.authoring import apply_api, author_uniform, define_prim
 from usdface.usdio.layers import (
     MM_PER_STAGE_UNIT,
     author_timing,
@@ -69,28 +70,28 @@ def write_take(
 def _author_take_api(layer: Sdf.Layer, take: Take, path: Path) -> None:
     """Write what the root prim says of a take."""
     prim = layer.GetPrimAtPath(ROOT)
-    prim.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["FaceTakeAPI"]))
+    apply_api(prim, "FaceTakeAPI")
     prim.SetInfo("kind", Kind.Tokens.component)
     token, string, double = (
         Sdf.ValueTypeNames.Token,
         Sdf.ValueTypeNames.String,
         Sdf.ValueTypeNames.Double,
     )
-    _uniform(prim, "face:take", string, take.name)
+    author_uniform(prim, "face:take", string, take.name)
     for name, kind, value in (
         ("face:performer", string, take.performer),
         ("face:timecode:start", string, take.timecode_start),
         ("face:emotion", token, take.emotion),
     ):
         if value:
-            _uniform(prim, name, kind, value)
+            author_uniform(prim, name, kind, value)
     if take.video is not None:
         asset = Sdf.AssetPath(relative_path(take.video.file, path))
         Sdf.AttributeSpec(prim, "face:video:file", Sdf.ValueTypeNames.Asset).default = asset
         if take.video.rate is not None:
-            _uniform(prim, "face:video:rate", double, float(take.video.rate))
-        _uniform(prim, "face:video:offset", double, take.video.offset)
-        _uniform(prim, "face:video:drift", double, take.video.drift)
+            author_uniform(prim, "face:video:rate", double, float(take.video.rate))
+        author_uniform(prim, "face:video:offset", double, take.video.offset)
+        author_uniform(prim, "face:video:drift", double, take.video.drift)
     if take.audio is not None:
         _author_audio(layer, take, path)
 
@@ -99,7 +100,7 @@ def _author_header(layer: Sdf.Layer, take: Take) -> None:
     author_units(layer)
     author_timing(layer, rate=take.rate, first=take.first_frame, last=_last_frame(take))
     layer.defaultPrim = ROOT.name
-    _define(layer, ROOT, "Xform")
+    define_prim(layer, ROOT, "Xform")
 
 
 def _last_frame(take: Take) -> int:
@@ -114,8 +115,8 @@ def _author(layer: Sdf.Layer, take: Take) -> None:
     if take.head_motion is not None:
         _author_head_motion(layer, take.head_motion, frames)
     if take.source is not None:
-        prim = _define(layer, SOURCE, "SkelAnimation")
-        _uniform(prim, "blendShapes", Sdf.ValueTypeNames.TokenArray, list(take.source.names))
+        prim = define_prim(layer, SOURCE, "SkelAnimation")
+        author_uniform(prim, "blendShapes", Sdf.ValueTypeNames.TokenArray, list(take.source.names))
         weights = Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
         for offset, row in enumerate(np.ascontiguousarray(take.source.values, np.float32)):
             layer.SetTimeSample(
@@ -124,15 +125,15 @@ def _author(layer: Sdf.Layer, take: Take) -> None:
 
 
 def _author_markers(layer: Sdf.Layer, markers: Markers, frames: np.ndarray) -> None:
-    prim = _define(layer, MARKERS, "Points")
-    prim.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["FaceMarkersAPI"]))
+    prim = define_prim(layer, MARKERS, "Points")
+    apply_api(prim, "FaceMarkersAPI")
     token, tokens = Sdf.ValueTypeNames.Token, Sdf.ValueTypeNames.TokenArray
-    _uniform(prim, "face:markers:names", tokens, list(markers.names))
-    _uniform(prim, "face:markers:rigid", tokens, list(markers.rigid))
-    _uniform(prim, "face:markers:space", token, markers.space)
-    _uniform(prim, "face:markers:neutralFrame", Sdf.ValueTypeNames.Int, markers.neutral_frame)
+    author_uniform(prim, "face:markers:names", tokens, list(markers.names))
+    author_uniform(prim, "face:markers:rigid", tokens, list(markers.rigid))
+    author_uniform(prim, "face:markers:space", token, markers.space)
+    author_uniform(prim, "face:markers:neutralFrame", Sdf.ValueTypeNames.Int, markers.neutral_frame)
     if markers.anchor:
-        _uniform(prim, "face:markers:anchor", token, markers.anchor)
+        author_uniform(prim, "face:markers:anchor", token, markers.anchor)
     count = len(markers.names)
     Sdf.AttributeSpec(prim, "ids", Sdf.ValueTypeNames.Int64Array).default = list(range(count))
     widths = Sdf.AttributeSpec(prim, "widths", Sdf.ValueTypeNames.FloatArray)
@@ -172,8 +173,8 @@ def _author_extent(prim: Sdf.PrimSpec, points: np.ndarray) -> None:
 
 
 def _author_head_motion(layer: Sdf.Layer, motion: np.ndarray, frames: np.ndarray) -> None:
-    prim = _define(layer, HEAD_MOTION, "Xform")
-    _uniform(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, ["xformOp:transform"])
+    prim = define_prim(layer, HEAD_MOTION, "Xform")
+    author_uniform(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, ["xformOp:transform"])
     transform = Sdf.AttributeSpec(prim, "xformOp:transform", Sdf.ValueTypeNames.Matrix4d)
     rows = motion.transpose(0, 2, 1).copy()
     rows[:, 3, :3] /= MM_PER_STAGE_UNIT
@@ -184,21 +185,10 @@ def _author_head_motion(layer: Sdf.Layer, motion: np.ndarray, frames: np.ndarray
 def _author_audio(layer: Sdf.Layer, take: Take, path: Path) -> None:
     if take.audio is None:
         return
-    prim = _define(layer, AUDIO, "SpatialAudio")
+    prim = define_prim(layer, AUDIO, "SpatialAudio")
     asset = Sdf.AssetPath(relative_path(take.audio, path))
-    _uniform(prim, "filePath", Sdf.ValueTypeNames.Asset, asset)
-    _uniform(prim, "auralMode", Sdf.ValueTypeNames.Token, UsdMedia.Tokens.nonSpatial)
+    author_uniform(prim, "filePath", Sdf.ValueTypeNames.Asset, asset)
+    author_uniform(prim, "auralMode", Sdf.ValueTypeNames.Token, UsdMedia.Tokens.nonSpatial)
     offset = 0.0 if take.video is None else take.video.offset
     start = Sdf.TimeCode(take.first_frame + float(take.rate) * offset)
-    _uniform(prim, "startTime", Sdf.ValueTypeNames.TimeCode, start)
-
-
-def _define(layer: Sdf.Layer, path: Sdf.Path, type_name: str) -> Sdf.PrimSpec:
-    prim = Sdf.CreatePrimInLayer(layer, path)
-    prim.specifier = Sdf.SpecifierDef
-    prim.typeName = type_name
-    return prim
-
-
-def _uniform(prim: Sdf.PrimSpec, name: str, kind: Sdf.ValueTypeName, value: object) -> None:
-    Sdf.AttributeSpec(prim, name, kind, Sdf.VariabilityUniform).default = value
+    author_uniform(prim, "startTime", Sdf.ValueTypeNames.TimeCode, start)
