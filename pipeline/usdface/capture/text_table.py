@@ -1,0 +1,299 @@
+"""Text that capture programs write, read with suspicion: limits, encodings, numbers with their place.
+
+Every fault is an `InputError` that names the file, the line, the column and the value found.
+"""
+
+import csv
+import math
+import re
+from array import array
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdface.errors import InputError
+
+LARGEST_BYTES = 4 << 30
+"""Ten hours of 100 markers at 120 frames per second are about this much text."""
+LONGEST_LINE = 1 << 20
+MOST_LINES = 10_000_000
+DELIMITERS = ("\t", ",", ";")
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+_NOT_A_NUMBER = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
+_SHOWN = 40
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of a file, without its line break; `number` counts from 1."""
+
+    path: Path
+    number: int
+    text: str
+
+    @property
+    def where(self) -> str:
+        """The file and the line, for a message."""
+        return f"{self.path} line {self.number}"
+
+
+@dataclass(frozen=True)
+class NumberTable:
+    """Rows of numbers under named columns.
+
+    Attributes
+    ----------
+    values : (rows, columns) float64 array
+        NaN where a cell is empty or says so, and in columns kept as text.
+    lines : (rows,) int array
+        Where each row is in its file.
+    texts : dict of int to list of str
+        Cells of the columns that were kept as text, by column.
+    """
+
+    values: NDArray[np.float64]
+    lines: NDArray[np.int64]
+    texts: dict[int, list[str]] = field(default_factory=dict)
+
+
+def head_lines(head: bytes, count: int) -> list[str]:
+    """Return the first lines of a file's first bytes as text; none if they are not text."""
+    encoding = _encoding(head)
+    text = head.decode(encoding, errors="replace")
+    return [] if "\0" in text else text.splitlines()[:count]
+
+
+def read_lines(path: Path) -> Iterator[Line]:
+    r"""Read a text file line by line: UTF-8 or UTF-16, any line ends, empty lines included.
+
+    Raises
+    ------
+    InputError
+        If the file is empty or too large, is not text, or has a line that is too long.
+    """
+    size = path.stat().st_size
+    if size == 0:
+        raise InputError(f"{path}: the file is empty (0 bytes); export the take again")
+    if size > LARGEST_BYTES:
+        raise InputError(
+            f"{path}: {size / 2**30:.1f} GiB of text, more than {LARGEST_BYTES >> 30} GiB; "
+            "export the take in parts, or as C3D"
+        )
+    with path.open("rb") as file:
+        encoding = _encoding(file.read(4))
+    with path.open(encoding=encoding, errors="replace") as stream:
+        number = 0
+        while text := stream.readline(LONGEST_LINE):
+            number += 1
+            line = Line(path, number, text.rstrip("\n"))
+            _check_line(line, encoding)
+            yield line
+
+
+def split_cells(line: Line, delimiter: str | None) -> list[str]:
+    """Split a line at a delimiter, or at white space where that is None; quotes are taken off.
+
+    Raises
+    ------
+    InputError
+        If a quoted cell never ends.
+    """
+    if delimiter is None:
+        return line.text.split()
+    if '"' not in line.text:
+        return [cell.strip() for cell in line.text.split(delimiter)]
+    try:
+        cells = next(csv.reader([line.text], delimiter=delimiter), [])
+    except csv.Error as error:
+        raise InputError(f"{line.where}: {error}; export the take again") from error
+    return [cell.strip() for cell in cells]
+
+
+def without_empty_tail(cells: Sequence[str]) -> list[str]:
+    """Drop the empty cells after the last one that holds something."""
+    count = len(cells)
+    while count and not cells[count - 1]:
+        count -= 1
+    return list(cells[:count])
+
+
+def sniff_delimiter(text: str) -> str | None:
+    """Return the delimiter that a header uses most; None where it uses white space alone."""
+    best = max(DELIMITERS, key=text.count)
+    return best if best in text else None
+
+
+def check_columns(columns: Sequence[str], line: Line) -> None:
+    """Refuse empty and doubled column names.
+
+    Raises
+    ------
+    InputError
+        With the place of each of the first.
+    """
+    seen: dict[str, int] = {}
+    for index, name in enumerate(columns):
+        if not name:
+            raise InputError(
+                f"{line.where}, column {index + 1}: the column has no name; export the take again"
+            )
+        if name in seen:
+            raise InputError(
+                f"{line.where}: column {name!r} appears twice, as columns {seen[name] + 1} and "
+                f"{index + 1}; export the take again, or delete the wrong one"
+            )
+        seen[name] = index
+
+
+def parse_cells(
+    cells: Sequence[str],
+    columns: Sequence[str],
+    line: Line,
+    *,
+    delimiter: str | None,
+    gaps: bool,
+    first_column: int = 0,
+) -> list[float]:
+    """Read the numbers of one row.
+
+    Parameters
+    ----------
+    cells : sequence of str
+    columns : sequence of str
+        Name of each cell's column, for messages.
+    line : Line
+    delimiter : str or None
+        Unless it is the comma, numbers may have a decimal comma.
+    gaps : bool
+        Whether an empty cell or ``NaN`` means that nothing was seen; else both are refused.
+    first_column : int
+        Which column of the line `cells` starts at, from 0; for messages.
+
+    Raises
+    ------
+    InputError
+        If the count is wrong or a cell is not a number.
+    """
+    if len(cells) != len(columns):
+        if len(without_empty_tail(cells)) > len(columns) or len(cells) < len(columns):
+            raise InputError(
+                f"{line.where}: {first_column + len(cells)} cells, "
+                f"{first_column + len(columns)} expected; the line is cut off or has a stray "
+                "delimiter: export the take again, or delete the line"
+            )
+        cells = cells[: len(columns)]
+    try:
+        # Beside digits float() takes '1_0': the slow way refuses that.
+        numbers = [float(cell) for cell in cells] if "_" not in line.text else []
+    except ValueError:
+        numbers = []
+    if len(numbers) != len(cells):
+        numbers = [
+            _number(cell, delimiter, _place(line, columns, index, first_column), gaps)
+            for index, cell in enumerate(cells)
+        ]
+    if not gaps and not math.isfinite(math.fsum(0.0 * number for number in numbers)):
+        bad = next(index for index, number in enumerate(numbers) if not math.isfinite(number))
+        raise InputError(
+            f"{_place(line, columns, bad, first_column)}: {cells[bad]!r} is not a finite number; "
+            "export the take again, or delete the line"
+        )
+    return numbers
+
+
+def read_number_table(
+    lines: Iterable[Line],
+    columns: Sequence[str],
+    *,
+    path: Path,
+    delimiter: str | None,
+    gaps: bool,
+    texts: Sequence[int] = (),
+    stop_at_empty: bool = False,
+) -> NumberTable:
+    """Read rows of numbers.
+
+    Parameters
+    ----------
+    lines : iterable of Line
+        Those after the header; empty ones are skipped.
+    columns : sequence of str
+    path : Path
+    delimiter : str or None
+    gaps : bool
+        See `parse_cells`.
+    texts : sequence of int
+        Columns to keep as text.
+    stop_at_empty : bool
+        Whether an empty line ends the table.
+
+    Raises
+    ------
+    InputError
+        If a row has too few or too many cells, a cell is not a number, or there is no row.
+    """
+    values = array("d")
+    numbers: list[int] = []
+    kept: dict[int, list[str]] = {column: [] for column in texts}
+    for line in lines:
+        cells = split_cells(line, delimiter)
+        if not any(cells):
+            if stop_at_empty:
+                break
+            continue
+        for column, found in kept.items():
+            if column < len(cells):
+                found.append(cells[column])
+                cells[column] = "nan"
+        values.extend(parse_cells(cells, columns, line, delimiter=delimiter, gaps=gaps))
+        numbers.append(line.number)
+    if not numbers:
+        raise InputError(f"{path}: no data rows after the header; export the take again")
+    table = np.frombuffer(values, np.float64).reshape(len(numbers), len(columns))
+    return NumberTable(table, np.array(numbers, np.int64), kept)
+
+
+def _encoding(head: bytes) -> str:
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    return "utf-8-sig"
+
+
+def _check_line(line: Line, encoding: str) -> None:
+    if line.number > MOST_LINES:
+        raise InputError(f"{line.path}: more than {MOST_LINES} lines; export the take in parts")
+    if len(line.text) >= LONGEST_LINE:
+        raise InputError(
+            f"{line.where}: longer than {LONGEST_LINE} characters; this is not a table of samples"
+        )
+    if "\0" in line.text:
+        raise InputError(
+            f"{line.where}, character {line.text.index(chr(0)) + 1}: a NUL byte; the file is "
+            "damaged or not text: export the take again as UTF-8"
+        )
+    if not line.text.isascii() and "\ufffd" in line.text:
+        raise InputError(
+            f"{line.where}, character {line.text.index(chr(0xFFFD)) + 1}: not "
+            f"{'UTF-16' if encoding == 'utf-16' else 'UTF-8'}; save the file as UTF-8, or rename "
+            "markers that have letters outside ASCII"
+        )
+
+
+def _place(line: Line, columns: Sequence[str], index: int, first_column: int) -> str:
+    return f"{line.where}, column {first_column + index + 1} ({columns[index][:_SHOWN]})"
+
+
+def _number(cell: str, delimiter: str | None, place: str, gaps: bool) -> float:
+    if delimiter != "," and "." not in cell:
+        cell = cell.replace(",", ".", 1)
+    if _NUMBER.fullmatch(cell) or _NOT_A_NUMBER.fullmatch(cell):
+        return float(cell)
+    if not cell and gaps:
+        return math.nan
+    found = repr(cell[:_SHOWN]) if cell else "an empty cell"
+    raise InputError(
+        f"{place}: {found} where a number is expected; export the take again, or correct the cell"
+    )
