@@ -12,7 +12,7 @@ from pxr import Sdf, Usd, Vt
 from usdface.assets import CandidateScore, FloatArray, Mapping
 from usdface.errors import InputError
 from usdface.provenance import Provenance
-from usdface.usdio.authoring import author_uniform, define_prim
+from usdface.usdio.authoring import author_uniform, define_prim, doubles
 from usdface.usdio.layers import author_units, new_layer, open_stage
 
 ROOT = Sdf.Path("/Mapping")

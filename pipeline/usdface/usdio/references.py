@@ -37,6 +37,7 @@ FRAME = ROOT.AppendProperty("face:reference:frame")
 TAKE = ROOT.AppendProperty("face:reference:take")
 TUNED = ROOT.AppendProperty("face:reference:tuned")
 
+NEUTRAL = "face:markers:neutral"
 PAIRS_PER_SECOND = 24
 """Only a viewer's playback speed: pairs have no time of their own."""
 
@@ -205,6 +206,8 @@ def _author_pairs(layer: Sdf.Layer, references: References) -> None:
         ),
     ):
         author_uniform(points, name, kind, value)
+    neutral = doubles(references.neutral / MM_PER_STAGE_UNIT)
+    author_uniform(points, NEUTRAL, Sdf.ValueTypeNames.DoubleArray, neutral)
     widths = Sdf.AttributeSpec(points, "widths", Sdf.ValueTypeNames.FloatArray)
     widths.default = [0.3]
     widths.SetInfo("interpolation", UsdGeom.Tokens.constant)
