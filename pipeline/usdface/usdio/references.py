@@ -199,11 +199,6 @@ def _author_pairs(layer: Sdf.Layer, references: References) -> None:
         ("face:markers:names", Sdf.ValueTypeNames.TokenArray, list(references.marker_names)),
         ("face:markers:rigid", Sdf.ValueTypeNames.TokenArray, list(references.rigid)),
         ("face:markers:space", Sdf.ValueTypeNames.Token, "stabilized"),
-        (
-            "face:markers:neutral",
-            Sdf.ValueTypeNames.DoubleArray,
-            doubles(references.neutral / MM_PER_STAGE_UNIT),
-        ),
     ):
         author_uniform(points, name, kind, value)
     neutral = doubles(references.neutral / MM_PER_STAGE_UNIT)
