@@ -165,3 +165,20 @@ def test_names_the_frame_that_is_not_finite(deltas):
     motion[4, 2] = np.nan
     with pytest.raises(ValueError, match="index 4"):
         solve_weights(deltas, motion)
+
+
+def test_more_shapes_than_markers_can_tell_apart_still_fit():
+    rng = np.random.default_rng(9)
+    deltas = rng.normal(size=(120, 20, 3)) * 4
+    weights = np.where(rng.random((30, 120)) < 0.1, rng.uniform(0, 1, (30, 120)), 0)
+    solve = solve_weights(deltas, motion_of(weights, deltas), method="bounded")
+    assert solve.rank == 60
+    assert (
+        solve.residual_mm.mean() < 0.1 * np.linalg.norm(motion_of(weights, deltas), axis=2).mean()
+    )
+    assert (solve.weights >= 0).all()
+    assert (solve.weights <= 1).all()
+
+
+def test_no_frames_give_no_weights(deltas):
+    assert solve_weights(deltas, np.zeros((0, 30, 3)), method="bounded").weights.shape == (0, 12)

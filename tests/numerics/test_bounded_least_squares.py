@@ -80,6 +80,15 @@ def test_dependent_columns_still_give_an_optimum():
     np.testing.assert_allclose(wide[:, :4] + wide[:, 4:], narrow, atol=1e-6)
 
 
+def test_nearly_dependent_columns_are_solved_to_optimality():
+    rng = np.random.default_rng(0)
+    matrix = rng.normal(size=(40, 10)) @ rng.normal(size=(10, 60))
+    matrix += 1e-3 * rng.normal(size=matrix.shape)
+    targets = rng.normal(size=(25, 40)) * 5
+    solution = solve_bounded_least_squares(matrix, targets, lower=0, upper=1, ridge=1e-3)
+    assert solution.violation.max() < 1e-8
+
+
 def test_equal_bounds_fix_a_variable(problem):
     matrix, targets = problem
     lower, upper = np.zeros(24), np.ones(24)

@@ -23,6 +23,7 @@ Method = Literal["lstsq", "nnls", "bounded"]
 _RELINEARISATIONS = 8
 _SMALL_STEP = 1e-6
 _FILLS = 5
+_DEPENDENT_RIDGE = 0.01  # of a shape's mean energy: settles which of many solutions is meant
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,8 @@ class Solve:
         Distance between each marker and where the weights put it; NaN where it was not seen.
     rank : int
         Of the equation, all markers seen. Below the number of shapes, several weights explain the
-        same motion: least squares returns the smallest, the bounded methods one of them.
+        same motion: least squares returns the smallest; the bounded methods then keep at least a
+        small ridge.
     """
 
     weights: FloatArray
@@ -157,6 +159,10 @@ def solve_weights(
         raise ValueError("l1, smoothness and keys need method 'bounded' or 'nnls'")
     if not min(ridge, l1, smoothness) >= 0:
         raise ValueError("ridge, l1 and smoothness must not be negative")
+    rank = int(np.linalg.matrix_rank(problem.deltas.reshape(problem.shape_count, -1)))
+    if method != "lstsq" and rank < problem.shape_count:
+        energy = float(np.einsum("smc,m,smc->", problem.deltas, problem.share, problem.deltas))
+        ridge = max(ridge, _DEPENDENT_RIDGE * energy / problem.shape_count)
     pull = np.zeros((problem.frame_count, problem.shape_count))
     if prior is not None:
         pull = pull + np.asarray(prior, float)
@@ -199,7 +205,6 @@ def solve_weights(
             )
     residual = np.linalg.norm(problem.motion - _predict(problem.deltas, keys, weights), axis=2)
     residual[~problem.visible] = np.nan
-    rank = int(np.linalg.matrix_rank(problem.deltas.reshape(problem.shape_count, -1)))
     return Solve(weights, residual, rank)
 
 
@@ -254,6 +259,10 @@ def _gram(deltas: FloatArray, trust: FloatArray) -> FloatArray:
 
 def _alike(rows: FloatArray) -> list[IntArray]:
     """Group equal rows: frames that share one matrix."""
+    if not len(rows):
+        return []
+    if (rows == rows[0]).all():
+        return [np.arange(len(rows))]
     _, group = np.unique(rows, axis=0, return_inverse=True)
     order = np.argsort(group.ravel(), kind="stable")
     return np.split(order, np.flatnonzero(np.diff(group.ravel()[order])) + 1)

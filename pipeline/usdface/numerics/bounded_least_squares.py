@@ -2,7 +2,8 @@
 
 Each frame is a small convex quadratic programme, minimise ``0.5 x'Hx - l'x`` with ``lower <= x <=
 upper``. All frames advance together: an accelerated projected gradient finds nearly the right set
-of bounds, and block principal pivoting then makes it exact.
+of bounds, block pivoting makes it exact, and an active-set walk finishes the few frames on which
+pivoting cycles.
 """
 
 from dataclasses import dataclass
@@ -12,11 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 
-_GRADIENT_STEPS = 60  # enough that pivoting then needs a handful of exchanges on face rigs
-_PIVOT_STEPS = 500
-_PATIENCE = 3  # full exchanges without progress before single ones [Júdice and Pires 1994]
+_GRADIENT_STEPS = 60  # enough that a handful of exchanges then end it on face rigs
+_PIVOT_STEPS = 120
+_PATIENCE = 3  # rounds without progress before variables change one at a time
+_WALK_STEPS_PER_VARIABLE = 5
+_TOLERANCE = 1e-10
 _SYSTEM_FLOATS = 4_000_000  # size of one batch of linear systems: 32 MB
-_RIDGE = 1e-10  # of the mean diagonal: makes dependent columns solvable, invisible otherwise
+_DEPENDENT = 1e-8  # smallest eigenvalue, at unit diagonal, of columns that count as independent
+_RIDGE = 1e-6  # added to the unit diagonal of dependent ones: of many solutions, a small one
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,7 @@ def minimise_bounded_quadratic(
     References
     ----------
     Júdice and Pires (1994), Computers & Operations Research 21(5), 587-596: block pivoting.
+    Stark and Parker (1995), Computational Statistics 10, 129-141: bounds one at a time.
     O'Donoghue and Candès (2015), Found. Comput. Math. 15, 715-732: adaptive restart.
     """
     H, b = np.asarray(hessian, float), np.asarray(linear, float)
@@ -131,10 +136,15 @@ def _minimise(H: FloatArray, b: FloatArray, lo: FloatArray, hi: FloatArray) -> B
     unit = 1 / np.sqrt(np.maximum(diagonal, floor))  # x = unit * z gives z a unit diagonal
     with np.errstate(invalid="ignore"):
         lo_z, hi_z = lo / unit, hi / unit
-    scaled = H * np.outer(unit, unit) + _RIDGE * np.eye(n)
+    scaled = H * np.outer(unit, unit)
+    values = np.linalg.eigvalsh(scaled)
+    if n and values[0] < _DEPENDENT:
+        scaled += _RIDGE * np.eye(n)
     b_z = b * unit
-    z, state = _approach(scaled, b_z, lo_z, hi_z)
-    z = _pivot(scaled, b_z, lo_z, hi_z, z, state)
+    step = 1 / max(float(values[-1]) + _RIDGE, np.finfo(float).tiny) if n else 1.0
+    z = _approach(scaled, b_z, lo_z, hi_z, step)
+    z = _pivot(scaled, b_z, lo_z, hi_z, z)
+    z = _walk(scaled, b_z, lo_z, hi_z, z)
     violation = _violation(scaled, b_z, lo_z, hi_z, z)
     x = np.where(z <= lo_z, lo, np.where(z >= hi_z, hi, z * unit))  # bounds stay exact
     return BoundedSolution(x, violation)
@@ -154,13 +164,9 @@ def _check(H: FloatArray, b: FloatArray, lo: FloatArray, hi: FloatArray) -> None
 
 
 def _approach(
-    H: FloatArray, b: FloatArray, lo: FloatArray, hi: FloatArray
-) -> tuple[FloatArray, NDArray[np.int8]]:
-    """Take accelerated projected gradient steps; return where they end and the bounds they touch.
-
-    The state is -1 at the lower bound, 1 at the upper, 0 free.
-    """
-    step = 1 / max(float(np.linalg.eigvalsh(H)[-1]), np.finfo(float).tiny)
+    H: FloatArray, b: FloatArray, lo: FloatArray, hi: FloatArray, step: float
+) -> FloatArray:
+    """Take accelerated projected gradient steps."""
     z = np.clip(np.zeros_like(b), lo, hi)
     ahead, momentum = z, np.ones(len(b))
     for _ in range(_GRADIENT_STEPS):
@@ -170,51 +176,77 @@ def _approach(
         following = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
         rate = np.where(restart, 0.0, (momentum - 1) / following)
         ahead, z, momentum = moved + rate[:, None] * (moved - z), moved, following
-    state = np.zeros(b.shape, np.int8)
-    state[z <= lo] = -1
-    state[z >= hi] = 1
-    return z, state
+    return np.asarray(z)
 
 
 def _pivot(
-    H: FloatArray,
-    b: FloatArray,
-    lo: FloatArray,
-    hi: FloatArray,
-    z: FloatArray,
-    state: NDArray[np.int8],
+    H: FloatArray, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray
 ) -> FloatArray:
-    """Exchange bound and free variables until every frame is optimal."""
+    """Exchange free and bound variables all at once: a few rounds, unless columns are alike."""
     out = z.copy()
+    side = np.where(z <= lo, -1, np.where(z >= hi, 1, 0))
     todo = np.arange(len(b))
-    fewest = np.full(len(b), H.shape[0] + 1)
-    patience = np.full(len(b), _PATIENCE)
+    fewest, patience = np.full(len(b), H.shape[0] + 1), np.full(len(b), _PATIENCE)
     slack = 1e-11 * (1 + np.abs(b).max(axis=1, initial=0.0))
     for _ in range(_PIVOT_STEPS):
-        if not len(todo):
-            break
-        s = state[todo]
-        value = _solve_free(H, b[todo], np.where(s < 0, lo, np.where(s > 0, hi, 0.0)), s == 0)
+        at = side[todo]
+        value = _solve_free(H, b[todo], np.where(at < 0, lo, np.where(at > 0, hi, 0.0)), at == 0)
         gradient = value @ H - b[todo]
         room = slack[todo, None]
-        to_lower = (s == 0) & (value < lo - room)
-        to_upper = (s == 0) & (value > hi + room)
-        to_free = ((s < 0) & (gradient < -room)) | ((s > 0) & (gradient > room))
-        to_free &= lo < hi
-        wrong = to_lower | to_upper | to_free
+        low, high = (at == 0) & (value < lo - room), (at == 0) & (value > hi + room)
+        free = ((at < 0) & (gradient < -room)) | ((at > 0) & (gradient > room))
+        free &= lo < hi
+        wrong = low | high | free
         count = wrong.sum(axis=1)
-        out[todo] = np.clip(value, lo, hi)
         better = count < fewest[todo]
         fewest[todo] = np.where(better, count, fewest[todo])
         patience[todo] = np.where(better, _PATIENCE, patience[todo] - 1)
-        single = patience[todo] < 0  # Murty's rule: the last one alone; finite, though slow
         last = wrong.shape[1] - 1 - wrong[:, ::-1].argmax(axis=1)
-        only = np.zeros_like(wrong)
-        only[np.arange(len(todo)), last] = True
-        change = wrong & (only | ~single[:, None])
-        s = np.where(change & to_lower, -1, np.where(change & to_upper, 1, s))
-        state[todo] = np.where(change & to_free, 0, s).astype(np.int8)
-        todo = todo[count > 0]
+        only = np.arange(wrong.shape[1]) == last[:, None]  # Murty: one alone, where all cycle
+        change = wrong & (only | (patience[todo] >= 0)[:, None])
+        side[todo] = np.where(change, np.where(low, -1, np.where(high, 1, 0)), at)
+        done = count == 0
+        out[todo[done]] = np.clip(value[done], lo, hi)
+        todo = todo[~done]
+        if not len(todo):
+            break
+    return out
+
+
+def _walk(
+    H: FloatArray, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray
+) -> FloatArray:
+    """Walk along the bounds, one variable a step, from a feasible start: slow, but never cycles.
+
+    A step goes to the minimum over the free variables, or to the first bound in its way, which
+    fixes that variable; at such a minimum the bound variable that pulls hardest is set free.
+    """
+    out = z.copy()
+    todo = np.flatnonzero(_violation(H, b, lo, hi, z) > _TOLERANCE)
+    fixed = (z <= lo) | (z >= hi)
+    for _ in range(_WALK_STEPS_PER_VARIABLE * len(H)):
+        if not len(todo):
+            break
+        rows = np.arange(len(todo))
+        now, right, held = out[todo], b[todo], fixed[todo]
+        step = _solve_free(H, right, np.where(held, now, 0.0), ~held) - now
+        with np.errstate(divide="ignore", invalid="ignore"):
+            room = np.where(step < 0, (lo - now) / step, (hi - now) / step)
+        room = np.where(held | (step == 0), np.inf, room)
+        blocker = room.argmin(axis=1)
+        length = room[rows, blocker]
+        blocked = length < 1
+        now = np.clip(now + np.minimum(length, 1.0)[:, None] * step, lo, hi)
+        first = rows[blocked], blocker[blocked]
+        now[first] = np.where(step[first] < 0, lo[first[1]], hi[first[1]])
+        held[first] = True
+        gradient = now @ H - right
+        pull = np.where(now <= lo, -gradient, gradient) * (held & (lo < hi))
+        hardest = pull.argmax(axis=1)
+        release = ~blocked & (pull[rows, hardest] > _TOLERANCE * np.abs(right).max(axis=1))
+        held[rows[release], hardest[release]] = False
+        out[todo], fixed[todo] = now, held
+        todo = todo[blocked | release]
     return out
 
 
