@@ -1,4 +1,4 @@
-"""Text that capture programs write, read with suspicion: limits, encodings, numbers with their place.
+"""Text that capture programs write, read with suspicion: limits, encodings, numbers in place.
 
 Every fault is an `InputError` that names the file, the line, the column and the value found.
 """

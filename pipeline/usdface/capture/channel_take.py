@@ -1,0 +1,114 @@
+"""Weights as a reader found them, made into a take: no frame missing, nothing silent."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdface.assets import Take, WeightsClip
+from usdface.capture.marker_take import Capture
+from usdface.capture.sample_times import SampleTimes
+
+FIRST_FRAME = 1
+"""Where takes start whose format does not number frames, as optical takes do."""
+
+
+def build_channel_take(
+    path: Path,
+    names: Sequence[str],
+    values: NDArray[np.float64],
+    times: SampleTimes,
+    *,
+    notes: Sequence[str],
+    format_name: str,
+    timecode_start: str = "",
+) -> Capture:
+    """Make a take of weights; frames that are missing are interpolated, and reported.
+
+    Options for markers (units, axes, rigid set, neutral frame) have nothing to act on here.
+
+    Parameters
+    ----------
+    path : Path
+        The capture; its stem names the take.
+    names : sequence of str
+        Unique, one per column.
+    values : (samples, channels) float64 array
+        Finite.
+    times : SampleTimes
+    notes : sequence of str
+        What the reader has noted so far.
+    format_name : str
+    timecode_start : str
+    """
+    found = [*notes, *_describe_times(times)]
+    clip = WeightsClip(
+        names=tuple(names),
+        values=fill_frames(values, times.frames),
+        first_frame=FIRST_FRAME,
+        rate=times.rate,
+    )
+    take = Take(
+        name=path.stem,
+        rate=times.rate,
+        first_frame=FIRST_FRAME,
+        source=clip,
+        timecode_start=timecode_start,
+    )
+    return Capture(take, format_name, tuple(found))
+
+
+def fill_frames(values: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return one row per whole frame, linear between the samples around it.
+
+    Parameters
+    ----------
+    values : (samples, channels) float64 array
+    frames : (samples,) float64 array
+        Ascending; where each sample lies. A sample at a whole frame is kept as it is.
+
+    Returns
+    -------
+    (frames, channels) float32 array
+        From the whole frame at or after the first sample to that at or before the last.
+    """
+    grid = np.arange(np.ceil(frames[0]), np.floor(frames[-1]) + 1)
+    filled = np.empty((len(grid), values.shape[1]), np.float32)
+    limit = np.finfo(np.float32).max
+    for channel in range(values.shape[1]):
+        column = np.clip(values[:, channel], -limit, limit)
+        filled[:, channel] = np.interp(grid, frames, column)
+    return filled
+
+
+def describe_missing(frames: NDArray[np.float64]) -> list[str]:
+    """Say how many frames are missing between samples at whole frames, if any."""
+    skipped = np.diff(frames) - 1
+    missing = int(skipped.sum())
+    if not missing:
+        return []
+    longest = int(np.argmax(skipped))
+    run = int(skipped[longest])
+    at = FIRST_FRAME + int(frames[longest]) + 1
+    where = f"frame {at}" if run == 1 else f"{run} from frame {at}"
+    return [
+        f"{missing} of {int(frames[-1]) + 1} frames were dropped by the recorder and are "
+        f"interpolated; {'' if missing == 1 else 'the longest run is '}{where}"
+    ]
+
+
+def _describe_times(times: SampleTimes) -> list[str]:
+    """Say what was done to bring samples to whole frames."""
+    rate = float(times.rate)
+    if not times.even:
+        return [f"samples came unevenly; resampled by their times to {rate:g} frames per second"]
+    notes = describe_missing(times.frames)
+    drift = times.clock_error * float(times.frames[-1])
+    if abs(drift) > 0.5:  # noticeable against a video
+        notes.append(
+            f"the recorder's clock runs {abs(times.clock_error) * 1e6:.0f} ppm "
+            f"{'slow' if drift > 0 else 'fast'} against {rate:g} frames per second: "
+            f"{abs(drift):.1f} frames over the take"
+        )
+    return notes

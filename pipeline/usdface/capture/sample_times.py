@@ -1,0 +1,222 @@
+"""When samples were taken: the rate behind written times, and the frame each sample belongs to."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdface.capture.rates import exact_rate
+from usdface.errors import InputError
+
+DEVICE_RATES = (15, 20, 24, 25, 30, 48, 50, 60, 90, 100, 120, 240)
+"""What cameras and phones are set to; their clocks are close to it, never exact."""
+_CLOCK_ERROR = 0.005
+"""Relative; phones measured are within 0.001."""
+_UNEVEN = 0.3
+"""[frames] A step this far from a whole number of frames is not even."""
+_UNEVEN_SHARE = 0.02
+_LARGEST_RATIO = 10
+"""Frames a take may have for each sample in it: with more missing, frame numbers are damaged."""
+
+
+@dataclass(frozen=True)
+class SampleTimes:
+    """Samples on a clock of even frames.
+
+    Attributes
+    ----------
+    rate : Fraction
+        Frames per second.
+    frames : (samples,) float64 array
+        Where each sample lies, in frames from the first; whole numbers where `even`.
+    even : bool
+        Whether samples came at whole frames, some perhaps missing.
+    clock_error : float
+        How much faster than `rate` samples came by their own clock, relative; 0 unless `even`.
+    """
+
+    rate: Fraction
+    frames: NDArray[np.float64]
+    even: bool
+    clock_error: float = 0.0
+
+
+def settle_device_times(
+    seconds: NDArray[np.float64], lines: NDArray[np.int64], *, where: str
+) -> SampleTimes:
+    """Find the frame rate a device ran at and the frame of each of its samples.
+
+    Frames are counted from one sample to the next, so a device whose clock is a little off keeps
+    one sample per frame however long the take. Samples that come unevenly stay at their times.
+
+    Parameters
+    ----------
+    seconds : (samples,) float64 array
+        [s]
+    lines : (samples,) int array
+        Where each is in its file, for messages.
+    where : str
+        File and column, for messages.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two samples, or times do not ascend.
+    """
+    check_ascending(seconds, lines, where=where)
+    if len(seconds) < 2:
+        raise InputError(f"{where}: one sample does not tell a frame rate; export a longer take")
+    steps = np.diff(seconds)
+    step = float(np.median(steps))
+    counts = np.rint(steps / step)
+    if counts.min() >= 1:
+        step = float(steps.sum() / counts.sum())  # times are rounded: many tell the step better
+        counts = np.rint(steps / step)
+    even = counts.min() >= 1 and np.mean(np.abs(steps / step - counts) > _UNEVEN) <= _UNEVEN_SHARE
+    nearest = min(DEVICE_RATES, key=lambda rate: abs(rate * step - 1))
+    if abs(nearest * step - 1) <= (_CLOCK_ERROR if even else 0.2):
+        rate = Fraction(nearest)
+    else:
+        rate = exact_rate(1 / step, where=where)
+    frames = (
+        np.concatenate([[0.0], np.cumsum(counts)]) if even else (seconds - seconds[0]) * float(rate)
+    )
+    check_span(frames, lines, where=where)
+    return SampleTimes(rate, frames, bool(even), 1 / (step * float(rate)) - 1 if even else 0.0)
+
+
+def settle_frame_numbers(
+    numbers: NDArray[np.float64], lines: NDArray[np.int64], *, where: str
+) -> tuple[int, NDArray[np.int64]]:
+    """Return the first frame number, and the frame of each row from 0.
+
+    Raises
+    ------
+    InputError
+        If a frame number is not whole, does not ascend, or lies far from the others.
+    """
+    whole = np.isfinite(numbers) & (np.abs(numbers) < 2**31)
+    whole[whole] = numbers[whole] == np.rint(numbers[whole])
+    if not whole.all():
+        bad = int(np.argmin(whole))
+        raise InputError(
+            f"{where} line {lines[bad]}: frame number {numbers[bad]:g}; it must be a whole number: "
+            "export the take again"
+        )
+    check_ascending(numbers, lines, where=where)
+    frames = numbers - numbers[0]
+    check_span(frames, lines, where=where)
+    return int(numbers[0]), frames.astype(np.int64)
+
+
+def rate_of_times(
+    seconds: NDArray[np.float64], frames: NDArray[np.int64], *, where: str
+) -> Fraction:
+    """Return the simplest rate that rounded times of numbered frames allow.
+
+    Raises
+    ------
+    InputError
+        If times do not tell a rate.
+    """
+    low, high = _rate_limits(seconds, frames, where=where)
+    for rate in DEVICE_RATES:
+        if low <= rate <= high:
+            return Fraction(rate)
+    middle = (low + high) / 2
+    if low <= round(middle) <= high:
+        return Fraction(round(middle))
+    return exact_rate(middle, where=where)
+
+
+def check_rate(
+    rate: Fraction,
+    stated_in: str,
+    seconds: NDArray[np.float64],
+    frames: NDArray[np.int64],
+    *,
+    where: str,
+) -> None:
+    """Refuse a file whose header and times tell two frame rates.
+
+    Parameters
+    ----------
+    rate : Fraction
+    stated_in : str
+        What states it, for the message.
+    seconds : (rows,) float64 array
+        [s]
+    frames : (rows,) int array
+    where : str
+
+    Raises
+    ------
+    InputError
+        If they differ by more than rounding and one per cent.
+    """
+    if len(seconds) < 2 or not np.isfinite(seconds).all() or seconds[-1] <= seconds[0]:
+        return
+    low, high = _rate_limits(seconds, frames, where=where)
+    if not low * 0.99 <= float(rate) <= high * 1.01:
+        raise InputError(
+            f"{where}: two frame rates: {stated_in} says {float(rate):g}, the times of the rows "
+            f"{(low + high) / 2:g}; export the take again"
+        )
+
+
+def check_ascending(values: NDArray[np.float64], lines: NDArray[np.int64], *, where: str) -> None:
+    """Refuse times or frame numbers that repeat or go back.
+
+    Raises
+    ------
+    InputError
+        With the line of the first.
+    """
+    wrong = ~(np.diff(values) > 0)
+    if wrong.any():
+        row = int(np.argmax(wrong)) + 1
+        raise InputError(
+            f"{where} line {lines[row]}: {values[row]:.12g} follows {values[row - 1]:.12g}; it "
+            "must ascend: one file holds one recording, export the take again"
+        )
+
+
+def check_span(frames: NDArray[np.float64], lines: NDArray[np.int64], *, where: str) -> None:
+    """Refuse samples so far apart that most of a take would be missing.
+
+    Raises
+    ------
+    InputError
+        With the widest gap.
+    """
+    if frames[-1] > _LARGEST_RATIO * (len(frames) + 100):
+        row = int(np.argmax(np.diff(frames))) + 1
+        raise InputError(
+            f"{where} line {lines[row]}: {frames[row] - frames[row - 1] - 1:.0f} frames are "
+            "missing before this row; split the recording there, or export the take again"
+        )
+
+
+def _rate_limits(
+    seconds: NDArray[np.float64], frames: NDArray[np.int64], *, where: str
+) -> tuple[float, float]:
+    """Return the lowest and highest rate that times as rounded as these can mean."""
+    usable = len(seconds) > 1 and bool(np.isfinite(seconds).all())
+    span = float(seconds[-1] - seconds[0]) if usable else 0.0
+    if not 0 < span < 1e9:
+        raise InputError(
+            f"{where}: the times of the rows do not tell a frame rate; export the take with "
+            "times in seconds"
+        )
+    decimals = next(
+        (
+            count
+            for count in range(7)
+            if np.abs(np.round(seconds, count) - seconds).max() < 1e-9 + 1e-15 * span
+        ),
+        7,
+    )
+    count = float(frames[-1] - frames[0])
+    rounding = min(10.0**-decimals, span / 2)  # half a unit at either end
+    return count / (span + rounding), count / (span - rounding)
