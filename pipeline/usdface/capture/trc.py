@@ -56,7 +56,7 @@ def read_trc(path: Path, options: CaptureOptions) -> Capture:
 
     notes = _check_counts(header, len(labels), len(table.values))
     first_frame, frames = settle_frame_numbers(table.values[:, 0], table.lines, where=str(path))
-    rate = exact_rate(_header_number(header, "DataRate", stated), where=f"{stated.where} DataRate")
+    rate = exact_rate(_header_number(header, "DataRate"), where=f"{stated.where} DataRate")
     check_rate(rate, "DataRate", table.values[:, 1], frames, where=str(path))
     to_mm = settle_space(
         header.get("Units", ""),
@@ -109,13 +109,13 @@ def _labels(titles: Line, axes: Line, delimiter: str | None) -> list[str]:
 
 def _check_counts(header: dict[str, str], markers: int, rows: int) -> list[str]:
     return [
-        f"the header says {key} {header[key]}; {found} found"
+        f"{key} says {header[key]}, {found} found: the file may be cut off"
         for key, found in (("NumMarkers", markers), ("NumFrames", rows))
         if header.get(key, str(found)) != str(found)
     ]
 
 
-def _header_number(header: dict[str, str], key: str, line: Line) -> float:
+def _header_number(header: dict[str, str], key: str) -> float:
     try:
         return float(header.get(key, "").replace(",", "."))
     except ValueError:

@@ -1,0 +1,206 @@
+"""CSV as OptiTrack Motive exports it: markers.
+
+The first line holds keys and values. Header rows follow, which ones depends on the version: kinds
+(``Marker``, ``Rigid Body``, …), names, identifiers, parents, ``Position`` or ``Rotation``; the last
+begins with ``Frame`` and holds the axes. An empty cell is a marker that was not seen.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+from usdface.capture.marker_labels import list_some
+from usdface.capture.marker_table import build_table_take, settle_space
+from usdface.capture.marker_take import Capture, CaptureOptions
+from usdface.capture.rates import exact_rate
+from usdface.capture.sample_times import check_rate, rate_of_times, settle_frame_numbers
+from usdface.capture.text_table import (
+    Line,
+    head_lines,
+    read_lines,
+    read_number_table,
+    sniff_delimiter,
+    split_cells,
+    without_empty_tail,
+)
+from usdface.errors import InputError
+from usdface.timecode import frames_of
+
+_MOST_HEADER_ROWS = 12
+_TIMECODE = re.compile(r"(\d\d:\d\d:\d\d[:;]\d\d)(?:\.\d+)?")
+
+
+def is_motive_csv(head: bytes) -> bool:
+    """Tell a Motive export by its first bytes."""
+    lines = head_lines(head, 1)
+    return bool(lines) and lines[0].lstrip('"').startswith("Format Version")
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What the header rows say of each column; all of one length."""
+
+    stated: dict[str, str]
+    kinds: list[str]
+    names: list[str]
+    values: list[str]
+    axes: list[str]
+    names_line: Line
+    axes_line: Line
+    delimiter: str
+
+
+def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
+    """Read the measured markers of a Motive export.
+
+    Rigid bodies, bones and the markers solved from them are left out: those are where the solver
+    expects a marker, not where one was seen.
+
+    Raises
+    ------
+    InputError
+        If the header or a row is damaged, rate and times disagree, units are unknown, or nothing
+        is left to use.
+    """
+    lines = read_lines(path)
+    header = _read_header(path, lines)
+    starts = [
+        at
+        for at in range(len(header.axes) - 2)
+        if header.kinds[at] == "Marker"
+        and header.values[at] == "Position"
+        and header.axes[at : at + 3] == ["X", "Y", "Z"]
+    ]
+    others = Counter(kind for kind in header.kinds if kind not in ("", "Type", "Marker"))
+    if not starts:
+        raise InputError(
+            f"{header.axes_line.where}: no measured markers, only {list_some(list(others)) or 'times'}; "
+            "export with Markers switched on"
+        )
+    notes = [f"left out, solved and not measured: {list_some(list(others))}"] if others else []
+    stamps = [at for at, title in enumerate(header.axes) if title.lower() == "timecode"]
+    columns = [
+        f"{name} {axis}".strip() for name, axis in zip(header.names, header.axes, strict=True)
+    ]
+    table = read_number_table(
+        lines, columns, path=path, delimiter=header.delimiter, gaps=True, texts=stamps
+    )
+    first_frame, frames = settle_frame_numbers(table.values[:, 0], table.lines, where=str(path))
+    rate = _rate(header.stated, path)
+    if rate is None:
+        rate = rate_of_times(table.values[:, 1], frames, where=str(path))
+        notes.append(f"the first line states no rate; {float(rate):g} told from the times")
+    else:
+        check_rate(rate, "the first line", table.values[:, 1], frames, where=str(path))
+    to_mm = settle_space(
+        header.stated.get("Length Units", ""),
+        "y",
+        options,
+        notes,
+        where=str(path),
+        field="Length Units",
+    )
+    stamp = table.texts[stamps[0]][0] if stamps and table.texts[stamps[0]] else ""
+    return build_table_take(
+        path,
+        [header.names[at] for at in starts],
+        table.values,
+        starts,
+        frames=frames,
+        first_frame=first_frame,
+        rate=rate,
+        to_mm=to_mm,
+        options=options,
+        notes=notes,
+        format_name="motive-csv",
+        where=header.names_line.where,
+        timecode_start=_timecode(stamp, rate, notes),
+    )
+
+
+def _read_header(path: Path, lines: Iterator[Line]) -> _Header:
+    first = next(lines)
+    delimiter = sniff_delimiter(first.text) or ","
+    pairs = split_cells(first, delimiter)
+    stated = dict(zip(pairs[0::2], pairs[1::2], strict=False))
+    rows: list[tuple[Line, list[str]]] = []
+    for line in lines:
+        cells = split_cells(line, delimiter)
+        if not any(cells):
+            continue
+        rows.append((line, cells))
+        if cells[0].lower() == "frame" or len(rows) > _MOST_HEADER_ROWS:
+            break
+    line, axes = rows[-1] if rows else (first, [""])
+    if axes[0].lower() != "frame":
+        raise InputError(
+            f"{line.where}: no line that begins with Frame and Time within the header; export the "
+            "take again with its header"
+        )
+    axes = without_empty_tail(axes)
+    width = len(axes)
+    above = rows[:-1]
+    kinds_at = next(
+        (
+            at
+            for at, (_, cells) in enumerate(above)
+            if _holds(cells, "Marker", "Rigid Body", "Bone")
+        ),
+        None,
+    )
+    values_at = next((at for at, (_, cells) in enumerate(above) if _holds(cells, "Position")), None)
+    if kinds_at is None or values_at is None or values_at <= kinds_at + 1:
+        raise InputError(
+            f"{line.where}: the rows above do not say which columns are the positions of markers; "
+            "export the take again with its header"
+        )
+
+    def padded(at: int) -> list[str]:
+        return [*above[at][1], *[""] * width][:width]
+
+    return _Header(
+        stated,
+        padded(kinds_at),
+        padded(kinds_at + 1),
+        padded(values_at),
+        axes,
+        above[kinds_at + 1][0],
+        line,
+        delimiter,
+    )
+
+
+def _holds(cells: list[str], *wanted: str) -> bool:
+    return any(cell in wanted for cell in cells)
+
+
+def _rate(stated: dict[str, str], path: Path) -> Fraction | None:
+    """Return the rate that rows were exported at; else the capture's."""
+    for key in ("Export Frame Rate", "Capture Frame Rate"):
+        if stated.get(key):
+            try:
+                return exact_rate(float(stated[key]), where=f"{path} line 1 {key}")
+            except ValueError as error:
+                raise InputError(
+                    f"{path} line 1: {key} {stated[key][:24]!r} is not a number; export the take "
+                    "again"
+                ) from error
+    return None
+
+
+def _timecode(stamp: str, rate: Fraction, notes: list[str]) -> str:
+    """Return the SMPTE label of the first frame; nothing, with a note, where it is none."""
+    match = _TIMECODE.fullmatch(stamp)
+    if match is not None:
+        try:
+            frames_of(match[1], rate)
+        except InputError as error:
+            notes.append(f"the timecode column is not used: {error}")
+        else:
+            return match[1]
+    elif stamp:
+        notes.append(f"the timecode column is not used: it begins {stamp[:24]!r}")
+    return ""
