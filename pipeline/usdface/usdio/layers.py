@@ -17,6 +17,9 @@ CENTIMETRES = 0.01
 MM_PER_STAGE_UNIT = 10.0
 """Layers that this package writes are in centimetres, as most film rigs are."""
 
+FRAMES_IN_MEMORY = 1 << 15
+"""Long takes are saved to disk in lots of this many frames, so that memory stays bounded."""
+
 LAYER_SUFFIXES = (".usda", ".usdc", ".usd")
 
 

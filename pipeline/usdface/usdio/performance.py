@@ -13,6 +13,7 @@ from usdface.errors import InputError
 from usdface.provenance import Provenance
 from usdface.usdio.authoring import apply_api, author_uniform, define_prim
 from usdface.usdio.layers import (
+    FRAMES_IN_MEMORY,
     author_timing,
     author_units,
     new_layer,
@@ -30,9 +31,6 @@ from usdface.usdio.take import exact_rate
 
 ANIMATION = "FaceSolve"
 """Name of the animation prim, a child of the referenced rig."""
-
-FRAMES_IN_MEMORY = 1 << 15
-"""Samples are saved to disk in lots of this many frames, so that memory stays bounded."""
 
 
 def weights_path(path: Path) -> Path:

@@ -9,6 +9,7 @@ from usdface.assets import Markers, Take
 from usdface.provenance import Provenance
 from usdface.usdio.authoring import apply_api, author_uniform, define_prim
 from usdface.usdio.layers import (
+    FRAMES_IN_MEMORY,
     MM_PER_STAGE_UNIT,
     author_timing,
     author_units,
@@ -140,34 +141,34 @@ def _author_markers(layer: Sdf.Layer, markers: Markers, frames: np.ndarray) -> N
     widths.default = [MARKER_WIDTH_MM / MM_PER_STAGE_UNIT]
     widths.SetInfo("interpolation", UsdGeom.Tokens.constant)
 
-    stage_points = markers.positions / np.float32(MM_PER_STAGE_UNIT)
-    _author_extent(prim, stage_points)
+    _author_extent(prim, markers.positions)
     points = Sdf.AttributeSpec(prim, "points", Sdf.ValueTypeNames.Point3fArray)
     visible = Sdf.AttributeSpec(prim, VISIBLE, Sdf.ValueTypeNames.BoolArray)
     confidence = Sdf.AttributeSpec(prim, CONFIDENCE, Sdf.ValueTypeNames.FloatArray)
     for primvar in (visible, confidence):
         primvar.SetInfo("interpolation", UsdGeom.Tokens.vertex)
     # Setting samples on the layer itself is three times faster than through the stage.
-    for index, frame in enumerate(frames.tolist()):
-        layer.SetTimeSample(points.path, frame, Vt.Vec3fArray.FromNumpy(stage_points[index]))
-        layer.SetTimeSample(
-            visible.path,
-            frame,
-            Vt.BoolArray.FromNumpy(np.ascontiguousarray(markers.visible[index])),
-        )
-        layer.SetTimeSample(
-            confidence.path,
-            frame,
-            Vt.FloatArray.FromNumpy(np.ascontiguousarray(markers.confidence[index])),
-        )
+    for start in range(0, len(frames), FRAMES_IN_MEMORY):
+        lot = slice(start, start + FRAMES_IN_MEMORY)
+        placed = markers.positions[lot] / np.float32(MM_PER_STAGE_UNIT)
+        seen = np.ascontiguousarray(markers.visible[lot])
+        trust = np.ascontiguousarray(markers.confidence[lot])
+        for index, frame in enumerate(frames[lot].tolist()):
+            layer.SetTimeSample(points.path, frame, Vt.Vec3fArray.FromNumpy(placed[index]))
+            layer.SetTimeSample(visible.path, frame, Vt.BoolArray.FromNumpy(seen[index]))
+            layer.SetTimeSample(confidence.path, frame, Vt.FloatArray.FromNumpy(trust[index]))
+        if len(frames) > FRAMES_IN_MEMORY:
+            # A saved binary layer reads its samples back from disk when asked.
+            layer.Save()
 
 
-def _author_extent(prim: Sdf.PrimSpec, points: np.ndarray) -> None:
+def _author_extent(prim: Sdf.PrimSpec, positions: np.ndarray) -> None:
     radius = MARKER_WIDTH_MM / MM_PER_STAGE_UNIT / 2
-    flat = points.reshape(-1, 3)
+    flat = positions.reshape(-1, 3)
     if not len(flat):
         return
-    low, high = flat.min(axis=0) - radius, flat.max(axis=0) + radius
+    low = flat.min(axis=0) / MM_PER_STAGE_UNIT - radius
+    high = flat.max(axis=0) / MM_PER_STAGE_UNIT + radius
     extent = Sdf.AttributeSpec(prim, "extent", Sdf.ValueTypeNames.Float3Array)
     extent.default = Vt.Vec3fArray.FromNumpy(np.stack([low, high]).astype(np.float32))
 
