@@ -8,7 +8,7 @@ from usdface.media.canvas import Color, draw_line, fill_box, new_picture
 from usdface.media.color import ByteImage
 from usdface.media.plot import Plot
 from usdface.media.text import TextStyle, draw_text, text_width
-from usdface.numerics.audio_alignment import LEAST_PEAK, SoundAlignment
+from usdface.numerics.audio_alignment import LEAST_AGREEMENT, LEAST_PEAK, SoundAlignment
 
 _WIDTH = 1280
 _MARGIN, _AXIS = 34, 74
@@ -143,7 +143,8 @@ def _draw_windows(picture: ByteImage, sound: SoundAlignment, y: int) -> None:
     centre = float(np.median(windows.delays - sound.drift * windows.times))
     apart = 1000 * (windows.delays - centre)
     agreeing = apart[sound.agreeing]
-    base = agreeing if len(agreeing) else apart
+    # Where hardly any agree, the scatter of all is what there is to see.
+    base = agreeing if sound.agreement >= LEAST_AGREEMENT else apart
     reach = max(1.4 * float(np.ptp(base)) / 2, 0.1)
     middle = (float(base.max()) + float(base.min())) / 2
     ends = 0.0, float(windows.times[-1]) * 1.02

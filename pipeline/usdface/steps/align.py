@@ -8,6 +8,7 @@ from usdface.assets import Float32Array, Take, Video
 from usdface.errors import CheckFailedError, InputError
 from usdface.media.alignment_picture import AlignmentPage, ShiftMark, draw_alignment
 from usdface.media.image import write_image
+from usdface.media.image_sequence import open_video
 from usdface.media.sound import read_audio
 from usdface.media.video import VideoReader
 from usdface.numerics.audio_alignment import SoundAlignment, align_sounds
@@ -159,7 +160,8 @@ def _difference(offset: float, evidence: Evidence) -> tuple[str, ...]:
 
 
 def _gather(take: Take, video: Video, progress: Progress) -> Evidence:
-    with VideoReader(video.file) as movie:
+    with open_video(video.file, video.rate) as movie:
+        silent_pictures = not isinstance(movie, VideoReader)
         labels = timecode_shift(
             take.timecode_start,
             take.rate,
@@ -170,6 +172,8 @@ def _gather(take: Take, video: Video, progress: Progress) -> Evidence:
     if take.audio is None:
         deaf = "the take has no sound recorded with the capture (ingest it with --audio)"
         return Evidence(None, deaf, labels)
+    if silent_pictures:
+        return Evidence(None, f"{video.file}: pictures carry no sound", labels)
     try:
         progress(0.0, f"listening to {video.file.name}")
         camera = read_audio(video.file, rate=RATE)

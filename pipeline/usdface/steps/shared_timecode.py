@@ -51,7 +51,8 @@ def timecode_shift(
     """
     missing = [name for name, label in (("take", take_start), ("video", video_start)) if not label]
     if missing:
-        return TimecodeShift(None, reason=f"the {' and the '.join(missing)} carries no timecode")
+        verb = "carries" if len(missing) == 1 else "carry"
+        return TimecodeShift(None, reason=f"the {' and the '.join(missing)} {verb} no timecode")
     if video_rate is None:
         return TimecodeShift(None, reason="the video's frames are not evenly spaced")
     drop = tuple(";" in label for label in (take_start, video_start))
