@@ -102,11 +102,8 @@ def _equation(folder: Path, rig_file: Path) -> dict[str, tuple[tuple[str, ...], 
         rigid=tuple(markers.names.index(name) for name in markers.rigid),
     )
     return {
-        label: (rig.shapes, equation.solve(markers.positions, method=method))
-        for label, method in (
-            ("equation, least squares", "lstsq"),
-            ("equation, within ranges", "bounded"),
-        )
+        "equation, least squares": (rig.shapes, equation.solve_published(markers.positions)),
+        "equation, proposals": (rig.shapes, equation.propose(markers.positions)),
     }
 
 

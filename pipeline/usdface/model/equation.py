@@ -5,7 +5,6 @@ animators.
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,8 @@ from numpy.typing import NDArray
 from usdface.assets import BoolArray, FloatArray, Rig
 from usdface.deformer import Deformer
 from usdface.errors import InputError
-from usdface.numerics.blendshape_equation import solve_weights
+from usdface.numerics.blendshape_equation import MarkerKeys, solve_weights
+from usdface.numerics.peak_matching import match_peaks
 from usdface.numerics.registration import (
     VirtualMarkers,
     character_motion,
@@ -27,6 +27,13 @@ MOTION_FRAMES = 2000
 """Frames spread over a take that registration may look at."""
 
 
+PROPOSAL_RIDGE = 10.0
+"""[mm^2] Keeps shapes that the markers cannot tell apart from fighting each other."""
+
+FULL_SHAPES = "eyeblink"
+"""Shapes that every performer does in full: their markers' motion is scaled to reach the top."""
+
+
 @dataclass(frozen=True)
 class BlendshapeEquation:
     """A performer's markers on a character: all that solving for weights needs.
@@ -36,37 +43,69 @@ class BlendshapeEquation:
     virtual : VirtualMarkers
     deltas : (shapes, markers, 3) float array
         What each shape at 1 does to the virtual markers [mm].
+    keys : MarkerKeys
+        The same for every key, in-betweens included.
     neutral : (markers, 3) float array
         The performer's neutral face [mm].
     ranges : (shapes, 2) float array
+    trust : (markers,) float array
+        0 for markers that move with the skull alone: what is left in them is noise.
+    gain : (markers,) float array
+        By how much a marker's motion is enlarged so that blinks close the eye.
     """
 
     virtual: VirtualMarkers
     deltas: FloatArray
+    keys: MarkerKeys
     neutral: FloatArray
     ranges: FloatArray
+    trust: FloatArray
+    gain: FloatArray
 
-    def solve(
-        self,
-        positions: Positions,
-        *,
-        visible: BoolArray | None = None,
-        method: Literal["lstsq", "bounded"] = "bounded",
-    ) -> FloatArray:
-        """Return weights (frames, shapes) that move the virtual markers as the performer's.
+    def solve_published(self, positions: Positions) -> FloatArray:
+        """Return weights by plain least squares, limited to the ranges afterwards.
+
+        Deng et al. 2006, section 7: the method that animators know, and the baseline of a sheet.
+
+        Parameters
+        ----------
+        positions : (frames, markers, 3) float array
+            Stabilised [mm].
+
+        Returns
+        -------
+        (frames, shapes) float array
+        """
+        motion = character_motion(self.virtual, positions, self.neutral)
+        solved = solve_weights(self.deltas, motion, method="lstsq")
+        return np.clip(solved.weights, self.ranges[:, 0], self.ranges[:, 1])
+
+    def propose(self, positions: Positions, *, visible: BoolArray | None = None) -> FloatArray:
+        """Return weights for an animator to start from.
+
+        Least squares within the ranges, with in-betweens, a little shrinkage, and blinks that
+        close.
 
         Parameters
         ----------
         positions : (frames, markers, 3) float array
             Stabilised [mm].
         visible : (frames, markers) bool array, optional
-        method : {'lstsq', 'bounded'}
-            Plain least squares, as published, limited to the ranges afterwards; or least squares
-            within the ranges.
+
+        Returns
+        -------
+        (frames, shapes) float array
         """
         motion = character_motion(self.virtual, positions, self.neutral)
         solved = solve_weights(
-            self.deltas, motion, method=method, ranges=self.ranges, visible=visible
+            self.deltas,
+            motion * self.gain[:, None],
+            method="bounded",
+            ranges=self.ranges,
+            visible=visible,
+            marker_trust=self.trust,
+            ridge=PROPOSAL_RIDGE,
+            keys=self.keys,
         )
         return np.clip(solved.weights, self.ranges[:, 0], self.ranges[:, 1])
 
@@ -126,9 +165,21 @@ def set_up_equation(
         )
     except ValueError as error:
         raise InputError(f"the markers cannot be placed on {rig.file}: {error}") from error
-    return BlendshapeEquation(
-        virtual=virtual,
-        deltas=marker_deltas(virtual, offsets),
-        neutral=neutral,
-        ranges=rig.ranges,
+    deltas = marker_deltas(virtual, offsets)
+    keys = MarkerKeys(
+        deltas=marker_deltas(virtual, deformer.shapes.key_offsets),
+        channels=deformer.shapes.key_channels,
+        key_weights=deformer.shapes.key_weights,
     )
+    trust = np.ones(len(neutral))
+    trust[list(rigid)] = 0.0
+    full = [i for i, name in enumerate(rig.shapes) if name.lower().startswith(FULL_SHAPES)]
+    gain = match_peaks(
+        deltas,
+        character_motion(virtual, positions[picks], neutral),
+        full,
+        ranges=rig.ranges,
+        visible=visible[picks],
+        marker_trust=trust,
+    )
+    return BlendshapeEquation(virtual, deltas, keys, neutral, rig.ranges, trust, gain)

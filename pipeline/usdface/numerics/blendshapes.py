@@ -96,6 +96,12 @@ class BlendShapes:
         """Whether any channel bends: has keys beside its full target."""
         return any(len(knots) > 1 for _, knots in self._knots)
 
+    @property
+    def key_channels(self) -> NDArray[np.int64]:
+        """The channel that each key belongs to: (keys,) int array."""
+        channels = [channel for channel, knots in self._knots for _ in knots]
+        return np.array(channels, dtype=np.int64)
+
     def key_weights(self, weights: ArrayLike) -> FloatArray:
         """Turn channel weights into key weights.
 

@@ -155,7 +155,7 @@ def _propose(takes: CleanedTakes, rig: Rig, rows: IntArray) -> FloatArray:
         visible=usable,
         rigid=tuple(takes.marker_names.index(name) for name in takes.rigid),
     )
-    return equation.solve(positions[rows], visible=usable[rows])
+    return equation.propose(positions[rows], visible=usable[rows])
 
 
 def _references(

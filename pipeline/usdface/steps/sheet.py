@@ -84,7 +84,7 @@ def run(
     truth = _truth(spec, rig, frames)
     judged = []
     if spec.baseline:
-        solved = equation.solve(positions, method="lstsq")
+        solved = equation.solve_published(positions)
         judged.append(_judge("equation", solved, truth, equation, positions, deformer))
     judged.append(_judge("usdface", weights, truth, equation, positions, deformer))
     rows = _choose_rows(judged[-1], deformer, spec.rows)
