@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdface.assets import Take, WeightsClip
+from usdface.capture.marker_labels import list_some
 from usdface.capture.marker_take import Capture
 from usdface.capture.sample_times import SampleTimes
 
@@ -83,18 +84,18 @@ def fill_frames(values: NDArray[np.float64], frames: NDArray[np.float64]) -> NDA
 
 
 def describe_missing(frames: NDArray[np.float64]) -> list[str]:
-    """Say how many frames are missing between samples at whole frames, if any."""
-    skipped = np.diff(frames) - 1
-    missing = int(skipped.sum())
-    if not missing:
+    """Say which frames are missing between samples at whole frames, if any."""
+    skipped = (np.diff(frames) - 1).astype(np.int64)
+    if not skipped.any():
         return []
-    longest = int(np.argmax(skipped))
-    run = int(skipped[longest])
-    at = FIRST_FRAME + int(frames[longest]) + 1
-    where = f"frame {at}" if run == 1 else f"{run} from frame {at}"
+    runs = []
+    for before in np.flatnonzero(skipped):
+        first = FIRST_FRAME + int(frames[before]) + 1
+        last = first + int(skipped[before]) - 1
+        runs.append(f"{first}" if first == last else f"{first}-{last}")
     return [
-        f"{missing} of {int(frames[-1]) + 1} frames were dropped by the recorder and are "
-        f"interpolated; {'' if missing == 1 else 'the longest run is '}{where}"
+        f"{skipped.sum()} of {int(frames[-1]) + 1} frames were dropped by the recorder and are "
+        f"interpolated: {list_some(runs)}"
     ]
 
 

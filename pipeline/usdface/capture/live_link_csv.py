@@ -1,0 +1,206 @@
+"""CSV as Epic's Live Link Face app records it: weights, head and eye rotations.
+
+One header line, then a timecode ``HH:MM:SS:FF.fff`` per row. The timecode counts at a base of its
+own, often twice the rate at which rows come: the rate is told from the steps between rows. A row
+without values (a count of 0) is a frame in which the app saw no face.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdface.capture.channel_take import build_channel_take
+from usdface.capture.marker_take import Capture, CaptureOptions
+from usdface.capture.sample_times import SampleTimes, settle_device_times
+from usdface.capture.text_table import (
+    Line,
+    check_columns,
+    head_lines,
+    parse_cells,
+    read_lines,
+    sniff_delimiter,
+    split_cells,
+    without_empty_tail,
+)
+from usdface.errors import InputError
+from usdface.timecode import timecode_of
+
+_TIMECODE = re.compile(r"(\d\d):(\d\d):(\d\d):(\d{1,3}(?:\.\d{1,9})?)", re.ASCII)
+_TITLES = ("timecode", "blendshapecount")
+_BASES = (24, 25, 30, 48, 50, 60, 100, 120)
+_DAY = 24 * 60 * 60
+_TWO_RATES_SHARE = 0.2
+"""So many rows at half or twice the usual step are not dropped frames: the device changed speed."""
+_ROTATIONS = ("Yaw", "Pitch", "Roll")
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """What the rows hold, before they are placed in time.
+
+    Attributes
+    ----------
+    whole : list of int
+        Seconds of each timecode since midnight.
+    parts : list of float
+        Frames of each timecode within its second.
+    values : list of list of float
+    lines : list of int
+    lost : int
+        Rows without a face.
+    """
+
+    whole: list[int]
+    parts: list[float]
+    values: list[list[float]]
+    lines: list[int]
+    lost: int
+
+
+def is_live_link_csv(head: bytes) -> bool:
+    """Tell a Live Link Face recording by its first bytes."""
+    lines = head_lines(head, 1)
+    titles = re.split(r"[,;\t]", lines[0].lower()) if lines else []
+    return tuple(title.strip('" ') for title in titles[:2]) == _TITLES
+
+
+def read_live_link_csv(path: Path, options: CaptureOptions) -> Capture:
+    """Read weights and rotations as channels, by the names in the header.
+
+    Raises
+    ------
+    InputError
+        If the header or a row is damaged, or timecodes do not ascend or come at two rates.
+    """
+    lines = read_lines(path)
+    header = next(lines)
+    delimiter = sniff_delimiter(header.text) or ","
+    titles = without_empty_tail(split_cells(header, delimiter))
+    check_columns(titles, header)
+    if tuple(title.lower() for title in titles[:2]) != _TITLES or len(titles) < 3:
+        raise InputError(
+            f"{header.where}: begins {header.text[:24]!r}; it must begin with Timecode and "
+            "BlendShapeCount and name the shapes: export the recording again"
+        )
+    rows = _read_rows(path, lines, titles, delimiter)
+    notes = []
+    if rows.lost:
+        notes.append(f"{rows.lost} rows have no face and are interpolated")
+    where = f"{path} Timecode"
+    base = _settle_base(rows, notes, where)
+    seconds = _unwrap(rows, base)
+    times = settle_device_times(seconds, np.array(rows.lines), where=where)
+    _check_one_rate(seconds, rows, where)
+    if round(float(times.rate)) != base and base % times.rate == 0:
+        notes.append(
+            f"the timecode counts in {base}ths of a second; rows come at "
+            f"{float(times.rate):g} frames per second"
+        )
+    if any(name.endswith(_ROTATIONS) for name in titles):
+        notes.append("head and eye rotations are kept as channels, in radians")
+    return build_channel_take(
+        path,
+        titles[2:],
+        np.array(rows.values),
+        times,
+        notes=notes,
+        format_name="live-link-csv",
+        timecode_start=_start(seconds[0], times, notes),
+    )
+
+
+def _read_rows(path: Path, lines: Iterator[Line], titles: list[str], delimiter: str) -> _Rows:
+    rows = _Rows([], [], [], [], 0)
+    lost = 0
+    for line in lines:
+        cells = split_cells(line, delimiter)
+        if not any(cells):
+            continue
+        whole, part = _read_timecode(cells[0], line)
+        if len(cells) > 1 and cells[1] == "0" and not any(cells[2:]):
+            lost += 1
+            continue
+        values = parse_cells(
+            cells[1:], titles[1:], line, delimiter=delimiter, gaps=False, first_column=1
+        )
+        rows.whole.append(whole)
+        rows.parts.append(part)
+        rows.values.append(values[1:])
+        rows.lines.append(line.number)
+    if not rows.values:
+        raise InputError(
+            f"{path}: no row with a face after the header ({lost} without); export the recording "
+            "again"
+        )
+    return _Rows(rows.whole, rows.parts, rows.values, rows.lines, lost)
+
+
+def _read_timecode(cell: str, line: Line) -> tuple[int, float]:
+    """Return whole seconds since midnight, and the frames within the second."""
+    match = _TIMECODE.fullmatch(cell)
+    hours, minutes, seconds = (int(match[group]) for group in (1, 2, 3)) if match else (99, 0, 0)
+    if match is None or hours > 23 or minutes > 59 or seconds > 59:
+        raise InputError(
+            f"{line.where}, column 1 (Timecode): {cell[:24]!r}; it must be HH:MM:SS:FF or "
+            "HH:MM:SS:FF.fff: export the recording again, or correct the cell"
+        )
+    return (hours * 60 + minutes) * 60 + seconds, float(match[4])
+
+
+def _settle_base(rows: _Rows, notes: list[str], where: str) -> int:
+    """Return how many frames a second of the timecode has: where it turns to 0 tells."""
+    whole, parts = np.array(rows.whole), np.array(rows.parts)
+    turns = np.diff(whole) == 1
+    within = np.diff(parts)[np.diff(whole) == 0]
+    possible = [base for base in _BASES if base > parts.max()]
+    if not possible:
+        raise InputError(
+            f"{where} line {rows.lines[int(parts.argmax())]}: counts to frame {parts.max():g} "
+            f"within a second, more than {_BASES[-1]}; export the recording again"
+        )
+    if not turns.any() or not len(within):
+        notes.append(
+            f"the recording never reaches a full second; its timecode is taken to count in "
+            f"{possible[0]}ths"
+        )
+        return possible[0]
+    estimate = float(np.median(within) - np.median(np.diff(parts)[turns]))
+    return min(possible, key=lambda base: abs(base - estimate))
+
+
+def _unwrap(rows: _Rows, base: int) -> NDArray[np.float64]:
+    """Return seconds since the first midnight, through later ones."""
+    seconds: NDArray[np.float64] = np.array(rows.whole) + np.array(rows.parts) / base
+    midnights = np.diff(seconds) < -_DAY / 2
+    seconds[1:] += _DAY * np.cumsum(midnights)
+    return seconds
+
+
+def _check_one_rate(seconds: NDArray[np.float64], rows: _Rows, where: str) -> None:
+    """Refuse a recording whose rows come at one rate for a while, then at twice or half of it."""
+    steps = np.diff(seconds)
+    usual = float(np.median(steps))
+    for factor in (0.5, 2.0):
+        other = np.abs(steps / usual - factor) < 0.1
+        if other.mean() > _TWO_RATES_SHARE:
+            at = int(np.argmax(other)) + 1
+            raise InputError(
+                f"{where} line {rows.lines[at]}: two frame rates: most rows come at about "
+                f"{1 / usual:.3g} per second, here at {1 / (factor * usual):.3g}; split the "
+                "recording there, or record it again"
+            )
+
+
+def _start(seconds: float, times: SampleTimes, notes: list[str]) -> str:
+    """Return the SMPTE label of the first row, at the rate of the rows."""
+    # Timecodes carry three decimals: a hair below a frame is that frame.
+    frames = int(seconds * float(times.rate) + 1e-3)
+    try:
+        return timecode_of(frames, times.rate)
+    except InputError as error:
+        notes.append(f"the timecode is not kept: {error}")
+        return ""
