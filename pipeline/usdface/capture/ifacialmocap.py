@@ -1,0 +1,117 @@
+"""Text as the iFacialMocap app streams it, saved: weights, head and eye rotations.
+
+A frame is ``name-value|…|=head#six numbers|rightEye#three|leftEye#three|``, weights from 0 to 100,
+angles in degrees; a line break or ``___iFacialMocap`` ends it. The second version of the protocol
+writes ``&`` for ``-``. Nothing says when a frame was taken: the app sends 60 a second.
+"""
+
+import re
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from usdface.capture.channel_take import build_channel_take
+from usdface.capture.marker_take import Capture, CaptureOptions
+from usdface.capture.sample_times import SampleTimes
+from usdface.capture.text_table import Line, check_columns, head_lines, parse_cells, read_lines
+from usdface.errors import InputError
+
+_WEIGHT = re.compile(r"([A-Za-z]\w*)\s*[-&]\s*(-?[\d.]+)", re.ASCII)
+_START = re.compile(r"\s*[A-Za-z]\w*[-&]-?[\d.]+\|", re.ASCII)
+_FRAME_END = "___iFacialMocap"
+_RATE = Fraction(60)
+_PARTS = {"head": 6, "rightEye": 3, "leftEye": 3}
+_ROTATIONS = {part: [f"{part}Rotation{axis}" for axis in "XYZ"] for part in _PARTS}
+
+
+def is_ifacialmocap(head: bytes) -> bool:
+    """Tell a saved iFacialMocap stream by its first bytes."""
+    lines = head_lines(head, 1)
+    return bool(lines) and _START.match(lines[0]) is not None and "=head#" in lines[0]
+
+
+def read_ifacialmocap(path: Path, options: CaptureOptions) -> Capture:
+    """Read weights, divided by 100, and rotations as channels.
+
+    Raises
+    ------
+    InputError
+        If a frame is damaged or has other channels than the first.
+    """
+    names: list[str] = []
+    rows: list[list[float]] = []
+    for frame in _frames(path):
+        found = _read_frame(frame)
+        if not rows:
+            names = list(found)
+        elif found.keys() != set(names):
+            differing = sorted(found.keys() ^ set(names))
+            raise InputError(
+                f"{frame.where}: {len(found)} channels, {len(names)} in the first frame "
+                f"(differing: {differing[0]}); the frame is cut off: delete it, or save the stream "
+                "again"
+            )
+        rows.append([found[name] for name in names])
+    if not rows:
+        raise InputError(f"{path}: no frame; save the stream again")
+    times = SampleTimes(_RATE, np.arange(len(rows), dtype=np.float64), even=True)
+    return build_channel_take(
+        path,
+        names,
+        np.array(rows),
+        times,
+        notes=[
+            f"the stream holds no times; {_RATE} frames per second assumed",
+            "head and eye rotations are kept as channels, in radians; the head's position, whose "
+            "unit the stream does not say, is left out",
+        ],
+        format_name="ifacialmocap",
+    )
+
+
+def _frames(path: Path) -> Iterator[Line]:
+    for line in read_lines(path):
+        for text in line.text.split(_FRAME_END):
+            if text.strip():
+                yield Line(path, line.number, text)
+
+
+def _read_frame(frame: Line) -> dict[str, float]:
+    """Return weights [0-1] and rotations [rad] by name."""
+    weights, equals, poses = frame.text.partition("=")
+    if not equals:
+        raise InputError(
+            f"{frame.where}: no '=' between weights and head; the frame is cut off: delete it, or "
+            "save the stream again"
+        )
+    names: list[str] = []
+    cells: list[str] = []
+    for cell in filter(None, (cell.strip() for cell in weights.split("|"))):
+        match = _WEIGHT.fullmatch(cell)
+        if match is None:
+            raise InputError(
+                f"{frame.where}: {cell[:24]!r}; a weight must be NAME-VALUE: delete the frame, or "
+                "save the stream again"
+            )
+        names.append(match[1])
+        cells.append(match[2])
+    values = [0.01 * value for value in _numbers(cells, names, frame)]
+    for part in filter(None, (part.strip() for part in poses.split("|"))):
+        name, _, triple = part.partition("#")
+        if name not in _PARTS:
+            raise InputError(
+                f"{frame.where}: {part[:24]!r}; only {', '.join(_PARTS)} may follow '=': delete "
+                "the frame, or save the stream again"
+            )
+        columns = [f"{name}[{index}]" for index in range(_PARTS[name])]
+        angles = _numbers(triple.split(","), columns, frame)[:3]
+        names += _ROTATIONS[name]
+        values += np.radians(angles).tolist()
+    check_columns(names, frame)
+    return dict(zip(names, values, strict=True))
+
+
+def _numbers(cells: list[str], columns: list[str], frame: Line) -> list[float]:
+    return parse_cells(cells, columns, frame, delimiter="|", gaps=False)
