@@ -77,8 +77,8 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
     others = Counter(kind for kind in header.kinds if kind not in ("", "Type", "Marker"))
     if not starts:
         raise InputError(
-            f"{header.axes_line.where}: no measured markers, only {list_some(list(others)) or 'times'}; "
-            "export with Markers switched on"
+            f"{header.axes_line.where}: no measured markers (found "
+            f"{list_some(list(others)) or 'none'}); export with Markers switched on"
         )
     notes = [f"left out, solved and not measured: {list_some(list(others))}"] if others else []
     stamps = [at for at, title in enumerate(header.axes) if title.lower() == "timecode"]

@@ -5,7 +5,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from usdface.capture.c3d_take import is_c3d, read_c3d_take
+from usdface.capture.face_cap import is_face_cap, read_face_cap
+from usdface.capture.ifacialmocap import is_ifacialmocap, read_ifacialmocap
+from usdface.capture.live_link_csv import is_live_link_csv, read_live_link_csv
+from usdface.capture.marker_csv import is_marker_csv, read_marker_csv
 from usdface.capture.marker_take import Capture, CaptureOptions
+from usdface.capture.motive_csv import is_motive_csv, read_motive_csv
+from usdface.capture.openface_csv import is_openface_csv, read_openface_csv
+from usdface.capture.trc import is_trc, read_trc
+from usdface.capture.vicon_csv import is_vicon_csv, read_vicon_csv
 from usdface.errors import InputError
 
 _HEAD_BYTES = 64 << 10
@@ -23,6 +31,18 @@ class CaptureFormat:
 
 FORMATS: tuple[CaptureFormat, ...] = (
     CaptureFormat("c3d", "C3D, optical capture", is_c3d, read_c3d_take),
+    CaptureFormat("trc", "TRC, Motion Analysis and OpenSim", is_trc, read_trc),
+    CaptureFormat("motive-csv", "CSV of OptiTrack Motive", is_motive_csv, read_motive_csv),
+    CaptureFormat("vicon-csv", "CSV of Vicon", is_vicon_csv, read_vicon_csv),
+    CaptureFormat("live-link-csv", "CSV of Live Link Face", is_live_link_csv, read_live_link_csv),
+    CaptureFormat("face-cap", "text of Face Cap", is_face_cap, read_face_cap),
+    CaptureFormat(
+        "ifacialmocap", "saved stream of iFacialMocap", is_ifacialmocap, read_ifacialmocap
+    ),
+    CaptureFormat("openface-csv", "CSV of OpenFace", is_openface_csv, read_openface_csv),
+    CaptureFormat(
+        "marker-csv", "CSV of frame, time_s, NAME.x, NAME.y, NAME.z", is_marker_csv, read_marker_csv
+    ),
 )
 """In the order they are tried: the surest marks first."""
 

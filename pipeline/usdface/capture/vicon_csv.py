@@ -160,7 +160,8 @@ def _one_unit(line: Line, cells: list[str], starts: list[int]) -> str:
     )
     if len(units) > 1:
         raise InputError(
-            f"{line.where}: positions in several units ({list_some(list(units))}); export them in one"
+            f"{line.where}: positions in several units ({list_some(list(units))}); "
+            "export them in one"
         )
     return next(iter(units), "")
 

@@ -1,0 +1,100 @@
+"""A plain table of markers: a frame column, a column of seconds, then NAME.x, NAME.y, NAME.z."""
+
+import re
+from pathlib import Path
+
+from usdface.capture.marker_table import build_table_take, settle_space
+from usdface.capture.marker_take import Capture, CaptureOptions
+from usdface.capture.sample_times import rate_of_times, settle_frame_numbers
+from usdface.capture.text_table import (
+    check_columns,
+    head_lines,
+    read_lines,
+    read_number_table,
+    sniff_delimiter,
+    split_cells,
+    without_empty_tail,
+)
+from usdface.errors import InputError
+
+_X = re.compile(r"(.+)[._: ]x", re.IGNORECASE)
+_FRAME = ("frame", "frame#")
+_TIME = ("time", "time_s", "time (s)", "time (seconds)", "seconds", "timestamp")
+
+
+def is_marker_csv(head: bytes) -> bool:
+    """Tell a table of markers by its first bytes."""
+    lines = head_lines(head, 1)
+    if not lines:
+        return False
+    titles = [title.strip('" ') for title in lines[0].split(sniff_delimiter(lines[0]) or ",")]
+    return titles[0].lower() in _FRAME and bool(_triples(titles))
+
+
+def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
+    """Read every NAME.x, NAME.y, NAME.z as a marker; the dot may be ``_``, ``:`` or a space.
+
+    Raises
+    ------
+    InputError
+        If the header or a row is damaged, there is no column of times, or no marker.
+    """
+    lines = read_lines(path)
+    header = next(lines)
+    delimiter = sniff_delimiter(header.text) or ","
+    titles = without_empty_tail(split_cells(header, delimiter))
+    check_columns(titles, header)
+    triples = _triples(titles)
+    lowered = [title.lower() for title in titles]
+    frame_at = next((at for at, title in enumerate(lowered) if title in _FRAME), None)
+    time_at = next((at for at, title in enumerate(lowered) if title in _TIME), None)
+    if frame_at is None or time_at is None or not triples:
+        raise InputError(
+            f"{header.where}: it must name a column frame, a column time_s in seconds, and NAME.x, "
+            f"NAME.y, NAME.z for each marker (found {', '.join(titles[:4])[:60]}, …); add what is "
+            "missing"
+        )
+    table = read_number_table(lines, titles, path=path, delimiter=delimiter, gaps=True)
+    first_frame, frames = settle_frame_numbers(
+        table.values[:, frame_at], table.lines, where=str(path)
+    )
+    notes: list[str] = []
+    others = len(titles) - 2 - 3 * len(triples)
+    if others:
+        notes.append(f"{others} columns other than markers left out")
+    to_mm = settle_space(
+        "",
+        "y",
+        options,
+        notes,
+        where=str(path),
+        field="the table",
+        up_note="the table does not say which axis is up; Y assumed",
+    )
+    return build_table_take(
+        path,
+        list(triples),
+        table.values,
+        list(triples.values()),
+        frames=frames,
+        first_frame=first_frame,
+        rate=rate_of_times(table.values[:, time_at], frames, where=str(path)),
+        to_mm=to_mm,
+        options=options,
+        notes=notes,
+        format_name="marker-csv",
+        where=header.where,
+    )
+
+
+def _triples(titles: list[str]) -> dict[str, int]:
+    """Return each marker's name and the column of its x, where y and z follow."""
+    found = {}
+    for at, title in enumerate(titles[:-2]):
+        match = _X.fullmatch(title)
+        if match is None:
+            continue
+        stem = title[:-1].lower()
+        if [title.lower() for title in titles[at + 1 : at + 3]] == [f"{stem}y", f"{stem}z"]:
+            found[match[1]] = at
+    return found
