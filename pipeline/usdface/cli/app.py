@@ -24,6 +24,7 @@ from usdface.errors import InputError, UsdfaceError
 from usdface.specs.align import AlignSpec
 from usdface.specs.base import Spec
 from usdface.specs.clean import CleanSpec
+from usdface.specs.evaluate import EvaluateSpec
 from usdface.specs.ingest import IngestSpec
 from usdface.specs.map import MapSpec
 from usdface.specs.reading import read_job, spec_text
@@ -109,6 +110,7 @@ def _run_step(
     with listening(progress) as listener:
         report = execute(spec, overwrite=overwrite, progress=listener)
     show_report(report, as_json=as_json)
+    report.require_success()
 
 
 def _folder_to_ingest(spec_type: type[Spec], values: dict[str, Any]) -> Path | None:
@@ -129,6 +131,7 @@ _STEPS: tuple[type[Spec], ...] = (
     TrainSpec,
     MapSpec,
     SheetSpec,
+    EvaluateSpec,
 )
 for _spec in _STEPS:
     _add(app, _spec.model_fields["step"].default, _spec)

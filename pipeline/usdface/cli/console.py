@@ -52,6 +52,8 @@ def show_report(report: Report, *, as_json: bool) -> None:
         show_json(report.as_data())
         return
     out.print(report.summary, markup=False)
+    for line in report.table:
+        out.print(f"  {line}", markup=False)
     for note in report.notes:
         out.print(f"  note: {note}", markup=False)
     for path in report.outputs:

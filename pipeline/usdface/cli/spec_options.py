@@ -93,6 +93,8 @@ def _option_name(name: str, field: FieldInfo) -> str:
 
 def _default(field: FieldInfo, kind: Any) -> Any:
     value = field.get_default(call_default_factory=True)
+    if isinstance(value, tuple) and value and _is_list_of_names(field.annotation):
+        return ",".join(value)
     return None if value == () or (value == "" and kind is not bool) else value
 
 

@@ -114,6 +114,11 @@ class Plot:
         )
         edges = np.flatnonzero(np.diff(columns, prepend=-1))
         lowest, highest = np.minimum.reduceat(heights, edges), np.maximum.reduceat(heights, edges)
+        # A steep curve steps from column to column: let each reach its neighbour.
+        beside = np.flatnonzero(np.diff(columns[edges]) == 1)
+        before = heights[edges[beside + 1] - 1]
+        lowest[beside + 1] = np.minimum(lowest[beside + 1], before)
+        highest[beside + 1] = np.maximum(highest[beside + 1], before)
         for column, low, high in zip(
             columns[edges].tolist(), lowest.tolist(), highest.tolist(), strict=True
         ):

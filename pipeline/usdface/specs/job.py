@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 from usdface.specs.align import AlignSpec
 from usdface.specs.base import Name, Reads, Spec, Writes
 from usdface.specs.clean import CleanSpec
+from usdface.specs.evaluate import EvaluateSpec
 from usdface.specs.ingest import IngestSpec
 from usdface.specs.map import MapSpec
 from usdface.specs.references import ReferencesImportSpec, SelectSpec
@@ -23,6 +24,7 @@ STEP_SPECS: tuple[type[Spec], ...] = (
     TrainSpec,
     MapSpec,
     SheetSpec,
+    EvaluateSpec,
 )
 
 AnyStep = Annotated[
@@ -33,7 +35,8 @@ AnyStep = Annotated[
     | ReferencesImportSpec
     | TrainSpec
     | MapSpec
-    | SheetSpec,
+    | SheetSpec
+    | EvaluateSpec,
     Field(discriminator="step"),
 ]
 

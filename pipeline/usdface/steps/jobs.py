@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from usdface.errors import InputError
+from usdface.errors import CheckFailedError, InputError
 from usdface.progress import Progress, part, silent
 from usdface.provenance import Provenance
 from usdface.specs.base import Reads, Spec, Writes
@@ -50,6 +50,8 @@ def run_job(job: JobSpec, *, progress: Progress = silent, overwrite: bool = Fals
     ------
     InputError
         If a step fails; what earlier steps wrote stays, and running again goes on from there.
+    CheckFailedError
+        If a step was done and what it checked is not in order.
     """
     reports = []
     for index, spec in enumerate(job.steps):
@@ -74,6 +76,10 @@ def run_job(job: JobSpec, *, progress: Progress = silent, overwrite: bool = Fals
             )
         except InputError as error:
             raise InputError(f"{label}: {error}") from error
+        try:
+            report.require_success()
+        except CheckFailedError as error:
+            raise CheckFailedError(f"{label}: {error}") from error
         reports.append(report)
     return reports
 
@@ -116,6 +122,8 @@ def check_job(job: JobSpec) -> list[StepState]:
 
 
 def _state(spec: Spec, provenance: Provenance) -> StepState:
+    if not spec.outputs():
+        return StepState(spec, "missing", "writes nothing that could tell it was done")
     for path in spec.outputs():
         if not path.exists():
             return StepState(spec, "missing", f"{path.name} is not there")

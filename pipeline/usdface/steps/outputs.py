@@ -1,5 +1,6 @@
 """Before a step runs: are its inputs there, and may its outputs be written."""
 
+import json
 import os
 from pathlib import Path
 
@@ -8,6 +9,8 @@ from usdface.media.image import read_image_metadata
 from usdface.provenance import Provenance, canonical_json, hash_files
 from usdface.specs.base import IMAGE_SUFFIXES, LAYER_SUFFIXES, Reads, Spec, Writes
 from usdface.usdio.layers import dependencies, read_provenance
+
+LARGEST_FIGURES_BYTES = 64 << 20
 
 
 def check_inputs(spec: Spec) -> None:
@@ -54,6 +57,8 @@ def provenance_of(path: Path) -> Provenance | None:
             return read_provenance(path)
         if path.suffix.lower() in IMAGE_SUFFIXES:
             return _from_metadata(read_image_metadata(path))
+        if path.suffix.lower() == ".json":
+            return _from_json(path)
     except InputError:
         return None
     return None
@@ -97,6 +102,18 @@ def _from_metadata(metadata: dict[str, object]) -> Provenance | None:
         inputs={str(key): str(value) for key, value in inputs.items()},
         version=str(metadata["usdface"]),
     )
+
+
+def _from_json(path: Path) -> Provenance | None:
+    """Read what `evaluate` and others put beside their figures."""
+    try:
+        if path.stat().st_size > LARGEST_FIGURES_BYTES:
+            return None
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    said = data.get("provenance") if isinstance(data, dict) else None
+    return _from_metadata(said) if isinstance(said, dict) else None
 
 
 def _hash(path: Path, *, alone: bool) -> str:

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from usdface.errors import CheckFailedError
+
 
 @dataclass(frozen=True)
 class Report:
@@ -18,12 +20,23 @@ class Report:
         What the user should know: things dropped, assumed, repaired, doubtful.
     figures : dict
         Numbers and names worth keeping, ready for JSON.
+    table : tuple of str
+        Lines for people; scripts find the same in `figures`.
+    failures : tuple of str
+        What was checked and is not in order.
     """
 
     outputs: tuple[Path, ...]
     summary: str
     notes: tuple[str, ...] = ()
     figures: dict[str, object] = field(default_factory=dict)
+    table: tuple[str, ...] = ()
+    failures: tuple[str, ...] = ()
+
+    def require_success(self) -> None:
+        """Raise CheckFailedError, naming every failure, if there is one."""
+        if self.failures:
+            raise CheckFailedError("; ".join(self.failures))
 
     def as_data(self) -> dict[str, object]:
         """Return the report as plain data for ``--json``."""
@@ -32,4 +45,5 @@ class Report:
             "summary": self.summary,
             "notes": list(self.notes),
             "figures": self.figures,
+            "failures": list(self.failures),
         }

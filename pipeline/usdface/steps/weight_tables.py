@@ -5,6 +5,7 @@ import json
 import math
 from collections import Counter
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -26,11 +27,14 @@ class WeightTable:
     names : tuple of str
     frames : tuple of int
     weights : (frames, shapes) float array
+    rate : Fraction or None
+        Frames per second; None where the file does not say.
     """
 
     names: tuple[str, ...]
     frames: tuple[int, ...]
     weights: FloatArray
+    rate: Fraction | None = None
 
     def columns(self, names: tuple[str, ...]) -> FloatArray:
         """Return the weights in another order of shapes; 0 for those the table lacks."""
@@ -54,7 +58,7 @@ def read_weight_table(path: Path) -> WeightTable:
         clip = read_weights(path)
         last = clip.first_frame + len(clip.values)
         numbers = tuple(range(clip.first_frame, last))
-        return WeightTable(clip.names, numbers, clip.values.astype(np.float64))
+        return WeightTable(clip.names, numbers, clip.values.astype(np.float64), clip.rate)
     text = _read_text(path)
     rows = _json_rows(path, text) if path.suffix == ".json" else _csv_rows(path, text)
     if not rows:

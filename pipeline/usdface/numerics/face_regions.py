@@ -1,0 +1,112 @@
+"""Which part of the face a shape belongs to, by its name, and a point, by what moves it."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+REGIONS = ("brows", "lids", "cheeks and nose", "mouth", "jaw")
+
+# Tried in this order: a cheek's squint is not the lids', a lip is not the chin's, a gaze no lid.
+_WORDS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("", ("look", "gaze", "pupil", "eyeball", "tongue")),
+    ("brows", ("brow",)),
+    ("cheeks and nose", ("cheek", "nose", "nostril", "sneer")),
+    ("lids", ("blink", "lid", "squint", "eyewide", "eye_wide", "eyeopen", "eyeclose")),
+    ("mouth", ("mouth", "lip", "smile", "frown", "pucker", "funnel", "dimple", "viseme")),
+    ("jaw", ("jaw", "chin")),
+)
+
+_LEAST_MOTION = 0.1
+"""Share of a shape's largest motion below which it does not claim a point."""
+
+_CARRIED = {"jaw": 0.85}
+"""How much a claim counts: what the jaw carries along, the lower lip above all, is not its own."""
+
+
+def region_of_shape(name: str) -> str:
+    """Return the part of the face a shape's name speaks of; empty where it speaks of none."""
+    lowered = name.lower()
+    for region, words in _WORDS:
+        if any(word in lowered for word in words):
+            return region
+    return ""
+
+
+def shapes_by_region(names: Sequence[str]) -> dict[str, IntArray]:
+    """Return the columns of the shapes of each part of the face that has any."""
+    found = np.array([region_of_shape(name) for name in names], dtype=object)
+    columns = {region: np.flatnonzero(found == region) for region in REGIONS}
+    return {region: held for region, held in columns.items() if len(held)}
+
+
+def blinks(names: Sequence[str]) -> IntArray:
+    """Return the columns of the shapes that shut an eye."""
+    words = ("blink", "eyeclose", "eye_close", "lidclose", "lid_close")
+    return np.flatnonzero([any(word in name.lower() for word in words) for name in names])
+
+
+def jaw_opener(names: Sequence[str]) -> int | None:
+    """Return the column of the shape that opens the jaw; None where no name says so."""
+    for column, name in enumerate(names):
+        lowered = name.lower()
+        if region_of_shape(name) == "jaw" and ("open" in lowered or "drop" in lowered):
+            return column
+    return None
+
+
+def points_by_region(
+    offsets: sparse.csr_array, shapes: Mapping[str, ArrayLike]
+) -> dict[str, IntArray]:
+    """Give each point to the part of the face whose shapes move it most.
+
+    Shapes are compared by the share of their own largest motion, so that the jaw, which moves
+    points by centimetres, does not take the lips from the mouth.
+
+    Parameters
+    ----------
+    offsets : (shapes, 3 * points) sparse array
+        What each shape at 1 does.
+    shapes : mapping of str to int array
+        The shapes of each part; see `shapes_by_region`.
+
+    Returns
+    -------
+    dict of str to int array
+        Points of each part that has any; points that hardly move are in none.
+    """
+    regions = list(shapes)
+    points = offsets.shape[1] // 3
+    claims = np.zeros((len(regions) + 1, points))
+    claims[-1] = _LEAST_MOTION
+    for row, region in enumerate(regions):
+        for shape in np.asarray(shapes[region], np.int64):
+            moved = np.linalg.norm(offsets[[shape]].toarray().reshape(points, 3), axis=1)
+            if moved.max() > 0:
+                share = _CARRIED.get(region, 1.0) * moved / moved.max()
+                np.maximum(claims[row], share, out=claims[row])
+    owner = claims.argmax(axis=0)
+    owned = {region: np.flatnonzero(owner == row) for row, region in enumerate(regions)}
+    return {region: held for region, held in owned.items() if len(held)}
+
+
+def region_gram(key_offsets: sparse.csr_array, points: IntArray) -> FloatArray:
+    """Return what small errors of keys do to some points.
+
+    Parameters
+    ----------
+    key_offsets : (keys, 3 * points) sparse array
+    points : (n,) int array
+
+    Returns
+    -------
+    (keys, keys) float array
+        ``G`` such that ``sqrt(e @ G @ e)`` is the root mean square distance of those points.
+    """
+    columns = (3 * points[:, None] + np.arange(3)).ravel()
+    part = sparse.csr_array(key_offsets.tocsc()[:, columns])
+    return np.asarray((part @ part.T).toarray()) / max(len(points), 1)
