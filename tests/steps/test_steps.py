@@ -54,6 +54,19 @@ def test_a_usd_capture_becomes_the_same_take_as_its_c3d(shot: Shot) -> None:
     np.testing.assert_allclose(again.markers.positions, take.markers.positions, rtol=1e-5)
 
 
+def test_a_take_ingested_again_keeps_all_it_knows(shot: Shot) -> None:
+    run(
+        IngestSpec(
+            sources=(shot / "shot.take.usda",), out=shot / "again.take.usda", performer="Ada"
+        )
+    )
+    before, again = read_take(shot / "shot.take.usda"), read_take(shot / "again.take.usda")
+    assert again.performer == "Ada"
+    assert again.timecode_start == before.timecode_start
+    assert again.markers.rigid == before.markers.rigid
+    np.testing.assert_array_equal(again.markers.positions, before.markers.positions)
+
+
 def test_selecting_again_keeps_tuned_pairs_where_they_are(shot: Shot) -> None:
     path = shot / "hero.references.usda"
     before = read_references(path)

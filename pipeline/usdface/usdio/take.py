@@ -19,7 +19,8 @@ RATE_DENOMINATOR = 1001
 
 def is_take(path: Path) -> bool:
     """Whether a USD file follows the take contract."""
-    root = open_stage(path).GetDefaultPrim()
+    stage = open_stage(path)  # a prim does not keep its stage alive
+    root = stage.GetDefaultPrim()
     return bool(root) and root.HasAPI("FaceTakeAPI")
 
 

@@ -190,6 +190,5 @@ def _author_audio(layer: Sdf.Layer, take: Take, path: Path) -> None:
     asset = Sdf.AssetPath(relative_path(take.audio, path))
     author_uniform(prim, "filePath", Sdf.ValueTypeNames.Asset, asset)
     author_uniform(prim, "auralMode", Sdf.ValueTypeNames.Token, UsdMedia.Tokens.nonSpatial)
-    offset = 0.0 if take.video is None else take.video.offset
-    start = Sdf.TimeCode(take.first_frame + float(take.rate) * offset)
+    start = Sdf.TimeCode(take.first_frame)  # the capture's own sound starts with it
     author_uniform(prim, "startTime", Sdf.ValueTypeNames.TimeCode, start)

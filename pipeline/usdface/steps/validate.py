@@ -1,0 +1,28 @@
+"""Look for what is not in order in layers."""
+
+from dataclasses import asdict
+from pathlib import Path
+
+from usdface.steps.report import Report
+from usdface.usdio.validation import validate
+
+
+def validate_layers(layers: tuple[Path, ...]) -> Report:
+    """Run USD's validators and ours on layers; errors are failures, warnings are not.
+
+    Raises
+    ------
+    InputError
+        If a layer cannot be opened.
+    """
+    found = {str(layer): validate(layer) for layer in layers}
+    findings = [finding for each in found.values() for finding in each]
+    errors = [finding for finding in findings if finding.severity == "error"]
+    warnings = len(findings) - len(errors)
+    return Report(
+        (),
+        f"{len(layers)} layers: {len(errors)} errors, {warnings} warnings",
+        table=tuple(f"{f.severity}: {f.where}: {f.message} [{f.check}]" for f in findings),
+        figures={name: [asdict(finding) for finding in each] for name, each in found.items()},
+        failures=(f"{len(errors)} errors in {len(layers)} layers",) if errors else (),
+    )
