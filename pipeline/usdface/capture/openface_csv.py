@@ -72,7 +72,10 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
             f"{header.where}: no {lacking}; run FeatureExtraction on the video with -3Dfp and -aus"
         )
     table = read_number_table(lines, titles, path=path, delimiter=delimiter, gaps=True)
-    notes = ["2-D landmarks, eye landmarks, gaze and the solved head pose are left out"]
+    notes = []
+    others = len(titles) - len(_NEEDED) - 3 * len(landmarks) - len(units) - ("face_id" in column)
+    if others:
+        notes.append(f"{others} other columns left out: 2-D and eye landmarks, gaze, head pose")
     table = _one_face(table, column.get("face_id"), notes)
     first_frame, frames = settle_frame_numbers(
         table.values[:, column["frame"]], table.lines, where=str(path)
@@ -86,8 +89,8 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
         )
     if not succeeded.all():
         notes.append(
-            f"no face found in {np.sum(~succeeded)} of {len(succeeded)} rows: gaps of the landmarks, "
-            "interpolated in the action units"
+            f"no face found in {np.sum(~succeeded)} of {len(succeeded)} rows: gaps of the "
+            "landmarks, interpolated in the action units"
         )
 
     source = None

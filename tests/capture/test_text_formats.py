@@ -1,0 +1,318 @@
+"""Every text format: what was written comes back, in mm, Y up, at the right rate and frame."""
+
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.capture import text_samples as samples
+from usdface.capture.marker_take import Capture
+from usdface.capture.sniff import FORMATS, read_capture, recognise_format
+
+Z_UP_TO_Y_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+Put = Callable[[str], Path]
+
+
+@pytest.fixture
+def put(tmp_path: Path) -> Put:
+    """Write a text, under a name that tells nothing, and return its path."""
+
+    def write(text: str, encoding: str = "utf-8") -> Path:
+        path = tmp_path / "kitchen.dat"
+        path.write_bytes(text.encode(encoding))
+        return path
+
+    return write
+
+
+def marker_positions(capture: Capture) -> np.ndarray:
+    assert capture.take.markers is not None
+    assert capture.take.markers.names == samples.NAMES
+    return capture.take.markers.positions
+
+
+def noted(capture: Capture, words: str) -> bool:
+    return any(words in note for note in capture.notes)
+
+
+def test_every_text_format_has_a_sample():
+    assert {"c3d", *samples.TEXTS} == {known.name for known in FORMATS}
+
+
+@pytest.mark.parametrize("name", samples.TEXTS)
+def test_a_format_is_told_by_its_content_whatever_the_extension(put, name):
+    assert recognise_format(put(samples.TEXTS[name]())).name == name
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("name", samples.TEXTS)
+def test_encodings_and_line_ends_of_other_systems_change_nothing(put, name, encoding):
+    plain = read_capture(put(samples.TEXTS[name]()))
+    other = read_capture(put(samples.TEXTS[name]().replace("\n", "\r\n"), encoding))
+    assert other.notes == plain.notes
+    for kind in ("markers", "source"):
+        one, two = getattr(plain.take, kind), getattr(other.take, kind)
+        if one is not None:
+            field = "positions" if kind == "markers" else "values"
+            np.testing.assert_array_equal(getattr(two, field), getattr(one, field))
+
+
+@pytest.mark.parametrize(
+    ("text", "rate", "first_frame", "to_y_up", "atol"),
+    [
+        (samples.trc(), 100, 5, np.eye(3), 1e-4),
+        (samples.vicon_csv(), 120, 1, Z_UP_TO_Y_UP, 1e-4),
+        (samples.motive_csv(), 240, 0, np.eye(3), 1e-3),
+    ],
+    ids=["trc", "vicon", "motive"],
+)
+def test_markers_come_back_in_mm_with_y_up(put, text, rate, first_frame, to_y_up, atol):
+    capture = read_capture(put(text))
+    np.testing.assert_allclose(
+        marker_positions(capture), samples.positions() @ to_y_up.T, atol=atol
+    )
+    assert (capture.take.rate, capture.take.first_frame) == (rate, first_frame)
+    assert capture.take.name == "kitchen"
+
+
+@pytest.mark.parametrize("delimiter", ["\t", ",", ";"])
+def test_trc_may_use_any_delimiter(put, delimiter):
+    capture = read_capture(put(samples.trc(delimiter)))
+    np.testing.assert_allclose(marker_positions(capture), samples.positions(), atol=1e-4)
+
+
+def test_trc_between_spaces_has_one_name_per_marker(put):
+    text = "\n".join(" ".join(line.split()) for line in samples.trc().splitlines())
+    capture = read_capture(put(text))
+    np.testing.assert_allclose(marker_positions(capture), samples.positions(), atol=1e-4)
+
+
+@pytest.mark.parametrize(("unit", "mm"), [("cm", 10), ("m", 1000), ("inches", 25.4)])
+def test_units_of_the_header_scale_to_mm(put, unit, mm):
+    capture = read_capture(put(samples.trc(units=unit)))
+    assert marker_positions(capture)[3, 1, 2] == pytest.approx(mm * samples.positions()[3, 1, 2])
+
+
+def test_the_user_overrules_units_and_axis_and_it_is_noted(put):
+    capture = read_capture(put(samples.trc(units="m")), units="mm", up="z")
+    expected = samples.positions() @ Z_UP_TO_Y_UP.T
+    np.testing.assert_allclose(marker_positions(capture), expected, atol=1e-4)
+    assert noted(capture, "Units says m; mm was asked for and used")
+
+
+def test_a_decimal_comma_is_read_where_the_comma_does_not_delimit(put):
+    text = samples.vicon_csv(";").replace(".", ",")
+    expected = samples.positions() @ Z_UP_TO_Y_UP.T
+    np.testing.assert_allclose(marker_positions(read_capture(put(text))), expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("hidden", ["", "NaN"], ids=["empty", "NaN"])
+@pytest.mark.parametrize("make", [samples.trc, samples.vicon_csv, samples.motive_csv])
+def test_empty_cells_are_gaps_of_one_marker(put, make, hidden):
+    text = make()
+    delimiter = "\t" if make is samples.trc else ","
+    lines = text.splitlines()
+    cells = lines[-2].split(delimiter)
+    at = 12 if make is samples.motive_csv else 2
+    cells[at : at + 3] = [hidden] * 3
+    lines[-2] = delimiter.join(cells)
+    markers = read_capture(put("\n".join(lines))).take.markers
+    assert markers is not None
+    assert np.argwhere(~markers.visible).tolist() == [[samples.FRAMES - 2, 0]]
+    np.testing.assert_array_equal(markers.positions[-2, 0], markers.positions[-3, 0])
+
+
+def test_a_frame_without_a_row_is_a_gap_of_every_marker_and_is_noted(put):
+    lines = samples.trc().splitlines()
+    del lines[9]
+    capture = read_capture(put("\n".join(lines)))
+    assert capture.take.frame_count == samples.FRAMES
+    assert capture.take.markers is not None
+    assert not capture.take.markers.visible[3].any()
+    assert noted(capture, "1 of 12 frames have no row")
+    assert noted(capture, "NumFrames says 12, 11 found: the file may be cut off")
+
+
+def test_other_blocks_of_a_vicon_file_are_named_and_left_out(put):
+    assert noted(read_capture(put(samples.vicon_csv())), "blocks left out: Devices")
+
+
+@pytest.mark.parametrize("labelled", [True, False], ids=["Motive 2 and 3", "Motive 1"])
+def test_solved_markers_of_motive_are_left_out_whatever_its_header_rows(put, labelled):
+    capture = read_capture(put(samples.motive_csv(labelled)))
+    np.testing.assert_allclose(marker_positions(capture), samples.positions(), atol=1e-3)
+    assert noted(capture, "Rigid Body, Rigid Body Marker")
+    assert noted(capture, "1 unlabelled markers were left out: Unlabeled 1021")
+
+
+def test_a_timecode_column_of_motive_starts_the_take(put):
+    lines = samples.motive_csv().splitlines()
+    for at, line in enumerate(lines[2:], 2):
+        first, second, rest = line.split(",", 2)
+        stamp = "TimeCode" if first == "Frame" else "" if at < 8 else "15:26:46:12.02"
+        lines[at] = f"{first},{second},{stamp},{rest}"
+    capture = read_capture(put("\n".join(lines)))
+    assert capture.take.timecode_start == "15:26:46:12"
+    np.testing.assert_allclose(marker_positions(capture), samples.positions(), atol=1e-3)
+
+
+def test_a_plain_table_takes_its_unit_from_the_user(put):
+    capture = read_capture(put(samples.marker_csv()), units="cm")
+    np.testing.assert_allclose(marker_positions(capture), samples.positions(), atol=1e-4)
+    assert (capture.take.rate, capture.take.first_frame) == (60, 0)
+
+
+@pytest.mark.parametrize(
+    ("step", "base", "rate", "timecode"),
+    [(2, 60, 30, "13:59:58:26"), (1, 60, 60, "13:59:58:26"), (1, 30, 30, "13:59:59:23")],
+)
+def test_live_link_rate_comes_from_the_steps_and_not_from_the_base(put, step, base, rate, timecode):
+    capture = read_capture(put(samples.live_link_csv(step, base)))
+    source = capture.take.source
+    assert source is not None
+    assert (capture.take.rate, source.rate, source.first_frame) == (rate, rate, 1)
+    assert source.names == samples.SHAPES + samples.ROTATIONS
+    np.testing.assert_array_equal(source.values, samples.weights().astype(np.float32))
+    assert capture.take.timecode_start == timecode
+    assert noted(capture, "counts in 60ths") == (step == 2)
+
+
+def test_frames_that_live_link_dropped_are_interpolated_and_named(put):
+    lines = samples.live_link_csv().splitlines()
+    del lines[4:6]
+    capture = read_capture(put("\n".join(lines)))
+    source, weights = capture.take.source, samples.weights()
+    assert source is not None
+    expected = weights[2] + (weights[5] - weights[2]) * np.array([[1], [2]]) / 3
+    np.testing.assert_allclose(source.values[3:5], expected, rtol=1e-6)
+    np.testing.assert_array_equal(source.values[5:], weights[5:].astype(np.float32))
+    assert noted(capture, "2 of 12 frames were dropped by the recorder and are interpolated: 4-5")
+
+
+def test_a_row_without_a_face_is_interpolated_and_counted(put):
+    lines = samples.live_link_csv().splitlines()
+    lines[4] = lines[4].split(",")[0] + ",0," + "," * 5
+    capture = read_capture(put("\n".join(lines)))
+    assert capture.take.frame_count == samples.FRAMES
+    assert noted(capture, "1 rows have no face")
+
+
+def test_a_recording_through_midnight_goes_on(put):
+    text = samples.live_link_csv().replace("13:59:5", "23:59:5").replace("23:59:60", "00:00:00")
+    text = text.replace("23:59:58", "23:59:59") if ":59:59:" not in text else text
+    lines = samples.live_link_csv(start=113).splitlines()  # the second turns after four rows
+    lines[1:] = [
+        line.replace("13:59:59", "23:59:59").replace("13:59:60", "00:00:00") for line in lines[1:]
+    ]
+    capture = read_capture(put("\n".join(lines)))
+    assert capture.take.frame_count == samples.FRAMES
+    assert capture.take.timecode_start == "23:59:59:26"
+
+
+def test_face_cap_times_are_milliseconds(put):
+    capture = read_capture(put(samples.face_cap()))
+    source = capture.take.source
+    assert source is not None
+    assert source.rate == Fraction(60)
+    np.testing.assert_array_equal(source.values[:, :3], samples.weights()[:, :3].astype(np.float32))
+    degrees = dict(zip(source.names[3:], np.degrees(source.values[5, 3:]), strict=True))
+    assert degrees["headRotationZ"] == pytest.approx(30)
+    assert degrees["rightEyeRotationY"] == pytest.approx(4)
+
+
+def test_face_cap_samples_at_uneven_times_are_resampled(put):
+    rng = np.random.default_rng(0)
+    times = np.cumsum(rng.uniform(5, 28, 400)).round()  # [ms]
+    lines = [
+        "bs,JawOpen",
+        *(f"k,{t:.0f},{',0' * 10},{t / 10000:.6f}"[:-1].replace(",,", ",") for t in times),
+    ]
+    capture = read_capture(put("\n".join(lines)))
+    source = capture.take.source
+    assert source is not None
+    assert noted(capture, "resampled by their times to 60 frames per second")
+    slope = np.diff(source.values[:, 0]) * 10 * float(source.rate)
+    np.testing.assert_allclose(slope, 1, atol=2e-2)  # a straight line in time stays one
+
+
+@pytest.mark.parametrize(("separator", "mark"), [("\n", "-"), ("___iFacialMocap", "&")])
+def test_ifacialmocap_weights_run_to_one_and_angles_are_radians(put, separator, mark):
+    capture = read_capture(put(samples.ifacialmocap(separator, mark)))
+    source = capture.take.source
+    assert source is not None
+    np.testing.assert_allclose(source.values[:, :3], samples.weights()[:, :3].round(2), atol=1e-6)
+    np.testing.assert_allclose(source.values[0, 3:6], [-np.pi / 2, 0, np.pi / 4], rtol=1e-6)
+    assert noted(capture, "60 frames per second assumed")
+
+
+def test_openface_gives_landmarks_y_up_and_action_units_to_one(put):
+    capture = read_capture(put(samples.openface_csv()))
+    markers, source = capture.take.markers, capture.take.source
+    assert markers is not None
+    assert source is not None
+    assert markers.names == ("landmark_0", "landmark_1", "landmark_2", "landmark_3")
+    seen = np.arange(samples.FRAMES) != 3
+    expected = (samples.positions() + (0, 0, 500)) * (1, -1, -1)
+    np.testing.assert_allclose(markers.positions[seen], expected[seen], atol=1e-3)
+    np.testing.assert_array_equal(markers.visible.all(axis=1), seen)
+    np.testing.assert_allclose(markers.confidence[:, 0], np.where(seen, 0.98, 0), rtol=1e-6)
+    np.testing.assert_allclose(source.values[:, 0], 0.02 * np.arange(12), atol=1e-6)
+    np.testing.assert_allclose(source.values[:, 1], 1)
+    assert (source.names, source.rate, source.first_frame) == (("AU01", "AU12"), 25, 1)
+
+
+def test_openface_without_landmarks_is_a_take_of_weights(put):
+    text = samples.openface_csv().replace(" X_", " left_")
+    capture = read_capture(put(text))
+    assert capture.take.markers is None
+    assert capture.take.source is not None
+
+
+def test_a_named_format_overrules_the_content(put):
+    text = "take of tuesday\n" + samples.vicon_csv()
+    text = text.replace("Devices\n1000\n", "\n" * 12 + "Devices\n1000\n")
+    path = put(text)
+    assert read_capture(path, format="vicon-csv").take.frame_count == samples.FRAMES
+
+
+def test_the_recorded_live_link_take_is_thirty_frames_per_second(shared_data):
+    capture = read_capture(shared_data / "livelink_alex/alex_rom_3.csv")
+    source = capture.take.source
+    assert source is not None
+    assert source.values.shape == (4030 + 3, 61)
+    assert (source.rate, capture.take.timecode_start) == (30, "13:13:04:15")
+    assert noted(capture, "3 of 4033 frames were dropped by the recorder and are interpolated: 597")
+    assert source.values.max() == pytest.approx(1.05, abs=0.06)
+
+
+def test_the_recorded_live_link_take_at_sixty_has_no_frame_missing(shared_data):
+    path = shared_data / "livelink_jmtechart/MySlate_3_Jason_Millers_iPhone.csv"
+    capture = read_capture(path)
+    table = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=range(2, 63))
+    assert capture.take.source is not None
+    assert capture.take.rate == 60
+    np.testing.assert_array_equal(capture.take.source.values, table.astype(np.float32))
+
+
+@pytest.mark.parametrize("name", ["CheeksMoCap", "EyebrowsMoCap"])
+def test_recorded_markers_are_the_same_as_table_and_as_c3d(shared_data, name):
+    folder = shared_data / "markers_animface"
+    table = read_capture(folder / f"{name}.csv", units="cm").take
+    c3d = read_capture(folder / f"{name}.c3d", up="y").take
+    assert table.markers is not None
+    assert c3d.markers is not None
+    assert table.rate == c3d.rate
+    assert len(table.markers.names) == len(c3d.markers.names)
+    np.testing.assert_allclose(table.markers.positions, c3d.markers.positions, atol=0.05)
+
+
+def test_the_recorded_trc_is_read_to_its_end(shared_data):
+    capture = read_capture(shared_data / "c3d/markers.trc")
+    assert capture.take.markers is not None
+    assert capture.take.markers.positions.shape == (93, 51, 3)
+    np.testing.assert_allclose(
+        capture.take.markers.positions[0, 0], [733.7041, 80.9832, 191.8668], rtol=1e-6
+    )
+    assert noted(capture, "NumFrames says 652, 93 found")
