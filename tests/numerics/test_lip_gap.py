@@ -4,14 +4,7 @@ from scipy import sparse
 
 from usdface.deformer import Deformer
 from usdface.demo.rig import demo_rig
-from usdface.numerics.face_regions import (
-    blinks,
-    jaw_opener,
-    points_by_region,
-    region_gram,
-    region_of_shape,
-    shapes_by_region,
-)
+from usdface.numerics.face_regions import shapes_by_region
 from usdface.numerics.lip_gap import LipPairs, find_lip_pairs, gap_of_keys
 
 
@@ -88,54 +81,3 @@ def test_a_face_without_a_mouth_has_no_lips(face, names) -> None:
         )
         is None
     )
-
-
-@pytest.mark.parametrize(
-    ("name", "region"),
-    [
-        ("browDownLeft", "brows"),
-        ("brow_raise_R", "brows"),
-        ("eyeBlink_L", "lids"),
-        ("eyeWideRight", "lids"),
-        ("Upper_Lid_Close", "lids"),
-        ("cheekSquintLeft", "cheeks and nose"),
-        ("noseSneer_R", "cheeks and nose"),
-        ("mouthPucker", "mouth"),
-        ("lipCornerPuller", "mouth"),
-        ("jawOpen", "jaw"),
-        ("eyeLookInLeft", ""),
-        ("tongueOut", ""),
-        ("AU12", ""),
-    ],
-)
-def test_a_shape_belongs_where_its_name_says(name: str, region: str) -> None:
-    assert region_of_shape(name) == region
-
-
-def test_points_belong_to_what_moves_them(face, names) -> None:
-    offsets = face.shapes.target_offsets()
-    points = points_by_region(offsets, shapes_by_region(names))
-    assert set(points) == {"brows", "lids", "cheeks and nose", "mouth", "jaw"}
-    together = np.concatenate(list(points.values()))
-    assert len(together) == len(set(together.tolist())) < len(face.neutral)
-    height = {name: np.median(face.neutral[held, 1]) for name, held in points.items()}
-    assert height["brows"] > height["lids"] > height["cheeks and nose"] > height["mouth"]
-    assert height["mouth"] > height["jaw"]
-    pairs = lips_of(face, names)
-    assert np.isin(pairs.lower, points["mouth"]).mean() > 0.9  # though the jaw carries them
-
-
-def test_a_regions_gram_is_its_points_motion(face, names) -> None:
-    offsets = face.shapes.target_offsets()
-    points = np.array([5, 800, 4000])
-    error = np.random.default_rng(0).normal(size=len(names))
-    moved = np.asarray(error @ offsets).reshape(-1, 3)[points]
-    squared = error @ region_gram(offsets, points) @ error
-    assert squared == pytest.approx((moved**2).sum(axis=1).mean(), rel=1e-12)
-
-
-def test_blinks_and_the_jaw_are_found_by_name(names) -> None:
-    assert [names[i] for i in blinks(names)] == ["eyeBlinkLeft", "eyeBlinkRight"]
-    assert jaw_opener(names) == names.index("jawOpen")
-    assert jaw_opener(("smile", "Jaw_Drop")) == 1
-    assert jaw_opener(("mouthOpen", "jawLeft")) is None
