@@ -1,14 +1,22 @@
 """The regression methods by name; one file each."""
 
 from usdface.errors import InputError
-from usdface.model.methods import d06, gaussian_rbf, hybrid, kernel_cca, linear, multiquadric
+from usdface.model.methods import (
+    d06,
+    gaussian_rbf,
+    hybrid,
+    inverse,
+    kernel_cca,
+    linear,
+    multiquadric,
+)
 from usdface.model.methods.contract import Fitted, Method, Pairs, Settings
 
 __all__ = ["AUTO", "METHODS", "Fitted", "Method", "Pairs", "Settings", "find_method"]
 
 METHODS: dict[str, Method] = {
     module.METHOD.name: module.METHOD
-    for module in (d06, linear, gaussian_rbf, multiquadric, kernel_cca, hybrid)
+    for module in (d06, linear, gaussian_rbf, multiquadric, kernel_cca, hybrid, inverse)
 }
 
 AUTO = ("ridge", "rbf", "d06")
