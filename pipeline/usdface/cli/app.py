@@ -202,6 +202,28 @@ def describe(
 
 
 @app.command(epilog=EPILOG)
+def validate(
+    layers: Annotated[
+        list[Path], typer.Argument(help="USD layers to look at.", show_default=False)
+    ],
+    as_json: Json = False,
+) -> None:
+    """Look for what is not in order in layers, with USD's own validators and ours.
+
+    Each finding says how to mend it. Exit code 1 if there is an error; warnings alone pass.
+
+    Example:
+
+    usdface validate kitchen.take.usda kitchen.hero.usda
+    """
+    from usdface.steps.validate import validate_layers
+
+    report = validate_layers(tuple(layers))
+    show_report(report, as_json=as_json)
+    report.require_success()
+
+
+@app.command(epilog=EPILOG)
 def demo(
     out_folder: Annotated[
         Path, typer.Option("--out", help="Folder to make the demo in.", show_default=False)

@@ -1,0 +1,102 @@
+"""The command line: what it prints, what it returns, what it refuses."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pxr import Sdf, Vt
+
+from tests.usdio.small_rig import small_rig
+from usdface.cli import main
+from usdface.usdio.rig_write import write_rig
+from usdface.version import __version__
+
+
+def run(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as stopped:
+        main(list(arguments))
+    return int(stopped.value.code or 0)
+
+
+def test_the_installed_command_tells_its_version() -> None:
+    command = Path(sys.executable).with_name("usdface")
+    done = subprocess.run([command, "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout == f"usdface {__version__}\n"
+
+
+@pytest.mark.parametrize(
+    "command",
+    "ingest align clean select train map sheet evaluate run check describe validate demo".split(),
+)
+def test_every_command_answers_help_with_an_example(command: str, capsys) -> None:
+    assert run(command, "--help") == 0
+    told = capsys.readouterr().out
+    assert "Example:" in told
+    assert f"usdface {command}" in told
+    assert "Exit codes: 0 done, 1 a check failed, 2 bad input, 3 interrupted." in told
+
+
+def test_validate_passes_a_sound_layer_and_names_what_is_wrong(
+    tmp_path, monkeypatch, capsys
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_rig(tmp_path / "rig.usda", small_rig())
+    assert run("validate", "rig.usda") == 0
+    assert "1 layers: 0 errors, 0 warnings" in capsys.readouterr().out
+    layer = Sdf.Layer.FindOrOpen("rig.usda")
+    prim = Sdf.CreatePrimInLayer(layer, "/Hero/anim")
+    prim.specifier, prim.typeName = Sdf.SpecifierDef, "SkelAnimation"
+    names = Sdf.AttributeSpec(prim, "blendShapes", Sdf.ValueTypeNames.TokenArray)
+    names.default = Vt.TokenArray(["jawOpen", "grin"])
+    Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
+    layer.SetTimeSample("/Hero/anim.blendShapeWeights", 1, [0.5])
+    layer.Save()
+    assert run("validate", "rig.usda", "--json") == 1
+    captured = capsys.readouterr()
+    found = json.loads(captured.out)["figures"]["rig.usda"]
+    told = " ".join(finding["message"] for finding in found)
+    assert "1 weights for 2 shapes" in told
+    assert "1 shapes are on no mesh: grin" in told
+    assert "timeCodesPerSecond is not authored" in told
+    assert "errors in 1 layers" in captured.err
+
+
+def test_json_is_the_only_thing_on_standard_output(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_rig(tmp_path / "rig.usda", small_rig())
+    assert run("validate", "rig.usda", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["failures"] == []
+
+
+def test_farm_progress_is_spoken_in_the_farms_language(tmp_path, capsys) -> None:
+    from usdface.cli.console import listening
+
+    with listening("openjd") as progress:
+        progress(0.25, "mapping")
+    assert capsys.readouterr().out == "openjd_progress: 25.0\nopenjd_status: mapping\n"
+
+
+def test_unknown_options_and_missing_ones_are_bad_input(capsys) -> None:
+    assert run("clean", "x.usda", "--out", "y.usda", "--polish") == 2
+    assert run("clean", "x.usda") == 2
+    assert "--out" in capsys.readouterr().err
+
+
+def test_the_demo_refuses_a_folder_that_holds_something_else(tmp_path: Path, capsys) -> None:
+    (tmp_path / "thesis.txt").write_text("years of work")
+    assert run("demo", "--out", str(tmp_path)) == 2
+    assert "holds no demo; choose another --out" in capsys.readouterr().err
+    assert [each.name for each in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_a_bug_is_reported_as_one_and_not_as_the_users_fault(monkeypatch, capsys) -> None:
+    from usdface.steps import describe
+
+    def broken(path: Path) -> None:
+        raise ZeroDivisionError("oops")
+
+    monkeypatch.setattr(describe, "describe_mapping", broken)
+    assert run("describe", "x.usda") == 2
+    assert "a fault in usdface itself: ZeroDivisionError: oops" in capsys.readouterr().err
