@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.capture import text_samples as samples
+from tests.regenerate import REPOSITORY
 from usdface.capture.marker_take import Capture
 from usdface.capture.sniff import FORMATS, read_capture, recognise_format
 
@@ -307,3 +308,10 @@ def test_the_recorded_trc_is_read_to_its_end(shared_data):
         capture.take.markers.positions[0, 0], [733.7041, 80.9832, 191.8668], rtol=1e-6
     )
     assert noted(capture, "NumFrames says 652, 93 found")
+
+
+def test_the_documentation_says_of_every_format_what_is_read_and_what_is_not():
+    page = (REPOSITORY / "docs/formats.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[1:-1] for line in page.splitlines() if line.startswith("| `")]
+    assert all(len(row) == 4 and all(cell.strip() for cell in row) for row in rows)
+    assert {row[0].strip(" `") for row in rows} == {known.name for known in FORMATS} | {"--format"}

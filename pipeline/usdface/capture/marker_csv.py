@@ -68,7 +68,7 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
         options,
         notes,
         where=str(path),
-        field="the table",
+        field="header",
         up_note="the table does not say which axis is up; Y assumed",
     )
     return build_table_take(

@@ -133,7 +133,7 @@ def settle_space(
         scale = mm_per_unit(options.units, where=f"{where} units")
     else:
         if not stated_units:
-            notes.append(f"{field} does not say; mm assumed, say otherwise with --units")
+            notes.append(f"no unit stated ({field}); mm assumed, say otherwise with --units")
         scale = mm_per_unit(stated_units or "mm", where=f"{where} {field}")
     if options.up is None and up_note:
         notes.append(f"{up_note}; say otherwise with --up")

@@ -134,7 +134,7 @@ def _read_block(path: Path, lines: Iterator[Line], options: CaptureOptions) -> C
         options,
         notes,
         where=str(path),
-        field=f"the line of units, {units.number},",
+        field=f"units, line {units.number}",
         up_note="Vicon's Z taken as up",
     )
     return build_table_take(
