@@ -57,7 +57,7 @@ FAULTS = {
         "trc", replaced(TRC, 9, 4, "1\t2", "\t"), "line 9: 15 cells, 14 expected"),
     "trc: two rates": ("trc", TRC.replace("100.00", "60.00"), "two frame rates: DataRate says 60"),
     "trc: rate of zero": ("trc", TRC.replace("100.00", "0"), "line 3 DataRate: frame rate 0"),
-    "trc: no rate": ("trc", TRC.replace("DataRate", "Fast"), "DataRate: frame rate nan"),
+    "trc: no rate": ("trc", TRC.replace("DataRate", "Fast"), "line 3: DataRate is ''; it must"),
     "trc: unknown unit": ("trc", samples.trc(units="furlong"), "unit 'furlong'"),
     "trc: a label twice": ("trc", TRC.replace("brow_R", "brow_L"), r"line 4: 1 labels .*brow_L"),
     "trc: an empty label": ("trc", TRC.replace("brow_R", ""), "line 4: 1 markers have an empty"),
@@ -119,6 +119,7 @@ FAULTS = {
     "a NUL byte": ("marker-csv", TABLE.replace("0.0", "\0.0", 1), "character .*: a NUL byte"),
     "UTF-32": ("marker-csv", TABLE.encode("utf-32"), "NUL byte"),
     "Latin-1": ("marker-csv", TABLE.replace("chin", "größe").encode("latin-1"), "not UTF-8"),
+    "a byte order mark alone": ("live-link-csv", b"\xef\xbb\xbf", "holds no text"),
     "0 bytes": ("marker-csv", "", r"empty \(0 bytes\)"),
 }  # fmt: skip
 

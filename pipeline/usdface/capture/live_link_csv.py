@@ -90,7 +90,7 @@ def read_live_link_csv(path: Path, options: CaptureOptions) -> Capture:
     notes = []
     if rows.lost:
         notes.append(f"{rows.lost} rows have no face and are interpolated")
-    where = f"{path} Timecode"
+    where = f"{path} Timecode in seconds"
     base = _settle_base(rows, notes, where)
     seconds = _unwrap(rows, base)
     times = settle_device_times(seconds, np.array(rows.lines), where=where)

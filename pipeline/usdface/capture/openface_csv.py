@@ -6,7 +6,7 @@ it; action unit intensities ``AU01_r``, … run from 0 to 5. Rows without succes
 
 import re
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from usdface.capture.marker_table import build_table_take
 from usdface.capture.marker_take import Capture, CaptureOptions
 from usdface.capture.sample_times import rate_of_times, settle_frame_numbers
 from usdface.capture.text_table import (
+    Line,
     NumberTable,
     check_columns,
     head_lines,
@@ -44,6 +45,22 @@ def is_openface_csv(head: bytes) -> bool:
     return titles.issuperset(_NEEDED)
 
 
+@dataclass(frozen=True)
+class _Columns:
+    """Where each title stands, the landmarks' numbers and the action units' names."""
+
+    titles: list[str]
+    at: dict[str, int]
+    landmarks: list[str]
+    units: list[str]
+
+    @property
+    def others(self) -> int:
+        """How many columns are left out."""
+        used = len(_NEEDED) + 3 * len(self.landmarks) + len(self.units) + ("face_id" in self.at)
+        return len(self.titles) - used
+
+
 def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
     """Read landmarks as markers, and intensities divided by 5 as channels.
 
@@ -56,69 +73,35 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
     lines = read_lines(path)
     header = next(lines)
     delimiter = sniff_delimiter(header.text) or ","
-    titles = without_empty_tail(split_cells(header, delimiter))
-    check_columns(titles, header)
-    column = {title: index for index, title in enumerate(titles)}
-    missing = [title for title in _NEEDED if title not in column]
-    landmarks = [
-        match[1]
-        for match in map(_LANDMARK.fullmatch, titles)
-        if match and f"Y_{match[1]}" in column and f"Z_{match[1]}" in column
-    ]
-    units = [match[1] for match in map(_INTENSITY.fullmatch, titles) if match]
-    if missing or not (landmarks or units):
-        lacking = ", ".join(missing) or "3-D landmarks (X_0 …) nor intensities (AU01_r …)"
-        raise InputError(
-            f"{header.where}: no {lacking}; run FeatureExtraction on the video with -3Dfp and -aus"
-        )
-    table = read_number_table(lines, titles, path=path, delimiter=delimiter, gaps=True)
+    columns = _read_header(header, delimiter)
+    table = read_number_table(lines, columns.titles, path=path, delimiter=delimiter, gaps=True)
     notes = []
-    others = len(titles) - len(_NEEDED) - 3 * len(landmarks) - len(units) - ("face_id" in column)
-    if others:
-        notes.append(f"{others} other columns left out: 2-D and eye landmarks, gaze, head pose")
-    table = _one_face(table, column.get("face_id"), notes)
-    first_frame, frames = settle_frame_numbers(
-        table.values[:, column["frame"]], table.lines, where=str(path)
-    )
-    rate = rate_of_times(table.values[:, column["timestamp"]], frames, where=str(path))
-    succeeded = table.values[:, column["success"]] == 1
-    if not succeeded.any():
-        raise InputError(
-            f"{path}: no face found in any of {len(succeeded)} frames (success is 0); "
-            "film the face larger and lit, then run OpenFace again"
-        )
-    if not succeeded.all():
+    if columns.others:
         notes.append(
-            f"no face found in {np.sum(~succeeded)} of {len(succeeded)} rows: gaps of the "
-            "landmarks, interpolated in the action units"
+            f"{columns.others} other columns left out: 2-D and eye landmarks, gaze, head pose"
         )
-
+    table = _one_face(table, columns.at.get("face_id"), notes)
+    first_frame, frames = settle_frame_numbers(
+        table.values[:, columns.at["frame"]], table.lines, where=str(path)
+    )
+    rate = rate_of_times(table.values[:, columns.at["timestamp"]], frames, where=str(path))
+    seen = _rows_with_face(table.values[:, columns.at["success"]], path, notes)
     source = None
-    if units:
-        source = _read_units(
-            table,
-            [column[f"{unit}_r"] for unit in units],
-            units,
-            path=path,
-            used=succeeded,
-            frames=frames,
-            first_frame=first_frame,
-            rate=rate,
-        )
+    if columns.units:
+        source = _read_units(table, columns, seen, frames, first_frame, rate, path=path)
         notes.append("action units are kept as channels, intensity / 5")
-    if not landmarks:
+    if not columns.landmarks:
         take = Take(path.stem, rate, first_frame, source=source)
         return Capture(take, "openface-csv", tuple(notes))
-    points = np.stack(
-        [table.values[:, [column[f"{axis}_{number}"] for number in landmarks]] for axis in "XYZ"],
-        axis=2,
-    )
-    points[~succeeded] = np.nan
+
+    axes = [[columns.at[f"{axis}_{number}"] for number in columns.landmarks] for axis in "XYZ"]
+    points = table.values[:, np.array(axes).T]
+    points[~seen] = np.nan
     capture = build_table_take(
         path,
-        [f"landmark_{number}" for number in landmarks],
+        [f"landmark_{number}" for number in columns.landmarks],
         points.reshape(len(points), -1),
-        range(0, 3 * len(landmarks), 3),
+        range(0, 3 * len(columns.landmarks), 3),
         frames=frames,
         first_frame=first_frame,
         rate=rate,
@@ -129,8 +112,45 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
         where=header.where,
     )
     confidence = np.zeros(int(frames[-1]) + 1)
-    confidence[frames] = np.nan_to_num(table.values[:, column["confidence"]], posinf=0, neginf=0)
+    stated = table.values[:, columns.at["confidence"]]
+    confidence[frames] = np.nan_to_num(stated, posinf=0, neginf=0)
     return _add(capture, source, confidence)
+
+
+def _read_header(header: Line, delimiter: str) -> _Columns:
+    titles = without_empty_tail(split_cells(header, delimiter))
+    check_columns(titles, header)
+    at = {title: index for index, title in enumerate(titles)}
+    landmarks = [
+        match[1]
+        for match in map(_LANDMARK.fullmatch, titles)
+        if match and f"Y_{match[1]}" in at and f"Z_{match[1]}" in at
+    ]
+    units = [match[1] for match in map(_INTENSITY.fullmatch, titles) if match]
+    missing = [title for title in _NEEDED if title not in at]
+    if missing or not (landmarks or units):
+        lacking = ", ".join(missing) or "3-D landmarks (X_0 …) nor intensities (AU01_r …)"
+        raise InputError(
+            f"{header.where}: no {lacking}; run FeatureExtraction on the video with -3Dfp and -aus"
+        )
+    return _Columns(titles, at, landmarks, units)
+
+
+def _rows_with_face(
+    success: NDArray[np.float64], path: Path, notes: list[str]
+) -> NDArray[np.bool_]:
+    seen: NDArray[np.bool_] = success == 1
+    if not seen.any():
+        raise InputError(
+            f"{path}: no face found in any of {len(seen)} frames (success is 0); film the face "
+            "larger and lit, then run OpenFace again"
+        )
+    if not seen.all():
+        notes.append(
+            f"no face found in {np.sum(~seen)} of {len(seen)} rows: gaps of the landmarks, "
+            "interpolated in the action units"
+        )
+    return seen
 
 
 def _one_face(table: NumberTable, face_column: int | None, notes: list[str]) -> NumberTable:
@@ -149,28 +169,28 @@ def _one_face(table: NumberTable, face_column: int | None, notes: list[str]) -> 
 
 def _read_units(
     table: NumberTable,
-    columns: list[int],
-    names: list[str],
-    *,
-    path: Path,
-    used: NDArray[np.bool_],
+    columns: _Columns,
+    seen: NDArray[np.bool_],
     frames: NDArray[np.int64],
     first_frame: int,
     rate: Fraction,
+    *,
+    path: Path,
 ) -> WeightsClip:
-    """Return intensities as weights; frames without a face are interpolated."""
-    values = table.values[:, columns][used] / _HIGHEST_INTENSITY
+    """Return intensities as weights, as long as the markers; without a face, interpolated."""
+    at = [columns.at[f"{unit}_r"] for unit in columns.units]
+    values = table.values[:, at][seen] / _HIGHEST_INTENSITY
     finite = np.isfinite(values)
     if not finite.all():
         row, unit = np.argwhere(~finite)[0]
         raise InputError(
-            f"{path} line {table.lines[used][row]}, column {columns[unit] + 1} ({names[unit]}_r): "
-            "not a number in a row with a face; run OpenFace again"
+            f"{path} line {table.lines[seen][row]}, column {at[unit] + 1} "
+            f"({columns.units[unit]}_r): not a number in a row with a face; run OpenFace again"
         )
-    filled = fill_frames(values, frames[used].astype(np.float64))
-    before, after = int(frames[used][0]), int(frames[-1] - frames[used][-1])
-    held = np.pad(filled, ((before, after), (0, 0)), mode="edge")  # as long as the markers
-    return WeightsClip(tuple(names), held, first_frame, rate)
+    filled = fill_frames(values, frames[seen].astype(np.float64))
+    before, after = int(frames[seen][0]), int(frames[-1] - frames[seen][-1])
+    held = np.pad(filled, ((before, after), (0, 0)), mode="edge")
+    return WeightsClip(tuple(columns.units), held, first_frame, rate)
 
 
 def _add(capture: Capture, source: WeightsClip | None, confidence: NDArray[np.float64]) -> Capture:

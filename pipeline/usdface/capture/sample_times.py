@@ -122,14 +122,12 @@ def rate_of_times(
     InputError
         If times do not tell a rate.
     """
-    low, high = _rate_limits(seconds, frames, where=where)
-    for rate in DEVICE_RATES:
+    low, told, high = _rate_limits(seconds, frames, where=where)
+    usual = min(DEVICE_RATES, key=lambda rate: abs(rate - told))
+    for rate in (usual, round(told)):
         if low <= rate <= high:
             return Fraction(rate)
-    middle = (low + high) / 2
-    if low <= round(middle) <= high:
-        return Fraction(round(middle))
-    return exact_rate(middle, where=where)
+    return exact_rate(told, where=where)
 
 
 def check_rate(
@@ -159,11 +157,11 @@ def check_rate(
     """
     if np.isnan(seconds).all() or (seconds == seconds[0]).all():  # without times, or one frame
         return
-    low, high = _rate_limits(seconds, frames, where=where)
+    low, told, high = _rate_limits(seconds, frames, where=where)
     if not low * 0.99 <= float(rate) <= high * 1.01:
         raise InputError(
             f"{where}: two frame rates: {stated_in} says {float(rate):g}, the times of the rows "
-            f"{(low + high) / 2:g}; export the take again"
+            f"{told:g}; export the take again"
         )
 
 
@@ -202,8 +200,8 @@ def check_span(frames: NDArray[np.float64], lines: NDArray[np.int64], *, where: 
 
 def _rate_limits(
     seconds: NDArray[np.float64], frames: NDArray[np.int64], *, where: str
-) -> tuple[float, float]:
-    """Return the lowest and highest rate that times as rounded as these can mean."""
+) -> tuple[float, float, float]:
+    """Return the lowest rate that times as rounded as these can mean, the told and the highest."""
     usable = len(seconds) > 1 and bool((np.abs(seconds) < _LONGEST_SECONDS).all())  # and not NaN
     span = float(seconds[-1] - seconds[0]) if usable else 0.0
     if span <= 0:
@@ -221,4 +219,4 @@ def _rate_limits(
     )
     count = float(frames[-1] - frames[0])
     rounding = min(10.0**-decimals, span / 2)  # half a unit at either end
-    return count / (span + rounding), count / (span - rounding)
+    return count / (span + rounding), count / span, count / (span - rounding)

@@ -91,6 +91,8 @@ def read_lines(path: Path) -> Iterator[Line]:
             line = Line(path, number, text.rstrip("\n"))
             _check_line(line, encoding)
             yield line
+        if number == 0:  # a byte order mark alone
+            raise InputError(f"{path}: the file holds no text; export the take again")
 
 
 def split_cells(line: Line, delimiter: str | None) -> list[str]:

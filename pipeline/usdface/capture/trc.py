@@ -6,9 +6,8 @@ third column, and the columns' axes. The delimiter is told from the second line.
 
 import re
 from collections.abc import Iterator
+from fractions import Fraction
 from pathlib import Path
-
-import numpy as np
 
 from usdface.capture.marker_table import build_table_take, settle_space
 from usdface.capture.marker_take import Capture, CaptureOptions
@@ -56,7 +55,7 @@ def read_trc(path: Path, options: CaptureOptions) -> Capture:
 
     notes = _check_counts(header, len(labels), len(table.values))
     first_frame, frames = settle_frame_numbers(table.values[:, 0], table.lines, where=str(path))
-    rate = exact_rate(_header_number(header, "DataRate"), where=f"{stated.where} DataRate")
+    rate = _data_rate(header, stated)
     check_rate(rate, "DataRate", table.values[:, 1], frames, where=str(path))
     to_mm = settle_space(
         header.get("Units", ""),
@@ -115,11 +114,17 @@ def _check_counts(header: dict[str, str], markers: int, rows: int) -> list[str]:
     ]
 
 
-def _header_number(header: dict[str, str], key: str) -> float:
+def _data_rate(header: dict[str, str], line: Line) -> Fraction:
+    """Return the rate that the header states."""
+    text = header.get("DataRate", "")
     try:
-        return float(header.get(key, "").replace(",", "."))
-    except ValueError:
-        return np.nan
+        rate = float(text.replace(",", "."))
+    except ValueError as error:
+        raise InputError(
+            f"{line.where}: DataRate is {text[:24]!r}; it must be frames per second: export the "
+            "take again"
+        ) from error
+    return exact_rate(rate, where=f"{line.where} DataRate")
 
 
 def _next(lines: Iterator[Line], path: Path, expected: str) -> Line:

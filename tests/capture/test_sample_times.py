@@ -1,0 +1,37 @@
+"""Rates recovered from times as recorders round them."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from usdface.capture.sample_times import rate_of_times, settle_device_times
+
+NTSC = [Fraction(24000, 1001), Fraction(30000, 1001), Fraction(60000, 1001)]
+
+
+@pytest.mark.parametrize("decimals", [2, 3, 5])
+@pytest.mark.parametrize("rate", [24, 25, 30, 50, 60, 90, 100, 120, 240, 300, *NTSC], ids=str)
+def test_the_rate_is_exact_though_times_are_rounded(rate, decimals):
+    frames = np.arange(5, 20_000)
+    seconds = np.round(frames / float(rate), decimals)
+    assert rate_of_times(seconds, frames, where="take") == rate
+
+
+@pytest.mark.parametrize("rate", [24, 25, 30, 50, 60, 100, 120])
+def test_two_frames_tell_the_nearest_usual_rate(rate):
+    seconds = np.round(np.arange(2) / rate, 3)
+    assert rate_of_times(seconds, np.arange(2), where="take") == rate
+
+
+@pytest.mark.parametrize("error", [-8e-4, 0, 8e-4], ids=["slow", "exact", "fast"])
+@pytest.mark.parametrize("rate", [24, 30, 60, 120])
+def test_a_clock_that_is_off_loses_no_frame_of_a_long_take(rate, error):
+    rng = np.random.default_rng(0)
+    kept = np.union1d(np.flatnonzero(rng.random(30_000) > 0.01), [0, 29_999])
+    seconds = np.round(kept / rate * (1 + error), 3)
+    times = settle_device_times(seconds, kept, where="take")
+    assert times.even
+    assert times.rate == rate
+    np.testing.assert_array_equal(times.frames, kept)
+    assert times.clock_error == pytest.approx(-error, abs=5e-6)
