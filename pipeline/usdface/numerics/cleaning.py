@@ -1,4 +1,4 @@
-"""The whole way from captured markers to clean ones: head still, labels right, gaps filled, smooth."""
+"""From captured markers to clean ones: head still, labels right, gaps filled, noise gone."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,10 +7,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from usdface.numerics.gaps import GapFill, fill_gaps
-from usdface.numerics.low_rank import LowRankModel, fill_missing, fit_low_rank, predict_from_others
+from usdface.numerics.low_rank import (
+    LowRankModel,
+    choose_rank,
+    fill_missing,
+    fit_low_rank,
+    predict_from_others,
+)
 from usdface.numerics.noise import marker_noise, measurement_noise
+from usdface.numerics.pose_smoothing import smooth_poses
 from usdface.numerics.relabeling import Swap, apply_swaps, find_swaps
-from usdface.numerics.rigid_alignment import align_frames, remove_motion
+from usdface.numerics.rigid_alignment import align_frames, alignment_of, remove_motion
 from usdface.numerics.smoothing import significant_detail, smooth_tracks
 from usdface.numerics.stabilization import stabilize
 from usdface.numerics.strays import find_strays
@@ -116,26 +123,26 @@ def clean_markers(
     seen = np.array(visible, bool)
     _check(captured, seen, neutral, max_gap)
     progress(0.0, "head motion")
-    first = stabilize(captured, seen, rigid=rigid, neutral=neutral)
-    still = _Still(first.positions, seen, first.head_motion, first.pose_confidence)
+    still = _stabilize(captured, seen, rigid, neutral)
+    rank = choose_rank(still.positions, seen)
     swaps: tuple[Swap, ...] = ()
     if relabel:
-        swaps = _relabel(still, progress)
+        swaps = _relabel(still, rank, progress)
         if {column for swap in swaps for column in (swap.first, swap.second)} & set(rigid):
             apply_swaps(captured, swaps)
-            again = stabilize(captured, seen, rigid=rigid, neutral=neutral)
-            still = _Still(again.positions, seen, again.head_motion, again.pose_confidence)
+            still = _stabilize(captured, seen, rigid, neutral)
     progress(0.45, "strays")
-    model = fit_low_rank(still.positions, seen)
+    model = fit_low_rank(still.positions, seen, rank_limit=rank)
     strays = find_strays(still.positions, seen, model=model)
     good = seen & ~strays
     progress(0.6, "head motion, from all markers")
     still = _refine_pose(still, good, model)
     noise = measurement_noise(still.positions, good)
     progress(0.7, "gaps")
-    model = fit_low_rank(still.positions, good)
+    model = fit_low_rank(still.positions, good, rank_limit=rank)
     complete = fill_missing(model, still.positions, good)
-    gaps = fill_gaps(still.positions, good, max_gap=max_gap, prediction=complete, noise=noise)
+    expected = predict_from_others(model, complete)
+    gaps = fill_gaps(still.positions, good, max_gap=max_gap, prediction=expected, noise=noise)
     clean = np.where((good | gaps.filled)[..., None], gaps.positions, complete)
     if smooth:
         progress(0.8, "noise")
@@ -173,12 +180,26 @@ def _check(
         raise ValueError(f"markers {never} are never seen; leave them out")
 
 
-def _relabel(still: _Still, progress: Progress) -> tuple[Swap, ...]:
+def _stabilize(
+    captured: NDArray[np.float32], seen: NDArray[np.bool_], rigid: Sequence[int], neutral: int
+) -> _Still:
+    """Take out a smooth head motion.
+
+    What jitters in the pose jitters in all markers alike, and would be learned as a way in which
+    the face moves; quick head motion comes back when the pose is refined.
+    """
+    first = stabilize(captured, seen, rigid=rigid, neutral=neutral)
+    motion = smooth_poses(first.head_motion, center=first.reference.mean(axis=0))
+    positions = remove_motion(captured, alignment_of(motion))
+    return _Still(positions, seen, motion, first.pose_confidence)
+
+
+def _relabel(still: _Still, rank: int, progress: Progress) -> tuple[Swap, ...]:
     """Put labels back in place in rounds: each round's model is learned with fewer swaps."""
     found: list[Swap] = []
     for number in range(_RELABEL_ROUNDS):
         progress(0.1 + 0.35 * number / _RELABEL_ROUNDS, "labels")
-        model = fit_low_rank(still.positions, still.visible)
+        model = fit_low_rank(still.positions, still.visible, rank_limit=rank)
         complete = fill_missing(model, still.positions, still.visible)
         swaps = find_swaps(complete, still.visible, model=model)
         if not swaps:
@@ -197,9 +218,7 @@ def _refine_pose(still: _Still, good: NDArray[np.bool_], model: LowRankModel) ->
         complete = fill_missing(model, positions, good)
         predicted = predict_from_others(model, complete)
         distance = np.linalg.norm(complete - predicted, axis=2)
-        usual = np.array(
-            [_median(distance[::step, m][ok[::step]]) for m, ok in enumerate(good.T)]
-        )
+        usual = np.array([_median(distance[::step, m][ok[::step]]) for m, ok in enumerate(good.T)])
         deviation = np.maximum(_MAD_TO_DEVIATION * usual, model.noise)
         weights = good / (1.0 + (distance / (_POSE_INLIER_DEVIATIONS * deviation)) ** 2)
         weights /= deviation**2
@@ -209,9 +228,7 @@ def _refine_pose(still: _Still, good: NDArray[np.bool_], model: LowRankModel) ->
     return _Still(positions, still.visible, motion, still.pose_confidence)
 
 
-def _smooth(
-    clean: FloatArray, model: LowRankModel, noise: NDArray[np.float64]
-) -> FloatArray:
+def _smooth(clean: FloatArray, model: LowRankModel, noise: NDArray[np.float64]) -> FloatArray:
     """Smooth along the face's own directions of motion, slow ones more than quick ones.
 
     Blinks, which coordinates of single markers would lose in their noise, are few directions.

@@ -4,6 +4,8 @@ A face does not leap. This needs no model of it, so it guards the learning of on
 would otherwise take its own faults for ways in which the face moves.
 """
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,9 +53,9 @@ def find_excursions(
         # Frames that follow one another with leaps between them are one leap: its sum.
         joined = [(start, stop, steps[start:stop].sum(axis=0)) for start, stop in runs(leaps)]
         track = np.zeros(len(seen), bool)
-        for (_, leave, there), (back, _, again) in zip(joined, joined[1:], strict=False):
-            cosine = there @ again / max(float(np.linalg.norm(there) * np.linalg.norm(again)), 1e-9)
-            if cosine < _BACK and frames[back] - frames[leave] < _LONGEST:
+        for (_, leave, there), (back, _, again) in pairwise(joined):
+            lengths = float(np.linalg.norm(there) * np.linalg.norm(again))
+            if there @ again < _BACK * lengths and frames[back] - frames[leave] < _LONGEST:
                 track[frames[leave] : frames[back] + 1] = True
         if (track & seen).sum() <= _MOST_SHARE * len(frames):
             away[:, marker] = track & seen

@@ -1,9 +1,10 @@
 """Fill gaps in marker tracks: short ones along the curve, long ones from the other markers.
 
-A prediction from the other markers (see `low_rank`) knows where a hidden marker goes; its samples
-beside the gap know how far that prediction is off just there. Short gaps follow a cubic spline
-through the neighbouring samples; with a prediction, the spline runs through what the prediction
-leaves, and long gaps blend that rest from one end to the other.
+Short gaps follow a cubic spline through the samples beside them. For long ones, a prediction from
+the other markers (see `low_rank`) knows where the hidden marker goes, and the samples beside the
+gap know how far that prediction is off just there: the rest is blended from one end to the other.
+How long is long depends on the capture's noise, the rate and the face; it is found by hiding
+samples that are known.
 """
 
 from dataclasses import dataclass
@@ -13,7 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 SPLINE_LIMIT = 8
-"""[frames] Longest gap that a spline bridges without a prediction's help."""
+"""[frames] Longest gap that a spline bridges where there is no prediction to compare it with."""
+_TRIAL_LENGTHS = (1, 2, 4, 8, 16, 32)
+_TRIALS = 120
+_INFORMED_SHARE = 0.3
+"""Of the markers that must be seen for a prediction to be more than the take's mean."""
 _END_SAMPLES = 5
 """Samples beside a gap whose mean tells the prediction's error: one alone carries its noise."""
 _SPLINE_SUPPORT = 4
@@ -62,6 +67,7 @@ def fill_gaps(
     prediction : (frames, markers, 3) array_like, optional
         Where the other markers say each marker is. Without it, gaps longer than `SPLINE_LIMIT`
         and gaps at the ends of the take are left.
+        At frames where the marker is seen, it must not be told from the marker itself.
     noise : float
         Standard deviation of a measured coordinate [mm]: what the prediction leaves beside a gap
         is believed only as far as it rises above it.
@@ -82,14 +88,23 @@ def fill_gaps(
         )
     confidence = seen.astype(np.float32)
     filled = np.zeros_like(seen)
+    informed = seen.mean(axis=1) >= _INFORMED_SHARE
+    limit = SPLINE_LIMIT
+    if expected is not None and not seen.all():
+        limit = choose_spline_limit(points, seen, expected, noise=noise)
     for marker in np.flatnonzero(~seen.all(axis=0) & seen.any(axis=0)):
         track, ok = points[:, marker].copy(), seen[:, marker]
         base = None if expected is None else expected[:, marker]
         for start, stop in runs(~ok):
             if stop - start > max_gap:
                 continue
-            values = _fill_one(track, ok, start, stop, base, noise)
-            if values is None:
+            inner = 0 < start and stop < len(ok)
+            reach = limit if informed[start:stop].all() else max(limit, 2 * SPLINE_LIMIT)
+            if inner and stop - start <= reach:
+                values = _spline(track, ok, start, stop)
+            elif base is not None:
+                values = base[start:stop] + _blend_offsets(track - base, ok, start, stop, noise)
+            else:
                 continue
             points[start:stop, marker] = values
             filled[start:stop, marker] = True
@@ -103,22 +118,42 @@ def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
 
-def _fill_one(
-    track: NDArray[np.floating],
-    ok: NDArray[np.bool_],
-    start: int,
-    stop: int,
-    base: NDArray[np.floating] | None,
+def choose_spline_limit(
+    positions: NDArray[np.floating],
+    visible: NDArray[np.bool_],
+    prediction: NDArray[np.floating],
+    *,
     noise: float,
-) -> NDArray[np.floating] | None:
-    """Return the positions of one gap, or None where nothing can be said."""
-    inner = 0 < start and stop < len(ok)
-    if base is None:
-        if not inner or stop - start > SPLINE_LIMIT:
-            return None
-        return _spline(track, ok, start, stop)
-    offset = _blend_offsets(track - base, ok, start, stop, noise)
-    return np.asarray(base[start:stop] + offset)
+) -> int:
+    """Return the longest gap that a spline fills better than the prediction does [frames].
+
+    Seen stretches are hidden and filled both ways; the arguments are those of `fill_gaps`.
+    """
+    rng = np.random.default_rng(0)
+    frames, markers = visible.shape
+    limit = 0
+    for length in _TRIAL_LENGTHS:
+        errors = np.zeros(2)
+        for _ in range(_TRIALS):
+            if frames <= length + 2 * _END_SAMPLES:
+                return limit
+            start = int(rng.integers(_END_SAMPLES, frames - length - _END_SAMPLES))
+            marker, stop = int(rng.integers(markers)), start + length
+            window = slice(max(0, start - 4 * _END_SAMPLES), stop + 4 * _END_SAMPLES)
+            first, last = start - window.start, stop - window.start
+            ok = visible[window, marker].copy()
+            if not ok[first - 1 : last + 1].all():
+                continue
+            ok[first:last] = False
+            track, base = positions[window, marker], prediction[window, marker]
+            by_curve = _spline(track, ok, first, last)
+            by_others = base[first:last] + _blend_offsets(track - base, ok, first, last, noise)
+            for i, values in enumerate((by_curve, by_others)):
+                errors[i] += float(np.linalg.norm(values - track[first:last], axis=1).mean())
+        if errors[0] >= errors[1]:
+            return limit
+        limit = length
+    return limit
 
 
 def _spline(
@@ -140,14 +175,16 @@ def _blend_offsets(
     offsets: NDArray[np.floating], ok: NDArray[np.bool_], start: int, stop: int, noise: float
 ) -> NDArray[np.float64]:
     """Return what to add to the prediction: the rest at both ends, blended across the gap."""
-    before = _end_offset(offsets, ok, range(start - 1, max(-1, start - 1 - _END_SAMPLES), -1), noise)
+    before = _end_offset(
+        offsets, ok, range(start - 1, max(-1, start - 1 - _END_SAMPLES), -1), noise
+    )
     after = _end_offset(offsets, ok, range(stop, min(len(ok), stop + _END_SAMPLES)), noise)
     frames = np.arange(start, stop, dtype=np.float64)
     if start == 0 or stop == len(ok):
         edge, distance = (after, stop - frames) if start == 0 else (before, frames - start + 1)
-        return np.exp(-distance / _FADE_FRAMES)[:, None] * edge
+        return np.asarray(np.exp(-distance / _FADE_FRAMES)[:, None] * edge)
     share = ((frames - start + 1) / (stop - start + 1))[:, None]
-    return (1.0 - share) * before + share * after
+    return np.asarray((1.0 - share) * before + share * after)
 
 
 def _end_offset(
@@ -160,7 +197,7 @@ def _end_offset(
     chosen = [frame for frame in frames if ok[frame]]
     if not chosen:
         return np.zeros(3)
-    mean = offsets[chosen].mean(axis=0, dtype=np.float64)
+    mean = np.asarray(offsets[chosen].mean(axis=0, dtype=np.float64))
     square = float(mean @ mean)
     if square == 0.0:
         return mean

@@ -1,4 +1,4 @@
-"""How markers move together: a Gaussian of few directions, learned from a take with gaps and strays.
+"""How markers move together: a Gaussian of few directions, learned despite gaps and strays.
 
 Every marker is predictable from the others. That fills gaps of any length, and tells samples that
 do not belong: strays, and labels that have changed places.
@@ -27,6 +27,9 @@ _LEAST_NOISE = 0.02
 _FRAMES_PER_DIRECTION = 25
 _LEAST_RANK_LIMIT = 8
 """Short takes would learn their own swaps as directions of motion."""
+_RANKS = (6, 9, 13, 19, 28, 40, 60)
+_CHOICE_FRAMES = 4000
+_STRETCHES, _FOLDS = 24, 3
 _STRAY_DEVIATIONS = 6.0
 _MAD_TO_DEVIATION = 1.4826
 
@@ -107,9 +110,47 @@ def fit_low_rank(
     return _moments_model(filled, believed, sensor_noise, rank_limit)
 
 
-def fill_missing(
-    model: LowRankModel, positions: FloatArray, good: NDArray[np.bool_]
-) -> FloatArray:
+def choose_rank(positions: FloatArray, good: NDArray[np.bool_]) -> int:
+    """Return how many directions predict hidden markers best in parts of the take not learned from.
+
+    A long, rich take affords many; in a short one many directions fit only the frames they were
+    learned from. The take is cut into stretches of time, and every other few are held out in turn.
+
+    Parameters
+    ----------
+    positions : (frames, markers, 3) float array
+        [mm] Without head motion; anything where not good.
+    good : (frames, markers) bool array
+    """
+    rows = np.unique(np.linspace(0, len(positions) - 1, _CHOICE_FRAMES).astype(np.int64))
+    start = fit_low_rank(positions, good)
+    filled = fill_missing(start, positions[rows].astype(np.float64), good[rows])
+    sensor_noise = np.maximum(marker_noise(positions, good), _LEAST_NOISE)
+    fold = np.arange(len(rows)) * _STRETCHES // len(rows) % _FOLDS
+    candidates = [rank for rank in _RANKS if rank < len(start.variances)]
+    candidates.append(len(start.variances))
+    scores = np.zeros(len(candidates))
+    for held in range(_FOLDS):
+        test = fold == held
+        if not test.any() or test.all():
+            continue
+        widest = _moments_model(filled[~test], good[rows][~test], sensor_noise, candidates[-1])
+        for i, rank in enumerate(candidates):
+            model = _with_rank(widest, rank)
+            away = np.linalg.norm(filled[test] - predict_from_others(model, filled[test]), axis=2)
+            scores[i] += float(away[good[rows][test]].mean())
+    return candidates[int(scores.argmin())]
+
+
+def _with_rank(model: LowRankModel, rank: int) -> LowRankModel:
+    """Return the model with fewer directions, the rest counted as noise."""
+    dropped = model.components[rank:]
+    square = (dropped**2 * model.variances[rank:, None]).sum(axis=0).reshape(-1, 3).mean(axis=1)
+    noise = np.sqrt(model.noise**2 + square)
+    return LowRankModel(model.mean, model.components[:rank], model.variances[:rank], noise)
+
+
+def fill_missing(model: LowRankModel, positions: FloatArray, good: NDArray[np.bool_]) -> FloatArray:
     """Return positions with every sample that is not good replaced by its conditional mean.
 
     Parameters
@@ -171,7 +212,9 @@ def _moments_model(
     # Eigenvalues of pure noise reach (1 + sqrt(p / n))^2 times its variance (Marchenko-Pastur).
     threshold = floor * (1.0 + np.sqrt(3 * markers / frames)) ** 2
     affordable = max(frames // _FRAMES_PER_DIRECTION, _LEAST_RANK_LIMIT)
-    rank = int(np.clip((values > threshold).sum(), 1, min(rank_limit, affordable, max(frames - 2, 1))))
+    rank = int(
+        np.clip((values > threshold).sum(), 1, min(rank_limit, affordable, max(frames - 2, 1)))
+    )
     components = vectors[:, :rank].T
     residual = centered - (centered @ components.T) @ components
     square = (residual.reshape(frames, markers, 3) ** 2).sum(axis=2) / 3.0

@@ -214,16 +214,19 @@ def _gather(
         x_away, y_away = away[:, :3], away[:, 3:]
         between = y - x
         apart = between + x_away - y_away  # between the places where the two should be
-        place = _weigh(
-            np.minimum(
-                _square(x_away) - _square(x_away + between),
-                _square(y_away) - _square(y_away - between),
-            ),
-            _square(x_away) - _ALONE_STRICTNESS * _square(x_away - apart),
-            _square(y_away) - _ALONE_STRICTNESS * _square(y_away + apart),
-            x_seen,
-            y_seen,
-        ) / pair.place_variance
+        place = (
+            _weigh(
+                np.minimum(
+                    _square(x_away) - _square(x_away + between),
+                    _square(y_away) - _square(y_away - between),
+                ),
+                _square(x_away) - _ALONE_STRICTNESS * _square(x_away - apart),
+                _square(y_away) - _ALONE_STRICTNESS * _square(y_away + apart),
+                x_seen,
+                y_seen,
+            )
+            / pair.place_variance
+        )
         direction = pair.direction / max(float(pair.direction @ pair.direction), 1e-12)
         along = _weigh(  # 1 when each lies on its own side, -1 when on the other's
             between @ direction,
@@ -235,13 +238,16 @@ def _gather(
         gain = np.clip(place, -_PLACE_LIMIT, _PLACE_LIMIT)
         gain -= _DIRECTION_WEIGHT * np.clip(along, -1.0, 1.0)
         jump = np.zeros(len(window))
-        jump[1:] = _weigh(
-            np.maximum(_jump_evidence(x, y), _jump_evidence(y, x)),
-            _jump_alone(x, apart),
-            _jump_alone(y, apart),
-            x_seen[1:] & x_seen[:-1],
-            y_seen[1:] & y_seen[:-1],
-        ) / step_scale**2
+        jump[1:] = (
+            _weigh(
+                np.maximum(_jump_evidence(x, y), _jump_evidence(y, x)),
+                _jump_alone(x, apart),
+                _jump_alone(y, apart),
+                x_seen[1:] & x_seen[:-1],
+                y_seen[1:] & y_seen[:-1],
+            )
+            / step_scale**2
+        )
         toggle = _TOGGLE_COST + np.clip(jump, *_JUMP_LIMITS)
         hints = int((place[lead:] > _PLACE_HINT).sum()) + int((jump[lead:] < _JUMP_HINT).sum())
         evidence.append(_Evidence(gain[lead:], toggle[lead:], hints))
@@ -264,9 +270,7 @@ def _square(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.einsum("fi,fi->f", vectors, vectors))
 
 
-def _jump_evidence(
-    track: NDArray[np.float64], other: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _jump_evidence(track: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return by how much a step is shorter when it began at the other marker; negative then."""
     return _square(track[1:] - other[:-1]) - _square(np.diff(track, axis=0))
 

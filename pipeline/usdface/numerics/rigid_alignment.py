@@ -139,9 +139,7 @@ def align_rigid_robust(
     return RigidAlignment(rotations, translations, determined, weights)
 
 
-def align_frames(
-    positions: ArrayLike, targets: ArrayLike, *, weights: ArrayLike
-) -> RigidAlignment:
+def align_frames(positions: ArrayLike, targets: ArrayLike, *, weights: ArrayLike) -> RigidAlignment:
     """Align each frame's own target to it: ``positions = rotation @ target + translation``.
 
     Parameters
@@ -179,6 +177,13 @@ def align_frames(
         rotations[rows], determined[rows] = R, known
         translations[rows] = x_center - np.einsum("fij,fj->fi", R, y_center)
     return RigidAlignment(rotations, translations, determined, w)
+
+
+def alignment_of(matrices: ArrayLike) -> RigidAlignment:
+    """Return (frames, 4, 4) transforms for column vectors as an alignment, fully determined."""
+    motion = np.asarray(matrices, np.float64)
+    known = np.ones(len(motion), bool)
+    return RigidAlignment(motion[:, :3, :3], motion[:, :3, 3], known, np.ones((len(motion), 0)))
 
 
 def remove_motion(positions: ArrayLike, alignment: RigidAlignment) -> NDArray[np.floating]:
