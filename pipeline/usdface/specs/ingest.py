@@ -23,9 +23,9 @@ class IngestSpec(Spec):
 
     The capture is told by its content: C3D, TRC, Vicon, Motive, Live Link Face, Face Cap,
     iFacialMocap or OpenFace, or a USD file with markers as Points, Skeleton joints or Xforms and
-    weights as SkelAnimation. Several files of one moment, such as markers and Live Link, join. What was dropped or assumed is said. Point it at a
-    folder, with a folder as --out, and every take in it is ingested; files of one stem belong
-    together.
+    weights as SkelAnimation. Several files of one moment, such as markers and Live Link, join.
+    What was dropped or assumed is said. Point it at a folder, with a folder as --out, and every
+    take in it is ingested; files of one stem belong together.
     """
 
     example: ClassVar[str] = (
