@@ -65,6 +65,19 @@ def check_dimensions(dimensions: int | None, *, pairs: int, available: int) -> N
         )
 
 
+def check_skin(skin: FloatArray | None, *, shapes: int) -> None:
+    """Refuse skin that does not belong to the references' shapes."""
+    if skin is None:
+        return
+    if skin.ndim != 3 or skin.shape[0] != shapes or skin.shape[2] != 3:
+        raise InputError(
+            f"skin has shape {skin.shape}, the references have {shapes} shapes; sample the rig's "
+            "shapes in the references' order"
+        )
+    if not np.isfinite(skin).all():
+        raise InputError("skin holds values that are not finite; check the rig's blend shapes")
+
+
 def pair_name(references: References, pair: int) -> str:
     """Say which pair: its place and where it came from."""
     return f"pair {pair + 1} (take {references.takes[pair]!r}, frame {references.frames[pair]})"

@@ -10,7 +10,7 @@ from usdface.model.coordinates import marker_coordinates
 from usdface.model.familiarity import fit_familiarity
 from usdface.model.methods import AUTO, Method, Pairs, Settings, find_method
 from usdface.model.motion import motion_from_pca
-from usdface.model.reference_checks import check_dimensions, check_references
+from usdface.model.reference_checks import check_dimensions, check_references, check_skin
 from usdface.numerics.cross_validation import (
     Fold,
     blocked_folds,
@@ -38,6 +38,7 @@ def train_mapping(
     *,
     ranges: FloatArray,
     gram: FloatArray | None,
+    skin: FloatArray | None = None,
     method: str = "auto",
     dimensions: int | None = None,
     progress: Progress = silent,
@@ -57,6 +58,9 @@ def train_mapping(
     gram : (shapes, shapes) float array or None
         Mean over the rig's points of the dot products of the shapes' displacements [mm^2]: makes
         errors count as they show. Without it every weight counts alike.
+    skin : (shapes, points, 3) float array, optional
+        What each shape at 1 does to points spread over the rig's surface [mm]; see `sample_skin`.
+        With it a mapping also knows what the rig's geometry says, beyond the pairs.
     method : str
         A key of `usdface.model.methods.METHODS`, or ``'auto'`` to try several.
     dimensions : int, optional
@@ -69,6 +73,7 @@ def train_mapping(
         If the references cannot be learned from; all faults are listed.
     """
     sound = check_references(references, ranges=ranges, gram=gram)
+    check_skin(skin, shapes=len(references.shape_names))
     checked = sound.references
     motion = checked.motion if checked.motion is not None else _motion_of_pairs(checked)
     check_dimensions(dimensions, pairs=len(checked.weights), available=len(motion.components))
@@ -78,6 +83,7 @@ def train_mapping(
         ranges=ranges.astype(np.float64),
         gram=np.eye(len(ranges)) if gram is None else gram.astype(np.float64),
         motion=motion,
+        skin=skin,
     )
     candidates = _candidates(pairs, method, dimensions)
     if len(pairs.weights) < MINIMUM_TO_COMPARE:

@@ -3,6 +3,7 @@
 from usdface.errors import InputError
 from usdface.model.methods import (
     d06,
+    ensemble,
     gaussian_rbf,
     hybrid,
     inverse,
@@ -16,11 +17,20 @@ __all__ = ["AUTO", "METHODS", "Fitted", "Method", "Pairs", "Settings", "find_met
 
 METHODS: dict[str, Method] = {
     module.METHOD.name: module.METHOD
-    for module in (d06, linear, gaussian_rbf, multiquadric, kernel_cca, hybrid, inverse)
+    for module in (
+        d06,
+        linear,
+        gaussian_rbf,
+        ensemble,
+        multiquadric,
+        kernel_cca,
+        hybrid,
+        inverse,
+    )
 }
 
-AUTO = ("ridge", "rbf", "d06")
-"""What `auto` tries."""
+AUTO = ("ridge", "ensemble", "rbf", "d06")
+"""What `auto` tries; the first is taken where pairs are too few to compare."""
 
 
 def find_method(name: str) -> Method:

@@ -24,6 +24,8 @@ class Pairs:
         identity when no rig is known.
     motion : MotionSpace
         With coordinates of frames that nobody tuned.
+    skin : (shapes, points, 3) float array or None
+        What each shape at 1 does to points spread over the rig's surface [mm].
     """
 
     coordinates: FloatArray
@@ -31,6 +33,7 @@ class Pairs:
     ranges: FloatArray
     gram: FloatArray
     motion: MotionSpace
+    skin: FloatArray | None = None
 
     def rows(self, chosen: IntArray) -> "Pairs":
         """Keep some of the pairs, all else equal."""

@@ -1,0 +1,190 @@
+"""The members of the ensemble: processes over the whole face and over the region of each shape.
+
+A voice is a straight line plus local corrections. Lines of several voices add up to one line;
+local corrections keep their own centres.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.assets import FloatArray, IntArray
+from usdface.numerics.gaussian_process import (
+    NOISES,
+    Choice,
+    GaussianProcess,
+    fit_best_gaussian_process,
+    fit_gaussian_process,
+    leave_one_out_errors,
+    radial_values,
+    usable_choices,
+)
+from usdface.numerics.marker_regions import RegionalFeatures
+
+GLOBAL_LINES = tuple(Choice(d, p) for d in (16, 24, 32, 40) for p in (0.0, 0.25, 0.5))
+GLOBAL_LOCALS = tuple(
+    Choice(d, p, r, c)
+    for d in (24, 32, 40)
+    for p in (0.0, 0.25, 0.5)
+    for r in (0.3, 1.0, 3.0)
+    for c in (1.0, 2.0, 4.0)
+)
+_LOCAL_SIZES = ((0.0, 1.0), (1.0, 1.0), (1.0, 3.0), (3.0, 3.0))
+REGION_WIDE = tuple(
+    Choice(d, p, r, c) for d in (12, 24) for p in (0.25, 0.5) for r, c in _LOCAL_SIZES
+)
+REGION_TIGHT = tuple(Choice(d, 0.5, r, c) for d in (4, 8, 12) for r, c in _LOCAL_SIZES)
+CORRECTIONS = tuple(
+    Choice(d, p, 1.0, c, line=0.0)
+    for d in (8, 16, 24, 32)
+    for p in (0.25, 0.5)
+    for c in (0.5, 1.0, 2.0, 4.0)
+)
+"""Local parts over a line from elsewhere: no line and, through `OFFSET`, a constant."""
+
+
+@dataclass(frozen=True)
+class Voice:
+    """One member of the ensemble.
+
+    Attributes
+    ----------
+    slope : (D, s) float array
+    intercept : (s,) float array
+    locals : dict of str to float array
+        Local corrections, as `predict_locals` reads them.
+    residuals : (n, s) float array
+        Leave-one-out.
+    """
+
+    slope: FloatArray
+    intercept: FloatArray
+    locals: dict[str, FloatArray]
+    residuals: FloatArray
+
+
+def global_voice(
+    coordinates: FloatArray,
+    outputs: FloatArray,
+    *,
+    variances: FloatArray,
+    choices: tuple[Choice, ...],
+    importance: FloatArray,
+    noises: FloatArray = NOISES,
+) -> Voice:
+    """Fit one process over the whole face."""
+    process = fit_best_gaussian_process(
+        coordinates,
+        outputs,
+        variances=variances,
+        choices=usable_choices(choices, most=len(variances)),
+        importance=importance,
+        noises=noises,
+    )
+    slope = np.zeros((coordinates.shape[1], outputs.shape[1]))
+    slope[: len(process.scale)] = process.scale[:, None] * process.slope
+    projection = np.zeros((coordinates.shape[1], len(process.scale)))
+    np.fill_diagonal(projection, process.scale)
+    parts = {
+        "projection": projection,
+        "centres": process.centres,
+        "exponent": np.array([process.exponent]),
+        "dual": process.dual,
+    }
+    return Voice(slope, process.intercept, parts, process.residuals)
+
+
+def regional_voice(
+    coordinates: FloatArray,
+    outputs: FloatArray,
+    *,
+    regions: tuple[RegionalFeatures, ...],
+    choices: tuple[Choice, ...],
+    shared: bool,
+) -> Voice:
+    """Fit a process for each shape over its own region.
+
+    With `shared` one choice serves all shapes: the one whose errors, each shape's against its
+    own best, are least on average.
+    """
+    most = coordinates.shape[1]
+    choices = usable_choices(choices, most=most)
+    rows = [coordinates @ region.projection for region in regions]
+    errors = np.stack(
+        [
+            leave_one_out_errors(
+                rows[j], outputs[:, [j]], variances=region.variances, choices=choices
+            )[:, :, 0]
+            for j, region in enumerate(regions)
+        ]
+    )
+    least = errors.min(axis=2)
+    relative = least / np.maximum(least.min(axis=1, keepdims=True), 1e-12)
+    best: IntArray = (
+        np.full(len(regions), relative.mean(axis=0).argmin()) if shared else least.argmin(axis=1)
+    )
+    fits = [
+        fit_gaussian_process(
+            rows[j],
+            outputs[:, [j]],
+            variances=region.variances,
+            choice=choices[best[j]],
+            noise=NOISES[[int(errors[j, best[j]].argmin())]],
+        )
+        for j, region in enumerate(regions)
+    ]
+    return _stack(fits, regions)
+
+
+def _stack(fits: list[GaussianProcess], regions: tuple[RegionalFeatures, ...]) -> Voice:
+    s, n = len(fits), len(fits[0].centres)
+    full = len(regions[0].projection)
+    kept = max(len(fit.scale) for fit in fits)
+    projection, centres = np.zeros((s, full, kept)), np.zeros((s, n, kept))
+    slope = np.zeros((full, s))
+    for j, (fit, region) in enumerate(zip(fits, regions, strict=True)):
+        d = len(fit.scale)
+        projection[j, :, :d] = region.projection[:, :d] * fit.scale
+        centres[j, :, :d] = fit.centres
+        slope[:, j] = projection[j, :, :d] @ fit.slope[:, 0]
+    parts = {
+        "projection": projection,
+        "centres": centres,
+        "exponent": np.array([fit.exponent for fit in fits]),
+        "dual": np.stack([fit.dual[:, 0] for fit in fits], axis=1),
+    }
+    return Voice(
+        slope,
+        np.array([fit.intercept[0] for fit in fits]),
+        parts,
+        np.concatenate([fit.residuals for fit in fits], axis=1),
+    )
+
+
+def predict_locals(parts: dict[str, FloatArray], coordinates: FloatArray) -> FloatArray:
+    """Evaluate local corrections, of one process or of one for each shape.
+
+    Parameters
+    ----------
+    parts : dict
+        ``projection`` (D, d) or (s, D, d), ``centres`` (n, d) or (s, n, d), ``exponent`` (1,) or
+        (s,), ``dual`` (n, s).
+    coordinates : (f, D) float array
+
+    Returns
+    -------
+    (f, s) float array
+    """
+    projection, centres, dual = parts["projection"], parts["centres"], parts["dual"]
+    if projection.ndim == 2:
+        near = radial_values(coordinates @ projection, centres, float(parts["exponent"][0]))
+        out: FloatArray = near @ dual
+        return out
+    s, full, kept = projection.shape
+    rows = coordinates @ projection.transpose(1, 0, 2).reshape(full, s * kept)
+    out = np.zeros((len(coordinates), s))
+    for j in np.flatnonzero(dual.any(axis=0)):
+        own = rows[:, j * kept : (j + 1) * kept]
+        near = radial_values(own, centres[j], float(parts["exponent"][j]))
+        out[:, j] = near @ dual[:, j]
+    return out

@@ -1,0 +1,257 @@
+"""Gaussian process regression whose settings are chosen by closed-form leave-one-out error.
+
+One covariance does the work of a straight line and of a local correction to it::
+
+    k(x, y) = LINE <x, y> / size + radial exp(-|x - y|^2 / (2 width m)) + OFFSET
+
+on features scaled by ``variance ** (-power / 2)``, where size is the expected ``<x, x>`` and m the
+median squared distance between the pairs. What is chosen is how many features, the power, radial
+and width; the noise, for every output of its own.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+LINE = 10.0
+OFFSET = 100.0
+"""Prior variance of the constant, wide against weights in [0-1]: no mean to subtract."""
+
+NOISES = 10.0 ** np.arange(-4.0, 1.1, 0.5)
+"""Noise variances tried, in units of the prior variance. Below 1e-4 (tuned weights exact to a
+hundredth, roughly) leave-one-out would follow the markers' noise."""
+
+_MOST_LEVERAGE = 1 - 1e-6
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One covariance to try.
+
+    Attributes
+    ----------
+    dimensions : int
+        Features used, the first ones.
+    power : float
+        How far features are whitened: 0 not, 1 wholly.
+    radial : float
+        Prior variance of the local part; 0 leaves the line alone.
+    width : float
+        Squared width of the local part in median squared distances.
+    line : float
+        Prior variance of the line.
+    """
+
+    dimensions: int
+    power: float
+    radial: float = 0.0
+    width: float = 1.0
+    line: float = LINE
+
+
+@dataclass(frozen=True)
+class GaussianProcess:
+    """A fitted process: ``slope`` carries the line, ``dual`` the local part.
+
+    Attributes
+    ----------
+    scale : (d,) float array
+        Features are multiplied by it; d is the choice's dimensions.
+    centres : (n, d) float array
+        Scaled features of the pairs.
+    exponent : float
+        Of the local part: ``exp(exponent * squared distance)``.
+    slope : (d, s) float array
+    intercept : (s,) float array
+    dual : (n, s) float array
+        Coefficients of the local part, 0 where there is none.
+    residuals : (n, s) float array
+        Output minus its prediction by a fit that has not seen it.
+    noise : (s,) float array
+    """
+
+    scale: Array
+    centres: Array
+    exponent: float
+    slope: Array
+    intercept: Array
+    dual: Array
+    residuals: Array
+    noise: Array
+
+
+def usable_choices(choices: Sequence[Choice], *, most: int) -> tuple[Choice, ...]:
+    """Limit choices to the dimensions there are; those that become equal appear once."""
+    limited = (Choice(min(c.dimensions, most), c.power, c.radial, c.width, c.line) for c in choices)
+    return tuple(dict.fromkeys(limited))
+
+
+def leave_one_out_errors(
+    features: Array,
+    outputs: Array,
+    *,
+    variances: Array,
+    choices: Sequence[Choice],
+    noises: Array = NOISES,
+) -> Array:
+    """Mean squared leave-one-out error of every choice, noise and output.
+
+    Parameters
+    ----------
+    features : (n, D) float array
+    outputs : (n, s) float array
+    variances : (D,) float array
+        Of the features over all frames, pairs or not; positive, falling.
+    choices : sequence of Choice
+    noises : (r,) float array
+
+    Returns
+    -------
+    (choices, r, s) float array
+    """
+    _check(features, outputs, variances, choices)
+    out = np.empty((len(choices), len(noises), outputs.shape[1]))
+    for i, choice in enumerate(choices):
+        covariance = _Scaled(features, variances, choice).covariance()
+        values, vectors = np.linalg.eigh(covariance)
+        values = np.maximum(values, 0.0)
+        rotated = vectors.T @ outputs
+        kept = noises / (values[:, None] + noises)
+        leverage = np.minimum(vectors**2 @ (1 - kept), _MOST_LEVERAGE)
+        for k in range(len(noises)):
+            residual = vectors @ (kept[:, k, None] * rotated) / (1 - leverage[:, k, None])
+            out[i, k] = (residual**2).mean(axis=0)
+    return out
+
+
+def fit_gaussian_process(
+    features: Array, outputs: Array, *, variances: Array, choice: Choice, noise: Array
+) -> GaussianProcess:
+    """Fit all outputs under one covariance, each with its own noise.
+
+    Parameters
+    ----------
+    features, outputs, variances, choice
+        See `leave_one_out_errors`.
+    noise : (s,) float array
+    """
+    _check(features, outputs, variances, (choice,))
+    scaled = _Scaled(features, variances, choice)
+    covariance = scaled.covariance()
+    dual, residuals = np.empty_like(outputs), np.empty_like(outputs)
+    for level in np.unique(noise):
+        same = noise == level
+        inverse = np.linalg.inv(covariance + level * np.eye(len(covariance)))
+        dual[:, same] = inverse @ outputs[:, same]
+        residuals[:, same] = dual[:, same] / np.diag(inverse)[:, None]  # Rasmussen, eq. 5.12
+    return GaussianProcess(
+        scale=scaled.scale,
+        centres=scaled.rows,
+        exponent=scaled.exponent,
+        slope=choice.line / scaled.size * (scaled.rows.T @ dual),
+        intercept=OFFSET * dual.sum(axis=0),
+        dual=choice.radial * dual,
+        residuals=residuals,
+        noise=noise,
+    )
+
+
+def fit_best_gaussian_process(
+    features: Array,
+    outputs: Array,
+    *,
+    variances: Array,
+    choices: Sequence[Choice],
+    importance: Array,
+    noises: Array = NOISES,
+) -> GaussianProcess:
+    """Fit under the one choice whose leave-one-out errors weigh least over all outputs.
+
+    Parameters
+    ----------
+    importance : (s,) float array
+        Weight of each output's squared error.
+    """
+    errors = leave_one_out_errors(
+        features, outputs, variances=variances, choices=choices, noises=noises
+    )
+    best = int((errors.min(axis=1) @ importance).argmin())
+    noise = noises[errors[best].argmin(axis=0)]
+    return fit_gaussian_process(
+        features, outputs, variances=variances, choice=choices[best], noise=noise
+    )
+
+
+def predict_gaussian_process(model: GaussianProcess, features: Array) -> Array:
+    """Evaluate the process's mean.
+
+    Parameters
+    ----------
+    model : GaussianProcess
+    features : (f, D) float array
+
+    Returns
+    -------
+    (f, s) float array
+    """
+    rows = features[:, : len(model.scale)] * model.scale
+    out: Array = rows @ model.slope
+    out += model.intercept
+    if model.dual.any():
+        out += radial_values(rows, model.centres, model.exponent) @ model.dual
+    return out
+
+
+def radial_values(rows: Array, centres: Array, exponent: float) -> Array:
+    """``exp(exponent |x - c|^2)`` for every row and centre: one product, the rest in place."""
+    out: Array = rows @ (-2.0 * centres.T)
+    out += np.einsum("ij,ij->i", rows, rows)[:, None]
+    out += np.einsum("ij,ij->i", centres, centres)
+    np.maximum(out, 0.0, out=out)
+    out *= exponent
+    np.exp(out, out=out)
+    return out
+
+
+class _Scaled:
+    """Features under one choice: scaled, with the numbers that make its parts comparable."""
+
+    def __init__(self, features: Array, variances: Array, choice: Choice) -> None:
+        kept = variances[: choice.dimensions]
+        self.choice = choice
+        self.scale: Array = kept ** (-choice.power / 2)
+        self.rows: Array = features[:, : choice.dimensions] * self.scale
+        self.size = float((kept * self.scale**2).sum())
+        squared = np.einsum("ij,ij->i", self.rows, self.rows)
+        self.product: Array = self.rows @ self.rows.T
+        self.distances: Array = np.maximum(squared[:, None] + squared - 2 * self.product, 0.0)
+        pairs = self.distances[np.triu_indices(len(squared), 1)]
+        middle = float(np.median(pairs)) if len(pairs) else 0.0
+        self.exponent = -0.5 / (choice.width * max(middle, 1e-12 * self.size))
+
+    def covariance(self) -> Array:
+        out: Array = self.choice.line / self.size * self.product
+        out += OFFSET
+        if self.choice.radial:
+            out += self.choice.radial * np.exp(self.exponent * self.distances)
+        return out
+
+
+def _check(features: Array, outputs: Array, variances: Array, choices: Sequence[Choice]) -> None:
+    if features.ndim != 2 or outputs.ndim != 2 or len(features) != len(outputs):
+        raise ValueError(f"{features.shape} features and {outputs.shape} outputs do not pair up")
+    if len(features) < 2:
+        raise ValueError(f"a process needs at least 2 pairs, got {len(features)}")
+    if variances.shape != (features.shape[1],) or not (variances > 0).all():
+        raise ValueError(f"variances must be {features.shape[1]} positive numbers")
+    for choice in choices:
+        if not 1 <= choice.dimensions <= features.shape[1]:
+            raise ValueError(
+                f"a choice uses {choice.dimensions} of {features.shape[1]} features; limit it "
+                "with usable_choices"
+            )

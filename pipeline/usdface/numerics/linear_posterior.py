@@ -1,0 +1,157 @@
+"""A linear face, calibrated: what shapes do to coordinates, and that turned round.
+
+Forward: ``z = w B + b + noise`` with B near what the rig's geometry says and corrected by the
+pairs. Backward: weights are Gaussian around the pairs' mean, so the most probable weights given z
+are linear in z. Unlike a regression from z to w, it knows shapes that the pairs hardly used and
+tells apart shapes that the pairs only used together.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+RIDGES = 10.0 ** np.arange(-2.5, 1.1, 0.5)
+SPREADS = (0.05, 0.1)
+"""Standard deviation of every weight on its own, beside what the pairs' covariance says."""
+
+OWN_SHARE = 0.15
+"""How much of the weights' covariance is each weight on its own, the rest is the pairs'."""
+
+_NOISE_MM = 0.03  # least noise of a coordinate
+_CORRELATED = 0.4  # share of the errors' covariance that is believed as it is: pairs are few
+_EVIDENCE = 3.0  # how much more markers say together than one direction's error suggests
+
+
+@dataclass(frozen=True)
+class LinearPosterior:
+    """``w = z @ slope + intercept``, and the forward map it inverts.
+
+    Attributes
+    ----------
+    slope : (d, s) float array
+    intercept : (s,) float array
+    residuals : (n, s) float array
+        Weights of each pair minus their prediction by a fit that has not seen it.
+    forward : (s, d) float array
+    noise : (d, d) float array
+        Covariance of what the forward map leaves over [mm^2].
+    ridge, spread : float
+        As chosen.
+    """
+
+    slope: Array
+    intercept: Array
+    residuals: Array
+    forward: Array
+    noise: Array
+    ridge: float
+    spread: float
+
+
+@dataclass(frozen=True)
+class _Forward:
+    matrix: Array
+    offset: Array
+    residuals: Array
+
+
+def fit_linear_posterior(
+    coordinates: Array,
+    weights: Array,
+    *,
+    expected: Array,
+    components: Array,
+    variances: Array,
+    gram: Array,
+) -> LinearPosterior:
+    """Calibrate the forward map, invert it, and choose how by leave-one-out.
+
+    Parameters
+    ----------
+    coordinates : (n, d) float array
+        Of the pairs [mm].
+    weights : (n, s) float array
+    expected : (s, d) float array
+        What each shape should do to the coordinates; zeros where nothing is known.
+    components : (d, markers * 3) float array
+        Orthonormal rows: from markers to coordinates.
+    variances : (d,) float array
+        Of the coordinates over all frames: makes errors of small motions count.
+    gram : (s, s) float array
+        Quadratic form that weighs the weights' errors.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three pairs or the arrays do not fit together.
+    """
+    n, s = weights.shape
+    if n < 3:
+        raise ValueError(f"a calibration needs at least 3 pairs, got {n}")
+    if expected.shape != (s, coordinates.shape[1]) or len(coordinates) != n:
+        raise ValueError(
+            f"coordinates {coordinates.shape}, weights {weights.shape} and expected "
+            f"{expected.shape} do not fit together"
+        )
+    importance = 1 / np.sqrt(variances)
+    fits = [_calibrate(coordinates, weights, expected, ridge) for ridge in RIDGES]
+    scores = [float((fit.residuals**2).mean(axis=0) @ importance) for fit in fits]
+    ridge = float(RIDGES[int(np.argmin(scores))])
+    whole = fits[int(np.argmin(scores))]
+    others = [np.delete(np.arange(n), i) for i in range(n)]
+    without = [_calibrate(coordinates[k], weights[k], expected, ridge) for k in others]
+    tried = []
+    for spread in SPREADS:
+        predicted = np.empty_like(weights)
+        for i, (rest, fit) in enumerate(zip(others, without, strict=True)):
+            slope, intercept = _invert(
+                fit, weights[rest], _noise_of(whole.residuals[rest], components), spread
+            )
+            predicted[i] = coordinates[i] @ slope + intercept
+        error = weights - predicted
+        tried.append((float(np.einsum("ns,st,nt->", error, gram, error)), spread, error))
+    _, spread, residuals = min(tried, key=lambda entry: entry[0])
+    noise = _noise_of(whole.residuals, components)
+    slope, intercept = _invert(whole, weights, noise, spread)
+    return LinearPosterior(slope, intercept, residuals, whole.matrix, noise, ridge, spread)
+
+
+def _calibrate(z: Array, w: Array, expected: Array, ridge: float) -> _Forward:
+    """Ridge regression of coordinates on weights, shrunk to what is expected."""
+    mean_z, mean_w = z.mean(axis=0), w.mean(axis=0)
+    rows = w - mean_w
+    penalty = ridge * max(float((rows**2).mean()), 1e-9) * len(w)
+    inverse = np.linalg.inv(rows.T @ rows + penalty * np.eye(w.shape[1]))
+    matrix = expected + inverse @ (rows.T @ (z - mean_z - rows @ expected))
+    leverage = np.einsum("ij,jk,ik->i", rows, inverse, rows, optimize=True) + 1 / len(w)
+    residual = (z - mean_z - rows @ matrix) / np.maximum(1 - leverage, 0.02)[:, None]
+    return _Forward(matrix, mean_z - mean_w @ matrix, residual)
+
+
+def _noise_of(residuals: Array, components: Array) -> Array:
+    """Covariance of the forward map's errors: marker by marker, and partly as they come together.
+
+    A jaw marker is off by more than a lid marker. Seen in the markers' own space, the jaw's errors
+    leave what the lids say alone.
+    """
+    together = residuals.T @ residuals / len(residuals)
+    at_markers = (residuals @ components).reshape(len(residuals), -1, 3)
+    each = np.repeat((at_markers**2).mean(axis=(0, 2)), 3)
+    apart = (components * each) @ components.T / _EVIDENCE
+    floor = _NOISE_MM**2 * np.eye(len(together))
+    noise: Array = _CORRELATED * together
+    noise += (1 - _CORRELATED) * apart + floor
+    return noise
+
+
+def _invert(fit: _Forward, w: Array, noise: Array, spread: float) -> tuple[Array, Array]:
+    """Mean of the weights given the coordinates: ``S B (B' S B + R)^-1`` and its constant."""
+    mean = w.mean(axis=0)
+    own = OWN_SHARE * spread**2 * np.eye(len(mean))
+    covariance = own + (1 - OWN_SHARE) * np.cov(w.T).reshape(len(mean), -1)
+    carried = covariance @ fit.matrix
+    slope = np.linalg.solve(fit.matrix.T @ carried + noise, carried.T).astype(np.float64)
+    return slope, mean - (mean @ fit.matrix + fit.offset) @ slope

@@ -1,0 +1,131 @@
+"""What is particular to the default method; what all methods share is in test_train."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.model.synthetic import RIGID, SyntheticFace, references_of, synthetic_face
+from usdface.assets import Mapping
+from usdface.errors import InputError
+from usdface.model import predict_weights, sample_skin, train_mapping
+from usdface.model.methods.target_curve import bend, unbend
+
+CHOSEN = np.arange(0, 1200, 30)
+
+
+def trained(*, skin: bool, bent: float = 0.0, chosen: np.ndarray = CHOSEN) -> Mapping:
+    face = synthetic_face(bend=bent)
+    return train_mapping(
+        references_of(face, chosen),
+        ranges=face.ranges,
+        gram=face.gram,
+        skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)) if skin else None,
+        method="ensemble",
+    )
+
+
+def rms(mapping: Mapping, *, seed: int, bent: float = 0.0) -> float:
+    face = synthetic_face(bend=bent, seed=seed)
+    error = predict_weights(mapping, face.positions).weights - face.weights
+    return float(np.sqrt((error**2).mean()))
+
+
+def test_geometry_helps_where_pairs_are_few() -> None:
+    few = np.arange(0, 1200, 150)
+    with_skin = rms(trained(skin=True, chosen=few), seed=3)
+    without = rms(trained(skin=False, chosen=few), seed=3)
+    assert with_skin < 0.8 * without
+
+
+def saturating(seed: int) -> SyntheticFace:
+    """Skin that gives way the less the further it has moved."""
+    face = synthetic_face(seed=seed)
+    moved = face.positions - face.neutral
+    far = np.linalg.norm(moved, axis=2, keepdims=True)
+    return replace(face, positions=face.neutral + moved / (1 + far / 15))
+
+
+@pytest.mark.parametrize("skin", [False, True])
+def test_it_is_better_than_a_line_on_skin_that_saturates(skin: bool) -> None:
+    face, new = saturating(0), saturating(3)
+    errors = []
+    for method in ("ridge", "ensemble"):
+        mapping = train_mapping(
+            references_of(face, CHOSEN),
+            ranges=face.ranges,
+            gram=face.gram,
+            skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)) if skin else None,
+            method=method,
+        )
+        error = predict_weights(mapping, new.positions).weights - new.weights
+        errors.append(np.sqrt((error**2).mean()))
+    assert errors[1] < 0.8 * errors[0]
+
+
+def test_skin_that_slows_down_is_told_by_the_curve() -> None:
+    face = synthetic_face()
+    slowing = 1.4 * face.weights - 0.4 * face.weights**2
+    positions = face.neutral + np.einsum("fs,smc->fmc", slowing, face.shapes)
+    mapping = train_mapping(
+        references_of(replace(face, positions=positions), CHOSEN),
+        ranges=face.ranges,
+        gram=face.gram,
+        skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)),
+        method="ensemble",
+    )
+    assert mapping.settings["curve"] in (0.3, 0.45)
+
+
+@pytest.mark.parametrize("low", [-1.0, 0.0])
+def test_ranges_of_any_width_give_the_same_face(low: float) -> None:
+    """A shape of range [low, low + 2] at twice the weight is the same shape."""
+    face = synthetic_face(bend=0.2)
+    first = trained(skin=True, bent=0.2)
+    wide = replace(
+        face,
+        weights=2 * face.weights + low,
+        ranges=2 * face.ranges + low,
+        shapes=face.shapes / 2,
+        gram=face.gram / 4,
+    )
+    second = train_mapping(
+        references_of(wide, CHOSEN),
+        ranges=wide.ranges,
+        gram=wide.gram,
+        skin=sample_skin(wide.shapes.reshape(len(wide.shapes), -1)),
+        method="ensemble",
+    )
+    new = synthetic_face(bend=0.2, seed=3).positions[:200]
+    expected = 2 * predict_weights(first, new).weights + low
+    np.testing.assert_allclose(predict_weights(second, new).weights, expected, atol=1e-6)
+
+
+def test_skin_of_other_shapes_is_refused() -> None:
+    face = synthetic_face()
+    skin = sample_skin(face.shapes.reshape(len(face.shapes), -1))
+    pairs = references_of(face, CHOSEN)
+    with pytest.raises(InputError, match="references have 6 shapes; sample the rig's shapes"):
+        train_mapping(pairs, ranges=face.ranges, gram=face.gram, skin=skin[:4])
+    with pytest.raises(InputError, match="skin holds values that are not finite"):
+        train_mapping(pairs, ranges=face.ranges, gram=face.gram, skin=skin * np.nan)
+
+
+def test_skin_samples_are_points_that_move() -> None:
+    face = synthetic_face()
+    flat = face.shapes.reshape(len(face.shapes), -1)
+    whole = sample_skin(flat)
+    np.testing.assert_array_equal(whole, face.shapes[:, RIGID:])
+    assert sample_skin(flat, count=7).shape == (len(face.shapes), 7, 3)
+
+
+@given(
+    weight=st.floats(-0.5, 1.5, allow_nan=False),
+    curve=st.sampled_from([0.0, 0.15, 0.3, 0.45, 0.9]),
+)
+def test_unbending_undoes_bending(weight: float, curve: float) -> None:
+    there = bend(np.array([weight]), curve)
+    np.testing.assert_allclose(unbend(there, curve), weight, atol=1e-9)
+    assert bend(np.array([0.0, 1.0]), curve).tolist() == [0.0, 1.0]
