@@ -46,6 +46,9 @@ class IngestSpec(Spec):
     """Seconds: the capture's time when the video starts (negative: the camera started first)."""
     audio: ReadPath | None = None
     """Sound recorded with the capture; the take refers to it."""
+    audio_channel: Name | None = None
+    """Analog channel of a C3D that holds the sound; one named like sound by default. It is
+    written as a WAV file beside the take."""
     format: Name | None = None
     """The capture's format, where its content does not tell."""
     units: Units | None = None
@@ -71,4 +74,6 @@ class IngestSpec(Spec):
     def _offset_needs_video(self) -> Self:
         if self.video is None and (self.video_offset or self.video_rate is not None):
             raise ValueError("video_offset or video_rate is given without a video")
+        if self.audio is not None and self.audio_channel is not None:
+            raise ValueError("audio and audio_channel are both given; keep one")
         return self

@@ -13,6 +13,7 @@ from usdface.media.image_sequence import open_video
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
 from usdface.specs.ingest import IngestSpec
+from usdface.steps.capture_sound import CaptureSound, extract_sound
 from usdface.steps.joined_captures import join_captures
 from usdface.steps.report import Report
 from usdface.usdio.foreign_take import read_foreign_take
@@ -33,19 +34,21 @@ def run(
         captures.append(_read_source(source, spec))
     joined = join_captures([capture.take for capture in captures], spec.sources)
     take = joined.take
+    sound = _capture_sound(spec)
     take = replace(
         take,
         name=spec.take or take.name,
         performer=spec.performer or take.performer,
         emotion=spec.emotion or take.emotion,
         timecode_start=spec.timecode or take.timecode_start,
-        audio=spec.audio or take.audio,
+        audio=spec.audio or take.audio or (sound.file if sound else None),
         video=take.video if spec.video is None else _open_video(spec.video, spec),
     )
     progress(0.7, f"writing {spec.out.name}")
     write_take(spec.out, take, provenance=provenance)
     progress(1.0, f"wrote {spec.out.name}")
     notes = (*(note for capture in captures for note in capture.notes), *joined.notes)
+    notes += (sound.note,) if sound else ()
     log.info("%s: %d frames", spec.out, take.frame_count)
     return _report(spec, take, notes)
 
@@ -97,6 +100,18 @@ def _read_usd(source: Path, spec: IngestSpec) -> Capture:
         format_name="usd",
     )
     return replace(capture, take=replace(capture.take, source=found.source))
+
+
+def _capture_sound(spec: IngestSpec) -> CaptureSound | None:
+    if spec.audio is not None:
+        return None
+    out = spec.out.with_name(f"{spec.out.stem}.sound.wav")
+    for source in spec.sources:
+        if source.suffix not in (*LAYER_SUFFIXES, ".usdz"):
+            sound = extract_sound(source, out, channel=spec.audio_channel)
+            if sound is not None:
+                return sound
+    return None
 
 
 def _open_video(file: Path, spec: IngestSpec) -> Video:

@@ -1,0 +1,90 @@
+"""The sound that a capture system recorded on an analog channel, as a file that tools play."""
+
+import re
+import wave
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from usdface.capture.c3d import C3dFile, open_c3d
+from usdface.capture.c3d_take import is_c3d
+from usdface.errors import InputError
+from usdface.replacing import replacing
+
+SOUND_NAME = re.compile(r"audio|sound|mic|voice|speech", re.IGNORECASE)
+LEAST_RATE = 4000.0
+"""[Hz] Slower channels are force plates and switches: speech needs at least this."""
+
+CHUNK_FRAMES = 1 << 14
+
+
+@dataclass(frozen=True)
+class CaptureSound:
+    """A sound file made from a capture, and what to say of it."""
+
+    file: Path
+    note: str
+
+
+def extract_sound(source: Path, out: Path, *, channel: str | None = None) -> CaptureSound | None:
+    """Write the analog channel that holds sound as a WAV file.
+
+    Parameters
+    ----------
+    source : Path
+        A capture; only C3D carries analog channels.
+    out : Path
+        The WAV file to write.
+    channel : str, optional
+        Name of the channel; one that is named like sound by default.
+
+    Returns
+    -------
+    CaptureSound or None
+        None where there is no such channel and none was named.
+
+    Raises
+    ------
+    InputError
+        If the named channel is not there, or the file cannot be written.
+    """
+    with source.open("rb") as stream:
+        if not is_c3d(stream.read(512)):
+            if channel is None:
+                return None
+            raise InputError(f"{source}: only C3D carries analog channels; leave the channel out")
+    capture = open_c3d(source)
+    names = [label.strip() for label in capture.analog_labels]
+    if channel is not None and channel not in names:
+        told = ", ".join(names) or "none"
+        raise InputError(f"{source}: no analog channel {channel!r}; there are {told}")
+    chosen = channel
+    if chosen is None and capture.analog_rate >= LEAST_RATE:
+        chosen = next((name for name in names if SOUND_NAME.search(name)), None)
+    if chosen is None:
+        return None
+    _write_wav(out, capture, names.index(chosen))
+    rate = capture.analog_rate
+    return CaptureSound(out, f"sound was taken from analog channel {chosen} ({rate:g} Hz)")
+
+
+def _write_wav(path: Path, capture: C3dFile, column: int) -> None:
+    """Write 16-bit samples, the loudest at full scale; two passes keep memory bounded."""
+    starts = range(0, capture.frame_count, CHUNK_FRAMES)
+
+    def samples(start: int) -> np.ndarray:
+        return capture.read_analog(start, start + CHUNK_FRAMES)[:, column].astype(np.float64)
+
+    total = sum(float(samples(start).sum()) for start in starts)
+    count = max(sum(len(samples(start)) for start in starts), 1)
+    middle = total / count  # a capture card's resting voltage is not sound
+    loudest = max((float(np.abs(samples(start) - middle).max()) for start in starts), default=0.0)
+    scale = 32767.0 / loudest if loudest > 0 else 0.0
+    with replacing(path) as temporary, wave.open(str(temporary), "wb") as stream:
+        stream.setnchannels(1)
+        stream.setsampwidth(2)
+        stream.setframerate(round(capture.analog_rate))
+        for start in starts:
+            scaled = np.round((samples(start) - middle) * scale).astype("<i2")
+            stream.writeframes(scaled.tobytes())

@@ -1,0 +1,59 @@
+"""Sound on an analog channel of a C3D becomes a file that the take refers to."""
+
+import wave
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from usdface.capture.c3d_write import write_c3d
+from usdface.errors import InputError
+from usdface.media.sound import read_audio
+from usdface.specs.ingest import IngestSpec
+from usdface.steps.execute import execute
+from usdface.usdio.take import read_take
+
+RATE, PER_FRAME, FRAMES = 60, 200, 120
+TONE = np.sin(2 * np.pi * 440 * np.arange(FRAMES * PER_FRAME) / (RATE * PER_FRAME))
+
+
+def write(folder: Path, labels: tuple[str, ...] = ("Force.Fz", "Audio.1")) -> Path:
+    rng = np.random.default_rng(0)
+    columns = [rng.normal(size=len(TONE)), 1.5 + 0.2 * TONE]
+    path = folder / "shot.c3d"
+    write_c3d(
+        path,
+        rng.normal(0, 50, (FRAMES, 4, 3)),
+        np.ones((FRAMES, 4), np.bool_),
+        list("abcd"),
+        rate=RATE,
+        analog=np.stack(columns[: len(labels)], axis=1),
+        analog_labels=labels,
+    )
+    return path
+
+
+def test_a_channel_named_like_sound_is_found_and_played_true(tmp_path: Path) -> None:
+    report = execute(IngestSpec(sources=(write(tmp_path),), out=tmp_path / "shot.take.usda"))
+    sound = read_take(tmp_path / "shot.take.usda").audio
+    assert sound.name == "shot.take.sound.wav"
+    with wave.open(str(sound)) as stream:
+        assert (stream.getframerate(), stream.getnframes()) == (RATE * PER_FRAME, len(TONE))
+        samples = np.frombuffer(stream.readframes(len(TONE)), "<i2") / 32767
+    np.testing.assert_allclose(samples, TONE, atol=1e-3)  # the resting voltage is gone
+    assert len(read_audio(sound, rate=16000)) == pytest.approx(2 * 16000, abs=200)
+    assert any("analog channel Audio.1 (12000 Hz)" in note for note in report.notes)
+
+
+def test_a_channel_may_be_named(tmp_path: Path) -> None:
+    source = write(tmp_path, labels=("Kanal_7",))
+    plain = execute(IngestSpec(sources=(source,), out=tmp_path / "a.take.usda"))
+    assert not any("sound" in note for note in plain.notes)
+    execute(IngestSpec(sources=(source,), out=tmp_path / "b.take.usda", audio_channel="Kanal_7"))
+    assert read_take(tmp_path / "b.take.usda").audio.is_file()
+
+
+def test_a_channel_that_is_not_there_is_refused_with_those_that_are(tmp_path: Path) -> None:
+    spec = IngestSpec(sources=(write(tmp_path),), out=tmp_path / "a.take.usda", audio_channel="mic")
+    with pytest.raises(InputError, match=r"no analog channel 'mic'; there are Force\.Fz, Audio\.1"):
+        execute(spec)
