@@ -70,7 +70,9 @@ def run(*command: str | Path) -> int:
     environment["PATH"] = os.pathsep.join(
         filter(None, (str(programs), environment.get("PATH", "")))
     )
-    return subprocess.run(list(map(str, command)), cwd=ROOT, env=environment, check=False).returncode
+    return subprocess.run(
+        list(map(str, command)), cwd=ROOT, env=environment, check=False
+    ).returncode
 
 
 if __name__ == "__main__":

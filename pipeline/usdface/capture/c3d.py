@@ -186,7 +186,7 @@ class C3dFile:
         if found < len(raw):
             raise InputError(
                 f"{self.path} frame {layout.first_frame + frames.start + found // stride}: "
-                "the file ended while it was read; wait until it is fully written, then read it again"
+                "the file ended while it was read; wait until it is fully written and read it again"
             )
         items: NDArray[np.generic]
         if layout.scale < 0:

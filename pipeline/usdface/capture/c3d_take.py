@@ -8,8 +8,8 @@ from usdface.capture.axes import mm_per_unit, rotation_from_screen, rotation_to_
 from usdface.capture.c3d import C3dFile, open_c3d
 from usdface.capture.marker_labels import list_some, settle_labels
 from usdface.capture.marker_take import Capture, CaptureOptions, build_marker_take
-from usdface.capture.rates import exact_rate
 from usdface.errors import InputError
+from usdface.rates import exact_rate
 
 _CHUNK_FRAMES = 8192
 

@@ -15,7 +15,6 @@ from pathlib import Path
 from usdface.capture.marker_labels import list_some
 from usdface.capture.marker_table import build_table_take, settle_space
 from usdface.capture.marker_take import Capture, CaptureOptions
-from usdface.capture.rates import exact_rate
 from usdface.capture.sample_times import check_rate, rate_of_times, settle_frame_numbers
 from usdface.capture.text_table import (
     Line,
@@ -27,6 +26,7 @@ from usdface.capture.text_table import (
     without_empty_tail,
 )
 from usdface.errors import InputError
+from usdface.rates import exact_rate
 from usdface.timecode import frames_of
 
 _MOST_HEADER_ROWS = 12

@@ -11,7 +11,6 @@ from pathlib import Path
 
 from usdface.capture.marker_table import build_table_take, settle_space
 from usdface.capture.marker_take import Capture, CaptureOptions
-from usdface.capture.rates import exact_rate
 from usdface.capture.sample_times import check_rate, settle_frame_numbers
 from usdface.capture.text_table import (
     Line,
@@ -23,6 +22,7 @@ from usdface.capture.text_table import (
     without_empty_tail,
 )
 from usdface.errors import InputError
+from usdface.rates import exact_rate
 
 _AXIS = re.compile(r"[XYZ]\d*", re.IGNORECASE)
 

@@ -14,7 +14,6 @@ from pathlib import Path
 from usdface.capture.marker_labels import list_some
 from usdface.capture.marker_table import build_table_take, settle_space
 from usdface.capture.marker_take import Capture, CaptureOptions
-from usdface.capture.rates import exact_rate
 from usdface.capture.sample_times import settle_frame_numbers
 from usdface.capture.text_table import (
     Line,
@@ -26,6 +25,7 @@ from usdface.capture.text_table import (
     without_empty_tail,
 )
 from usdface.errors import InputError
+from usdface.rates import exact_rate
 
 _COLUMNS = re.compile(r'"?Frame"?\s*[,;\t]\s*"?Sub Frame"?', re.IGNORECASE)
 _HEAD_LINES = 12

@@ -6,12 +6,12 @@ from pathlib import Path
 
 from usdface.assets import Take, Video
 from usdface.capture.marker_take import Capture, CaptureOptions, build_marker_take
-from usdface.capture.rates import exact_rate
 from usdface.capture.sniff import read_capture
 from usdface.errors import InputError
 from usdface.media.image_sequence import open_video
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
+from usdface.rates import exact_rate
 from usdface.specs.ingest import IngestSpec
 from usdface.steps.capture_sound import CaptureSound, extract_sound
 from usdface.steps.joined_captures import join_captures

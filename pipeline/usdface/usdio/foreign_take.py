@@ -12,9 +12,9 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from usdface.assets import WeightsClip
 from usdface.errors import InputError
+from usdface.rates import exact_rate
 from usdface.usdio.layers import open_stage
 from usdface.usdio.space import column_matrix, stage_to_ours, transform_points
-from usdface.usdio.take import exact_rate
 
 NAME_ATTRIBUTES = (
     "face:markers:names",
@@ -148,7 +148,7 @@ def _frame_grid(stage: Usd.Stage, times: list[float], path: Path) -> _Grid:
     sampled = np.zeros(steps[-1] + 1, dtype=np.bool_)
     sampled[steps] = True
     return _Grid(
-        rate=exact_rate(per_second / spacing),
+        rate=exact_rate(per_second / spacing, where=f"{path}: sample spacing"),
         first_frame=round(at[0] / spacing),
         stage_times=at[0] + spacing * np.arange(len(sampled)),
         sampled=sampled,

@@ -11,6 +11,7 @@ from pxr import Sdf, Usd, UsdSkel, Vt
 from usdface.assets import FloatArray, Performance, Rig, WeightsClip
 from usdface.errors import InputError
 from usdface.provenance import Provenance
+from usdface.rates import exact_rate
 from usdface.usdio.authoring import apply_api, author_uniform, define_prim
 from usdface.usdio.layers import (
     FRAMES_IN_MEMORY,
@@ -27,7 +28,6 @@ from usdface.usdio.rig_reference import (
     point_skeletons_at,
     rig_of,
 )
-from usdface.usdio.take import exact_rate
 
 ANIMATION = "FaceSolve"
 """Name of the animation prim, a child of the referenced rig."""
@@ -243,7 +243,8 @@ def _read_clip(stage: Usd.Stage, prim: Usd.Prim, path: Path) -> WeightsClip:
             )
         values[index] = np.asarray(row)
     rate = stage.GetTimeCodesPerSecond()
-    return WeightsClip(names, values, first, exact_rate(rate) if rate > 0 else Fraction(24))
+    where = f"{path}: timeCodesPerSecond"
+    return WeightsClip(names, values, first, exact_rate(rate, where=where))
 
 
 def _read_series(prim: Usd.Prim, name: str, frames: range) -> FloatArray | None:

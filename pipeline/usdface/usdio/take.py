@@ -1,6 +1,5 @@
 """Read a take that follows our contract, whole or by ranges of frames."""
 
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -8,13 +7,11 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from usdface.assets import Markers, Take, Video, WeightsClip
 from usdface.errors import InputError
+from usdface.rates import exact_rate
 from usdface.timecode import shift_timecode
 from usdface.usdio.layers import open_stage
 from usdface.usdio.space import column_matrix, stage_to_ours
 from usdface.usdio.take_write import AUDIO, CONFIDENCE, HEAD_MOTION, MARKERS, SOURCE, VISIBLE
-
-RATE_DENOMINATOR = 1001
-"""Broadcast rates are whole numbers over 1 or 1001: 30000/1001 is 29.97."""
 
 
 def is_take(path: Path) -> bool:
@@ -22,14 +19,6 @@ def is_take(path: Path) -> bool:
     stage = open_stage(path)  # a prim does not keep its stage alive
     root = stage.GetDefaultPrim()
     return bool(root) and root.HasAPI("FaceTakeAPI")
-
-
-def exact_rate(rate: float) -> Fraction:
-    """Return the exact rate behind a float such as 59.94005994."""
-    for candidate in (Fraction(round(rate)), Fraction(round(rate * 1.001) * 1000, 1001)):
-        if abs(float(candidate) - rate) < 1e-4:
-            return candidate
-    return Fraction(rate).limit_denominator(RATE_DENOMINATOR)
 
 
 class TakeReader:
@@ -58,7 +47,7 @@ class TakeReader:
         rate = self._stage.GetTimeCodesPerSecond()
         if not rate > 0:
             raise InputError(f"{path}: timeCodesPerSecond is {rate:g}; a take needs a rate above 0")
-        self.rate = exact_rate(rate)
+        self.rate = exact_rate(rate, where=f"{path}: timeCodesPerSecond")
         self.first_frame = round(self._stage.GetStartTimeCode())
         self.last_frame = round(self._stage.GetEndTimeCode())
         self._ours = stage_to_ours(self._stage)
@@ -223,7 +212,9 @@ class TakeReader:
         rate = self._value("face:video:rate")
         return Video(
             file=self._resolve(asset),
-            rate=exact_rate(float(rate)) if isinstance(rate, float) and rate > 0 else None,
+            rate=exact_rate(float(rate), where=f"{self.path}: face:video:rate")
+            if isinstance(rate, float) and rate > 0
+            else None,
             offset=float(str(self._value("face:video:offset") or 0)),
             drift=float(str(self._value("face:video:drift") or 0)),
         )
