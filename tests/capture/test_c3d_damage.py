@@ -14,7 +14,7 @@ from usdface.capture.sniff import read_capture
 from usdface.errors import InputError
 
 DAMAGE = settings(
-    deadline=2000, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
 

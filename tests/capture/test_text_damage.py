@@ -198,7 +198,6 @@ def damage() -> st.SearchStrategy[Callable[[bytes], bytes]]:
 @settings(
     max_examples=60,
     deadline=None,
-    derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(spoil=damage())

@@ -116,6 +116,8 @@ class C3dFile:
         frames = range(layout.frame_count)[start:stop]
         shape = (len(frames) * layout.analog_per_frame, layout.analog_count)
         samples = np.empty(shape, np.float32)
+        if not layout.analog_count:
+            return samples
         scale, offset = self._analog_calibration()
         for chunk in self._chunks(frames):
             rows = slice(

@@ -22,9 +22,12 @@ LINE = 10.0
 OFFSET = 100.0
 """Prior variance of the constant, wide against weights in [0-1]: no mean to subtract."""
 
-NOISES = 10.0 ** np.arange(-4.0, 1.1, 0.5)
-"""Noise variances tried, in units of the prior variance. Below 1e-4 (tuned weights exact to a
-hundredth, roughly) leave-one-out would follow the markers' noise."""
+NOISES = 10.0 ** np.arange(-3.0, 1.1, 0.5)
+"""Noise variances tried, in units of the prior variance. Below 1e-3 (weights exact to about a
+hundredth) leave-one-out would follow the markers' noise."""
+
+SLACK = 0.05
+"""Of errors this near to the least the smoothest fit is taken: few pairs tell no finer."""
 
 _MOST_LEVERAGE = 1 - 1e-6
 
@@ -129,6 +132,25 @@ def leave_one_out_errors(
     return out
 
 
+def smoothest_near_best(errors: Array, *, slack: float = SLACK) -> IntArray:
+    """Find the last of several settings, ordered by smoothness, that is nearly the best.
+
+    Parameters
+    ----------
+    errors : (r, s) float array
+        Smoother settings later.
+    slack : float
+        How much above the least error still counts, as a share.
+
+    Returns
+    -------
+    (s,) int array
+    """
+    near = errors <= (1 + slack) * errors.min(axis=0)
+    last: IntArray = len(errors) - 1 - near[::-1].argmax(axis=0)
+    return last
+
+
 def fit_gaussian_process(
     features: Array, outputs: Array, *, variances: Array, choice: Choice, noise: Array
 ) -> GaussianProcess:
@@ -181,7 +203,7 @@ def fit_best_gaussian_process(
         features, outputs, variances=variances, choices=choices, noises=noises
     )
     best = int((errors.min(axis=1) @ importance).argmin())
-    noise = noises[errors[best].argmin(axis=0)]
+    noise = noises[smoothest_near_best(errors[best])]
     return fit_gaussian_process(
         features, outputs, variances=variances, choice=choices[best], noise=noise
     )

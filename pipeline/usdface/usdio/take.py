@@ -210,11 +210,10 @@ class TakeReader:
         if asset is None or not str(getattr(asset, "path", "")):
             return None
         rate = self._value("face:video:rate")
+        where = f"{self.path}: face:video:rate"
         return Video(
             file=self._resolve(asset),
-            rate=exact_rate(float(rate), where=f"{self.path}: face:video:rate")
-            if isinstance(rate, float) and rate > 0
-            else None,
+            rate=exact_rate(rate, where=where) if isinstance(rate, float) and rate > 0 else None,
             offset=float(str(self._value("face:video:offset") or 0)),
             drift=float(str(self._value("face:video:drift") or 0)),
         )

@@ -17,6 +17,7 @@ from usdface.numerics.gaussian_process import (
     fit_gaussian_process,
     leave_one_out_errors,
     radial_values,
+    smoothest_near_best,
     usable_choices,
 )
 from usdface.numerics.marker_regions import RegionalFeatures
@@ -129,7 +130,7 @@ def regional_voice(
             outputs[:, [j]],
             variances=region.variances,
             choice=choices[best[j]],
-            noise=NOISES[[int(errors[j, best[j]].argmin())]],
+            noise=NOISES[smoothest_near_best(errors[j, best[j]][:, None])],
         )
         for j, region in enumerate(regions)
     ]
