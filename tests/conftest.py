@@ -1,6 +1,9 @@
 """What many tests share."""
 
 import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
+
 from pathlib import Path
 
 import pytest
