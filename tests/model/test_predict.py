@@ -58,10 +58,15 @@ def test_with_no_marker_seen_nothing_is_certain() -> None:
 def test_confidence_is_high_at_references_and_falls_with_strange_faces() -> None:
     face = synthetic_face()
     mapping = trained(face)
-    strange = face.neutral + 3.0 * (face.positions - face.neutral)
     at_references = predict_weights(mapping, face.positions[::30]).confidence
     assert at_references.min() > 0.95
-    assert np.median(predict_weights(mapping, strange).confidence) < 0.5
+    medians = []
+    for gain in (1.0, 2.0, 4.0, 8.0):
+        strange = face.neutral + gain * (face.positions - face.neutral)
+        medians.append(np.median(predict_weights(mapping, strange).confidence))
+    assert medians == sorted(medians, reverse=True)
+    assert medians[0] > 0.9
+    assert medians[-1] < 0.5
 
 
 def test_residual_tells_a_swapped_pair_of_markers() -> None:

@@ -1,10 +1,13 @@
 """How far a frame is from what the references showed."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial.distance import cdist, pdist
 
 from usdface.assets import FloatArray, MotionSpace
 from usdface.model.coordinates import noise_variance
+from usdface.numerics.cross_validation import Fold
 
 DIMENSIONS = 24
 """Components looked at: beyond these, noise would make every frame a stranger."""
@@ -15,8 +18,18 @@ SIGNAL_TO_NOISE = 4.0
 NOISE = 1e-3
 LINEAR_SHARE = 0.5
 
+LEAST_ERROR = 0.3
+"""Of the tolerance: references predict each other well where the face is simple, and say nothing
+of what it has not shown."""
 
-def fit_familiarity(coordinates: FloatArray, motion: MotionSpace) -> dict[str, FloatArray]:
+
+def fit_familiarity(
+    coordinates: FloatArray,
+    motion: MotionSpace,
+    *,
+    folds: Sequence[Fold],
+    error_over_tolerance: float = 1.0,
+) -> dict[str, FloatArray]:
     """Learn how much of a frame the references say: the variance of a Gaussian process.
 
     Parameters
@@ -24,6 +37,11 @@ def fit_familiarity(coordinates: FloatArray, motion: MotionSpace) -> dict[str, F
     coordinates : (pairs, dimensions) float array
         Of the references.
     motion : MotionSpace
+    folds : sequence of Fold
+        Of the cross-validation that the error comes from.
+    error_over_tolerance : float
+        Error of references predicted by other folds, over the error that halves the confidence:
+        turns variance into the error to expect.
 
     Returns
     -------
@@ -37,10 +55,10 @@ def fit_familiarity(coordinates: FloatArray, motion: MotionSpace) -> dict[str, F
     width = float(np.median(pdist(rows, "sqeuclidean"))) or 1.0
     size = float(np.einsum("ij,ij->", rows, rows)) / len(rows) or 1.0
     settings = np.array([width, size, 1.0])
-    inverse = np.linalg.inv(_kernel(rows, rows, settings) + NOISE * np.eye(len(rows)))
-    # Variance of each reference had it not been one: 1 / inverse_ii - noise.
-    unseen = np.maximum(1 / np.diag(inverse) - NOISE, NOISE)
-    settings[2] = float(np.median(unseen))
+    covariance = _kernel(rows, rows, settings)
+    inverse = np.linalg.inv(covariance + NOISE * np.eye(len(rows)))
+    unseen = np.concatenate([_unseen_variance(covariance, fold) for fold in folds])
+    settings[2] = float(np.mean(unseen)) / max(error_over_tolerance, LEAST_ERROR) ** 2
     return {
         "familiar_rows": rows,
         "familiar_scale": scale,
@@ -61,7 +79,7 @@ def familiarity(arrays: dict[str, FloatArray], coordinates: FloatArray) -> Float
     Returns
     -------
     (frames,) float array
-        1 at a reference, 0.5 where the frame is as new as the references are to each other,
+        Near 1 where the error to expect is far below the tolerance, 0.5 where it reaches it,
         towards 0 beyond.
     """
     scale, settings = arrays["familiar_scale"], arrays["familiar_settings"]
@@ -69,8 +87,17 @@ def familiarity(arrays: dict[str, FloatArray], coordinates: FloatArray) -> Float
     known = _kernel(rows, arrays["familiar_rows"], settings)
     own = 1.0 + LINEAR_SHARE * np.einsum("ij,ij->i", rows, rows) / settings[1]
     left = own - np.einsum("ij,ij->i", known @ arrays["familiar_inverse"], known)
-    rated: FloatArray = 1 / (1 + (np.maximum(left, 0.0) / settings[2]) ** 2)
+    rated: FloatArray = 1 / (1 + np.maximum(left, 0.0) / settings[2])
     return rated
+
+
+def _unseen_variance(covariance: FloatArray, fold: Fold) -> FloatArray:
+    """Variance of a fold's tested references, given those it trains on."""
+    known = covariance[np.ix_(fold.train, fold.train)] + NOISE * np.eye(len(fold.train))
+    shared = covariance[np.ix_(fold.train, fold.test)]
+    explained = np.einsum("ij,ij->j", shared, np.linalg.solve(known, shared))
+    left: FloatArray = np.maximum(np.diag(covariance)[fold.test] - explained, NOISE)
+    return left
 
 
 def _kernel(left: FloatArray, right: FloatArray, settings: FloatArray) -> FloatArray:

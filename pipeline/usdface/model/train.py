@@ -26,6 +26,10 @@ FOLDS = 5
 MINIMUM_TO_COMPARE = 8
 """Pairs below which cross-validation says nothing: the first, simplest candidate is taken."""
 
+SURFACE_TOLERANCE_MM = 1.0
+WEIGHT_TOLERANCE = 0.1
+"""Errors to expect that halve a frame's confidence: such a frame should be looked at."""
+
 
 @dataclass(frozen=True)
 class _Candidate:
@@ -86,11 +90,9 @@ def train_mapping(
         skin=skin,
     )
     candidates = _candidates(pairs, method, dimensions)
-    if len(pairs.weights) < MINIMUM_TO_COMPARE:
-        candidates = candidates[:1]
     folds = blocked_folds(checked.frames, checked.takes, folds=FOLDS)
     scored = []
-    for i, candidate in enumerate(candidates if len(candidates) > 1 else []):
+    for i, candidate in enumerate(candidates if len(pairs.weights) >= MINIMUM_TO_COMPARE else []):
         progress(0.9 * i / len(candidates), f"cross-validating {candidate.method.name}")
         scored.append((_score(candidate, pairs, folds, with_rig=gram is not None), candidate))
     scored.sort(key=lambda entry: _order(entry[0]))
@@ -104,7 +106,13 @@ def train_mapping(
         "motion_variances": motion.variances,
         "motion_total": np.array([motion.total_variance]),
     }
-    arrays = fitted.arrays | space | fit_familiarity(pairs.coordinates, motion)
+    doubt = fit_familiarity(
+        pairs.coordinates,
+        motion,
+        folds=folds,
+        error_over_tolerance=_error_over_tolerance(scored[0][0]) if scored else 1.0,
+    )
+    arrays = fitted.arrays | space | doubt
     return Mapping(
         method=best.method.name,
         marker_names=checked.marker_names,
@@ -173,6 +181,12 @@ def _score(
         weight_rmse=weight_rmse(errors),
         vertex_rms_mm=surface_rms_mm(errors, pairs.gram) if with_rig else float("nan"),
     )
+
+
+def _error_over_tolerance(score: CandidateScore) -> float:
+    if np.isnan(score.vertex_rms_mm):
+        return score.weight_rmse / WEIGHT_TOLERANCE
+    return score.vertex_rms_mm / SURFACE_TOLERANCE_MM
 
 
 def _order(score: CandidateScore) -> float:

@@ -230,12 +230,18 @@ def predict_gaussian_process(model: GaussianProcess, features: Array) -> Array:
 
 
 def radial_values(rows: Array, centres: Array, exponent: float) -> Array:
-    """``exp(exponent |x - c|^2)`` for every row and centre: one product, the rest in place."""
-    out: Array = rows @ (-2.0 * centres.T)
-    out += np.einsum("ij,ij->i", rows, rows)[:, None]
-    out += np.einsum("ij,ij->i", centres, centres)
-    np.maximum(out, 0.0, out=out)
-    out *= exponent
+    """``exp(exponent |x - c|^2)`` for every row and centre: one product, then exp in place.
+
+    The squared norms ride along as two more columns, so that the product is the exponent already.
+    """
+    left = np.empty((len(rows), rows.shape[1] + 2))
+    left[:, :-2] = rows
+    np.einsum("ij,ij->i", rows, rows, out=left[:, -2])
+    left[:, -1] = 1.0
+    ones = np.ones((len(centres), 1))
+    squares = np.einsum("ij,ij->i", centres, centres)[:, None]
+    out: Array = left @ (exponent * np.hstack([-2.0 * centres, ones, squares])).T
+    np.minimum(out, 0.0, out=out)  # rounding may leave a distance below 0
     np.exp(out, out=out)
     return out
 

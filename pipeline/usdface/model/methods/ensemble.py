@@ -35,6 +35,10 @@ LEAST_VARIANCE_MM2 = 1e-4
 GEOMETRY_SHARE = 0.5
 BLOCK_FRAMES = 1024
 
+SEEN_SHARE = 0.3
+"""How far markers, against the examples, say where weights go that a limit pushes aside: with
+more, noise of the markers shows as jitter."""
+
 _AT_LIMIT = 0.005  # weights this near to 0 or 1 may have wanted to go beyond
 _BEYOND = 0.25  # and how far at most
 
@@ -206,7 +210,7 @@ def _metric(geometry: LinearPosterior, residuals: FloatArray) -> FloatArray:
     """How strongly each frame determines its weights: markers, and the examples beside them."""
     seen = geometry.forward @ np.linalg.solve(geometry.noise, geometry.forward.T)
     heard = 1 / np.maximum((residuals**2).mean(axis=0), 1e-3)
-    metric: FloatArray = 0.5 * (seen + seen.T) + np.diag(heard)
+    metric: FloatArray = SEEN_SHARE / 2 * (seen + seen.T) + np.diag(heard)
     return metric
 
 
