@@ -39,6 +39,11 @@ SEEN_SHARE = 0.3
 """How far markers, against the examples, say where weights go that a limit pushes aside: with
 more, noise of the markers shows as jitter."""
 
+REACH = 0.8
+MOST_DOUBT = 0.1
+"""How far, in usual errors, weights near the upper limit are drawn to it; and the largest error
+that counts as usual."""
+
 _AT_LIMIT = 0.005  # weights this near to 0 or 1 may have wanted to go beyond
 _BEYOND = 0.25  # and how far at most
 
@@ -68,13 +73,14 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     voices = [(voice, part * (1 - share)) for voice, part in zip(examples, say, strict=True)]
     metric = gram + 1e-3 * float(np.diag(gram).mean()) * np.eye(len(gram))
     if geometry is not None:
+        metric = _metric(geometry, _together(voices, weights.shape) / (1 - GEOMETRY_SHARE))
         voices += _geometry_voices(pairs, z, geometry, importance, share)
-        spoken = sum(part * voice.residuals for voice, part in zip(examples, say, strict=True))
-        metric = _metric(geometry, np.asarray(spoken))
+    usual = np.sqrt((_together(voices, weights.shape) ** 2).mean(axis=0))
     arrays = {
         "slope": sum((part * voice.slope for voice, part in voices), np.zeros((kept, len(span)))),
         "intercept": sum((part * voice.intercept for voice, part in voices), np.zeros(len(span))),
         "metric": metric,
+        "doubt": np.clip(usual, 1e-6, MOST_DOUBT),
         "low": low,
         "span": span,
     }
@@ -101,7 +107,7 @@ def _predict(
         bent = z @ arrays["slope"] + arrays["intercept"]
         for parts in locals_:
             bent += predict_locals(parts, z)
-        free = unbend(bent, float(settings["curve"]))
+        free = _reach_limit(unbend(bent, float(settings["curve"])), arrays["doubt"])
         within = project_to_box(free, arrays["metric"], lower=0 * ones, upper=ones)
         out[part] = arrays["low"] + arrays["span"] * within
     return out
@@ -161,7 +167,7 @@ def _example_voices(
         global_voice(z, targets, variances=variances, choices=GLOBAL_LOCALS, importance=importance),
     ]
     for choices, sharpness, floor, shared in (
-        (REGION_WIDE, 1.0, 0.05, True),
+        (REGION_WIDE, 1.5, 0.01, True),
         (REGION_TIGHT, 2.0, 0.01, False),
     ):
         relevance = marker_relevance(sample, guessed, components, sharpness=sharpness, floor=floor)
@@ -204,6 +210,22 @@ def _say(errors: FloatArray) -> FloatArray:
     weight = (errors + 1e-7) ** -2.0
     share: FloatArray = weight / weight.sum(axis=0)
     return share
+
+
+def _together(voices: list[tuple[Voice, FloatArray]], shape: tuple[int, ...]) -> FloatArray:
+    """Leave-one-out residuals of the voices' weighted sum."""
+    return sum((part * voice.residuals for voice, part in voices), np.zeros(shape))
+
+
+def _reach_limit(weights: FloatArray, doubt: FloatArray) -> FloatArray:
+    """Let full weights be full: lids close, though errors beyond the limit are cut off.
+
+    A shape tuned to its limit is predicted around it, and cutting off what lies beyond leaves it
+    short on average. Within two of its usual errors of the limit a weight is drawn towards it.
+    """
+    near = np.clip((weights - 1) / doubt + 2, 0.0, 1.0)
+    reached: FloatArray = weights + REACH * doubt * near
+    return reached
 
 
 def _metric(geometry: LinearPosterior, residuals: FloatArray) -> FloatArray:
