@@ -12,6 +12,7 @@ from usdface.assets import Mapping
 from usdface.errors import InputError
 from usdface.model import predict_weights, sample_skin, train_mapping
 from usdface.model.methods.target_curve import bend, unbend
+from usdface.model.methods.voices import REGION_WIDE, affordable_choices
 
 CHOSEN = np.arange(0, 1200, 30)
 
@@ -129,3 +130,11 @@ def test_unbending_undoes_bending(weight: float, curve: float) -> None:
     there = bend(np.array([weight]), curve)
     np.testing.assert_allclose(unbend(there, curve), weight, atol=1e-9)
     assert bend(np.array([0.0, 1.0]), curve).tolist() == [0.0, 1.0]
+
+
+def test_choices_are_thinned_only_where_there_is_much_to_compare() -> None:
+    assert affordable_choices(REGION_WIDE, pairs=100, shapes=60) == REGION_WIDE
+    fewer = affordable_choices(REGION_WIDE, pairs=100, shapes=1500)
+    assert 1 < len(fewer) < len(REGION_WIDE)
+    assert set(fewer) <= set(REGION_WIDE)
+    assert len(affordable_choices(REGION_WIDE, pairs=2000, shapes=1000)) == 1

@@ -39,7 +39,7 @@ SEEN_SHARE = 0.3
 """How far markers, against the examples, say where weights go that a limit pushes aside: with
 more, noise of the markers shows as jitter."""
 
-REACH = 0.8
+REACH = 1.2
 MOST_DOUBT = 0.1
 """How far, in usual errors, weights near the upper limit are drawn to it; and the largest error
 that counts as usual."""

@@ -44,6 +44,10 @@ CORRECTIONS = tuple(
 """Local parts over a line from elsewhere: no line and, through `OFFSET`, a constant."""
 
 
+AFFORDABLE = 16 * 60 * 200.0**3
+"""Choices times shapes times cubed pairs: all of them up to 200 pairs of 60 shapes."""
+
+
 @dataclass(frozen=True)
 class Voice:
     """One member of the ensemble.
@@ -108,8 +112,8 @@ def regional_voice(
     With `shared` one choice serves all shapes: the one whose errors, each shape's against its
     own best, are least on average.
     """
-    most = coordinates.shape[1]
-    choices = usable_choices(choices, most=most)
+    choices = usable_choices(choices, most=coordinates.shape[1])
+    choices = affordable_choices(choices, pairs=len(coordinates), shapes=len(regions))
     rows = [coordinates @ region.projection for region in regions]
     errors = np.stack(
         [
@@ -135,6 +139,15 @@ def regional_voice(
         for j, region in enumerate(regions)
     ]
     return _stack(fits, regions)
+
+
+def affordable_choices(
+    choices: tuple[Choice, ...], *, pairs: int, shapes: int
+) -> tuple[Choice, ...]:
+    """Thin choices out where many pairs and shapes would take minutes to compare them all."""
+    allowed = max(1, min(len(choices), int(AFFORDABLE / (shapes * pairs**3))))
+    places = np.linspace(0, len(choices) - 1, allowed + 2).round().astype(int)[1:-1]
+    return choices if allowed == len(choices) else tuple(choices[i] for i in places)
 
 
 def _stack(fits: list[GaussianProcess], regions: tuple[RegionalFeatures, ...]) -> Voice:
