@@ -3,8 +3,8 @@
 import numpy as np
 
 from usdface.assets import FloatArray, IntArray, Rig
-from usdface.numerics.blendshapes import BlendShapes, Key, Track
-from usdface.numerics.triangulation import triangulate
+from usdface.numerics.registration.triangulation import triangulate
+from usdface.numerics.solve.blendshapes import BlendShapes, Key, Track
 
 
 class Deformer:

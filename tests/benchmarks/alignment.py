@@ -14,7 +14,7 @@ import numpy as np
 from tests.conftest import SHARED_DATA
 from tests.numerics.simulated_sound import RATE, Recorder, record, resampled, true_line
 from usdface.media.sound import read_audio
-from usdface.numerics.audio_alignment import SoundAlignment, align_sounds
+from usdface.numerics.timing.audio_alignment import SoundAlignment, align_sounds
 
 PAIRS = 50
 REFUSALS = 20

@@ -34,7 +34,7 @@ def _seconds(work: Callable[[], object]) -> float:
 
 
 def _stabilisation() -> None:
-    from usdface.numerics.rigid_alignment import align_rigid, remove_motion
+    from usdface.numerics.rigid.rigid_alignment import align_rigid, remove_motion
 
     rng = np.random.default_rng(0)
     shape = rng.uniform(-70, 70, (MARKERS, 3))

@@ -7,7 +7,7 @@ import numpy as np
 
 from tests.conftest import SHARED_DATA
 from usdface.capture.sniff import read_capture
-from usdface.numerics.cleaning import CleanedMarkers, clean_markers
+from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
 
 STRIDE = 10
 """The fixture keeps the undamaged markers of every tenth frame."""

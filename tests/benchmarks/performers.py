@@ -21,9 +21,9 @@ from usdface.capture.sniff import read_capture
 from usdface.deformer import Deformer
 from usdface.model import fit_motion_space, predict_weights, sample_skin, train_mapping
 from usdface.model.methods import METHODS
-from usdface.numerics.cross_validation import surface_rms_mm
-from usdface.numerics.reference_design import design_gp_variance, whiten
-from usdface.numerics.smoothing import smooth_tracks
+from usdface.numerics.regression.cross_validation import surface_rms_mm
+from usdface.numerics.regression.reference_design import design_gp_variance, whiten
+from usdface.numerics.repair.smoothing import smooth_tracks
 from usdface.usdio.rig import read_rig
 
 PERFORMERS = (

@@ -5,7 +5,7 @@ from tests.media.forms import mesh, sphere
 from usdface.media.mesh_topology import normal_operator, vertex_normals
 from usdface.media.parts import Part, part_from_name
 from usdface.media.subdivision import catmull_clark
-from usdface.numerics.triangulation import triangulate
+from usdface.numerics.registration.triangulation import triangulate
 
 CUBE = mesh(
     np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float),

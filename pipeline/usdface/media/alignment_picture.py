@@ -8,7 +8,7 @@ from usdface.media.canvas import Color, draw_line, fill_box, new_picture
 from usdface.media.color import ByteImage
 from usdface.media.plot import Plot
 from usdface.media.text import TextStyle, draw_text, text_width
-from usdface.numerics.audio_alignment import LEAST_AGREEMENT, LEAST_PEAK, SoundAlignment
+from usdface.numerics.timing.audio_alignment import LEAST_AGREEMENT, LEAST_PEAK, SoundAlignment
 
 _WIDTH = 1280
 _MARGIN, _AXIS = 34, 74

@@ -19,7 +19,7 @@ from usdface.media.parts import Part, Pieces, find_pieces
 from usdface.media.stand_in_eyes import fit_stand_in_eyes
 from usdface.media.subdivision import catmull_clark
 from usdface.media.tracing import PATTERNS, Tracer, sky_seen
-from usdface.numerics.triangulation import triangulate
+from usdface.numerics.registration.triangulation import triangulate
 
 COARSE_POINTS = 6000
 """Subdivide a Catmull-Clark cage of fewer points; finer ones look smooth at sheet size."""

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from usdface.assets import BoolArray, FloatArray, Rig
 from usdface.deformer import Deformer
 from usdface.errors import InputError
-from usdface.numerics.blendshape_equation import MarkerKeys, solve_weights
-from usdface.numerics.peak_matching import match_peaks
-from usdface.numerics.registration import (
+from usdface.numerics.registration.registration import (
     VirtualMarkers,
     character_motion,
     marker_deltas,
     register_markers,
 )
+from usdface.numerics.solve.blendshape_equation import MarkerKeys, solve_weights
+from usdface.numerics.solve.peak_matching import match_peaks
 
 Positions = NDArray[np.float32] | FloatArray
 

@@ -7,15 +7,15 @@ import numpy as np
 from usdface.assets import BoolArray, FloatArray, IntArray, Rig
 from usdface.deformer import Deformer
 from usdface.errors import InputError
-from usdface.numerics.face_regions import (
+from usdface.numerics.measure.face_regions import (
     blinks,
     jaw_opener,
     points_by_region,
     region_gram,
     shapes_by_region,
 )
-from usdface.numerics.lip_gap import find_lip_pairs, gap_of_keys
-from usdface.numerics.performance_error import (
+from usdface.numerics.measure.lip_gap import find_lip_pairs, gap_of_keys
+from usdface.numerics.measure.performance_error import (
     LipError,
     ShapeErrors,
     SurfaceError,

@@ -7,7 +7,7 @@ from scipy.spatial.distance import cdist, pdist
 
 from usdface.assets import FloatArray, MotionSpace
 from usdface.model.coordinates import noise_variance
-from usdface.numerics.cross_validation import Fold
+from usdface.numerics.regression.cross_validation import Fold
 
 DIMENSIONS = 24
 """Components looked at: beyond these, noise would make every frame a stranger."""

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from usdface.assets import FloatArray, MotionSpace
 from usdface.errors import InputError
-from usdface.numerics.pca import PCA, pca_from_moments, project, sum_moments
+from usdface.numerics.regression.pca import PCA, pca_from_moments, project, sum_moments
 
 Positions = NDArray[np.float32] | NDArray[np.float64]
 

@@ -11,14 +11,14 @@ from usdface.model.familiarity import fit_familiarity
 from usdface.model.methods import AUTO, Method, Pairs, Settings, find_method
 from usdface.model.motion import motion_from_pca
 from usdface.model.reference_checks import check_dimensions, check_references, check_skin
-from usdface.numerics.cross_validation import (
+from usdface.numerics.regression.cross_validation import (
     Fold,
     blocked_folds,
     predict_out_of_fold,
     surface_rms_mm,
     weight_rmse,
 )
-from usdface.numerics.pca import fit_pca
+from usdface.numerics.regression.pca import fit_pca
 from usdface.progress import Progress, silent
 
 FOLDS = 5

@@ -11,7 +11,7 @@ from usdface.media.image import write_image
 from usdface.media.image_sequence import open_video
 from usdface.media.sound import read_audio
 from usdface.media.video import VideoReader
-from usdface.numerics.audio_alignment import SoundAlignment, align_sounds
+from usdface.numerics.timing.audio_alignment import SoundAlignment, align_sounds
 from usdface.progress import Progress, part, silent
 from usdface.provenance import Provenance
 from usdface.specs.align import AlignSpec

@@ -7,8 +7,8 @@ from usdface.errors import InputError
 from usdface.media.color import ByteImage
 from usdface.media.image import write_image
 from usdface.media.repair_chart import RepairKind, draw_repairs
-from usdface.numerics.cleaning import CleanedMarkers, clean_markers
-from usdface.numerics.rigid_markers import find_rigid_markers
+from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
+from usdface.numerics.rigid.rigid_markers import find_rigid_markers
 from usdface.progress import Progress, part, silent
 from usdface.provenance import Provenance
 from usdface.specs.clean import CleanSpec

@@ -7,7 +7,7 @@ import numpy as np
 
 from usdface.assets import BoolArray, Float32Array, FloatArray, IntArray, Take
 from usdface.errors import InputError
-from usdface.numerics.rigid_alignment import align_rigid_robust, remove_motion
+from usdface.numerics.rigid.rigid_alignment import align_rigid_robust, remove_motion
 from usdface.usdio.take import read_take
 
 FEWEST_RIGID = 3

@@ -9,7 +9,7 @@ from usdface.assets import FloatArray, IntArray
 from usdface.media.error_strip import ErrorCurve
 from usdface.media.evaluation_chart import EvaluationPage, ShapeBar
 from usdface.model.evaluation import Evaluation
-from usdface.numerics.performance_error import SurfaceError
+from usdface.numerics.measure.performance_error import SurfaceError
 from usdface.specs.evaluate import EvaluateSpec
 
 WORST_FRAMES = 8

@@ -9,7 +9,7 @@ from usdface.deformer import Deformer
 from usdface.errors import InputError
 from usdface.model.equation import set_up_equation
 from usdface.model.motion import fit_motion_space
-from usdface.numerics.reference_design import design_gp_variance, whiten
+from usdface.numerics.regression.reference_design import design_gp_variance, whiten
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
 from usdface.specs.base import frame_range

@@ -6,7 +6,7 @@ Data*, sections 5 and 6.
 
 from usdface.assets import FloatArray
 from usdface.model.methods.contract import Fitted, Method, Pairs, Settings, dimension_choices
-from usdface.numerics.rbf_ridge import (
+from usdface.numerics.regression.rbf_ridge import (
     RBFRidge,
     centre_widths,
     fit_rbf_ridge,

@@ -23,10 +23,10 @@ from usdface.model.methods.voices import (
     predict_locals,
     regional_voice,
 )
-from usdface.numerics.box_projection import project_to_box
-from usdface.numerics.linear_posterior import LinearPosterior, fit_linear_posterior
-from usdface.numerics.marker_regions import marker_relevance, regional_features
-from usdface.numerics.skin_prior import expect_marker_motion
+from usdface.numerics.regression.linear_posterior import LinearPosterior, fit_linear_posterior
+from usdface.numerics.regression.marker_regions import marker_relevance, regional_features
+from usdface.numerics.regression.skin_prior import expect_marker_motion
+from usdface.numerics.solve.box_projection import project_to_box
 
 MOST_DIMENSIONS = 50
 LEAST_VARIANCE_MM2 = 1e-4

@@ -5,8 +5,12 @@ import numpy as np
 from usdface.assets import FloatArray
 from usdface.model.methods.contract import Fitted, Method, Pairs, Settings, dimension_choices
 from usdface.model.methods.d06 import rbf_arrays, rbf_from_arrays
-from usdface.numerics.linear_ridge import LinearRidge, fit_linear_ridge, predict_linear_ridge
-from usdface.numerics.rbf_ridge import fit_rbf_ridge, predict_rbf_ridge, shared_widths
+from usdface.numerics.regression.linear_ridge import (
+    LinearRidge,
+    fit_linear_ridge,
+    predict_linear_ridge,
+)
+from usdface.numerics.regression.rbf_ridge import fit_rbf_ridge, predict_rbf_ridge, shared_widths
 
 
 def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:

@@ -10,8 +10,8 @@ from usdface.assets import FloatArray, IntArray
 from usdface.model.methods import kernel_cca, multiquadric
 from usdface.model.methods.contract import Fitted, Method, Pairs, Settings
 from usdface.model.methods.scaling import coordinate_scale, scaled
-from usdface.numerics.cross_validation import Fold, predict_out_of_fold
-from usdface.numerics.multiquadric_rbf import predict_multiquadric
+from usdface.numerics.regression.cross_validation import Fold, predict_out_of_fold
+from usdface.numerics.regression.multiquadric_rbf import predict_multiquadric
 
 FOLDS = 5
 FEWEST_PAIRS = 8

@@ -4,7 +4,7 @@ from typing import cast
 
 from usdface.assets import FloatArray
 from usdface.model.methods.contract import Fitted, Method, Pairs, Settings, dimension_choices
-from usdface.numerics.forward_model import (
+from usdface.numerics.solve.forward_model import (
     ForwardModel,
     Solve,
     fit_forward_model,

@@ -8,7 +8,7 @@ import numpy as np
 from usdface.assets import FloatArray
 from usdface.model.methods.contract import Fitted, Method, Pairs, Settings, dimension_choices
 from usdface.model.methods.scaling import POWERS, coordinate_scale, scaled
-from usdface.numerics.kernel_cca import (
+from usdface.numerics.regression.kernel_cca import (
     KernelCCA,
     fit_kernel_cca,
     median_width,

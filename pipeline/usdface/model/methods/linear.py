@@ -4,7 +4,11 @@ import numpy as np
 
 from usdface.assets import FloatArray
 from usdface.model.methods.contract import Fitted, Method, Pairs, Settings, dimension_choices
-from usdface.numerics.linear_ridge import LinearRidge, fit_linear_ridge, predict_linear_ridge
+from usdface.numerics.regression.linear_ridge import (
+    LinearRidge,
+    fit_linear_ridge,
+    predict_linear_ridge,
+)
 
 
 def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:

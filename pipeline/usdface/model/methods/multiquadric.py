@@ -3,7 +3,7 @@
 from usdface.assets import FloatArray
 from usdface.model.methods.contract import Fitted, Method, Pairs, Settings, dimension_choices
 from usdface.model.methods.scaling import POWERS, coordinate_scale, scaled
-from usdface.numerics.multiquadric_rbf import (
+from usdface.numerics.regression.multiquadric_rbf import (
     Multiquadric,
     fit_multiquadric,
     predict_multiquadric,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.assets import FloatArray, IntArray
-from usdface.numerics.gaussian_process import (
+from usdface.numerics.regression.gaussian_process import (
     NOISES,
     Choice,
     GaussianProcess,
@@ -20,7 +20,7 @@ from usdface.numerics.gaussian_process import (
     smoothest_near_best,
     usable_choices,
 )
-from usdface.numerics.marker_regions import RegionalFeatures
+from usdface.numerics.regression.marker_regions import RegionalFeatures
 
 GLOBAL_LINES = tuple(Choice(d, p) for d in (16, 24, 32, 40) for p in (0.0, 0.25, 0.5))
 GLOBAL_LOCALS = tuple(

@@ -1,0 +1,1 @@
+"""How far one performance is from another."""

@@ -1,0 +1,1 @@
+"""One face laid on another: clouds, surfaces and correspondences."""

@@ -1,0 +1,181 @@
+"""Settle where on the skin each marker sits, from shape and from how it moves.
+
+Lips, lids and nostrils are a few millimetres apart and move in opposite ways: motion tells them
+apart where shape cannot. Expectation-maximisation: solve the shapes' weights from the markers as
+they are placed now, compare each marker's path with what every nearby piece of skin would do under
+those weights, place it again, and keep neighbours together with a smooth warp.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
+
+from usdface.numerics.registration.cloud_alignment import Alignment, align_pairs
+from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_REACH = (
+    0.22,
+    0.20,
+    0.17,
+    0.14,
+    0.12,
+    0.10,
+    0.09,
+    0.08,
+    0.07,
+    0.06,
+    0.05,
+    0.05,
+)  # of the face's size
+_WARP = 0.10  # how far proportions may differ locally, of the face's size
+_WARP_LENGTH = 0.6  # over which they change, of the face's size
+_LEAST_DOUBT = 0.02  # of a marker's place, of the face's size
+_SHAPE = 0.2  # how far along the skin the nearest point may be wrong
+_STRAY = 0.25  # of the face's size: a marker this far off counts half, beyond it ever less
+_EVIDENCE = 6.0  # independent samples that a path counts for; frames repeat each other
+_NOISE_MM = 0.5  # what a marker moves for no reason
+_MODEL_ERROR = 0.04  # of a path's energy, which no correct placement explains either
+_GAINS = (0.5, 2.0)  # how much further or less far than the shapes a performer's skin may go
+_WEIGHT_RIDGE = 25.0  # [mm^2]: (1.5 mm of noise / typical weight 0.3)^2
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where markers were placed.
+
+    Attributes
+    ----------
+    chosen : (markers,) int array
+        Index of the skin sample.
+    warped : (markers, 3) float array
+        Where shape alone puts each marker, after the smooth warp.
+    agreement : (markers,) float array
+        Share of the path's energy that the shapes explain there [0-1]; NaN without motion.
+    alignment : Alignment
+        Refitted to the placement.
+    """
+
+    chosen: IntArray
+    warped: FloatArray
+    agreement: FloatArray
+    alignment: Alignment
+
+
+def place_markers(
+    cloud: FloatArray,
+    skin: FloatArray,
+    alignment: Alignment,
+    *,
+    skin_deltas: FloatArray | None = None,
+    motion: FloatArray | None = None,
+    ranges: FloatArray | None = None,
+    pinned: dict[int, FloatArray] | None = None,
+) -> Placement:
+    """Place each marker on a skin sample.
+
+    Parameters
+    ----------
+    cloud : (markers, 3) float array
+        The performer's neutral face.
+    skin : (samples, 3) float array
+    alignment : Alignment
+        A first guess, right to about a tenth of the face's size.
+    skin_deltas : (shapes, samples, 3) float array, optional
+        What each shape does to the skin.
+    motion : (frames, markers, 3) float array, optional
+        Displacements from `cloud`, in the performer's space.
+    ranges : (shapes, 2) float array, optional
+        Limits of the shapes' weights; 0 to 1 unless given.
+    pinned : dict of int to (3,) float array, optional
+        Where given markers are known to sit.
+    """
+    size = float(np.sqrt(((skin - skin.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    pins = pinned or {}
+    warped = alignment.apply(cloud)
+    chosen = cdist(warped, skin).argmin(axis=1)
+    agreement = np.full(len(cloud), np.nan)
+    for reach in _REACH:
+        away = cdist(warped, skin, "sqeuclidean") / (2 * (reach * size) ** 2)
+        target, doubt = skin[away.argmin(axis=1)], np.full(len(cloud), (_SHAPE * size) ** 2)
+        chosen = away.argmin(axis=1)
+        if skin_deltas is not None and motion is not None:
+            misfit = _path_misfit(alignment.apply_to_motion(motion), skin_deltas, chosen, ranges)
+            cost = away + _EVIDENCE / 2 * np.log(misfit + _MODEL_ERROR)
+            chosen = cost.argmin(axis=1)
+            agreement = np.clip(1 - misfit[np.arange(len(cloud)), chosen], 0, 1)
+            said, said_doubt = _message(away, cost, skin)
+            said_doubt += (_LEAST_DOUBT * size) ** 2
+            target = (target / doubt[:, None] + said / said_doubt[:, None]) / (
+                1 / doubt + 1 / said_doubt
+            )[:, None]
+            doubt = 1 / (1 / doubt + 1 / said_doubt)
+        for marker, place in pins.items():
+            chosen[marker] = ((skin - place) ** 2).sum(axis=1).argmin()
+            target[marker], doubt[marker] = place, 1e-6
+        off = ((alignment.apply(cloud) - target) ** 2).sum(axis=1)
+        trust = 1 / (doubt + (_WARP * size) ** 2) / (1 + off / (_STRAY * size) ** 2)
+        alignment = align_pairs(cloud, target, weight=trust)
+        warped = _warp(alignment.apply(cloud), target, doubt, size)
+    return Placement(chosen, warped, agreement, alignment)
+
+
+def _message(
+    before: FloatArray, after: FloatArray, skin: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return what motion alone says of each marker's place, and with what variance.
+
+    The belief after seeing the motion divided by the belief before it: markers that hardly move
+    say nothing, rather than "the middle of what is near".
+    """
+    moments = []
+    for cost in (before, after):
+        belief = np.exp(cost.min(axis=1, keepdims=True) - cost)
+        belief /= belief.sum(axis=1, keepdims=True)
+        mean = belief @ skin
+        spread = belief @ (skin**2).sum(axis=1) - (mean**2).sum(axis=1)
+        moments.append((mean, np.maximum(spread, 1e-9) / 3))
+    (mean_before, wide), (mean_after, narrow) = moments
+    narrow = np.minimum(narrow, 0.9 * wide)
+    mean = mean_before + (mean_after - mean_before) * (wide / (wide - narrow))[:, None]
+    return mean, narrow * wide / (wide - narrow)
+
+
+def _path_misfit(
+    motion: FloatArray, skin_deltas: FloatArray, chosen: IntArray, ranges: FloatArray | None
+) -> FloatArray:
+    """Return the share of each marker's path that each sample leaves unexplained."""
+    shapes, samples = skin_deltas.shape[:2]
+    frames, markers = motion.shape[:2]
+    limits = np.tile([0.0, 1.0], (shapes, 1)) if ranges is None else ranges
+    weights = solve_bounded_least_squares(
+        skin_deltas[:, chosen].reshape(shapes, -1).T,
+        motion.reshape(frames, -1),
+        lower=limits[:, 0],
+        upper=limits[:, 1],
+        ridge=_WEIGHT_RIDGE,
+    ).x
+    path = motion.transpose(0, 2, 1).reshape(frames * 3, markers)
+    could = np.empty((frames * 3, samples))
+    for axis in range(3):
+        could[axis::3] = weights @ skin_deltas[:, :, axis]
+    energy, own = (path**2).sum(axis=0), (could**2).sum(axis=0)
+    common = path.T @ could
+    gain = np.clip(common / np.maximum(own, 1e-9), *_GAINS)
+    left = energy[:, None] - 2 * gain * common + gain**2 * own
+    noise = 3 * frames * _NOISE_MM**2
+    misfit: FloatArray = (np.maximum(left, 0) + noise) / (energy + noise)[:, None]
+    return misfit
+
+
+def _warp(start: FloatArray, target: FloatArray, doubt: FloatArray, size: float) -> FloatArray:
+    """Move points towards targets, smoothly: a Gaussian process over the aligned cloud."""
+    distance = cdist(start, start) / (_WARP_LENGTH * size)
+    kernel = (_WARP * size) ** 2 * np.exp(-0.5 * distance**2)
+    pull = np.linalg.solve(kernel + np.diag(doubt), target - start)
+    warped: FloatArray = start + kernel @ pull
+    return warped

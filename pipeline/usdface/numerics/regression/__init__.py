@@ -1,0 +1,1 @@
+"""Learning one set of numbers from another: references in, predictions out."""

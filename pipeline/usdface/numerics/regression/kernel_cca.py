@@ -1,0 +1,229 @@
+"""Regression through regularised kernel canonical correlation: Song et al. (2011), eq. 5-8.
+
+Two sets of variables, a source and a target expression, are each bent by a Gaussian kernel and
+reduced to the directions that correlate most across the pairs; straight lines join the reduced
+source to the reduced target, and that to the target itself.
+
+Without a penalty every correlation of kernel features is 1, whatever the data, and the equation
+divides 0 by 0. So the functions are penalised by their norm: ``h' A^2 h`` of eq. 5 becomes
+``h' (A^2 + kappa n A) h``, with A the centred kernel matrix of n pairs.
+
+The straight lines of eq. 6 and 7 are printed without a penalty. Over all directions they undo that
+of eq. 5: whatever kappa, every pair is met exactly. So either the directions are few, as published,
+or the lines carry the penalty of eq. 5 too. Then they need no solving: the first is the diagonal of
+the correlations, the second the target seen along its directions.
+
+References
+----------
+Hardoon, Szedmak and Shawe-Taylor (2004), *Canonical correlation analysis: an overview with
+application to learning methods*, Neural Computation 16(12), section 3.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import pdist
+
+from usdface.numerics.regression.rbf_ridge import gaussian_design
+
+Array = NDArray[np.float64]
+
+Lines = Literal["published", "penalised"]
+
+_NULL = 1e-12
+"""Share of the largest eigenvalue below which a direction of a kernel matrix is rounding."""
+
+_UNRELATED = 1e-6
+"""Correlation below which a pair of directions says nothing of each other."""
+
+
+@dataclass(frozen=True)
+class KernelCCA:
+    """A fitted regression: ``F(x) = sum_j operator[j] exp(-|x - centres[j]|^2 / 2 width^2) + b``.
+
+    Attributes
+    ----------
+    centres : (n, d) float array
+        Sources of the pairs.
+    width : float
+        Of the source's kernel.
+    source_basis : (n, k) float array
+        The paper's H_s: coefficients of the reduced source over centred kernels.
+    correlations : (k,) float array
+        Between the reduced source and target, penalised; descending, in (0, 1).
+    across : (k, k) float array
+        The paper's M_s (eq. 6): reduced source to reduced target.
+    back : (k, s) float array
+        The paper's M_t (eq. 7): reduced target to target.
+    operator : (n, s) float array
+        The paper's M_kCCA: the product of the three.
+    intercept : (s,) float array
+        What the centring of kernel and target comes to.
+    """
+
+    centres: Array
+    width: float
+    source_basis: Array
+    correlations: Array
+    across: Array
+    back: Array
+    operator: Array
+    intercept: Array
+
+
+@dataclass(frozen=True)
+class _Spectrum:
+    """A centred kernel matrix without its null space: ``vectors @ diag(values) @ vectors.T``."""
+
+    values: Array
+    vectors: Array
+
+
+def median_width(points: Array, *, multiple: float = 1.0) -> float:
+    """Return a multiple of the median distance between points.
+
+    Raises
+    ------
+    ValueError
+        If the points coincide.
+    """
+    distances = pdist(points)
+    middle = float(np.median(distances)) if len(distances) else 0.0
+    if middle == 0.0:
+        middle = float(distances.mean()) if len(distances) else 0.0  # most points repeat one
+    if middle == 0.0:
+        raise ValueError(f"all {len(points)} points coincide; no width fits them")
+    return multiple * middle
+
+
+def fit_kernel_cca(
+    sources: ArrayLike,
+    targets: ArrayLike,
+    *,
+    source_width: float,
+    target_width: float,
+    kappa: float,
+    components: int | None = None,
+    lines: Lines = "penalised",
+) -> KernelCCA:
+    """Fit the regression to pairs.
+
+    Equation 7 is printed with the reduced *source* on its right, from which no target could be
+    told; the least-squares map from the reduced target to the target is meant, and solved here.
+
+    Parameters
+    ----------
+    sources : (n, d) array
+    targets : (n, s) array
+    source_width, target_width : float
+        Standard deviations of the Gaussian kernels; see `median_width`.
+    kappa : float
+        Penalty, as a share of the pairs; larger is smoother.
+    components : int, optional
+        Directions to keep; by default all that correlate.
+    lines : {'penalised', 'published'}
+        Whether eq. 6 and 7 carry the penalty of eq. 5, or are plain least squares.
+
+    Raises
+    ------
+    ValueError
+        If arrays do not pair up or hold values that are not finite, or an option is not positive.
+    """
+    S, T = np.asarray(sources, np.float64), np.asarray(targets, np.float64)
+    if S.ndim != 2 or T.ndim != 2 or len(S) != len(T) or len(S) < 2:
+        raise ValueError(f"{S.shape} sources and {T.shape} targets do not pair up")
+    if not (np.isfinite(S).all() and np.isfinite(T).all()):
+        raise ValueError("sources or targets hold values that are not finite")
+    if not kappa > 0:
+        raise ValueError(
+            f"kappa must be positive, got {kappa}: without a penalty everything correlates"
+        )
+    if not (source_width > 0 and target_width > 0):
+        raise ValueError(f"widths must be positive, got {source_width} and {target_width}")
+    if components is not None and components < 1:
+        raise ValueError(f"components must be at least 1, got {components}")
+    penalty = kappa * len(S)
+    kernel = _kernel(S, S, source_width)
+    a, b = _centred_spectrum(kernel), _centred_spectrum(_kernel(T, T, target_width))
+    # In the kernels' eigenvectors, with both constraints of eq. 5 made unit balls, eq. 5 is the
+    # singular value problem of one small matrix.
+    shrunk_a = np.sqrt(a.values / (a.values + penalty))
+    shrunk_b = np.sqrt(b.values / (b.values + penalty))
+    left, correlations, right = np.linalg.svd(
+        shrunk_a[:, None] * (a.vectors.T @ b.vectors) * shrunk_b, full_matrices=False
+    )
+    kept = max(1, int((correlations > _UNRELATED).sum()))
+    kept = kept if components is None else min(kept, components)
+    left, right = left[:, :kept], right[:kept].T
+    basis = a.vectors @ (left / np.sqrt(a.values * (a.values + penalty))[:, None])
+    reduced_source = a.vectors @ (shrunk_a[:, None] * left)
+    reduced_target = b.vectors @ (shrunk_b[:, None] * right)
+    mean = T.mean(axis=0)
+    if lines == "published":
+        across = np.linalg.lstsq(reduced_source, reduced_target)[0]
+        back = np.linalg.lstsq(reduced_target, T - mean)[0]
+    else:  # the constraints of eq. 5 are the normal matrices of the penalised lines: unit matrices
+        across = np.diag(correlations[:kept])
+        back = reduced_target.T @ (T - mean)
+    operator = basis @ across @ back
+    return KernelCCA(
+        centres=S,
+        width=float(source_width),
+        source_basis=basis,
+        correlations=correlations[:kept],
+        across=across,
+        back=back,
+        operator=operator,
+        # The basis is orthogonal to the constant, so of the kernel's centring only this is left.
+        intercept=mean - kernel.mean(axis=0) @ operator,
+    )
+
+
+def predict_kernel_cca(model: KernelCCA, points: Array) -> Array:
+    """Evaluate the regression (eq. 8).
+
+    Parameters
+    ----------
+    model : KernelCCA
+    points : (f, d) float array
+
+    Returns
+    -------
+    (f, s) float array
+    """
+    return predict_expansion(points, model.centres, model.width, model.operator, model.intercept)
+
+
+def predict_expansion(
+    points: Array,
+    centres: Array,
+    width: float,
+    operator: Array,
+    intercept: Array,
+    *,
+    block_rows: int = 4096,
+) -> Array:
+    """Evaluate what a regression comes to, in blocks: memory beside the result stays bounded.
+
+    The parameters are those of `KernelCCA`; a mapping on disk keeps no more.
+    """
+    out = np.empty((len(points), operator.shape[1]))
+    for start in range(0, len(points), block_rows):
+        part = slice(start, start + block_rows)
+        np.matmul(_kernel(points[part], centres, width), operator, out=out[part])
+    out += intercept
+    return out
+
+
+def _kernel(points: Array, centres: Array, width: float) -> Array:
+    return gaussian_design(points, centres, np.full(len(centres), width))
+
+
+def _centred_spectrum(kernel: Array) -> _Spectrum:
+    centred = kernel - kernel.mean(axis=0)
+    centred -= centred.mean(axis=1, keepdims=True)
+    values, vectors = np.linalg.eigh((centred + centred.T) / 2)
+    real = values > _NULL * max(float(values[-1]), np.finfo(float).tiny)
+    return _Spectrum(values[real], vectors[:, real])

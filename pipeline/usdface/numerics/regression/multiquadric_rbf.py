@@ -1,0 +1,151 @@
+"""Hardy's multiquadric through example pairs: Song et al. (2011), section 4.1, eq. 3-4.
+
+Each centre has its own softness: its distance to the nearest other centre. So the surface is
+sharp where examples lie close together and flat where they are scattered.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import cdist
+
+from usdface.numerics.regression.rbf_ridge import choose_ridge, nearest_distances, rotate
+
+Array = NDArray[np.float64]
+
+_SINGULAR = 1e-13
+"""Reciprocal condition number below which interpolation has lost all its digits."""
+
+
+@dataclass(frozen=True)
+class Multiquadric:
+    """``F(x) = sum_j coefficients[j] sqrt(|x - centres[j]|^2 + softness[j]^2)``.
+
+    Attributes
+    ----------
+    centres : (n, d) float array
+    softness : (n,) float array
+        The paper's s_j, in the unit of the centres.
+    coefficients : (n, s) float array
+        The paper's M_RBF.
+    ridge : (s,) float array
+        Penalty on squared coefficients; 0 where the pairs are met exactly.
+    """
+
+    centres: Array
+    softness: Array
+    coefficients: Array
+    ridge: Array
+
+
+def nearest_softness(centres: Array) -> Array:
+    """Return each centre's distance to the nearest other centre that is not at the same place.
+
+    Raises
+    ------
+    ValueError
+        If fewer than two centres differ.
+    """
+    nearest = nearest_distances(centres)
+    if not (nearest > 0).all():
+        distances = cdist(centres, centres)
+        nearest = np.where(distances > 0, distances, np.inf).min(axis=1)
+    if not np.isfinite(nearest).all():
+        raise ValueError(f"all {len(centres)} centres coincide; no distance between them")
+    return nearest
+
+
+def multiquadric_design(points: Array, centres: Array, softness: Array) -> Array:
+    """Evaluate every basis function at every point: (points, centres) float array."""
+    design: Array = cdist(points, centres, "sqeuclidean")
+    design += softness**2
+    np.sqrt(design, out=design)
+    return design
+
+
+def fit_multiquadric(
+    centres: ArrayLike,
+    outputs: ArrayLike,
+    *,
+    softness: ArrayLike | None = None,
+    smooth: bool = False,
+) -> Multiquadric:
+    """Fit the network to pairs; each pair is a centre.
+
+    Parameters
+    ----------
+    centres : (n, d) array
+        Inputs of the pairs.
+    outputs : (n, s) array
+    softness : (n,) array, optional
+        By default `nearest_softness`, as published.
+    smooth : bool
+        Penalise squared coefficients, the penalty of each output chosen by generalised
+        cross-validation, instead of meeting every pair exactly: for pairs with noise.
+
+    Raises
+    ------
+    ValueError
+        If arrays do not pair up or hold values that are not finite, a softness is not positive,
+        or the pairs cannot be met exactly because two centres coincide.
+    """
+    C, Y = np.asarray(centres, np.float64), np.asarray(outputs, np.float64)
+    if C.ndim != 2 or Y.ndim != 2 or len(C) != len(Y):
+        raise ValueError(f"{C.shape} centres and {Y.shape} outputs do not pair up")
+    if not (np.isfinite(C).all() and np.isfinite(Y).all()):
+        raise ValueError("centres or outputs hold values that are not finite")
+    s = nearest_softness(C) if softness is None else np.asarray(softness, np.float64)
+    if s.shape != (len(C),) or not (s > 0).all():
+        raise ValueError(f"softness must be {len(C)} positive numbers")
+    design = multiquadric_design(C, C, s)
+    if not smooth:
+        _check_distinct(C)
+        return Multiquadric(C, s, _interpolate(design, Y), np.zeros(Y.shape[1]))
+    rotated = rotate(design, Y)
+    ridge = choose_ridge(rotated)
+    gain = rotated.singular[:, None] / (rotated.singular[:, None] ** 2 + ridge)
+    return Multiquadric(C, s, rotated.right.T @ (gain * rotated.outputs), ridge)
+
+
+def predict_multiquadric(model: Multiquadric, points: Array, *, block_rows: int = 4096) -> Array:
+    """Evaluate the network (eq. 4) in blocks: memory beside the result stays bounded.
+
+    Parameters
+    ----------
+    model : Multiquadric
+    points : (f, d) float array
+    block_rows : int
+
+    Returns
+    -------
+    (f, s) float array
+    """
+    out = np.empty((len(points), model.coefficients.shape[1]))
+    for start in range(0, len(points), block_rows):
+        part = slice(start, start + block_rows)
+        design = multiquadric_design(points[part], model.centres, model.softness)
+        np.matmul(design, model.coefficients, out=out[part])
+    return out
+
+
+def _check_distinct(centres: Array) -> None:
+    distances = cdist(centres, centres)
+    distances[np.tril_indices(len(centres))] = np.inf
+    if distances.min() == 0.0:
+        first, second = np.argwhere(distances == 0.0)[0]
+        raise ValueError(
+            f"centres {first} and {second} coincide, so their pairs cannot both be met; "
+            "leave one out, or fit with smooth=True"
+        )
+
+
+def _interpolate(design: Array, outputs: Array) -> Array:
+    """Solve for coefficients that meet every pair; softness differs, so no symmetry helps."""
+    coefficients, _, rank, singular = np.linalg.lstsq(design, outputs, rcond=_SINGULAR)
+    if rank < len(design):
+        raise ValueError(
+            f"the pairs cannot be met exactly: rank {rank} of {len(design)}, smallest share of a "
+            f"singular value {singular[-1] / singular[0]:.1e}; fit with smooth=True"
+        )
+    return np.asarray(coefficients, np.float64)

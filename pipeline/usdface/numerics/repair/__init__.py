@@ -1,0 +1,1 @@
+"""Captured samples mended: swaps, strays, gaps and noise."""

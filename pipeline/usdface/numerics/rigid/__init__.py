@@ -1,0 +1,1 @@
+"""Poses: a head's motion found, removed and smoothed."""

@@ -1,0 +1,156 @@
+"""Head motion taken out of a take, and kept beside it.
+
+References
+----------
+Deng, Chiang, Fox and Neumann (2006), section 3. Where the paper puts one marker at the centre of
+every frame, the centroid of the rigid markers seen in the frame is used: it carries less noise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from usdface.numerics.rigid.rigid_alignment import (
+    RigidAlignment,
+    align_rigid,
+    align_rigid_robust,
+    remove_motion,
+)
+
+_REFERENCE_SAMPLE = 20_000
+INTERPOLATED_CONFIDENCE = 0.25
+"""[0-1] Of a head pose that was not measured but taken between its neighbours."""
+
+
+@dataclass(frozen=True)
+class Stabilization:
+    """A take in the head's space, and the way back.
+
+    Attributes
+    ----------
+    positions : (frames, markers, 3) float array
+        [mm] Stabilised; the neutral frame stays where it was captured. In single precision where
+        the input is.
+    head_motion : (frames, 4, 4) float array
+        For column vectors: ``captured = head_motion @ stabilised``.
+    pose_confidence : (frames,) float array
+        [0-1] 1 where measured, `INTERPOLATED_CONFIDENCE` where interpolated.
+    reference : (rigid, 3) float array
+        [mm] Shape of the rigid markers in the head's space.
+    rigid_weights : (frames, rigid) float array
+        [0-1] How far each rigid marker was believed; near 0 when swapped or off.
+    """
+
+    positions: NDArray[np.floating]
+    head_motion: NDArray[np.float64]
+    pose_confidence: NDArray[np.float64]
+    reference: NDArray[np.float64]
+    rigid_weights: NDArray[np.float64]
+
+
+def stabilize(
+    positions: ArrayLike, visible: ArrayLike, *, rigid: Sequence[int], neutral: int
+) -> Stabilization:
+    """Take the head's motion out of every frame.
+
+    Parameters
+    ----------
+    positions : (frames, markers, 3) array_like
+        [mm] Captured.
+    visible : (frames, markers) array_like of bool
+    rigid : sequence of int
+        Columns of the markers that move with the skull alone, three or more.
+    neutral : int
+        Index of the frame whose head pose becomes the head's space.
+
+    Raises
+    ------
+    ValueError
+        If fewer than three rigid markers are seen in the neutral frame, if they lie on a line, or
+        if no frame determines the pose.
+    """
+    points, seen = np.asarray(positions), np.asarray(visible, bool)
+    columns = np.asarray(rigid, np.int64)
+    body, body_seen = points[:, columns], seen[:, columns]
+    at_neutral = np.flatnonzero(body_seen[neutral])
+    start = body[neutral, at_neutral].astype(np.float64)
+    _check_reference(start, len(columns), neutral)
+    first = align_rigid_robust(body[:, at_neutral], start, visible=body_seen[:, at_neutral])
+    if not first.determined.any():
+        raise ValueError(
+            f"no frame of {len(points)} shows three of the {len(columns)} rigid markers off one "
+            "line; name more rigid markers"
+        )
+    reference = _mean_shape(remove_motion(body, first), body_seen & first.determined[:, None])
+    back = align_rigid(start[None], reference[at_neutral])  # so that the neutral frame stays put
+    reference = reference @ back.rotations[0].T + back.translations[0]
+    alignment = align_rigid_robust(body, reference, visible=body_seen)
+    poses = bridge_poses(alignment)
+    confidence = np.where(alignment.determined, 1.0, INTERPOLATED_CONFIDENCE)
+    return Stabilization(
+        positions=remove_motion(points, poses),
+        head_motion=poses.matrices(),
+        pose_confidence=confidence,
+        reference=reference,
+        rigid_weights=alignment.weights,
+    )
+
+
+def bridge_poses(alignment: RigidAlignment) -> RigidAlignment:
+    """Replace undetermined poses by ones between their neighbours, at the ends by the nearest.
+
+    Raises
+    ------
+    ValueError
+        If no pose is determined.
+    """
+    known = np.flatnonzero(alignment.determined)
+    if not known.size:
+        raise ValueError("no frame determines the head's pose; name more rigid markers")
+    missing = np.flatnonzero(~alignment.determined)
+    if not missing.size:
+        return alignment
+    rotations, translations = alignment.rotations.copy(), alignment.translations.copy()
+    inside = np.clip(missing, known[0], known[-1])
+    if known.size == 1:
+        rotations[missing] = rotations[known[0]]
+    else:
+        turn = Slerp(known, Rotation.from_matrix(rotations[known]))
+        rotations[missing] = turn(inside).as_matrix()
+    for axis in range(3):
+        translations[missing, axis] = np.interp(missing, known, translations[known, axis])
+    return RigidAlignment(rotations, translations, alignment.determined, alignment.weights)
+
+
+def _check_reference(start: NDArray[np.float64], named: int, neutral: int) -> None:
+    if len(start) < 3:
+        raise ValueError(
+            f"{len(start)} of {named} rigid markers are seen at the neutral frame (index "
+            f"{neutral}), 3 are needed; choose another neutral frame or name more rigid markers"
+        )
+    extent = np.linalg.svd(start - start.mean(axis=0), compute_uv=False)
+    if not align_rigid(start[None], start).determined[0]:
+        raise ValueError(
+            f"the {len(start)} rigid markers seen at the neutral frame (index {neutral}) lie on a "
+            f"line ({extent[0]:.1f} mm long, {extent[1]:.2f} mm wide); name one off that line"
+        )
+
+
+def _mean_shape(still: NDArray[np.floating], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the median place of each rigid marker; swaps and strays do not move it."""
+    rows = np.unique(np.linspace(0, len(still) - 1, _REFERENCE_SAMPLE).astype(np.int64))
+    shape = np.empty(still.shape[1:])
+    for marker in range(still.shape[1]):
+        track = still[rows, marker][seen[rows, marker]]
+        if not len(track):
+            track = still[seen[:, marker], marker]
+        if not len(track):
+            raise ValueError(
+                f"rigid marker {marker} (in the order given) is never seen beside three others; "
+                "leave it out"
+            )
+        shape[marker] = np.median(track, axis=0)
+    return shape

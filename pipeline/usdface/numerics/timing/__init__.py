@@ -1,0 +1,1 @@
+"""Delays and clock drift between recordings."""

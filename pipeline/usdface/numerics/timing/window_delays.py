@@ -1,0 +1,132 @@
+"""Delays between two recordings, window by window, to a small part of a sample."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from usdface.numerics.timing.phase_transform import speech_band, whitened_product
+
+Array = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+
+_FINER = 4
+"""Positions tried per sample, before a parabola through the best three."""
+
+_LOUD_SHARE = 0.02
+"""Of the power of loud windows; quieter ones hold no speech."""
+_LEAST_KEPT = 8
+
+
+@dataclass(frozen=True)
+class WindowDelays:
+    """How much later the second recording hears what the first does.
+
+    Attributes
+    ----------
+    times : (windows,) float array
+        Middle of each window on the clock of the first recording [s].
+    delays : (windows,) float array
+        [s]
+    clarity : (windows,) float array
+        Height of the peak over the next highest; 1 tells nothing.
+    """
+
+    times: Array
+    delays: Array
+    clarity: Array
+
+
+def window_delays(
+    first: Float32Array,
+    second: Float32Array,
+    *,
+    rate: int,
+    window: float,
+    count: int,
+    expected: tuple[float, float],
+    radius: tuple[float, float],
+) -> WindowDelays:
+    """Measure the delay of the louder windows of one recording in another.
+
+    Parameters
+    ----------
+    first, second : (samples,) float32 array
+    rate : int
+        Samples per second of both.
+    window : float
+        Length [s].
+    count : int
+        Most windows to measure; they overlap by half where there is room for fewer.
+    expected : (2,) tuple of float
+        Delay at time 0 [s] and its growth per second.
+    radius : (2,) tuple of float
+        How far around the expected delay to search: at the middle of the overlap [s], and how much
+        further per second away from it.
+    """
+    size = round(window * rate)
+    starts = _starts(len(first), len(second), rate, size, count, expected)
+    starts = loud_windows(first, starts, size)
+    middle = (starts[0] + starts[-1]) / 2 if len(starts) else 0.0
+    taper = np.hanning(size).astype(np.float32)
+    times, delays, clarity = list[float](), list[float](), list[float]()
+    for start in starts.tolist():
+        seconds = (start + size / 2) / rate
+        guess = round((expected[0] + expected[1] * seconds) * rate)
+        reach = round((radius[0] + radius[1] * abs(start - middle) / rate) * rate)
+        begin = start + guess - reach
+        heard = second[max(begin, 0) : max(begin + size + 2 * reach, 0)]
+        heard = np.pad(heard, (max(-begin, 0), 0))
+        heard = np.pad(heard, (0, size + 2 * reach - len(heard)))
+        found = _delay(first[start : start + size] * taper, heard, reach, rate)
+        if found is not None:
+            times.append(seconds)
+            delays.append((guess - reach + found[0]) / rate)
+            clarity.append(found[1])
+    return WindowDelays(np.array(times), np.array(delays), np.array(clarity))
+
+
+def loud_windows(sound: Float32Array, starts: NDArray[np.int64], size: int) -> NDArray[np.int64]:
+    """Keep the windows that hold more than the pauses do, and always some: a door may slam."""
+    if not len(starts):
+        return starts
+    power = np.array([np.mean(sound[start : start + size] ** 2) for start in starts.tolist()])
+    enough = np.sort(power)[-min(_LEAST_KEPT, len(power))]
+    return starts[power >= min(_LOUD_SHARE * float(np.quantile(power, 0.9)), float(enough))]
+
+
+def _starts(
+    first: int, second: int, rate: int, size: int, count: int, expected: tuple[float, float]
+) -> NDArray[np.int64]:
+    """Return where windows begin: over all of the first that the second covers."""
+    begin = max(0, round(-expected[0] * rate))
+    end = min(first, round(second - expected[0] * rate)) - size
+    if end < begin:
+        return np.zeros(0, np.int64)
+    room = 2 * (end - begin) // size + 1
+    return np.unique(np.linspace(begin, end, min(room, count)).astype(np.int64))
+
+
+def _delay(
+    sound: Float32Array, heard: Float32Array, reach: int, rate: int
+) -> tuple[float, float] | None:
+    """Return where in `heard` the sound begins [samples], and how clearly."""
+    length = fft.next_fast_len(len(heard) + len(sound), real=True)
+    spectra = fft.rfft(sound, length), fft.rfft(heard, length)
+    whitened = whitened_product(*spectra, band=speech_band(length, rate=rate))
+    if whitened is None:
+        return None
+    # Either sign: microphones and cables turn the polarity.
+    curve = np.abs(fft.irfft(whitened, length * _FINER)[: 2 * reach * _FINER + 1])
+    best = int(np.argmax(curve))
+    peak = float(curve[best])
+    between = 0.0
+    if 0 < best < len(curve) - 1:
+        left, right = float(curve[best - 1]), float(curve[best + 1])
+        bend = left - 2 * peak + right
+        between = 0.5 * (left - right) / bend if bend < 0 else 0.0
+    lobe = _FINER * rate // 2000  # half a millisecond: the peak's own ripples
+    others = np.concatenate([curve[: max(best - lobe, 0)], curve[best + lobe + 1 :]])
+    next_best = float(others.max()) if len(others) else 0.0
+    return (best + between) / _FINER, peak / max(next_best, 1e-30)

@@ -1,0 +1,135 @@
+import numpy as np
+import pytest
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct
+
+from usdface.numerics.regression.gaussian_process import (
+    LINE,
+    OFFSET,
+    Choice,
+    fit_best_gaussian_process,
+    fit_gaussian_process,
+    leave_one_out_errors,
+    predict_gaussian_process,
+    radial_values,
+    usable_choices,
+)
+
+
+def pairs(count: int = 30, dimensions: int = 5, outputs: int = 3, noise: float = 0.05):
+    rng = np.random.default_rng(0)
+    variances = 4.0 * 0.5 ** np.arange(dimensions)
+    features = rng.normal(size=(count, dimensions)) * np.sqrt(variances)
+    smooth = np.sin(features @ rng.normal(size=(dimensions, outputs)) / 2)
+    return features, smooth + noise * rng.normal(size=smooth.shape), variances
+
+
+def test_prediction_equals_sklearns_process_with_the_same_covariance() -> None:
+    features, outputs, variances = pairs()
+    choice = Choice(4, 0.0, radial=2.0, width=1.5)
+    model = fit_gaussian_process(
+        features, outputs, variances=variances, choice=choice, noise=np.full(3, 0.01)
+    )
+    size = variances[:4].sum()
+    length = np.sqrt(-0.5 / model.exponent)
+    kernel = ConstantKernel(LINE / size, "fixed") * DotProduct(0.0, "fixed")
+    kernel += ConstantKernel(OFFSET, "fixed") + ConstantKernel(2.0, "fixed") * RBF(length, "fixed")
+    theirs = GaussianProcessRegressor(kernel, alpha=0.01, optimizer=None)
+    theirs.fit(features[:, :4], outputs)
+    new = np.random.default_rng(1).normal(size=(20, 5))
+    np.testing.assert_allclose(
+        predict_gaussian_process(model, new), theirs.predict(new[:, :4]), atol=1e-9
+    )
+
+
+def test_width_is_measured_in_median_distances_of_whitened_features() -> None:
+    features, outputs, variances = pairs()
+    choice = Choice(5, 1.0, radial=1.0, width=3.0)
+    model = fit_gaussian_process(
+        features, outputs, variances=variances, choice=choice, noise=np.full(3, 0.1)
+    )
+    white = features / np.sqrt(variances)
+    away = ((white[:, None] - white) ** 2).sum(axis=2)
+    middle = np.median(away[np.triu_indices(30, 1)])
+    assert model.exponent == pytest.approx(-0.5 / (3.0 * middle))
+
+
+@pytest.mark.parametrize("radial", [0.0, 1.0])
+def test_leave_one_out_residuals_equal_refitting_without_each_pair(radial: float) -> None:
+    features, outputs, variances = pairs(count=12)
+    choice, noise = Choice(5, 0.5, radial=radial), np.array([0.01, 0.1, 1.0])
+    whole = fit_gaussian_process(features, outputs, variances=variances, choice=choice, noise=noise)
+    scaled = features * whole.scale
+    covariance = LINE / (variances * whole.scale**2).sum() * scaled @ scaled.T + OFFSET
+    covariance += radial * radial_values(scaled, scaled, whole.exponent)
+    for i in range(12):
+        rest = np.arange(12) != i
+        for j, level in enumerate(noise):
+            inner = covariance[np.ix_(rest, rest)] + level * np.eye(11)
+            predicted = covariance[i, rest] @ np.linalg.solve(inner, outputs[rest, j])
+            assert whole.residuals[i, j] == pytest.approx(outputs[i, j] - predicted, abs=1e-8)
+
+
+def test_errors_of_the_search_are_those_of_the_fit() -> None:
+    features, outputs, variances = pairs()
+    choices = (Choice(3, 0.0), Choice(5, 0.5, radial=1.0))
+    noises = np.array([0.01, 0.3])
+    errors = leave_one_out_errors(
+        features, outputs, variances=variances, choices=choices, noises=noises
+    )
+    for i, choice in enumerate(choices):
+        for k, level in enumerate(noises):
+            fit = fit_gaussian_process(
+                features, outputs, variances=variances, choice=choice, noise=np.full(3, level)
+            )
+            np.testing.assert_allclose(errors[i, k], (fit.residuals**2).mean(axis=0), rtol=1e-6)
+
+
+def test_a_line_needs_no_local_part_and_is_recovered() -> None:
+    rng = np.random.default_rng(0)
+    features, _, variances = pairs(count=40)
+    outputs = features @ rng.normal(size=(5, 2)) + 3.0
+    model = fit_best_gaussian_process(
+        features,
+        outputs,
+        variances=variances,
+        choices=(Choice(5, 0.0), Choice(5, 0.0, radial=1.0, width=0.2)),
+        importance=np.ones(2),
+    )
+    assert not model.dual.any()
+    new = rng.normal(size=(10, 5))
+    expected = new @ np.linalg.lstsq(features, outputs - 3.0, rcond=None)[0] + 3.0
+    np.testing.assert_allclose(predict_gaussian_process(model, new), expected, atol=0.02)
+
+
+def test_the_important_output_decides_the_choice() -> None:
+    features, variances = np.linspace(-2, 2, 60)[:, None], np.ones(1)
+    both = np.column_stack([features[:, 0], np.cos(2 * features[:, 0])])
+    choices = (Choice(1, 0.0), Choice(1, 0.0, radial=3.0))
+    for importance, local in (([1.0, 1e-12], False), ([1e-12, 1.0], True)):
+        model = fit_best_gaussian_process(
+            features,
+            both,
+            variances=variances,
+            choices=choices,
+            importance=np.array(importance),
+        )
+        assert bool(model.dual.any()) is local
+
+
+def test_choices_are_limited_to_the_dimensions_there_are_and_appear_once() -> None:
+    limited = usable_choices((Choice(8, 0.5), Choice(16, 0.5), Choice(3, 0.5)), most=6)
+    assert limited == (Choice(6, 0.5), Choice(3, 0.5))
+
+
+def test_bad_input_is_refused() -> None:
+    features, outputs, variances = pairs()
+    choices = (Choice(5, 0.0),)
+    with pytest.raises(ValueError, match="do not pair up"):
+        leave_one_out_errors(features[1:], outputs, variances=variances, choices=choices)
+    with pytest.raises(ValueError, match="at least 2 pairs"):
+        leave_one_out_errors(features[:1], outputs[:1], variances=variances, choices=choices)
+    with pytest.raises(ValueError, match="5 positive numbers"):
+        leave_one_out_errors(features, outputs, variances=0 * variances, choices=choices)
+    with pytest.raises(ValueError, match="uses 9 of 5 features; limit it"):
+        leave_one_out_errors(features, outputs, variances=variances, choices=(Choice(9, 0.0),))

@@ -1,0 +1,127 @@
+import tracemalloc
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from usdface.numerics.regression.reference_design import (
+    design_d_optimal,
+    design_gp_variance,
+    design_k_centre,
+    whiten,
+)
+
+DESIGNS = [design_d_optimal, design_k_centre, design_gp_variance]
+every_design = pytest.mark.parametrize("design", DESIGNS, ids=lambda f: f.__name__)
+
+
+def cloud(frames: int = 400, dimensions: int = 5) -> np.ndarray:
+    return np.random.default_rng(0).normal(size=(frames, dimensions))
+
+
+@every_design
+def test_no_frame_is_chosen_twice_even_when_all_are_equal(design: Callable) -> None:
+    for features in (cloud(60), np.ones((60, 3)), np.repeat(cloud(6), 10, axis=0)):
+        chosen = design(features, 60).chosen
+        assert sorted(chosen) == list(range(60))
+
+
+@every_design
+def test_tuned_frames_stay_and_are_not_proposed_again(design: Callable) -> None:
+    features = cloud()
+    first = design(features, 20)
+    more = design(features, 10, already=first.chosen)
+    assert not set(more.chosen) & set(first.chosen)
+    if design is not design_k_centre:  # its first frame is a choice of its own
+        np.testing.assert_array_equal(more.chosen, design(features, 30).chosen[20:])
+
+
+@every_design
+def test_only_candidates_are_chosen(design: Callable) -> None:
+    features = cloud()
+    allowed = np.zeros(len(features), dtype=bool)
+    allowed[100:150] = True
+    chosen = design(features, 20, candidates=allowed).chosen
+    assert ((chosen >= 100) & (chosen < 150)).all()
+
+
+@every_design
+def test_gain_never_grows_and_twice_gives_the_same(design: Callable) -> None:
+    features = cloud()
+    first, second = design(features, 40), design(features, 40)
+    np.testing.assert_array_equal(first.chosen, second.chosen)
+    assert (np.diff(first.gain[1:]) <= 1e-9 * np.abs(first.gain[1:-1])).all()
+
+
+@every_design
+def test_impossible_requests_say_why(design: Callable) -> None:
+    features = cloud(10)
+    with pytest.raises(ValueError, match="cannot choose 11 of 10"):
+        design(features, 11)
+    with pytest.raises(ValueError, match="already names rows 3 to 10 of 10"):
+        design(features, 1, already=np.array([3, 10]))
+    with pytest.raises(ValueError, match="one entry per frame"):
+        design(features, 1, candidates=np.ones(9, dtype=bool))
+    features[4, 1] = np.nan
+    with pytest.raises(ValueError, match="row 4 are not finite"):
+        design(features, 1)
+
+
+def test_d_optimal_multiplies_the_determinant_by_the_most_at_every_step() -> None:
+    features = cloud(80, 3)
+    design = design_d_optimal(features, 12)
+    rows = np.column_stack([features, np.ones(len(features))])
+    information = 1e-3 * np.eye(4)
+    for turn, pick in enumerate(design.chosen):
+        gains = [np.linalg.det(information + np.outer(r, r)) for r in rows]
+        gains = np.array(gains)
+        gains[design.chosen[:turn]] = -1
+        assert gains[pick] == pytest.approx(gains.max(), rel=1e-9)
+        information += np.outer(rows[pick], rows[pick])
+
+
+def test_k_centre_covers_within_twice_the_best_radius() -> None:
+    rng = np.random.default_rng(0)
+    centres = 100 * rng.normal(size=(8, 4))
+    features = np.concatenate([c + rng.uniform(-1, 1, size=(30, 4)) / 2 for c in centres])
+    chosen = design_k_centre(features, 8).chosen
+    assert sorted(chosen // 30) == list(range(8))
+
+
+def dense_greedy(features: np.ndarray, count: int) -> list[int]:
+    """The same covariance, factorised whole."""
+    squared = (features**2).sum(axis=1)
+    away = squared[:, None] + squared - 2 * features @ features.T
+    some = away[np.triu_indices(len(features), 1)]
+    kernel = 10 * features @ features.T / squared.mean() + 3 * np.exp(-away / 2 / np.median(some))
+    chosen: list[int] = []
+    for _ in range(count):
+        within = kernel[np.ix_(chosen, chosen)] + 1e-3 * np.eye(len(chosen))
+        known = kernel[:, chosen] @ np.linalg.solve(within, kernel[chosen]) if chosen else 0
+        left = np.diag(kernel - known).copy()
+        left[chosen] = -np.inf
+        chosen.append(int(left.argmax()))
+    return chosen
+
+
+def test_lazy_gp_design_equals_the_dense_one() -> None:
+    features = cloud(300, 4)
+    assert design_gp_variance(features, 40).chosen.tolist() == dense_greedy(features, 40)
+
+
+def test_gp_design_of_a_long_take_needs_memory_linear_in_its_frames() -> None:
+    features = cloud(200_000, 8)
+    tracemalloc.start()
+    chosen = design_gp_variance(features, 100).chosen
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(set(chosen)) == 100
+    assert peak < 200_000 * 100 * 8 / 3  # a stored factor alone would be three times this
+
+
+def test_whitening_makes_variances_equal_or_leaves_them() -> None:
+    rng = np.random.default_rng(0)
+    coordinates = rng.normal(size=(5000, 3)) * [10.0, 1.0, 0.1]
+    variances = coordinates.var(axis=0)
+    np.testing.assert_allclose(whiten(coordinates, variances, power=1.0).var(axis=0), 1.0)
+    np.testing.assert_array_equal(whiten(coordinates, variances, power=0.0), coordinates)

@@ -1,0 +1,202 @@
+"""The whole cleaning chain, on a simulated face with known damage and on recorded takes."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+
+from tests.numerics.simulated_face import SimulatedFace, simulate_face
+from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
+from usdface.numerics.rigid.rigid_markers import find_rigid_markers
+
+
+def clean(face: SimulatedFace, **options) -> CleanedMarkers:
+    neutral = int(np.argmax(face.visible[:, list(face.rigid)].sum(axis=1)))
+    return clean_markers(face.captured, face.visible, rigid=face.rigid, neutral=neutral, **options)
+
+
+def errors_mm(cleaned: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Distances after one rigid alignment of the whole take: the neutral poses differ."""
+    a, b = truth.reshape(-1, 3), cleaned.reshape(-1, 3).astype(float)
+    U, _, Vt = np.linalg.svd((a - a.mean(0)).T @ (b - b.mean(0)))
+    fitted = (truth - a.mean(0)) @ (U @ Vt) + b.mean(0)
+    return np.linalg.norm(cleaned - fitted, axis=2)
+
+
+def wrong_labels(swaps, found, shape) -> np.ndarray:
+    """Samples that still carry another marker's label."""
+    label = np.tile(np.arange(shape[1]), (shape[0], 1))
+    for a, b, start, stop in (*sorted(swaps, key=lambda s: s[2]), *found):
+        label[start:stop, [a, b]] = label[start:stop, [b, a]]
+    return label != np.arange(shape[1])
+
+
+@pytest.fixture(scope="module")
+def damaged() -> tuple[SimulatedFace, CleanedMarkers]:
+    face = simulate_face(
+        frames=2400, noise=0.15, swapped_share=0.2, dropout_share=0.05, stray_count=30
+    )
+    return face, clean(face)
+
+
+def test_swapped_labels_are_put_back_and_good_ones_left(damaged):
+    face, cleaned = damaged
+    found = [(s.first, s.second, s.start, s.stop) for s in cleaned.swaps]
+    wrong = wrong_labels(face.swaps, found, face.visible.shape) & face.visible
+    good = face.visible & ~face.swapped & ~face.strays
+    assert face.swaps
+    assert wrong[face.swapped].mean() < 0.05
+    assert wrong[good].mean() < 0.001
+
+
+def test_strays_are_replaced_and_good_samples_are_not(damaged):
+    face, cleaned = damaged
+    good = face.visible & ~face.swapped & ~face.strays
+    assert cleaned.strays[face.strays].mean() > 0.9
+    assert cleaned.strays[good].mean() < 0.001
+
+
+def test_mended_and_filled_samples_lie_where_the_skin_was(damaged):
+    face, cleaned = damaged
+    errors = errors_mm(cleaned.positions, face.truth)
+    assert errors[face.swapped & cleaned.visible].mean() < 0.3
+    assert errors[cleaned.filled].mean() < 0.3
+    assert errors[face.visible].mean() < 0.2 < 0.26 == pytest.approx(0.15 * 3**0.5, abs=1e-3)
+
+
+def test_head_motion_puts_clean_markers_back_where_they_were_captured(damaged):
+    face, cleaned = damaged
+    R, t = cleaned.head_motion[:, :3, :3], cleaned.head_motion[:, :3, 3]
+    back = np.einsum("fij,fkj->fki", R, cleaned.positions) + t[:, None]
+    untouched = face.visible & ~face.swapped & ~face.strays
+    assert np.linalg.norm(back - face.captured, axis=2)[untouched].mean() < 0.3
+
+
+def test_confidence_is_one_where_measured_and_lower_where_mended(damaged):
+    face, cleaned = damaged
+    relabelled = np.zeros_like(face.visible)
+    for s in cleaned.swaps:
+        relabelled[s.start : s.stop, [s.first, s.second]] = True
+    measured = face.visible & ~cleaned.strays & ~relabelled
+    assert (cleaned.confidence[measured] == 1).all()
+    assert cleaned.confidence[cleaned.filled].max() < 1
+    assert (cleaned.confidence[~cleaned.visible] == 0).all()
+    assert np.isfinite(cleaned.positions).all()
+
+
+def test_gaps_longer_than_allowed_are_left_and_hold_the_last_position():
+    face = simulate_face(frames=600, noise=0.1)
+    face.visible[200:241, 20] = False
+    cleaned = clean(face, max_gap=40)
+    assert not cleaned.visible[200:241, 20].any()
+    assert (cleaned.positions[200:241, 20] == cleaned.positions[199, 20]).all()
+    assert clean(face, max_gap=41).visible.all()
+
+
+def test_a_clean_take_is_only_smoothed():
+    face = simulate_face(frames=1200, noise=0.15)
+    cleaned = clean(face)
+    assert cleaned.swaps == ()
+    assert cleaned.strays.mean() < 1e-4
+    assert cleaned.noise_mm == pytest.approx(0.15, rel=0.05)
+    raw = clean(face, smooth=False, relabel=False)
+    assert (
+        errors_mm(cleaned.positions, face.truth).mean()
+        < 0.8 * errors_mm(raw.positions, face.truth).mean()
+    )
+
+
+def test_peaks_of_blinks_are_kept():
+    face = simulate_face(frames=2400, noise=0.15)
+    cleaned = clean(face)
+    size = np.linalg.norm(face.truth - np.median(face.truth, axis=0), axis=2)
+    quick = np.abs(np.diff(size, 2, axis=0, prepend=0, append=0)).max(axis=0).argmax()
+    peaks = size[:, quick] > np.quantile(size[:, quick], 0.99)
+    offset = np.median(face.truth[:, quick], axis=0)
+    found = cleaned.positions[:, quick] - np.median(cleaned.positions[:, quick], axis=0)
+    assert np.linalg.norm(found[peaks], axis=1).mean() == pytest.approx(
+        np.linalg.norm(face.truth[peaks, quick] - offset, axis=1).mean(), rel=0.03
+    )
+
+
+def test_frames_with_nothing_seen_are_bridged():
+    face = simulate_face(frames=800, noise=0.05)
+    face.visible[400:406] = False
+    cleaned = clean(face)
+    assert cleaned.visible.all()
+    assert (cleaned.pose_confidence[400:406] < 1).all()
+    assert errors_mm(cleaned.positions, face.truth)[400:406].mean() < 1.5
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (dict(neutral=900), "neutral frame index 900 is outside 0 to 299"),
+        (dict(max_gap=-1), "max_gap must be 0 or more"),
+        (dict(rigid=(0, 1)), "name more rigid markers"),
+    ],
+)
+def test_input_that_cannot_be_cleaned_is_refused(change, message):
+    face = simulate_face(frames=300)
+    options = dict(rigid=face.rigid, neutral=0) | change
+    with pytest.raises(ValueError, match=message):
+        clean_markers(face.captured, face.visible, **options)
+
+
+def test_a_marker_that_is_never_seen_is_named():
+    face = simulate_face(frames=300)
+    face.visible[:, 7] = False
+    with pytest.raises(ValueError, match=r"markers \[7\] are never seen"):
+        clean(face)
+
+
+@pytest.mark.slow
+def test_the_shared_take_is_mended_within_the_targets(shared_data):
+    from usdface.capture.sniff import read_capture
+
+    meta = json.loads((shared_data / "crosstake/take.json").read_text())
+    truth = np.load(shared_data / "crosstake/truth.npz")
+    markers = read_capture(shared_data / "crosstake/take.c3d").take.markers
+    started = time.process_time()
+    cleaned = clean_markers(
+        markers.positions,
+        markers.visible,
+        rigid=[markers.names.index(name) for name in meta["rigid"]],
+        neutral=meta["neutral_frame"],
+    )
+    seconds = time.process_time() - started
+    swaps = [tuple(int(n) for n in swap) for swap in truth["swaps"]]
+    found = [(s.first, s.second, s.start, s.stop) for s in cleaned.swaps]
+    swapped = np.zeros(markers.visible.shape, bool)
+    for a, b, start, stop in swaps:
+        swapped[start:stop, [a, b]] = True
+    wrong = wrong_labels(swaps, found, swapped.shape)
+    errors = errors_mm(cleaned.positions[::10][: len(truth["clean"])], truth["clean"].astype(float))
+    mended, filled = (m[::10][: len(errors)] for m in (swapped, cleaned.filled))
+    assert wrong[swapped].mean() < 0.05
+    assert (wrong[~swapped] | cleaned.strays[~swapped]).mean() < 0.001
+    assert errors[mended].mean() < 0.3
+    assert errors[filled].mean() < 0.3
+    assert seconds < 60  # 14 on an idle core
+
+
+@pytest.mark.parametrize("name", ["CheeksMoCap", "EyebrowsMoCap"])
+def test_recorded_takes_without_a_rigid_set_survive_damage(shared_data, name):
+    from usdface.capture.sniff import read_capture
+
+    markers = read_capture(shared_data / f"markers_animface/{name}.c3d").take.markers
+    rigid = find_rigid_markers(markers.positions, markers.visible).indices
+    whole = clean_markers(markers.positions, markers.visible, rigid=rigid, neutral=0)
+    rng = np.random.default_rng(0)
+    positions, visible = markers.positions.copy(), markers.visible.copy()
+    for _ in range(12):
+        start, marker = int(rng.integers(10, len(positions) - 60)), int(rng.integers(41))
+        visible[start : start + 40, marker] = False
+    positions[300:360, [4, 6]] = positions[300:360, [6, 4]]
+    cleaned = clean_markers(positions, visible, rigid=rigid, neutral=0)
+    assert whole.strays.mean() < 0.001
+    assert [(s.first, s.second, s.start, s.stop) for s in cleaned.swaps] == [(4, 6, 300, 360)]
+    offsets = np.linalg.norm(cleaned.positions - whole.positions, axis=2)
+    assert offsets[~visible].mean() < 1.5  # of skin that moves by 20 to 40
+    assert offsets[visible].mean() < 0.2

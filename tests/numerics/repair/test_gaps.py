@@ -1,0 +1,85 @@
+"""Gaps: short ones along the curve, long ones from the others, none beyond what was allowed."""
+
+import numpy as np
+import pytest
+
+from usdface.numerics.repair.gaps import choose_spline_limit, fill_gaps, runs
+
+
+def tracks(frames=400, markers=3, noise=0.0):
+    t = np.arange(frames)[:, None, None] / 60
+    phase = np.arange(markers)[:, None] + np.arange(3)
+    smooth = 20 * np.sin(t * 2 + phase) + 3 * np.sin(t * 7 + 2 * phase)
+    return smooth + noise * np.random.default_rng(0).standard_normal(smooth.shape)
+
+
+def hidden(shape, start, stop, marker=1):
+    visible = np.ones(shape[:2], bool)
+    visible[start:stop, marker] = False
+    return visible
+
+
+def test_a_cubic_track_is_recovered_exactly():
+    t = np.arange(60.0)
+    truth = np.stack([t**3 / 900, 5 - t**2 / 30, 2 * t], 1)[:, None]
+    visible = hidden(truth.shape, 30, 35, 0)
+    result = fill_gaps(np.where(visible[..., None], truth, 0), visible, max_gap=10)
+    np.testing.assert_allclose(result.positions, truth, atol=1e-9)
+    assert result.filled.sum() == 5
+
+
+def test_a_gap_is_filled_up_to_the_limit_and_never_past_it():
+    points, visible = tracks(), hidden((400, 3), 100, 120)
+    prediction = points + 1.0
+    assert not fill_gaps(points, visible, max_gap=19, prediction=prediction).filled.any()
+    allowed = fill_gaps(points, visible, max_gap=20, prediction=prediction)
+    assert allowed.filled.sum() == 20
+    assert (allowed.confidence[allowed.filled] < 1).all()
+    left = fill_gaps(points, visible, max_gap=19, prediction=prediction)
+    assert (left.confidence[100:120, 1] == 0).all()
+
+
+def test_a_prediction_that_is_off_by_a_constant_is_corrected_from_both_ends():
+    points, visible = tracks(), hidden((400, 3), 100, 200)
+    result = fill_gaps(
+        np.where(visible[..., None], points, 0),
+        visible,
+        max_gap=200,
+        prediction=points + np.array([3, -2, 1]),
+    )
+    np.testing.assert_allclose(result.positions, points, atol=1e-9)
+
+
+def test_without_a_prediction_long_gaps_and_open_ends_are_left():
+    points, visible = tracks(), hidden((400, 3), 100, 130)
+    visible[:4, 0] = False
+    assert not fill_gaps(points, visible, max_gap=200).filled.any()
+
+
+def test_seen_samples_are_never_touched():
+    points, visible = tracks(noise=1), np.random.default_rng(1).random((400, 3)) > 0.2
+    result = fill_gaps(points, visible, max_gap=50, prediction=points + 1)
+    np.testing.assert_array_equal(result.positions[visible], points[visible])
+    assert (result.confidence[visible] == 1).all()
+
+
+def test_the_spline_reaches_farther_the_worse_the_prediction():
+    points = tracks(frames=2000, markers=8)
+    seen = np.ones((2000, 8), bool)
+    rng = np.random.default_rng(0)
+    bad, good = (points + size * rng.standard_normal(points.shape) for size in (5, 1e-3))
+    assert choose_spline_limit(points, seen, bad, noise=0) > choose_spline_limit(
+        points, seen, good, noise=0
+    )
+
+
+def test_runs_are_found_at_both_ends():
+    assert runs(np.array([1, 1, 0, 1, 0, 0, 1], bool)) == [(0, 2), (3, 4), (6, 7)]
+    assert runs(np.zeros(3, bool)) == []
+
+
+def test_input_that_does_not_fit_is_refused():
+    with pytest.raises(ValueError, match="max_gap must be 0 or more"):
+        fill_gaps(tracks(), hidden((400, 3), 1, 2), max_gap=-1)
+    with pytest.raises(ValueError, match="must agree"):
+        fill_gaps(tracks(), np.ones((5, 3), bool), max_gap=3)

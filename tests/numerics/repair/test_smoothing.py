@@ -1,0 +1,69 @@
+"""The cosine-domain smoother against a banded solve, and its choice of strength."""
+
+import numpy as np
+import pytest
+from scipy.sparse import diags_array, identity
+from scipy.sparse.linalg import spsolve
+
+from usdface.numerics.repair.smoothing import significant_detail, smooth_tracks
+from usdface.numerics.rigid.pose_smoothing import smooth_poses
+
+
+def test_equals_a_direct_solve_away_from_the_ends():
+    y = np.random.default_rng(0).standard_normal(600)
+    differences = diags_array([-1.0, 3.0, -3.0, 1.0], offsets=[0, 1, 2, 3], shape=(597, 600))
+    direct = spsolve((identity(600) + 50.0 * differences.T @ differences).tocsc(), y)
+    ours = smooth_tracks(y[:, None], penalties=50.0).values[:, 0]
+    np.testing.assert_allclose(ours[80:-80], direct[80:-80], atol=1e-6)
+
+
+def test_a_constant_is_untouched_and_scale_and_shift_pass_through():
+    y = np.random.default_rng(0).standard_normal((300, 2))
+    np.testing.assert_allclose(smooth_tracks(np.full((50, 1), 7.0)).values, 7.0)
+    base = smooth_tracks(y)
+    moved = smooth_tracks(1e3 * y + 5)
+    np.testing.assert_allclose(moved.values, 1e3 * base.values + 5, atol=1e-7)
+    np.testing.assert_array_equal(moved.penalties, base.penalties)
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.3])
+def test_noise_is_removed_and_more_of_it_is_smoothed_more(noise):
+    rng = np.random.default_rng(0)
+    truth = np.sin(np.arange(4000) / 40.0)[:, None] * [5.0, 1.0]
+    result = smooth_tracks(truth + noise * rng.standard_normal(truth.shape))
+    assert np.abs(result.values - truth).std() < 0.3 * noise
+    assert result.penalties[1] > result.penalties[0]
+
+
+def test_a_rare_movement_comes_back_and_noise_does_not():
+    rng = np.random.default_rng(0)
+    rest = 0.15 * rng.standard_normal((5000, 4, 3))
+    event = np.exp(-(((np.arange(5000) - 2500) / 10.0) ** 2))
+    rest[:, 2] += 2.0 * event[:, None]
+    detail = significant_detail(rest, noise=np.full(4, 0.15))
+    np.testing.assert_allclose(
+        detail[2490:2511, 2], 2.0 * event[2490:2511, None] * [1, 1, 1], atol=0.35
+    )
+    assert np.abs(detail[:, [0, 1, 3]]).max() < 0.2
+    assert (detail[:, [0, 1, 3]] == 0).mean() > 0.95
+
+
+def test_short_series_are_returned_as_they_are():
+    np.testing.assert_array_equal(smooth_tracks(np.eye(3)).values, np.eye(3))
+
+
+def test_smoothed_poses_stay_rigid_and_lose_their_jitter():
+    rng = np.random.default_rng(0)
+    from scipy.spatial.transform import Rotation
+
+    t = np.arange(1500) / 60
+    true = Rotation.from_rotvec(np.stack([0.3 * np.sin(t), 0.5 * np.sin(0.7 * t), 0 * t], 1))
+    motion = np.tile(np.eye(4), (1500, 1, 1))
+    motion[:, :3, :3] = (
+        true * Rotation.from_rotvec(0.01 * rng.standard_normal((1500, 3)))
+    ).as_matrix()
+    motion[:, :3, 3] = 100 * np.sin(t)[:, None]
+    smooth = smooth_poses(motion, center=[0.0, 0.0, 0.0])
+    R = smooth[:, :3, :3]
+    np.testing.assert_allclose(np.linalg.det(R), 1, atol=1e-12)
+    assert (true.inv() * Rotation.from_matrix(R)).magnitude().mean() < 0.005

@@ -1,0 +1,111 @@
+"""Head motion out and kept: on a simulated head with a face that moves."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from usdface.numerics.rigid.rigid_markers import find_rigid_markers
+from usdface.numerics.rigid.stabilization import INTERPOLATED_CONFIDENCE, stabilize
+
+RIGID = (0, 1, 2, 3, 4, 5)
+HEAD, NECK = np.array([0, 1500, 0]), np.array([0, 1450, 0])
+
+
+def talking_head(frames=600, noise=0.0):
+    """Six markers on the skull, fourteen on skin that moves by centimetres."""
+    rng = np.random.default_rng(0)
+    rest = rng.uniform(-70, 70, (20, 3)) + HEAD
+    t = np.arange(frames) / 60
+    skin = np.zeros((frames, 20, 3))
+    skin[:, 6:] = np.einsum(
+        "fc,cki->fki", np.sin(t[:, None] * [1.0, 2.3, 3.1]) * 6, rng.normal(size=(3, 14, 3))
+    )
+    face = rest + skin
+    turn = Rotation.from_rotvec(
+        np.stack([0.3 * np.sin(t), 0.5 * np.sin(0.7 * t), 0.2 * np.sin(1.3 * t)], 1)
+    )
+    turns = turn.as_matrix()
+    moved = np.einsum("fij,fkj->fki", turns, face - NECK) + NECK
+    moved += 50 * np.sin(t)[:, None, None]
+    return moved + noise * rng.standard_normal(moved.shape), face, turns
+
+
+def test_the_face_is_what_is_left_and_the_head_goes_back():
+    captured, face, turns = talking_head()
+    seen = np.ones(captured.shape[:2], bool)
+    result = stabilize(captured, seen, rigid=RIGID, neutral=0)
+    np.testing.assert_allclose(result.positions, face, atol=1e-6)
+    np.testing.assert_allclose(result.head_motion[:, :3, :3], turns, atol=1e-9)
+    np.testing.assert_allclose(result.head_motion[0], np.eye(4), atol=1e-6)
+    back = np.einsum("fij,fkj->fki", result.head_motion[:, :3, :3], result.positions)
+    np.testing.assert_allclose(back + result.head_motion[:, None, :3, 3], captured, atol=1e-6)
+
+
+def test_another_neutral_frame_only_moves_the_whole_space():
+    captured, _, _ = talking_head(noise=0.1)
+    seen = np.ones(captured.shape[:2], bool)
+    a = stabilize(captured, seen, rigid=RIGID, neutral=0).positions
+    b = stabilize(captured, seen, rigid=RIGID, neutral=300).positions
+    a_distances = np.linalg.norm(a[:, 6:] - a[:, :1], axis=2)
+    b_distances = np.linalg.norm(b[:, 6:] - b[:, :1], axis=2)
+    np.testing.assert_allclose(a_distances, b_distances, atol=1e-9)  # each frame is moved rigidly
+    np.testing.assert_allclose((a[0, 6:] - a[9, 6:]).std(), (b[0, 6:] - b[9, 6:]).std(), rtol=0.01)
+
+
+def test_frames_without_a_pose_take_one_between_their_neighbours():
+    captured, _, turns = talking_head()
+    seen = np.ones(captured.shape[:2], bool)
+    seen[100:104, :4] = False
+    seen[:3] = False
+    captured[~seen] = np.nan
+    result = stabilize(captured, seen, rigid=RIGID, neutral=10)
+    assert set(result.pose_confidence[100:104]) == {INTERPOLATED_CONFIDENCE}
+    assert (result.pose_confidence[[99, 104]] == 1).all()
+    relative = result.head_motion[:, :3, :3] @ turns[10]
+    error = Rotation.from_matrix(np.swapaxes(relative, 1, 2) @ turns).magnitude()
+    assert np.rad2deg(error[99:105]).max() < 0.05
+    np.testing.assert_allclose(result.head_motion[0], result.head_motion[3])
+
+
+def test_a_rigid_marker_that_is_not_seen_at_the_neutral_frame_still_counts():
+    captured, _, _ = talking_head(noise=0.05)
+    seen = np.ones(captured.shape[:2], bool)
+    seen[0, 5] = False
+    captured[0, 5] = 0
+    result = stabilize(captured, seen, rigid=RIGID, neutral=0)
+    assert result.rigid_weights[1:, 5].min() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("rigid", "hidden", "message"),
+    [
+        ((0, 1, 2), [0], "2 of 3 rigid markers are seen at the neutral frame"),
+        ((0, 1), [], "2 of 2 rigid markers"),
+    ],
+)
+def test_too_few_rigid_markers_are_refused_with_the_remedy(rigid, hidden, message):
+    captured, _, _ = talking_head(frames=20)
+    seen = np.ones(captured.shape[:2], bool)
+    seen[0, hidden] = False
+    with pytest.raises(ValueError, match=message + r".*name more rigid markers"):
+        stabilize(captured, seen, rigid=rigid, neutral=0)
+
+
+def test_rigid_markers_on_a_line_are_refused():
+    captured = np.zeros((5, 4, 3)) + np.arange(4)[:, None] * [10.0, 20.0, 0.0]
+    with pytest.raises(ValueError, match="on a line"):
+        stabilize(captured, np.ones((5, 4), bool), rigid=(0, 1, 2, 3), neutral=0)
+
+
+def test_the_markers_on_the_skull_are_found_among_all():
+    captured, _, _ = talking_head(noise=0.15)
+    seen = np.random.default_rng(1).random(captured.shape[:2]) > 0.05
+    assert find_rigid_markers(captured, seen).indices == RIGID
+
+
+def test_a_cloud_without_a_rigid_part_is_refused():
+    rng = np.random.default_rng(0)
+    t = np.linspace(0, 20, 400)[:, None, None]
+    captured = rng.uniform(-70, 70, (12, 3)) + 10 * np.sin(t * rng.uniform(1, 3, (12, 3)))
+    with pytest.raises(ValueError, match="no set of markers keeps its mutual distances"):
+        find_rigid_markers(captured, np.ones((400, 12), bool))

@@ -1,0 +1,188 @@
+"""The blendshape equation: known weights in, the same weights out."""
+
+import numpy as np
+import pytest
+
+from usdface.numerics.solve.blendshape_equation import (
+    MarkerKeys,
+    measure_proportions,
+    solve_weights,
+)
+from usdface.numerics.solve.blendshapes import BlendShapes, Key, Track
+
+
+@pytest.fixture
+def deltas():
+    return np.random.default_rng(0).normal(size=(12, 30, 3)) * 4
+
+
+@pytest.fixture
+def weights():
+    rng = np.random.default_rng(1)
+    return np.clip(rng.uniform(-0.3, 0.9, (50, 12)), 0, 1)
+
+
+def motion_of(weights, deltas):
+    return np.einsum("fs,smc->fmc", weights, deltas)
+
+
+@pytest.mark.parametrize("method", ["lstsq", "nnls", "bounded"])
+def test_recovers_known_weights(deltas, weights, method):
+    solve = solve_weights(deltas, motion_of(weights, deltas), method=method)
+    np.testing.assert_allclose(solve.weights, weights, atol=1e-7)
+    assert solve.residual_mm.max() < 1e-6
+    assert solve.rank == 12
+
+
+def test_plain_least_squares_is_the_pseudoinverse(deltas):
+    motion = np.random.default_rng(2).normal(size=(7, 30, 3))
+    expected = motion.reshape(7, -1) @ np.linalg.pinv(deltas.reshape(12, -1))
+    np.testing.assert_allclose(solve_weights(deltas, motion).weights, expected, atol=1e-10)
+
+
+def test_turning_or_scaling_both_sides_changes_nothing(deltas, weights):
+    noisy = motion_of(weights, deltas) + np.random.default_rng(3).normal(size=(50, 30, 3))
+    turn = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))[0] * 7.5
+    before = solve_weights(deltas, noisy, method="bounded").weights
+    after = solve_weights(deltas @ turn, noisy @ turn, method="bounded").weights
+    np.testing.assert_allclose(after, before, atol=1e-7)
+
+
+def test_weights_stay_within_the_rigs_ranges(deltas):
+    ranges = np.column_stack([np.linspace(-1, 0, 12), np.linspace(0.2, 2, 12)])
+    motion = np.random.default_rng(5).normal(size=(40, 30, 3)) * 20
+    found = solve_weights(deltas, motion, method="bounded", ranges=ranges).weights
+    assert (found >= ranges[:, 0]).all()
+    assert (found <= ranges[:, 1]).all()
+    assert (found < 0).any()
+
+
+def test_unseen_markers_have_no_say(deltas, weights):
+    motion = motion_of(weights, deltas)
+    visible = np.random.default_rng(6).random((50, 30)) > 0.3
+    motion[~visible] = np.nan
+    solve = solve_weights(deltas, motion, method="bounded", visible=visible)
+    np.testing.assert_allclose(solve.weights, weights, atol=1e-7)
+    np.testing.assert_array_equal(np.isnan(solve.residual_mm), ~visible)
+
+
+def test_unseen_markers_have_no_say_over_time_either(deltas, weights):
+    slow = np.repeat(weights[:5], 20, axis=0)
+    motion = motion_of(slow, deltas)
+    visible = np.random.default_rng(6).random((100, 30)) > 0.1
+    motion[~visible] = 1e4
+    solve = solve_weights(deltas, motion, method="bounded", visible=visible, smoothness=1e-3)
+    np.testing.assert_allclose(solve.weights, slow, atol=1e-3)
+
+
+def test_a_marker_without_trust_has_no_say(deltas, weights):
+    motion = motion_of(weights, deltas)
+    motion[:, 4] += 50
+    trust = np.ones(30)
+    trust[4] = 0
+    solve = solve_weights(deltas, motion, method="bounded", marker_trust=trust)
+    np.testing.assert_allclose(solve.weights, weights, atol=1e-7)
+
+
+def test_sparsity_leaves_fewer_shapes_active(deltas, weights):
+    noisy = motion_of(weights, deltas) + np.random.default_rng(3).normal(size=(50, 30, 3)) * 4
+    free = solve_weights(deltas, noisy, method="bounded").weights
+    sparse = solve_weights(deltas, noisy, method="bounded", l1=200.0).weights
+    assert (sparse > 0).sum() < (free > 0).sum()
+
+
+def test_a_strong_ridge_returns_its_prior(deltas, weights):
+    solve = solve_weights(
+        deltas, 0 * motion_of(weights, deltas), method="bounded", ridge=1e12, prior=weights
+    )
+    np.testing.assert_allclose(solve.weights, weights, atol=1e-6)
+
+
+def test_smoothness_takes_jitter_out_and_keeps_the_movement(deltas):
+    time = np.linspace(0, 2 * np.pi, 200)
+    slow = np.clip(0.5 + 0.4 * np.sin(time[:, None] + np.arange(12)), 0, 1)
+    noisy = motion_of(slow, deltas) + np.random.default_rng(3).normal(size=(200, 30, 3)) * 5
+    rough = solve_weights(deltas, noisy, method="bounded").weights
+    smooth = solve_weights(deltas, noisy, method="bounded", smoothness=1e5).weights
+    assert (
+        np.abs(np.diff(smooth, 2, axis=0)).mean() < 0.2 * np.abs(np.diff(rough, 2, axis=0)).mean()
+    )
+    assert np.abs(smooth - slow).mean() < 0.5 * np.abs(rough - slow).mean()
+
+
+def test_in_betweens_are_solved_as_they_bend():
+    rng = np.random.default_rng(7)
+    points, full = np.arange(20), rng.normal(size=(5, 20, 3)) * 5
+    half = 0.5 * full[0] + rng.normal(size=(20, 3)) * 5  # far from half of the full target
+    tracks = [Track(0, [Key(0.5, points, half), Key(1.0, points, full[0])])]
+    tracks += [Track(i, [Key(1.0, points, full[i])]) for i in range(1, 5)]
+    shapes = BlendShapes(20, 5, tracks)
+    keys = MarkerKeys(
+        deltas=np.concatenate([[half], full]),
+        channels=np.array([0, 0, 1, 2, 3, 4]),
+        key_weights=shapes.key_weights,
+    )
+    truth = rng.uniform(0, 1, (60, 5))
+    motion = shapes.offsets(truth)
+    straight = solve_weights(full, motion, method="bounded")
+    bent = solve_weights(full, motion, method="bounded", keys=keys)
+    np.testing.assert_allclose(bent.weights, truth, atol=1e-5)
+    assert np.abs(straight.weights - truth).max() > 0.1
+
+
+def test_rank_tells_that_shapes_are_alike(deltas):
+    twins = np.concatenate([deltas, deltas[:2]])
+    assert solve_weights(twins, np.zeros((1, 30, 3))).rank == 12
+
+
+def test_proportions_are_measured_per_axis():
+    cloud = np.random.default_rng(8).normal(size=(40, 3)) * (60, 80, 30)
+    scaled = cloud * (1.2, 0.8, 1.1) + (5, 6, 7)
+    np.testing.assert_allclose(measure_proportions(cloud, scaled), (1.2, 0.8, 1.1))
+    pairs = [(0, 1), (2, 3), (4, 5)]
+    np.testing.assert_allclose(measure_proportions(cloud, scaled, pairs=pairs), (1.2, 0.8, 1.1))
+
+
+def test_proportions_need_landmarks_that_span_every_axis():
+    flat = np.array([[0, 0, 0], [50, 0, 0], [0, 40, 0]], float)
+    with pytest.raises(ValueError, match="add a pair that spans each"):
+        measure_proportions(flat, flat, pairs=[(0, 1), (0, 2)])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"method": "ridge"}, "method must be"),
+        ({"l1": 1.0}, "need method 'bounded' or 'nnls'"),
+        ({"method": "bounded", "ranges": [[0, 1]]}, "ranges must be"),
+        ({"method": "bounded", "ridge": -1.0}, "must not be negative"),
+        ({"visible": np.ones((2, 2), bool)}, "visible must be"),
+    ],
+)
+def test_refuses_options_that_do_not_fit(deltas, options, message):
+    with pytest.raises(ValueError, match=message):
+        solve_weights(deltas, np.zeros((3, 30, 3)), **options)
+
+
+def test_names_the_frame_that_is_not_finite(deltas):
+    motion = np.zeros((9, 30, 3))
+    motion[4, 2] = np.nan
+    with pytest.raises(ValueError, match="index 4"):
+        solve_weights(deltas, motion)
+
+
+def test_more_shapes_than_markers_can_tell_apart_still_fit():
+    rng = np.random.default_rng(9)
+    deltas = rng.normal(size=(120, 20, 3)) * 4
+    weights = np.where(rng.random((30, 120)) < 0.1, rng.uniform(0, 1, (30, 120)), 0)
+    solve = solve_weights(deltas, motion_of(weights, deltas), method="bounded")
+    assert solve.rank == 60
+    assert (
+        solve.residual_mm.mean() < 0.1 * np.linalg.norm(motion_of(weights, deltas), axis=2).mean()
+    )
+    assert (solve.weights >= 0).all()
+    assert (solve.weights <= 1).all()
+
+
+def test_no_frames_give_no_weights(deltas):
+    assert solve_weights(deltas, np.zeros((0, 30, 3)), method="bounded").weights.shape == (0, 12)

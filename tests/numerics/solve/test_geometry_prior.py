@@ -1,0 +1,175 @@
+"""Skin prior, linear posterior, regions and box projection: what geometry adds to examples."""
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+from scipy.spatial.transform import Rotation
+
+from usdface.numerics.regression.linear_posterior import fit_linear_posterior
+from usdface.numerics.regression.marker_regions import marker_relevance, regional_features
+from usdface.numerics.regression.skin_prior import expect_marker_motion
+from usdface.numerics.solve.box_projection import project_to_box
+
+SHAPES, POINTS, MARKERS, PAIRS = 6, 80, 30, 20
+
+
+def skin() -> np.ndarray:
+    """Shapes that are smooth over a disc of points: neighbours move alike."""
+    rng = np.random.default_rng(0)
+    where = rng.uniform(-1, 1, size=(POINTS, 2))
+    middle = rng.uniform(-1, 1, size=(SHAPES, 2))
+    near = np.exp(-((where - middle[:, None]) ** 2).sum(axis=2) / 0.5)
+    return 10 * near[:, :, None] * rng.normal(size=(SHAPES, 1, 3))
+
+
+def take(turn: np.ndarray, gain: float = 1.0, noise: float = 0.0):
+    rng = np.random.default_rng(1)
+    chosen = rng.choice(POINTS, MARKERS, replace=False)
+    basis = gain * skin()[:, chosen] @ turn.T
+    weights = rng.uniform(0, 1, size=(PAIRS, SHAPES))
+    markers = 50.0 + np.einsum("ns,smc->nmc", weights, basis)
+    return weights, markers + noise * rng.normal(size=markers.shape), basis
+
+
+@pytest.mark.parametrize("degrees", [0, 25])
+def test_markers_are_found_on_a_turned_and_smaller_face(degrees: int) -> None:
+    turn = Rotation.from_euler("xyz", [degrees, -degrees / 2, 5], degrees=True).as_matrix()
+    weights, markers, basis = take(turn, gain=0.7, noise=0.05)
+    prior = expect_marker_motion(skin(), weights, markers)
+    assert prior.explained > 0.99
+    np.testing.assert_allclose(prior.rotation, turn, atol=0.03)
+    apart = np.linalg.norm(prior.basis - basis) / np.linalg.norm(basis)
+    assert apart < 0.15
+
+
+def test_a_shape_that_no_pair_uses_still_has_its_motion() -> None:
+    weights, markers, basis = take(np.eye(3))
+    weights = weights.copy()
+    markers = markers - np.einsum("n,mc->nmc", weights[:, 2], basis[2])
+    weights[:, 2] = 0.0
+    prior = expect_marker_motion(skin(), weights, markers)
+    direction = (prior.basis[2] * basis[2]).sum() / np.linalg.norm(basis[2]) ** 2
+    assert direction > 0.7
+
+
+def test_skin_that_does_not_fit_the_pairs_is_refused() -> None:
+    weights, markers, _ = take(np.eye(3))
+    with pytest.raises(ValueError, match="do not fit together"):
+        expect_marker_motion(skin()[:-1], weights, markers)
+    with pytest.raises(ValueError, match="19 marker clouds but 20 weights"):
+        expect_marker_motion(skin(), weights, markers[1:])
+
+
+def linear_face(pairs: int = 25, noise: float = 0.02):
+    rng = np.random.default_rng(2)
+    d = 9
+    components = np.linalg.qr(rng.normal(size=(3 * MARKERS, d)))[0].T
+    forward = rng.normal(size=(SHAPES, d)) * 4
+    weights = rng.uniform(0, 1, size=(pairs, SHAPES))
+    z = weights @ forward + 1.5 + noise * rng.normal(size=(pairs, d))
+    return z, weights, forward, components
+
+
+def test_a_linear_face_is_inverted() -> None:
+    z, weights, forward, components = linear_face()
+    model = fit_linear_posterior(
+        z,
+        weights,
+        expected=np.zeros_like(forward),
+        components=components,
+        variances=z.var(axis=0),
+        gram=np.eye(SHAPES),
+    )
+    new = np.random.default_rng(3).uniform(0, 1, size=(40, SHAPES))
+    predicted = (new @ forward + 1.5) @ model.slope + model.intercept
+    assert np.sqrt(((predicted - new) ** 2).mean()) < 0.02
+    assert np.sqrt((model.residuals**2).mean()) < 0.03
+
+
+def test_geometry_tells_apart_shapes_that_the_pairs_only_used_together() -> None:
+    z, weights, forward, components = linear_face()
+    together = weights.copy()
+    together[:, 1] = together[:, 0] + 0.02 * np.random.default_rng(4).normal(size=len(weights))
+    z = together @ forward + 1.5
+    alone = np.zeros((1, SHAPES))
+    alone[0] = 0.5
+    alone[0, 0], alone[0, 1] = 0.9, 0.1
+    errors = []
+    for expected in (np.zeros_like(forward), forward * 1.1):
+        model = fit_linear_posterior(
+            z,
+            together,
+            expected=expected,
+            components=components,
+            variances=z.var(axis=0),
+            gram=np.eye(SHAPES),
+        )
+        predicted = (alone @ forward + 1.5) @ model.slope + model.intercept
+        errors.append(np.abs(predicted - alone)[0, :2].max())
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_too_few_pairs_for_a_calibration_are_refused() -> None:
+    z, weights, forward, components = linear_face(pairs=2)
+    with pytest.raises(ValueError, match="at least 3 pairs, got 2"):
+        fit_linear_posterior(
+            z,
+            weights,
+            expected=forward,
+            components=components,
+            variances=np.ones(9),
+            gram=np.eye(SHAPES),
+        )
+
+
+def test_relevance_names_the_markers_that_a_shape_moves() -> None:
+    rng = np.random.default_rng(0)
+    moves = np.zeros((2, 10, 3))
+    moves[0, :4] = rng.normal(size=(4, 3)) * 20  # centimetres
+    moves[1, 6:] = rng.normal(size=(4, 3))  # millimetres
+    weights = rng.uniform(0, 1, size=(500, 2))
+    packed = np.einsum("fs,smc->fmc", weights, moves).reshape(500, -1)
+    components = np.linalg.svd(packed - packed.mean(axis=0), full_matrices=False)[2][:2]
+    sample = (packed - packed.mean(axis=0)) @ components.T
+    relevance = marker_relevance(sample, weights, components)
+    assert (relevance[0, :4] > relevance[0, 4:].max()).all()
+    assert (relevance[1, 6:] > relevance[1, :6].max()).all()
+    np.testing.assert_allclose(relevance.max(axis=1), 1.0)
+    assert relevance.min() >= 0.05
+
+
+def test_regional_features_are_uncorrelated_and_measure_the_region() -> None:
+    rng = np.random.default_rng(0)
+    components = np.linalg.qr(rng.normal(size=(30, 5)))[0].T
+    sample = rng.normal(size=(4000, 5)) * [5.0, 3.0, 2.0, 1.0, 0.5]
+    relevance = rng.uniform(0.05, 1.0, size=10)
+    covariance = np.cov(sample.T)
+    region = regional_features(components, covariance, relevance)
+    rows = sample @ region.projection
+    np.testing.assert_allclose(np.cov(rows.T), np.diag(region.variances), atol=1e-6)
+    weighed = (sample @ components) * np.repeat(relevance, 3)
+    distance = np.linalg.norm(weighed[0] - weighed[1])
+    assert np.linalg.norm(rows[0] - rows[1]) == pytest.approx(distance, rel=1e-5)
+
+
+def test_projection_is_the_nearest_point_of_the_box_under_the_metric() -> None:
+    rng = np.random.default_rng(0)
+    factor = rng.normal(size=(SHAPES, SHAPES)) + 2 * np.eye(SHAPES)
+    metric = factor.T @ factor
+    wanted = rng.uniform(-0.5, 1.5, size=(12, SHAPES))
+    low, high = np.zeros(SHAPES), np.ones(SHAPES)
+    found = project_to_box(wanted, metric, lower=low, upper=high, steps=2000)
+    for row, result in zip(wanted, found, strict=True):
+        exact = lsq_linear(factor, factor @ row, bounds=(low, high), tol=1e-12).x
+        np.testing.assert_allclose(result, exact, atol=1e-5)
+
+
+def test_rows_within_their_limits_are_left_alone_and_a_diagonal_metric_only_cuts() -> None:
+    rng = np.random.default_rng(0)
+    inside = rng.uniform(0.1, 0.9, size=(5, 3))
+    metric = np.array([[2.0, 1.0, 0.0], [1.0, 3.0, 0.5], [0.0, 0.5, 1.0]])
+    low, high = np.zeros(3), np.ones(3)
+    np.testing.assert_array_equal(project_to_box(inside, metric, lower=low, upper=high), inside)
+    outside = rng.uniform(-1, 2, size=(5, 3))
+    cut = project_to_box(outside, np.diag([1.0, 5.0, 9.0]), lower=low, upper=high)
+    np.testing.assert_allclose(cut, np.clip(outside, 0, 1), atol=1e-12)

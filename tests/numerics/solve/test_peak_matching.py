@@ -1,0 +1,53 @@
+"""Region-wise scale: a blink closes the eye on every face."""
+
+import numpy as np
+import pytest
+
+from tests.numerics.small_face import small_face
+from usdface.numerics.solve.blendshape_equation import solve_weights
+from usdface.numerics.solve.peak_matching import match_peaks
+
+
+@pytest.fixture(scope="module")
+def take():
+    """Return deltas, motion whose lids go only 60 % as far, weights, and the blinks' columns."""
+    face, rng = small_face(), np.random.default_rng(0)
+    blinks = [face.names.index("blinkL"), face.names.index("blinkR")]
+    lids = np.linalg.norm(face.offsets[blinks], axis=2).argsort(axis=1)[:, -3:].ravel()
+    carriers = np.concatenate([face.skin[rng.permutation(len(face.skin))[:120]], lids])
+    deltas = face.offsets[:, carriers]
+    weights = np.clip(rng.uniform(-2, 1, (300, len(deltas))), 0, 1)
+    weights[::6, blinks] = 1
+    seen = deltas.copy()
+    seen[blinks] *= 0.6
+    return deltas, np.einsum("fs,smc->fmc", weights, seen), weights, blinks
+
+
+def test_blinks_reach_their_range_after_matching(take):
+    deltas, motion, weights, blinks = take
+    before = solve_weights(deltas, motion, method="bounded", ridge=10).weights
+    gain = match_peaks(deltas, motion, blinks)
+    after = solve_weights(deltas, motion * gain[:, None], method="bounded", ridge=10).weights
+    shut = weights[:, blinks] == 1
+    assert before[:, blinks][shut].mean() < 0.7
+    assert after[:, blinks][shut].mean() > 0.9
+
+
+def test_markers_that_do_not_blink_keep_their_scale(take):
+    deltas, motion, _, blinks = take
+    gain = match_peaks(deltas, motion, blinks)
+    far = np.linalg.norm(deltas[blinks], axis=2).max(axis=0) < 0.5
+    np.testing.assert_array_equal(gain[far], 1)
+    assert (gain > 1.3).any()
+
+
+def test_a_shape_the_take_does_not_show_changes_nothing(take):
+    deltas, motion, weights, blinks = take
+    still = motion - np.einsum("fs,smc->fmc", weights[:, blinks], 0.6 * deltas[blinks])
+    np.testing.assert_array_equal(match_peaks(deltas, still, blinks), 1)
+
+
+def test_a_shape_that_does_not_exist_is_refused(take):
+    deltas, motion, _, _ = take
+    with pytest.raises(ValueError, match="there is no shape 99"):
+        match_peaks(deltas, motion, [99])
