@@ -1,0 +1,1 @@
+"""Jobs as Open Job Description bundles, and from there to render farms."""

@@ -1,0 +1,1 @@
+"""What is said when: phones, visemes and their times."""
