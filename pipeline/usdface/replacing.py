@@ -1,12 +1,29 @@
-"""Write beside, then rename: whoever reads sees the old file or the new one, never half."""
+"""Write beside, then rename: whoever reads sees the old file or the new one, never half.
 
+Whoever writes holds a lock beside the file, so of two that write the same one wins whole and the
+other is told. The system lets go of the lock of a process that was killed, and what such a process
+left behind is cleared by the next that writes the file.
+"""
+
+import contextlib
+import errno
 import os
+import re
+import socket
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from usdface.errors import InputError
+
+try:
+    import fcntl
+except ImportError:  # Windows: files in use cannot be replaced there, which protects them as well
+    fcntl = None  # type: ignore[assignment]
+
+LONGEST_STEM = 80
+"""Characters of a file's name that its temporary name repeats: names have an upper limit."""
 
 
 @contextmanager
@@ -26,27 +43,31 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises
     ------
     InputError
-        If the folder is missing, `path` is a folder, or either cannot be written. The old file,
-        if there is one, is as it was.
+        If the folder is missing, `path` is a folder, either cannot be written, or another process
+        is writing the same file. The old file, if there is one, is as it was.
     """
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file to write")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist; make it first")
-    temporary = path.with_name(f".{path.stem[:80]}.{uuid.uuid4().hex[:8]}{path.suffix}")
-    try:
-        _touch(temporary, target=path)
-        yield temporary
+    with _alone(path):
+        _clear_leftovers(path)
+        name = f".{path.stem[:LONGEST_STEM]}.{uuid.uuid4().hex[:8]}{path.suffix}"
+        temporary = path.with_name(name)
         try:
-            with temporary.open("rb+") as written:
-                os.fsync(written.fileno())
-            temporary.replace(path)
-        except OSError as error:
-            raise InputError(
-                f"{path}: cannot be replaced ({error.strerror}); free the disk or the file"
-            ) from error
-    finally:
-        temporary.unlink(missing_ok=True)
+            _touch(temporary, target=path)
+            yield temporary
+            try:
+                with temporary.open("rb+") as written:
+                    os.fsync(written.fileno())
+                temporary.replace(path)
+            except OSError as error:
+                raise InputError(
+                    f"{path}: cannot be replaced ({error.strerror}); free the disk or the file, "
+                    "and see that the folder is still there"
+                ) from error
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
 def _touch(temporary: Path, *, target: Path) -> None:
@@ -54,7 +75,68 @@ def _touch(temporary: Path, *, target: Path) -> None:
     try:
         temporary.touch()
     except OSError as error:
+        raise _not_writable(target, error) from error
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Hold the lock of a file that is written; it is gone afterwards, and with the process."""
+    lock = path.with_name(f".{path.name[: 2 * LONGEST_STEM]}.lock")
+    try:
+        handle = _lock(lock)
+    except BlockingIOError as error:
         raise InputError(
-            f"{target}: the folder {target.parent} cannot be written to ({error.strerror}); "
-            "write elsewhere or ask for the right to"
+            f"{path}: another process is writing it{_owner(lock)}; let that one finish, or write "
+            "elsewhere"
         ) from error
+    except OSError as error:
+        raise _not_writable(path, error) from error
+    try:
+        yield
+    finally:
+        # Removed while still held: whoever waits for this very file then sees that it is gone.
+        with contextlib.suppress(OSError):
+            lock.unlink(missing_ok=True)
+        os.close(handle)
+
+
+def _lock(lock: Path) -> int:
+    while True:
+        handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        try:
+            if fcntl is not None:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.fstat(handle).st_nlink:  # not removed by its last owner in between
+                os.ftruncate(handle, 0)
+                os.write(handle, f"process {os.getpid()} on {socket.gethostname()}".encode())
+                return handle
+        except OSError as error:
+            if error.errno in (errno.ENOLCK, errno.ENOTSUP):
+                return handle  # a file system without locks: work on, as before there were any
+            os.close(handle)
+            raise
+        os.close(handle)
+
+
+def _owner(lock: Path) -> str:
+    try:
+        return f" ({lock.read_text(encoding='utf-8')[:200]})"
+    except (OSError, UnicodeDecodeError):
+        return ""
+
+
+def _clear_leftovers(path: Path) -> None:
+    """Remove what a killed process left; nobody else can be writing, as the lock is ours."""
+    if len(path.stem) > LONGEST_STEM:
+        return  # another file's temporaries could have the same name
+    ours = re.compile(rf"\.{re.escape(path.stem)}\.[0-9a-f]{{8}}(\.\w+)?{re.escape(path.suffix)}")
+    for each in path.parent.iterdir():
+        if ours.fullmatch(each.name):
+            each.unlink(missing_ok=True)
+
+
+def _not_writable(path: Path, error: OSError) -> InputError:
+    return InputError(
+        f"{path}: the folder {path.parent} cannot be written to ({error.strerror}); "
+        "write elsewhere or ask for the right to"
+    )

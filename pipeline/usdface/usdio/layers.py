@@ -117,13 +117,30 @@ def new_layer(path: Path, provenance: Provenance | None = None) -> Iterator[Sdf.
         layer = Sdf.Layer.CreateNew(str(temporary))
         yield layer
         if provenance is not None:
-            layer.customLayerData = {"usdface": provenance_data(provenance)}
-        if not layer.Save():
-            raise InputError(f"{path}: USD could not save it; is the disk full?")
+            # What other tools keep there stays.
+            layer.customLayerData = dict(layer.customLayerData) | {
+                "usdface": provenance_data(provenance)
+            }
+        save_layer(layer, path)
         del layer
     stale = Sdf.Layer.Find(str(path))
     if stale is not None:
         stale.Reload(force=True)
+
+
+def save_layer(layer: Sdf.Layer, path: Path) -> None:
+    """Save a layer under its temporary name.
+
+    Raises
+    ------
+    InputError
+        If the disk is full, or the folder has gone.
+    """
+    if not layer.Save():
+        raise InputError(
+            f"{path}: USD could not save it; is the disk full, or the folder gone? Nothing under "
+            "its name was changed"
+        )
 
 
 def provenance_data(provenance: Provenance) -> dict[str, object]:

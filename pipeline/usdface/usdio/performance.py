@@ -21,6 +21,7 @@ from usdface.usdio.layers import (
     open_layer,
     open_stage,
     relative_path,
+    save_layer,
 )
 from usdface.usdio.rig_reference import (
     default_place,
@@ -41,7 +42,8 @@ def weights_path(path: Path) -> Path:
 class WeightsWriter:
     """Appends solved frames to a weights layer; made by `writing_performance`."""
 
-    def __init__(self, layer: Sdf.Layer, animation: Sdf.Path, first_frame: int) -> None:
+    def __init__(self, path: Path, layer: Sdf.Layer, animation: Sdf.Path, first_frame: int) -> None:
+        self._path = path
         self._layer = layer
         self._weights = animation.AppendProperty("blendShapeWeights")
         self._confidence = animation.AppendProperty("face:confidence")
@@ -73,7 +75,7 @@ class WeightsWriter:
         self._unsaved += len(rows)
         if self._unsaved >= FRAMES_IN_MEMORY:
             # A saved binary layer reads its samples back from disk when asked.
-            self._layer.Save()
+            save_layer(self._layer, self._path)
             self._unsaved = 0
 
 
@@ -118,40 +120,43 @@ def writing_performance(
     place = place or default_place(rig)
     animation = Sdf.Path(place).AppendChild(ANIMATION)
     weights_file = weights_path(path)
-    with new_layer(weights_file, provenance) as layer:
-        author_units(layer)
-        author_timing(layer, rate=rate, first=first_frame, last=last_frame)
-        layer.defaultPrim = Sdf.Path(place).GetPrefixes()[0].name
-        prim = define_prim(layer, animation, "SkelAnimation")
-        apply_api(prim, "FaceSolveAPI")
-        author_uniform(prim, "blendShapes", Sdf.ValueTypeNames.TokenArray, list(shape_names))
-        Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
-        Sdf.AttributeSpec(prim, "face:confidence", Sdf.ValueTypeNames.Float)
-        if regions:
-            Sdf.AttributeSpec(prim, "face:residual", Sdf.ValueTypeNames.FloatArray)
-            author_uniform(
-                prim, "face:residual:regions", Sdf.ValueTypeNames.TokenArray, list(regions)
-            )
-        if timecode_start:
-            author_uniform(prim, "face:timecode:start", Sdf.ValueTypeNames.String, timecode_start)
-        point_skeletons_at(layer, place, rig, animation)
-        writer = WeightsWriter(layer, animation, first_frame)
-        yield writer
-        if writer.next_frame != last_frame + 1:
-            raise ValueError(
-                f"{path}: {writer.next_frame - first_frame} frames were appended where "
-                f"{last_frame - first_frame + 1} were announced"
-            )
-    with new_layer(path, provenance) as layer:
+    # The top layer is held from the start: nobody else can write this performance meanwhile.
+    with new_layer(path, provenance) as top:
+        with new_layer(weights_file, provenance) as layer:
+            author_units(layer)
+            author_timing(layer, rate=rate, first=first_frame, last=last_frame)
+            layer.defaultPrim = Sdf.Path(place).GetPrefixes()[0].name
+            prim = define_prim(layer, animation, "SkelAnimation")
+            apply_api(prim, "FaceSolveAPI")
+            author_uniform(prim, "blendShapes", Sdf.ValueTypeNames.TokenArray, list(shape_names))
+            Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
+            Sdf.AttributeSpec(prim, "face:confidence", Sdf.ValueTypeNames.Float)
+            if regions:
+                Sdf.AttributeSpec(prim, "face:residual", Sdf.ValueTypeNames.FloatArray)
+                author_uniform(
+                    prim, "face:residual:regions", Sdf.ValueTypeNames.TokenArray, list(regions)
+                )
+            if timecode_start:
+                author_uniform(
+                    prim, "face:timecode:start", Sdf.ValueTypeNames.String, timecode_start
+                )
+            point_skeletons_at(layer, place, rig, animation)
+            writer = WeightsWriter(weights_file, layer, animation, first_frame)
+            yield writer
+            if writer.next_frame != last_frame + 1:
+                raise ValueError(
+                    f"{path}: {writer.next_frame - first_frame} frames were appended where "
+                    f"{last_frame - first_frame + 1} were announced"
+                )
         if path.is_file():
-            layer.TransferContent(open_layer(path))
-        author_units(layer)
-        author_timing(layer, rate=rate, first=first_frame, last=last_frame)
-        layer.defaultPrim = Sdf.Path(place).GetPrefixes()[0].name
-        define_reference(layer, place, rig, path)
+            top.TransferContent(open_layer(path))
+        author_units(top)
+        author_timing(top, rate=rate, first=first_frame, last=last_frame)
+        top.defaultPrim = Sdf.Path(place).GetPrefixes()[0].name
+        define_reference(top, place, rig, path)
         weights_asset = relative_path(weights_file, path)
-        if weights_asset not in list(layer.subLayerPaths):
-            layer.subLayerPaths.append(weights_asset)
+        if weights_asset not in list(top.subLayerPaths):
+            top.subLayerPaths.append(weights_asset)
 
 
 def find_animation(stage: Usd.Stage, path: Path) -> Usd.Prim:

@@ -1,0 +1,91 @@
+"""A file appears whole or not at all, and one writer wins."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from usdface.errors import InputError
+from usdface.replacing import replacing
+
+HOLD = """
+import sys
+from pathlib import Path
+from usdface.replacing import replacing
+with replacing(Path(sys.argv[1])) as temporary:
+    temporary.write_text("first")
+    print("holding", flush=True)
+    sys.stdin.read()
+"""
+
+
+def holder(path: Path) -> subprocess.Popen[str]:
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "holding\n"
+    return process
+
+
+def test_of_two_writers_one_wins_whole_and_the_other_says_so(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    with holder(target) as first:
+        with (
+            pytest.raises(InputError, match=rf"another process is writing .*process {first.pid}"),
+            replacing(target) as temporary,
+        ):
+            temporary.write_text("second")
+        first.communicate()
+    assert target.read_text() == "first"
+    assert [each.name for each in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_a_killed_writer_holds_no_lock_and_its_leftovers_are_cleared(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    with holder(target) as first:
+        os.kill(first.pid, signal.SIGKILL)
+    assert not target.exists()
+    assert len(list(tmp_path.iterdir())) == 2  # the temporary and the lock
+    (tmp_path / ".ab.12345678.txt").write_text("another file's")
+    with replacing(target) as temporary:
+        temporary.write_text("second")
+    assert target.read_text() == "second"
+    assert sorted(each.name for each in tmp_path.iterdir()) == [".ab.12345678.txt", "a.txt"]
+
+
+def test_an_error_leaves_the_old_file(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+
+    def fail() -> None:
+        with replacing(target) as temporary:
+            temporary.write_text("new")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail()
+    assert target.read_text() == "old"
+    assert [each.name for each in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_a_folder_that_goes_away_meanwhile_is_named(tmp_path: Path) -> None:
+    target = tmp_path / "gone" / "a.txt"
+    target.parent.mkdir()
+
+    def remove() -> None:
+        with replacing(target) as temporary:
+            temporary.unlink()
+            for each in target.parent.iterdir():
+                each.unlink()
+            target.parent.rmdir()
+
+    with pytest.raises(InputError, match="see that the folder is still there"):
+        remove()
+    assert not target.parent.exists()
