@@ -7,6 +7,7 @@ import numpy as np
 from usdface.assets import Mapping, References
 from usdface.deformer import Deformer
 from usdface.errors import InputError
+from usdface.model.skin import sample_skin
 from usdface.model.train import train_mapping
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
@@ -43,11 +44,12 @@ def run(
             f"{', '.join(missing[:5])}; select again for this rig"
         )
     columns = [rig.shapes.index(name) for name in references.shape_names]
-    gram = Deformer(rig).shapes.gram()[np.ix_(columns, columns)]
+    shapes = Deformer(rig).shapes
     mapping = train_mapping(
         references,
         ranges=rig.ranges[columns],
-        gram=gram,
+        gram=shapes.gram()[np.ix_(columns, columns)],
+        skin=sample_skin(shapes.target_offsets())[columns],
         method=spec.method,
         dimensions=spec.dimensions,
         progress=progress,
