@@ -12,6 +12,7 @@ from usdface.assets import Markers, Take
 from usdface.capture.marker_labels import list_some, match_names
 from usdface.errors import InputError
 
+_CHUNK_FRAMES = 8192
 FARTHEST_MM = 1e5
 """No capture volume is larger than 100 m: a sample beyond is damage, and is not seen."""
 
@@ -117,7 +118,7 @@ def build_marker_take(
         names=tuple(names),
         positions=positions,
         visible=visible,
-        confidence=visible.astype(np.float32),
+        confidence=_confidence(visible),
         rigid=match_names(options.rigid, names, where=str(path), role="rigid marker"),
         neutral_frame=neutral_frame,
     )
@@ -129,6 +130,13 @@ def build_marker_take(
         timecode_start=timecode_start,
     )
     return Capture(take, format_name, tuple(found))
+
+
+def _confidence(visible: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return 1 where seen, 0 elsewhere; without memory of its own where all is seen."""
+    if visible.all():
+        return np.broadcast_to(np.float32(1), visible.shape)
+    return visible.astype(np.float32)
 
 
 def hold_last_seen(positions: NDArray[np.float32], visible: NDArray[np.bool_]) -> None:
@@ -151,12 +159,15 @@ def hold_last_seen(positions: NDArray[np.float32], visible: NDArray[np.bool_]) -
 def _hide_impossible(positions: NDArray[np.float32], visible: NDArray[np.bool_]) -> list[str]:
     """Mark samples no camera can have seen as unseen, and say how many there were."""
     counts = np.zeros(3, np.int64)
-    for marker in range(positions.shape[1]):  # one at a time: temporaries stay small on long takes
-        track, seen = positions[:, marker], visible[:, marker]
-        broken = seen & ~np.isfinite(track).all(axis=1)
+    for start in range(0, len(positions), _CHUNK_FRAMES):  # temporaries stay small on long takes
+        rows = slice(start, start + _CHUNK_FRAMES)
+        seen = visible[rows]
+        size = np.abs(positions[rows])
         with np.errstate(invalid="ignore"):
-            origin = seen & (track == 0).all(axis=1)
-            far = seen & ~broken & (np.abs(track) > FARTHEST_MM).any(axis=1)
+            reach = np.maximum(np.maximum(size[..., 0], size[..., 1]), size[..., 2])
+            broken = seen & ~np.isfinite(reach)
+            origin = seen & (reach == 0)
+            far = seen & ~broken & (reach > FARTHEST_MM)
         counts += [broken.sum(), origin.sum(), far.sum()]
         seen &= ~(broken | origin | far)
     reasons = ("not numbers", "exactly at the origin", f"more than {FARTHEST_MM / 1000:g} m away")

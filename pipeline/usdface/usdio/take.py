@@ -161,18 +161,24 @@ class TakeReader:
         self, prim: Usd.Prim, name: str, frames: range, shape: tuple[int, int], kind: np.dtype
     ) -> np.ndarray:
         attribute = prim.GetAttribute(name)
-        out = np.ones(shape, dtype=kind)
         if not attribute or not attribute.HasAuthoredValue():
-            return out
-        for index, frame in enumerate(frames):
-            value = attribute.Get(frame)
+            return np.broadcast_to(np.ones((), kind), shape)
+        # Values are written where they change, so between samples there is nothing to ask for.
+        times = np.array(attribute.GetTimeSamples() or [frames[0]])
+        start = max(int(np.searchsorted(times, frames[0], "right")) - 1, 0)
+        times = times[start : int(np.searchsorted(times, frames[-1], "left")) + 1]
+        told = np.empty((len(times), shape[1]), kind)
+        for index, time in enumerate(times.tolist()):
+            value = attribute.Get(time)
             if value is None or len(value) != shape[1]:
                 raise InputError(
-                    f"{self.path} <{attribute.GetPath()}> frame {frame}: needs one value per "
+                    f"{self.path} <{attribute.GetPath()}> frame {time:g}: needs one value per "
                     f"marker, {shape[1]}; ingest the capture again"
                 )
-            out[index] = np.asarray(value)
-        return out
+            told[index] = np.asarray(value)
+        if len(told) == 1:
+            return np.broadcast_to(told[0], shape)
+        return _between(times, told, np.arange(frames[0], frames[-1] + 1))
 
     def _read_source(self, frames: range) -> WeightsClip | None:
         prim = self._prims[SOURCE.name]
@@ -229,6 +235,20 @@ class TakeReader:
         if resolved:
             return Path(resolved)
         return (self.path.parent / str(getattr(asset, "path", ""))).resolve()
+
+
+def _between(times: np.ndarray, told: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """Return values at frames as USD does: numbers are interpolated, the rest is held."""
+    before = np.clip(np.searchsorted(times, frames, "right") - 1, 0, len(times) - 1)
+    out = told[before]
+    if np.issubdtype(told.dtype, np.floating):
+        after = np.minimum(before + 1, len(times) - 1)
+        part = np.clip((frames - times[before]) / np.maximum(times[after] - times[before], 1), 0, 1)
+        jumps = np.append((told[1:] != told[:-1]).any(axis=1), False)
+        moving = np.flatnonzero((part > 0) & jumps[before])
+        step = told[after[moving]] - told[before[moving]]
+        out[moving] += (part[moving, None] * step).astype(told.dtype)
+    return out
 
 
 def read_take(path: Path, *, first: int | None = None, last: int | None = None) -> Take:

@@ -1,0 +1,58 @@
+"""Visibility and confidence are written where they change, and read back as USD reads them."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd
+
+from usdface.assets import Markers, Take
+from usdface.usdio import take_write
+from usdface.usdio.take import read_take
+from usdface.usdio.take_write import write_take
+
+
+def make_take(visible: np.ndarray, confidence: np.ndarray) -> Take:
+    rng = np.random.default_rng(0)
+    markers = Markers(
+        names=tuple(f"m{i}" for i in range(visible.shape[1])),
+        positions=rng.normal(0, 50, (*visible.shape, 3)).astype(np.float32),
+        visible=visible,
+        confidence=confidence.astype(np.float32),
+        neutral_frame=11,
+    )
+    return Take("talk", Fraction(120), 11, markers=markers)
+
+
+@pytest.mark.parametrize("lot", [3, 7, 1000])
+def test_what_is_written_where_it_changes_reads_back_at_every_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lot: int
+) -> None:
+    rng = np.random.default_rng(0)
+    visible = rng.random((40, 5)) > 0.02
+    visible[15:30] = True
+    confidence = np.where(visible, 1.0, rng.random((40, 5)))
+    monkeypatch.setattr(take_write, "FRAMES_IN_MEMORY", lot)
+    write_take(tmp_path / "talk.take.usda", make_take(visible, confidence))
+    for first, last in ((11, 50), (24, 31), (20, 20)):
+        markers = read_take(tmp_path / "talk.take.usda", first=first, last=last).markers
+        assert markers is not None
+        rows = slice(first - 11, last - 10)
+        np.testing.assert_array_equal(markers.visible, visible[rows])
+        np.testing.assert_array_equal(markers.confidence, confidence[rows].astype(np.float32))
+
+
+def test_usd_itself_sees_the_same_at_every_frame_and_between(tmp_path: Path) -> None:
+    visible = np.ones((12, 2), bool)
+    visible[5:8, 1] = False
+    write_take(tmp_path / "talk.take.usda", make_take(visible, visible))
+    stage = Usd.Stage.Open(str(tmp_path / "talk.take.usda"))
+    prim = stage.GetPrimAtPath(stage.GetDefaultPrim().GetPath().AppendChild("Markers"))
+    confidence = prim.GetAttribute("primvars:face:confidence")
+    assert len(confidence.GetTimeSamples()) == 5  # the first, and both sides of each change
+    for frame in range(12):
+        np.testing.assert_array_equal(np.asarray(confidence.Get(11 + frame)), visible[frame])
+        seen = prim.GetAttribute("primvars:face:visible").Get(11 + frame)
+        np.testing.assert_array_equal(np.asarray(seen), visible[frame])
+    assert confidence.Get(13.5)[1] == 1.0
