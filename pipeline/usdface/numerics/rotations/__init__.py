@@ -1,0 +1,1 @@
+"""Rotations as rotations: means, differences and regressions on their own curved space."""
