@@ -46,11 +46,12 @@ def _stabilisation() -> None:
         cloud[part] = np.einsum("fij,mj->fmi", matrices, shape)
         cloud[part] += rng.normal(0, 0.15, cloud[part].shape)
     rigid = np.ascontiguousarray(cloud[:, :RIGID])
+    begin = cloud[:LOOPED].copy()
     found = {}
 
     def ours() -> None:
         alignment = align_rigid(rigid, shape[:RIGID])
-        remove_motion(cloud, alignment)
+        remove_motion(cloud, alignment, out=cloud)
         found["rotations"] = alignment.rotations
 
     def loop() -> None:
@@ -60,7 +61,7 @@ def _stabilisation() -> None:
             centred = points - points.mean(axis=0)
             rotation, _ = Rotation.align_vectors(centred, reference)
             found.setdefault("loop", []).append(rotation.as_matrix())
-            (cloud[frame] - points.mean(axis=0)) @ rotation.as_matrix()
+            begin[frame] = (begin[frame] - points.mean(axis=0)) @ rotation.as_matrix()
 
     mine, theirs = _seconds(ours), _seconds(loop) * FRAMES / LOOPED
     away = np.abs(found["rotations"][:LOOPED] - np.array(found["loop"])).max()

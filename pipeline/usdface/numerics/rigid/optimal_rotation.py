@@ -39,15 +39,18 @@ def optimal_rotations(
         Identity where not determined.
     determined : (n,) bool array
     """
-    size = np.sqrt(np.einsum("nij,nij->n", matrices, matrices))
-    B = matrices / np.maximum(size, np.finfo(np.float64).tiny)[:, None, None]
-    cofactors = np.stack(
-        [np.cross(B[:, 1], B[:, 2]), np.cross(B[:, 2], B[:, 0]), np.cross(B[:, 0], B[:, 1])], axis=1
+    # Frames last: every operation then runs along memory, not over matrices of nine numbers.
+    B = np.ascontiguousarray(np.moveaxis(matrices, 0, -1))
+    size = np.sqrt((B * B).sum(axis=(0, 1)))
+    B /= np.maximum(size, np.finfo(np.float64).tiny)
+    above, below = B[[1, 2, 0]], B[[2, 0, 1]]
+    cofactors = (
+        above[:, [1, 2, 0]] * below[:, [2, 0, 1]] - above[:, [2, 0, 1]] * below[:, [1, 2, 0]]
     )
-    determinant = np.einsum("ni,ni->n", B[:, 0], cofactors[:, 0])
-    cofactor_norm2 = np.einsum("nij,nij->n", cofactors, cofactors)
+    determinant = (B[0] * cofactors[0]).sum(axis=0)
+    cofactor_norm2 = (cofactors * cofactors).sum(axis=(0, 1))
     # (λ² - |B|²)² - 8 λ det B - 4 |cof B|² = 0, |B| = 1; convex from the largest root upwards
-    root = np.full(len(B), np.sqrt(3.0))
+    root = np.full(len(matrices), np.sqrt(3.0))
     for _ in range(_NEWTON_LIMIT):
         excess = root * root - 1.0
         value = excess * excess - 8.0 * root * determinant - 4.0 * cofactor_norm2
@@ -59,14 +62,24 @@ def optimal_rotations(
     kappa = 0.5 * (root * root - 1.0)
     zeta = kappa * root - determinant
     safe = (zeta > _SAFE_ZETA) & (size > 0)
-    BtB = np.swapaxes(B, 1, 2) @ B
-    R = (kappa + 1.0)[:, None, None] * B + root[:, None, None] * cofactors - B @ BtB
-    R /= np.where(safe, zeta, 1.0)[:, None, None]
-    R = R @ (1.5 * np.eye(3) - 0.5 * (np.swapaxes(R, 1, 2) @ R))  # orthogonal to rounding
+    turned = (kappa + 1.0) * B + root * cofactors - _product(B, _gram(B))
+    turned /= np.where(safe, zeta, 1.0)
+    turned = 1.5 * turned - 0.5 * _product(turned, _gram(turned))  # orthogonal to rounding
+    R = np.ascontiguousarray(np.moveaxis(turned, -1, 0))
     determined = safe.copy()
     rest = np.flatnonzero(~safe)
-    R[rest], determined[rest] = _decompose(B[rest], rank_tolerance)
+    R[rest], determined[rest] = _decompose(np.moveaxis(B[:, :, rest], -1, 0), rank_tolerance)
     return R, determined
+
+
+def _product(A: NDArray[np.float64], B: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return A B of (3, 3, n) matrices."""
+    return A[:, :1] * B[:1] + A[:, 1:2] * B[1:2] + A[:, 2:] * B[2:]
+
+
+def _gram(A: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return A.T A of (3, 3, n) matrices."""
+    return _product(np.swapaxes(A, 0, 1), A)
 
 
 def _decompose(

@@ -186,13 +186,21 @@ def alignment_of(matrices: ArrayLike) -> RigidAlignment:
     return RigidAlignment(motion[:, :3, :3], motion[:, :3, 3], known, np.ones((len(motion), 0)))
 
 
-def remove_motion(positions: ArrayLike, alignment: RigidAlignment) -> NDArray[np.floating]:
+def remove_motion(
+    positions: ArrayLike,
+    alignment: RigidAlignment,
+    *,
+    out: NDArray[np.floating] | None = None,
+) -> NDArray[np.floating]:
     """Bring captured positions into the reference's space.
 
     Parameters
     ----------
     positions : (frames, any, 3) array_like
     alignment : RigidAlignment
+    out : (frames, any, 3) float array, optional
+        Where to put the result; `positions` themselves, to take no more memory. On long takes
+        fresh memory costs more time than the arithmetic.
 
     Returns
     -------
@@ -201,7 +209,7 @@ def remove_motion(positions: ArrayLike, alignment: RigidAlignment) -> NDArray[np
     """
     points = np.asarray(positions)
     kind = np.result_type(points.dtype, np.float32)
-    still = np.empty(points.shape, kind)
+    still = np.empty(points.shape, kind) if out is None else out
     rotations = alignment.rotations.astype(kind)
     for start in range(0, len(points), _CHUNK_FRAMES):
         rows = slice(start, start + _CHUNK_FRAMES)
