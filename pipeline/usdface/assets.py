@@ -99,6 +99,21 @@ class Video:
 
 
 @dataclass(frozen=True)
+class Event:
+    """A moment that somebody marked on the capture machine.
+
+    Attributes
+    ----------
+    label : str
+    frame : float
+        In the take's frame numbers; between two where it was marked between them.
+    """
+
+    label: str
+    frame: float
+
+
+@dataclass(frozen=True)
 class Take:
     """One continuous recording of one performer.
 
@@ -119,6 +134,8 @@ class Take:
     audio : Path or None
     timecode_start : str
         SMPTE timecode of the first frame, empty when unknown.
+    events : tuple of Event
+        In the order of the recording.
     """
 
     name: str
@@ -132,6 +149,7 @@ class Take:
     performer: str = ""
     emotion: str = ""
     timecode_start: str = ""
+    events: tuple[Event, ...] = ()
 
     @property
     def frame_count(self) -> int:

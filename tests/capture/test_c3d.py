@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from usdface.capture.c3d import open_c3d
+from usdface.capture.c3d_take import read_c3d_take
 from usdface.capture.c3d_write import write_c3d
+from usdface.capture.marker_take import CaptureOptions
 from usdface.errors import InputError
 
 BTK_SAME = (
@@ -214,3 +216,17 @@ def test_a_file_that_shrinks_while_it_is_read_names_the_frame(take, tmp_path):
     path.write_bytes(path.read_bytes()[: file.layout.data_start + 81])
     with pytest.raises(InputError, match="frame 2: the file ended"):
         file.read_points()
+
+
+def test_events_come_in_order_by_frame(take, tmp_path):
+    positions, visible, names = take
+    write_c3d(tmp_path / "plain.c3d", positions, visible, names, rate=120)
+    file = ezc3d.c3d(str(tmp_path / "plain.c3d"))
+    file.add_parameter("EVENT", "USED", [2])
+    file.add_parameter("EVENT", "LABELS", ["Clap", "Slate"])
+    file.add_parameter("EVENT", "CONTEXTS", ["", "General"])
+    file.add_parameter("EVENT", "TIMES", np.array([[0.0, 0.0], [0.25, 0.1]]))
+    file.write(str(tmp_path / "marked.c3d"))
+    found = read_c3d_take(tmp_path / "marked.c3d", CaptureOptions()).take.events
+    assert [event.label for event in found] == ["General Slate", "Clap"]
+    np.testing.assert_allclose([event.frame for event in found], [1 + 12, 1 + 30], atol=1e-4)

@@ -1,13 +1,14 @@
 """Visibility and confidence are written where they change, and read back as USD reads them."""
 
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd
+from pxr import Sdf, Usd
 
-from usdface.assets import Markers, Take
+from usdface.assets import Event, Markers, Take
 from usdface.usdio import take_write
 from usdface.usdio.take import read_take
 from usdface.usdio.take_write import write_take
@@ -56,3 +57,19 @@ def test_usd_itself_sees_the_same_at_every_frame_and_between(tmp_path: Path) -> 
         seen = prim.GetAttribute("primvars:face:visible").Get(11 + frame)
         np.testing.assert_array_equal(np.asarray(seen), visible[frame])
     assert confidence.Get(13.5)[1] == 1.0
+
+
+def test_events_keep_their_place_under_a_layer_offset(tmp_path: Path) -> None:
+    seen = np.ones((12, 2), bool)
+    take = replace(make_take(seen, seen), events=(Event("Clap", 13.0), Event("Slate", 17.5)))
+    write_take(tmp_path / "talk.take.usda", take)
+    assert read_take(tmp_path / "talk.take.usda").events == take.events
+    assert read_take(tmp_path / "talk.take.usda", first=14, last=22).events == take.events[1:]
+    shot = Sdf.Layer.CreateNew(str(tmp_path / "shot.usda"))
+    shot.subLayerPaths = ["talk.take.usda"]
+    shot.subLayerOffsets[0] = Sdf.LayerOffset(1000)
+    shot.Save()
+    stage = Usd.Stage.Open(shot)
+    root = stage.GetPrimAtPath("/Take")
+    times = [time.GetValue() for time in root.GetAttribute("face:events:times").Get()]
+    assert times == [1013.0, 1017.5]

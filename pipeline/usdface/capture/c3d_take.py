@@ -1,9 +1,11 @@
 """A C3D file as a take."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from usdface.assets import Event
 from usdface.capture.axes import mm_per_unit, rotation_from_screen, rotation_to_y_up
 from usdface.capture.c3d import C3dFile, open_c3d
 from usdface.capture.marker_labels import list_some, settle_labels
@@ -61,7 +63,7 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
             turned = points.positions[:, columns].reshape(-1, 3) @ rotation.T
             positions[rows] = turned.reshape(-1, len(columns), 3)
         visible[rows] = points.residuals[:, columns] >= 0
-    return build_marker_take(
+    capture = build_marker_take(
         path,
         labels.names,
         positions,
@@ -72,6 +74,18 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
         notes=notes,
         format_name="c3d",
     )
+    return replace(capture, take=replace(capture.take, events=_events(file)))
+
+
+def _events(file: C3dFile) -> tuple[Event, ...]:
+    """Return the marked moments by frame: second 0 is frame 1, also of a file cut later."""
+    rate = file.layout.rate
+    found = [
+        Event(f"{event.context} {event.label}".strip(), 1 + event.seconds * rate)
+        for event in file.events()
+        if np.isfinite(event.seconds)
+    ]
+    return tuple(sorted(found, key=lambda event: event.frame))
 
 
 def _mm_scale(file: C3dFile, options: CaptureOptions, notes: list[str]) -> float:

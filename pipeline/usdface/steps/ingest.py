@@ -141,4 +141,7 @@ def _report(spec: IngestSpec, take: Take, notes: tuple[str, ...]) -> Report:
         figures["channels"] = len(take.source.names)
         parts.append(f"{len(take.source.names)} weights")
     outputs = tuple(dict.fromkeys((spec.out, samples_path(spec.out))))
+    if take.events:
+        figures["events"] = [[event.label, event.frame] for event in take.events]
+        parts.append(f"{len(take.events)} events")
     return Report(outputs, f"{take.name}: {', '.join(parts)}", notes, figures)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
-from usdface.assets import Markers, Take, Video, WeightsClip
+from usdface.assets import Event, Markers, Take, Video, WeightsClip
 from usdface.errors import InputError
 from usdface.rates import exact_rate
 from usdface.timecode import shift_timecode
@@ -101,6 +101,7 @@ class TakeReader:
             performer=str(self._value("face:performer") or ""),
             emotion=str(self._value("face:emotion") or ""),
             timecode_start=self.timecode_at(first),
+            events=tuple(e for e in self._read_events() if first <= e.frame <= last),
         )
 
     def _value(self, name: str) -> object:
@@ -210,6 +211,19 @@ class TakeReader:
         motion[:, :3, :3] = turn @ motion[:, :3, :3] @ turn.T
         motion[:, :3, 3] = motion[:, :3, 3] @ self._ours.T
         return motion
+
+    def _read_events(self) -> list[Event]:
+        labels = self._root.GetAttribute("face:events:labels").Get() or ()
+        times = self._root.GetAttribute("face:events:times").Get() or ()
+        if len(labels) != len(times):
+            raise InputError(
+                f"{self.path}: {len(labels)} face:events:labels for {len(times)} face:events:times;"
+                " author one of each per event"
+            )
+        return [
+            Event(str(label), float(getattr(time, "GetValue", lambda time=time: time)()))
+            for label, time in zip(labels, times, strict=True)
+        ]
 
     def _read_video(self) -> Video | None:
         asset = self._value("face:video:file")

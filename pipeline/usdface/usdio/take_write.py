@@ -86,6 +86,11 @@ def _author_take_api(layer: Sdf.Layer, take: Take, path: Path) -> None:
     ):
         if value:
             author_uniform(prim, name, kind, value)
+    if take.events:
+        labels = [event.label for event in take.events]
+        author_uniform(prim, "face:events:labels", Sdf.ValueTypeNames.StringArray, labels)
+        times = [Sdf.TimeCode(event.frame) for event in take.events]
+        author_uniform(prim, "face:events:times", Sdf.ValueTypeNames.TimeCodeArray, times)
     if take.video is not None:
         asset = Sdf.AssetPath(relative_path(take.video.file, path))
         Sdf.AttributeSpec(prim, "face:video:file", Sdf.ValueTypeNames.Asset).default = asset
