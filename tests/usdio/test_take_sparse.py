@@ -66,6 +66,7 @@ def test_events_keep_their_place_under_a_layer_offset(tmp_path: Path) -> None:
     assert read_take(tmp_path / "talk.take.usda").events == take.events
     assert read_take(tmp_path / "talk.take.usda", first=14, last=22).events == take.events[1:]
     shot = Sdf.Layer.CreateNew(str(tmp_path / "shot.usda"))
+    shot.timeCodesPerSecond = 120
     shot.subLayerPaths = ["talk.take.usda"]
     shot.subLayerOffsets[0] = Sdf.LayerOffset(1000)
     shot.Save()
