@@ -70,3 +70,9 @@ def test_help_does_not_wait_for_usd_or_scipy() -> None:
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
     assert found.stdout.strip() == "[]"
+
+
+def test_pages_travel_in_the_wheel(unpacked_wheel: Path) -> None:
+    source = REPOSITORY / "pipeline" / "usdface" / "media" / "web"
+    shipped = unpacked_wheel / "usdface" / "media" / "web"
+    assert {each.name for each in shipped.iterdir()} == {each.name for each in source.iterdir()}

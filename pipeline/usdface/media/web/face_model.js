@@ -1,0 +1,220 @@
+// A packed face (media/face_payload.py) as arrays, and the pose that weights give it.
+// Lengths are millimetres. No dependency, no build step.
+
+const FORMAT = 1;
+const MM = 1e-3; // the payload counts micrometres
+const TYPES = {
+  i1: Int8Array,
+  u1: Uint8Array,
+  i2: Int16Array,
+  i4: Int32Array,
+};
+
+/** Turn base64 text into bytes, for pages that carry their data inside. */
+export function bytesFromBase64(text) {
+  const raw = atob(text.trim());
+  const bytes = new Uint8Array(raw.length);
+  for (let i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
+  return bytes;
+}
+
+/**
+ * Unpack a face.
+ * @param {object} header as `FacePayload.header`
+ * @param {Uint8Array|ArrayBuffer} data as `FacePayload.data`
+ * @returns {Promise<FaceModel>}
+ */
+export async function unpackFace(header, data) {
+  if (header.format !== FORMAT) {
+    throw new Error(`this face has format ${header.format}, the viewer reads ${FORMAT}`);
+  }
+  const stream = new Blob([data]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const buffer = await new Response(stream).arrayBuffer();
+  if (buffer.byteLength !== header.bytes) {
+    throw new Error(`the face has ${buffer.byteLength} bytes where ${header.bytes} are promised`);
+  }
+  const array = (name) => {
+    const { type, start, count } = header.arrays[name];
+    return new TYPES[type](buffer, start, count);
+  };
+  return new FaceModel(header, array);
+}
+
+function sum(values) {
+  for (let i = 1; i < values.length; i++) values[i] += values[i - 1];
+  return values;
+}
+
+/** Undo the payload's planes of differences: x x x … y y y … to x y z x y z …, in place types. */
+function interleave(planes, count, Type) {
+  const out = new Type(3 * count);
+  for (let axis = 0; axis < 3; axis++) {
+    let value = 0;
+    for (let i = 0; i < count; i++) {
+      value += planes[axis * count + i];
+      out[3 * i + axis] = value;
+    }
+  }
+  return out;
+}
+
+/** A face that can be posed: `pose(weights)` fills `positions` and `normals`. */
+export class FaceModel {
+  constructor(header, array) {
+    const count = header.points;
+    this.pointCount = count;
+    this.shapes = header.shapes;
+    this.names = header.shapes.map((shape) => shape.name);
+    this.camera = header.camera;
+    this.size = header.size;
+    const micro = interleave(array("neutral"), count, Int32Array);
+    this.neutral = Float32Array.from(micro, (value) => value * MM);
+    this.triangles = Uint32Array.from(sum(array("triangles").slice()));
+    this.colors = new Uint8Array(4 * count);
+    const planes = array("colors");
+    for (let i = 0; i < count; i++) {
+      for (let k = 0; k < 4; k++) this.colors[4 * i + k] = planes[k * count + i];
+    }
+    this.parts = array("parts").slice();
+    this.gaze = this.#gaze(array("eyes"), header.eyeCenters);
+    this.tracks = this.#readTracks(header.tracks, array);
+    this.keyCount = this.tracks.reduce((total, track) => total + track.keys.length, 0);
+    this.keyWeights = new Float32Array(this.keyCount);
+    this.positions = Float32Array.from(this.neutral);
+    this.normals = new Float32Array(3 * count);
+    this.timings = { morph: 0, normals: 0 };
+    this.pose(new Float32Array(this.shapes.length));
+  }
+
+  /** Direction of each point of an eye from its middle at rest; zero elsewhere. */
+  #gaze(eyes, centers) {
+    const gaze = new Float32Array(3 * this.pointCount);
+    for (let i = 0; i < this.pointCount; i++) {
+      if (eyes[i] < 0) continue;
+      const center = centers[eyes[i]];
+      for (let k = 0; k < 3; k++) gaze[3 * i + k] = this.neutral[3 * i + k] - center[k];
+    }
+    return gaze;
+  }
+
+  #readTracks(tracks, array) {
+    const points = array("keyPoints");
+    const sources = { false: [array("offsets16"), 0], true: [array("offsets32"), 0] };
+    let first = 0;
+    let row = 0;
+    return tracks.map((track) => ({
+      shape: track.shape,
+      keys: track.weights.map((weight, k) => {
+        const count = track.counts[k];
+        const source = sources[track.wide[k]];
+        const planes = source[0].subarray(source[1], source[1] + 3 * count);
+        const key = {
+          row: row++,
+          weight,
+          points: sum(Int32Array.from(points.subarray(first, first + count))),
+          offsets: interleave(planes, count, track.wide[k] ? Int32Array : Int16Array),
+        };
+        first += count;
+        source[1] += 3 * count;
+        return key;
+      }),
+    }));
+  }
+
+  /**
+   * Turn channel weights into key weights by UsdSkel's rule: straight lines between neighbouring
+   * keys, the neutral being a key at 0, and on along the outermost line.
+   * @param {ArrayLike<number>} weights one per shape
+   * @param {Float32Array} [out]
+   */
+  weigh(weights, out = this.keyWeights) {
+    out.fill(0);
+    for (const { shape, keys } of this.tracks) {
+      const w = weights[shape];
+      if (w === 0) continue;
+      const stops = this.#stops(keys);
+      let upper = 1;
+      while (upper < stops.length - 1 && w >= stops[upper].weight) upper++;
+      const a = stops[upper - 1];
+      const b = stops[upper];
+      const toward = (w - a.weight) / (b.weight - a.weight);
+      if (a.row >= 0) out[a.row] += 1 - toward;
+      if (b.row >= 0) out[b.row] += toward;
+    }
+    return out;
+  }
+
+  #stops(keys) {
+    if (!keys.stops) {
+      keys.stops = [...keys, { row: -1, weight: 0 }].sort((a, b) => a.weight - b.weight);
+    }
+    return keys.stops;
+  }
+
+  /** Move points and normals to where the weights put them. */
+  pose(weights) {
+    const begun = performance.now();
+    const { positions, triangles, normals } = this;
+    const shares = this.weigh(weights);
+    positions.set(this.neutral);
+    for (const { keys } of this.tracks) {
+      for (const { row, points, offsets } of keys) {
+        if (shares[row] === 0) continue;
+        const share = shares[row] * MM;
+        for (let i = 0, m = 0; i < points.length; i++, m += 3) {
+          const p = 3 * points[i];
+          positions[p] += share * offsets[m];
+          positions[p + 1] += share * offsets[m + 1];
+          positions[p + 2] += share * offsets[m + 2];
+        }
+      }
+    }
+    const moved = performance.now();
+    normals.fill(0);
+    for (let t = 0; t < triangles.length; t += 3) {
+      const a = 3 * triangles[t];
+      const b = 3 * triangles[t + 1];
+      const c = 3 * triangles[t + 2];
+      const ax = positions[a];
+      const ay = positions[a + 1];
+      const az = positions[a + 2];
+      const ux = positions[b] - ax;
+      const uy = positions[b + 1] - ay;
+      const uz = positions[b + 2] - az;
+      const vx = positions[c] - ax;
+      const vy = positions[c + 1] - ay;
+      const vz = positions[c + 2] - az;
+      const x = uy * vz - uz * vy; // as long as the triangle is large: the shader makes it unit
+      const y = uz * vx - ux * vz;
+      const z = ux * vy - uy * vx;
+      normals[a] += x;
+      normals[a + 1] += y;
+      normals[a + 2] += z;
+      normals[b] += x;
+      normals[b + 1] += y;
+      normals[b + 2] += z;
+      normals[c] += x;
+      normals[c + 1] += y;
+      normals[c + 2] += z;
+    }
+    this.timings.morph = moved - begun;
+    this.timings.normals = performance.now() - moved;
+  }
+
+  /** How much a shape moves each point, 0 to 255 of its own largest motion. */
+  reach(shape) {
+    const far = new Float32Array(this.pointCount);
+    let most = 0;
+    for (const track of this.tracks) {
+      if (track.shape !== shape) continue;
+      const { points, offsets } = track.keys[track.keys.length - 1];
+      for (let i = 0; i < points.length; i++) {
+        const m = 3 * i;
+        const length = Math.hypot(offsets[m], offsets[m + 1], offsets[m + 2]);
+        far[points[i]] = length;
+        most = Math.max(most, length);
+      }
+    }
+    return Uint8Array.from(far, (length) => (most > 0 ? (255 * length) / most : 0));
+  }
+}

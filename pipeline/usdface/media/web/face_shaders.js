@@ -1,0 +1,129 @@
+// Light on a face, as media/shading.py has it for pictures: key, fill and two rims that travel with
+// the camera, skin that is not plastic, irises painted by angle. All light is linear until the end.
+
+export const FACE_VERTEX = `#version 300 es
+layout(location=0) in vec3 position;
+layout(location=1) in vec3 normal;
+layout(location=2) in vec4 paint;   // sRGB, openness
+layout(location=3) in float part;
+layout(location=4) in vec3 gaze;
+layout(location=5) in float reach;
+uniform mat4 view;
+uniform mat4 projection;
+out vec3 vNormal;
+out vec3 vPosition;
+out vec3 vColor;
+out float vOpen;
+out vec3 vGaze;
+out float vReach;
+flat out int vPart;
+void main() {
+  vec4 seen = view * vec4(position, 1.0);
+  vNormal = mat3(view) * normal;
+  vPosition = seen.xyz;
+  vColor = pow(paint.rgb, vec3(2.2));
+  vOpen = paint.a;
+  vGaze = gaze;
+  vReach = reach;
+  vPart = int(part + 0.5);
+  gl_Position = projection * seen;
+}`;
+
+export const FACE_FRAGMENT = `#version 300 es
+precision highp float;
+in vec3 vNormal;
+in vec3 vPosition;
+in vec3 vColor;
+in float vOpen;
+in vec3 vGaze;
+in float vReach;
+flat in int vPart;
+uniform float opacity;
+out vec4 color;
+
+const int SKIN = 0;
+const float GLOSS[6] = float[6](0.045, 0.9, 0.25, 0.10, 0.05, 0.0);
+const float SHINE[6] = float[6](26.0, 420.0, 70.0, 40.0, 20.0, 1.0);
+const vec3 SKY = vec3(0.30, 0.315, 0.345);
+const vec3 GROUND = vec3(0.15, 0.13, 0.12);
+const vec3 TINT = vec3(1.0, 0.42, 0.06);
+
+vec3 iris(vec3 base) {
+  vec3 d = normalize(vGaze);
+  float angle = atan(length(d.xy), d.z);
+  float around = atan(d.y, d.x);
+  float soft = max(fwidth(angle), 1e-4);
+  vec3 ring = vec3(0.11, 0.15, 0.17) * (1.0 + 0.25 * cos(23.0 * around) * cos(9.0 * around));
+  float shade = (angle - 0.33) / 0.19;
+  ring *= clamp(1.25 - shade * shade, 0.25, 1.0);
+  vec3 out_ = mix(ring, base, smoothstep(0.50 - soft, 0.50 + soft, angle));
+  return mix(vec3(0.006), out_, smoothstep(0.20 - soft, 0.20 + soft, angle));
+}
+
+vec3 lamp(vec3 n, vec3 albedo, vec3 wrap, vec3 direction, vec3 light, float reach) {
+  vec3 diffuse = max((vec3(dot(n, normalize(direction))) + wrap) / (1.0 + wrap), 0.0);
+  return albedo * diffuse * light * reach;
+}
+
+void main() {
+  vec3 n = normalize(gl_FrontFacing ? vNormal : -vNormal);
+  vec3 v = normalize(-vPosition);
+  float open = clamp(vOpen, 0.0, 1.0); // at a triangle's edge it may be sampled beyond its corners
+  vec3 albedo = clamp(dot(vGaze, vGaze) > 0.0 ? iris(vColor) : vColor, 0.0, 1.0);
+  bool skin = vPart == SKIN;
+  vec3 opened = skin ? pow(vec3(open), vec3(0.80, 1.08, 1.18)) : vec3(open);
+  vec3 wrap = skin ? vec3(0.34, 0.17, 0.10) : vec3(0.05);
+  vec3 light = albedo * opened * mix(GROUND, SKY, 0.5 + 0.5 * n.y);
+  vec3 key = normalize(vec3(-0.42, 0.46, 0.78));
+  vec3 keyLight = vec3(1.20, 1.13, 1.05);
+  // Without cast shadows: what sees little sky sees little of the key.
+  float lit = smoothstep(0.05, 0.65, open);
+  light += lamp(n, albedo, wrap, key, keyLight, lit);
+  light += lamp(n, albedo, wrap, vec3(0.85, 0.05, 0.45), vec3(0.20, 0.235, 0.28), open);
+  light += lamp(n, albedo, wrap, vec3(0.72, 0.45, -0.62), vec3(0.55, 0.60, 0.68), open);
+  light += lamp(n, albedo, wrap, vec3(-0.85, 0.25, -0.55), vec3(0.30, 0.33, 0.37), open);
+  float shine = SHINE[vPart];
+  float lobe = pow(max(dot(n, normalize(v + key)), 0.0), shine);
+  float facing = clamp(4.0 * dot(n, key), 0.0, 1.0);
+  light += GLOSS[vPart] * (shine + 2.0) / 28.0 * lobe * facing * lit * keyLight;
+  vec3 over = max(light - 0.6, 0.0);
+  light = min(light, 0.6) + 0.4 * over / (over + 0.4);
+  float luma = dot(light, vec3(0.21, 0.72, 0.07));
+  light = mix(light, TINT * (0.15 + luma), 0.75 * clamp(vReach, 0.0, 1.0));
+  vec3 shown = mix(12.92 * light, 1.055 * pow(light, vec3(1.0 / 2.4)) - 0.055,
+                   step(0.0031308, light));
+  color = vec4(shown * opacity, opacity);
+}`;
+
+export const MARK_VERTEX = `#version 300 es
+layout(location=0) in vec3 position;
+layout(location=1) in vec4 paint;
+uniform mat4 view;
+uniform mat4 projection;
+uniform float diameter;
+out vec4 vColor;
+void main() {
+  gl_Position = projection * view * vec4(position, 1.0);
+  gl_Position.z -= 0.0006 * gl_Position.w; // a marker lies on the skin, not in it
+  gl_PointSize = diameter;
+  vColor = paint;
+}`;
+
+export const MARK_FRAGMENT = `#version 300 es
+precision highp float;
+in vec4 vColor;
+uniform float opacity;
+uniform float diameter;
+uniform bool round_;
+out vec4 color;
+void main() {
+  float alpha = vColor.a * opacity;
+  vec3 tone = vColor.rgb;
+  if (round_) {
+    float away = length(gl_PointCoord - 0.5) * diameter;
+    float edge = 0.5 * diameter;
+    alpha *= 1.0 - smoothstep(edge - 1.2, edge, away);
+    tone *= 1.0 - 0.75 * smoothstep(edge - 2.6, edge - 1.4, away);
+  }
+  color = vec4(tone * alpha, alpha);
+}`;

@@ -1,0 +1,367 @@
+// A face in WebGL2: weights in, picture out. Shared by the tuning page and the report.
+//
+//   const face = await unpackFace(header, bytes);
+//   const viewer = new FaceViewer(canvas, face);
+//   viewer.setWeights(weights);            // Float32Array, one per shape of face.names
+//
+// See docs/face_viewer.md for embedding, also into pages that are opened as files.
+
+import { FaceModel, bytesFromBase64, unpackFace } from "./face_model.js";
+import { FACE_FRAGMENT, FACE_VERTEX, MARK_FRAGMENT, MARK_VERTEX } from "./face_shaders.js";
+import { MarkerLabels } from "./marker_labels.js";
+import { OrbitCamera, steer } from "./orbit_camera.js";
+
+export { FaceModel, bytesFromBase64, unpackFace };
+
+const SAMPLES = 4;
+const FRONT = 0;
+
+function compile(gl, vertex, fragment) {
+  const program = gl.createProgram();
+  for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+    const shader = gl.createShader(kind);
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    gl.attachShader(program, shader);
+    gl.deleteShader(shader);
+  }
+  gl.linkProgram(program);
+  if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
+    throw new Error(`the face's shaders do not link: ${gl.getProgramInfoLog(program)}`);
+  }
+  const uniforms = {};
+  for (let i = gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS) - 1; i >= 0; i--) {
+    const { name } = gl.getActiveUniform(program, i);
+    uniforms[name] = gl.getUniformLocation(program, name);
+  }
+  return { program, uniforms };
+}
+
+/** Draws a FaceModel into a canvas; draws again only when something changed. */
+export class FaceViewer {
+  /**
+   * @param {HTMLCanvasElement} canvas sized by CSS; give it tabindex="0" for the keyboard
+   * @param {FaceModel} face
+   * @param {{interactive?: boolean, onDraw?: (viewer: FaceViewer) => void}} [options]
+   */
+  constructor(canvas, face, { interactive = true, onDraw = null } = {}) {
+    this.canvas = canvas;
+    this.face = face;
+    this.onDraw = onDraw;
+    this.camera = new OrbitCamera(face.camera, face.size);
+    this.weights = new Float32Array(face.shapes.length);
+    this.renderMillis = 0;
+    this.posed = true;
+    this.reach = null;
+    this.marks = null;
+    this.request = 0;
+    const gl = canvas.getContext("webgl2", { alpha: true, antialias: true });
+    if (!gl) {
+      throw new Error("this browser has no WebGL2; use a current Chrome, Edge, Firefox or Safari");
+    }
+    this.gl = gl;
+    this.listeners = {
+      webglcontextlost: (event) => event.preventDefault(), // else it never comes back
+      webglcontextrestored: () => {
+        this.#upload();
+        this.invalidate();
+      },
+    };
+    for (const [name, listener] of Object.entries(this.listeners)) {
+      canvas.addEventListener(name, listener);
+    }
+    this.release = interactive ? steer(canvas, this.camera, () => this.invalidate()) : () => {};
+    this.observer = new ResizeObserver(() => this.invalidate());
+    this.observer.observe(canvas);
+    this.#upload();
+    this.invalidate();
+  }
+
+  /** Pose the face: one weight per shape, in the order of `face.names`. */
+  setWeights(weights) {
+    if (weights.length !== this.weights.length) {
+      throw new Error(`${weights.length} weights for ${this.weights.length} shapes`);
+    }
+    this.weights.set(weights);
+    this.posed = false;
+    this.invalidate();
+  }
+
+  /**
+   * Lay markers over the face, or take them off with null.
+   * @param {null | {
+   *   points: Float32Array,      x y z of each marker [mm], in the rig's space
+   *   targets?: Float32Array,    where each should be; a line is drawn to it
+   *   names?: string[],          drawn beside the markers while `labels` is true
+   *   colors?: Float32Array,     r g b of each, 0 to 1
+   *   labels?: boolean,
+   *   diameter?: number,         [CSS pixels]
+   * }} marks
+   */
+  setMarkers(marks) {
+    this.marks = marks && { diameter: 7, labels: false, ...marks };
+    this.invalidate();
+  }
+
+  /** Tint what a shape moves; null takes the tint off. */
+  highlight(shape) {
+    if (this.reachShape === shape) return;
+    this.reachShape = shape;
+    this.reach = shape === null ? null : this.face.reach(shape);
+    this.reachChanged = true;
+    this.invalidate();
+  }
+
+  /** Frame the face from where we are. */
+  frameFace() {
+    this.camera.frame();
+    this.invalidate();
+  }
+
+  /** Frame the face from the front, or from elsewhere [degrees]. */
+  resetView(yaw = FRONT, pitch = 0) {
+    this.camera.reset();
+    this.camera.turn((yaw * Math.PI) / 180, (pitch * Math.PI) / 180);
+    this.invalidate();
+  }
+
+  /** Draw at the next frame. */
+  invalidate() {
+    if (!this.request) {
+      this.request = requestAnimationFrame(() => {
+        this.request = 0;
+        this.draw();
+      });
+    }
+  }
+
+  /** Draw now. `renderMillis` says how long the script took, from weights to commands. */
+  draw() {
+    const { gl, canvas } = this;
+    if (gl.isContextLost()) return;
+    const ratio = Math.min(globalThis.devicePixelRatio || 1, 2);
+    const width = Math.round(canvas.clientWidth * ratio);
+    const height = Math.round(canvas.clientHeight * ratio);
+    if (!width || !height) return;
+    const begun = performance.now();
+    if (canvas.width !== width || canvas.height !== height) {
+      canvas.width = width;
+      canvas.height = height;
+    }
+    this.#pose(this.weights);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    this.view = this.camera.view();
+    this.projection = this.camera.projection(width / height);
+    this.#drawFace(width, height);
+    if (this.marks) this.#drawMarks(ratio);
+    if (this.marks?.labels) this.labels ??= new MarkerLabels(canvas);
+    this.labels?.draw(this, ratio);
+    this.renderMillis = performance.now() - begun;
+    this.onDraw?.(this);
+  }
+
+  /** Where a point of the rig is on the canvas: [x, y] in CSS pixels, and how far away [mm]. */
+  project(x, y, z) {
+    const [v, p] = [this.view, this.projection];
+    const eye = [0, 1, 2].map((k) => v[k] * x + v[4 + k] * y + v[8 + k] * z + v[12 + k]);
+    const scale = -eye[2];
+    return [
+      (0.5 + (0.5 * p[0] * eye[0]) / scale) * this.canvas.clientWidth,
+      (0.5 - (0.5 * p[5] * eye[1]) / scale) * this.canvas.clientHeight,
+      scale,
+    ];
+  }
+
+  /**
+   * Draw a pose, framed from the front, without showing it.
+   * @returns {ImageData} with transparent ground, for thumbnails
+   */
+  thumbnail(weights, width, height) {
+    const { gl } = this;
+    if (gl.isContextLost()) return new ImageData(width, height);
+    const make = (samples) => {
+      const frame = gl.createFramebuffer();
+      gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
+      const buffers = [
+        [gl.COLOR_ATTACHMENT0, gl.RGBA8],
+        [gl.DEPTH_ATTACHMENT, gl.DEPTH_COMPONENT24],
+      ].map(([attachment, format]) => {
+        const buffer = gl.createRenderbuffer();
+        gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
+        gl.renderbufferStorageMultisample(gl.RENDERBUFFER, samples, format, width, height);
+        gl.framebufferRenderbuffer(gl.FRAMEBUFFER, attachment, gl.RENDERBUFFER, buffer);
+        return buffer;
+      });
+      return { frame, free: () => [gl.deleteFramebuffer(frame), ...buffers.map((each) => gl.deleteRenderbuffer(each))] };
+    };
+    const flat = make(0);
+    const smooth = make(SAMPLES);
+    const [held, view, projection] = [this.camera, this.view, this.projection];
+    this.camera = new OrbitCamera(this.face.camera, this.face.size);
+    this.posed = false;
+    this.#pose(weights);
+    this.view = this.camera.view();
+    this.projection = this.camera.projection(width / height);
+    this.#drawFace(width, height);
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, smooth.frame);
+    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, flat.frame);
+    gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, flat.frame);
+    const pixels = new Uint8Array(4 * width * height);
+    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    flat.free();
+    smooth.free();
+    [this.camera, this.view, this.projection] = [held, view, projection];
+    this.posed = false;
+    return upright(pixels, width, height);
+  }
+
+  /** Let go of the canvas. */
+  dispose() {
+    cancelAnimationFrame(this.request);
+    this.release();
+    this.observer.disconnect();
+    this.labels?.remove();
+    for (const [name, listener] of Object.entries(this.listeners)) {
+      this.canvas.removeEventListener(name, listener);
+    }
+    this.gl.getExtension("WEBGL_lose_context")?.loseContext();
+  }
+
+  #upload() {
+    const { gl, face } = this;
+    this.programs = {
+      face: compile(gl, FACE_VERTEX, FACE_FRAGMENT),
+      mark: compile(gl, MARK_VERTEX, MARK_FRAGMENT),
+    };
+    this.array = gl.createVertexArray();
+    gl.bindVertexArray(this.array);
+    const attribute = (slot, data, size, type, normalized, usage = gl.STATIC_DRAW) => {
+      const buffer = gl.createBuffer();
+      gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+      gl.bufferData(gl.ARRAY_BUFFER, data, usage);
+      gl.enableVertexAttribArray(slot);
+      gl.vertexAttribPointer(slot, size, type, normalized, 0, 0);
+      return buffer;
+    };
+    this.positions = attribute(0, face.positions, 3, gl.FLOAT, false, gl.DYNAMIC_DRAW);
+    this.normals = attribute(1, face.normals, 3, gl.FLOAT, false, gl.DYNAMIC_DRAW);
+    attribute(2, face.colors, 4, gl.UNSIGNED_BYTE, true);
+    attribute(3, face.parts, 1, gl.UNSIGNED_BYTE, false);
+    attribute(4, face.gaze, 3, gl.FLOAT, false);
+    const still = this.reach ?? new Uint8Array(face.pointCount);
+    this.reaches = attribute(5, still, 1, gl.UNSIGNED_BYTE, true, gl.DYNAMIC_DRAW);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, face.triangles, gl.STATIC_DRAW);
+    this.markArray = gl.createVertexArray();
+    gl.bindVertexArray(this.markArray);
+    const none = new Float32Array(0);
+    this.markPoints = attribute(0, none, 3, gl.FLOAT, false, gl.DYNAMIC_DRAW);
+    this.markColors = attribute(1, none, 4, gl.FLOAT, false, gl.DYNAMIC_DRAW);
+    gl.bindVertexArray(null);
+    gl.enable(gl.DEPTH_TEST);
+    gl.depthFunc(gl.LEQUAL);
+    this.posed = false;
+    this.reachChanged = true;
+  }
+
+  #pose(weights) {
+    const { gl, face } = this;
+    const fill = (buffer, data) => {
+      gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+      gl.bufferSubData(gl.ARRAY_BUFFER, 0, data);
+    };
+    if (this.reachChanged) {
+      fill(this.reaches, this.reach ?? new Uint8Array(face.pointCount));
+      this.reachChanged = false;
+    }
+    if (this.posed) return;
+    face.pose(weights);
+    fill(this.positions, face.positions);
+    fill(this.normals, face.normals);
+    this.posed = true;
+  }
+
+  #drawFace(width, height) {
+    const { gl } = this;
+    const { program, uniforms } = this.programs.face;
+    gl.viewport(0, 0, width, height);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    gl.disable(gl.BLEND);
+    gl.useProgram(program);
+    gl.uniformMatrix4fv(uniforms.view, false, this.view);
+    gl.uniformMatrix4fv(uniforms.projection, false, this.projection);
+    gl.uniform1f(uniforms.opacity, 1);
+    gl.bindVertexArray(this.array);
+    gl.drawElements(gl.TRIANGLES, this.face.triangles.length, gl.UNSIGNED_INT, 0);
+  }
+
+  /** Markers before the skin in full, those behind it as a hint; lines to where they should be. */
+  #drawMarks(ratio) {
+    const { gl, marks } = this;
+    const { program, uniforms } = this.programs.mark;
+    const count = marks.points.length / 3;
+    const colors = new Float32Array(4 * count).fill(1);
+    for (let i = 0; marks.colors && i < count; i++) {
+      colors.set(marks.colors.subarray(3 * i, 3 * i + 3), 4 * i);
+    }
+    gl.useProgram(program);
+    gl.uniformMatrix4fv(uniforms.view, false, this.view);
+    gl.uniformMatrix4fv(uniforms.projection, false, this.projection);
+    gl.uniform1f(uniforms.diameter, marks.diameter * ratio);
+    gl.bindVertexArray(this.markArray);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    gl.depthMask(false);
+    const lines = marks.targets ? between(marks.points, marks.targets, colors) : null;
+    for (const [test, opacity] of [[gl.GREATER, 0.12], [gl.LEQUAL, 1]]) {
+      gl.depthFunc(test);
+      gl.uniform1f(uniforms.opacity, opacity);
+      if (lines) this.#drawSet(gl.LINES, lines.points, lines.colors, uniforms, false);
+      this.#drawSet(gl.POINTS, marks.points, colors, uniforms, true);
+    }
+    gl.depthFunc(gl.LEQUAL);
+    gl.depthMask(true);
+    gl.disable(gl.BLEND);
+    gl.bindVertexArray(null);
+  }
+
+  #drawSet(mode, points, colors, uniforms, round) {
+    const { gl } = this;
+    gl.uniform1i(uniforms.round_, round ? 1 : 0);
+    for (const [buffer, data] of [[this.markPoints, points], [this.markColors, colors]]) {
+      gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+      gl.bufferData(gl.ARRAY_BUFFER, data, gl.DYNAMIC_DRAW);
+    }
+    gl.drawArrays(mode, 0, points.length / 3);
+  }
+}
+
+/** Interleave starts and ends for lines. */
+function between(points, targets, colors) {
+  const count = points.length / 3;
+  const out = { points: new Float32Array(6 * count), colors: new Float32Array(8 * count) };
+  for (let i = 0; i < count; i++) {
+    out.points.set(points.subarray(3 * i, 3 * i + 3), 6 * i);
+    out.points.set(targets.subarray(3 * i, 3 * i + 3), 6 * i + 3);
+    for (const end of [0, 4]) out.colors.set(colors.subarray(4 * i, 4 * i + 4), 8 * i + end);
+  }
+  return out;
+}
+
+/** Turn what WebGL reads (bottom row first, premultiplied) into an ImageData. */
+function upright(pixels, width, height) {
+  const image = new ImageData(width, height);
+  for (let row = 0; row < height; row++) {
+    const from = 4 * width * (height - 1 - row);
+    image.data.set(pixels.subarray(from, from + 4 * width), 4 * width * row);
+  }
+  const { data } = image;
+  for (let i = 0; i < data.length; i += 4) {
+    const alpha = data[i + 3] / 255 || 1;
+    for (let k = 0; k < 3; k++) data[i + k] /= alpha;
+  }
+  return image;
+}
