@@ -1,9 +1,9 @@
 """A job: steps in the order they build on each other."""
 
 from pathlib import Path
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from usdface.specs.align import AlignSpec
 from usdface.specs.base import Name, Reads, Spec, Writes
@@ -11,14 +11,17 @@ from usdface.specs.clean import CleanSpec
 from usdface.specs.evaluate import EvaluateSpec
 from usdface.specs.ingest import IngestSpec
 from usdface.specs.map import MapSpec
+from usdface.specs.phones import PhonesSpec
 from usdface.specs.references import ReferencesImportSpec, SelectSpec
 from usdface.specs.sheet import SheetSpec
+from usdface.specs.takes import FOR_EACH_SCHEMA, TAKES_SCHEMA, write_out
 from usdface.specs.train import TrainSpec
 
 STEP_SPECS: tuple[type[Spec], ...] = (
     IngestSpec,
     AlignSpec,
     CleanSpec,
+    PhonesSpec,
     SelectSpec,
     ReferencesImportSpec,
     TrainSpec,
@@ -31,6 +34,7 @@ AnyStep = Annotated[
     IngestSpec
     | AlignSpec
     | CleanSpec
+    | PhonesSpec
     | SelectSpec
     | ReferencesImportSpec
     | TrainSpec
@@ -41,8 +45,20 @@ AnyStep = Annotated[
 ]
 
 
+def _with_takes(schema: dict[str, Any]) -> None:
+    """Tell editors of what is written out before the steps are validated."""
+    schema["properties"]["takes"] = TAKES_SCHEMA
+    steps = schema["properties"]["steps"]
+    steps["items"] = {"anyOf": [steps["items"], FOR_EACH_SCHEMA]}
+
+
 class JobSpec(Spec):
-    """Several steps as one file; relative paths are relative to it."""
+    """Several steps as one file; relative paths are relative to it.
+
+    With `takes`, steps under `for_each: take` are done once for every take.
+    """
+
+    model_config = ConfigDict(json_schema_extra=_with_takes)
 
     example: ClassVar[str] = "usdface run kitchen.job.yaml"
 
@@ -51,6 +67,11 @@ class JobSpec(Spec):
     """Name of the job."""
     steps: Annotated[tuple[AnyStep, ...], Field(min_length=1)]
     """The steps, each after those whose files it reads."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _takes_are_written_out(cls, data: Any) -> Any:
+        return write_out(data) if isinstance(data, dict) else data
 
     @model_validator(mode="after")
     def _files_are_made_once_and_before_they_are_read(self) -> Self:

@@ -1,0 +1,219 @@
+"""A job of many takes in one spec: what is said once is written out for each.
+
+::
+
+    takes: [kitchen_001, kitchen_002, {take: kitchen_003, neutral: 88}]
+    steps:
+      - for_each: take
+        steps:
+          - {step: ingest, sources: ["{take}.c3d"], out: "{take}.take.usda"}
+          - {step: clean, take: "{take}.take.usda", out: "{take}.clean.take.usda"}
+      - {step: select, takes: ["{take}.clean.take.usda"], rig: hero.usd, out: hero.references.usda}
+
+Inside ``for_each: take`` every step is done once per take. Outside, a step is done once, and an
+item of a list that names a take's value stands for one item per take. ``{{`` and ``}}`` are plain
+braces.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+MOST_STEPS = 100_000
+"""A day of a whole stage is a few thousand; more is a mistake."""
+
+MOST_VALUES = 1_000_000
+"""YAML's aliases let a file of a few lines stand for billions of values."""
+
+_PLACE = re.compile(r"\{\{|\}\}|\{([A-Za-z_][A-Za-z0-9_]*)\}")
+_TAKE_NAME = re.compile(r"[^\x00-\x1f\x7f/\\]{1,200}")
+
+Row = Mapping[str, Any]
+
+TAKES_SCHEMA: dict[str, Any] = {
+    "type": "array",
+    "minItems": 1,
+    "description": "Takes that steps are done for: names, or a table of values with `take` its "
+    "name. `{take}` and `{anything else of the table}` stand for the values.",
+    "items": {
+        "anyOf": [
+            {"type": "string"},
+            {
+                "type": "object",
+                "required": ["take"],
+                "properties": {"take": {"type": "string"}},
+                "additionalProperties": {"type": ["string", "number", "boolean"]},
+            },
+        ]
+    },
+}
+"""What a job's ``takes`` may be, for editors that check YAML against a JSON Schema."""
+
+FOR_EACH_SCHEMA: dict[str, Any] = {
+    "type": "object",
+    "description": "Steps done once for every take.",
+    "required": ["for_each", "steps"],
+    "additionalProperties": False,
+    "properties": {
+        "for_each": {"const": "take"},
+        "steps": {
+            "type": "array",
+            "minItems": 1,
+            "items": {
+                "type": "object",
+                "required": ["step"],
+                "properties": {"step": {"type": "string"}},
+            },
+        },
+    },
+}
+
+
+def write_out(job: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a job's data with its takes written out: plain steps, one after the other.
+
+    Parameters
+    ----------
+    job : mapping
+        As read from YAML or JSON; not yet validated.
+
+    Returns
+    -------
+    dict
+        Without ``takes``. A job that has none comes back as it is, braces and all.
+
+    Raises
+    ------
+    ValueError
+        If the table of takes is not in order, or a step asks for a value that a take lacks.
+    """
+    written = dict(job)
+    given = written.pop("takes", None)
+    steps = written.get("steps")
+    if not isinstance(steps, Sequence) or isinstance(steps, str):
+        return written
+    if given is None:
+        if any(_is_loop(step) for step in steps):
+            raise ValueError("`for_each: take` needs `takes`, a list of takes, beside `steps`")
+        return written
+    _check_size(steps)
+    rows = _rows(given)
+    done: list[Any] = []
+    for number, step in enumerate(steps, start=1):
+        if _is_loop(step):
+            inner = _steps_of(step, number)
+            if len(done) + len(rows) * len(inner) > MOST_STEPS:
+                raise ValueError(f"{len(rows)} takes make more than {MOST_STEPS} steps; split it")
+            done += [_filled(each, row, f"steps[{number - 1}]") for row in rows for each in inner]
+        else:
+            done.append(_spread(step, rows, f"steps[{number - 1}]"))
+    written["steps"] = done
+    return written
+
+
+def _check_size(steps: Sequence[Any]) -> None:
+    waiting: list[Any] = [steps]
+    count = 0
+    while waiting:
+        value = waiting.pop()
+        inner: Sequence[Any] = ()
+        if isinstance(value, Mapping):
+            inner = list(value.values())
+        elif isinstance(value, list | tuple):
+            inner = value
+        count += len(inner)
+        if count > MOST_VALUES:
+            raise ValueError(f"steps hold more than {MOST_VALUES} values; split the job")
+        waiting.extend(inner)
+
+
+def _is_loop(step: Any) -> bool:
+    return isinstance(step, Mapping) and "for_each" in step
+
+
+def _steps_of(loop: Mapping[str, Any], number: int) -> Sequence[Any]:
+    where = f"steps[{number - 1}]"
+    if loop["for_each"] != "take":
+        raise ValueError(f"{where}: for_each is {loop['for_each']!r}; it can only be `take`")
+    unknown = sorted(map(str, set(loop) - {"for_each", "steps"}))
+    if unknown:
+        raise ValueError(f"{where}: beside for_each stands only `steps`, not {', '.join(unknown)}")
+    inner = loop.get("steps")
+    if not isinstance(inner, Sequence) or isinstance(inner, str) or not inner:
+        raise ValueError(f"{where}: for_each needs `steps`, a list of what to do for every take")
+    return inner
+
+
+def _rows(takes: Any) -> list[Row]:
+    if not isinstance(takes, Sequence) or isinstance(takes, str) or not takes:
+        raise ValueError("takes must be a list of names, or of tables with a `take` each")
+    rows = [{"take": take} if isinstance(take, str) else take for take in takes]
+    seen: set[str] = set()
+    for number, row in enumerate(rows):
+        where = f"takes[{number}]"
+        if not isinstance(row, Mapping) or not isinstance(row.get("take"), str):
+            raise ValueError(f"{where}: must be a name, or a table with its name as `take`")
+        name = row["take"]
+        if not _TAKE_NAME.fullmatch(name) or name in (".", ".."):
+            raise ValueError(
+                f"{where}: {name!r} cannot name a take: 1 to 200 characters, no slash, none that "
+                "does not print"
+            )
+        if name in seen:
+            raise ValueError(f"{where}: {name!r} is there twice; name every take once")
+        seen.add(name)
+        for key, value in row.items():
+            if not isinstance(key, str) or not isinstance(value, str | int | float | bool):
+                raise ValueError(f"{where}: {key!r} must be a text or a number, not {value!r}")
+    return rows
+
+
+def _filled(value: Any, row: Row, where: str) -> Any:
+    """Return a value with a take's own in its places."""
+    if isinstance(value, str):
+        whole = _PLACE.fullmatch(value)
+        if whole and whole[1]:  # a number stays a number
+            return _look_up(row, whole[1], where)
+        return _PLACE.sub(
+            lambda found: str(_look_up(row, found[1], where)) if found[1] else found[0][0], value
+        )
+    if isinstance(value, Mapping):
+        return {key: _filled(each, row, where) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_filled(each, row, where) for each in value]
+    return value
+
+
+def _spread(value: Any, rows: list[Row], where: str) -> Any:
+    """Return a step's value with every list item that names a take's value once per take."""
+    if isinstance(value, Mapping):
+        return {key: _spread(each, rows, where) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        items: list[Any] = []
+        for each in value:
+            if isinstance(each, str) and _names_a_value(each):
+                items += [_filled(each, row, where) for row in rows]
+            else:
+                items.append(_spread(each, rows, where))
+        return items
+    if isinstance(value, str):
+        if _names_a_value(value):
+            raise ValueError(
+                f"{where}: {value!r} differs from take to take, and this step is done once; put it "
+                "under `for_each: take`"
+            )
+        return _filled(value, {}, where)
+    return value
+
+
+def _names_a_value(text: str) -> bool:
+    return any(found[1] for found in _PLACE.finditer(text))
+
+
+def _look_up(row: Row, name: str, where: str) -> Any:
+    if name not in row:
+        raise ValueError(
+            f"{where}: asks for {{{name}}}, which take {row['take']!r} does not have (it has "
+            f"{', '.join(row)}); give it one, or write {{{{{name}}}}} for plain braces"
+        )
+    return row[name]
