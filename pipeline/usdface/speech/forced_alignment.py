@@ -1,0 +1,236 @@
+"""When each phone of a transcript is said: forced alignment with pocketsphinx.
+
+The words are known, so only their times are searched: first the words, then the phones within
+them. A transcript of other words gives a path too, but a bad one: its phones fit the sound no
+better than chance, which the score says.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from usdface.assets import Float32Array
+from usdface.errors import InputError
+from usdface.progress import Progress, silent
+from usdface.speech.letter_to_sound import phones_of_letters
+from usdface.speech.phone_track import PhoneTrack, Span
+
+if TYPE_CHECKING:
+    from pocketsphinx import Decoder
+
+RATE = 16000
+"""Samples per second of the acoustic model in the wheel."""
+
+FRAME_SECONDS = 0.01
+
+BEAMS = ((1e-48, 7e-29), (1e-120, 1e-100), (1e-200, 1e-200))
+"""How far below the best a path may fall, within words and between them; widened until a path is
+found. 0 would keep them all and never end."""
+
+DOUBTFUL_SCORE = -38.0
+WRONG_SCORE = -45.0
+"""Mean score per frame of speech; 0 were a phone that fits best everywhere. Recordings of people
+with their own words give -20 to -33, with words of other recordings -58 to -67."""
+
+DOUBTFUL_WORD_SCORE = -75.0
+"""A word below this is probably not what is said there."""
+
+LOUDEST = 0.7
+QUIETEST = 1e-4
+"""Peak of a recording: below it there is no speech to be found [full scale]."""
+
+_DITHER = 3  # steps of 16 bits; digital silence breaks the model's logarithms
+_NO_WORDS = ("<s>", "</s>", "<sil>", "[NOISE]", "[SPEECH]")
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Where every phone lies, and whether to believe it.
+
+    Attributes
+    ----------
+    track : PhoneTrack
+        Phones in ARPAbet, silence as ``SIL``.
+    score : float
+        Mean over the frames of speech; see `WRONG_SCORE`.
+    guessed : dict of str to tuple of str
+        Words that no dictionary had, and how they were taken to be said.
+    doubtful_words : tuple of Span
+        Words that fit their place badly.
+    beam : int
+        Which of `BEAMS` found the path: more than 0 says that something does not fit.
+    """
+
+    track: PhoneTrack
+    score: float
+    guessed: dict[str, tuple[str, ...]]
+    doubtful_words: tuple[Span, ...]
+    beam: int
+
+
+def align_phones(
+    samples: Float32Array,
+    words: tuple[str, ...],
+    *,
+    pronunciations: Mapping[str, tuple[str, ...]] | None = None,
+    progress: Progress = silent,
+) -> Alignment:
+    """Find the phones of a transcript in a recording.
+
+    Parameters
+    ----------
+    samples : (samples,) float32 array
+        Mono, at `RATE` [-1 to 1].
+    words : tuple of str
+        What is said, in lower case; see `usdface.speech.transcript.spoken_words`.
+    pronunciations : mapping of str to tuple of str, optional
+        Of words that the model's dictionary lacks or says otherwise, in ARPAbet.
+    progress : callable
+
+    Raises
+    ------
+    InputError
+        If pocketsphinx is not installed, the sound is silent, or the words are not what is said.
+    """
+    sound = _as_pcm(samples)
+    own = {} if pronunciations is None else pronunciations
+    for number, beam in enumerate(BEAMS):
+        progress(number / len(BEAMS), f"looking for the words, beam {number + 1} of {len(BEAMS)}")
+        decoder = _decoder(*beam)
+        guessed = _teach(decoder, words, own)
+        decoder.set_align_text(" ".join(words))
+        if not _decode(decoder, sound) or decoder.hyp() is None:
+            continue
+        if _found_words(decoder) != list(words):
+            continue
+        progress((number + 0.5) / len(BEAMS), "looking for the phones")
+        decoder.set_alignment()
+        # Asking for a hypothesis after this pass crashes pocketsphinx: its alignment is the result.
+        if not _decode(decoder, sound) or decoder.get_alignment() is None:
+            continue
+        return _judged(decoder, guessed, number, duration=len(samples) / RATE)
+    raise InputError(
+        f"the words {' '.join(words[:6])!r}... cannot be found in the sound in this order; is it "
+        "the transcript of another recording? Write down what is said, every word of it"
+    )
+
+
+def _decoder(beam: float, word_beam: float) -> "Decoder":
+    try:
+        from pocketsphinx import Decoder
+    except ImportError as error:
+        raise InputError(
+            "aligning speech needs pocketsphinx; install usdface[speech], or give a TextGrid of "
+            "another aligner to `usdface select --phones`"
+        ) from error
+    # bestpath goes over a lattice that alignment does not have.
+    return Decoder(
+        lm=None,
+        loglevel="FATAL",
+        samprate=RATE,
+        beam=beam,
+        pbeam=beam,
+        wbeam=word_beam,
+        bestpath=False,
+    )
+
+
+def _teach(
+    decoder: "Decoder", words: tuple[str, ...], own: Mapping[str, tuple[str, ...]]
+) -> dict[str, tuple[str, ...]]:
+    """Give the decoder every word it lacks; return those that had to be guessed."""
+    guessed = {}
+    for word in dict.fromkeys(words):
+        known = decoder.lookup_word(word)
+        if word in own:
+            said = own[word]
+            if known is not None and known.split() == list(said):
+                continue
+            # A second way of saying a known word is another entry; the path takes the better.
+            name = word if known is None else f"{word}(99)"
+            decoder.add_word(name, " ".join(said), True)
+        elif known is None:
+            guessed[word] = phones_of_letters(word)
+            decoder.add_word(word, " ".join(guessed[word]), True)
+    return guessed
+
+
+def _decode(decoder: "Decoder", sound: bytes) -> bool:
+    try:
+        decoder.start_utt()
+        decoder.process_raw(sound, full_utt=True)
+        decoder.end_utt()
+    except RuntimeError:
+        return False
+    return True
+
+
+def _found_words(decoder: "Decoder") -> list[str]:
+    return [
+        _plain(segment.word) for segment in decoder.seg() if _plain(segment.word) not in _NO_WORDS
+    ]
+
+
+def _plain(word: str) -> str:
+    """Take off the number of a word's second or third way of being said."""
+    return word[: word.rindex("(")] if word.endswith(")") and "(" in word[1:] else word
+
+
+def _judged(
+    decoder: "Decoder", guessed: dict[str, tuple[str, ...]], beam: int, *, duration: float
+) -> Alignment:
+    phones: list[Span] = []
+    words: list[Span] = []
+    doubtful: list[Span] = []
+    total, frames = 0.0, 0
+    for word, entries in _entries(decoder):
+        phones += [phone for phone, _ in entries if phone.end > phone.start]
+        if word in _NO_WORDS:
+            continue
+        span = Span(entries[0][0].start, entries[-1][0].end, word)
+        words.append(span)
+        score = sum(score for _, score in entries)
+        count = max(round((span.end - span.start) / FRAME_SECONDS), 1)
+        total, frames = total + score, frames + count
+        if score / count < DOUBTFUL_WORD_SCORE:
+            doubtful.append(span)
+    mean = total / max(frames, 1)
+    if mean < WRONG_SCORE:
+        raise InputError(
+            f"the transcript does not fit the sound: its phones score {mean:.0f} a frame where "
+            f"{WRONG_SCORE:.0f} is the least for words that were said; is it the transcript of "
+            "another recording, or in another language?"
+        )
+    track = PhoneTrack(tuple(phones), tuple(words), (), duration)
+    return Alignment(track, mean, guessed, tuple(doubtful), beam)
+
+
+def _entries(decoder: "Decoder") -> Iterator[tuple[str, list[tuple[Span, float]]]]:
+    for word in decoder.get_alignment():
+        entries = [
+            (
+                Span(
+                    phone.start * FRAME_SECONDS,
+                    (phone.start + phone.duration) * FRAME_SECONDS,
+                    phone.name,
+                ),
+                float(phone.score),
+            )
+            for phone in word
+        ]
+        if entries:
+            yield _plain(word.name), entries
+
+
+def _as_pcm(samples: Float32Array) -> bytes:
+    peak = float(np.abs(samples).max(initial=0.0))
+    if peak < QUIETEST:
+        raise InputError(
+            f"the sound is silent (its peak is {peak:.1g} of full scale): there is no speech to "
+            "align; is it the right channel?"
+        )
+    scaled = samples.astype(np.float64) * (LOUDEST / peak * 32767)
+    noise = np.random.default_rng(0).integers(-_DITHER, _DITHER + 1, len(samples))
+    return (scaled + noise).astype("<i2").tobytes()

@@ -1,0 +1,234 @@
+"""Phones from and to files: Praat's TextGrid, HTK's labels, JSON."""
+
+import json
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from usdface.errors import InputError
+from usdface.replacing import replacing
+from usdface.speech.dictionary import read_text
+from usdface.speech.phone_track import PhoneTrack, Span
+from usdface.speech.visemes import viseme_of
+
+if TYPE_CHECKING:
+    from praatio.data_classes.textgrid import Textgrid
+
+LARGEST_TRACK_BYTES = 256 << 20
+HTK_UNIT = 1e-7
+"""[s] HTK counts time in hundreds of nanoseconds."""
+
+TRACK_SUFFIXES = (".textgrid", ".lab", ".json")
+_TIERS = {
+    "phones": ("phones", "phone", "phonemes", "segments", "mau", "phonetic"),
+    "words": ("words", "word", "ort-mau", "ort", "orthography"),
+    "emotions": ("emotion", "emotions", "expression", "mood"),
+}
+_NO_WORDS = ("sil", "sp", "spn", "<eps>", "<sil>", "<s>", "</s>", "<unk>", "[noise]")
+_LEAST_SECONDS = 1e-6
+
+
+def read_phone_track(path: Path) -> PhoneTrack:
+    """Read phones, and words and emotions where the file has them.
+
+    Parameters
+    ----------
+    path : Path
+        ``.TextGrid`` (long, short, UTF-16 or JSON): tiers named after phones, words, emotions, by
+        themselves or as ``speaker - phones``. ``.lab``: HTK, in 100 ns or in seconds. ``.json``:
+        ``{"phones": [{"start": 0.1, "end": 0.2, "label": "AH"}, ...]}``.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, has no phones, or symbols that are mostly unknown.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in TRACK_SUFFIXES:
+        raise InputError(
+            f"{path}: is no file of phones; give one that ends in .TextGrid, .lab or .json"
+        )
+    text = read_text(path, LARGEST_TRACK_BYTES)
+    if suffix == ".lab":
+        track = _from_htk(path, text)
+    elif suffix == ".json" and '"phones"' in text and '"tiers"' not in text:
+        track = _from_json(path, text)
+    else:
+        track = _from_textgrid(path)
+    _check_track(path, track)
+    return track
+
+
+def write_phone_track(path: Path, track: PhoneTrack) -> None:
+    """Write a track in the format that the name ends in; see `read_phone_track`."""
+    suffix = path.suffix.lower()
+    with replacing(path) as temporary:
+        if suffix == ".lab":
+            temporary.write_text(_htk_text(track), encoding="utf-8")
+        elif suffix == ".json":
+            temporary.write_text(_json_text(track), encoding="utf-8")
+        else:
+            _textgrid(track).save(
+                str(temporary), "long_textgrid", includeBlankSpaces=True, reportingMode="silence"
+            )
+
+
+def _check_track(path: Path, track: PhoneTrack) -> None:
+    said = [span for span in track.phones if viseme_of(span.label) != "pau"]
+    if not said:
+        raise InputError(f"{path}: has {len(track.phones)} phones and none that is said")
+    for before, after in zip(track.phones, track.phones[1:], strict=False):
+        if after.start < before.end - 1e-3:
+            raise InputError(
+                f"{path}: phone {after.label!r} at {after.start:.3f} s begins before "
+                f"{before.label!r} ends, at {before.end:.3f} s; export the phones again"
+            )
+    unknown = sorted({span.label for span in said if viseme_of(span.label) is None})
+    share = sum(viseme_of(span.label) is None for span in said) / len(said)
+    if share > 0.5:
+        raise InputError(
+            f"{path}: {share:.0%} of its phones are in no alphabet known here "
+            f"({', '.join(map(repr, unknown[:5]))}, ...); ARPAbet, TIMIT and the IPA of the "
+            "Montreal Forced Aligner are"
+        )
+
+
+def unknown_symbols(track: PhoneTrack) -> tuple[str, ...]:
+    """Return the symbols of a track that are no phone of any alphabet known."""
+    return tuple(sorted({s.label for s in track.phones if viseme_of(s.label) is None}))
+
+
+def _from_htk(path: Path, text: str) -> PhoneTrack:
+    """Read lines of start, end, label; a fourth column, where HTK has it, begins a word."""
+    rows = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        fields = line.split()
+        if not fields or fields[0] in ("#", "#!MLF!#", ".") or line.startswith('"'):
+            continue
+        try:
+            rows.append((float(fields[0]), float(fields[1]), fields[2:]))
+        except (IndexError, ValueError) as error:
+            raise InputError(
+                f"{path} line {number}: {line[:40]!r} is no label; a line is start, end, phone"
+            ) from error
+    whole = all(start.is_integer() and end.is_integer() for start, end, _ in rows)
+    # Seconds are written with a point; whole numbers of any size worth a phone are HTK's unit.
+    unit = HTK_UNIT if whole and max((end for _, end, _ in rows), default=0) > 1e4 else 1.0
+    phones = [
+        Span(round(s * unit, 7), round(e * unit, 7), fields[0] if fields else "")
+        for s, e, fields in rows
+    ]
+    words: list[Span] = []
+    for span, (_, _, fields) in zip(phones, rows, strict=True):
+        if len(fields) > 1 and not _is_number(fields[-1]):
+            words.append(Span(span.start, span.end, fields[-1]))
+        elif words and viseme_of(span.label) != "pau":
+            words[-1] = Span(words[-1].start, span.end, words[-1].label)
+    return _track(phones, words, [])
+
+
+def _is_number(text: str) -> bool:
+    return re.fullmatch(r"-?\d+(\.\d+)?", text) is not None
+
+
+def _htk_text(track: PhoneTrack) -> str:
+    lines = []
+    starts = {round(word.start, 6): word.label for word in track.words}
+    for span in track.phones:
+        word = starts.get(round(span.start, 6), "")
+        start, end = (round(value / HTK_UNIT) for value in (span.start, span.end))
+        lines.append(f"{start} {end} {span.label or 'sil'}" + (f" {word}" if word else ""))
+    return "\n".join(lines) + "\n"
+
+
+def _from_json(path: Path, text: str) -> PhoneTrack:
+    try:
+        data: Any = json.loads(text)
+        found = [
+            [Span(float(e["start"]), float(e["end"]), str(e["label"])) for e in data.get(key, [])]
+            for key in ("phones", "words", "emotions")
+        ]
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(
+            f'{path}: is not {{"phones": [{{"start": 0.1, "end": 0.2, "label": "AH"}}, ...]}}: '
+            f"{error}"
+        ) from error
+    return _track(*found)
+
+
+def _json_text(track: PhoneTrack) -> str:
+    def spans(entries: tuple[Span, ...]) -> list[dict[str, object]]:
+        return [
+            {"start": round(e.start, 6), "end": round(e.end, 6), "label": e.label} for e in entries
+        ]
+
+    data = {"phones": spans(track.phones), "words": spans(track.words)}
+    if track.emotions:
+        data["emotions"] = spans(track.emotions)
+    return json.dumps(data, indent=1, ensure_ascii=False) + "\n"
+
+
+def _from_textgrid(path: Path) -> PhoneTrack:
+    textgrid = _praatio()
+    try:
+        grid = textgrid.openTextgrid(
+            str(path),
+            includeEmptyIntervals=True,
+            reportingMode="silence",
+            duplicateNamesMode="rename",
+        )
+    except Exception as error:  # praatio lets whatever its parser stumbles over through
+        reason = " ".join(str(error).split())[:120]
+        raise InputError(
+            f"{path}: is no TextGrid that can be read: {type(error).__name__} {reason}; save it "
+            "again from Praat"
+        ) from error
+    found = {kind: _tier(grid, names) for kind, names in _TIERS.items()}
+    if not found["phones"]:
+        raise InputError(
+            f"{path}: has no tier of phones, only {', '.join(map(repr, grid.tierNames))}; name "
+            "the tier `phones`"
+        )
+    return _track(found["phones"], found["words"], found["emotions"])
+
+
+def _tier(grid: "Textgrid", names: tuple[str, ...]) -> list[Span]:
+    """Return the intervals of the first tier with such a name, alone or after a speaker's."""
+    for name in grid.tierNames:
+        plain = re.split(r"\s*[-:/]\s*", name.lower().replace("ort-mau", "words"))[-1].strip()
+        if plain in names:
+            return [
+                Span(float(entry[0]), float(entry[1]), str(entry[2]).strip())
+                for entry in grid.getTier(name).entries
+                if len(entry) == 3
+            ]
+    return []
+
+
+def _textgrid(track: PhoneTrack) -> "Textgrid":
+    textgrid = _praatio()
+    grid: Textgrid = textgrid.Textgrid()
+    for name in ("words", "phones", "emotions"):
+        spans: tuple[Span, ...] = getattr(track, name)
+        entries = [(s.start, s.end, s.label) for s in spans if s.end - s.start > _LEAST_SECONDS]
+        if entries:
+            tier = textgrid.IntervalTier(name, entries, 0.0, max(track.duration, entries[-1][1]))
+            grid.addTier(tier, reportingMode="silence")
+    return grid
+
+
+def _praatio() -> Any:
+    try:
+        from praatio import textgrid
+    except ImportError as error:
+        raise InputError(
+            "TextGrids need praatio; install usdface[speech], or use .lab or .json"
+        ) from error
+    return textgrid
+
+
+def _track(phones: list[Span], words: list[Span], emotions: list[Span]) -> PhoneTrack:
+    phones = sorted((s for s in phones if s.end > s.start), key=lambda span: span.start)
+    spoken = tuple(s for s in words if s.label and s.label.lower() not in _NO_WORDS)
+    marked = tuple(span for span in emotions if span.label)
+    return PhoneTrack(tuple(phones), spoken, marked, max((s.end for s in phones), default=0.0))

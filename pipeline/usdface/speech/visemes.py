@@ -1,0 +1,114 @@
+"""Phone symbols of several alphabets, and the 15 visemes they look like.
+
+Deng et al. (2006), Table 1. A viseme is named after the first phone of its group there.
+"""
+
+import unicodedata
+
+SILENCE = "pau"
+
+VISEME_PHONES: dict[str, tuple[str, ...]] = {
+    "pau": ("pau",),
+    "b": ("b", "p", "m"),
+    "k": ("k", "g", "ng"),
+    "ae": ("ae", "ax", "ah", "aa"),
+    "f": ("f", "v"),
+    "ch": ("ch", "sh", "jh"),
+    "ao": ("ao", "y", "iy", "ih", "ay", "aw"),
+    "ow": ("ow", "oy"),
+    "n": ("n", "d", "t", "l"),
+    "ey": ("ey", "eh", "el", "em", "en", "er"),
+    "th": ("th", "dh"),
+    "s": ("s", "z", "zh"),
+    "r": ("r",),
+    "w": ("w", "uw", "uh"),
+    "hh": ("hh",),
+}
+"""The paper's grouping, in the paper's order."""
+
+VISEMES = tuple(VISEME_PHONES)
+
+_VISEME_OF = {phone: name for name, phones in VISEME_PHONES.items() for phone in phones}
+
+# Aligners write silence, breath and noise in many ways; a mouth at rest is all that is seen.
+_SILENT = frozenset(
+    "pau sil sp spn nsn <s> </s> <sil> <eps> <unk> h# # _ epi brth breath noise [noise] [speech] "
+    "++noise++ +noise+ ++breath++ ++cough++ ++smack++ ++uh++ ++um++ {sl} {ns} silence pause".split()
+)
+
+# What TIMIT and HTK's recipes add to ARPAbet. A closure looks like the stop it belongs to; the
+# glottal stop has no place of its own on the face, as /hh/ has none.
+_TIMIT = {
+    "ax-h": "ax", "axr": "er", "bcl": "b", "dcl": "d", "gcl": "g", "pcl": "p", "tcl": "t",
+    "kcl": "k", "dx": "d", "nx": "n", "eng": "ng", "hv": "hh", "ix": "ih", "ux": "uw", "q": "hh",
+    "oh": "aa", "ia": "ih", "ea": "eh", "ua": "uh",
+}  # fmt: skip
+
+# The phones of the Montreal Forced Aligner's English dictionaries, length, stress, aspiration and
+# other marks taken off. A foreign phone is given to the English one whose lips it shares.
+_IPA = {
+    "a": "aa", "aj": "ay", "aw": "aw", "ej": "ey", "ow": "ow", "ɔj": "oy", "əw": "ow",
+    "aɪ": "ay", "aʊ": "aw", "eɪ": "ey", "oʊ": "ow", "əʊ": "ow", "ɔɪ": "oy",
+    "ɪə": "ih", "eə": "eh", "ʊə": "uh", "e": "ey", "i": "iy", "o": "ow", "u": "uw",
+    "æ": "ae", "ɐ": "ah", "ɑ": "aa", "ɒ": "aa", "ɔ": "ao", "ə": "ax", "ɚ": "er", "ɛ": "eh",
+    "ɜ": "er", "ɝ": "er", "ɪ": "ih", "ɨ": "ih", "ʉ": "uw", "ʊ": "uh", "ʌ": "ah", "ø": "ow",
+    "œ": "ow", "ɯ": "uw", "ɤ": "ah",
+    "c": "k", "ɟ": "g", "ɡ": "g", "ɡb": "b", "kp": "p", "dʒ": "jh", "tʃ": "ch", "d͡ʒ": "jh",
+    "t͡ʃ": "ch", "ts": "s", "dz": "z", "h": "hh", "ɦ": "hh", "x": "hh", "ç": "hh", "ʔ": "hh",
+    "j": "y", "ɥ": "w", "ʍ": "w", "ð": "dh", "θ": "th", "ŋ": "ng", "ɱ": "m", "ɲ": "n", "ɳ": "n",
+    "ɫ": "l", "ɭ": "l", "ʎ": "l", "ɹ": "r", "ɻ": "r", "ʁ": "r", "ʀ": "r", "ɾ": "d", "ɽ": "r",
+    "ɖ": "d", "ʈ": "t", "ʃ": "sh", "ʂ": "sh", "ɕ": "sh", "ʒ": "zh", "ʐ": "zh", "ʑ": "zh",
+    "β": "b", "ɸ": "f", "ʋ": "v", "q": "k",
+}  # fmt: skip
+
+_MARKS = "ˈˌːˑʰʲʷˠˤˀ˞ⁿˡ̚"
+
+
+def arpabet_of(symbol: str) -> str | None:
+    """Return the phone of the paper's alphabet that a symbol stands for.
+
+    Parameters
+    ----------
+    symbol : str
+        ARPAbet with or without stress digits, in either case; TIMIT; or the IPA of the Montreal
+        Forced Aligner. Marks of silence and noise, and the empty string, are ``'pau'``.
+
+    Returns
+    -------
+    str or None
+        Lower case; None where no alphabet has the symbol.
+    """
+    plain = symbol.strip()
+    lowered = plain.lower()
+    if not plain or lowered in _SILENT:
+        return SILENCE
+    latin = lowered.rstrip("0123456789")
+    if latin in _VISEME_OF:
+        return latin
+    if latin in _TIMIT:
+        return _TIMIT[latin]
+    bare = _without_marks(plain)
+    if bare in _IPA:
+        return _IPA[bare]
+    return bare if bare in _VISEME_OF else None
+
+
+def viseme_of(symbol: str) -> str | None:
+    """Return the viseme that a phone symbol looks like, one of `VISEMES`; None if unknown."""
+    phone = arpabet_of(symbol)
+    return None if phone is None else _VISEME_OF[phone]
+
+
+def viseme_label(viseme: str) -> str:
+    """Return a viseme as the paper writes it: ``/b/ /p/ /m/``; empty for none."""
+    return " ".join(f"/{phone}/" for phone in VISEME_PHONES.get(viseme, ()))
+
+
+def _without_marks(symbol: str) -> str:
+    """Take off what does not change the lips: length, stress, aspiration, dental marks."""
+    split = unicodedata.normalize("NFD", symbol)
+    bare = "".join(
+        letter for letter in split if letter not in _MARKS and not unicodedata.combining(letter)
+    )
+    # c with a cedilla is a phone of its own, not a c with a mark.
+    return "ç" if symbol.startswith("ç") else bare

@@ -1,0 +1,105 @@
+"""Phones read from the formats of aligners, and written so that they read back."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from usdface.errors import InputError
+from usdface.speech.phone_track import PhoneTrack, Span, label_at
+from usdface.speech.track_files import read_phone_track, write_phone_track
+from usdface.speech.visemes import viseme_of
+
+pytest.importorskip("praatio")
+
+TRACK = PhoneTrack(
+    phones=(Span(0, 0.25, "SIL"), Span(0.25, 0.4, "HH"), Span(0.4, 0.75, "AY")),
+    words=(Span(0.25, 0.75, "hi"),),
+    duration=0.75,
+)
+
+
+@pytest.mark.parametrize("suffix", [".TextGrid", ".lab", ".json"])
+def test_a_track_reads_back_the_same(tmp_path: Path, suffix: str) -> None:
+    write_phone_track(tmp_path / f"x{suffix}", TRACK)
+    assert read_phone_track(tmp_path / f"x{suffix}") == TRACK
+
+
+@pytest.mark.parametrize("suffix", [".TextGrid", ".json"])
+def test_marked_emotions_read_back(tmp_path: Path, suffix: str) -> None:
+    spans = (Span(0.0, 0.4, "joy"), Span(0.4, 0.75, "anger"))
+    marked = PhoneTrack(TRACK.phones, TRACK.words, spans, TRACK.duration)
+    write_phone_track(tmp_path / f"x{suffix}", marked)
+    back = read_phone_track(tmp_path / f"x{suffix}").emotions
+    assert back == spans
+    assert [label_at(back, at) for at in (0.0, 0.39, 0.4, 0.8)] == ["joy", "joy", "anger", ""]
+
+
+def test_htk_in_its_own_unit_and_in_seconds_is_the_same(tmp_path: Path) -> None:
+    (tmp_path / "htk.lab").write_text("0 2500000 sil\n2500000 4000000 hh hi\n4000000 7500000 ay\n")
+    (tmp_path / "s.lab").write_text("0.0 0.25 sil\n0.25 0.4 hh hi\n0.4 0.75 ay\n")
+    assert read_phone_track(tmp_path / "htk.lab") == read_phone_track(tmp_path / "s.lab")
+
+
+SHORT = """File type = "ooTextFile"
+Object class = "TextGrid"
+
+0
+0.75
+<exists>
+1
+"IntervalTier"
+"Anna - phones"
+0
+0.75
+3
+0
+0.25
+""
+0.25
+0.4
+"h"
+0.4
+0.75
+"aj"
+"""
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_a_short_textgrid_of_the_montreal_aligner_is_read(tmp_path: Path, encoding: str) -> None:
+    (tmp_path / "x.TextGrid").write_text(SHORT, encoding=encoding)
+    track = read_phone_track(tmp_path / "x.TextGrid")
+    assert [viseme_of(span.label) for span in track.phones] == ["pau", "hh", "ao"]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("x.wav", "", "is no file of phones"),
+        ("x.lab", "0 1 sil\n", "none that is said"),
+        ("x.lab", "0 1\nhello\n", "line 2: 'hello' is no label"),
+        ("x.lab", "0.0 0.5 ah\n0.3 0.6 b\n", "begins before 'ah' ends"),
+        ("x.lab", "0.0 0.5 Ж\n0.5 0.6 Щ\n", "100% of its phones are in no alphabet"),
+        ("x.json", '{"phones": [{"start": 1}]}', "is not"),
+        ("x.TextGrid", "not a grid", "is no TextGrid that can be read"),
+        ("x.TextGrid", SHORT.replace("phones", "notes"), "no tier of phones, only 'Anna - notes'"),
+    ],
+)
+def test_bad_files_are_refused_with_the_reason(
+    tmp_path: Path, name: str, text: str, message: str
+) -> None:
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        read_phone_track(tmp_path / name)
+
+
+def test_recorded_textgrids_are_read(shared_data: Path) -> None:
+    for path in sorted((shared_data / "speech_mfa" / "textgrid").glob("*.TextGrid")):
+        track = read_phone_track(path)
+        assert all(viseme_of(span.label) is not None for span in track.phones), path
+
+
+def test_json_says_spans_plainly(tmp_path: Path) -> None:
+    write_phone_track(tmp_path / "x.json", TRACK)
+    data = json.loads((tmp_path / "x.json").read_text())
+    assert data["words"] == [{"start": 0.25, "end": 0.75, "label": "hi"}]
