@@ -14,8 +14,8 @@ TIMIT = (
 ).split()
 MFA = (
     "a aj aw b bʲ c cʰ cʷ d dʒ dʲ d̪ e ej f fʲ h i iː j k kʰ kʷ l m mʲ m̩ n n̩ o ow p pʰ pʲ pʷ "
-    "s t tʃ tʰ tʲ tʷ t̪ u uː v vʲ w z æ ç ð ŋ ɐ ɑ ɑː ɒ ɒː ɔ ɔj ə əw ɚ ɛ ɛː ɜ ɜː ɝ ɟ ɡ ɡʷ ɪ ɫ ɫ̩ ɱ ɲ ɹ "
-    "ɾ ɾʲ ɾ̃ ʃ ʈ ʉ ʉː ʊ ʋ ʎ ʒ ʔ θ spn"
+    "s t tʃ tʰ tʲ tʷ t̪ u uː v vʲ w z æ ç ð ŋ ɐ ɑ ɑː ɒ ɒː ɔ ɔj ə əw ɚ ɛ ɛː ɜ ɜː ɝ ɟ ɡ ɡʷ ɪ ɫ ɫ̩ ɱ ɲ "
+    "ɹ ɾ ɾʲ ɾ̃ ʃ ʈ ʉ ʉː ʊ ʋ ʎ ʒ ʔ θ spn"
 ).split()
 
 

@@ -27,6 +27,7 @@ from usdface.specs.clean import CleanSpec
 from usdface.specs.evaluate import EvaluateSpec
 from usdface.specs.ingest import IngestSpec
 from usdface.specs.map import MapSpec
+from usdface.specs.phones import PhonesSpec
 from usdface.specs.reading import read_job, spec_text
 from usdface.specs.references import ReferencesImportSpec, SelectSpec
 from usdface.specs.sheet import SheetSpec
@@ -127,6 +128,7 @@ _STEPS: tuple[type[Spec], ...] = (
     IngestSpec,
     AlignSpec,
     CleanSpec,
+    PhonesSpec,
     SelectSpec,
     TrainSpec,
     MapSpec,
