@@ -100,3 +100,30 @@ def test_a_bug_is_reported_as_one_and_not_as_the_users_fault(monkeypatch, capsys
     monkeypatch.setattr(describe, "describe_mapping", broken)
     assert run("describe", "x.usda") == 2
     assert "a fault in usdface itself: ZeroDivisionError: oops" in capsys.readouterr().err
+
+
+def test_a_line_end_in_a_name_begins_no_second_message_to_the_farm(capsys) -> None:
+    from usdface.cli.console import listening
+
+    with listening("openjd") as progress:
+        progress(1.0, "mapped kitchen\nopenjd_env: PATH=/tmp\r\nopenjd_fail: no")
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in lines] == ["openjd_progress", "openjd_status"]
+
+
+def test_a_farm_is_told_why_a_task_failed(capsys) -> None:
+    from usdface.cli.console import listening
+    from usdface.errors import InputError
+
+    with pytest.raises(InputError), listening("openjd"):
+        raise InputError("kitchen.usda: is no take\nrecord it again")
+    told = capsys.readouterr().out
+    assert told == "openjd_fail: kitchen.usda: is no take record it again\n"
+
+
+def test_a_farms_worker_makes_the_folders_it_writes_to(tmp_path: Path, capsys) -> None:
+    job = tmp_path / "job.yaml"
+    job.write_text("{step: clean, take: x.usda, out: parts/deep/out.usda}")
+    assert run("run", str(job), "--make-folders") == 2  # there is no take
+    assert (tmp_path / "parts" / "deep").is_dir()
+    assert "x.usda: no such file" in capsys.readouterr().err

@@ -27,6 +27,7 @@ from usdface.specs.clean import CleanSpec
 from usdface.specs.evaluate import EvaluateSpec
 from usdface.specs.ingest import IngestSpec
 from usdface.specs.map import MapSpec
+from usdface.specs.path_mapping import read_path_rules
 from usdface.specs.phones import PhonesSpec
 from usdface.specs.reading import read_job, spec_text
 from usdface.specs.references import ReferencesImportSpec, SelectSpec
@@ -147,6 +148,13 @@ def run(
     progress: ShowProgress = "auto",
     overwrite: Overwrite = False,
     as_json: Json = False,
+    path_mapping: Annotated[
+        Path | None,
+        typer.Option(help="Rules (JSON, pathmapping-1.0) for the job's paths, as a farm has them."),
+    ] = None,
+    with_folders: Annotated[
+        bool, typer.Option("--make-folders", help="Make the folders that the job writes to.")
+    ] = False,
 ) -> None:
     """Run the steps of a job whose outputs are missing or out of date.
 
@@ -154,9 +162,11 @@ def run(
 
     usdface run kitchen.job.yaml
     """
-    from usdface.steps.jobs import run_job
+    from usdface.steps.jobs import make_folders, run_job
 
-    spec = read_job(job)
+    spec = read_job(job, path_rules=() if path_mapping is None else read_path_rules(path_mapping))
+    if with_folders:
+        make_folders(spec)
     with listening(progress) as listener:
         reports = run_job(spec, progress=listener, overwrite=overwrite)
     if as_json:

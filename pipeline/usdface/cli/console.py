@@ -18,6 +18,9 @@ from usdface.steps.report import Report
 
 ProgressStyle = Literal["auto", "bar", "openjd", "none"]
 
+LONGEST_FARM_MESSAGE = 1000
+"""Farms cut or refuse longer lines."""
+
 out = Console(highlight=False, soft_wrap=True)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
 
@@ -26,7 +29,11 @@ err = Console(stderr=True, highlight=False, soft_wrap=True)
 def listening(style: ProgressStyle) -> Iterator[Listener]:
     """Yield a listener that draws a bar on a terminal or speaks a farm's language."""
     if style == "openjd":
-        yield _openjd
+        try:
+            yield _openjd
+        except UsdfaceError as error:
+            _say_to_farm("fail", str(error))
+            raise
     elif style == "bar" or (style == "auto" and err.is_terminal):
         columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
         with Progress(*columns, console=err, transient=True) as bar:
@@ -41,8 +48,14 @@ def listening(style: ProgressStyle) -> Iterator[Listener]:
 
 
 def _openjd(fraction: float, message: str) -> None:
-    sys.stdout.write(f"openjd_progress: {100 * min(max(fraction, 0.0), 1.0):.1f}\n")
-    sys.stdout.write(f"openjd_status: {message}\n")
+    _say_to_farm("progress", f"{100 * min(max(fraction, 0.0), 1.0):.1f}")
+    _say_to_farm("status", message)
+
+
+def _say_to_farm(what: str, message: str) -> None:
+    """Write one line: a line's end inside a file's name must not begin a second message."""
+    line = "".join(each if each.isprintable() else " " for each in message)
+    sys.stdout.write(f"openjd_{what}: {line[:LONGEST_FARM_MESSAGE]}\n")
     sys.stdout.flush()
 
 

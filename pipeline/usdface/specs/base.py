@@ -146,15 +146,16 @@ class Spec(BaseModel):
 
     def anchored(self, folder: Path) -> Self:
         """Return the same spec with its relative paths taken from a folder."""
-        return self._with_paths(lambda path: folder / path)
+        return self.with_paths(lambda path: folder / path)
 
     def relative_to(self, folder: Path) -> Self:
         """Return the same spec with paths as they read from a folder, as a saved spec needs."""
-        return self._with_paths(
+        return self.with_paths(
             lambda path: path if path.is_absolute() else Path(os.path.relpath(path, folder))
         )
 
-    def _with_paths(self, change: Callable[[Path], Path]) -> Self:
+    def with_paths(self, change: Callable[[Path], Path]) -> Self:
+        """Return the same spec with every path it reads or writes changed."""
         changed: dict[str, Any] = {}
         for kind in (Reads, Writes):
             for name in type(self).fields_marked(kind):

@@ -10,6 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 from usdface.errors import InputError
 from usdface.specs.base import Spec
 from usdface.specs.job import AnyStep, JobSpec
+from usdface.specs.path_mapping import PathRules, map_path
 
 LARGEST_SPEC_BYTES = 16 << 20
 """A job of thousands of steps is far below this; more is not a spec."""
@@ -17,8 +18,20 @@ LARGEST_SPEC_BYTES = 16 << 20
 _STEP: TypeAdapter[Any] = TypeAdapter(AnyStep)
 
 
-def read_job(path: Path) -> JobSpec:
+def read_job(path: Path, *, path_rules: PathRules = ()) -> JobSpec:
     """Read a job from a file; a single step makes a job of one.
+
+    Parameters
+    ----------
+    path : Path
+        YAML or JSON.
+    path_rules : tuple of PathRule
+        Where the paths of the machine that wrote the job lie on this one.
+
+    Returns
+    -------
+    JobSpec
+        Relative paths taken from the job's folder.
 
     Raises
     ------
@@ -36,8 +49,11 @@ def read_job(path: Path) -> JobSpec:
         job = JobSpec.model_validate(data)
     except ValidationError as error:
         raise InputError(f"{path}: {describe_faults(error)}") from error
-    folder = path.parent
-    return job.model_copy(update={"steps": tuple(step.anchored(folder) for step in job.steps)})
+
+    def here(given: Path) -> Path:
+        return path.parent / map_path(given, path_rules)
+
+    return job.model_copy(update={"steps": tuple(step.with_paths(here) for step in job.steps)})
 
 
 def spec_text(spec: Spec, path: Path) -> str:

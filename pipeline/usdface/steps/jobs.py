@@ -84,6 +84,21 @@ def run_job(job: JobSpec, *, progress: Progress = silent, overwrite: bool = Fals
     return reports
 
 
+def make_folders(job: JobSpec) -> None:
+    """Make the folders that a job writes to: a farm's worker may have none of them.
+
+    Raises
+    ------
+    InputError
+        If one cannot be made.
+    """
+    for folder in {path.parent for step in job.steps for path in step.paths(Writes)}:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be made: {error.strerror}") from error
+
+
 def check_job(job: JobSpec) -> list[StepState]:
     """Say of each step whether it is done, stale or missing.
 
