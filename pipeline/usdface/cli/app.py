@@ -23,6 +23,7 @@ from usdface.cli.spec_options import build_spec, command_of
 from usdface.errors import InputError, UsdfaceError
 from usdface.specs.align import AlignSpec
 from usdface.specs.base import Spec
+from usdface.specs.bind import BindSpec
 from usdface.specs.clean import CleanSpec
 from usdface.specs.evaluate import EvaluateSpec
 from usdface.specs.ingest import IngestSpec
@@ -135,6 +136,7 @@ _STEPS: tuple[type[Spec], ...] = (
     MapSpec,
     SheetSpec,
     EvaluateSpec,
+    BindSpec,
 )
 for _spec in _STEPS:
     _add(app, _spec.model_fields["step"].default, _spec)

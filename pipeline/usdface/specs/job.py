@@ -7,6 +7,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from usdface.specs.align import AlignSpec
 from usdface.specs.base import Name, Reads, Spec, Writes
+from usdface.specs.bind import BindSpec
 from usdface.specs.clean import CleanSpec
 from usdface.specs.evaluate import EvaluateSpec
 from usdface.specs.ingest import IngestSpec
@@ -28,6 +29,7 @@ STEP_SPECS: tuple[type[Spec], ...] = (
     MapSpec,
     SheetSpec,
     EvaluateSpec,
+    BindSpec,
 )
 
 AnyStep = Annotated[
@@ -40,7 +42,8 @@ AnyStep = Annotated[
     | TrainSpec
     | MapSpec
     | SheetSpec
-    | EvaluateSpec,
+    | EvaluateSpec
+    | BindSpec,
     Field(discriminator="step"),
 ]
 

@@ -1,0 +1,223 @@
+"""Places on a polygon mesh: a face and how much each of its corners counts.
+
+The weights of a place are one per corner of its polygon, so that a quad's place means the same
+whichever way the quad is cut into triangles, and a person can read and write it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdface.numerics.registration.triangulation import triangulate
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_ROWS = 1 << 18  # of the table (places x triangles) that is held at once
+
+
+@dataclass(frozen=True)
+class SurfacePlaces:
+    """Points on a mesh that stay on it however it deforms.
+
+    Attributes
+    ----------
+    faces : (places,) int array
+        Polygon of each place.
+    corners : (places, 3) int array
+        The three points of the polygon that carry it.
+    weights : (places, 3) float array
+        Barycentric, sum 1.
+    """
+
+    faces: IntArray
+    corners: IntArray
+    weights: FloatArray
+
+    def positions(self, points: FloatArray) -> FloatArray:
+        """Return where the places are: (places, 3) float array, in the points' unit."""
+        on_surface: FloatArray = np.einsum("pk,pkc->pc", self.weights, points[self.corners])
+        return on_surface
+
+
+def places_at_points(
+    face_counts: IntArray, face_indices: IntArray, chosen: IntArray
+) -> SurfacePlaces:
+    """Return the places of points of the mesh, each on the first face that has it.
+
+    Parameters
+    ----------
+    face_counts : (faces,) int array
+    face_indices : (corners,) int array
+    chosen : (places,) int array
+        Indices of points.
+
+    Raises
+    ------
+    ValueError
+        If a point belongs to no face.
+    """
+    triangles, owners = triangulate(face_counts, face_indices)
+    first: dict[int, int] = {}
+    for row in range(len(triangles) - 1, -1, -1):
+        for point in triangles[row].tolist():
+            first[point] = row
+    lost = [int(point) for point in chosen if int(point) not in first]
+    if lost:
+        raise ValueError(f"point {lost[0]} belongs to no face; choose a point of the surface")
+    rows = np.array([first[int(point)] for point in chosen], np.int64)
+    corners = triangles[rows].reshape(-1, 3)
+    return SurfacePlaces(owners[rows], corners, (corners == chosen[:, None]).astype(float))
+
+
+def places_of_corners(
+    face_counts: IntArray, face_indices: IntArray, corners: IntArray, weights: FloatArray
+) -> SurfacePlaces:
+    """Return places given by three points of one polygon each, or by one point three times.
+
+    Parameters
+    ----------
+    face_counts, face_indices : int arrays
+    corners : (places, 3) int array
+    weights : (places, 3) float array
+
+    Raises
+    ------
+    ValueError
+        If three points share no face.
+    """
+    triangles, owners = triangulate(face_counts, face_indices)
+    row_of = {tuple(sorted(each)): row for row, each in enumerate(triangles.tolist())}
+    single = (corners == corners[:, :1]).all(axis=1)
+    faces, found = np.zeros(len(corners), np.int64), corners.copy()
+    shares = np.array(weights, float)
+    if single.any():
+        at_points = places_at_points(face_counts, face_indices, corners[single, 0])
+        faces[single], found[single] = at_points.faces, at_points.corners
+        shares[single] = at_points.weights
+    for index in np.flatnonzero(~single).tolist():
+        row = row_of.get(tuple(sorted(corners[index].tolist())))
+        if row is None:
+            raise ValueError(f"points {corners[index].tolist()} share no face of the mesh")
+        faces[index] = owners[row]
+    return SurfacePlaces(faces, found, shares)
+
+
+def nearest_places(
+    points: FloatArray, face_counts: IntArray, face_indices: IntArray, wanted: FloatArray
+) -> SurfacePlaces:
+    """Return the places of the surface nearest to given positions.
+
+    Parameters
+    ----------
+    points : (points, 3) float array
+    face_counts, face_indices : int arrays
+    wanted : (places, 3) float array
+
+    Raises
+    ------
+    ValueError
+        If the mesh has no face.
+    """
+    triangles, owners = triangulate(face_counts, face_indices)
+    if not len(triangles):
+        raise ValueError("the mesh has no face to place anything on")
+    rows = np.zeros(len(wanted), np.int64)
+    weights = np.zeros((len(wanted), 3))
+    block = max(1, _ROWS // len(triangles))
+    for start in range(0, len(wanted), block):
+        part = slice(start, start + block)
+        shares, away = _closest_on_triangles(points[triangles], wanted[part])
+        best = away.argmin(axis=1)
+        rows[part] = best
+        weights[part] = shares[np.arange(len(best)), best]
+    return SurfacePlaces(owners[rows], triangles[rows], weights)
+
+
+def polygon_weights(
+    places: SurfacePlaces, face_counts: IntArray, face_indices: IntArray
+) -> list[FloatArray]:
+    """Return one weight per corner of each place's polygon, in the polygon's order."""
+    starts = np.cumsum(face_counts) - face_counts
+    out = []
+    for face, corners, weights in zip(places.faces, places.corners, places.weights, strict=True):
+        polygon = face_indices[starts[face] : starts[face] + face_counts[face]]
+        own = np.zeros(len(polygon))
+        for corner, weight in zip(corners.tolist(), weights.tolist(), strict=True):
+            own[int(np.flatnonzero(polygon == corner)[0])] += weight
+        out.append(own)
+    return out
+
+
+def place_on_polygon(
+    points: FloatArray,
+    face_counts: IntArray,
+    face_indices: IntArray,
+    *,
+    face: int,
+    weights: FloatArray,
+) -> SurfacePlaces:
+    """Return the one place that weights over a polygon's corners name.
+
+    Weights over more than three corners are brought onto the polygon's triangles.
+
+    Raises
+    ------
+    ValueError
+        If the face does not exist, or the weights do not fit its corners.
+    """
+    if not 0 <= face < len(face_counts):
+        raise ValueError(f"there is no face {face}; the mesh has {len(face_counts)}")
+    count = int(face_counts[face])
+    start = int(face_counts[:face].sum())
+    polygon = face_indices[start : start + count]
+    if count < 3 or weights.shape != (count,):
+        raise ValueError(f"face {face} has {count} corners and {weights.size} weights are given")
+    if not np.isfinite(weights).all() or weights.min() < -1e-4 or abs(weights.sum() - 1) > 1e-3:
+        raise ValueError(f"the weights on face {face} are not 0 or more with sum 1: {weights}")
+    shares = np.maximum(weights, 0) / np.maximum(weights, 0).sum()
+    used = np.flatnonzero(shares)
+    fans = np.stack([np.zeros(count - 2), np.arange(1, count - 1), np.arange(2, count)], axis=1)
+    for fan in fans.astype(int):
+        if set(used) <= set(fan.tolist()):
+            return SurfacePlaces(np.array([face]), polygon[fan][None], shares[fan][None])
+    wanted = (shares @ points[polygon])[None]
+    near = nearest_places(points, np.array([count]), polygon, wanted)
+    return SurfacePlaces(np.array([face]), near.corners, near.weights)
+
+
+def _closest_on_triangles(
+    triangles: FloatArray, wanted: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return barycentric weights (places, triangles, 3) and squared distances of the closest.
+
+    The plane's foot where it lies inside, else the closest of the feet on the three sides.
+    """
+    a, b, c = (triangles[:, i] for i in range(3))
+    ab, ac = b - a, c - a
+    d00, d01, d11 = ((x * y).sum(-1) for x, y in ((ab, ab), (ab, ac), (ac, ac)))
+    size = np.maximum(d00 * d11 - d01**2, 1e-300)
+    ap = wanted[:, None] - a
+    d20, d21 = (ap * ab).sum(-1), (ap * ac).sum(-1)
+    v, w = (d11 * d20 - d01 * d21) / size, (d00 * d21 - d01 * d20) / size
+    inside = (v >= 0) & (w >= 0) & (v + w <= 1)
+    best = np.stack([1 - v - w, v, w], axis=-1)
+    away = np.where(inside, _squared(wanted, triangles, best), np.inf)
+    for first, second in ((0, 1), (1, 2), (2, 0)):
+        start, side = triangles[:, first], triangles[:, second] - triangles[:, first]
+        along = ((wanted[:, None] - start) * side).sum(-1)
+        t = np.clip(along / np.maximum((side**2).sum(-1), 1e-300), 0, 1)
+        shares = np.zeros((*t.shape, 3))
+        shares[..., first], shares[..., second] = 1 - t, t
+        own = _squared(wanted, triangles, shares)
+        closer = own < away
+        best = np.where(closer[..., None], shares, best)
+        away = np.where(closer, own, away)
+    return best, away
+
+
+def _squared(wanted: FloatArray, triangles: FloatArray, shares: FloatArray) -> FloatArray:
+    foot = np.einsum("ptk,tkc->ptc", shares, triangles)
+    away: FloatArray = ((wanted[:, None] - foot) ** 2).sum(-1)
+    return away
