@@ -22,17 +22,23 @@ from usdface.cli.console import (
 from usdface.cli.spec_options import build_spec, command_of
 from usdface.errors import InputError, UsdfaceError
 from usdface.specs.align import AlignSpec
+from usdface.specs.bake import BakeSpec
 from usdface.specs.base import Spec
 from usdface.specs.bind import BindSpec
 from usdface.specs.clean import CleanSpec
+from usdface.specs.edit import EditsImportSpec, EditSpec
 from usdface.specs.evaluate import EvaluateSpec
 from usdface.specs.ingest import IngestSpec
+from usdface.specs.join import JoinSpec
 from usdface.specs.map import MapSpec
+from usdface.specs.movie import MovieJoinSpec, MovieSpec
+from usdface.specs.package import PackageSpec
 from usdface.specs.path_mapping import read_path_rules
 from usdface.specs.phones import PhonesSpec
 from usdface.specs.reading import read_job, spec_text
 from usdface.specs.references import ReferencesImportSpec, SelectSpec
 from usdface.specs.sheet import SheetSpec
+from usdface.specs.submit import SubmitSpec
 from usdface.specs.train import TrainSpec
 from usdface.version import __version__
 
@@ -48,6 +54,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 references = typer.Typer(help="Work on a references asset.", no_args_is_help=True)
+edits = typer.Typer(help="Work on the edits of a performance.", no_args_is_help=True)
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for scripts.")]
 ShowProgress = Annotated[
@@ -78,6 +85,7 @@ COMMON = [
     _keyword("progress", ShowProgress, "auto"),
     _keyword("as_json", Json, False),
 ]
+_SUBMIT_COMMON = ("overwrite", "as_json")
 
 
 def _run_step(
@@ -134,7 +142,13 @@ _STEPS: tuple[type[Spec], ...] = (
     SelectSpec,
     TrainSpec,
     MapSpec,
+    JoinSpec,
+    EditSpec,
+    BakeSpec,
+    PackageSpec,
     SheetSpec,
+    MovieSpec,
+    MovieJoinSpec,
     EvaluateSpec,
     BindSpec,
 )
@@ -142,6 +156,24 @@ for _spec in _STEPS:
     _add(app, _spec.model_fields["step"].default, _spec)
 _add(references, "import", ReferencesImportSpec)
 app.add_typer(references, name="references")
+_add(edits, "import", EditsImportSpec)
+app.add_typer(edits, name="edits")
+
+
+@edits.command("list", epilog=EPILOG)
+def list_edits(
+    performance: Annotated[Path, typer.Argument(help="An edited performance.", show_default=False)],
+    as_json: Json = False,
+) -> None:
+    """Say what was edited of a performance, and where the solve beneath has changed since.
+
+    Example:
+
+    usdface edits list kitchen.hero.usda
+    """
+    from usdface.steps.edited import list_edits as listed
+
+    show_report(listed(performance), as_json=as_json)
 
 
 @app.command(epilog=EPILOG)
@@ -197,6 +229,37 @@ def check(
         return
     for number, state in enumerate(states, start=1):
         out.print(f"{number}. {state.spec.step}: {state.state} ({state.reason})", markup=False)
+
+
+def _submit(
+    spec_type: type[SubmitSpec],
+    values: dict[str, Any],
+    *,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    from usdface.farm.submit import describe, submit
+    from usdface.steps.report import Report
+
+    spec = build_spec(spec_type, values)
+    done = submit(spec, overwrite=overwrite, quiet=as_json)
+    notes = [
+        f"{path.name} is mapped in one piece: the frames of its take are known only once it is "
+        "ingested; say `frames` in the job to have it chunked"
+        for path in done.plan.whole
+    ]
+    tasks = {step.name: len(step.tasks) for step in done.plan.steps}
+    verb = "written" if spec.write_only else "done" if spec.farm == "openjd" else "submitted"
+    summary = f"{done.job}: {sum(tasks.values())} tasks in {len(tasks)} steps, {verb}"
+    report = Report(
+        (done.bundle,), summary, tuple(notes), {"job": done.job, "tasks": tasks}, describe(done)
+    )
+    show_report(report, as_json=as_json)
+
+
+app.command("submit", epilog=EPILOG)(
+    command_of(SubmitSpec, _submit, [each for each in COMMON if each.name in _SUBMIT_COMMON])
+)
 
 
 @app.command(epilog=EPILOG)

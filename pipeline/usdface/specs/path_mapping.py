@@ -1,4 +1,4 @@
-"""Paths as a farm's worker sees them: Open Job Description's path mapping rules (pathmapping-1.0)."""
+"""Where paths lie on a farm's worker: Open Job Description's rules (pathmapping-1.0)."""
 
 import json
 from dataclasses import dataclass

@@ -1,0 +1,96 @@
+"""Steps over many frames as tasks over few, and the step that joins what they make."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from usdface.specs.base import Spec, frame_range
+from usdface.specs.join import JoinSpec
+from usdface.specs.map import MapSpec
+from usdface.specs.movie import MovieJoinSpec, MovieSpec
+
+FrameRange = tuple[int, int]
+"""First and last frame, inclusive."""
+
+
+@dataclass(frozen=True)
+class ChunkSizes:
+    """Frames that one task works on.
+
+    Attributes
+    ----------
+    map : int
+    movie : int or None
+        None leaves a movie in one piece.
+    """
+
+    map: int
+    movie: int | None = None
+
+
+def parts_folder(out: Path) -> Path:
+    """Return where the parts of a file are made: NAME.parts beside it."""
+    return out.with_name(f"{out.stem}.parts")
+
+
+def frames_made(step: Spec, frames_of: Callable[[Path], FrameRange | None]) -> FrameRange | None:
+    """Return the frames that a step will have worked on; None where only the worker will know."""
+    if isinstance(step, MapSpec):
+        return frame_range(step.frames) or frames_of(step.take)
+    if isinstance(step, MovieSpec):
+        return frame_range(step.frames) or frames_of(step.performance)
+    return None
+
+
+def in_chunks(step: Spec, sizes: ChunkSizes, frames: FrameRange | None) -> list[Spec]:
+    """Return the tasks that do what a step does: the step itself, or its chunks and their join.
+
+    Boundaries depend on the frames and the size alone, so that a task that is retried, or a job
+    that is submitted again, makes the same files.
+
+    Parameters
+    ----------
+    step : Spec
+    sizes : ChunkSizes
+    frames : (first, last), optional
+        None where they are not known yet: then the step stays whole.
+    """
+    if frames is None:
+        return [step]
+    if isinstance(step, MapSpec):
+        chunks = _chunks(frames, sizes.map)
+        if len(chunks) == 1:
+            return [step]
+        names = _part_names(step.out, len(chunks))
+        parts = [
+            step.model_copy(update={"frames": text, "out": name, "chunk": None})
+            for text, name in zip(chunks, names, strict=True)
+        ]
+        # Beyond a size the join leaves parts where they are, or as many as the spec asks for.
+        clips = "auto" if step.chunk is None else "always"
+        return [*parts, JoinSpec(parts=names, out=step.out, clips=clips)]
+    if isinstance(step, MovieSpec) and sizes.movie is not None:
+        chunks = _chunks(frames, sizes.movie)
+        if len(chunks) == 1:
+            return [step]
+        names = _part_names(step.out, len(chunks))
+        shown = [
+            step.model_copy(update={"frames": text, "out": name, "sound": False})
+            for text, name in zip(chunks, names, strict=True)
+        ]
+        take = step.take if step.sound else None
+        return [*shown, MovieJoinSpec(parts=names, take=take, out=step.out)]
+    return [step]
+
+
+def _chunks(frames: FrameRange, size: int) -> list[str]:
+    first, last = frames
+    return [f"{start}-{min(start + size - 1, last)}" for start in range(first, last + 1, size)]
+
+
+def _part_names(out: Path, count: int) -> tuple[Path, ...]:
+    digits = max(4, len(str(count)))
+    folder = parts_folder(out)
+    return tuple(
+        folder / f"{out.stem}.{number:0{digits}}{out.suffix}" for number in range(1, count + 1)
+    )

@@ -1,0 +1,70 @@
+"""Other programs, called with lists of arguments: no shell ever reads a name."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from usdface.errors import CheckFailedError, InputError
+
+LAST_WORDS_SECONDS = 60.0
+"""What a farm's command gets to stop its tasks when it is told to."""
+
+
+def find_command(name: str, remedy: str) -> str:
+    """Return the path of a program: of this environment if it is there, else of the user's.
+
+    Raises
+    ------
+    InputError
+        If it is in neither.
+    """
+    found = shutil.which(name, path=_search_path())
+    if found is None:
+        raise InputError(f"{name}: no such command on this machine; {remedy}")
+    return found
+
+
+def run_command(command: Sequence[str], *, quiet: bool = False) -> None:
+    """Run a program to its end.
+
+    Parameters
+    ----------
+    command : sequence of str
+        The program and its arguments.
+    quiet : bool
+        Send what it says to standard error.
+
+    Raises
+    ------
+    CheckFailedError
+        If it ends with another code than 0.
+    """
+    # The tasks call `usdface`: the one that submits, not another that comes first on the path.
+    environment = os.environ | {"PATH": _search_path()}
+    sys.stdout.flush()
+    process = subprocess.Popen(
+        list(command), env=environment, stdin=subprocess.DEVNULL, stdout=2 if quiet else None
+    )
+    try:
+        code = process.wait()
+    except BaseException:  # interrupted or told to stop: so are its tasks
+        process.terminate()
+        try:
+            process.wait(LAST_WORDS_SECONDS)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        raise
+    if code:
+        raise CheckFailedError(
+            f"{Path(command[0]).name} ended with {code}; what was done stays done, and submitting "
+            "again goes on from there"
+        )
+
+
+def _search_path() -> str:
+    here = str(Path(sys.executable).parent)
+    return os.pathsep.join((here, os.environ.get("PATH", os.defpath)))

@@ -1,0 +1,153 @@
+"""What can run at once: a job's steps as tasks, and the farm steps they are gathered in."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from usdface.farm.chunks import ChunkSizes, FrameRange, frames_made, in_chunks
+from usdface.specs.base import Reads, Spec
+from usdface.specs.job import JobSpec
+from usdface.specs.map import MapSpec
+
+
+@dataclass(frozen=True)
+class FarmStep:
+    """Tasks of one kind that do not wait for one another.
+
+    Attributes
+    ----------
+    name : str
+        Unique in the plan; letters, digits and hyphens only.
+    kind : str
+        The step that every task runs.
+    tasks : tuple of Spec
+        Each for a worker of its own; paths absolute.
+    needs : tuple of str
+        Names of the farm steps to be done before.
+    """
+
+    name: str
+    kind: str
+    tasks: tuple[Spec, ...]
+    needs: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A job as a farm runs it.
+
+    Attributes
+    ----------
+    steps : tuple of FarmStep
+        Each after those it needs.
+    whole : tuple of Path
+        Performances that are mapped in one piece, as the frames of their takes are not known yet.
+    """
+
+    steps: tuple[FarmStep, ...]
+    whole: tuple[Path, ...] = ()
+
+
+def plan_job(
+    job: JobSpec, *, sizes: ChunkSizes, frames_of: Callable[[Path], FrameRange | None]
+) -> Plan:
+    """Return what of a job can run at once.
+
+    Tasks are gathered by what they run and by how many tasks must come before them, so that the
+    same step of every take is one farm step, and nothing in it waits for anything else in it.
+
+    Parameters
+    ----------
+    job : JobSpec
+        With absolute paths, one spelling for each file.
+    sizes : ChunkSizes
+    frames_of : callable
+        First and last frame of a take or a performance as it lies there now; None where that is
+        not known.
+    """
+    tasks, whole = _tasks(job, sizes, frames_of)
+    before = _tasks_before(tasks)
+    depth: list[int] = []
+    for earlier in before:
+        depth.append(1 + max((depth[index] for index in earlier), default=-1))
+    names = _names(tasks, depth)
+    members: dict[str, list[int]] = {}
+    for index, name in enumerate(names):
+        members.setdefault(name, []).append(index)
+    ordered = sorted(members, key=lambda name: (depth[members[name][0]], members[name][0]))
+    steps = []
+    for name in ordered:
+        needed = {names[earlier] for index in members[name] for earlier in before[index]}
+        steps.append(
+            FarmStep(
+                name,
+                tasks[members[name][0]].step,
+                tuple(tasks[index] for index in members[name]),
+                tuple(each for each in ordered if each in needed),
+            )
+        )
+    return Plan(tuple(steps), tuple(whole))
+
+
+def _tasks(
+    job: JobSpec, sizes: ChunkSizes, frames_of: Callable[[Path], FrameRange | None]
+) -> tuple[list[Spec], list[Path]]:
+    made = {path for step in job.steps for path in _changed(step)}
+    told: dict[Path, FrameRange] = {}
+
+    def known_frames(path: Path) -> FrameRange | None:
+        # What this job makes anew may have other frames than what lies there today.
+        return told.get(path) if path in made else frames_of(path)
+
+    tasks: list[Spec] = []
+    whole: list[Path] = []
+    for step in job.steps:
+        frames = frames_made(step, known_frames)
+        if frames is not None:
+            told |= dict.fromkeys(step.outputs(), frames)
+        elif isinstance(step, MapSpec):
+            whole += step.outputs()
+        tasks += in_chunks(step, sizes, frames)
+    return tasks, whole
+
+
+def _tasks_before(tasks: list[Spec]) -> list[set[int]]:
+    """Return which earlier tasks each must wait for: those that make, or still read, its files."""
+    writer: dict[Path, int] = {}
+    readers: dict[Path, set[int]] = {}
+    before: list[set[int]] = []
+    for index, task in enumerate(tasks):
+        waits: set[int] = set()
+        reads = set(task.paths(Reads))
+        for path in reads:
+            if path in writer:
+                waits.add(writer[path])
+        for path in _changed(task):
+            if path in writer:
+                waits.add(writer[path])
+            waits |= readers.pop(path, set())
+        for path in reads:
+            readers.setdefault(path, set()).add(index)
+        for path in _changed(task):
+            writer[path] = index
+        before.append(waits - {index})
+    return before
+
+
+def _names(tasks: list[Spec], depth: list[int]) -> list[str]:
+    """Name each task's farm step: its kind, with a number where the kind comes again later."""
+    depths: dict[str, list[int]] = {}
+    for task, level in zip(tasks, depth, strict=True):
+        if level not in depths.setdefault(task.step, []):
+            depths[task.step].append(level)
+    for levels in depths.values():
+        levels.sort()
+    names = []
+    for task, level in zip(tasks, depth, strict=True):
+        number = 1 + depths[task.step].index(level)
+        names.append(task.step if number == 1 else f"{task.step}-{number}")
+    return names
+
+
+def _changed(spec: Spec) -> set[Path]:
+    return set(spec.changes())

@@ -1,0 +1,134 @@
+"""From a job's file to a farm."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from usdface.errors import InputError
+from usdface.farm.bundle import bundle_hash, compose_bundle, write_bundle
+from usdface.farm.chunks import ChunkSizes, FrameRange
+from usdface.farm.deadline import submit_bundle
+from usdface.farm.opencue import build_outline, outline_text, submit_outline
+from usdface.farm.openjd import run_bundle
+from usdface.farm.plan import FarmStep, Plan, plan_job
+from usdface.farm.template import check_job_name
+from usdface.replacing import replacing
+from usdface.specs.base import LAYER_SUFFIXES, Reads
+from usdface.specs.job import JobSpec
+from usdface.specs.reading import read_job
+from usdface.specs.submit import SubmitSpec
+from usdface.usdio.referenced_files import frame_range_of, referenced_files
+
+
+@dataclass(frozen=True)
+class Submission:
+    """What was handed to a farm.
+
+    Attributes
+    ----------
+    job : str
+        Its name.
+    bundle : Path
+        The folder that describes it.
+    plan : Plan
+    """
+
+    job: str
+    bundle: Path
+    plan: Plan
+
+
+def submit(spec: SubmitSpec, *, overwrite: bool = False, quiet: bool = False) -> Submission:
+    """Write a job's bundle, and hand it to the farm unless only the bundle is wanted.
+
+    Parameters
+    ----------
+    spec : SubmitSpec
+    overwrite : bool
+        Replace another job's bundle in the same folder.
+    quiet : bool
+        Send what the farm's own command says to standard error.
+
+    Raises
+    ------
+    InputError
+        If the job cannot be run as it is, the bundle cannot be written, or the farm's client is
+        not installed.
+    CheckFailedError
+        If the farm refuses the job, or a task of a local run fails.
+    """
+    job = _with_absolute_paths(read_job(spec.job))
+    check_job_name(job.job)
+    _check_inputs(job)
+    sizes = ChunkSizes(map=spec.chunk, movie=spec.movie_chunk)
+    plan = plan_job(job, sizes=sizes, frames_of=_frames_of)
+    files = compose_bundle(job.job, plan.steps, carried=_carried(job))
+    bundle = spec.out or spec.job.with_name(f"{spec.job.stem}-{bundle_hash(files)}.bundle")
+    write_bundle(bundle, files, overwrite=overwrite)
+    _hand_over(spec, job.job, plan.steps, bundle, quiet=quiet)
+    return Submission(job.job, bundle, plan)
+
+
+def outline_path(bundle: Path) -> Path:
+    """Return where the XML of an OpenCue job is written when it is not sent: beside its bundle."""
+    return bundle.with_name(f"{bundle.name}.outline.xml")
+
+
+def describe(submission: Submission) -> tuple[str, ...]:
+    """Return a line for each farm step: its tasks and what it waits for."""
+    return tuple(
+        f"{step.name}: {len(step.tasks)} task{'s' * (len(step.tasks) > 1)}"
+        + (f", after {', '.join(step.needs)}" if step.needs else "")
+        for step in submission.plan.steps
+    )
+
+
+def _hand_over(
+    spec: SubmitSpec, name: str, steps: tuple[FarmStep, ...], bundle: Path, *, quiet: bool
+) -> None:
+    if spec.farm == "opencue":
+        launcher = build_outline(name, steps, bundle, priority=spec.priority)
+        if spec.write_only:
+            with replacing(outline_path(bundle)) as file:
+                file.write_text(outline_text(launcher), encoding="utf-8", newline="\n")
+        else:
+            submit_outline(launcher)
+    elif spec.write_only:
+        return
+    elif spec.farm == "deadline":
+        submit_bundle(bundle, priority=spec.priority, quiet=quiet)
+    else:
+        run_bundle(bundle, quiet=quiet)
+
+
+def _with_absolute_paths(job: JobSpec) -> JobSpec:
+    def absolute(path: Path) -> Path:
+        return Path(os.path.normpath(path.absolute()))
+
+    return job.model_copy(update={"steps": tuple(step.with_paths(absolute) for step in job.steps)})
+
+
+def _check_inputs(job: JobSpec) -> None:
+    """Find here, in a second, what a worker would find after an hour in the queue."""
+    made: set[Path] = set()
+    faults = []
+    for number, step in enumerate(job.steps, start=1):
+        faults += [
+            f"step {number}, {step.step}: {path}: no such file, and no earlier step makes it"
+            for path in step.paths(Reads)
+            if path not in made and not path.exists()
+        ]
+        made.update(step.changes())
+    if faults:
+        raise InputError("\n".join(faults))
+
+
+def _frames_of(path: Path) -> FrameRange | None:
+    return frame_range_of(path) if path.exists() else None
+
+
+def _carried(job: JobSpec) -> list[Path]:
+    """Return what layers that are there already need beside them."""
+    read = {path for step in job.steps for path in step.paths(Reads)}
+    layers = [path for path in read if path.suffix in LAYER_SUFFIXES and path.is_file()]
+    return [found for layer in sorted(layers) for found in referenced_files(layer)]
