@@ -10,7 +10,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 from tests.usdio.small_rig import small_rig
 from usdface.deformer import Deformer
 from usdface.errors import InputError
-from usdface.usdio import performance
+from usdface.usdio import weights_layer
 from usdface.usdio.performance import read_performance, weights_path, writing_performance
 from usdface.usdio.rig import read_rig
 from usdface.usdio.rig_write import write_rig
@@ -113,7 +113,7 @@ def test_mapping_again_keeps_what_others_put_into_the_performance(tmp_path: Path
 
 
 def test_long_takes_saved_in_lots_equal_short_ones(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(performance, "FRAMES_IN_MEMORY", 8)
+    monkeypatch.setattr(weights_layer, "FRAMES_IN_MEMORY", 8)
     np.testing.assert_array_equal(read_performance(write(tmp_path)).weights.values, WEIGHTS)
 
 

@@ -6,12 +6,16 @@ from typing import Annotated, Any, ClassVar, Self
 from pydantic import ConfigDict, Field, model_validator
 
 from usdface.specs.align import AlignSpec
+from usdface.specs.bake import BakeSpec
 from usdface.specs.base import Name, Reads, Spec, Writes
 from usdface.specs.bind import BindSpec
 from usdface.specs.clean import CleanSpec
 from usdface.specs.evaluate import EvaluateSpec
 from usdface.specs.ingest import IngestSpec
+from usdface.specs.join import JoinSpec
 from usdface.specs.map import MapSpec
+from usdface.specs.movie import MovieJoinSpec, MovieSpec
+from usdface.specs.package import PackageSpec
 from usdface.specs.phones import PhonesSpec
 from usdface.specs.references import ReferencesImportSpec, SelectSpec
 from usdface.specs.sheet import SheetSpec
@@ -27,7 +31,12 @@ STEP_SPECS: tuple[type[Spec], ...] = (
     ReferencesImportSpec,
     TrainSpec,
     MapSpec,
+    JoinSpec,
+    BakeSpec,
+    PackageSpec,
     SheetSpec,
+    MovieSpec,
+    MovieJoinSpec,
     EvaluateSpec,
     BindSpec,
 )
@@ -41,7 +50,12 @@ AnyStep = Annotated[
     | ReferencesImportSpec
     | TrainSpec
     | MapSpec
+    | JoinSpec
+    | BakeSpec
+    | PackageSpec
     | SheetSpec
+    | MovieSpec
+    | MovieJoinSpec
     | EvaluateSpec
     | BindSpec,
     Field(discriminator="step"),

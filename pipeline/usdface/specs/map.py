@@ -2,6 +2,8 @@
 
 from typing import Annotated, ClassVar, Literal
 
+from pydantic import Field
+
 from usdface.specs.base import (
     FilePath,
     Frames,
@@ -40,4 +42,7 @@ class MapSpec(Spec):
     rig_prim: PrimPath | None = None
     """The face in the rig's file, where it holds several."""
     frames: Frames | None = None
-    """Map these frames only, as FIRST-LAST."""
+    """Map these frames only, as FIRST-LAST; what a frame becomes does not depend on it."""
+    chunk: Annotated[int, Field(ge=1)] | None = None
+    """Write the weights in parts of this many frames, played as value clips; by default in one
+    layer up to 1 GB."""

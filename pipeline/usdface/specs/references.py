@@ -82,3 +82,26 @@ class ReferencesImportSpec(Spec):
     def changes(self) -> tuple[Path, ...]:
         """Return that layer, and the asset that composes it."""
         return (*self.outputs(), self.references)
+
+
+class ReferencesFromEditsSpec(Spec):
+    """Turn frames that an animator corrected into tuned pairs, so that training learns from them.
+
+    Frames are chosen where edits are at full strength, not in their fades, and different from one
+    another. The pairs of the references that the mapping was trained on stay as they are.
+    """
+
+    example: ClassVar[str] = (
+        "usdface references from-edits kitchen.hero.usda --references hero.references.usda "
+        "--out hero.v2.references.usda"
+    )
+
+    step: Literal["references-from-edits"] = "references-from-edits"
+    performances: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
+    """Edited performances; each knows the take and the mapping it was made from."""
+    references: ReadPath
+    """The references to add to."""
+    out: LayerOut
+    """The references asset to write."""
+    count: Annotated[int, Field(ge=1, le=10_000)] = 20
+    """How many frames of each performance are taken at most."""

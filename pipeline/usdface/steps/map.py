@@ -1,5 +1,6 @@
 """A cleaned take and a mapping in, a performance out; a take of any length in bounded memory."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -12,13 +13,21 @@ from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
 from usdface.specs.base import frame_range
 from usdface.specs.map import MapSpec
+from usdface.steps.edited import edit_notes
 from usdface.steps.report import Report
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance import weights_path, writing_performance
 from usdface.usdio.rig import read_rig
 from usdface.usdio.take import TakeReader
 
-CHUNK_FRAMES = 4096
+BLOCK_FRAMES = 1024
+"""Frames are solved in blocks counted from the take's first frame, whichever of them are asked for:
+sums of another length would round otherwise, and frames mapped apart would not fit exactly."""
+
+LARGEST_LAYER_BYTES = 1 << 30
+PART_BYTES = 1 << 27
+"""Weights that take more than the first are written in parts of about the second."""
+
 SAMPLE_FRAMES = 512
 """Frames spread over the take from which its head space is found: a median needs no more."""
 
@@ -35,8 +44,8 @@ def run(
     _check_rig(spec, mapping, rig)
     take = TakeReader(spec.take)
     first, last = frame_range(spec.frames) or (take.first_frame, take.last_frame)
+    _check_frames(spec, take, first, last)
     space = _head_space(spec, mapping, take)
-    notes = _notes(space)
     confidence: list[np.ndarray] = []
     residual: list[np.ndarray] = []
     with writing_performance(
@@ -49,21 +58,46 @@ def run(
         place=spec.prim,
         regions=("face",),
         timecode_start=take.timecode_at(first),
+        part_frames=_part_frames(spec, last - first + 1, len(mapping.shape_names)),
         provenance=provenance,
     ) as writer:
-        for start in range(first, last + 1, CHUNK_FRAMES):
-            stop = min(start + CHUNK_FRAMES - 1, last)
-            placed = space.place(_markers(spec, take, start, stop))
+        for block in _blocks(take, first, last):
+            placed = space.place(_markers(spec, take, block.start, block.stop - 1))
             solved = predict_weights(mapping, placed.positions, visible=placed.visible)
+            asked = slice(max(first - block.start, 0), last + 1 - block.start)
             writer.append(
-                solved.weights,
-                confidence=solved.confidence,
-                residual_mm=solved.residual_mm[:, None],
+                solved.weights[asked],
+                confidence=solved.confidence[asked],
+                residual_mm=solved.residual_mm[asked, None],
             )
-            confidence.append(solved.confidence)
-            residual.append(solved.residual_mm)
-            progress((stop - first + 1) / (last - first + 1), f"mapped to frame {stop}")
+            confidence.append(solved.confidence[asked])
+            residual.append(solved.residual_mm[asked])
+            done = min(block.stop - 1, last)
+            progress((done - first + 1) / (last - first + 1), f"mapped to frame {done}")
+    notes = [*_notes(space), *edit_notes(spec.out)]
     return _report(spec, first, np.concatenate(confidence), np.concatenate(residual), notes)
+
+
+def _check_frames(spec: MapSpec, take: TakeReader, first: int, last: int) -> None:
+    if first < take.first_frame or last > take.last_frame:
+        raise InputError(
+            f"{spec.take}: frames {first}-{last} are not all in the take, which has "
+            f"{take.first_frame}-{take.last_frame}"
+        )
+
+
+def _blocks(take: TakeReader, first: int, last: int) -> Iterator[range]:
+    """Yield the whole blocks of the take that hold the frames asked for."""
+    start = first - (first - take.first_frame) % BLOCK_FRAMES
+    for block in range(start, last + 1, BLOCK_FRAMES):
+        yield range(block, min(block + BLOCK_FRAMES, take.last_frame + 1))
+
+
+def _part_frames(spec: MapSpec, frames: int, shapes: int) -> int | None:
+    if spec.chunk is not None:
+        return spec.chunk
+    frame_bytes = 4 * shapes
+    return None if frames * frame_bytes <= LARGEST_LAYER_BYTES else PART_BYTES // frame_bytes
 
 
 def _check_rig(spec: MapSpec, mapping: Mapping, rig: Rig) -> None:

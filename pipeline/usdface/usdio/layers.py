@@ -18,7 +18,9 @@ MM_PER_STAGE_UNIT = 10.0
 """Layers that this package writes are in centimetres, as most film rigs are."""
 
 FRAMES_IN_MEMORY = 1 << 15
-"""Long takes are saved to disk in lots of this many frames, so that memory stays bounded."""
+VALUES_IN_MEMORY = 1 << 23
+"""Long takes are saved to disk in lots of this many frames or values, so that memory stays
+bounded."""
 
 LAYER_SUFFIXES = (".usda", ".usdc", ".usd")
 
@@ -56,13 +58,17 @@ def open_layer(path: Path) -> Sdf.Layer:
             layer.Reload()
     if layer is None:
         raise InputError(f"{path}: not a readable USD layer; is it complete, and really USD?")
+    _check_schema(layer, path)
+    return layer
+
+
+def _check_schema(layer: Sdf.Layer, path: Path) -> None:
     schema = dict(layer.customLayerData.get("usdface", {})).get("schema", 0)
     if isinstance(schema, int) and schema > SCHEMA_VERSION:
         raise InputError(
             f"{path}: written with usdface schema {schema}, this version knows {SCHEMA_VERSION}; "
             "update usdface"
         )
-    return layer
 
 
 def open_stage(path: Path) -> Usd.Stage:
@@ -79,6 +85,7 @@ def open_stage(path: Path) -> Usd.Stage:
         for used in stage.GetUsedLayers():
             if not used.anonymous:
                 used.Reload()
+                _check_schema(used, Path(used.realPath))
         missing = sorted(
             asset
             for asset in layer.subLayerPaths

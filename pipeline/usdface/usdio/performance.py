@@ -5,78 +5,41 @@ from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 
-import numpy as np
-from pxr import Sdf, Usd, UsdSkel, Vt
+from pxr import Sdf
 
-from usdface.assets import FloatArray, Performance, Rig, WeightsClip
-from usdface.errors import InputError
+from usdface.assets import Rig
+from usdface.layer_names import edits_path, weights_path
 from usdface.provenance import Provenance
-from usdface.rates import exact_rate
-from usdface.usdio.authoring import apply_api, author_uniform, define_prim
+from usdface.usdio.clips import PartsWriter, clear_parts, writing_parts
 from usdface.usdio.layers import (
-    FRAMES_IN_MEMORY,
     author_timing,
     author_units,
     new_layer,
     open_layer,
-    open_stage,
     relative_path,
-    save_layer,
 )
-from usdface.usdio.rig_reference import (
-    default_place,
-    define_reference,
-    point_skeletons_at,
-    rig_of,
+from usdface.usdio.performance_reader import (
+    PerformanceReader,
+    find_animation,
+    read_performance,
+    read_weights,
+)
+from usdface.usdio.rig_reference import default_place, define_reference
+from usdface.usdio.weights_layer import (
+    WeightsHeader,
+    WeightsWriter,
+    writing_weights,
 )
 
-ANIMATION = "FaceSolve"
-"""Name of the animation prim, a child of the referenced rig."""
-
-
-def weights_path(path: Path) -> Path:
-    """Return where the weights of a performance go: NAME.weights.usdc beside NAME.usda."""
-    return path.with_name(f"{path.stem}.weights.usdc")
-
-
-class WeightsWriter:
-    """Appends solved frames to a weights layer; made by `writing_performance`."""
-
-    def __init__(self, path: Path, layer: Sdf.Layer, animation: Sdf.Path, first_frame: int) -> None:
-        self._path = path
-        self._layer = layer
-        self._weights = animation.AppendProperty("blendShapeWeights")
-        self._confidence = animation.AppendProperty("face:confidence")
-        self._residual = animation.AppendProperty("face:residual")
-        self._unsaved = 0
-        self.next_frame = first_frame
-
-    def append(
-        self,
-        weights: FloatArray,
-        *,
-        confidence: FloatArray | None = None,
-        residual_mm: FloatArray | None = None,
-    ) -> None:
-        """Append frames: (frames, shapes), and if known (frames,) and (frames, regions)."""
-        rows = np.ascontiguousarray(weights, dtype=np.float32)
-        residual = (
-            None if residual_mm is None else np.ascontiguousarray(residual_mm, dtype=np.float32)
-        )
-        for index, row in enumerate(rows):
-            frame = self.next_frame + index
-            self._layer.SetTimeSample(self._weights, frame, Vt.FloatArray.FromNumpy(row))
-            if confidence is not None:
-                self._layer.SetTimeSample(self._confidence, frame, float(confidence[index]))
-            if residual is not None:
-                value = Vt.FloatArray.FromNumpy(residual[index])
-                self._layer.SetTimeSample(self._residual, frame, value)
-        self.next_frame += len(rows)
-        self._unsaved += len(rows)
-        if self._unsaved >= FRAMES_IN_MEMORY:
-            # A saved binary layer reads its samples back from disk when asked.
-            save_layer(self._layer, self._path)
-            self._unsaved = 0
+__all__ = [
+    "PerformanceReader",
+    "find_animation",
+    "read_performance",
+    "read_weights",
+    "weights_path",
+    "writing_performance",
+    "writing_top",
+]
 
 
 @contextlib.contextmanager
@@ -91,8 +54,9 @@ def writing_performance(
     place: str | None = None,
     regions: tuple[str, ...] = (),
     timecode_start: str = "",
+    part_frames: int | None = None,
     provenance: Provenance | None = None,
-) -> Iterator[WeightsWriter]:
+) -> Iterator[WeightsWriter | PartsWriter]:
     """Write a performance frame by frame; the files appear when the block ends without error.
 
     Parameters
@@ -110,6 +74,8 @@ def writing_performance(
     regions : tuple of str
         Names of the residual's regions.
     timecode_start : str
+    part_frames : int, optional
+        Write the weights as parts of this many frames, played as value clips; one layer by default.
     provenance : Provenance, optional
 
     Raises
@@ -117,143 +83,48 @@ def writing_performance(
     InputError
         If the files cannot be written; what was there is then left as it was.
     """
-    place = place or default_place(rig)
-    animation = Sdf.Path(place).AppendChild(ANIMATION)
-    weights_file = weights_path(path)
-    # The top layer is held from the start: nobody else can write this performance meanwhile.
-    with new_layer(path, provenance) as top:
-        with new_layer(weights_file, provenance) as layer:
-            author_units(layer)
-            author_timing(layer, rate=rate, first=first_frame, last=last_frame)
-            layer.defaultPrim = Sdf.Path(place).GetPrefixes()[0].name
-            prim = define_prim(layer, animation, "SkelAnimation")
-            apply_api(prim, "FaceSolveAPI")
-            author_uniform(prim, "blendShapes", Sdf.ValueTypeNames.TokenArray, list(shape_names))
-            Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
-            Sdf.AttributeSpec(prim, "face:confidence", Sdf.ValueTypeNames.Float)
-            if regions:
-                Sdf.AttributeSpec(prim, "face:residual", Sdf.ValueTypeNames.FloatArray)
-                author_uniform(
-                    prim, "face:residual:regions", Sdf.ValueTypeNames.TokenArray, list(regions)
-                )
-            if timecode_start:
-                author_uniform(
-                    prim, "face:timecode:start", Sdf.ValueTypeNames.String, timecode_start
-                )
-            point_skeletons_at(layer, place, rig, animation)
-            writer = WeightsWriter(weights_file, layer, animation, first_frame)
-            yield writer
-            if writer.next_frame != last_frame + 1:
-                raise ValueError(
-                    f"{path}: {writer.next_frame - first_frame} frames were appended where "
-                    f"{last_frame - first_frame + 1} were announced"
-                )
-        if path.is_file():
-            top.TransferContent(open_layer(path))
-        author_units(top)
-        author_timing(top, rate=rate, first=first_frame, last=last_frame)
-        top.defaultPrim = Sdf.Path(place).GetPrefixes()[0].name
-        define_reference(top, place, rig, path)
-        weights_asset = relative_path(weights_file, path)
-        if weights_asset not in list(top.subLayerPaths):
-            top.subLayerPaths.append(weights_asset)
-
-
-def find_animation(stage: Usd.Stage, path: Path) -> Usd.Prim:
-    """Return the one animation with weights over time that a skeleton of the stage follows.
-
-    Raises
-    ------
-    InputError
-        If there is none, or more than one.
-    """
-    found: dict[str, Usd.Prim] = {}
-    for prim in stage.Traverse():
-        if prim.IsA(UsdSkel.Skeleton):
-            source = UsdSkel.BindingAPI(prim).GetInheritedAnimationSource()
-            if source and _weight_samples(source):
-                found[str(source.GetPath())] = source
-    if not found:
-        found = {
-            str(prim.GetPath()): prim
-            for prim in stage.Traverse()
-            if prim.IsA(UsdSkel.Animation) and _weight_samples(prim)
-        }
-    if not found:
-        raise InputError(f"{path}: no SkelAnimation with blendShapeWeights over time")
-    if len(found) > 1:
-        raise InputError(
-            f"{path}: {len(found)} animations with blendShapeWeights, {', '.join(found)}; "
-            "open one face at a time"
-        )
-    return next(iter(found.values()))
-
-
-def read_weights(path: Path) -> WeightsClip:
-    """Read the animated weights of any USD file that holds one face.
-
-    Raises
-    ------
-    InputError
-        If there is no such animation, or a sample does not fit the names.
-    """
-    stage = open_stage(path)
-    return _read_clip(stage, find_animation(stage, path), path)
-
-
-def read_performance(path: Path) -> Performance:
-    """Read a performance and what it says of its rig and its trust.
-
-    Raises
-    ------
-    InputError
-        If the file is no performance, or the rig it refers to is gone.
-    """
-    stage = open_stage(path)
-    prim = find_animation(stage, path)
-    clip = _read_clip(stage, prim, path)
-    rig_file, rig_prim = rig_of(stage, prim)
-    frames = range(clip.first_frame, clip.first_frame + len(clip.values))
-    regions = prim.GetAttribute("face:residual:regions")
-    timecode = prim.GetAttribute("face:timecode:start")
-    return Performance(
-        weights=clip,
-        rig_file=rig_file,
-        rig_prim=rig_prim,
-        confidence=_read_series(prim, "face:confidence", frames),
-        residual_mm=_read_series(prim, "face:residual", frames),
-        regions=tuple(map(str, regions.Get() or ())) if regions else (),
-        timecode_start=str(timecode.Get() or "") if timecode else "",
+    header = WeightsHeader(
+        place=place or default_place(rig),
+        shape_names=shape_names,
+        rate=rate,
+        first_frame=first_frame,
+        last_frame=last_frame,
+        regions=regions,
+        timecode_start=timecode_start,
     )
+    with writing_top(path, header, rig, provenance=provenance):
+        weights_file = weights_path(path)
+        if part_frames is None:
+            with writing_weights(weights_file, header, rig, provenance=provenance) as writer:
+                yield writer
+        else:
+            with writing_parts(
+                weights_file, header, rig, part_frames=part_frames, provenance=provenance
+            ) as parts:
+                yield parts
 
 
-def _weight_samples(prim: Usd.Prim) -> bool:
-    attribute = UsdSkel.Animation(prim).GetBlendShapeWeightsAttr()
-    return bool(attribute) and attribute.GetNumTimeSamples() > 0
+@contextlib.contextmanager
+def writing_top(
+    path: Path, header: WeightsHeader, rig: Rig, *, provenance: Provenance | None = None
+) -> Iterator[None]:
+    """Write the layer to open around what writes its weights.
 
-
-def _read_clip(stage: Usd.Stage, prim: Usd.Prim, path: Path) -> WeightsClip:
-    animation = UsdSkel.Animation(prim)
-    names = tuple(map(str, animation.GetBlendShapesAttr().Get() or ()))
-    attribute = animation.GetBlendShapeWeightsAttr()
-    times = attribute.GetTimeSamples()
-    first, last = round(times[0]), round(times[-1])
-    values = np.empty((last - first + 1, len(names)), dtype=np.float32)
-    for index, frame in enumerate(range(first, last + 1)):
-        row = attribute.Get(frame)
-        if row is None or len(row) != len(names) or not np.isfinite(np.asarray(row)).all():
-            raise InputError(
-                f"{path} <{attribute.GetPath()}> time code {frame}: needs {len(names)} finite "
-                f"weights, one per shape, got {0 if row is None else len(row)}; map again"
-            )
-        values[index] = np.asarray(row)
-    rate = stage.GetTimeCodesPerSecond()
-    where = f"{path}: timeCodesPerSecond"
-    return WeightsClip(names, values, first, exact_rate(rate, where=where))
-
-
-def _read_series(prim: Usd.Prim, name: str, frames: range) -> FloatArray | None:
-    attribute = prim.GetAttribute(name)
-    if not attribute or not attribute.GetNumTimeSamples():
-        return None
-    return np.array([np.array(attribute.Get(frame)) for frame in frames], dtype=np.float64)
+    It is locked from the start: nobody else can write this performance meanwhile.
+    """
+    with new_layer(path, provenance) as layer:
+        yield
+        if path.is_file():
+            layer.TransferContent(open_layer(path))
+        author_units(layer)
+        author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
+        layer.defaultPrim = Sdf.Path(header.place).GetPrefixes()[0].name
+        define_reference(layer, header.place, rig, path)
+        weights_asset = relative_path(weights_path(path), path)
+        if weights_asset not in list(layer.subLayerPaths):
+            layer.subLayerPaths.append(weights_asset)
+        edits_asset = relative_path(edits_path(path), path)
+        if edits_path(path).is_file() and edits_asset not in list(layer.subLayerPaths):
+            # The layer to open was lost or made anew; what was edited is not.
+            layer.subLayerPaths.insert(0, edits_asset)
+    clear_parts(weights_path(path))

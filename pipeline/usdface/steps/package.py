@@ -1,0 +1,37 @@
+"""Pack a performance for review into one .usdz."""
+
+import tempfile
+from pathlib import Path
+
+from usdface.progress import Progress, part, silent
+from usdface.provenance import Provenance
+from usdface.replacing import replacing
+from usdface.specs.bake import BakeSpec
+from usdface.specs.package import PackageSpec
+from usdface.steps import bake
+from usdface.steps.report import Report
+from usdface.usdio.package import write_package
+from usdface.usdio.performance import PerformanceReader
+
+
+def run(
+    spec: PackageSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Bake the edits in, and pack the result with the rig and all that it refers to."""
+    reader = PerformanceReader(spec.performance)
+    with replacing(spec.out) as temporary, tempfile.TemporaryDirectory() as name:
+        baked = Path(name) / "weights.usdc"
+        report = bake.run(
+            BakeSpec(performance=spec.performance, out=baked),
+            provenance=provenance,
+            progress=part(progress, 0.0, 0.7),
+        )
+        write_package(temporary, reader, baked)
+    progress(1.0, "packed")
+    size = spec.out.stat().st_size / 1e6
+    return Report(
+        (spec.out,),
+        f"{report.summary}; {size:.1f} MB",
+        report.notes,
+        {"bytes": spec.out.stat().st_size, "frames": report.figures["frames"]},
+    )

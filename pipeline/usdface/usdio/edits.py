@@ -1,0 +1,313 @@
+"""An animator's edits: per shape, in a layer above the weights that `map` never writes.
+
+``face:edit:SHAPE`` is added to the weight; ``face:override:SHAPE`` is taken instead of it as far as
+``face:mask:SHAPE`` says (fully, over the samples the override has, where there is no mask).
+``face:beneath:SHAPE`` is the solved weight at the time of the edit: after another mapping it tells
+whether the edit still means what it meant.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pxr import Sdf, Tf, Usd, UsdSkel
+
+from usdface.assets import Float32Array, FloatArray, IntArray
+from usdface.errors import InputError
+from usdface.layer_names import edits_path
+from usdface.numerics.curves.edit_curve import EditCurve, apply_edit, needed_samples, no_edit
+from usdface.numerics.curves.key_reduction import reduce_keys
+from usdface.provenance import Provenance
+from usdface.usdio.layers import author_timing, author_units, new_layer, open_layer, relative_path
+
+OFFSET = "face:edit:"
+OVERRIDE = "face:override:"
+MASK = "face:mask:"
+BENEATH = "face:beneath:"
+PREFIXES = (OFFSET, OVERRIDE, MASK, BENEATH)
+
+BENEATH_TOLERANCE = 1e-3
+"""The solve beneath an edit is kept as closely as this: it is only compared, never shown."""
+
+
+@dataclass(frozen=True)
+class ShapeEdit:
+    """What is changed of one shape over a range of frames.
+
+    Attributes
+    ----------
+    curve : EditCurve
+    beneath : (frames,) float array
+        The solved weight when the edit was made; NaN where that is not known.
+    """
+
+    curve: EditCurve
+    beneath: FloatArray
+
+    def during(self, part: slice) -> "ShapeEdit":
+        """Return the same edit over a part of its frames."""
+        curve = self.curve
+        cut = EditCurve(curve.offset[part], curve.override[part], curve.mask[part])
+        return ShapeEdit(cut, self.beneath[part])
+
+
+def read_edits(animation: Usd.Prim, frames: IntArray) -> dict[str, ShapeEdit]:
+    """Read the edits of a performance as they compose, whichever layers they are in.
+
+    Parameters
+    ----------
+    animation : Usd.Prim
+        The animation that they change.
+    frames : (n,) int array
+        Ascending frame numbers at which they are wanted.
+
+    Raises
+    ------
+    InputError
+        If an edit is no float, or is not finite.
+    """
+    found: dict[str, dict[str, Usd.Attribute]] = {}
+    for attribute in animation.GetAuthoredPropertiesInNamespace("face"):
+        for prefix in PREFIXES:
+            if attribute.GetName().startswith(prefix):
+                shape = attribute.GetDisplayName() or attribute.GetName().removeprefix(prefix)
+                found.setdefault(shape, {})[prefix] = attribute
+    edits = {shape: _read_shape(parts, frames) for shape, parts in found.items()}
+    return {shape: edit for shape, edit in edits.items() if edit.curve.active.any()}
+
+
+def _read_shape(parts: Mapping[str, Usd.Attribute], frames: IntArray) -> ShapeEdit:
+    nothing = no_edit(len(frames))
+    offset = _read_curve(parts.get(OFFSET), frames)
+    override = _read_curve(parts.get(OVERRIDE), frames)
+    mask = _read_curve(parts.get(MASK), frames)
+    if override is None:
+        mask = None
+    elif mask is None:
+        mask = _sampled(parts[OVERRIDE], frames).astype(np.float64)
+    beneath = _read_curve(parts.get(BENEATH), frames)
+    curve = EditCurve(
+        nothing.offset if offset is None else offset,
+        nothing.override if override is None else override,
+        nothing.mask if mask is None else np.clip(mask, 0.0, 1.0),
+    )
+    if beneath is None:
+        return ShapeEdit(curve, np.full(len(frames), np.nan))
+    return ShapeEdit(curve, np.where(_sampled(parts[BENEATH], frames), beneath, np.nan))
+
+
+def _read_curve(attribute: Usd.Attribute | None, frames: IntArray) -> FloatArray | None:
+    """Return an attribute's value at frames, held and interpolated as USD does it."""
+    if attribute is None:
+        return None
+    times = attribute.GetTimeSamples()
+    told = [(time, attribute.Get(time)) for time in times] or [(0.0, attribute.Get())]
+    told = [(time, value) for time, value in told if value is not None]  # blocked: no edit
+    if not told:
+        return None
+    try:
+        values = np.array([float(value) for _, value in told])
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{_where(attribute)}: is no number; make it a float") from error
+    if not np.isfinite(values).all():
+        time = told[int(np.argmin(np.isfinite(values)))][0]
+        raise InputError(f"{_where(attribute)} time code {time:g}: is not finite; correct the key")
+    curve: FloatArray = np.interp(frames, [time for time, _ in told], values)
+    return curve
+
+
+def _sampled(attribute: Usd.Attribute, frames: IntArray) -> np.ndarray:
+    """Return which frames lie within an attribute's samples; all, where it is constant."""
+    times = attribute.GetTimeSamples()
+    if not times:
+        return np.ones(len(frames), dtype=bool)
+    within: np.ndarray = (frames >= times[0]) & (frames <= times[-1])
+    return within
+
+
+def _where(attribute: Usd.Attribute) -> str:
+    spec = attribute.GetPropertyStack(Usd.TimeCode.Default())
+    return f"{spec[0].layer.realPath if spec else ''} <{attribute.GetPath()}>"
+
+
+def edited_frames(animation: Usd.Prim) -> tuple[int, int] | None:
+    """Return the first and the last frame that any edit has a sample at; None without edits."""
+    times = [
+        time
+        for attribute in animation.GetAuthoredPropertiesInNamespace("face")
+        if attribute.GetName().startswith(PREFIXES)
+        for time in attribute.GetTimeSamples()
+    ]
+    return (int(np.floor(min(times))), int(np.ceil(max(times)))) if times else None
+
+
+def edits_elsewhere(performance: Path, animation: Usd.Prim) -> list[str]:
+    """Return the prims of a performance's edits that are not the animation, so that none shows."""
+    layer = open_layer(edits_path(performance))
+    found = []
+
+    def look(path: Sdf.Path) -> None:
+        prim = layer.GetPrimAtPath(path) if path.IsPrimPath() else None
+        if prim is not None and path != animation.GetPath():
+            if any(name.startswith((OFFSET, OVERRIDE)) for name in prim.attributes.keys()):
+                found.append(str(path))
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, look)
+    return found
+
+
+def edited_weights(
+    names: Iterable[str],
+    solved: FloatArray | Float32Array,
+    edits: Mapping[str, ShapeEdit],
+    *,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+) -> FloatArray:
+    """Return weights with edits applied, (frames, shapes) as `solved`.
+
+    Where `ranges` names a shape, its edited frames are kept within; frames that nobody edited are
+    left as they are solved.
+    """
+    edited = np.array(solved, dtype=np.float64)
+    for column, name in enumerate(names):
+        edit = edits.get(name)
+        if edit is None:
+            continue
+        touched = edit.curve.active
+        values = apply_edit(edited[:, column], edit.curve)
+        if ranges is not None and name in ranges:
+            values = np.clip(values, *ranges[name])
+        edited[touched, column] = values[touched]
+    return edited
+
+
+def write_edits(
+    performance: Path,
+    animation: Usd.Prim,
+    edits: Mapping[str, ShapeEdit],
+    frames: IntArray,
+    *,
+    provenance: Provenance | None = None,
+) -> Path:
+    """Write edits into NAME.edits.usda, and make that the strongest sublayer of NAME.usda.
+
+    Shapes that are not given keep what the layer says of them, as do other prims.
+
+    Parameters
+    ----------
+    performance : Path
+        The layer to open.
+    animation : Usd.Prim
+        The animation that they change.
+    edits : mapping of str to ShapeEdit
+        By shape; one that is active nowhere is taken out.
+    frames : (n,) int array
+        Frame numbers of the curves: every frame from the first to the last.
+    provenance : Provenance, optional
+
+    Raises
+    ------
+    InputError
+        If a layer cannot be written, or two shapes would share an attribute.
+    """
+    path = edits_path(performance)
+    stage = animation.GetStage()
+    with new_layer(path, provenance) as layer:
+        if path.is_file():
+            layer.TransferContent(open_layer(path))
+        else:
+            author_units(layer)
+            layer.defaultPrim = animation.GetPath().GetPrefixes()[0].name
+        top = stage.GetRootLayer()
+        author_timing(
+            layer,
+            rate=top.timeCodesPerSecond,
+            first=min(top.startTimeCode, int(frames[0])),
+            last=max(top.endTimeCode, int(frames[-1])),
+        )
+        prim = Sdf.CreatePrimInLayer(layer, animation.GetPath())
+        names = UsdSkel.Animation(animation).GetBlendShapesAttr().Get() or ()
+        tokens = _attribute_names([*map(str, names), *edits])
+        for shape, edit in edits.items():
+            _write_shape(prim, shape, tokens[shape], edit, frames)
+    compose_edits(performance)
+    return path
+
+
+def compose_edits(performance: Path) -> None:
+    """Make a performance's edits, if there are any, its strongest sublayer."""
+    asset = relative_path(edits_path(performance), performance)
+    if not edits_path(performance).is_file():
+        return
+    if asset in list(open_layer(performance).subLayerPaths):
+        return
+    with new_layer(performance) as layer:
+        layer.TransferContent(open_layer(performance))
+        layer.subLayerPaths.insert(0, asset)
+
+
+def _attribute_names(shapes: Iterable[str]) -> dict[str, str]:
+    """Return what each shape is called in an attribute's name, where not every letter may stand."""
+    names: dict[str, str] = {}
+    owner: dict[str, str] = {}
+    for shape in shapes:
+        valid = Sdf.Path.IsValidNamespacedIdentifier(shape)
+        name = shape if valid else ":".join(map(Tf.MakeValidIdentifier, shape.split(":")))
+        if owner.setdefault(name, shape) != shape:
+            raise InputError(
+                f"shapes {owner[name]!r} and {shape!r} would share the attribute {OFFSET}{name}; "
+                "rename one on the rig"
+            )
+        names[shape] = name
+    return names
+
+
+def _write_shape(
+    prim: Sdf.PrimSpec, shape: str, name: str, edit: ShapeEdit, frames: IntArray
+) -> None:
+    curve = edit.curve
+    active = np.flatnonzero(curve.active)
+    overridden = curve.mask > 0
+    _write_curve(prim, OFFSET + name, shape, frames, curve.offset if curve.offset.any() else None)
+    held = None
+    if overridden.any():
+        held = np.interp(frames, frames[overridden], curve.override[overridden])
+    _write_curve(prim, OVERRIDE + name, shape, frames, held)
+    _write_curve(prim, MASK + name, shape, frames, curve.mask if overridden.any() else None)
+    if not len(active):
+        _write_curve(prim, BENEATH + name, shape, frames, None)
+        return
+    part = slice(int(active[0]), int(active[-1]) + 1)
+    beneath = edit.beneath[part]
+    known = np.isfinite(beneath)
+    if not known.any():
+        return
+    filled = np.interp(np.arange(len(beneath)), np.flatnonzero(known), beneath[known])
+    keys = reduce_keys(filled[:, None], BENEATH_TOLERANCE)
+    _write_samples(prim, BENEATH + name, shape, frames[part][keys], filled[keys])
+
+
+def _write_curve(
+    prim: Sdf.PrimSpec, name: str, shape: str, frames: IntArray, values: FloatArray | None
+) -> None:
+    if values is None:
+        if name in prim.attributes:
+            prim.RemoveProperty(prim.attributes[name])
+        return
+    rounded = values.astype(np.float32).astype(np.float64)
+    needed = needed_samples(rounded)
+    _write_samples(prim, name, shape, frames[needed], rounded[needed])
+
+
+def _write_samples(
+    prim: Sdf.PrimSpec, name: str, shape: str, frames: IntArray, values: FloatArray
+) -> None:
+    if name in prim.attributes:
+        prim.RemoveProperty(prim.attributes[name])
+    attribute = Sdf.AttributeSpec(prim, name, Sdf.ValueTypeNames.Float)
+    attribute.custom = True
+    if not name.endswith(f":{shape}"):
+        attribute.displayName = shape
+    for frame, value in zip(frames.tolist(), values.tolist(), strict=True):
+        prim.layer.SetTimeSample(attribute.path, frame, value)

@@ -1,0 +1,54 @@
+"""One .usdz with a rig, its textures and the weights that move it."""
+
+from pathlib import Path
+
+from pxr import Sdf, UsdUtils
+
+from usdface.errors import InputError
+from usdface.usdio.layers import author_timing, author_units, usd_errors_as_input_errors
+from usdface.usdio.performance_reader import PerformanceReader
+
+
+def write_package(target: Path, reader: PerformanceReader, weights: Path) -> None:
+    """Pack a performance with another layer of weights in place of its own.
+
+    Parameters
+    ----------
+    target : Path
+        The .usdz to write.
+    reader : PerformanceReader
+        Whose rig is packed, at the place it has there.
+    weights : Path
+        Layer that animates it; what is written besides is put into its folder.
+
+    Raises
+    ------
+    InputError
+        If something that the rig refers to cannot be found.
+    """
+    rig_file, rig_prim = reader.rig()
+    source = Sdf.Path(rig_prim).GetPrefixes()[0]
+    place = Sdf.Path(reader.place)
+    top_file = weights.with_name("review.usdc")
+    with usd_errors_as_input_errors(target, "packing it"):
+        top = Sdf.Layer.CreateNew(str(top_file))
+        author_units(top)
+        author_timing(top, rate=reader.rate, first=reader.first_frame, last=reader.last_frame)
+        top.defaultPrim = place.GetPrefixes()[0].name
+        top.subLayerPaths = [f"./{weights.name}"]
+        for above in place.GetParentPath().GetPrefixes():
+            prim = Sdf.CreatePrimInLayer(top, above)
+            prim.specifier, prim.typeName = Sdf.SpecifierDef, "Xform"
+        prim = Sdf.CreatePrimInLayer(top, place)
+        prim.specifier = Sdf.SpecifierDef
+        prim.referenceList.prependedItems = [Sdf.Reference(str(rig_file), source)]
+        top.Save()
+        _, _, missing = UsdUtils.ComputeAllDependencies(str(top_file))
+        if missing:
+            raise InputError(
+                f"{rig_file}: {len(missing)} files that the rig refers to cannot be found: "
+                f"{', '.join(map(str, missing[:3]))}; put them back, or package another rig"
+            )
+        made = UsdUtils.CreateNewUsdzPackage(str(top_file), str(target))
+    if not made:
+        raise InputError(f"{target}: USD could not write the package; is the disk full?")

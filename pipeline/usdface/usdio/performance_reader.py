@@ -1,0 +1,189 @@
+"""Read a performance: its solve, the edits above it, the rig it drives."""
+
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdSkel
+
+from usdface.assets import Float32Array, FloatArray, IntArray, Performance, WeightsClip
+from usdface.errors import InputError
+from usdface.rates import exact_rate
+from usdface.usdio.edits import ShapeEdit, edited_weights, read_edits
+from usdface.usdio.layers import open_stage
+from usdface.usdio.rig_reference import rig_of
+
+
+class PerformanceReader:
+    """A performance on disk: its header at once, its frames when asked for.
+
+    Parameters
+    ----------
+    path : Path
+        Any USD file that holds one face whose weights are animated.
+
+    Raises
+    ------
+    InputError
+        If there is no such animation, or more than one.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.stage = open_stage(path)
+        self.animation = find_animation(self.stage, path)
+        animation = UsdSkel.Animation(self.animation)
+        self.names = tuple(map(str, animation.GetBlendShapesAttr().Get() or ()))
+        self._weights = animation.GetBlendShapeWeightsAttr()
+        times = self._weights.GetTimeSamples()
+        self.first_frame, self.last_frame = round(times[0]), round(times[-1])
+
+    @property
+    def rate(self) -> Fraction:
+        """Frames per second."""
+        rate = self.stage.GetTimeCodesPerSecond()
+        return exact_rate(rate, where=f"{self.path}: timeCodesPerSecond")
+
+    @property
+    def place(self) -> str:
+        """Prim path of the rig in the performance: the animation is its child."""
+        return str(self.animation.GetPath().GetParentPath())
+
+    @property
+    def frames(self) -> IntArray:
+        """Frame numbers, one per sample."""
+        return np.arange(self.first_frame, self.last_frame + 1, dtype=np.int64)
+
+    @property
+    def regions(self) -> tuple[str, ...]:
+        """Names of the residual's regions."""
+        return tuple(map(str, self._get("face:residual:regions") or ()))
+
+    @property
+    def timecode_start(self) -> str:
+        """SMPTE timecode of the first frame; empty when unknown."""
+        return str(self._get("face:timecode:start") or "")
+
+    @cached_property
+    def edits(self) -> dict[str, ShapeEdit]:
+        """What was edited, by shape, over all frames of the performance."""
+        return read_edits(self.animation, self.frames)
+
+    def rig(self) -> tuple[Path, str]:
+        """Return the file and the SkelRoot of the rig that the performance drives."""
+        return rig_of(self.stage, self.animation)
+
+    def solved(self, first: int | None = None, last: int | None = None) -> Float32Array:
+        """Return the weights as they were solved, (frames, shapes) float32.
+
+        Raises
+        ------
+        InputError
+            If a sample does not fit the names, or is not finite.
+        """
+        first = self.first_frame if first is None else first
+        last = self.last_frame if last is None else last
+        values = np.empty((last - first + 1, len(self.names)), dtype=np.float32)
+        for index, frame in enumerate(range(first, last + 1)):
+            row = self._weights.Get(frame)
+            if row is None or len(row) != len(self.names) or not np.isfinite(row).all():
+                raise InputError(
+                    f"{self.path} <{self._weights.GetPath()}> time code {frame}: needs "
+                    f"{len(self.names)} finite weights, one per shape, got "
+                    f"{0 if row is None else len(row)}; map again"
+                )
+            values[index] = np.asarray(row)
+        return values
+
+    def edited(self, first: int | None = None, last: int | None = None) -> Float32Array:
+        """Return the weights as they are to be seen: solved, with the edits, as `solved` does."""
+        values = self.solved(first, last)
+        if not self.edits:
+            return values
+        start = (self.first_frame if first is None else first) - self.first_frame
+        part = slice(start, start + len(values))
+        edits = {name: edit.during(part) for name, edit in self.edits.items()}
+        return edited_weights(self.names, values, edits).astype(np.float32)
+
+    def series(self, name: str, first: int, last: int) -> FloatArray | None:
+        """Return an attribute of the animation at frames; None where it has no samples."""
+        attribute = self.animation.GetAttribute(name)
+        if not attribute or not attribute.GetNumTimeSamples():
+            return None
+        frames = range(first, last + 1)
+        return np.array([np.array(attribute.Get(frame)) for frame in frames], dtype=np.float64)
+
+    def _get(self, name: str) -> Any:
+        attribute = self.animation.GetAttribute(name)
+        return attribute.Get() if attribute else None
+
+
+def find_animation(stage: Usd.Stage, path: Path) -> Usd.Prim:
+    """Return the one animation with weights over time that a skeleton of the stage follows.
+
+    Raises
+    ------
+    InputError
+        If there is none, or more than one.
+    """
+    found: dict[str, Usd.Prim] = {}
+    for prim in stage.Traverse():
+        if prim.IsA(UsdSkel.Skeleton):
+            source = UsdSkel.BindingAPI(prim).GetInheritedAnimationSource()
+            if source and _weight_samples(source):
+                found[str(source.GetPath())] = source
+    if not found:
+        found = {
+            str(prim.GetPath()): prim
+            for prim in stage.Traverse()
+            if prim.IsA(UsdSkel.Animation) and _weight_samples(prim)
+        }
+    if not found:
+        raise InputError(f"{path}: no SkelAnimation with blendShapeWeights over time")
+    if len(found) > 1:
+        raise InputError(
+            f"{path}: {len(found)} animations with blendShapeWeights, {', '.join(found)}; "
+            "open one face at a time"
+        )
+    return next(iter(found.values()))
+
+
+def read_weights(path: Path) -> WeightsClip:
+    """Read the animated weights, edits included, of any USD file that holds one face.
+
+    Raises
+    ------
+    InputError
+        If there is no such animation, or a sample does not fit the names.
+    """
+    reader = PerformanceReader(path)
+    return WeightsClip(reader.names, reader.edited(), reader.first_frame, reader.rate)
+
+
+def read_performance(path: Path) -> Performance:
+    """Read a performance, edits included, and what it says of its rig and its trust.
+
+    Raises
+    ------
+    InputError
+        If the file is no performance, or the rig it refers to is gone.
+    """
+    reader = PerformanceReader(path)
+    rig_file, rig_prim = reader.rig()
+    first, last = reader.first_frame, reader.last_frame
+    return Performance(
+        weights=WeightsClip(reader.names, reader.edited(), first, reader.rate),
+        rig_file=rig_file,
+        rig_prim=rig_prim,
+        confidence=reader.series("face:confidence", first, last),
+        residual_mm=reader.series("face:residual", first, last),
+        regions=reader.regions,
+        timecode_start=reader.timecode_start,
+    )
+
+
+def _weight_samples(prim: Usd.Prim) -> bool:
+    attribute = UsdSkel.Animation(prim).GetBlendShapeWeightsAttr()
+    return bool(attribute) and attribute.GetNumTimeSamples() > 0

@@ -1,0 +1,186 @@
+"""One layer of weights over time: a SkelAnimation, and overs that make a rig's skeletons follow."""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from pxr import Sdf, Vt
+
+from usdface.assets import Float32Array, FloatArray, IntArray, Rig
+from usdface.provenance import Provenance
+from usdface.usdio.authoring import apply_api, author_uniform, define_prim
+from usdface.usdio.layers import (
+    FRAMES_IN_MEMORY,
+    VALUES_IN_MEMORY,
+    author_timing,
+    author_units,
+    new_layer,
+    save_layer,
+)
+from usdface.usdio.rig_reference import point_skeletons_at
+
+ANIMATION = "FaceSolve"
+"""Name of the animation prim, a child of the referenced rig."""
+
+WEIGHTS = "blendShapeWeights"
+CONFIDENCE = "face:confidence"
+RESIDUAL = "face:residual"
+
+
+@dataclass(frozen=True)
+class WeightsHeader:
+    """What a weights layer says beside its samples.
+
+    Attributes
+    ----------
+    place : str
+        Prim path of the rig in the performance.
+    shape_names : tuple of str
+        Order of the weights.
+    rate : Fraction
+        Frames per second.
+    first_frame, last_frame : int
+        Inclusive.
+    regions : tuple of str
+        Names of the residual's regions.
+    timecode_start : str
+        SMPTE timecode of the first frame, empty when unknown.
+    """
+
+    place: str
+    shape_names: tuple[str, ...]
+    rate: Fraction
+    first_frame: int
+    last_frame: int
+    regions: tuple[str, ...] = ()
+    timecode_start: str = ""
+
+    @property
+    def animation(self) -> Sdf.Path:
+        """Path of the animation prim."""
+        return Sdf.Path(self.place).AppendChild(ANIMATION)
+
+    @property
+    def frame_count(self) -> int:
+        """Number of frames, first and last included."""
+        return self.last_frame - self.first_frame + 1
+
+
+class WeightsWriter:
+    """Appends solved frames to a weights layer; made by `writing_weights`."""
+
+    def __init__(self, path: Path, layer: Sdf.Layer, header: WeightsHeader) -> None:
+        self._path = path
+        self._layer = layer
+        self._weights = header.animation.AppendProperty(WEIGHTS)
+        self._confidence = header.animation.AppendProperty(CONFIDENCE)
+        self._residual = header.animation.AppendProperty(RESIDUAL)
+        self._lot = min(FRAMES_IN_MEMORY, VALUES_IN_MEMORY // max(len(header.shape_names), 1) + 1)
+        self._unsaved = 0
+        self.next_frame = header.first_frame
+
+    def append(
+        self,
+        weights: FloatArray | Float32Array,
+        *,
+        confidence: FloatArray | None = None,
+        residual_mm: FloatArray | None = None,
+        keys: IntArray | None = None,
+    ) -> None:
+        """Append frames.
+
+        Parameters
+        ----------
+        weights : (frames, shapes) float array
+        confidence : (frames,) float array, optional
+        residual_mm : (frames, regions) float array, optional
+        keys : (keys,) int array, optional
+            Rows whose weights are written; by default all are.
+        """
+        wanted = np.ones(len(weights), dtype=bool)
+        if keys is not None:
+            wanted[:] = False
+            wanted[keys] = True
+        for start in range(0, len(weights), self._lot):
+            part = slice(start, start + self._lot)
+            self._append_lot(
+                np.ascontiguousarray(weights[part], dtype=np.float32),
+                None if confidence is None else confidence[part],
+                None
+                if residual_mm is None
+                else np.ascontiguousarray(residual_mm[part], dtype=np.float32),
+                np.flatnonzero(wanted[part]),
+            )
+
+    def _append_lot(
+        self,
+        rows: Float32Array,
+        confidence: FloatArray | None,
+        residual: Float32Array | None,
+        keys: IntArray,
+    ) -> None:
+        # One attribute after the other, and names looked up once: this loop is what mapping waits
+        # for when the regression is a quick one.
+        write, array, first = self._layer.SetTimeSample, Vt.FloatArray.FromNumpy, self.next_frame
+        for index in keys.tolist():
+            write(self._weights, first + index, array(rows[index]))
+        if confidence is not None:
+            for frame, value in enumerate(confidence.tolist(), start=first):
+                write(self._confidence, frame, value)
+        if residual is not None:
+            for frame, row in enumerate(residual, start=first):
+                write(self._residual, frame, array(row))
+        self.next_frame += len(rows)
+        self._unsaved += len(rows)
+        if self._unsaved >= self._lot:
+            # A saved binary layer reads its samples back from disk when asked.
+            save_layer(self._layer, self._path)
+            self._unsaved = 0
+
+
+@contextlib.contextmanager
+def writing_weights(
+    path: Path, header: WeightsHeader, rig: Rig, *, provenance: Provenance | None = None
+) -> Iterator[WeightsWriter]:
+    """Write a weights layer frame by frame; the file appears when the block ends without error.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written, or the rig's skeletons cannot be pointed at the animation.
+    ValueError
+        If other frames were appended than the header says.
+    """
+    with new_layer(path, provenance) as layer:
+        author_header(layer, header, rig)
+        writer = WeightsWriter(path, layer, header)
+        yield writer
+        if writer.next_frame != header.last_frame + 1:
+            raise ValueError(
+                f"{path}: {writer.next_frame - header.first_frame} frames were appended where "
+                f"{header.frame_count} were announced"
+            )
+
+
+def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.PrimSpec:
+    """Write all of a weights layer but its samples; return the animation prim."""
+    author_units(layer)
+    author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
+    layer.defaultPrim = Sdf.Path(header.place).GetPrefixes()[0].name
+    prim = define_prim(layer, header.animation, "SkelAnimation")
+    apply_api(prim, "FaceSolveAPI")
+    tokens = Sdf.ValueTypeNames.TokenArray
+    author_uniform(prim, "blendShapes", tokens, list(header.shape_names))
+    Sdf.AttributeSpec(prim, WEIGHTS, Sdf.ValueTypeNames.FloatArray)
+    Sdf.AttributeSpec(prim, CONFIDENCE, Sdf.ValueTypeNames.Float)
+    if header.regions:
+        Sdf.AttributeSpec(prim, RESIDUAL, Sdf.ValueTypeNames.FloatArray)
+        author_uniform(prim, "face:residual:regions", tokens, list(header.regions))
+    if header.timecode_start:
+        text = Sdf.ValueTypeNames.String
+        author_uniform(prim, "face:timecode:start", text, header.timecode_start)
+    point_skeletons_at(layer, header.place, rig, header.animation)
+    return prim

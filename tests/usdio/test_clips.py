@@ -1,0 +1,108 @@
+"""Weights in parts, played as value clips: the same as one layer, between frames too."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdSkel
+
+from tests.usdio.small_rig import small_rig
+from usdface.layer_names import weights_path
+from usdface.provenance import Provenance
+from usdface.usdio.performance import read_performance, writing_performance
+from usdface.usdio.rig import read_rig
+from usdface.usdio.rig_write import write_rig
+from usdface.usdio.validation import validate
+
+NAMES = ("smile", "jawOpen", "eyeBlink")
+WEIGHTS = np.random.default_rng(0).random((23, 3)).astype(np.float32)
+
+
+def write(folder: Path, name: str, part_frames: int | None, *, spec: str = "a") -> Path:
+    if not (folder / "rig.usda").exists():
+        write_rig(folder / "rig.usda", small_rig())
+    path = folder / name
+    with writing_performance(
+        path,
+        read_rig(folder / "rig.usda"),
+        shape_names=NAMES,
+        rate=Fraction(60),
+        first_frame=-3,
+        last_frame=len(WEIGHTS) - 4,
+        regions=("face",),
+        timecode_start="01:00:00:00",
+        part_frames=part_frames,
+        provenance=Provenance("map", spec, {}),
+    ) as writer:
+        for start in range(0, len(WEIGHTS), 5):
+            part = WEIGHTS[start : start + 5]
+            residual = np.full((len(part), 1), 0.5)
+            writer.append(part, confidence=part[:, 0], residual_mm=residual)
+    return path
+
+
+@pytest.mark.parametrize("part_frames", [1, 2, 7, 22, 23, 100])
+def test_parts_play_as_one_layer_between_frames_too(tmp_path: Path, part_frames: int) -> None:
+    whole, parts = write(tmp_path, "whole.usda", None), write(tmp_path, "parts.usda", part_frames)
+    np.testing.assert_array_equal(read_performance(parts).weights.values, WEIGHTS)
+    one, other = Usd.Stage.Open(str(whole)), Usd.Stage.Open(str(parts))
+    for name in ("blendShapeWeights", "face:confidence", "face:residual"):
+        single, joined = (s.GetAttributeAtPath(f"/Hero/FaceSolve.{name}") for s in (one, other))
+        for time in np.arange(-5, 22, 0.25):
+            np.testing.assert_array_equal(np.array(joined.Get(time)), np.array(single.Get(time)))
+    skeleton = UsdSkel.Skeleton(other.GetPrimAtPath("/Hero/Skeleton"))
+    if skeleton:
+        query = UsdSkel.Cache().GetSkelQuery(skeleton).GetAnimQuery()
+        np.testing.assert_array_equal(query.ComputeBlendShapeWeights(4.0), WEIGHTS[7])
+
+
+def test_a_performance_of_parts_passes_every_validator(tmp_path: Path) -> None:
+    assert validate(write(tmp_path, "parts.usda", 7)) == []
+
+
+def test_parts_that_are_played_no_more_are_removed_and_others_stay(tmp_path: Path) -> None:
+    path = write(tmp_path, "a.usda", 7)
+    other = write(tmp_path, "a.weights.usda", 7)  # a name as like as can be
+    before = {each.name for each in tmp_path.glob("a.weights.weights*")}
+
+    def parts() -> set[str]:
+        names = {each.name for each in tmp_path.glob("a.weights.*.*.usdc")}
+        return names - before
+
+    old = parts()
+    assert len(old) == 4 + 1  # the parts, and the frames at their seams
+    write(tmp_path, "a.usda", 10, spec="b")
+    new = parts()
+    assert len(new) == 3 + 1
+    assert not old & new
+    write(tmp_path, "a.usda", None)
+    assert not parts()
+    assert weights_path(path).is_file()
+    assert {each.name for each in tmp_path.glob("a.weights.weights*")} == before
+    np.testing.assert_array_equal(read_performance(other).weights.values, WEIGHTS)
+
+
+def test_an_interruption_leaves_the_old_parts(tmp_path: Path) -> None:
+    path = write(tmp_path, "a.usda", 7)
+    before = {each.name: each.read_bytes() for each in tmp_path.iterdir()}
+
+    def interrupted() -> None:
+        with writing_performance(
+            path,
+            read_rig(tmp_path / "rig.usda"),
+            shape_names=NAMES,
+            rate=Fraction(60),
+            first_frame=1,
+            last_frame=100,
+            part_frames=4,
+            provenance=Provenance("map", "b", {}),
+        ) as writer:
+            writer.append(WEIGHTS)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    after = {each.name: each.read_bytes() for each in tmp_path.iterdir()}
+    assert {name: after[name] for name in before} == before
+    np.testing.assert_array_equal(read_performance(path).weights.values, WEIGHTS)
