@@ -1,0 +1,320 @@
+"""Markers move any mesh: W06's regression over the surface, fitted once and streamed over a take."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from usdface.assets import Float32Array, FloatArray
+from usdface.errors import InputError
+from usdface.model.surface_choice import choose_settings
+from usdface.model.surface_distance import (
+    BLEND,
+    FEWEST_MARKERS,
+    SurfaceDistances,
+    UnreachedReport,
+    surface_distances,
+)
+from usdface.numerics.manifold.hyper_posterior import HyperPrior, decompose
+from usdface.numerics.manifold.hyper_sampling import (
+    draw_laplace,
+    find_modes,
+    sample_hyperparameters,
+)
+from usdface.numerics.manifold.multiquadric import fit_distance_multiquadric, multiquadric_fields
+from usdface.numerics.manifold.posterior_prediction import (
+    SurfaceFields,
+    average_dual_weights,
+    make_fields,
+    predict_mean,
+    predict_variance,
+)
+from usdface.numerics.manifold.shared_posterior import SharedSamples, sample_shared
+from usdface.numerics.manifold.surface_covariance import fit_covariance
+from usdface.numerics.manifold.tabulated_energy import SharedTable, TabulatedEnergy
+from usdface.progress import Progress, silent
+
+__all__ = [
+    "BLEND",
+    "FEWEST_MARKERS",
+    "SurfaceDistances",
+    "SurfaceMotion",
+    "SurfaceRegression",
+    "UnreachedReport",
+    "fit_surface_regression",
+    "surface_distances",
+]
+
+Method = Literal["gp", "rbf"]
+Sampler = Literal["hmc", "map", "shared"]
+
+_SAMPLED_FRAMES = 256
+"""Frames whose chains run in lockstep: their tables fill the cache and no more."""
+
+_MOMENT_FRAMES = 8
+_FIELD_VALUES = 1 << 22
+"""Points times frames of fields that are held at once."""
+
+
+@dataclass(frozen=True)
+class SurfaceMotion:
+    """How a mesh moves.
+
+    Attributes
+    ----------
+    mean : (frames, points, 3) float32 array
+        Displacements from rest [mm].
+    sd : (frames, points) float32 array or None
+        Standard deviation of each coordinate, the root of its mean square over the axes [mm].
+        None where the method has none to tell (``'rbf'``).
+    """
+
+    mean: Float32Array
+    sd: Float32Array | None
+
+
+@dataclass(frozen=True)
+class SurfaceDiagnostics:
+    """How the fit came about.
+
+    Attributes
+    ----------
+    clipped : float
+        Change of the covariance between markers by which it became positive definite, as a share.
+    left_out_rms_mm : float
+        Error at markers that were left out of the fit, per coordinate [mm].
+    """
+
+    clipped: float = 0.0
+    left_out_rms_mm: float = float("nan")
+
+
+@dataclass(frozen=True)
+class SurfaceRegression:
+    """A fitted regression; see `fit_surface_regression`.
+
+    Attributes
+    ----------
+    method : {'gp', 'rbf'}
+    sampler : {'hmc', 'map', 'shared'}
+    blend : float
+        Share of the geodesic distance.
+    length_scale : float
+        [mm]; of the covariance. 0 for ``'rbf'``.
+    diagnostics : SurfaceDiagnostics
+    """
+
+    method: Method
+    sampler: Sampler
+    blend: float
+    length_scale: float
+    diagnostics: SurfaceDiagnostics
+    marker_count: int
+    point_count: int
+    operator: Float32Array | None = field(default=None, repr=False)
+    table: SharedTable | None = field(default=None, repr=False)
+    fields: SurfaceFields | None = field(default=None, repr=False)
+    shared: SharedSamples | None = field(default=None, repr=False)
+    seed: int = 0
+
+    def deform(self, displacements: FloatArray, *, progress: Progress = silent) -> SurfaceMotion:
+        """Move the whole mesh; the result is held in memory, `stream` holds a part.
+
+        Parameters
+        ----------
+        displacements : (frames, markers, 3) float array
+            Of the markers from the neutral frame [mm].
+        progress : callable
+
+        Raises
+        ------
+        InputError
+            If markers are others than those fitted or positions are not finite.
+        """
+        parts = list(self.stream(displacements, progress=progress))
+        mean = np.concatenate([part.mean for part in parts])
+        sds = [part.sd for part in parts if part.sd is not None]
+        return SurfaceMotion(mean, np.concatenate(sds) if len(sds) == len(parts) else None)
+
+    def stream(
+        self,
+        displacements: FloatArray,
+        *,
+        frames_per_part: int | None = None,
+        progress: Progress = silent,
+    ) -> Iterator[SurfaceMotion]:
+        """Move the mesh part by part: memory is bounded however long the take is.
+
+        A part's result does not depend on how the take is cut.
+
+        Parameters
+        ----------
+        displacements : (frames, markers, 3) float array
+            [mm]
+        frames_per_part : int, optional
+            At most; by default about 16 MB of each field.
+        progress : callable
+        """
+        moved = _check_displacements(displacements, self.marker_count)
+        size = frames_per_part or max(1, _FIELD_VALUES // max(self.point_count, 1))
+        if not len(moved):
+            yield SurfaceMotion(
+                np.zeros((0, self.point_count, 3), np.float32),
+                None if self.method == "rbf" else np.zeros((0, self.point_count), np.float32),
+            )
+        for start in range(0, len(moved), _SAMPLED_FRAMES):
+            block = moved[start : start + _SAMPLED_FRAMES]
+            theta = self._sample(block, start)
+            for first in range(0, len(block), size):
+                part = slice(first, min(first + size, len(block)))
+                yield self._fields(block[part], None if theta is None else theta[..., part])
+                progress((start + part.stop) / len(moved), "moving the mesh")
+
+    def _sample(self, moved: FloatArray, start: int) -> FloatArray | None:
+        """Hyper-parameters of each frame and axis: (samples, 4, 3, frames)."""
+        if self.method == "rbf" or self.table is None or self.shared is not None:
+            return None
+        rng = np.random.default_rng((self.seed, start))
+        rows = _rows(moved)
+        if self.sampler == "map":
+            modes = find_modes(self.table, TabulatedEnergy(self.table, rows), rows)
+            theta = draw_laplace(rng, modes, keep=16)
+        else:
+            theta = sample_hyperparameters(rng, self.table, rows)[0].theta
+        return np.moveaxis(theta.reshape(len(theta), 4, len(moved), 3), 3, 2)
+
+    def _fields(self, moved: FloatArray, theta: FloatArray | None) -> SurfaceMotion:
+        if self.operator is not None:
+            flat = np.float32(moved).transpose(1, 0, 2).reshape(self.marker_count, -1)
+            mean = (self.operator @ flat).reshape(self.point_count, -1, 3).transpose(1, 0, 2)
+            if self.shared is None:
+                return SurfaceMotion(np.ascontiguousarray(mean), None)
+        if self.table is None or self.fields is None:
+            raise InputError("this regression holds no surface; fit it again")
+        means, sds = [], []
+        for first in range(0, len(moved), _MOMENT_FRAMES):
+            part = slice(first, first + _MOMENT_FRAMES)
+            rows = _rows(moved[part])
+            if theta is None and self.shared is not None:
+                own = np.repeat(self.shared.theta[:, :, None], len(rows), axis=2)
+            elif theta is not None:
+                own = np.moveaxis(theta[..., part], 2, 3).reshape(len(theta), 4, -1)
+            moments = average_dual_weights(self.table.spectrum, rows, own, group=3)
+            means.append(predict_mean(self.fields, moments))
+            sds.append(np.sqrt(predict_variance(self.fields, moments) / np.float32(3.0)))
+        return SurfaceMotion(np.concatenate(means), np.concatenate(sds))
+
+
+def fit_surface_regression(
+    distances: SurfaceDistances,
+    displacements: FloatArray,
+    *,
+    method: Method = "gp",
+    sampler: Sampler = "hmc",
+    blend: float | None = BLEND,
+    length_scale: float | None = None,
+    prior: HyperPrior | None = None,
+    samples: int = 200,
+    seed: int = 0,
+) -> SurfaceRegression:
+    """Fit a regression from markers to a surface.
+
+    Parameters
+    ----------
+    distances : SurfaceDistances
+    displacements : (frames, markers, 3) float array
+        A take's, or frames spread over it, from the neutral frame [mm]. Settings are chosen on
+        them; every frame is regressed by itself later.
+    method : {'gp', 'rbf'}
+        A Gaussian process under eq. 7, or multiquadrics.
+    sampler : {'hmc', 'map', 'shared'}
+        Hyper-parameters of each frame and axis by Hybrid Monte Carlo; by their mode and the
+        Gaussian around it; or by one sample of them for the whole take.
+    blend : float or None
+        Share of the geodesic distance [0-1]; None chooses it by leaving markers out.
+    length_scale : float, optional
+        [mm]; by default chosen by leaving markers out.
+    prior : HyperPrior, optional
+    samples : int
+    seed : int
+        Of every random choice: the same take moves the same way each time.
+
+    Raises
+    ------
+    InputError
+        If displacements do not fit the markers or are not finite, or two markers sit at one place.
+    """
+    count = len(distances.marker_positions)
+    moved = _check_displacements(displacements, count)
+    if not len(moved):
+        raise InputError("no frame to fit the regression to; give the take's displacements")
+    if blend is not None and not 0 <= blend <= 1:
+        raise InputError(f"blend is the geodesic distance's share, 0 to 1; got {blend}")
+    chosen = choose_settings(
+        distances, moved, method=method, blend=blend, length_scale=length_scale, prior=prior
+    )
+    points = distances.points
+    between = distances.blended_between(chosen.blend)
+    to_points = distances.blended_to_points(chosen.blend)
+    try:
+        if method == "rbf":
+            return SurfaceRegression(
+                method=method,
+                sampler=sampler,
+                blend=chosen.blend,
+                length_scale=0.0,
+                diagnostics=SurfaceDiagnostics(0.0, chosen.left_out_rms_mm),
+                marker_count=count,
+                point_count=len(points),
+                operator=multiquadric_fields(fit_distance_multiquadric(between), to_points),
+            )
+        covariance = fit_covariance(between, length_scale=chosen.length_scale)
+    except ValueError as error:
+        raise InputError(str(error)) from error
+    centre = distances.marker_positions.mean(axis=0)
+    size = np.sqrt(((distances.marker_positions - centre) ** 2).mean())
+    places = (distances.marker_positions - centre) / size
+    spectrum = decompose(covariance.matrix(), places, prior=prior)
+    table = SharedTable(spectrum)
+    rng = np.random.default_rng(seed)
+    fields = make_fields(
+        spectrum, covariance.cross(to_points), np.float32((points - centre) / size), rng=rng
+    )
+    shared = None
+    if sampler == "shared":
+        shared = sample_shared(rng, table, _rows(chosen.frames), keep=samples)
+    return SurfaceRegression(
+        method=method,
+        sampler=sampler,
+        blend=chosen.blend,
+        length_scale=chosen.length_scale,
+        diagnostics=SurfaceDiagnostics(covariance.clipped, chosen.left_out_rms_mm),
+        marker_count=count,
+        point_count=len(points),
+        table=table,
+        fields=fields,
+        shared=shared,
+        seed=seed,
+    )
+
+
+def _rows(moved: FloatArray) -> FloatArray:
+    """One row for each frame and axis: (frames * 3, markers)."""
+    return np.ascontiguousarray(moved.transpose(0, 2, 1).reshape(-1, moved.shape[1]))
+
+
+def _check_displacements(displacements: FloatArray, markers: int) -> FloatArray:
+    moved = np.asarray(displacements, np.float64)
+    if moved.ndim != 3 or moved.shape[1:] != (markers, 3):
+        raise InputError(
+            f"displacements must be (frames, {markers}, 3) for the {markers} markers bound to "
+            f"the mesh, got {moved.shape}"
+        )
+    bad = ~np.isfinite(moved).all(axis=(1, 2))
+    if bad.any():
+        raise InputError(
+            f"displacements of {bad.sum()} frames are not finite, the first is index "
+            f"{int(bad.argmax())}; clean the take first"
+        )
+    return moved

@@ -1,0 +1,1 @@
+"""Regression over a surface: multiquadrics and Gaussian processes under any distance."""

@@ -1,0 +1,1 @@
+"""Distances over the surface of a mesh, however many islands it has."""

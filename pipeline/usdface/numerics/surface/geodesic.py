@@ -1,0 +1,198 @@
+"""Distances over a mesh from places on it to all its points: W06, "Geodesic manifold distances".
+
+Three ways. The paper's: Dijkstra on the edges. The same with the diagonals of every polygon. And
+the heat method, which knows no edges and so has no favourite directions. A place is anywhere on a
+face: its distance to that face's corners is the straight line, and the surface starts there.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial.distance import cdist
+
+from usdface.numerics.surface.heat_distance import heat_distances
+from usdface.numerics.surface.surface_graph import MeshFaults, surface_graph
+
+FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+Metric = Literal["dijkstra", "dijkstra-diagonals", "heat"]
+
+_SOURCES = 32
+"""Places solved at once: the result in double precision is held for so many only."""
+
+
+@dataclass(frozen=True)
+class Geodesics:
+    """Distances over a surface; infinite where no path leads.
+
+    Attributes
+    ----------
+    to_points : (places, points) float32 array
+        [mm]
+    between : (places, places) float array
+        [mm]; symmetric, 0 on the diagonal.
+    positions : (places, 3) float array
+        Where the places are [mm].
+    islands : (points,) int array
+        Connected piece of each point.
+    faults : MeshFaults
+    """
+
+    to_points: Float32Array
+    between: FloatArray
+    positions: FloatArray
+    islands: IntArray
+    faults: MeshFaults
+
+
+def geodesic_distances(
+    points: FloatArray,
+    face_counts: IntArray,
+    face_indices: IntArray,
+    *,
+    faces: IntArray,
+    corners: IntArray,
+    weights: FloatArray,
+    metric: Metric = "dijkstra",
+) -> Geodesics:
+    """Measure from every place to every point, and between places.
+
+    Parameters
+    ----------
+    points : (points, 3) float array
+        The mesh at rest [mm].
+    face_counts, face_indices : int arrays
+        Polygons as USD stores them.
+    faces : (places,) int array
+        Polygon of each place.
+    corners : (places, 3) int array
+        Points of the polygon that carry it.
+    weights : (places, 3) float array
+        Barycentric, sum 1.
+    metric : {'dijkstra', 'dijkstra-diagonals', 'heat'}
+
+    Raises
+    ------
+    ValueError
+        If this is no polygon mesh, or a place is not on it.
+    """
+    if metric not in get_args(Metric):
+        raise ValueError(f"no metric {metric!r}; there are {', '.join(get_args(Metric))}")
+    graph, islands, faults = surface_graph(
+        points, face_counts, face_indices, diagonals=metric != "dijkstra"
+    )
+    _check_places(face_counts, face_indices, faces, corners, weights)
+    positions = np.einsum("pk,pkc->pc", weights, points[corners])
+    starts = np.cumsum(face_counts) - face_counts
+    polygons = [
+        np.unique(face_indices[starts[face] : starts[face] + face_counts[face]]) for face in faces
+    ]
+    lengths = [
+        np.linalg.norm(points[polygon] - place, axis=1)
+        for polygon, place in zip(polygons, positions, strict=True)
+    ]
+    if metric == "heat":
+        to_points = heat_distances(
+            points, face_counts, face_indices, islands=islands, corners=corners, weights=weights
+        )
+        for row, polygon, length in zip(to_points, polygons, lengths, strict=True):
+            row[polygon] = length
+    else:
+        to_points = _shortest_paths(graph, polygons, lengths)
+    between = _between(to_points, faces, positions, polygons, lengths)
+    return Geodesics(to_points, between, positions, islands, faults)
+
+
+def euclidean_distances(positions: FloatArray, points: FloatArray) -> Float32Array:
+    """Return straight lines from places to points: (places, points) float32 array."""
+    out = np.empty((len(positions), len(points)), np.float32)
+    for start in range(0, len(positions), _SOURCES):
+        part = slice(start, start + _SOURCES)
+        out[part] = cdist(positions[part], points)
+    return out
+
+
+def _shortest_paths(
+    graph: sparse.csr_array, polygons: list[IntArray], lengths: list[FloatArray]
+) -> Float32Array:
+    """Run Dijkstra from places hung onto the graph by one-way segments to their face's corners.
+
+    One way, since no path may be shorter for passing under another marker.
+    """
+    count = graph.shape[0]
+    out = np.empty((len(polygons), count), np.float32)
+    for start in range(0, len(polygons), _SOURCES):
+        chosen = range(start, min(start + _SOURCES, len(polygons)))
+        row = np.concatenate([np.full(len(polygons[i]), i - start) for i in chosen])
+        column = np.concatenate([polygons[i] for i in chosen])
+        value = np.maximum(np.concatenate([lengths[i] for i in chosen]), 1e-9)
+        hung = sparse.csr_array((value, (row, column)), (len(chosen), count))
+        whole = sparse.block_array(
+            [[graph, None], [hung, sparse.csr_array((len(chosen), len(chosen)))]], format="csr"
+        )
+        sources = count + np.arange(len(chosen))
+        out[start : start + len(chosen)] = dijkstra(whole, indices=sources)[:, :count]
+    return out
+
+
+def _between(
+    to_points: Float32Array,
+    faces: IntArray,
+    positions: FloatArray,
+    polygons: list[IntArray],
+    lengths: list[FloatArray],
+) -> FloatArray:
+    """Enter each place by the best corner of its face; on one face the way is straight."""
+    entered = np.stack(
+        [
+            (to_points[:, polygon].astype(np.float64) + length).min(axis=1)
+            for polygon, length in zip(polygons, lengths, strict=True)
+        ],
+        axis=1,
+    )
+    straight = cdist(positions, positions)
+    entered = np.where(faces[:, None] == faces, straight, np.maximum(entered, straight))
+    between: FloatArray = np.minimum(entered, entered.T)
+    np.fill_diagonal(between, 0.0)
+    return between
+
+
+def _check_places(
+    face_counts: IntArray,
+    face_indices: IntArray,
+    faces: IntArray,
+    corners: IntArray,
+    weights: FloatArray,
+) -> None:
+    count = len(faces)
+    if corners.shape != (count, 3) or weights.shape != (count, 3):
+        raise ValueError(
+            f"{count} faces, {corners.shape} corners and {weights.shape} weights do not pair up"
+        )
+    starts = np.cumsum(face_counts) - face_counts
+    for place in range(count):
+        face = int(faces[place])
+        if not 0 <= face < len(face_counts):
+            raise ValueError(
+                f"marker {place} sits on face {face} and the mesh has {len(face_counts)}; "
+                "bind the markers to this mesh"
+            )
+        polygon = face_indices[starts[face] : starts[face] + face_counts[face]]
+        if not np.isin(corners[place], polygon).all():
+            raise ValueError(
+                f"marker {place}: points {corners[place].tolist()} are not corners of face {face}"
+            )
+    fine = np.isfinite(weights).all(axis=1) & (weights.min(axis=1, initial=0) > -1e-4)
+    off = np.flatnonzero(~fine | (np.abs(weights.sum(axis=1) - 1) > 1e-3))
+    if len(off):
+        raise ValueError(
+            f"marker {off[0]} is not on its face: its weights {weights[off[0]].tolist()} must be "
+            "0 or more with sum 1; bind it to the nearest place on the mesh"
+        )

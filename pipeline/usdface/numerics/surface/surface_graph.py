@@ -1,0 +1,149 @@
+"""A polygon mesh as a graph of straight segments, and what is wrong with it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from usdface.numerics.registration.triangulation import triangulate
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_MOST_CORNERS = 8
+"""Polygons with more corners get the diagonals of their triangles alone: all pairs would be many
+and, on a face that bends, no longer lie on the surface."""
+
+
+@dataclass(frozen=True)
+class MeshFaults:
+    """What a surface should not have; counted, never mended.
+
+    Attributes
+    ----------
+    nonmanifold_edges : int
+        Edges with more than two faces. Distances go over them as over any other.
+    degenerate_faces : int
+        Faces that use a point twice or have fewer than three corners.
+    loose_points : int
+        Points of no face; no path reaches them.
+    """
+
+    nonmanifold_edges: int = 0
+    degenerate_faces: int = 0
+    loose_points: int = 0
+
+
+def check_surface(points: FloatArray, face_counts: IntArray, face_indices: IntArray) -> None:
+    """Refuse what is no polygon mesh.
+
+    Raises
+    ------
+    ValueError
+        If there are no faces, arrays do not fit together, or points are not finite.
+    """
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"points must be (points, 3), got {points.shape}; one rest pose, not many")
+    if not len(face_counts):
+        raise ValueError("the mesh has no face; distances over it need a surface")
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if len(bad):
+        raise ValueError(
+            f"{len(bad)} of {len(points)} points are not finite, the first is {bad[0]}; "
+            "repair the mesh"
+        )
+    if face_counts.min() < 0 or face_counts.sum() != len(face_indices):
+        raise ValueError(
+            f"face counts add up to {face_counts.sum()} corners and {len(face_indices)} are given"
+        )
+    if len(face_indices) and not 0 <= face_indices.min() <= face_indices.max() < len(points):
+        raise ValueError(
+            f"faces use points {face_indices.min()} to {face_indices.max()} of {len(points)}"
+        )
+
+
+def surface_segments(
+    face_counts: IntArray, face_indices: IntArray, *, diagonals: bool
+) -> tuple[IntArray, MeshFaults]:
+    """Find the pairs of points that a path may join directly.
+
+    Parameters
+    ----------
+    face_counts, face_indices : int arrays
+    diagonals : bool
+        Whether paths may also cross a polygon from corner to corner.
+
+    Returns
+    -------
+    segments : (segments, 2) int array
+        Each once, the lower point first.
+    faults : MeshFaults
+    """
+    starts = np.cumsum(face_counts) - face_counts
+    edges, crossings = [], []
+    degenerate = int((face_counts < 3).sum())
+    for count in np.unique(face_counts[face_counts >= 3]).tolist():
+        polygons = face_indices[starts[face_counts == count][:, None] + np.arange(count)]
+        in_order = np.sort(polygons, axis=1)
+        degenerate += int((in_order[:, 1:] == in_order[:, :-1]).any(axis=1).sum())
+        edges.append(np.stack([polygons, np.roll(polygons, -1, axis=1)], axis=2).reshape(-1, 2))
+        if diagonals and 3 < count <= _MOST_CORNERS:
+            a, b = np.triu_indices(count, 2)
+            crossings.append(np.stack([polygons[:, a], polygons[:, b]], axis=2).reshape(-1, 2))
+    if diagonals and (face_counts > _MOST_CORNERS).any():
+        triangles, _ = triangulate(face_counts, face_indices)
+        crossings.append(triangles[:, [0, 2]])
+    along = np.sort(np.concatenate(edges or [np.zeros((0, 2), np.int64)]), axis=1)
+    along, times = np.unique(along[along[:, 0] != along[:, 1]], axis=0, return_counts=True)
+    segments = along
+    if crossings:
+        across = np.sort(np.concatenate(crossings), axis=1)
+        segments = np.unique(np.concatenate([along, across[across[:, 0] != across[:, 1]]]), axis=0)
+    return segments, MeshFaults(int((times > 2).sum()), degenerate, 0)
+
+
+def surface_graph(
+    points: FloatArray, face_counts: IntArray, face_indices: IntArray, *, diagonals: bool
+) -> tuple[sparse.csr_array, IntArray, MeshFaults]:
+    """Build the graph that shortest paths are sought on (W06, "Geodesic manifold distances").
+
+    Points at the same place stay two points: closed lips touch and are far apart all the same.
+
+    Parameters
+    ----------
+    points : (points, 3) float array
+        [mm]
+    face_counts, face_indices : int arrays
+    diagonals : bool
+        Whether paths may cross polygons. Edges alone overestimate by 13 to 25 % on quads, with
+        both diagonals about 5 % is left.
+
+    Returns
+    -------
+    graph : (points, points) sparse array
+        Symmetric; lengths [mm]. Segments of no length count as 1e-9 mm, since a stored 0 means
+        that there is none.
+    islands : (points,) int array
+        Which connected piece each point belongs to.
+    faults : MeshFaults
+
+    Raises
+    ------
+    ValueError
+        If this is no polygon mesh; see `check_surface`.
+    """
+    check_surface(points, face_counts, face_indices)
+    segments, faults = surface_segments(face_counts, face_indices, diagonals=diagonals)
+    lengths = np.linalg.norm(points[segments[:, 0]] - points[segments[:, 1]], axis=1)
+    lengths = np.maximum(lengths, 1e-9)
+    both = np.concatenate([segments, segments[:, ::-1]])
+    graph = sparse.csr_array(
+        (np.concatenate([lengths, lengths]), (both[:, 0], both[:, 1])), (len(points), len(points))
+    )
+    islands = connected_components(graph, directed=False)[1].astype(np.int64)
+    used = np.zeros(len(points), np.bool_)
+    used[face_indices] = True
+    faults = MeshFaults(faults.nonmanifold_edges, faults.degenerate_faces, int((~used).sum()))
+    return graph, islands, faults
