@@ -20,6 +20,7 @@ from usdface.cli.console import (
     show_report,
 )
 from usdface.cli.spec_options import build_spec, command_of
+from usdface.cli.tune import tune_command
 from usdface.errors import InputError, UsdfaceError
 from usdface.specs.align import AlignSpec
 from usdface.specs.bake import BakeSpec
@@ -156,6 +157,7 @@ for _spec in _STEPS:
     _add(app, _spec.model_fields["step"].default, _spec)
 _add(references, "import", ReferencesImportSpec)
 app.add_typer(references, name="references")
+app.command("tune", epilog=EPILOG)(tune_command(COMMON[-1]))
 _add(edits, "import", EditsImportSpec)
 app.add_typer(edits, name="edits")
 

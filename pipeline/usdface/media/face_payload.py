@@ -117,7 +117,7 @@ def pack_face(rig: Rig) -> FacePayload:
     if surface.outward < 0:
         triangles = triangles[:, ::-1]
     keys = _Keys.of(deformer, matrix)
-    arrays = {
+    arrays: dict[str, NDArray[Any]] = {
         "neutral": _planes(_micrometres(surface.rest[used])),
         "triangles": np.diff(triangles.ravel(), prepend=0).astype(np.int32),
         "colors": _colors(rig, deformer, surface)[used].T,

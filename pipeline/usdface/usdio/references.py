@@ -36,6 +36,7 @@ WEIGHTS_ATTRIBUTE = WEIGHTS.AppendProperty("blendShapeWeights")
 FRAME = ROOT.AppendProperty("face:reference:frame")
 TAKE = ROOT.AppendProperty("face:reference:take")
 TUNED = ROOT.AppendProperty("face:reference:tuned")
+DONE = ROOT.AppendProperty("face:reference:done")
 
 NEUTRAL = "face:markers:neutral"
 PAIRS_PER_SECOND = 24
@@ -44,12 +45,16 @@ PAIRS_PER_SECOND = 24
 
 @dataclass(frozen=True)
 class TunedPair:
-    """Weights that a person set for one frame of a take, by shape name."""
+    """Weights that a person set for one frame of a take, by shape name.
+
+    `done` says that the person has finished with the pair, not only touched it.
+    """
 
     pair: int
     take: str
     frame: int
     weights: dict[str, float]
+    done: bool = True
 
 
 def write_references(
@@ -74,7 +79,8 @@ def write_references(
     """
     _write_weights(proposed_path, references, references.weights, provenance)
     kept = read_tuned_pairs(tuned_path)
-    _write_tuned(tuned_path, references, kept)
+    if kept or not tuned_path.is_file():
+        write_tuned_layer(references, kept, tuned_path=tuned_path)
     with new_layer(path, provenance) as layer:
         _author_header(layer, references)
         layer.subLayerPaths = [relative_path(each, path) for each in (tuned_path, proposed_path)]
@@ -112,6 +118,7 @@ def read_tuned_pairs(tuned_path: Path) -> list[TunedPair]:
                 take=str(layer.QueryTimeSample(TAKE, time)),
                 frame=int(layer.QueryTimeSample(FRAME, time)),
                 weights=dict(zip(names, np.array(weights, np.float64).tolist(), strict=True)),
+                done=layer.QueryTimeSample(DONE, time) is not False,
             )
         )
     return found
@@ -127,37 +134,54 @@ def write_tuned_weights(
     """Add tuned pairs to the tuned layer; pairs tuned before stay unless they are given again."""
     kept = {each.pair: each for each in read_tuned_pairs(tuned_path)}
     kept.update({each.pair: each for each in pairs})
-    _write_tuned(tuned_path, references, [kept[pair] for pair in sorted(kept)], provenance)
+    write_tuned_layer(
+        references,
+        [kept[pair] for pair in sorted(kept)],
+        tuned_path=tuned_path,
+        provenance=provenance,
+    )
 
 
-def _write_tuned(
-    path: Path,
+def write_tuned_layer(
     references: References,
-    tuned: list[TunedPair],
+    pairs: list[TunedPair],
+    *,
+    tuned_path: Path,
     provenance: Provenance | None = None,
 ) -> None:
-    if not tuned:
-        if not path.is_file():
-            with new_layer(path) as layer:
-                _author_header(layer, references)
+    """Write the tuned layer anew: exactly these pairs are tuned, the others are proposals.
+
+    Parameters
+    ----------
+    references : References
+        Its weights are the proposals.
+    pairs : list of TunedPair
+    tuned_path : Path
+    provenance : Provenance, optional
+    """
+    if not pairs:
+        with new_layer(tuned_path, provenance) as layer:
+            _author_header(layer, references)
         return
     weights = references.weights.copy()
     column = {name: index for index, name in enumerate(references.shape_names)}
-    for each in tuned:
+    for each in pairs:
         for name, value in each.weights.items():
             if name in column:
                 weights[each.pair, column[name]] = value
-    with new_layer(path, provenance) as layer:
+    with new_layer(tuned_path, provenance) as layer:
         _author_weights(layer, references, weights)
-        is_tuned = {each.pair for each in tuned}
+        done = {each.pair: each.done for each in pairs}
         over = Sdf.CreatePrimInLayer(layer, ROOT)
         Sdf.AttributeSpec(over, FRAME.name, Sdf.ValueTypeNames.Int)
         Sdf.AttributeSpec(over, TAKE.name, Sdf.ValueTypeNames.Token)
         Sdf.AttributeSpec(over, TUNED.name, Sdf.ValueTypeNames.Bool)
+        Sdf.AttributeSpec(over, DONE.name, Sdf.ValueTypeNames.Bool)
         for pair in range(len(references.frames)):
             layer.SetTimeSample(FRAME, pair + 1, int(references.frames[pair]))
             layer.SetTimeSample(TAKE, pair + 1, references.takes[pair])
-            layer.SetTimeSample(TUNED, pair + 1, pair in is_tuned)
+            layer.SetTimeSample(TUNED, pair + 1, pair in done)
+            layer.SetTimeSample(DONE, pair + 1, done.get(pair, False))
 
 
 def _write_weights(

@@ -1,0 +1,62 @@
+"""`usdface tune`: the one command that stays until it is told to stop."""
+
+import inspect
+import json
+import webbrowser
+from typing import Any
+
+from usdface.cli.console import out, show_report
+from usdface.cli.spec_options import build_spec, command_of
+from usdface.errors import InputError
+from usdface.specs.base import Reads, Spec
+from usdface.specs.tune import TuneSpec
+from usdface.steps.report import Report
+
+_NEEDED = ("starlette", "uvicorn", "anyio", "h11")
+
+
+def tune_command(as_json: inspect.Parameter) -> Any:
+    """Return the command, with the common option for JSON."""
+    return command_of(TuneSpec, _tune, [as_json])
+
+
+def _tune(spec_type: type[Spec], values: dict[str, Any], *, as_json: bool) -> None:
+    spec = build_spec(TuneSpec, values)
+    missing = [path for path in spec.paths(Reads) if not path.exists()]
+    if missing:
+        names = ", ".join(map(str, missing))
+        raise InputError(f"tune: {names}: no such file; check the path")
+    try:
+        from usdface.tuning.serve import serve
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.split(".")[0] not in _NEEDED:
+            raise
+        raise InputError(
+            f"the tuning page needs {error.name}, which is not installed: "
+            "pip install 'usdface[tune]'"
+        ) from error
+    links = list[str]()
+
+    def announce(link: str) -> None:
+        if as_json:
+            out.file.write(json.dumps({"link": link}) + "\n")
+        else:
+            out.print(f"{'tune at' if not links else 'a new link:'} {link}", markup=False)
+            if not links:
+                out.print("  Ctrl+C saves and ends; the link opens one browser, once", markup=False)
+        out.file.flush()
+        if spec.browser and not links:
+            webbrowser.open(link)
+        links.append(link)
+
+    session = serve(spec, announce=announce)
+    state = session.state()
+    count = len(state.tuned)
+    figures: dict[str, object] = {
+        "pairs": count,
+        "tuned": int(state.tuned.sum()),
+        "done": int(state.done.sum()),
+        "recovered": session.recovered,
+    }
+    summary = f"{figures['tuned']} of {count} pairs tuned, {figures['done']} done"
+    show_report(Report((session.tuned_path,), summary, (), figures), as_json=as_json)

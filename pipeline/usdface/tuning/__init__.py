@@ -1,0 +1,1 @@
+"""The tuning page: a local server by which an animator sets the weights of reference pairs."""

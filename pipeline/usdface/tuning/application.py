@@ -1,0 +1,220 @@
+"""What the page asks for: its files, the face, the pairs, their pictures; and what it sends."""
+
+import base64
+import functools
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from usdface.assets import Rig
+from usdface.deformer import Deformer
+from usdface.errors import InputError
+from usdface.media.face_payload import FacePayload, pack_face, read_web_file
+from usdface.numerics.measure.mirrored_shapes import mirrored_shapes, sided_shapes
+from usdface.tuning.journal import Change
+from usdface.tuning.pictures import PairPictures
+from usdface.tuning.session import StaleRevisionError, TuningSession
+from usdface.tuning.targets import MarkerTargets, targets_or_reason
+from usdface.usdio.tuning import PairNotes
+
+_FILES = {
+    ".js": "text/javascript; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".svg": "image/svg+xml",
+}
+
+
+class SentChange(BaseModel):
+    """One change as the page sends it."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    pair: int = Field(ge=0)
+    take: str
+    frame: int
+    weights: dict[str, float] = Field(default_factory=dict, max_length=10_000)
+    done: bool | None = None
+
+
+class SentChanges(BaseModel):
+    """What one POST holds."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    revision: int
+    changes: list[SentChange] = Field(max_length=10_000)
+
+
+_SENT: TypeAdapter[SentChanges] = TypeAdapter(SentChanges)
+
+
+class Scene:
+    """A rig ready for the page: packed when first asked for, so that the page opens at once.
+
+    Parameters
+    ----------
+    session : TuningSession
+    rig : Rig
+    notes : list of PairNotes
+    pictures : PairPictures
+    """
+
+    def __init__(
+        self,
+        session: TuningSession,
+        rig: Rig,
+        notes: list[PairNotes],
+        pictures: PairPictures,
+    ) -> None:
+        self.session = session
+        self.rig = rig
+        self.notes = notes
+        self.pictures = pictures
+
+    @functools.cached_property
+    def payload(self) -> FacePayload:
+        """The face."""
+        return pack_face(self.rig)
+
+    @functools.cached_property
+    def targets(self) -> MarkerTargets | str:
+        """Where markers should lie, or why that is not known."""
+        return targets_or_reason(self.session.references, self.rig)
+
+    def face(self) -> dict[str, Any]:
+        """Return the face's header, and what the page knows of the references."""
+        references = self.session.references
+        deformer = Deformer(self.rig)
+        sided = sided_shapes(deformer.shapes.target_offsets(), deformer.neutral)
+        pairs = [
+            {
+                "take": references.takes[pair],
+                "frame": int(references.frames[pair]),
+                "viseme": note.viseme,
+                "emotion": note.emotion,
+                "noPicture": self.pictures.reason_without(pair),
+            }
+            for pair, note in enumerate(self.notes)
+        ]
+        return {
+            "name": self.session.path.name,
+            "rig": self.rig.file.name,
+            "face": self.payload.header,
+            "columns": [self.rig.shapes.index(name) for name in references.shape_names],
+            "mirror": mirrored_shapes(references.shape_names).tolist(),
+            "sided": [bool(sided[self.rig.shapes.index(n)]) for n in references.shape_names],
+            "pairs": pairs,
+        }
+
+    def markers(self) -> dict[str, Any]:
+        """Return marker targets for the live residual."""
+        targets = self.targets
+        if isinstance(targets, str):
+            return {"reason": targets}
+        return {
+            "names": list(targets.names),
+            "regions": list(targets.regions),
+            "rest": _floats(targets.rest),
+            "keyDeltas": _floats(targets.key_deltas),
+            "targets": _floats(targets.targets),
+        }
+
+    def state(self) -> dict[str, Any]:
+        """Return the weights as they are now."""
+        state = self.session.state()
+        return {
+            "revision": state.revision,
+            "weights": _floats(state.weights),
+            "proposals": _floats(state.proposals),
+            "done": state.done.tolist(),
+        }
+
+
+def build_application(scene: Scene, *, page: str = "tune.html") -> Starlette:
+    """Return the application; put `usdface.tuning.guard.Guard` around it."""
+
+    async def home(request: Request) -> Response:
+        return Response(read_web_file(page), media_type="text/html; charset=utf-8")
+
+    async def file(request: Request) -> Response:
+        name = request.path_params["name"]
+        kind = _FILES.get(Path(name).suffix)
+        if kind is None or Path(name).name != name:
+            return JSONResponse({"reason": f"no file {name}"}, status_code=404)
+        try:
+            return Response(read_web_file(name), media_type=kind)
+        except OSError:
+            return JSONResponse({"reason": f"no file {name}"}, status_code=404)
+
+    async def face_data(request: Request) -> Response:
+        payload = await run_in_threadpool(lambda: scene.payload)
+        return Response(payload.data, media_type="application/octet-stream")
+
+    async def picture(request: Request) -> Response:
+        pair = request.path_params["pair"]
+        if not 0 <= pair < len(scene.notes):
+            return JSONResponse({"reason": f"no pair {pair}"}, status_code=404)
+        data = await run_in_threadpool(scene.pictures.jpeg, pair)
+        return Response(data, media_type="image/jpeg")
+
+    async def changes(request: Request) -> Response:
+        try:
+            sent = _SENT.validate_json(await request.body())
+        except ClientDisconnect:
+            return JSONResponse({"reason": "the change is too large"}, status_code=413)
+        except ValidationError as error:
+            fault = error.errors()[0]
+            where = ".".join(map(str, fault["loc"]))
+            return JSONResponse({"reason": f"{where}: {fault['msg']}"}, status_code=400)
+        given = [Change(**each.model_dump()) for each in sent.changes]
+        revision = await run_in_threadpool(
+            functools.partial(scene.session.apply, given, revision=sent.revision)
+        )
+        return JSONResponse({"revision": revision})
+
+    routes = [
+        Route("/", home),
+        Route("/web/{name}", file),
+        Route("/face.json", _json(scene.face)),
+        Route("/face.bin", face_data),
+        Route("/markers.json", _json(scene.markers)),
+        Route("/state.json", _json(scene.state)),
+        Route("/picture/{pair:int}.jpg", picture),
+        Route("/changes", changes, methods=["POST"]),
+    ]
+    return Starlette(
+        routes=routes,
+        exception_handlers={StaleRevisionError: _stale, InputError: _refused},
+    )
+
+
+def _json(make: Callable[[], dict[str, Any]]) -> Callable[[Request], Any]:
+    async def answer(request: Request) -> Response:
+        data = await run_in_threadpool(make)
+        return Response(
+            await run_in_threadpool(json.dumps, data, allow_nan=False),
+            media_type="application/json",
+        )
+
+    return answer
+
+
+async def _stale(request: Request, error: Exception) -> Response:
+    return JSONResponse({"reason": str(error)}, status_code=409)
+
+
+async def _refused(request: Request, error: Exception) -> Response:
+    return JSONResponse({"reason": str(error)}, status_code=422)
+
+
+def _floats(values: np.ndarray) -> str:
+    return base64.b64encode(np.ascontiguousarray(values, "<f4").tobytes()).decode("ascii")

@@ -1,0 +1,126 @@
+"""The picture of each pair: its own where the asset names one, else from the take's video."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio  # noqa: N813  # the name all its users know it by
+
+from usdface.assets import References, Take
+from usdface.errors import InputError
+from usdface.media.color import ByteImage
+from usdface.media.image_sequence import ImageSequence, open_video
+from usdface.media.jpeg import encode_jpeg
+from usdface.media.video import VideoReader
+from usdface.usdio.take import TakeReader
+from usdface.usdio.tuning import PairNotes
+
+KEPT = 64
+"""Encoded pictures that are kept: going back and forth decodes nothing."""
+
+
+class PairPictures:
+    """Pictures of pairs as JPEG, found when they are first asked for.
+
+    Parameters
+    ----------
+    references : References
+    notes : sequence of PairNotes
+        One per pair.
+    takes : sequence of Path
+        Take files; each pair names its take.
+    """
+
+    def __init__(
+        self, references: References, notes: Sequence[PairNotes], takes: Sequence[Path]
+    ) -> None:
+        self._references = references
+        self._notes = notes
+        self._faults: dict[str, str] = {}
+        self._takes = self._read_takes(takes)
+        self._videos: dict[str, VideoReader | ImageSequence] = {}
+        self._kept: OrderedDict[int, bytes] = OrderedDict()
+        self._guard = threading.Lock()  # one decoder, one frame at a time
+
+    def reason_without(self, pair: int) -> str:
+        """Return why a pair has no picture; empty if it should have one."""
+        if self._notes[pair].image is not None:
+            return ""
+        name = self._references.takes[pair]
+        if name in self._faults:
+            return self._faults[name]
+        take = self._takes.get(name)
+        if take is None:
+            return f"the take {name} was not found; name its file with --takes"
+        return "" if take.video is not None else f"the take {name} has no video"
+
+    def jpeg(self, pair: int) -> bytes:
+        """Return a pair's picture.
+
+        Raises
+        ------
+        InputError
+            Saying why there is none.
+        """
+        with self._guard:
+            if pair not in self._kept:
+                self._kept[pair] = encode_jpeg(self._find(pair))
+                while len(self._kept) > KEPT:
+                    self._kept.popitem(last=False)
+            self._kept.move_to_end(pair)
+            return self._kept[pair]
+
+    def close(self) -> None:
+        """Let go of the videos."""
+        with self._guard:
+            for video in self._videos.values():
+                if isinstance(video, VideoReader):
+                    video.close()
+            self._videos.clear()
+
+    def _find(self, pair: int) -> ByteImage:
+        image = self._notes[pair].image
+        if image is not None:
+            return _read_picture(image)
+        reason = self.reason_without(pair)
+        if reason:
+            raise InputError(reason)
+        name, frame = self._references.takes[pair], int(self._references.frames[pair])
+        take = self._takes[name]
+        video = take.video
+        if video is None:
+            raise InputError(f"the take {name} has no video")
+        if name not in self._videos:
+            self._videos[name] = open_video(video.file, video.rate)
+        seconds = (frame - take.first_frame) / float(take.rate)
+        found = self._videos[name].frame_at((seconds - video.offset) / (1.0 + video.drift * 1e-6))
+        if found is None:
+            raise InputError(f"the video of {name} does not show frame {frame}")
+        return found
+
+    def _read_takes(self, files: Sequence[Path]) -> dict[str, Take]:
+        wanted = set(self._references.takes)
+        found = {}
+        for path in files:
+            try:
+                reader = TakeReader(path)
+                if reader.name in wanted:
+                    # Samples are not needed: one frame says all about video and rate.
+                    found[reader.name] = reader.read(reader.first_frame, reader.first_frame)
+            except InputError as error:
+                name = path.name.split(".")[0]
+                self._faults[name] = str(error)
+        return found
+
+
+def _read_picture(path: Path) -> ByteImage:
+    buffer = oiio.ImageBuf(str(path))
+    if buffer.has_error:
+        raise InputError(f"{path}: cannot be read as a picture ({buffer.geterror()})")
+    pixels = buffer.get_pixels("uint8")
+    if pixels is None or pixels.ndim != 3:
+        raise InputError(f"{path}: cannot be read as a picture")
+    channels = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
+    return np.ascontiguousarray(channels)

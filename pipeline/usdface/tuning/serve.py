@@ -1,0 +1,162 @@
+"""Run the tuning page: bind to this machine alone, save when the hand rests, leave in order."""
+
+import asyncio
+import contextlib
+import hashlib
+import logging
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import uvicorn
+
+from usdface.errors import CancelledError, InputError
+from usdface.specs.tune import TuneSpec
+from usdface.tuning.application import Scene, build_application
+from usdface.tuning.guard import Guard
+from usdface.tuning.pictures import PairPictures
+from usdface.tuning.session import TuningSession
+from usdface.usdio.rig import read_rig
+from usdface.usdio.tuning import read_pair_notes, take_files
+
+log = logging.getLogger(__name__)
+
+IDLE_SECONDS = 0.5
+"""Without a change for this long, the layer is written."""
+
+RENEW_SECONDS = 5.0
+
+_FIRST_PORT, _PORTS = 49152, 16384
+
+
+def serve(spec: TuneSpec, *, announce: Callable[[str], None]) -> TuningSession:
+    """Serve the page until it is interrupted; then everything is saved.
+
+    Parameters
+    ----------
+    spec : TuneSpec
+    announce : callable
+        Called with a link as soon as it opens the page, and with a new one when someone tries one
+        that was used.
+
+    Returns
+    -------
+    TuningSession
+        Closed; its state is what was tuned.
+
+    Raises
+    ------
+    InputError
+        If the references cannot be tuned, someone else is tuning them, or the port is in use.
+    """
+    session = TuningSession(spec.references, take_over=spec.take_over)
+    try:
+        with contextlib.closing(_listen(spec)) as listener:
+            _run(session, spec, listener, announce)
+    finally:
+        session.close()
+    return session
+
+
+def _run(
+    session: TuningSession,
+    spec: TuneSpec,
+    listener: socket.socket,
+    announce: Callable[[str], None],
+) -> None:
+    references = session.references
+    rig = read_rig(references.rig_file, prim=references.rig_prim)
+    missing = [name for name in references.shape_names if name not in rig.shapes]
+    if missing:
+        raise InputError(
+            f"{spec.references}: {len(missing)} of its shapes are not on {rig.file}: "
+            f"{', '.join(missing[:5])}; it was selected for another rig: select again"
+        )
+    notes = read_pair_notes(spec.references, len(references.frames))
+    pictures = PairPictures(references, notes, spec.takes or take_files(spec.references))
+    scene = Scene(session, rig, notes, pictures)
+    guard = Guard(build_application(scene), port=listener.getsockname()[1], announce=announce)
+    config = uvicorn.Config(
+        guard,
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        limit_concurrency=64,
+        timeout_graceful_shutdown=2,
+        lifespan="off",
+    )
+    try:
+        asyncio.run(_serve_and_save(uvicorn.Server(config), session, guard, listener, announce))
+    except (KeyboardInterrupt, CancelledError):
+        log.info("interrupted; saving")
+    finally:
+        pictures.close()
+
+
+async def _serve_and_save(
+    server: uvicorn.Server,
+    session: TuningSession,
+    guard: Guard,
+    listener: socket.socket,
+    announce: Callable[[str], None],
+) -> None:
+    saving = asyncio.create_task(_save_when_idle(session))
+    announce(guard.link)  # the socket listens already: a browser that is quick waits in its queue
+    try:
+        await server.serve(sockets=[listener])
+    finally:
+        saving.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await saving
+
+
+async def _save_when_idle(session: TuningSession) -> None:
+    """Write the layer when changes rest, and keep the lock fresh."""
+    revision, told, since_renewal = -1, "", 0.0
+    while True:
+        await asyncio.sleep(IDLE_SECONDS)
+        since_renewal += IDLE_SECONDS
+        if since_renewal >= RENEW_SECONDS:
+            since_renewal = 0.0
+            await asyncio.to_thread(session.lock.renew)
+        newest = session.revision
+        if session.is_saved or newest != revision:
+            revision = newest
+            continue
+        try:
+            await asyncio.to_thread(session.save)
+            told = ""
+        except InputError as error:  # the journal has it; the page hears of it with its next change
+            if str(error) != told:
+                log.warning("%s", error)
+            told = str(error)
+
+
+def _listen(spec: TuneSpec) -> socket.socket:
+    """Listen on loopback: on the port asked for, else on the asset's own where it is free.
+
+    The same port each time means the same origin, so that a page that outlived the server finds
+    the changes that it could not send.
+    """
+    asked = spec.port if spec.port else _own_port(spec.references)
+    for port in (asked, 0):
+        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind(("127.0.0.1", port))
+            listener.listen(64)
+        except OSError as error:
+            listener.close()
+            if spec.port or not port:
+                raise InputError(
+                    f"port {port} of this machine cannot be used ({error.strerror}); give another "
+                    "--port, or none"
+                ) from error
+        else:
+            return listener
+    raise InputError("no port of this machine can be used")
+
+
+def _own_port(path: Path) -> int:
+    digest = hashlib.sha256(str(path.resolve()).encode("utf-8")).digest()
+    return _FIRST_PORT + int.from_bytes(digest[:4], "big") % _PORTS

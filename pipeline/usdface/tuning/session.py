@@ -1,0 +1,280 @@
+"""The weights of every pair as a page has them: changed in memory and journal, saved as USD."""
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from usdface.assets import BoolArray, FloatArray, References
+from usdface.errors import InputError
+from usdface.provenance import Provenance, canonical_json, hash_files
+from usdface.specs.references import proposed_path, tuned_path
+from usdface.tuning.journal import Change, Journal, flush_folder
+from usdface.tuning.lock import TuningLock
+from usdface.usdio.layers import read_provenance
+from usdface.usdio.references import (
+    TunedPair,
+    read_references,
+    read_tuned_pairs,
+    write_tuned_layer,
+)
+from usdface.usdio.tuning import check_tuned_layer, read_proposals
+
+SAME = 1e-6
+"""Weights that differ by less are one: layers hold single precision."""
+
+
+class StaleRevisionError(InputError):
+    """A change was made on a state that is no longer the newest."""
+
+
+@dataclass(frozen=True)
+class State:
+    """What a page shows.
+
+    Attributes
+    ----------
+    revision : int
+        Counts up with every change.
+    weights, proposals : (pairs, shapes) float arrays
+    tuned : (pairs,) bool array
+        True where the weights are a person's: they differ from the proposal, or are done.
+    done : (pairs,) bool array
+    """
+
+    revision: int
+    weights: FloatArray
+    proposals: FloatArray
+    tuned: BoolArray
+    done: BoolArray
+
+
+class TuningSession:
+    """A references asset being tuned; close it to save and to let others tune.
+
+    Every change is on disk in the journal when `apply` returns; `save` brings the journal's
+    changes into the tuned layer. A layer that someone else changes meanwhile is read again, and
+    the changes since the last save are laid over it.
+
+    Parameters
+    ----------
+    path : Path
+        The references asset.
+    take_over : bool
+        Take the right to tune from whoever has it.
+
+    Attributes
+    ----------
+    path : Path
+    tuned_path : Path
+        The layer that holds what is tuned.
+    references : References
+        As it was when the session began.
+    recovered : int
+        Changes that an earlier session had not saved as USD.
+
+    Raises
+    ------
+    InputError
+        If the asset cannot be read, another tunes it, or its tuned layer or journal belongs to
+        another selection. Nothing on disk is changed then.
+    """
+
+    def __init__(self, path: Path, *, take_over: bool = False) -> None:
+        self.path = path
+        self.tuned_path = tuned_path(path)
+        self.references: References = read_references(path)
+        check_tuned_layer(self.tuned_path, self.references)
+        self._proposals = read_proposals(proposed_path(path), self.references)
+        self._weights: FloatArray = self.references.weights.copy()
+        self._done: BoolArray = np.zeros(len(self._weights), dtype=np.bool_)
+        self._column = {name: i for i, name in enumerate(self.references.shape_names)}
+        self._selected = [_signature(path), _signature(proposed_path(path))]
+        self._guard = threading.Lock()
+        self._revision = 0
+        self.lock = TuningLock(path.with_name(f"{path.stem}.tuned.lock"))
+        self.lock.acquire(take_over=take_over)
+        try:
+            self._journal = Journal(path.with_name(f"{path.stem}.tuned.journal"))
+            self._unsaved: list[Change] = self._journal.replay()
+            self._check_pairs(self._unsaved)
+            self.recovered = len(self._unsaved)
+            self._read_layer()
+        except BaseException:
+            self.lock.release()
+            raise
+
+    def state(self) -> State:
+        """Return what a page shows now."""
+        with self._guard:
+            return State(
+                self._revision,
+                self._weights.copy(),
+                self._proposals,
+                self._tuned(),
+                self._done.copy(),
+            )
+
+    @property
+    def revision(self) -> int:
+        """Counts up with every change."""
+        return self._revision
+
+    @property
+    def is_saved(self) -> bool:
+        """Whether every change is in the tuned layer."""
+        return not self._unsaved
+
+    def apply(self, changes: Sequence[Change], *, revision: int) -> int:
+        """Take changes over; when this returns they are safe on disk.
+
+        Parameters
+        ----------
+        changes : sequence of Change
+        revision : int
+            Of the state they were made on.
+
+        Returns
+        -------
+        int
+            The new revision.
+
+        Raises
+        ------
+        StaleRevisionError
+            If another page or program has changed the weights meanwhile; read the state again.
+        InputError
+            If a change names no pair or shape of the asset, is not finite, or cannot be saved.
+        """
+        with self._guard:
+            self.lock.check()
+            self._reread_if_changed()
+            if revision != self._revision:
+                raise StaleRevisionError(
+                    f"{self.path.name}: changed elsewhere since revision {revision}; read it again"
+                )
+            self._check_pairs(changes)
+            self._journal.append(changes)
+            self._unsaved.extend(changes)
+            for change in changes:
+                self._put(change)
+            self._revision += 1
+            return self._revision
+
+    def save(self) -> None:
+        """Write the tuned layer and empty the journal; nothing happens if nothing changed.
+
+        Raises
+        ------
+        InputError
+            If another took the lock, or the layer cannot be written; the journal then stays.
+        """
+        with self._guard:
+            if not self._unsaved:
+                return
+            self.lock.check()
+            self._reread_if_changed()
+            names = self.references.shape_names
+            tuned = [
+                TunedPair(
+                    pair,
+                    self.references.takes[pair],
+                    int(self.references.frames[pair]),
+                    dict(zip(names, self._weights[pair].tolist(), strict=True)),
+                    bool(self._done[pair]),
+                )
+                for pair in np.flatnonzero(self._tuned()).tolist()
+            ]
+            write_tuned_layer(
+                replace(self.references, weights=self._proposals),
+                tuned,
+                tuned_path=self.tuned_path,
+                provenance=self._provenance(),
+            )
+            flush_folder(self.tuned_path.parent)  # the layer must be there before the journal goes
+            self._journal.clear()
+            self._unsaved = []
+            self._seen = _signature(self.tuned_path)
+
+    def close(self) -> None:
+        """Save, and let others tune."""
+        try:
+            if self.lock.is_own():
+                self.save()
+        finally:
+            self.lock.release()
+
+    def _tuned(self) -> BoolArray:
+        away = np.abs(self._weights - self._proposals).max(axis=1, initial=0.0)
+        return np.asarray(self._done | (away > SAME))
+
+    def _read_layer(self) -> None:
+        """Take the weights from disk and lay the changes over them that are not there yet."""
+        self._seen = _signature(self.tuned_path)
+        self._weights = read_references(self.path).weights.copy()
+        self._done = np.zeros(len(self._weights), dtype=np.bool_)
+        for pair in read_tuned_pairs(self.tuned_path):
+            self._done[pair.pair] = pair.done
+        for change in self._unsaved:
+            self._put(change)
+
+    def _reread_if_changed(self) -> None:
+        """Merge what `references import` or a DCC wrote while the page was open."""
+        if self._selected != [_signature(self.path), _signature(proposed_path(self.path))]:
+            raise InputError(
+                f"{self.path.name}: its frames were selected again while this page was open, so "
+                "changes can no longer be saved; what was saved before is kept. Stop `usdface "
+                "tune` and start it again"
+            )
+        if _signature(self.tuned_path) == self._seen:
+            return
+        check_tuned_layer(self.tuned_path, self.references)
+        self._read_layer()
+        self._revision += 1
+
+    def _put(self, change: Change) -> None:
+        for name, value in change.weights.items():
+            self._weights[change.pair, self._column[name]] = value
+        if change.done is not None:
+            self._done[change.pair] = change.done
+
+    def _check_pairs(self, changes: Sequence[Change]) -> None:
+        known = self.references
+        for change in changes:
+            where = f"{self.path.name}: a change of pair {change.pair + 1}"
+            if not 0 <= change.pair < len(known.frames):
+                raise InputError(f"{where}, and there are {len(known.frames)}; reload the page")
+            shown = (known.takes[change.pair], int(known.frames[change.pair]))
+            if (change.take, change.frame) != shown:
+                raise InputError(
+                    f"{where} was made for frame {change.frame} of {change.take}, and the pair "
+                    f"shows frame {shown[1]} of {shown[0]}: it belongs to another selection. "
+                    f"Nothing was changed; put that selection back, or move {self._journal.path} "
+                    "away to tune without it"
+                )
+            for name, value in change.weights.items():
+                if name not in self._column:
+                    raise InputError(f"{where} names {name!r}, which is no shape of the rig")
+                if not np.isfinite(value) or abs(value) > 100.0:
+                    raise InputError(f"{where}: {name} cannot be {value}; keep it near 0 to 1")
+
+    def _provenance(self) -> Provenance:
+        """Keep what the layer says of its making, so that no job believes it out of date."""
+        if self.tuned_path.is_file() and (made := read_provenance(self.tuned_path)) is not None:
+            return made
+        proposals = proposed_path(self.path)
+        return Provenance(
+            step="tune",
+            spec=canonical_json({"step": "tune", "references": self.path.name}),
+            inputs={proposals.name: hash_files([proposals])},
+        )
+
+
+def _signature(path: Path) -> tuple[int, int, int]:
+    try:
+        stat = path.stat()
+    except FileNotFoundError:
+        return (0, 0, 0)
+    return (stat.st_mtime_ns, stat.st_size, stat.st_ino)

@@ -1,0 +1,119 @@
+"""Where a pair's markers should lie on the rig: what the live residual is measured against."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.assets import Float32Array, FloatArray, References, Rig
+from usdface.deformer import Deformer
+from usdface.errors import InputError
+from usdface.model.equation import BlendshapeEquation, set_up_equation
+from usdface.numerics.measure.face_regions import shapes_by_region
+from usdface.numerics.registration.registration import character_motion
+
+SAMPLE_FRAMES = 600
+"""Of the takes' motion, looked at to find where markers sit."""
+
+
+@dataclass(frozen=True)
+class MarkerTargets:
+    """Markers glued to the rig, and where the captured ones lie in its space.
+
+    Attributes
+    ----------
+    names : tuple of str
+    rest : (markers, 3) float32 array
+        On the rig at rest [mm].
+    key_deltas : (keys, markers, 3) float32 array
+        What each key of ``Deformer(rig).shapes`` does to them [mm].
+    targets : (pairs, markers, 3) float32 array
+        Captured positions on the character's proportions [mm].
+    regions : tuple of str
+        Part of the face of each marker; empty for those that move with the skull alone, which say
+        nothing of the weights.
+    """
+
+    names: tuple[str, ...]
+    rest: Float32Array
+    key_deltas: Float32Array
+    targets: Float32Array
+    regions: tuple[str, ...]
+
+
+def find_targets(references: References, rig: Rig) -> MarkerTargets:
+    """Glue the references' markers to the rig as `usdface select` did to propose weights.
+
+    The takes are not needed: the asset carries a sample of their motion.
+
+    Parameters
+    ----------
+    references : References
+    rig : Rig
+
+    Raises
+    ------
+    InputError
+        If the markers cannot be put on the rig's face.
+    """
+    positions = _sample(references)
+    rigid = [references.marker_names.index(name) for name in references.rigid]
+    equation = set_up_equation(
+        rig,
+        Deformer(rig),
+        neutral=references.neutral,
+        positions=positions,
+        visible=np.ones(positions.shape[:2], dtype=np.bool_),
+        rigid=tuple(rigid),
+    )
+    rest = _rest(equation, rig)
+    motion = character_motion(equation.virtual, references.markers, references.neutral)
+    # Lid markers slide less than lids do: with the gain a closed eye leaves no residual.
+    motion = motion * equation.gain[:, None]
+    return MarkerTargets(
+        names=references.marker_names,
+        rest=rest.astype(np.float32),
+        key_deltas=np.asarray(equation.keys.deltas, np.float32),
+        targets=(rest + motion).astype(np.float32),
+        regions=_regions(equation, rig, rigid),
+    )
+
+
+def _sample(references: References) -> FloatArray:
+    """Return frames that show the motion: a sample of the takes, and the pairs themselves."""
+    motion = references.motion
+    if motion is None or not len(motion.sample):
+        return references.markers
+    step = max(len(motion.sample) // SAMPLE_FRAMES, 1)
+    flat = motion.mean + motion.sample[::step] @ motion.components
+    return np.concatenate([flat.reshape(len(flat), -1, 3), references.markers])
+
+
+def _rest(equation: BlendshapeEquation, rig: Rig) -> FloatArray:
+    surface = np.concatenate([mesh.points for mesh in rig.meshes])
+    virtual = equation.virtual
+    return np.asarray(np.einsum("mk,mkc->mc", virtual.weights, surface[virtual.points]))
+
+
+def _regions(equation: BlendshapeEquation, rig: Rig, rigid: list[int]) -> tuple[str, ...]:
+    """Give each marker to the part of the face whose shapes move it most, of what they move."""
+    moved = np.linalg.norm(equation.deltas, axis=2)
+    share = moved / np.maximum(moved.max(axis=1, keepdims=True), 1e-9)
+    by_region = shapes_by_region(rig.shapes)
+    if not by_region:
+        return tuple("" if marker in rigid else "face" for marker in range(moved.shape[1]))
+    names = list(by_region)
+    claims = np.array([share[columns].max(axis=0) for columns in by_region.values()])
+    if "jaw" in names:  # what the jaw carries along, the lower lip above all, is not its own
+        claims[names.index("jaw")] *= 0.85
+    owner = claims.argmax(axis=0)
+    return tuple("" if m in rigid else names[owner[m]] for m in range(moved.shape[1]))
+
+
+def targets_or_reason(references: References, rig: Rig) -> MarkerTargets | str:
+    """Return the targets, or why there are none: tuning goes on without a residual."""
+    if not references.marker_names:
+        return "the references hold no markers"
+    try:
+        return find_targets(references, rig)
+    except InputError as error:
+        return str(error)
