@@ -4,10 +4,13 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 
+import shutil
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+from tests.steps.small_shot import Shot, make_inputs
 
 # A run must say the same twice; USDFACE_FUZZ=random searches anew each time.
 settings.register_profile("repeatable", derandomize=True)
@@ -23,3 +26,22 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip(f"fixture files are not at {SHARED_DATA}")
     return SHARED_DATA
+
+
+@pytest.fixture(scope="session")
+def finished_shot(tmp_path_factory: pytest.TempPathFactory) -> Shot:
+    """A shot whose job has been run; read only."""
+    from usdface.specs.reading import read_job
+    from usdface.steps.jobs import run_job
+
+    shot = make_inputs(tmp_path_factory.mktemp("shot"))
+    run_job(read_job(shot / "shot.job.yaml"))
+    return shot
+
+
+@pytest.fixture
+def shot(finished_shot: Shot, tmp_path: Path) -> Shot:
+    """A copy of the finished shot that a test may change."""
+    folder = tmp_path / "Schuss 1 ü"  # a name as users give them
+    shutil.copytree(finished_shot.folder, folder)
+    return Shot(folder, finished_shot.rigid, finished_shot.neutral)

@@ -128,7 +128,8 @@ def _frames_of(path: Path) -> FrameRange | None:
 
 
 def _carried(job: JobSpec) -> list[Path]:
-    """Return what layers that are there already need beside them."""
-    read = {path for step in job.steps for path in step.paths(Reads)}
+    """Return what layers that the job starts from need beside them."""
+    made = {path for step in job.steps for path in step.changes()}
+    read = {path for step in job.steps for path in step.paths(Reads)} - made
     layers = [path for path in read if path.suffix in LAYER_SUFFIXES and path.is_file()]
     return [found for layer in sorted(layers) for found in referenced_files(layer)]

@@ -1,0 +1,159 @@
+"""Bundles: valid, the same bytes every time, and deaf to what names say."""
+
+import os
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from usdface.errors import InputError
+from usdface.farm.bundle import MARK, bundle_hash, compose_bundle, write_bundle
+from usdface.farm.chunks import ChunkSizes
+from usdface.farm.plan import FarmStep, plan_job
+from usdface.farm.submit import submit
+from usdface.specs.clean import CleanSpec
+from usdface.specs.job import JobSpec
+from usdface.specs.reading import read_job
+from usdface.specs.submit import SubmitSpec
+
+HOSTILE = [
+    "{{Param.Job}}",
+    "{{Session.WorkingDirectory}}",
+    "{{ RawParam.Tasks }}",
+    "$(touch pwned)",
+    "`touch pwned`",
+    "x; touch pwned",
+    "x && touch pwned",
+    "x | tee pwned",
+    "'; touch pwned; '",
+    '"; touch pwned; "',
+    "--overwrite",
+    "#IFRAME#",
+    "%PATH%",
+    "!include x",
+    "&a *a",
+    "- x: y",
+    "Gesicht ü 顔",
+]
+
+
+def plan(take: str, job: str = "j") -> tuple[FarmStep, ...]:
+    spec = CleanSpec(take=Path(f"/s/{take}"), out=Path(f"/s/{take}.out.usda"))
+    found = plan_job(
+        JobSpec(job=job, steps=(spec,)), sizes=ChunkSizes(map=100), frames_of=lambda path: None
+    )
+    return found.steps
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_no_name_reaches_a_template_or_a_command(name: str) -> None:
+    hostile = compose_bundle("j", plan(name))
+    harmless = compose_bundle("j", plan("harmless"))
+    assert hostile["template.yaml"] == harmless["template.yaml"]
+    task = yaml.safe_load(hostile["tasks/clean/1.yaml"])
+    assert task["take"] == f"/s/{name}", "and the worker reads it as it is"
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_jobs_name_is_shown_as_it_is_and_never_read(name: str) -> None:
+    model = pytest.importorskip("openjd.model", reason="needs the farm extra: openjd-model")
+    template = yaml.safe_load(compose_bundle(name, plan("x"))["template.yaml"])
+    assert template["name"] == "{{Param.Job}}"
+    decoded = model.decode_job_template(template=template)
+    values = model.preprocess_job_parameters(
+        job_template=decoded,
+        job_parameter_values={},
+        job_template_dir=Path("/bundle"),
+        current_working_dir=Path("/bundle"),
+    )
+    assert model.create_job(job_template=decoded, job_parameter_values=values).name == name
+
+
+@pytest.mark.parametrize("name", ["a\nb", "\x1b[31m", " ", "x" * 129, "a\u202eb"])
+def test_a_name_that_farms_refuse_is_refused_here(name: str) -> None:
+    with pytest.raises(InputError, match="cannot name a job on a farm"):
+        compose_bundle(name, plan("x"))
+
+
+@given(st.text(st.characters(codec="utf-8"), min_size=1, max_size=40))
+def test_what_a_path_says_comes_back_from_the_bundle(text: str) -> None:
+    name = text.replace("/", "_").replace("\0", "_")
+    if Path(f"/s/{name}").name != name:
+        return
+    (step,) = plan(name)
+    task = yaml.safe_load(compose_bundle("j", (step,))["tasks/clean/1.yaml"])
+    assert Path(task["take"]) == step.tasks[0].take
+
+
+def test_the_same_job_is_the_same_bytes_and_another_is_not() -> None:
+    first, again = compose_bundle("j", plan("x")), compose_bundle("j", plan("x"))
+    assert first == again
+    assert bundle_hash(first) == bundle_hash(again)
+    others = [compose_bundle("k", plan("x")), compose_bundle("j", plan("y"))]
+    assert len({bundle_hash(each) for each in (first, *others)}) == 3
+
+
+def files_of(folder: Path) -> dict[str, int]:
+    return {str(path): path.stat().st_mtime_ns for path in folder.rglob("*")}
+
+
+def test_a_bundle_that_is_there_is_not_touched(tmp_path: Path) -> None:
+    files = compose_bundle("j", plan("x"))
+    write_bundle(tmp_path / "b", files)
+    before = files_of(tmp_path)
+    write_bundle(tmp_path / "b", files, overwrite=True)
+    assert files_of(tmp_path) == before
+
+
+def test_another_jobs_bundle_is_replaced_only_on_request(tmp_path: Path) -> None:
+    folder = tmp_path / "b"
+    write_bundle(folder, compose_bundle("j", plan("x")))
+    other = compose_bundle("j", plan("y"))
+    with pytest.raises(InputError, match="bundle of another job, which may still be running"):
+        write_bundle(folder, other)
+    write_bundle(folder, other, overwrite=True)
+    assert "/s/y" in (folder / "tasks/clean/1.yaml").read_text()
+    assert [path.name for path in tmp_path.iterdir()] == ["b"]
+
+
+def test_a_folder_with_something_else_is_never_replaced(tmp_path: Path) -> None:
+    (tmp_path / "thesis.txt").write_text("years of work")
+    with pytest.raises(InputError, match="exists and is no bundle"):
+        write_bundle(tmp_path, compose_bundle("j", plan("x")), overwrite=True)
+    assert (tmp_path / "thesis.txt").is_file()
+    with pytest.raises(InputError, match="does not exist; make it first"):
+        write_bundle(tmp_path / "no" / "b", compose_bundle("j", plan("x")))
+
+
+def test_what_workers_need_is_named_and_what_they_make_is_not(tmp_path: Path) -> None:
+    references = yaml.safe_load(
+        compose_bundle("j", plan("x"), carried=[Path("/s/x.samples.usdc")])["asset_references.yaml"]
+    )["assetReferences"]
+    assert references["inputs"]["filenames"] == ["/s/x", "/s/x.samples.usdc"]
+    assert references["outputs"]["directories"] == ["/s"]
+
+
+def test_a_job_whose_input_is_missing_is_refused_before_it_waits_in_a_queue(tmp_path: Path) -> None:
+    job = tmp_path / "job.yaml"
+    steps = [
+        {"step": "clean", "take": "no.usda", "out": "a.usda"},
+        {"step": "clean", "take": "a.usda", "out": "b.usda"},
+    ]
+    job.write_text(yaml.safe_dump({"job": "j", "steps": steps}))
+    with pytest.raises(InputError, match=r"step 1, clean: .*no\.usda: no such file") as refused:
+        submit(SubmitSpec(job=job, write_only=True))
+    assert "step 2" not in str(refused.value)
+    assert [path.name for path in tmp_path.iterdir()] == ["job.yaml"]
+
+
+def test_tasks_are_specs_that_run_from_anywhere(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("in.usda").write_text("#usda 1.0\n")
+    Path("job.yaml").write_text("{step: clean, take: ./x/../in.usda, out: out.usda}")
+    done = submit(SubmitSpec(job=Path("job.yaml"), write_only=True, out=Path("b")))
+    text = (done.bundle / "template.yaml").read_text()
+    assert text.startswith(MARK)
+    (task,) = read_job(done.bundle / "tasks" / "clean" / "1.yaml").steps
+    assert task.take == Path(os.path.normpath(tmp_path / "in.usda"))
