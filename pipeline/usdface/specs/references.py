@@ -1,14 +1,16 @@
 """What `usdface select` and `usdface references import` are told."""
 
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from usdface.specs.base import (
     FilePath,
     Frames,
+    ImageOut,
     LayerOut,
+    Name,
     Positional,
     PrimPath,
     ReadPath,
@@ -30,8 +32,9 @@ def proposed_path(references: Path) -> Path:
 class SelectSpec(Spec):
     """Choose the frames an animator should tune, and propose weights for them.
 
-    Frames are chosen so that few of them span what the performer does. Tuned pairs of an earlier
-    selection are kept, at the time codes they have.
+    Frames are chosen so that few of them span what the performer does, lids as well as jaw; the
+    most telling come first. Tuned pairs of an earlier selection are kept, at the time codes they
+    have. A picture beside the result shows how well the pairs cover the takes, and where not.
     """
 
     example: ClassVar[str] = (
@@ -48,12 +51,50 @@ class SelectSpec(Spec):
     """The references asset: pair i at time code i."""
     count: Annotated[int, Field(ge=2, le=10_000)] = 100
     """How many pairs there shall be."""
-    method: Literal["design"] = "design"
-    """How frames are chosen: `design` spans the motion with few frames."""
+    method: Literal["viseme", "design", "both", "active"] = "both"
+    """How frames are chosen: `viseme`, one for each viseme and emotion, and extremes; `design`,
+    what spans the motion with few frames; `both`, visemes where phones are given, then design;
+    `active`, what would help a mapping most next, given the pairs tuned so far."""
+    phones: Annotated[tuple[Path, ...], Reads()] = ()
+    """What is said when (`usdface phones`, or a TextGrid of another aligner), on the takes' clock:
+    one file for each take, in their order."""
+    emotions: tuple[Name, ...] = ()
+    """The emotion of each take, in their order, where the takes do not say it themselves."""
+    extremes: Annotated[int, Field(ge=0, le=1000)] = 10
+    """With visemes: how many extreme frames of each emotion are added."""
+    mapping: ReadPath | None = None
+    """With `active`: the mapping that was trained on the pairs tuned so far. It proposes the
+    weights as well."""
+    picture: ImageOut | None = None
+    """Where the coverage is drawn; beside the references by default."""
     frames: Frames | None = None
     """Choose from these frames only, as FIRST-LAST."""
     prim: PrimPath | None = None
     """The face in the rig's file, where it holds several."""
+
+    @model_validator(mode="after")
+    def _lists_go_with_takes(self) -> Self:
+        for name in ("phones", "emotions"):
+            given = len(getattr(self, name))
+            if given not in (0, len(self.takes)):
+                raise ValueError(
+                    f"{given} {name} for {len(self.takes)} takes; give one for each, in order"
+                )
+        if self.method == "viseme" and not self.phones:
+            raise ValueError(
+                "visemes need to be known: give --phones (make them with `usdface phones AUDIO "
+                "--transcript TEXT`), or choose --method design"
+            )
+        if self.method == "active" and self.mapping is None:
+            raise ValueError(
+                "active asks what would help a mapping: give the --mapping trained on the pairs "
+                "tuned so far"
+            )
+        return self
+
+    def picture_path(self) -> Path:
+        """Return where the coverage is drawn."""
+        return self.picture or self.out.with_name(f"{self.out.stem}.coverage.png")
 
 
 class ReferencesImportSpec(Spec):

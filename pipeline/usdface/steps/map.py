@@ -1,19 +1,19 @@
 """A cleaned take and a mapping in, a performance out; a take of any length in bounded memory."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
-from usdface.assets import Mapping, Markers, Rig
+from usdface.assets import Mapping, Rig
 from usdface.errors import InputError
-from usdface.model.head_space import HeadSpace, find_head_space
+from usdface.model.head_space import HeadSpace
 from usdface.model.predict import predict_weights
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
 from usdface.specs.base import frame_range
 from usdface.specs.map import MapSpec
 from usdface.steps.edited import edit_notes
+from usdface.steps.placed_take import find_take_space, read_markers
 from usdface.steps.report import Report
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance import weights_path, writing_performance
@@ -27,9 +27,6 @@ sums of another length would round otherwise, and frames mapped apart would not 
 LARGEST_LAYER_BYTES = 1 << 30
 PART_BYTES = 1 << 27
 """Weights that take more than the first are written in parts of about the second."""
-
-SAMPLE_FRAMES = 512
-"""Frames spread over the take from which its head space is found: a median needs no more."""
 
 DOUBTFUL = 0.5
 """Confidence below which a frame is worth a look."""
@@ -45,7 +42,7 @@ def run(
     take = TakeReader(spec.take)
     first, last = frame_range(spec.frames) or (take.first_frame, take.last_frame)
     _check_frames(spec, take, first, last)
-    space = _head_space(spec, mapping, take)
+    space = find_take_space(take, mapping)
     confidence: list[np.ndarray] = []
     residual: list[np.ndarray] = []
     with writing_performance(
@@ -62,7 +59,7 @@ def run(
         provenance=provenance,
     ) as writer:
         for block in _blocks(take, first, last):
-            placed = space.place(_markers(spec, take, block.start, block.stop - 1))
+            placed = space.place(read_markers(take, block.start, block.stop - 1))
             solved = predict_weights(mapping, placed.positions, visible=placed.visible)
             asked = slice(max(first - block.start, 0), last + 1 - block.start)
             writer.append(
@@ -113,29 +110,6 @@ def _check_rig(spec: MapSpec, mapping: Mapping, rig: Rig) -> None:
             f"{spec.rig}: {len(missing)} of the mapping's {len(mapping.shape_names)} shapes are "
             f"not on this rig: {', '.join(missing[:5])}; train again for it"
         )
-
-
-def _head_space(spec: MapSpec, mapping: Mapping, take: TakeReader) -> HeadSpace:
-    count = take.last_frame - take.first_frame + 1
-    picks = np.unique(np.linspace(take.first_frame, take.last_frame, min(count, SAMPLE_FRAMES)))
-    parts = [_markers(spec, take, int(frame), int(frame)) for frame in picks]
-    sample = replace(
-        parts[0],
-        positions=np.concatenate([part.positions for part in parts]),
-        visible=np.concatenate([part.visible for part in parts]),
-        confidence=np.concatenate([part.confidence for part in parts]),
-    )
-    try:
-        return find_head_space(mapping, sample)
-    except InputError as error:
-        raise InputError(f"{spec.take}: {error}") from error
-
-
-def _markers(spec: MapSpec, take: TakeReader, first: int, last: int) -> Markers:
-    markers = take.read(first, last).markers
-    if markers is None:
-        raise InputError(f"{spec.take}: has no markers; ingest a capture that has")
-    return markers
 
 
 def _notes(space: HeadSpace) -> list[str]:

@@ -137,7 +137,7 @@ def find_animation(stage: Usd.Stage, path: Path) -> Usd.Prim:
     if not found:
         found = {
             str(prim.GetPath()): prim
-            for prim in stage.Traverse()
+            for prim in stage.TraverseAll()  # a layer of weights alone has only overs above
             if prim.IsA(UsdSkel.Animation) and _weight_samples(prim)
         }
     if not found:

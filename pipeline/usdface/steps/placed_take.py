@@ -1,0 +1,50 @@
+"""A take's markers as a mapping reads them, in pieces: one head space for the whole take."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from usdface.assets import Mapping, Markers
+from usdface.errors import InputError
+from usdface.model.head_space import HeadSpace, find_head_space
+from usdface.usdio.take import TakeReader
+
+SAMPLE_FRAMES = 512
+"""Frames spread over the take from which its head space is found: a median needs no more."""
+
+
+def find_take_space(take: TakeReader, mapping: Mapping) -> HeadSpace:
+    """Find how a take's markers become a mapping's, from frames spread over all of it.
+
+    Raises
+    ------
+    InputError
+        If the take is not stabilised, or has too few of the mapping's markers.
+    """
+    count = take.last_frame - take.first_frame + 1
+    picks = np.unique(np.linspace(take.first_frame, take.last_frame, min(count, SAMPLE_FRAMES)))
+    parts = [read_markers(take, int(frame), int(frame)) for frame in picks]
+    sample = replace(
+        parts[0],
+        positions=np.concatenate([part.positions for part in parts]),
+        visible=np.concatenate([part.visible for part in parts]),
+        confidence=np.concatenate([part.confidence for part in parts]),
+    )
+    try:
+        return find_head_space(mapping, sample)
+    except InputError as error:
+        raise InputError(f"{take.path}: {error}") from error
+
+
+def read_markers(take: TakeReader, first: int, last: int) -> Markers:
+    """Read the markers of some frames.
+
+    Raises
+    ------
+    InputError
+        If the take has none.
+    """
+    markers = take.read(first, last).markers
+    if markers is None:
+        raise InputError(f"{take.path}: has no markers; ingest a capture that has")
+    return markers

@@ -1,0 +1,212 @@
+"""Turn frames that an animator corrected into tuned pairs."""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from usdface.assets import BoolArray, FloatArray, IntArray, Mapping, References
+from usdface.errors import InputError
+from usdface.numerics.regression.reference_design import design_k_centre
+from usdface.progress import Progress, silent
+from usdface.provenance import Provenance
+from usdface.specs.references import ReferencesFromEditsSpec, proposed_path, tuned_path
+from usdface.steps.edited import runs
+from usdface.steps.placed_take import find_take_space, read_markers
+from usdface.steps.report import Report
+from usdface.usdio.edits import ShapeEdit
+from usdface.usdio.layers import read_provenance
+from usdface.usdio.mapping import read_mapping
+from usdface.usdio.performance import PerformanceReader
+from usdface.usdio.references import (
+    TunedPair,
+    read_references,
+    write_references,
+    write_tuned_weights,
+)
+from usdface.usdio.rig import read_rig
+from usdface.usdio.take import TakeReader
+
+LEAST_CHANGE = 0.02
+"""A change of every weight below this teaches nothing."""
+
+FULL_STRENGTH = 0.8
+"""Share of an edit's peak from which a frame counts as meant, not as its fade."""
+
+
+def run(
+    spec: ReferencesFromEditsSpec,
+    *,
+    provenance: Provenance | None = None,
+    progress: Progress = silent,
+) -> Report:
+    """Add the corrected frames to the references as pairs, and mark them as tuned."""
+    old = read_references(spec.references)
+    notes: list[str] = []
+    lessons: list[_Lessons] = []
+    for index, performance in enumerate(spec.performances):
+        lessons.append(_learn(spec, performance, old, notes))
+        progress(0.8 * (index + 1) / len(spec.performances), f"looked at {performance.name}")
+    references = _together(old, lessons, notes)
+    added = len(references.frames) - len(old.frames)
+    if not added:
+        raise InputError(
+            f"{', '.join(map(str, spec.performances))}: no frame was corrected by more than "
+            f"{LEAST_CHANGE:g} with its markers seen; edit the performance first"
+        )
+    rig = read_rig(references.rig_file, prim=references.rig_prim)
+    write_references(
+        spec.out,
+        references,
+        rig,
+        tuned_path=tuned_path(spec.out),
+        proposed_path=proposed_path(spec.out),
+        provenance=provenance,
+    )
+    tuned = [
+        TunedPair(
+            int(pair),
+            references.takes[pair],
+            int(references.frames[pair]),
+            dict(zip(references.shape_names, references.weights[pair].tolist(), strict=True)),
+        )
+        for pair in np.flatnonzero(references.tuned)
+    ]
+    write_tuned_weights(references, tuned, tuned_path=tuned_path(spec.out), provenance=provenance)
+    progress(1.0, "written")
+    return Report(
+        (spec.out, tuned_path(spec.out), proposed_path(spec.out)),
+        f"{added} corrected frames are pairs now, beside the {len(old.frames)} there were",
+        tuple(notes),
+        {
+            "added": added,
+            "pairs": len(references.frames),
+            "frames": references.frames[len(old.frames) :].tolist(),
+            "takes": list(references.takes[len(old.frames) :]),
+        },
+    )
+
+
+@dataclass(frozen=True)
+class _Lessons:
+    """What one performance teaches: frames with their markers and the weights wanted there."""
+
+    take: str
+    frames: IntArray
+    markers: FloatArray
+    weights: FloatArray
+
+
+def _learn(
+    spec: ReferencesFromEditsSpec, performance: Path, old: References, notes: list[str]
+) -> _Lessons:
+    reader = PerformanceReader(performance)
+    missing = [name for name in reader.names if name not in old.shape_names]
+    if missing:
+        raise InputError(
+            f"{performance}: its shapes {', '.join(missing[:5])} are not in {spec.references}; "
+            "are these the references its mapping was trained on?"
+        )
+    edited = reader.edited().astype(np.float64)
+    change = np.abs(edited - reader.solved()).max(axis=1)
+    rows = np.flatnonzero(meant_frames(reader.edits, len(edited)) & (change > LEAST_CHANGE))
+    if not len(rows):
+        notes.append(f"{performance}: no frame was corrected; nothing to learn from it")
+        return _Lessons("", np.zeros(0, np.int64), np.zeros((0, 0, 3)), np.zeros((0, 0)))
+    take, mapping = _made_from(performance)
+    markers, seen = _markers_at(take, mapping, old, reader.frames[rows])
+    rows, markers = rows[seen], markers[seen]
+    if not seen.all():
+        notes.append(
+            f"{performance}: {int((~seen).sum())} corrected frames lack a marker and were left out"
+        )
+    chosen = spread_out(edited[rows], change[rows], spec.count)
+    if len(chosen) < len(rows):
+        notes.append(f"{performance}: {len(chosen)} of {len(rows)} corrected frames were taken")
+    weights = np.zeros((len(chosen), len(old.shape_names)))
+    columns = [old.shape_names.index(name) for name in reader.names]
+    weights[:, columns] = edited[rows[chosen]]
+    return _Lessons(take.name, reader.frames[rows[chosen]], markers[chosen], weights)
+
+
+def meant_frames(edits: dict[str, ShapeEdit], frames: int) -> BoolArray:
+    """Return the frames at which every edit is near its full strength.
+
+    In a fade the weight is half the solve's and half the animator's: nobody wants exactly that.
+    """
+    edited, faded = np.zeros(frames, dtype=bool), np.zeros(frames, dtype=bool)
+    for edit in edits.values():
+        strength = np.maximum(np.abs(edit.curve.offset), edit.curve.mask)
+        for part in runs(edit.curve.active):
+            edited[part] = True
+            faded[part] |= strength[part] < FULL_STRENGTH * strength[part].max()
+    return edited & ~faded
+
+
+def spread_out(weights: FloatArray, change: FloatArray, count: int) -> IntArray:
+    """Choose up to `count` rows: the most changed, and those farthest from any chosen one."""
+    first = int(change.argmax())
+    wanted = min(count, len(weights)) - 1
+    further = design_k_centre(weights, wanted, already=np.array([first])).chosen if wanted else []
+    return np.array(sorted([first, *further]), dtype=np.int64)
+
+
+def _made_from(performance: Path) -> tuple[TakeReader, Mapping]:
+    """Return the take and the mapping that a performance says it was made from."""
+    made = read_provenance(performance)
+    spec = json.loads(made.spec) if made is not None and made.step == "map" else {}
+    if "take" not in spec or "mapping" not in spec:
+        raise InputError(
+            f"{performance}: does not say from which take and mapping it was made; give a "
+            "performance that `usdface map` wrote"
+        )
+    folder = performance.resolve().parent
+    return TakeReader(folder / spec["take"]), read_mapping(folder / spec["mapping"])
+
+
+def _markers_at(
+    take: TakeReader, mapping: Mapping, old: References, frames: IntArray
+) -> tuple[FloatArray, BoolArray]:
+    """Return the markers at frames as the references have them, and which frames can be used."""
+    lacking = [name for name in old.marker_names if name not in mapping.marker_names]
+    if lacking:
+        raise InputError(
+            f"{take.path}: its mapping does not know the references' markers "
+            f"{', '.join(lacking[:5])}; give the references that it was trained on"
+        )
+    space = find_take_space(take, mapping)
+    order = [mapping.marker_names.index(name) for name in old.marker_names]
+    positions = np.zeros((len(frames), len(order), 3))
+    seen = np.zeros(len(frames), dtype=bool)
+    for index, frame in enumerate(frames.tolist()):
+        placed = space.place(read_markers(take, frame, frame))
+        positions[index] = placed.positions[0, order]
+        seen[index] = placed.visible[0, order].all()
+    return positions, seen
+
+
+def _together(old: References, lessons: list[_Lessons], notes: list[str]) -> References:
+    keys = zip(old.takes, old.frames.tolist(), strict=True)
+    known = {key: pair for pair, key in enumerate(keys)}
+    weights, tuned = old.weights.copy(), old.tuned.copy()
+    new: list[tuple[str, int, FloatArray, FloatArray]] = []
+    renewed = 0
+    for each in lessons:
+        for row, frame in enumerate(each.frames.tolist()):
+            pair = known.get((each.take, frame))
+            if pair is None:
+                new.append((each.take, frame, each.markers[row], each.weights[row]))
+            else:
+                weights[pair], tuned[pair] = each.weights[row], True
+                renewed += 1
+    if renewed:
+        notes.append(f"{renewed} corrected frames were pairs already; they hold the new weights")
+    return replace(
+        old,
+        markers=np.concatenate([old.markers, *(markers[None] for _, _, markers, _ in new)]),
+        weights=np.concatenate([weights, *(row[None] for *_, row in new)]),
+        frames=np.concatenate([old.frames, np.array([f for _, f, _, _ in new], dtype=np.int64)]),
+        takes=(*old.takes, *(take for take, *_ in new)),
+        tuned=np.concatenate([tuned, np.ones(len(new), dtype=bool)]),
+    )

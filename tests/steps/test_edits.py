@@ -1,0 +1,268 @@
+"""Edits, as an animator meets them: set, kept through another mapping, baked, learned from."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Sdf, Usd, UsdSkel
+
+from tests.steps.small_shot import Shot
+from usdface.deformer import Deformer
+from usdface.errors import InputError
+from usdface.layer_names import edits_path
+from usdface.specs.bake import BakeSpec
+from usdface.specs.base import Spec
+from usdface.specs.edit import EditsImportSpec, EditSpec
+from usdface.specs.map import MapSpec
+from usdface.specs.package import PackageSpec
+from usdface.specs.references import ReferencesFromEditsSpec
+from usdface.specs.train import TrainSpec
+from usdface.steps.edited import list_edits
+from usdface.steps.execute import execute
+from usdface.steps.report import Report
+from usdface.usdio.performance import PerformanceReader, read_performance, read_weights
+from usdface.usdio.references import read_references
+from usdface.usdio.rig import read_rig
+from usdface.usdio.validation import validate
+
+
+def run(spec: Spec) -> Report:
+    return execute(spec, overwrite=True)
+
+
+def edit(path: Path, shape: str = "jawOpen", **change: object) -> Report:
+    return run(EditSpec.model_validate({"performance": path, "shape": (shape,), **change}))
+
+
+def curve(path: Path, shape: str) -> np.ndarray:
+    clip = read_weights(path)
+    return clip.values[:, clip.names.index(shape)].astype(float)
+
+
+def remap(shot: Shot, *, method: str = "", **more: object) -> Report:
+    mapping = shot / "hero.mapping.usdc"
+    if method:
+        references, mapping = shot / "hero.references.usda", shot / "b.mapping.usdc"
+        run(TrainSpec(references=references, out=mapping, method=method))
+    given = {
+        "take": shot / "shot.clean.take.usda",
+        "mapping": mapping,
+        "rig": shot / "hero.usdc",
+        "out": shot / "shot.hero.usda",
+    }
+    return run(MapSpec.model_validate(given | more))
+
+
+def test_the_last_edit_wins_and_blends_in_its_fade(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    solved = curve(path, "jawOpen")
+    edit(path, add=0.2, frames="100-200")
+    edit(path, override=0.5, frames="150-170", fade=4)
+    shown = curve(path, "jawOpen")
+    np.testing.assert_allclose(shown[:99], solved[:99])
+    np.testing.assert_allclose(shown[99:145], solved[99:145] + 0.2, atol=1e-6)
+    np.testing.assert_allclose(shown[149:170], 0.5, atol=1e-6)
+    half = 0.5 + 0.5 * np.cos(np.pi * 2 / 5)
+    np.testing.assert_allclose(shown[147], (1 - half) * (solved[147] + 0.2) + half * 0.5, atol=1e-6)
+    edit(path, clear=True)
+    np.testing.assert_array_equal(curve(path, "jawOpen"), solved.astype(np.float32))
+    assert list_edits(path).figures == {"edits": []}
+
+
+def test_mapping_again_keeps_every_edit_and_says_where_the_solve_changed(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, add=0.2, frames="100-200", fade=8)
+    edit(
+        path,
+        "smileLeft" if "smileLeft" in read_weights(path).names else "mouthSmileLeft",
+        override=0.3,
+        frames="50-60",
+    )
+    before = edits_path(path).read_bytes()
+    notes = remap(shot, method="d06").notes
+    assert edits_path(path).read_bytes() == before
+    assert any("edits of 2 shapes were kept" in note for note in notes)
+    reader = PerformanceReader(path)
+    jaw = reader.names.index("jawOpen")
+    np.testing.assert_allclose(
+        reader.edited()[99:200, jaw], reader.solved()[99:200, jaw] + 0.2, atol=1e-6
+    )
+    (held,) = [e for e in list_edits(path).figures["edits"] if e["shape"] == "jawOpen"]
+    moved = abs(held["solve_change"])
+    told = [note for note in notes if note.startswith("jawOpen 92-208: the solve beneath")]
+    assert bool(told) == (moved > 0.1)
+
+
+def test_a_large_change_beneath_an_edit_is_named_by_frame(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, add=0.2, frames="100-200")
+    layer = Sdf.Layer.FindOrOpen(str(edits_path(path)))
+    spec = layer.GetAttributeAtPath("/character/FaceSolve.face:beneath:jawOpen")
+    times = layer.ListTimeSamplesForPath(spec.path)
+    for time in times:
+        layer.SetTimeSample(spec.path, time, layer.QueryTimeSample(spec.path, time) - 0.4)
+    layer.Save()
+    notes = remap(shot).notes
+    (note,) = [note for note in notes if "solve beneath" in note]
+    assert note.startswith("jawOpen 100-200: the solve beneath the edit changed by up to +0.")
+    assert note.endswith("look at the edit again")
+
+
+def test_edits_are_found_again_when_the_layer_to_open_was_deleted(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, override=0.7, frames="100-110")
+    path.unlink()
+    remap(shot)
+    np.testing.assert_allclose(curve(path, "jawOpen")[99:110], 0.7)
+
+
+def test_a_place_that_changed_leaves_edits_behind_and_says_so(shot: Shot) -> None:
+    edit(shot / "shot.hero.usda", override=0.7, frames="100-110")
+    notes = remap(shot, prim="/shot/hero").notes
+    assert any("</character/FaceSolve> find no animation there" in note for note in notes)
+
+
+def test_what_is_baked_is_what_is_shown_to_any_reader_of_usdskel(shot: Shot) -> None:
+    path, out = shot / "shot.hero.usda", shot / "published.usdc"
+    edit(path, add=0.2, frames="100-200", fade=9)
+    run(BakeSpec(performance=path, out=out))
+    shown = read_performance(path)
+    layer = Sdf.Layer.FindOrOpen(str(shot / "shot.hero.usda"))
+    layer.subLayerPaths.insert(0, "./published.usdc")
+    stage = Usd.Stage.Open(layer)
+    animation = UsdSkel.Animation(stage.GetPrimAtPath("/character/FaceSolve"))
+    for frame in (1, 95, 150, 480):
+        told = np.array(animation.GetBlendShapeWeightsAttr().Get(frame))
+        np.testing.assert_array_equal(told, shown.weights.values[frame - 1])
+    assert validate(out) == [] or all(f.severity == "warning" for f in validate(out))
+    layer.Reload(force=True)
+
+
+@pytest.mark.parametrize(("unit", "tolerance"), [("weight", 0.02), ("mm", 0.3)])
+def test_fewer_keys_stay_within_the_tolerance(shot: Shot, unit: str, tolerance: float) -> None:
+    path, out = shot / "shot.hero.usda", shot / "keys.usdc"
+    report = run(BakeSpec(performance=path, out=out, tolerance=tolerance, unit=unit))
+    assert report.figures["keys"] < 0.6 * 480
+    baked, shown = read_weights(out).values.astype(float), read_weights(path).values.astype(float)
+    assert len(baked) == 480
+    if unit == "weight":
+        assert np.abs(baked - shown).max() <= tolerance + 1e-6
+    else:
+        rig = read_rig(shot / "hero.usdc")
+        names = read_weights(path).names
+        place = [names.index(name) for name in rig.shapes]
+        deformer = Deformer(rig)
+        for start in range(0, 480, 60):
+            part = slice(start, start + 60)
+            off = deformer.points(baked[part][:, place]) - deformer.points(shown[part][:, place])
+            assert np.linalg.norm(off, axis=2).max() <= tolerance + 1e-4
+
+
+def test_limiting_touches_edited_frames_only(shot: Shot) -> None:
+    path, out = shot / "shot.hero.usda", shot / "limited.usdc"
+    report = edit(path, override=1.4, frames="100-110")
+    assert any("outside 0 to 1 at 11 frames" in note for note in report.notes)
+    run(BakeSpec(performance=path, out=out, limit=True))
+    np.testing.assert_array_equal(curve(out, "jawOpen")[99:110], 1.0)
+    solved = PerformanceReader(path).solved()
+    np.testing.assert_array_equal(read_weights(out).values[110:], solved[110:])
+
+
+def test_an_animation_changed_in_another_tool_comes_back_as_edits(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, override=0.9, frames="30-40")  # made before the export, so it is in the file
+    run(BakeSpec(performance=path, out=shot / "dcc.usdc"))
+    clip = read_weights(shot / "dcc.usdc")
+    wanted = clip.values.copy()
+    jaw, blink = clip.names.index("jawOpen"), clip.names.index("eyeBlinkLeft")
+    wanted[200:240, jaw] += 0.15
+    wanted[35, jaw] = 0.4  # over what was edited here
+    wanted[300:310, blink] = 1.0
+    with (shot / "dcc.csv").open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["frame", *clip.names, "someOtherShape"])
+        writer.writerows([i + 1, *row, 0] for i, row in enumerate(wanted.tolist()) if i >= 20)
+    report = run(EditsImportSpec(performance=path, changed=shot / "dcc.csv"))
+    assert set(report.figures["shapes"]) == {"jawOpen", "eyeBlinkLeft"}
+    assert "someOtherShape" in report.notes[0]
+    np.testing.assert_allclose(read_weights(path).values, wanted, atol=1e-6)
+    again = run(EditsImportSpec(performance=path, changed=shot / "dcc.csv"))
+    np.testing.assert_allclose(read_weights(path).values, wanted, atol=1e-6)
+    assert again.figures["frames"] == report.figures["frames"]
+
+
+def test_corrected_frames_become_tuned_pairs_and_fades_do_not(shot: Shot) -> None:
+    path, out = shot / "shot.hero.usda", shot / "v2.references.usda"
+    edit(path, override=0.8, frames="100-102", fade=10)
+    edit(path, "eyeBlinkLeft", override=1.0, frames="300-300", fade=3)
+    before = read_references(shot / "hero.references.usda")
+    report = run(
+        ReferencesFromEditsSpec(
+            performances=(path,), references=shot / "hero.references.usda", out=out, count=3
+        )
+    )
+    after = read_references(out)
+    new = set(report.figures["frames"])
+    assert new <= {*range(97, 106), 300}
+    assert 300 in new
+    count = len(before.frames)
+    np.testing.assert_array_equal(after.weights[:count], before.weights)
+    np.testing.assert_array_equal(after.tuned[:count], before.tuned)
+    assert after.tuned[count:].all()
+    shown = read_weights(path)
+    for pair in range(count, len(after.frames)):
+        wanted = shown.values[after.frames[pair] - 1]
+        order = [shown.names.index(name) for name in after.shape_names]
+        np.testing.assert_allclose(after.weights[pair], wanted[order], atol=1e-6)
+    np.testing.assert_allclose(after.neutral, before.neutral)
+    run(TrainSpec(references=out, out=shot / "v2.mapping.usdc", method="ridge"))
+
+
+def test_a_package_needs_nothing_beside_it(shot: Shot, tmp_path: Path) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, override=0.8, frames="100-102")
+    run(PackageSpec(performance=path, out=shot / "review.usdz"))
+    alone = tmp_path / "elsewhere" / "review.usdz"
+    alone.parent.mkdir()
+    (shot / "review.usdz").rename(alone)
+    np.testing.assert_array_equal(read_weights(alone).values, read_weights(path).values)
+    stage = Usd.Stage.Open(str(alone))
+    assert [each for each in stage.Traverse() if each.IsA(UsdSkel.Root)]
+    assert not [f for f in validate(alone) if f.severity == "error"]
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"shape": ("jawOpne",), "add": 0.1}, "did you mean jawOpen"),
+        ({"shape": ("jawOpen",), "add": 0.1, "frames": "900-1000"}, "which has 1-480"),
+        ({"shape": ("jawOpen; rm -rf ~",), "add": 0.1}, "has no shape 'jawOpen; rm -rf ~'"),
+    ],
+)
+def test_an_edit_that_cannot_be_made_is_refused(shot: Shot, change: dict, reason: str) -> None:
+    before = sorted(each.name for each in shot.folder.iterdir())
+    with pytest.raises(InputError, match=reason):
+        run(EditSpec(performance=shot / "shot.hero.usda", **change))
+    assert sorted(each.name for each in shot.folder.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({}, "one of --add, --override and --clear"),
+        ({"add": 0.1, "clear": True}, "one of --add"),
+        ({"add": float("nan")}, "finite"),
+        ({"add": 0.1, "fade": 4}, "fade needs --frames"),
+        ({"add": 0.1, "frames": "9-3"}, "precedes"),
+    ],
+)
+def test_an_edit_that_means_nothing_is_refused(change: dict, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        EditSpec(performance=Path("a.usda"), shape=("jawOpen",), **change)
+
+
+def test_a_rig_that_moved_since_is_named(shot: Shot) -> None:
+    (shot / "hero.usdc").rename(shot / "elsewhere.usdc")
+    with pytest.raises(InputError, match=r"hero\.usdc|rig's file still where it was"):
+        run(BakeSpec(performance=shot / "shot.hero.usda", out=shot / "x.usdc"))
