@@ -1,0 +1,337 @@
+// The tuning page: ties the face, the sliders, the pairs and the server together.
+
+import { FaceViewer, bytesFromBase64, unpackFace } from "./face_viewer.js";
+import { FilmStrip } from "./tune_film.js";
+import { Outbox } from "./tune_outbox.js";
+import { Residual, ResidualTable } from "./tune_residual.js";
+import { ShapePanel } from "./tune_shapes.js";
+import { TuneState } from "./tune_state.js";
+import { VideoPane } from "./tune_video.js";
+
+const $ = (id) => document.getElementById(id);
+const floats = (text) => new Float32Array(bytesFromBase64(text).buffer);
+
+async function ask(path) {
+  const response = await fetch(path);
+  if (!response.ok) throw new Error(`${path}: ${await response.text()}`);
+  return response;
+}
+
+async function readState() {
+  const sent = await (await ask("/state.json")).json();
+  return { ...sent, weights: floats(sent.weights), proposals: floats(sent.proposals) };
+}
+
+async function main() {
+  const [known, sent] = await Promise.all([ask("/face.json").then((r) => r.json()), readState()]);
+  const own = known.columns.map((column) => known.face.shapes[column]);
+  const pick = (key) => own.map((shape) => shape[key]);
+  const state = new TuneState(
+    { names: pick("name"), low: pick("low"), high: pick("high"), mirror: known.mirror, sided: known.sided },
+    known.pairs,
+  );
+  state.load(sent);
+  const outbox = new Outbox(state, known.name);
+  outbox.revision = sent.revision;
+  const recovered = outbox.recover();
+  const page = new Page(known, state, outbox, pick("region"));
+  if (recovered) page.tell(`${recovered} values that could not be sent before were taken up again`);
+  globalThis.tune = page; // for tests and for the curious
+  state.go(0);
+  await page.loadFace();
+  page.loadMarkers();
+}
+
+class Page {
+  constructor(known, state, outbox, regions) {
+    Object.assign(this, { known, state, outbox });
+    this.weights = new Float32Array(known.face.shapes.length);
+    this.showMarkers = true;
+    this.showLabels = false;
+    this.showProposal = false;
+    this.picking = false;
+    $("asset").textContent = known.name;
+    $("rig").textContent = known.rig;
+    document.title = `${known.name} · tune`;
+    this.panel = new ShapePanel($("shapes"), state, regions, (shape) =>
+      this.viewer?.highlight(shape === null ? null : known.columns[shape]),
+    );
+    this.film = new FilmStrip($("film"), state, (pair) => this.pick(pair));
+    this.video = new VideoPane($("picture"), $("noPicture"), $("videoNote"));
+    if (known.pairs.every((pair) => pair.noPicture)) document.querySelector("main").classList.add("bareVideo");
+    state.addEventListener("weights", ({ detail: { pair } }) => {
+      if (pair === state.current) this.pose();
+      this.buttons();
+    });
+    state.addEventListener("done", () => this.buttons());
+    state.addEventListener("pair", () => this.arrive());
+    outbox.addEventListener("status", ({ detail: { kind, text } }) => {
+      $("saved").className = kind;
+      $("saved").textContent = text;
+      $("saved").title = text;
+    });
+    outbox.addEventListener("outdated", ({ detail: { resolve } }) => this.catchUp().finally(resolve));
+    addEventListener("beforeunload", (event) => {
+      if (!outbox.isEmpty) event.preventDefault();
+    });
+    this.wire();
+    if (outbox.isEmpty) $("saved").textContent = "saved";
+  }
+
+  async loadFace() {
+    const face = await unpackFace(this.known.face, await (await ask("/face.bin")).arrayBuffer());
+    this.viewer = new FaceViewer($("view"), face, {
+      onDraw: () => {
+        $("timing").textContent = `${this.viewer.renderMillis.toFixed(1)} ms`;
+      },
+    });
+    $("veil").hidden = true;
+    this.pose();
+    this.film.start((pair, width, height) =>
+      this.viewer.thumbnail(this.onRig(this.state.row(pair)), width, height),
+    );
+  }
+
+  async loadMarkers() {
+    const markers = await (await ask("/markers.json")).json();
+    if (markers.reason) {
+      $("markers").disabled = $("labels").disabled = true;
+      $("markers").title = `No markers: ${markers.reason}`;
+      this.tell(`No residual: ${markers.reason}`);
+      return;
+    }
+    for (const key of ["rest", "keyDeltas", "targets"]) markers[key] = floats(markers[key]);
+    this.residual = new Residual(this.viewer.face, markers);
+    this.table = new ResidualTable($("regions"), this.residual.parts);
+    this.pose();
+  }
+
+  /** Weights of the references as the rig orders its shapes. */
+  onRig(row) {
+    this.weights.fill(0);
+    this.known.columns.forEach((column, shape) => {
+      this.weights[column] = row[shape];
+    });
+    return this.weights;
+  }
+
+  pose() {
+    const { viewer, state, residual } = this;
+    if (!viewer) return;
+    const shown = this.showProposal ? state.proposal() : state.row();
+    if (residual) {
+      const was = residual.measure(this.onRig(state.proposal()), state.current);
+      const now = residual.measure(this.onRig(shown), state.current);
+      this.table.show(now, was);
+      this.millimetres = now.get("");
+      $("residual").hidden = !this.showMarkers;
+      viewer.setMarkers(this.showMarkers ? residual.overlay(state.current, this.showLabels) : null);
+    }
+    viewer.setWeights(this.onRig(shown));
+  }
+
+  arrive() {
+    const { state } = this;
+    const pair = state.pairs[state.current];
+    $("number").textContent = state.current + 1;
+    $("total").textContent = ` / ${state.pairs.length}`;
+    const facts = [`frame ${pair.frame}`, pair.take, pair.viseme, pair.emotion].filter(Boolean);
+    $("facts").textContent = facts.join(" · ");
+    this.video.show(state.current, state.pairs);
+    this.film.paint();
+    this.pose();
+    this.buttons();
+  }
+
+  buttons() {
+    const { state } = this;
+    $("undo").disabled = !state.past.length;
+    $("redo").disabled = !state.future.length;
+    $("reset").disabled = !state.changed().length;
+    $("done").setAttribute("aria-pressed", state.done[state.current]);
+    $("previous").disabled = state.current === 0;
+    $("next").disabled = state.current === state.pairs.length - 1;
+  }
+
+  step(by) {
+    this.state.go(this.state.current + by);
+  }
+
+  toggleDone(onward) {
+    const { state } = this;
+    state.setDone(onward || !state.done[state.current]);
+    if (!onward) return;
+    const count = state.pairs.length;
+    const rest = [...Array(count).keys()].map((k) => (state.current + 1 + k) % count);
+    const next = rest.find((pair) => !state.done[pair]);
+    if (next === undefined) this.tell("all pairs are done");
+    else state.go(next);
+  }
+
+  toggle(id, key) {
+    this[key] = !this[key];
+    $(id).setAttribute("aria-pressed", this[key]);
+    this.pose();
+  }
+
+  hold(on) {
+    if (this.showProposal === on) return;
+    this.showProposal = on;
+    $("before").setAttribute("aria-pressed", on);
+    this.pose();
+  }
+
+  link() {
+    this.state.linked = !this.state.linked;
+    $("link").setAttribute("aria-pressed", this.state.linked);
+  }
+
+  /** Choose a pair to copy from, or stop choosing. */
+  choose(on = !this.picking) {
+    this.picking = on;
+    $("film").classList.toggle("picking", on);
+    if (on) this.tell("Click the pair to copy from; Esc leaves", 0);
+    else this.hush();
+  }
+
+  pick(pair) {
+    if (this.picking) {
+      this.choose(false);
+      this.state.copyFrom(pair);
+    } else this.state.go(pair);
+  }
+
+  async catchUp() {
+    const sent = await readState();
+    this.state.load(sent);
+    this.outbox.revision = sent.revision;
+    this.outbox.overlay();
+    this.film.refresh();
+    this.panel.paint();
+    this.pose();
+    this.buttons();
+    this.tell("The weights were changed elsewhere; yours were laid over them");
+  }
+
+  tell(text, seconds = 6) {
+    this.hush();
+    this.note = document.createElement("p");
+    this.note.className = "note";
+    this.note.setAttribute("role", "status");
+    this.note.textContent = text;
+    document.body.append(this.note);
+    if (seconds) this.noteTimer = setTimeout(() => this.hush(), 1000 * seconds);
+  }
+
+  hush() {
+    clearTimeout(this.noteTimer);
+    this.note?.remove();
+  }
+
+  toggleVideo() {
+    document.querySelector("main").classList.toggle("noVideo");
+  }
+
+  view(yaw) {
+    this.viewer?.resetView(yaw, yaw ? 4 : 0);
+  }
+
+  wire() {
+    const { state } = this;
+    const clicks = {
+      previous: () => this.step(-1),
+      next: () => this.step(1),
+      undo: () => state.undo(),
+      redo: () => state.redo(),
+      mirror: () => state.mirrorPair(),
+      copy: () => this.choose(),
+      reset: () => state.reset(),
+      done: () => this.toggleDone(false),
+      markers: () => this.toggle("markers", "showMarkers"),
+      labels: () => this.toggle("labels", "showLabels"),
+      link: () => this.link(),
+      frame: () => this.viewer?.frameFace(),
+      videoFit: () => this.video.fit(),
+      help: () => $("keys").showModal(),
+    };
+    for (const [id, action] of Object.entries(clicks)) $(id).addEventListener("click", action);
+    for (const button of document.querySelectorAll("[data-yaw]")) {
+      button.addEventListener("click", () => this.view(Number(button.dataset.yaw)));
+    }
+    for (const button of document.querySelectorAll("[data-show]")) {
+      button.addEventListener("click", () => {
+        for (const each of document.querySelectorAll("[data-show]")) {
+          each.setAttribute("aria-pressed", each === button);
+        }
+        this.panel.show(button.dataset.show);
+      });
+    }
+    $("search").addEventListener("input", () => this.panel.find($("search").value));
+    $("before").addEventListener("pointerdown", () => this.hold(true));
+    for (const name of ["pointerup", "pointercancel", "blur"]) {
+      addEventListener(name, () => this.hold(false));
+    }
+    addEventListener("keydown", (event) => this.key(event));
+    addEventListener("keyup", (event) => {
+      if (event.key.toLowerCase() === "b") this.hold(false);
+    });
+  }
+
+  key(event) {
+    const { state } = this;
+    const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+    if ((event.ctrlKey || event.metaKey) && !event.altKey) {
+      if (key === "z") event.shiftKey ? state.redo() : state.undo();
+      else if (key === "y") state.redo();
+      else return;
+      event.preventDefault();
+      return;
+    }
+    const into = event.target;
+    if (event.altKey || $("keys").open) return;
+    if (key === "Escape") {
+      if (into === $("search")) {
+        $("search").value = "";
+        this.panel.find("");
+      }
+      into.blur?.();
+      this.choose(false);
+      return;
+    }
+    if (into.matches?.('input:not([type="range"])')) return;
+    const actions = {
+      n: () => this.step(1),
+      p: () => this.step(-1),
+      PageDown: () => this.step(1),
+      PageUp: () => this.step(-1),
+      ArrowRight: () => this.step(1),
+      ArrowLeft: () => this.step(-1),
+      d: () => this.toggleDone(event.shiftKey),
+      m: () => state.mirrorPair(),
+      r: () => state.reset(),
+      c: () => this.choose(),
+      l: () => this.link(),
+      b: () => this.hold(true),
+      o: () => this.toggle("markers", "showMarkers"),
+      i: () => this.toggle("labels", "showLabels"),
+      v: () => this.toggleVideo(),
+      f: () => this.viewer?.frameFace(),
+      1: () => this.view(0),
+      2: () => this.view(35),
+      3: () => this.view(-35),
+      4: () => this.view(90),
+      "/": () => $("search").focus(),
+      "?": () => $("keys").showModal(),
+    };
+    if (!(key in actions)) return;
+    event.preventDefault();
+    if (key === "b" && event.repeat) return;
+    actions[key]();
+  }
+}
+
+main().catch((error) => {
+  $("veil").className = "bad";
+  $("veil").textContent = `The page could not be loaded: ${error.message}`;
+  $("saved").textContent = "";
+});

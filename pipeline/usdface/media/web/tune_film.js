@@ -1,0 +1,127 @@
+// A strip of all pairs: each a small face, its number, and whether it is tuned or done.
+
+const [WIDTH, HEIGHT] = [76, 78];
+const SETTLE_MS = 350;
+
+export class FilmStrip {
+  /**
+   * @param {HTMLElement} root
+   * @param {TuneState} state
+   * @param {(pair: number) => void} onPick
+   */
+  constructor(root, state, onPick) {
+    this.root = root;
+    this.state = state;
+    this.stale = new Set();
+    this.seen = new Set();
+    this.draw = null;
+    this.tiles = state.pairs.map((pair, index) => this.#tile(pair, index, onPick));
+    root.append(...this.tiles.map((tile) => tile.element));
+    const watcher = new IntersectionObserver(
+      (entries) => {
+        for (const { target, isIntersecting } of entries) {
+          this.seen[isIntersecting ? "add" : "delete"](Number(target.dataset.pair));
+        }
+        this.#later();
+      },
+      { root, rootMargin: "0px 300px" },
+    );
+    this.tiles.forEach(({ element }, index) => {
+      this.stale.add(index);
+      watcher.observe(element);
+    });
+    root.addEventListener(
+      "wheel",
+      (event) => {
+        if (event.deltaX || !event.deltaY) return;
+        event.preventDefault();
+        root.scrollLeft += event.deltaY;
+      },
+      { passive: false },
+    );
+    state.addEventListener("weights", ({ detail: { pair } }) => {
+      this.paint([pair]);
+      this.stale.add(pair);
+      clearTimeout(this.settling);
+      this.settling = setTimeout(() => this.#later(), SETTLE_MS);
+    });
+    state.addEventListener("done", ({ detail: { pair } }) => this.paint([pair]));
+    state.addEventListener("pair", () => this.#mark());
+  }
+
+  /** Begin drawing faces; `draw(pair, width, height)` returns ImageData. */
+  start(draw) {
+    this.draw = draw;
+    this.#later();
+  }
+
+  /** Draw every face again. */
+  refresh() {
+    this.tiles.forEach((_, index) => this.stale.add(index));
+    this.paint();
+    this.#later();
+  }
+
+  paint(pairs = this.tiles.keys()) {
+    for (const pair of pairs) {
+      const { element, mark } = this.tiles[pair];
+      const done = this.state.done[pair];
+      const tuned = this.state.isTuned(pair);
+      element.classList.toggle("done", done);
+      element.classList.toggle("tuned", tuned);
+      mark.title = done ? "done" : tuned ? "changed, not done" : "as proposed";
+    }
+  }
+
+  #tile(pair, index, onPick) {
+    const element = document.createElement("button");
+    element.className = "tile";
+    element.dataset.pair = index;
+    element.tabIndex = -1;
+    element.title = [`pair ${index + 1}`, `frame ${pair.frame}`, pair.take, pair.viseme, pair.emotion]
+      .filter(Boolean)
+      .join(" · ");
+    const canvas = document.createElement("canvas");
+    const ratio = Math.min(devicePixelRatio || 1, 2);
+    canvas.width = WIDTH * ratio;
+    canvas.height = HEIGHT * ratio;
+    const what = document.createElement("span");
+    what.className = "what";
+    const number = document.createElement("b");
+    number.textContent = index + 1;
+    const said = document.createElement("span");
+    said.textContent = pair.viseme || "";
+    const mark = document.createElement("span");
+    mark.className = "mark";
+    what.append(number, said, mark);
+    element.append(canvas, what);
+    element.addEventListener("click", () => onPick(index));
+    return { element, canvas, mark };
+  }
+
+  #mark() {
+    this.tiles.forEach(({ element }, index) => {
+      if (index === this.state.current) {
+        element.setAttribute("aria-current", "true");
+        element.scrollIntoView({ block: "nearest", inline: "nearest" });
+      } else element.removeAttribute("aria-current");
+    });
+  }
+
+  /** Draw one face when nothing else is to be done, then the next. */
+  #later() {
+    if (this.waiting || !this.draw) return;
+    const pair = [...this.seen].find((each) => this.stale.has(each));
+    if (pair === undefined) return;
+    this.waiting = true;
+    const work = () => {
+      this.waiting = false;
+      const { canvas } = this.tiles[pair];
+      canvas.getContext("2d").putImageData(this.draw(pair, canvas.width, canvas.height), 0, 0);
+      this.stale.delete(pair);
+      this.#later();
+    };
+    if (globalThis.requestIdleCallback) requestIdleCallback(work, { timeout: 2000 });
+    else setTimeout(work, 30);
+  }
+}

@@ -1,0 +1,180 @@
+// Changes on their way to the server: the newest value of each shape, one request in flight.
+// What is not acknowledged is kept in the browser too, and sent when the page is opened again.
+
+const RETRY_MS = 1500;
+const SLOWEST_MS = 15000;
+
+/** Emits `status` (detail: kind 'saved' | 'busy' | 'bad', text) and `outdated` (read the state). */
+export class Outbox extends EventTarget {
+  /** @param {string} name of the asset: what the browser keeps changes under */
+  constructor(state, name) {
+    super();
+    this.state = state;
+    this.key = `usdface tune ${name}`;
+    this.revision = 0;
+    this.waiting = new Map(); // pair → {weights: Map shape → value, done?}
+    this.flying = null;
+    this.failures = 0;
+    this.sent = 0;
+    this.times = [];
+    state.addEventListener("weights", ({ detail: { pair, shapes } }) => {
+      const { weights } = this.#entry(pair);
+      for (const shape of shapes) weights.set(shape, state.row(pair)[shape]);
+      this.#queue();
+    });
+    state.addEventListener("done", ({ detail: { pair } }) => {
+      this.#entry(pair).done = state.done[pair];
+      this.#queue();
+    });
+  }
+
+  get isEmpty() {
+    return !this.waiting.size && !this.flying;
+  }
+
+  /** Lay what is not acknowledged yet over a state that was just read. */
+  overlay() {
+    for (const batch of [this.flying, this.waiting]) {
+      for (const [pair, { weights, done }] of batch ?? []) {
+        for (const [shape, value] of weights) this.state.row(pair)[shape] = value;
+        if (done !== undefined) this.state.done[pair] = done;
+      }
+    }
+  }
+
+  /** Take back what an earlier page could not send; returns how many values. */
+  recover() {
+    let found = 0;
+    let kept = [];
+    try {
+      kept = JSON.parse(localStorage.getItem(this.key) ?? "[]");
+    } catch {
+      kept = [];
+    }
+    for (const change of kept) {
+      const shown = this.state.pairs[change.pair];
+      if (shown?.take !== change.take || shown?.frame !== change.frame) continue;
+      const entry = this.#entry(change.pair);
+      for (const [name, value] of Object.entries(change.weights)) {
+        const shape = this.state.names.indexOf(name);
+        if (shape >= 0) entry.weights.set(shape, value);
+        found++;
+      }
+      if (typeof change.done === "boolean") entry.done = change.done;
+    }
+    this.overlay();
+    if (this.waiting.size) this.#queue();
+    return found;
+  }
+
+  #entry(pair) {
+    if (!this.waiting.has(pair)) this.waiting.set(pair, { weights: new Map() });
+    return this.waiting.get(pair);
+  }
+
+  #changes(batch) {
+    return [...batch].map(([pair, { weights, done }]) => ({
+      pair,
+      take: this.state.pairs[pair].take,
+      frame: this.state.pairs[pair].frame,
+      weights: Object.fromEntries([...weights].map(([k, value]) => [this.state.names[k], value])),
+      ...(done === undefined ? {} : { done }),
+    }));
+  }
+
+  #queue() {
+    this.#keep();
+    this.#say("busy", "saving");
+    if (!this.flying && !this.timer) this.#send();
+  }
+
+  /** Keep what is not acknowledged where a crash of the page does not reach. */
+  #keep() {
+    try {
+      if (this.isEmpty) localStorage.removeItem(this.key);
+      else {
+        const all = [...this.#changes(this.flying ?? []), ...this.#changes(this.waiting)];
+        localStorage.setItem(this.key, JSON.stringify(all));
+      }
+    } catch {
+      // A browser that keeps nothing: the page itself still does.
+    }
+  }
+
+  async #send() {
+    clearTimeout(this.timer);
+    this.timer = 0;
+    if (this.flying || !this.waiting.size) return;
+    this.flying = this.waiting;
+    this.waiting = new Map();
+    const begun = performance.now();
+    const fault = await this.#post(this.#changes(this.flying));
+    if (fault) {
+      for (const [pair, entry] of this.flying) this.#putBack(pair, entry);
+      this.flying = null;
+      this.failures++;
+      if (fault.again) {
+        await fault.again();
+        this.#send();
+        return;
+      }
+      this.#say("bad", fault.text);
+      this.timer = setTimeout(() => this.#send(), Math.min(RETRY_MS * this.failures, SLOWEST_MS));
+      return;
+    }
+    this.times.push(performance.now() - begun);
+    this.failures = 0;
+    this.sent++;
+    this.flying = null;
+    this.#keep();
+    if (this.waiting.size) this.#send();
+    else this.#say("saved", "saved");
+  }
+
+  /** Returns what went wrong; nothing if the changes are on disk. */
+  async #post(changes) {
+    let response;
+    try {
+      response = await fetch("/changes", {
+        method: "POST",
+        headers: { "Content-Type": "application/json", "X-Usdface-Tune": "1" },
+        body: JSON.stringify({ revision: this.revision, changes }),
+      });
+    } catch {
+      return { text: "not saved: the server does not answer; trying again" };
+    }
+    if (response.status === 403) {
+      return { text: "not saved: the server was started anew; open the link in its terminal" };
+    }
+    let answer = {};
+    try {
+      answer = await response.json();
+    } catch {
+      return { text: `not saved: the server answered ${response.status}` };
+    }
+    if (response.status === 409) return { again: () => this.#catchUp() };
+    if (!response.ok) return { text: `not saved: ${answer.reason}` };
+    this.revision = answer.revision;
+    return null;
+  }
+
+  /** Someone else changed the weights: read them, and lay ours over them. */
+  async #catchUp() {
+    await new Promise((resolve) => {
+      this.dispatchEvent(new CustomEvent("outdated", { detail: { resolve } }));
+    });
+  }
+
+  /** Values that changed while they were under way are newer. */
+  #putBack(pair, { weights, done }) {
+    const entry = this.#entry(pair);
+    for (const [shape, value] of weights) {
+      if (!entry.weights.has(shape)) entry.weights.set(shape, value);
+    }
+    entry.done ??= done;
+  }
+
+  #say(kind, text) {
+    this.dispatchEvent(new CustomEvent("status", { detail: { kind, text } }));
+  }
+}

@@ -1,0 +1,194 @@
+// A slider and a number per shape, grouped by part of the face, left beside right.
+
+const ORDER = ["brows", "lids", "cheeks and nose", "mouth", "jaw", ""];
+const TITLES = { "": "other" };
+const ACTIVE = 5e-4;
+
+/** Order shapes so that a partner follows its shape. */
+function besides(shapes, mirror) {
+  const out = [];
+  for (const shape of shapes) {
+    if (out.includes(shape)) continue;
+    out.push(shape);
+    const partner = mirror[shape];
+    if (partner !== shape && shapes.includes(partner)) out.push(partner);
+  }
+  return out;
+}
+
+export class ShapePanel {
+  /**
+   * @param {HTMLElement} root
+   * @param {TuneState} state
+   * @param {string[]} regions of each shape
+   * @param {(shape: number | null) => void} onHover
+   */
+  constructor(root, state, regions, onHover) {
+    this.root = root;
+    this.state = state;
+    this.rows = [];
+    this.groups = [];
+    this.filter = "all";
+    this.query = "";
+    for (const region of ORDER) {
+      const own = state.names.map((_, k) => k).filter((k) => (regions[k] || "") === region);
+      if (own.length) this.#group(region, besides(own, state.mirror));
+    }
+    this.none = document.createElement("p");
+    this.none.className = "none";
+    this.none.textContent = "no such shape";
+    root.append(this.none);
+    root.addEventListener("pointerover", (event) => {
+      const row = event.target.closest?.(".label")?.closest(".shape");
+      onHover(row ? Number(row.dataset.shape) : null);
+    });
+    root.addEventListener("pointerleave", () => onHover(null));
+    state.addEventListener("weights", ({ detail: { pair, shapes } }) => {
+      if (pair === state.current) this.paint(shapes);
+    });
+    state.addEventListener("pair", () => this.paint());
+  }
+
+  show(filter) {
+    this.filter = filter;
+    this.#sieve();
+  }
+
+  find(query) {
+    this.query = query.trim().toLowerCase();
+    this.#sieve();
+  }
+
+  /** Bring rows to what the weights are. */
+  paint(shapes = this.state.names.keys()) {
+    for (const shape of shapes) this.#paintRow(this.rows[shape]);
+    for (const group of this.groups) this.#count(group);
+    if (this.filter !== "all" && !this.root.contains(document.activeElement)) this.#sieve();
+  }
+
+  #group(region, shapes) {
+    const details = document.createElement("details");
+    details.open = true;
+    const summary = document.createElement("summary");
+    const title = document.createElement("span");
+    title.textContent = TITLES[region] ?? region;
+    const count = document.createElement("span");
+    count.className = "count";
+    const reset = document.createElement("button");
+    reset.textContent = "Reset";
+    reset.title = "This part back to the proposal";
+    reset.addEventListener("click", (event) => {
+      event.preventDefault();
+      this.state.reset(shapes.filter((shape) => this.state.differs(shape)));
+    });
+    summary.append(title, count, reset);
+    details.append(summary);
+    const group = { details, shapes, count, reset };
+    for (const shape of shapes) details.append(this.#row(shape, group));
+    this.groups.push(group);
+    this.root.append(details);
+  }
+
+  #row(shape, group) {
+    const { state } = this;
+    const name = state.names[shape];
+    const element = document.createElement("div");
+    const partner = state.mirror[shape];
+    element.className = partner === shape || partner > shape ? "shape first" : "shape";
+    element.dataset.shape = shape;
+    const dot = document.createElement("span");
+    dot.className = "dot";
+    const label = document.createElement("span");
+    label.className = "label";
+    label.textContent = name;
+    const slide = document.createElement("span");
+    slide.className = "slide";
+    const range = document.createElement("input");
+    const number = document.createElement("input");
+    range.type = "range";
+    number.type = "number";
+    for (const input of [range, number]) {
+      input.min = state.low[shape];
+      input.max = state.high[shape];
+      input.setAttribute("aria-label", name);
+    }
+    range.step = 0.001;
+    number.step = 0.01;
+    range.addEventListener("input", () => state.slide(shape, range.valueAsNumber));
+    range.addEventListener("change", () => state.endGesture());
+    range.addEventListener("keydown", (event) => this.#keys(event, shape));
+    number.addEventListener("change", () => {
+      if (number.value !== "") state.slide(shape, number.valueAsNumber);
+      state.endGesture();
+      this.#paintRow(this.rows[shape]);
+    });
+    number.addEventListener("focus", () => number.select());
+    number.addEventListener("blur", () => this.#paintRow(this.rows[shape]));
+    number.addEventListener("keydown", (event) => {
+      if (event.key === "Enter" || event.key === "Escape") number.blur();
+    });
+    element.addEventListener("dblclick", (event) => {
+      if (event.target !== number) state.resetShape(shape);
+    });
+    slide.append(range);
+    element.append(dot, label, slide, number);
+    this.rows[shape] = { shape, element, label, slide, range, number, group };
+    return element;
+  }
+
+  #keys(event, shape) {
+    const steps = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1 };
+    if (event.key === "Delete" || event.key === "Backspace") this.state.resetShape(shape);
+    else if (event.key in steps && !event.ctrlKey && !event.metaKey && !event.altKey) {
+      const step = steps[event.key] * (event.shiftKey ? 0.1 : 0.01);
+      this.state.slide(shape, this.state.row()[shape] + step);
+    } else return;
+    event.preventDefault();
+    event.stopPropagation();
+  }
+
+  #paintRow({ shape, element, slide, range, number }) {
+    const { state } = this;
+    const value = state.row()[shape];
+    const [low, high] = [state.low[shape], state.high[shape]];
+    const at = (x) => `${(100 * Math.max(0, Math.min(1, (x - low) / (high - low)))).toFixed(2)}%`;
+    slide.style.setProperty("--from", at(Math.min(0, value)));
+    slide.style.setProperty("--to", at(Math.max(0, value)));
+    slide.style.setProperty("--tick", at(state.proposal()[shape]));
+    if (Number(range.value) !== value) range.value = value;
+    if (document.activeElement !== number) number.value = (value + 0).toFixed(3);
+    const active = Math.abs(value) > ACTIVE;
+    element.classList.toggle("active", active);
+    element.classList.toggle("changed", state.differs(shape));
+  }
+
+  #count({ shapes, count, reset }) {
+    const changed = shapes.filter((shape) => this.state.differs(shape)).length;
+    count.textContent = changed ? `${changed} changed` : "";
+    reset.hidden = !changed;
+    if (reset.parentElement) count.style.marginLeft = "auto";
+  }
+
+  #sieve() {
+    const { state } = this;
+    let any = false;
+    for (const { details, shapes } of this.groups) {
+      let some = false;
+      for (const shape of shapes) {
+        const { element } = this.rows[shape];
+        const named = state.names[shape].toLowerCase().includes(this.query);
+        const wanted =
+          this.filter === "all" ||
+          (this.filter === "changed" && state.differs(shape)) ||
+          (this.filter === "active" && Math.abs(state.row()[shape]) > ACTIVE);
+        element.hidden = !(named && wanted);
+        some ||= !element.hidden;
+      }
+      details.hidden = !some;
+      if (this.query && some) details.open = true;
+      any ||= some;
+    }
+    this.none.hidden = any;
+    this.none.textContent = this.query ? "no such shape" : `no shape is ${this.filter}`;
+  }
+}

@@ -1,0 +1,154 @@
+// The pairs' weights, one change at a time: what is shown, what is undone, what differs.
+
+const SAME = 1e-6; // as usdface.tuning.session
+
+/** Emits `weights` (detail: pair, shapes), `done` (detail: pair) and `pair` (the current one). */
+export class TuneState extends EventTarget {
+  /**
+   * @param {{names: string[], low: number[], high: number[], mirror: number[], sided: boolean[]}} shapes
+   * @param {object[]} pairs what each shows
+   */
+  constructor(shapes, pairs) {
+    super();
+    Object.assign(this, shapes);
+    this.pairs = pairs;
+    this.current = 0;
+    this.linked = true;
+    this.past = [];
+    this.future = [];
+    this.gesture = null;
+  }
+
+  /** Take over what the server has. */
+  load({ weights, proposals, done }) {
+    this.weights = weights;
+    this.proposals = proposals;
+    this.done = done;
+  }
+
+  row(pair = this.current, of = this.weights) {
+    const count = this.names.length;
+    return of.subarray(pair * count, (pair + 1) * count);
+  }
+
+  proposal(pair = this.current) {
+    return this.row(pair, this.proposals);
+  }
+
+  differs(shape, pair = this.current) {
+    return Math.abs(this.row(pair)[shape] - this.proposal(pair)[shape]) > SAME;
+  }
+
+  /** Shapes of a pair that differ from its proposal. */
+  changed(pair = this.current) {
+    return this.names.map((_, shape) => shape).filter((shape) => this.differs(shape, pair));
+  }
+
+  isTuned(pair) {
+    return this.done[pair] || this.names.some((_, shape) => this.differs(shape, pair));
+  }
+
+  go(pair) {
+    const count = this.pairs.length;
+    this.current = Math.max(0, Math.min(count - 1, pair));
+    this.endGesture();
+    this.dispatchEvent(new CustomEvent("pair"));
+  }
+
+  /** Set one shape, and with linked sides its mirror image; moves of one drag undo together. */
+  slide(shape, value) {
+    const partner = this.mirror[shape];
+    const both = this.linked && partner !== shape && this.sided[shape] && this.sided[partner];
+    this.set(new Map([shape, ...(both ? [partner] : [])].map((k) => [k, value])), `slide ${shape}`);
+  }
+
+  /** Set shapes of the current pair. Changes with the same gesture are one step of undo. */
+  set(values, gesture = null, pair = this.current) {
+    const row = this.row(pair);
+    const step = { pair, before: new Map(), after: new Map() };
+    for (const [shape, value] of values) {
+      const limited = Math.fround(Math.max(this.low[shape], Math.min(this.high[shape], value)));
+      if (limited === row[shape] || !Number.isFinite(limited)) continue;
+      step.before.set(shape, row[shape]);
+      step.after.set(shape, limited);
+    }
+    if (!step.after.size) return;
+    const last = this.past.at(-1);
+    if (gesture !== null && this.gesture === gesture && last?.pair === pair) {
+      for (const [shape, value] of step.before) {
+        if (!last.before.has(shape)) last.before.set(shape, value);
+      }
+      for (const [shape, value] of step.after) last.after.set(shape, value);
+    } else {
+      this.past.push(step);
+    }
+    this.gesture = gesture;
+    this.future = [];
+    this.#put(pair, step.after);
+  }
+
+  endGesture() {
+    this.gesture = null;
+  }
+
+  reset(shapes = this.changed()) {
+    this.endGesture();
+    this.set(new Map(shapes.map((shape) => [shape, this.proposal()[shape]])));
+  }
+
+  /** Reset one shape, and its partner while sides are linked. */
+  resetShape(shape) {
+    const partner = this.mirror[shape];
+    const both = this.linked && this.sided[shape] && this.sided[partner];
+    this.reset(both ? [shape, partner] : [shape]);
+  }
+
+  mirrorPair() {
+    this.endGesture();
+    const row = this.row();
+    this.set(new Map(this.mirror.map((partner, shape) => [shape, row[partner]])));
+  }
+
+  copyFrom(pair) {
+    this.endGesture();
+    this.set(new Map(Array.from(this.row(pair), (value, shape) => [shape, value])));
+  }
+
+  setDone(done, pair = this.current) {
+    if (this.done[pair] === done) return;
+    this.past.push({ pair, done });
+    this.future = [];
+    this.endGesture();
+    this.#putDone(pair, done);
+  }
+
+  undo() {
+    this.#step(this.past, this.future, "before");
+  }
+
+  redo() {
+    this.#step(this.future, this.past, "after");
+  }
+
+  #step(from, to, side) {
+    const step = from.pop();
+    if (!step) return;
+    to.push(step);
+    if (step.pair !== this.current) this.go(step.pair);
+    this.endGesture();
+    if (step.done !== undefined) this.#putDone(step.pair, side === "after" ? step.done : !step.done);
+    else this.#put(step.pair, step[side]);
+  }
+
+  #put(pair, values) {
+    const row = this.row(pair);
+    for (const [shape, value] of values) row[shape] = value;
+    const shapes = [...values.keys()];
+    this.dispatchEvent(new CustomEvent("weights", { detail: { pair, shapes } }));
+  }
+
+  #putDone(pair, done) {
+    this.done[pair] = done;
+    this.dispatchEvent(new CustomEvent("done", { detail: { pair } }));
+  }
+}
