@@ -28,9 +28,11 @@ from usdface.specs.base import Spec
 from usdface.specs.bind import BindSpec
 from usdface.specs.clean import CleanSpec
 from usdface.specs.edit import EditsImportSpec, EditSpec
+from usdface.specs.deform import DeformSpec
 from usdface.specs.evaluate import EvaluateSpec
 from usdface.specs.ingest import IngestSpec
 from usdface.specs.join import JoinSpec
+from usdface.specs.make_shapes import MakeShapesSpec
 from usdface.specs.map import MapSpec
 from usdface.specs.movie import MovieJoinSpec, MovieSpec
 from usdface.specs.package import PackageSpec
@@ -152,6 +154,8 @@ _STEPS: tuple[type[Spec], ...] = (
     MovieJoinSpec,
     EvaluateSpec,
     BindSpec,
+    DeformSpec,
+    MakeShapesSpec,
 )
 for _spec in _STEPS:
     _add(app, _spec.model_fields["step"].default, _spec)

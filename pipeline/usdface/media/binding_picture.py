@@ -61,6 +61,7 @@ def draw_binding(
     *,
     title: str,
     facts: Sequence[str] = (),
+    yaw_degrees: float = 0.0,
     height: int = 1000,
     quality: Quality = "final",
 ) -> ByteImage:
@@ -69,10 +70,11 @@ def draw_binding(
     Parameters
     ----------
     mesh : RigMesh
-        Looking along +Z.
     markers : BoundMarkers
     title : str
     facts : sequence of str
+    yaw_degrees : float
+        How far the face is turned from looking along +Z [degrees].
     height : int
         Of the front view [pixels].
     quality : {'draft', 'final'}
@@ -92,8 +94,8 @@ def draw_binding(
     renderer = FaceRenderer([mesh])
     reach = _near_markers(mesh.points, markers.positions)
     panels = [
-        _draw_view(mesh, renderer, markers, reach, yaw, height, quality)
-        for yaw in (-_SIDE_DEGREES, 0.0, _SIDE_DEGREES)
+        _draw_view(mesh, renderer, markers, reach, (side, yaw_degrees), height, quality)
+        for side in (-_SIDE_DEGREES, 0.0, _SIDE_DEGREES)
     ]
     width = sum(panel.shape[1] for panel in panels) + 2 * MARGIN
     page = new_picture(width, HEAD + height + MARGIN, _PAGE)
@@ -119,20 +121,22 @@ def _draw_view(
     renderer: FaceRenderer,
     markers: BoundMarkers,
     reach: FloatArray,
-    yaw: float,
+    turn: tuple[float, float],
     height: int,
     quality: Quality,
 ) -> ByteImage:
-    front = yaw == 0.0
+    side, facing = turn
+    front = side == 0.0
     size = round(height * (0.92 if front else 0.66))
-    camera = frame_face(mesh.points, weights=reach, yaw_degrees=yaw, aspect=size / height)
+    camera = frame_face(mesh.points, weights=reach, yaw_degrees=side + facing, aspect=size / height)
     width = size + 2 * NAMES
     panel = renderer.render(mesh.points, camera=camera, width=width, height=height, quality=quality)
     at = camera.project(markers.positions, width=width, height=height)[:, :2]
     seen = _seen(mesh, camera, markers.positions)
     if not front:  # only what the front shows badly: markers on this side of the face
-        beyond = np.sign(yaw) * (markers.positions[:, 0] - np.median(markers.positions[:, 0]))
-        seen &= beyond > 0.18 * np.ptp(markers.positions[:, 0])
+        right = np.array([np.cos(np.radians(facing)), 0.0, -np.sin(np.radians(facing))])
+        across = markers.positions @ right
+        seen &= np.sign(side) * (across - np.median(across)) > 0.18 * np.ptp(across)
     _draw_names(panel, markers, at, seen)
     return panel
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from usdface.assets import BoolArray, FloatArray, Rig, RigMesh
 from usdface.deformer import Deformer
@@ -171,14 +172,27 @@ def _skin_near(mesh: RigMesh, aligned: FloatArray, landmarks: FloatArray) -> Sur
     triangles, _ = triangulate(mesh.face_counts, mesh.face_indices)
     points = mesh.points
     size = float(np.sqrt(((aligned - aligned.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    away = np.min(
-        [((points - place) ** 2).sum(axis=1) for place in np.concatenate([aligned, landmarks])],
-        axis=0,
-    )
-    reach = np.exp(-away / (2 * (_REACH * size) ** 2))
+    away, _ = KDTree(np.concatenate([aligned, landmarks])).query(points)
+    reach = np.exp(-(away**2) / (2 * (_REACH * size) ** 2))
     return sample_outer_surface(
         points, triangles, facing=_facing(points, triangles, aligned, reach), activity=reach
     )
+
+
+def facing_yaw(mesh: RigMesh, places: FloatArray) -> float:
+    """Return how far the face with these markers is turned from looking along +Z [degrees].
+
+    Parameters
+    ----------
+    mesh : RigMesh
+    places : (markers, 3) float array
+        Where the markers sit on it [mm].
+    """
+    triangles, _ = triangulate(mesh.face_counts, mesh.face_indices)
+    size = float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    away, _ = KDTree(places).query(mesh.points)
+    facing = _facing(mesh.points, triangles, places, np.exp(-((away / (_REACH * size)) ** 2)))
+    return float(np.degrees(np.arctan2(facing[0], facing[2])))
 
 
 def _facing(

@@ -10,9 +10,11 @@ from usdface.specs.bake import BakeSpec
 from usdface.specs.base import Name, Reads, Spec, Writes
 from usdface.specs.bind import BindSpec
 from usdface.specs.clean import CleanSpec
+from usdface.specs.deform import DeformSpec
 from usdface.specs.evaluate import EvaluateSpec
 from usdface.specs.ingest import IngestSpec
 from usdface.specs.join import JoinSpec
+from usdface.specs.make_shapes import MakeShapesSpec
 from usdface.specs.map import MapSpec
 from usdface.specs.movie import MovieJoinSpec, MovieSpec
 from usdface.specs.package import PackageSpec
@@ -39,6 +41,8 @@ STEP_SPECS: tuple[type[Spec], ...] = (
     MovieJoinSpec,
     EvaluateSpec,
     BindSpec,
+    DeformSpec,
+    MakeShapesSpec,
 )
 
 AnyStep = Annotated[
@@ -57,7 +61,9 @@ AnyStep = Annotated[
     | MovieSpec
     | MovieJoinSpec
     | EvaluateSpec
-    | BindSpec,
+    | BindSpec
+    | DeformSpec
+    | MakeShapesSpec,
     Field(discriminator="step"),
 ]
 

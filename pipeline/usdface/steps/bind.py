@@ -5,7 +5,7 @@ import numpy as np
 from usdface.assets import FloatArray
 from usdface.media.binding_picture import BoundMarkers, draw_binding
 from usdface.media.image import write_image
-from usdface.model.binding import DOUBTFUL
+from usdface.model.binding import DOUBTFUL, facing_yaw
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
@@ -40,6 +40,7 @@ def run(
         proposed_path=proposed_path(spec.out),
         provenance=provenance,
     )
+    at = binding.places.positions(face.mesh.points)
     if spec.picture is not None:
         progress(0.7, f"drawing {spec.picture.name}")
         write_image(
@@ -48,13 +49,14 @@ def run(
                 face.mesh,
                 BoundMarkers(
                     binding.names,
-                    binding.places.positions(face.mesh.points),
+                    at,
                     binding.confidence,
                     np.array([source != "proposed" for source in binding.sources]),
                     DOUBTFUL,
                 ),
                 title=f"{TakeReader(spec.take).name} on {spec.mesh.stem}",
                 facts=_facts(binding),
+                yaw_degrees=facing_yaw(face.mesh, at),
             ),
             metadata={} if provenance is None else provenance_metadata(provenance),
         )

@@ -28,6 +28,8 @@ class TakeSample:
     rigid : tuple of int
     neutral : (markers, 3) float array
         [mm]
+    frames : tuple of int
+        Numbers of the frames looked at.
     positions : (frames, markers, 3) float array
         Frames spread over the take [mm].
     visible : (frames, markers) bool array
@@ -36,6 +38,7 @@ class TakeSample:
     names: tuple[str, ...]
     rigid: tuple[int, ...]
     neutral: FloatArray
+    frames: tuple[int, ...]
     positions: FloatArray
     visible: BoolArray
 
@@ -71,6 +74,7 @@ def sample_take(take: TakeReader) -> TakeSample:
         names=head.names,
         rigid=tuple(head.names.index(name) for name in head.rigid),
         neutral=parts[0].positions[0].astype(np.float64),
+        frames=tuple(picks.astype(int).tolist()),
         positions=np.concatenate([each.positions for each in parts[1:]]).astype(np.float64),
         visible=np.concatenate([each.visible | (each.confidence > 0) for each in parts[1:]]),
     )

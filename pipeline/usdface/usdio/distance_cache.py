@@ -1,5 +1,7 @@
 """Distances over a mesh as a layer: found once for a surface and its markers, read ever after."""
 
+import json
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -14,39 +16,54 @@ from usdface.usdio.layers import author_units, new_layer, open_layer
 ROOT = Sdf.Path("/Distances")
 ARRAY = "face:array:"
 KEY = "face:distances:key"
+FACTS = "face:distances:facts"
 
-Arrays = dict[str, NDArray[np.float64]]
+AnyArray = NDArray[np.float64] | NDArray[np.float32] | NDArray[np.bool_]
+
+_KINDS = {
+    "float64": (Sdf.ValueTypeNames.DoubleArray, Vt.DoubleArray),
+    "float32": (Sdf.ValueTypeNames.FloatArray, Vt.FloatArray),
+    "bool": (Sdf.ValueTypeNames.BoolArray, Vt.BoolArray),
+}
+
+
+@dataclass(frozen=True)
+class CachedDistances:
+    """What is kept: arrays by name, in the precision they came in, and plain facts.
+
+    Attributes
+    ----------
+    arrays : dict of str to array
+        float64, float32 or bool, of any shape; lengths in millimetres.
+    facts : dict of str to int
+    """
+
+    arrays: dict[str, AnyArray]
+    facts: dict[str, int] = field(default_factory=dict)
 
 
 def write_distances(
-    path: Path, arrays: Arrays, *, key: str, provenance: Provenance | None = None
+    path: Path, cached: CachedDistances, *, key: str, provenance: Provenance | None = None
 ) -> None:
-    """Write named arrays under a key that says of which surface and markers they are.
-
-    Parameters
-    ----------
-    path : Path
-    arrays : dict of str to float array
-        Of any shapes; lengths in millimetres.
-    key : str
-    provenance : Provenance, optional
-    """
+    """Write distances under a key that says of which surface and markers they are."""
+    kinds = Sdf.ValueTypeNames
     with new_layer(path, provenance or Provenance(step="distances")) as layer:
         author_units(layer)
         layer.defaultPrim = ROOT.name
         prim = define_prim(layer, ROOT, "Scope")
         apply_api(prim, "FaceDistancesAPI")
-        author_uniform(prim, KEY, Sdf.ValueTypeNames.String, key)
-        for name, array in arrays.items():
-            flat = np.ascontiguousarray(array, dtype=np.float32).ravel()
-            values = Vt.FloatArray.FromNumpy(flat)
-            author_uniform(prim, f"{ARRAY}{name}", Sdf.ValueTypeNames.FloatArray, values)
-            shape = Vt.IntArray([int(size) for size in np.shape(array)])
-            author_uniform(prim, f"{ARRAY}{name}:shape", Sdf.ValueTypeNames.IntArray, shape)
+        author_uniform(prim, KEY, kinds.String, key)
+        author_uniform(prim, FACTS, kinds.String, json.dumps(cached.facts))
+        for name, array in cached.arrays.items():
+            kind, container = _KINDS[array.dtype.name]
+            values = container.FromNumpy(np.ascontiguousarray(array).ravel())
+            author_uniform(prim, f"{ARRAY}{name}", kind, values)
+            shape = Vt.IntArray([int(size) for size in array.shape])
+            author_uniform(prim, f"{ARRAY}{name}:shape", kinds.IntArray, shape)
 
 
-def read_distances(path: Path, *, key: str) -> Arrays | None:
-    """Return the arrays of a key; None where the file is absent, unreadable or of another key."""
+def read_distances(path: Path, *, key: str) -> CachedDistances | None:
+    """Return the distances of a key; None where the file is absent, unreadable or of another."""
     if not path.is_file():
         return None
     try:
@@ -56,12 +73,14 @@ def read_distances(path: Path, *, key: str) -> Arrays | None:
     prim = layer.GetPrimAtPath(ROOT)
     if prim is None or KEY not in prim.attributes or prim.attributes[KEY].default != key:
         return None
-    found: Arrays = {}
-    for name, attribute in prim.attributes.items():
-        if name.startswith(ARRAY) and not name.endswith(":shape"):
-            shape = tuple(prim.attributes[f"{name}:shape"].default or ())
-            values = np.array(attribute.default, dtype=np.float64)
-            if values.size != int(np.prod(shape)):
-                return None
-            found[name.removeprefix(ARRAY)] = values.reshape(shape)
-    return found
+    values = {name: attribute.default for name, attribute in prim.attributes.items()}
+    arrays: dict[str, AnyArray] = {}
+    try:
+        for name, value in values.items():
+            if name.startswith(ARRAY) and not name.endswith(":shape"):
+                shape = tuple(int(size) for size in values[f"{name}:shape"])
+                arrays[name.removeprefix(ARRAY)] = np.array(value).reshape(shape)
+        facts = json.loads(values[FACTS])
+    except (KeyError, TypeError, ValueError):
+        return None
+    return CachedDistances(arrays, facts)

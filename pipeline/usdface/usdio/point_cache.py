@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Sdf, Vt
 
-from usdface.assets import FloatArray, Rig
+from usdface.assets import Float32Array, FloatArray, Rig
 from usdface.errors import InputError
 from usdface.provenance import Provenance, hash_text
 from usdface.usdio.authoring import apply_api, author_uniform
@@ -67,7 +67,7 @@ class PointsWriter:
         points: FloatArray,
         *,
         normals: FloatArray | None = None,
-        uncertainty_mm: FloatArray | None = None,
+        uncertainty_mm: FloatArray | Float32Array | None = None,
     ) -> None:
         """Append frames.
 
@@ -81,7 +81,7 @@ class PointsWriter:
             Predictive standard deviation.
         """
         for index in range(len(points)):
-            rows = [
+            rows: list[tuple[str, FloatArray | Float32Array]] = [
                 ("points", points[index]),
                 ("extent", np.stack([points[index].min(axis=0), points[index].max(axis=0)])),
             ]
@@ -92,7 +92,7 @@ class PointsWriter:
             self._put(self.next_frame, rows)
             self.next_frame += 1
 
-    def _put(self, frame: int, rows: list[tuple[str, FloatArray]]) -> None:
+    def _put(self, frame: int, rows: list[tuple[str, FloatArray | Float32Array]]) -> None:
         if self._layer is None:
             raise ValueError("the writer is closed")
         for name, values in rows:
@@ -120,7 +120,7 @@ class _ClipsWriter(PointsWriter):
     def begin(self) -> None:
         self.next_frame = self._timing.first
 
-    def _put(self, frame: int, rows: list[tuple[str, FloatArray]]) -> None:
+    def _put(self, frame: int, rows: list[tuple[str, FloatArray | Float32Array]]) -> None:
         offset = frame - self._timing.first
         if offset % self._timing.clip_frames == 0:
             if self._open is not None:
@@ -278,7 +278,7 @@ def _key(provenance: Provenance | None) -> str:
     return hash_text(provenance.spec + repr(sorted(provenance.inputs.items())))[:8]
 
 
-def _sample(values: FloatArray) -> Vt.FloatArray | Vt.Vec3fArray:
+def _sample(values: FloatArray | Float32Array) -> Vt.FloatArray | Vt.Vec3fArray:
     array = np.ascontiguousarray(values, dtype=np.float32)
     if not np.isfinite(array).all():
         raise InputError("points to write hold NaN or infinity; check the take and the mesh")

@@ -1,0 +1,65 @@
+"""The affine map from a performer's face to a mesh, and motion that tells of wrong places."""
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+
+from usdface.numerics.registration.marker_binding import fit_proportions, motion_agreement
+
+
+def cloud(count: int = 60) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    angles = rng.uniform(-1, 1, (count, 2))
+    bulge = np.sqrt(np.maximum(2.2 - (angles**2).sum(axis=1), 0))
+    return np.column_stack([70 * angles[:, 0], 90 * angles[:, 1], 50 * bulge])
+
+
+def test_a_similarity_is_found_to_the_last_digit() -> None:
+    at = cloud()
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    fitted = fit_proportions(at, 1.2 * at @ turn.T + [1, 2, 3], weight=np.ones(len(at)))
+    np.testing.assert_allclose(fitted.linear, 1.2 * turn, atol=1e-9)
+    np.testing.assert_allclose(fitted.shift, [1, 2, 3], atol=1e-6)
+    assert fitted.away_mm.max() < 1e-6
+
+
+def test_most_of_a_difference_in_proportions_is_found() -> None:
+    at = cloud()
+    wanted = np.diag([1.15, 0.95, 1.05])
+    fitted = fit_proportions(at, at @ wanted.T, weight=np.ones(len(at)))
+    similar = fit_proportions(at, at @ (1.05 * np.eye(3)).T, weight=np.ones(len(at)))
+    assert np.abs(fitted.linear - wanted).max() < 0.4 * np.abs(similar.linear - wanted).max()
+
+
+def test_a_few_markers_in_wrong_places_do_not_turn_the_face() -> None:
+    at = cloud()
+    places = at.copy()
+    places[:4] += [0, 40, 0]
+    fitted = fit_proportions(at, places, weight=np.ones(len(at)))
+    assert np.abs(fitted.linear - np.eye(3)).max() < 0.02
+    assert fitted.away_mm[:4].min() > 30
+    assert fitted.away_mm[4:].max() < 4
+
+
+def test_fewer_than_four_markers_are_refused() -> None:
+    with pytest.raises(ValueError, match="3 markers; an affine map needs at least 4"):
+        fit_proportions(cloud(3), cloud(3), weight=np.ones(3))
+
+
+def test_two_exchanged_markers_stand_out_by_their_motion() -> None:
+    rng = np.random.default_rng(0)
+    at = cloud()
+    kernel = np.exp(-((cdist(at, at) / 50) ** 2)) + 1e-6 * np.eye(len(at))
+    moved = np.linalg.cholesky(kernel) @ rng.normal(size=(len(at), 600)) * 4
+    paths = moved.reshape(len(at), 200, 3).transpose(1, 0, 2) + rng.normal(
+        0, 0.15, (200, len(at), 3)
+    )
+    first = 0
+    second = int(np.linalg.norm(at - at[0], axis=1).argmax())
+    exchanged = paths.copy()
+    exchanged[:, [first, second]] = paths[:, [second, first]]
+    odd = motion_agreement(exchanged, cdist(at, at))
+    assert set(np.argsort(-odd)[:2].tolist()) == {first, second}
+    assert odd[[first, second]].min() > 3
+    assert motion_agreement(paths, cdist(at, at)).max() < 3
