@@ -301,6 +301,8 @@ class References:
     rig_prim : str
     motion : MotionSpace or None
         Of the takes the pairs were selected from; None for pairs made by hand.
+    visemes, emotions : tuple of str
+        Of each pair; empty where unknown, or where none is.
     """
 
     marker_names: tuple[str, ...]
@@ -315,6 +317,8 @@ class References:
     rig_file: Path
     rig_prim: str
     motion: MotionSpace | None = None
+    visemes: tuple[str, ...] = ()
+    emotions: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Cleaned takes of one performer, brought into one order of markers and one head space."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +34,8 @@ class CleanedTakes:
         Name of the take of each frame.
     dropped : tuple of str
         Markers that some take lacks.
+    sources : tuple of Take
+        What else each take says, without its samples.
     """
 
     marker_names: tuple[str, ...]
@@ -44,6 +46,7 @@ class CleanedTakes:
     frames: IntArray
     takes: tuple[str, ...]
     dropped: tuple[str, ...]
+    sources: tuple[Take, ...]
 
 
 def read_cleaned(path: Path) -> Take:
@@ -112,6 +115,7 @@ def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
         frames=np.concatenate([take.frames for take in takes]),
         takes=tuple(take.name for take in takes for _ in range(take.frame_count)),
         dropped=tuple(name for name in every if name not in shared),
+        sources=tuple(replace(take, markers=None, head_motion=None, source=None) for take in takes),
     )
 
 

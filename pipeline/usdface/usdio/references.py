@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Kind, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
-from usdface.assets import FloatArray, MotionSpace, References, Rig
+from usdface.assets import FloatArray, IntArray, MotionSpace, References, Rig
 from usdface.errors import InputError
 from usdface.provenance import Provenance
 from usdface.usdio.authoring import apply_api, author_uniform, define_prim, doubles
@@ -37,6 +37,8 @@ FRAME = ROOT.AppendProperty("face:reference:frame")
 TAKE = ROOT.AppendProperty("face:reference:take")
 TUNED = ROOT.AppendProperty("face:reference:tuned")
 DONE = ROOT.AppendProperty("face:reference:done")
+VISEME = ROOT.AppendProperty("face:reference:viseme")
+EMOTION = ROOT.AppendProperty("face:reference:emotion")
 
 NEUTRAL = "face:markers:neutral"
 PAIRS_PER_SECOND = 24
@@ -239,6 +241,11 @@ def _author_pairs(layer: Sdf.Layer, references: References) -> None:
         layer.SetTimeSample(FRAME, pair + 1, int(references.frames[pair]))
         layer.SetTimeSample(TAKE, pair + 1, references.takes[pair])
         layer.SetTimeSample(placed.path, pair + 1, Vt.Vec3fArray.FromNumpy(stage_points[pair]))
+    for path, labels in ((VISEME, references.visemes), (EMOTION, references.emotions)):
+        if any(labels):
+            Sdf.AttributeSpec(root, path.name, Sdf.ValueTypeNames.Token)
+            for pair, label in enumerate(labels):
+                layer.SetTimeSample(path, pair + 1, label)
 
 
 def _author_motion(root: Sdf.PrimSpec, motion: MotionSpace) -> None:
@@ -285,20 +292,49 @@ def read_references(path: Path) -> References:
         points.GetPrim().GetAttribute("face:markers:neutral").Get(), dtype=np.float64
     )
     rig_file, rig_prim = rig_of(stage, animation.GetPrim())
+    take_of = tuple(str(takes.Get(pair)) for pair in pairs)
+    frame_of = np.array([frames.Get(pair) for pair in pairs], dtype=np.int64)
+    _check_tuning(stage, take_of, frame_of)
     return References(
         marker_names=marker_names,
         shape_names=shape_names,
         markers=markers * MM_PER_STAGE_UNIT,
         weights=weights,
-        frames=np.array([frames.Get(pair) for pair in pairs], dtype=np.int64),
-        takes=tuple(str(takes.Get(pair)) for pair in pairs),
+        frames=frame_of,
+        takes=take_of,
         tuned=np.array([bool(tuned.Get(pair)) for pair in pairs]),
         rigid=tuple(map(str, points.GetPrim().GetAttribute("face:markers:rigid").Get() or ())),
         neutral=neutral.reshape(-1, 3) * MM_PER_STAGE_UNIT,
         rig_file=rig_file,
         rig_prim=rig_prim,
         motion=_read_motion(root),
+        visemes=_labels(root, VISEME, pairs),
+        emotions=_labels(root, EMOTION, pairs),
     )
+
+
+def _labels(root: Usd.Prim, path: Sdf.Path, pairs: range) -> tuple[str, ...]:
+    attribute = root.GetAttribute(path.name)
+    return tuple(str(attribute.Get(pair) or "") for pair in pairs) if attribute else ()
+
+
+def _check_tuning(stage: Usd.Stage, takes: tuple[str, ...], frames: IntArray) -> None:
+    """Refuse weights that were tuned for other frames than those the asset has there now."""
+    for layer in stage.GetLayerStack(includeSessionLayers=False)[1:]:
+        for time in layer.ListTimeSamplesForPath(TUNED):
+            pair = round(time) - 1
+            if not layer.QueryTimeSample(TUNED, time):
+                continue
+            take, frame = (layer.QueryTimeSample(path, time) for path in (TAKE, FRAME))
+            here = (takes[pair], int(frames[pair])) if 0 <= pair < len(takes) else None
+            if here != (str(take), frame):
+                is_now = "no pair" if here is None else f"frame {here[1]} of {here[0]}"
+                raise InputError(
+                    f"{layer.realPath} time code {time:g}: was tuned for frame {frame} of {take}, "
+                    f"and the asset has {is_now} there: it is the tuning of an older selection. "
+                    "Select again with --out of this asset, which keeps what is tuned, or put the "
+                    "asset's own tuning layer back"
+                )
 
 
 def _stack(path: Path, attribute: Usd.Attribute, pairs: range, count: int, what: str) -> FloatArray:

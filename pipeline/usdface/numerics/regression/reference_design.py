@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from usdface.numerics.regression.design_kernel import DesignKernel
+
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -169,7 +171,7 @@ def design_gp_variance(
     Krause, Singh and Guestrin (2008), JMLR 9, 235-284; Minoux (1978) for the lazy evaluation.
     """
     free, start = _open_rows(features, count, already, candidates)
-    kernel = _Kernel.for_rows(features, linear=linear, radial=radial, width=width)
+    kernel = DesignKernel.for_rows(features, linear=linear, radial=radial, width=width)
     bound = kernel.diagonal(features)
     rows = np.empty((len(start) + count, features.shape[1]))
     factor = np.zeros((len(rows), len(rows)))
@@ -191,36 +193,8 @@ def design_gp_variance(
     return _design(chosen, gain)
 
 
-@dataclass(frozen=True)
-class _Kernel:
-    linear: float
-    radial: float
-    exponent: float
-
-    @classmethod
-    def for_rows(cls, rows: Array, *, linear: float, radial: float, width: float) -> "_Kernel":
-        mean_square = float(np.einsum("ij,ij->", rows, rows)) / len(rows)
-        some = rows[np.linspace(0, len(rows) - 1, min(len(rows), 512)).astype(int)]
-        squared = np.einsum("ij,ij->i", some, some)
-        away = squared[:, None] + squared - 2 * some @ some.T
-        median = float(np.median(away[np.triu_indices(len(some), 1)])) if len(some) > 1 else 1.0
-        median = max(median, 1e-12 * mean_square, 1e-300)
-        return cls(linear / max(mean_square, 1e-300), radial, -0.5 / (width * median))
-
-    def __call__(self, left: Array, right: Array) -> Array:
-        product = left @ right.T
-        away = (left**2).sum(1)[:, None] + (right**2).sum(1) - 2 * product
-        out: Array = self.linear * product
-        out += self.radial * np.exp(self.exponent * np.maximum(away, 0.0))
-        return out
-
-    def diagonal(self, rows: Array) -> Array:
-        out: Array = self.linear * np.einsum("ij,ij->i", rows, rows) + self.radial
-        return out
-
-
 def _lazy_best(
-    features: Array, bound: Array, free: BoolArray, kernel: _Kernel, seen: Array, lower: Array
+    features: Array, bound: Array, free: BoolArray, kernel: DesignKernel, seen: Array, lower: Array
 ) -> int:
     """Index of the largest variance; refreshes, in place, only the bounds that could hold it."""
     fresh = np.zeros(len(features), dtype=bool)

@@ -1,0 +1,111 @@
+"""How much a tuned frame says about the others: the covariance that selection reckons with."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+Array = NDArray[np.float64]
+
+MEDIAN_ROWS = 512
+"""Rows spread over the frames from whose distances the width is taken."""
+
+
+@dataclass(frozen=True)
+class DesignKernel:
+    """``linear * <x, y> + radial * exp(exponent * |x - y|^2)``.
+
+    Faces answer mostly in proportion, which the linear part says, and to combinations, which only
+    faces near by show.
+    """
+
+    linear: float
+    radial: float
+    exponent: float
+
+    @classmethod
+    def for_rows(
+        cls, rows: Array, *, linear: float = 10.0, radial: float = 3.0, width: float = 1.0
+    ) -> "DesignKernel":
+        """Scale the kernel to some frames.
+
+        Parameters
+        ----------
+        rows : (frames, d) float array
+        linear : float
+            Mean variance of the linear part.
+        radial : float
+            Variance of the radial part.
+        width : float
+            Squared width of the radial part, as a share of the frames' median squared distance.
+        """
+        mean_square = float(np.einsum("ij,ij->", rows, rows)) / len(rows)
+        some = rows[np.linspace(0, len(rows) - 1, min(len(rows), MEDIAN_ROWS)).astype(int)]
+        squared = np.einsum("ij,ij->i", some, some)
+        away = squared[:, None] + squared - 2 * some @ some.T
+        median = float(np.median(away[np.triu_indices(len(some), 1)])) if len(some) > 1 else 1.0
+        median = max(median, 1e-12 * mean_square, 1e-300)
+        return cls(linear / max(mean_square, 1e-300), radial, -0.5 / (width * median))
+
+    def __call__(self, left: Array, right: Array) -> Array:
+        """Return the covariance of every row of one with every row of the other."""
+        product = left @ right.T
+        away = (left**2).sum(1)[:, None] + (right**2).sum(1) - 2 * product
+        out: Array = self.linear * product
+        out += self.radial * np.exp(self.exponent * np.maximum(away, 0.0))
+        return out
+
+    def diagonal(self, rows: Array) -> Array:
+        """Return the variance of every row before anything is known."""
+        out: Array = self.linear * np.einsum("ij,ij->i", rows, rows) + self.radial
+        return out
+
+
+def left_over(kernel: DesignKernel, known: Array, rows: Array, *, noise: float) -> Array:
+    """Return the variance of every row once some are tuned, as a share of what it was.
+
+    Parameters
+    ----------
+    kernel : DesignKernel
+    known : (n, d) float array
+        Features of the tuned frames; none leave everything over.
+    rows : (frames, d) float array
+    noise : float
+        Variance of a tuned weight around the truth.
+
+    Returns
+    -------
+    (frames,) float array
+        [0-1]
+    """
+    prior = kernel.diagonal(rows)
+    if not len(known):
+        return np.ones(len(rows))
+    factor = cho_factor(kernel(known, known) + noise * np.eye(len(known)), lower=True)
+    shared = kernel(known, rows)
+    explained = np.einsum("ij,ij->j", shared, cho_solve(factor, shared))
+    share: Array = np.clip(1.0 - explained / prior, 0.0, 1.0)
+    return share
+
+
+def predict_from(
+    kernel: DesignKernel, known: Array, values: Array, rows: Array, *, noise: float
+) -> Array:
+    """Return what tuned frames say of the values at others: the Gaussian process's mean.
+
+    Parameters
+    ----------
+    kernel, known, rows, noise
+        As for `left_over`.
+    values : (n, s) float array
+        Of the tuned frames.
+
+    Returns
+    -------
+    (frames, s) float array
+    """
+    mean = values.mean(axis=0)
+    factor = cho_factor(kernel(known, known) + noise * np.eye(len(known)), lower=True)
+    out: Array = mean + kernel(rows, known) @ cho_solve(factor, values - mean)
+    return out

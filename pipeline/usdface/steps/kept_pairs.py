@@ -1,0 +1,66 @@
+"""Tuned pairs of an earlier selection: found again, never moved, never lost."""
+
+from dataclasses import dataclass
+
+from usdface.assets import IntArray, Rig
+from usdface.errors import InputError
+from usdface.specs.references import SelectSpec, tuned_path
+from usdface.steps.cleaned_takes import CleanedTakes
+from usdface.usdio.references import TunedPair, read_tuned_pairs
+
+
+@dataclass(frozen=True)
+class KeptPair:
+    """A tuned pair: its place, its row among all frames, and what was tuned."""
+
+    pair: int
+    row: int
+    tuned: TunedPair
+
+
+def find_kept_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[KeptPair]:
+    """Find the frames of tuned pairs again; they must not move, or their weights would lie.
+
+    Raises
+    ------
+    InputError
+        If one is of a take that is not given, or of another rig, or there is no room for it.
+    """
+    rows = {(t, int(f)): i for i, (t, f) in enumerate(zip(takes.takes, takes.frames, strict=True))}
+    layer = tuned_path(spec.out)
+    tuned: list[TunedPair] = read_tuned_pairs(layer)
+    lost = [each for each in tuned if (each.take, each.frame) not in rows]
+    if lost:
+        raise InputError(
+            f"{layer}: pair {lost[0].pair + 1} was tuned for frame {lost[0].frame} of "
+            f"{lost[0].take}, which is not among the takes given; give that take as well, or "
+            "write to another --out"
+        )
+    beyond = [each for each in tuned if each.pair >= spec.count]
+    if beyond:
+        raise InputError(
+            f"{layer}: pair {beyond[-1].pair + 1} is tuned, so --count must be at least "
+            f"{beyond[-1].pair + 1}, not {spec.count}"
+        )
+    for each in tuned:
+        strange = [name for name in each.weights if name not in rig.shapes]
+        if strange:
+            raise InputError(
+                f"{layer}: pair {each.pair + 1} was tuned for another rig: "
+                f"{len(strange)} of its {len(each.weights)} shapes are not on {rig.file} "
+                f"({', '.join(strange[:3])}); give that rig, or write to another --out"
+            )
+    return [KeptPair(each.pair, rows[each.take, each.frame], each) for each in tuned]
+
+
+def rows_in_place(count: int, kept: list[KeptPair], chosen: IntArray) -> list[int]:
+    """Return the row of each pair: kept ones where they are, chosen ones in the gaps."""
+    place = {each.pair: each.row for each in kept}
+    free = iter(chosen.tolist())
+    rows = []
+    for pair in range(count):
+        row = place[pair] if pair in place else next(free, None)
+        if row is None:
+            break
+        rows.append(row)
+    return rows
