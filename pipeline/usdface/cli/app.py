@@ -27,8 +27,9 @@ from usdface.specs.bake import BakeSpec
 from usdface.specs.base import Spec
 from usdface.specs.bind import BindSpec
 from usdface.specs.clean import CleanSpec
-from usdface.specs.edit import EditsImportSpec, EditSpec
+from usdface.specs.cyclic import CyclicSpec
 from usdface.specs.deform import DeformSpec
+from usdface.specs.edit import EditsImportSpec, EditSpec
 from usdface.specs.evaluate import EvaluateSpec
 from usdface.specs.ingest import IngestSpec
 from usdface.specs.join import JoinSpec
@@ -36,13 +37,18 @@ from usdface.specs.make_shapes import MakeShapesSpec
 from usdface.specs.map import MapSpec
 from usdface.specs.movie import MovieJoinSpec, MovieSpec
 from usdface.specs.package import PackageSpec
+from usdface.specs.pairs import PairsImportSpec, PairsProposeSpec
 from usdface.specs.path_mapping import read_path_rules
 from usdface.specs.phones import PhonesSpec
 from usdface.specs.reading import read_job, spec_text
-from usdface.specs.references import ReferencesImportSpec, SelectSpec
+from usdface.specs.references import ReferencesFromEditsSpec, ReferencesImportSpec, SelectSpec
+from usdface.specs.retarget import RetargetSpec
+from usdface.specs.sequences import FindSequencesSpec, MakeSequenceSpec
 from usdface.specs.sheet import SheetSpec
 from usdface.specs.submit import SubmitSpec
 from usdface.specs.train import TrainSpec
+from usdface.specs.train_retarget import TrainRetargetSpec
+from usdface.specs.warp import WarpSpec
 from usdface.version import __version__
 
 EPILOG = "Exit codes: 0 done, 1 a check failed, 2 bad input, 3 interrupted."
@@ -56,6 +62,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+pairs = typer.Typer(help="Make pairs of expressions of two characters.", no_args_is_help=True)
 references = typer.Typer(help="Work on a references asset.", no_args_is_help=True)
 edits = typer.Typer(help="Work on the edits of a performance.", no_args_is_help=True)
 
@@ -156,12 +163,21 @@ _STEPS: tuple[type[Spec], ...] = (
     BindSpec,
     DeformSpec,
     MakeShapesSpec,
+    TrainRetargetSpec,
+    RetargetSpec,
+    CyclicSpec,
+    MakeSequenceSpec,
+    FindSequencesSpec,
+    WarpSpec,
 )
 for _spec in _STEPS:
     _add(app, _spec.model_fields["step"].default, _spec)
 _add(references, "import", ReferencesImportSpec)
+_add(references, "from-edits", ReferencesFromEditsSpec)
 app.add_typer(references, name="references")
-app.command("tune", epilog=EPILOG)(tune_command(COMMON[-1]))
+_add(pairs, "propose", PairsProposeSpec)
+_add(pairs, "import", PairsImportSpec)
+app.add_typer(pairs, name="pairs")
 _add(edits, "import", EditsImportSpec)
 app.add_typer(edits, name="edits")
 
@@ -180,6 +196,9 @@ def list_edits(
     from usdface.steps.edited import list_edits as listed
 
     show_report(listed(performance), as_json=as_json)
+
+
+app.command("tune", epilog=EPILOG)(tune_command(COMMON[-1]))
 
 
 @app.command(epilog=EPILOG)

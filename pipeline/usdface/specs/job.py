@@ -10,6 +10,7 @@ from usdface.specs.bake import BakeSpec
 from usdface.specs.base import Name, Reads, Spec, Writes
 from usdface.specs.bind import BindSpec
 from usdface.specs.clean import CleanSpec
+from usdface.specs.cyclic import CyclicSpec
 from usdface.specs.deform import DeformSpec
 from usdface.specs.evaluate import EvaluateSpec
 from usdface.specs.ingest import IngestSpec
@@ -18,11 +19,16 @@ from usdface.specs.make_shapes import MakeShapesSpec
 from usdface.specs.map import MapSpec
 from usdface.specs.movie import MovieJoinSpec, MovieSpec
 from usdface.specs.package import PackageSpec
+from usdface.specs.pairs import PairsImportSpec, PairsProposeSpec
 from usdface.specs.phones import PhonesSpec
-from usdface.specs.references import ReferencesImportSpec, SelectSpec
+from usdface.specs.references import ReferencesFromEditsSpec, ReferencesImportSpec, SelectSpec
+from usdface.specs.retarget import RetargetSpec
+from usdface.specs.sequences import FindSequencesSpec, MakeSequenceSpec
 from usdface.specs.sheet import SheetSpec
 from usdface.specs.takes import FOR_EACH_SCHEMA, TAKES_SCHEMA, write_out
 from usdface.specs.train import TrainSpec
+from usdface.specs.train_retarget import TrainRetargetSpec
+from usdface.specs.warp import WarpSpec
 
 STEP_SPECS: tuple[type[Spec], ...] = (
     IngestSpec,
@@ -36,6 +42,7 @@ STEP_SPECS: tuple[type[Spec], ...] = (
     JoinSpec,
     BakeSpec,
     PackageSpec,
+    ReferencesFromEditsSpec,
     SheetSpec,
     MovieSpec,
     MovieJoinSpec,
@@ -43,6 +50,14 @@ STEP_SPECS: tuple[type[Spec], ...] = (
     BindSpec,
     DeformSpec,
     MakeShapesSpec,
+    PairsProposeSpec,
+    PairsImportSpec,
+    TrainRetargetSpec,
+    RetargetSpec,
+    CyclicSpec,
+    MakeSequenceSpec,
+    FindSequencesSpec,
+    WarpSpec,
 )
 
 AnyStep = Annotated[
@@ -57,13 +72,22 @@ AnyStep = Annotated[
     | JoinSpec
     | BakeSpec
     | PackageSpec
+    | ReferencesFromEditsSpec
     | SheetSpec
     | MovieSpec
     | MovieJoinSpec
     | EvaluateSpec
     | BindSpec
     | DeformSpec
-    | MakeShapesSpec,
+    | MakeShapesSpec
+    | PairsProposeSpec
+    | PairsImportSpec
+    | TrainRetargetSpec
+    | RetargetSpec
+    | CyclicSpec
+    | MakeSequenceSpec
+    | FindSequencesSpec
+    | WarpSpec,
     Field(discriminator="step"),
 ]
 

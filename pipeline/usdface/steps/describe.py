@@ -5,11 +5,15 @@ from pathlib import Path
 
 from usdface.steps.report import Report
 from usdface.steps.train import describe_figures
+from usdface.steps.train_retarget import describe_retargeting_figures, retargeting_table
 from usdface.usdio.mapping import read_mapping
+from usdface.usdio.retargeting import is_retargeting, read_retargeting
 
 
 def describe_mapping(path: Path) -> Report:
     """Return a mapping's method, settings and the table of what was tried, best first."""
+    if is_retargeting(path):
+        return _describe_retargeting(path)
     mapping = read_mapping(path)
     lines = [f"setting {name}: {value}" for name, value in sorted(mapping.settings.items())]
     for rank, score in enumerate(mapping.scores, start=1):
@@ -24,4 +28,18 @@ def describe_mapping(path: Path) -> Report:
         f"shapes, trained on {mapping.references or 'unnamed references'}",
         tuple(lines),
         describe_figures(mapping),
+    )
+
+
+def _describe_retargeting(path: Path) -> Report:
+    trained = read_retargeting(path)
+    lines = [f"setting {name}: {value}" for name, value in sorted(trained.settings.items())]
+    lines += [f"tried {rank}: {line}" for rank, line in enumerate(retargeting_table(trained), 1)]
+    return Report(
+        (),
+        f"{trained.method}: {len(trained.source_shapes)} source shapes to {len(trained.shapes)} "
+        f"shapes, {len(trained.joints)} joints and {len(trained.attributes)} attributes, trained "
+        f"on {trained.pairs or 'unnamed pairs'}",
+        tuple(lines),
+        describe_retargeting_figures(trained),
     )

@@ -1,0 +1,106 @@
+"""Two animations in, pairs of what both hold at the same frames out."""
+
+from pathlib import Path
+
+from usdface.assets import Rig
+from usdface.controls import ControlClip, Controls, ExpressionPairs, bare_controls
+from usdface.errors import InputError
+from usdface.model.pair_checks import check_pairs, unused_shapes
+from usdface.progress import Progress, silent
+from usdface.provenance import Provenance
+from usdface.specs.pairs import PairsImportSpec
+from usdface.steps.report import Report
+from usdface.steps.weight_tables import read_weight_table
+from usdface.usdio.control_attributes import find_control_attributes
+from usdface.usdio.controls import read_control_clip
+from usdface.usdio.layers import LAYER_SUFFIXES
+from usdface.usdio.pairs import samples_path, write_pairs
+from usdface.usdio.rig import read_rig
+
+
+def run(
+    spec: PairsImportSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Read both sides, pair them by frame, and write the asset."""
+    source_rig = read_rig(spec.source_rig, prim=spec.source_prim)
+    target_rig = read_rig(spec.target_rig, prim=spec.target_prim)
+    table = read_weight_table(spec.source)
+    unknown = [name for name in table.names if name not in source_rig.shapes]
+    if len(unknown) == len(table.names):
+        raise InputError(
+            f"{spec.source}: none of its shapes ({', '.join(unknown[:3])}, ...) is on "
+            f"{spec.source_rig} ({', '.join(source_rig.shapes[:3])}, ...); rename them"
+        )
+    frames, target = _read_target(spec, target_rig)
+    _check_sides(spec, table.frames, frames)
+    progress(0.5, "read")
+    order = [frames.index(frame) for frame in table.frames]
+    pairs = ExpressionPairs(
+        names=tuple(f"frame {frame}" for frame in table.frames),
+        source_shapes=source_rig.shapes,
+        source=table.columns(source_rig.shapes),
+        target=target.rows(order),
+        source_rig=source_rig.file,
+        source_prim=source_rig.prim,
+        target_rig=target_rig.file,
+        target_prim=target_rig.prim,
+    )
+    check_pairs(pairs, f"{spec.source} and {spec.target}")
+    write_pairs(
+        spec.out, pairs, source_rig=source_rig, target_rig=target_rig, provenance=provenance
+    )
+    progress(1.0, "done")
+    notes = []
+    if unknown:
+        notes.append(
+            f"{len(unknown)} columns are no shapes of {spec.source_rig} and were left out: "
+            f"{', '.join(unknown[:5])}"
+        )
+    unused = unused_shapes(pairs)
+    if unused:
+        notes.append(
+            f"{len(unused)} source shapes are in no pair and will move nothing: "
+            f"{', '.join(unused[:5])}"
+        )
+    return Report(
+        (spec.out, samples_path(spec.out)),
+        f"{len(pairs)} pairs of {len(source_rig.shapes)} source shapes and {target.summary}",
+        tuple(notes),
+        {"pairs": len(pairs), "unused": list(unused)},
+    )
+
+
+def _read_target(spec: PairsImportSpec, rig: Rig) -> tuple[list[int], Controls]:
+    if spec.target.suffix in LAYER_SUFFIXES:
+        names = find_control_attributes(rig, spec.attributes)
+        clip = read_control_clip(spec.target, attributes=names).clip
+        _check_target(spec.target, clip, rig)
+        return list(range(clip.first_frame, clip.last_frame + 1)), clip.controls
+    if spec.attributes:
+        raise InputError(
+            f"{spec.target}: attributes are read from USD; give the target as a .usd animation"
+        )
+    table = read_weight_table(spec.target)
+    return list(table.frames), bare_controls(rig.shapes, table.columns(rig.shapes))
+
+
+def _check_target(path: Path, clip: ControlClip, rig: Rig) -> None:
+    unknown = [name for name in clip.controls.shapes if name not in rig.shapes]
+    if unknown:
+        raise InputError(
+            f"{path}: {len(unknown)} of its shapes are not on {rig.file}: {', '.join(unknown[:5])}"
+        )
+
+
+def _check_sides(spec: PairsImportSpec, source: tuple[int, ...], target: list[int]) -> None:
+    for these, those, path, side in (
+        (source, target, spec.target, "target"),
+        (target, source, spec.source, "source"),
+    ):
+        lacking = sorted(set(these) - set(those))
+        if lacking:
+            numbers = ", ".join(map(str, lacking[:5])) + (", ..." if len(lacking) > 5 else "")
+            raise InputError(
+                f"{path}: {len(lacking)} pairs have no {side} side: it holds nothing at frames "
+                f"{numbers}; key both sides at the same frames"
+            )

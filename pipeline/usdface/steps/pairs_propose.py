@@ -1,0 +1,127 @@
+"""Two characters in, pairs of expressions that mean the same out."""
+
+import numpy as np
+
+from usdface.assets import FloatArray, Rig
+from usdface.controls import Controls, ExpressionPairs, bare_controls
+from usdface.errors import InputError
+from usdface.model.pair_checks import dead_controls
+from usdface.model.shape_matching import match_deformations
+from usdface.model.shape_names import NameMatch, match_names
+from usdface.progress import Progress, silent
+from usdface.provenance import Provenance
+from usdface.specs.pairs import PairsProposeSpec
+from usdface.steps.report import Report
+from usdface.usdio.pairs import merge_pairs, read_pairs, samples_path, write_pairs
+from usdface.usdio.rest_controls import rest_controls
+from usdface.usdio.rig import read_rig
+
+REST = "rest"
+
+
+def run(
+    spec: PairsProposeSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Match shapes, and write a pair for rest and one for each match."""
+    source = read_rig(spec.source, prim=spec.source_prim)
+    target = read_rig(spec.target, prim=spec.target_prim)
+    matches, notes = _match(spec, source, target, progress)
+    if not matches:
+        raise InputError(
+            f"{spec.source} and {spec.target}: no shape of the one is like one of the other; key "
+            "pairs by hand and bring them in with `usdface pairs import`"
+        )
+    rest = rest_controls(target, attributes=spec.attributes, joints=spec.joints)
+    pairs = _pairs(source, target, matches, rest)
+    kept = 0
+    if spec.out.is_file():
+        old = read_pairs(spec.out)
+        kept = len(old)
+        try:
+            pairs = merge_pairs(old, pairs)
+        except InputError as error:
+            raise InputError(f"{spec.out}: {error}") from error
+    progress(0.9, f"writing {spec.out.name}")
+    write_pairs(spec.out, pairs, source_rig=source, target_rig=target, provenance=provenance)
+    progress(1.0, "done")
+    dead = dead_controls(pairs)
+    if dead:
+        notes.append(
+            f"{len(dead)} controls of the target are at rest in every pair: {', '.join(dead[:5])}; "
+            "key expressions that use them"
+        )
+    if kept:
+        notes.append(f"{kept} pairs were there and keep their time codes")
+    return Report(
+        (spec.out, samples_path(spec.out)),
+        f"{len(pairs)} pairs of {len(source.shapes)} source shapes and {pairs.target.summary}; "
+        "starting points to be tuned",
+        tuple(notes),
+        {"pairs": len(pairs), "names": list(pairs.names), "dead": list(dead)},
+    )
+
+
+def _match(
+    spec: PairsProposeSpec, source: Rig, target: Rig, progress: Progress
+) -> tuple[list[NameMatch], list[str]]:
+    progress(0.1, "matching names")
+    named = [] if spec.match == "deformation" else list(match_names(source.shapes, target.shapes))
+    notes = [f"{len(named)} shapes match by name"] if named else []
+    if spec.match != "name":
+        progress(0.2, "laying one face onto the other")
+        spoken = {match.name for match in named}
+        driven = {name for match in named for name, _ in match.target}
+        alike = match_deformations(
+            source,
+            target,
+            source_shapes=tuple(name for name in source.shapes if name not in spoken),
+            target_shapes=tuple(name for name in target.shapes if name not in driven),
+        )
+        for each in alike:
+            named.append(NameMatch(each.source, ((each.source, 1.0),), ((each.target, 1.0),)))
+            notes.append(
+                f"{each.source} and {each.target} move the faces alike ({each.similarity:.2f})"
+            )
+    unmatched = [name for name in source.shapes if name not in {match.name for match in named}]
+    if unmatched:
+        notes.append(
+            f"{len(unmatched)} source shapes are in no pair and will move nothing: "
+            f"{', '.join(unmatched[:5])}"
+        )
+    return named, notes
+
+
+def _pairs(source: Rig, target: Rig, matches: list[NameMatch], rest: Controls) -> ExpressionPairs:
+    count = len(matches) + 1
+    left = _rows([match.source for match in matches], source.shapes)
+    right = _rows([match.target for match in matches], target.shapes)
+    low, high = target.ranges.T
+    controls = bare_controls(target.shapes, np.clip(right, np.minimum(low, 0), high))
+    return ExpressionPairs(
+        names=(REST, *(match.name for match in matches)),
+        source_shapes=source.shapes,
+        source=left,
+        target=Controls(
+            shapes=controls.shapes,
+            weights=controls.weights,
+            joints=rest.joints,
+            translations=np.repeat(rest.translations, count, axis=0),
+            rotations=np.repeat(rest.rotations, count, axis=0),
+            scales=np.repeat(rest.scales, count, axis=0),
+            attributes=rest.attributes,
+            values=np.repeat(rest.values, count, axis=0),
+        ),
+        source_rig=source.file,
+        source_prim=source.prim,
+        target_rig=target.file,
+        target_prim=target.prim,
+    )
+
+
+def _rows(expressions: list[tuple[tuple[str, float], ...]], names: tuple[str, ...]) -> FloatArray:
+    place = {name: index for index, name in enumerate(names)}
+    out = np.zeros((len(expressions) + 1, len(names)))
+    for row, expression in enumerate(expressions, start=1):
+        for name, weight in expression:
+            out[row, place[name]] = weight
+    return out

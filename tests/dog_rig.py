@@ -1,0 +1,304 @@
+"""A dog-like character, made of the built-in head: 28 shapes, 8 joints, 36 float controls.
+
+The stand-in for the characters of Song et al. (2011): another face in other proportions, with ears
+that joints turn and a lattice that a deformer would read. What it should do for a source's weights
+is a formula, bent as an animator would bend it, so that retargeting can be measured against it.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
+from scipy.spatial.transform import Rotation
+
+from usdface.assets import FloatArray, MeshShape, Rig, RigMesh, ShapeKey
+from usdface.controls import Controls
+from usdface.demo.head import Part
+from usdface.demo.proportions import CHARACTER
+from usdface.demo.rig import mesh_points, rig_from_head
+from usdface.demo.shapes import make_head
+from usdface.model.shape_names import motion_and_side
+from usdface.usdio.rig import read_rig
+from usdface.usdio.rig_write import write_rig
+
+SHAPES = {
+    "jawDrop": "jawOpen",
+    "jawThrust": "jawForward",
+    "jawSideL": "jawLeft",
+    "jawSideR": "jawRight",
+    "lipCornerPuller_L": "mouthSmileLeft",
+    "lipCornerPuller_R": "mouthSmileRight",
+    "lipCornerDepressor_L": "mouthFrownLeft",
+    "lipCornerDepressor_R": "mouthFrownRight",
+    "upperLipRaiser_L": "mouthUpperUpLeft",
+    "upperLipRaiser_R": "mouthUpperUpRight",
+    "lowerLipDepressor_L": "mouthLowerDownLeft",
+    "lowerLipDepressor_R": "mouthLowerDownRight",
+    "lipPucker": "mouthPucker",
+    "lipFunneler": "mouthFunnel",
+    "noseWrinkler_L": "noseSneerLeft",
+    "noseWrinkler_R": "noseSneerRight",
+    "cheekPuff": "cheekPuff",
+    "blink_L": "eyeBlinkLeft",
+    "blink_R": "eyeBlinkRight",
+    "upperLidRaiser_L": "eyeWideLeft",
+    "upperLidRaiser_R": "eyeWideRight",
+    "lidTightener_L": "eyeSquintLeft",
+    "lidTightener_R": "eyeSquintRight",
+    "browLowerer_L": "browDownLeft",
+    "browLowerer_R": "browDownRight",
+    "innerBrowRaiser": "browInnerUp",
+    "outerBrowRaiser_L": "browOuterUpLeft",
+    "outerBrowRaiser_R": "browOuterUpRight",
+}
+"""The dog's shapes, named as FACS does, and the demo's shapes they are made of."""
+
+JOINTS = (
+    "head",
+    "head/ear_L",
+    "head/ear_L/tip",
+    "head/ear_R",
+    "head/ear_R/tip",
+    "head/muzzle",
+    "head/muzzle/nose",
+    "head/crown",
+)
+
+PLACES_MM = (
+    (0, 0, 0),
+    (62, 62, -16),
+    (80, 118, -18),
+    (-62, 62, -16),
+    (-80, 118, -18),
+    (0, -45, 85),
+    (0, -30, 165),
+    (0, 95, -10),
+)
+"""Where the joints are."""
+
+LATTICE = tuple(
+    f"dfm:point{row}{column}:{axis}" for row in range(3) for column in range(4) for axis in "xyz"
+)
+ATTRIBUTES = tuple(f"rig/lattice.{name}" for name in LATTICE)
+
+PAIRS = 34
+
+
+def warp_to_dog(points: FloatArray) -> FloatArray:
+    """Pull a muzzle out of a human face, and flatten what is behind it."""
+    x, y, z = points.T
+    lies = np.exp(-((x / 36.0) ** 4)) * np.exp(-(((y + 58.0) / 46.0) ** 4))
+    ahead = np.clip((z - 45.0) / 55.0, 0.0, 1.0)
+    pull = lies * ahead**2 * (3 - 2 * ahead)
+    wide = 1.0 + 0.15 * np.exp(-(((y + 10) / 80.0) ** 2))
+    return np.stack([x * wide * (1 - 0.12 * pull), y + 14.0 * pull, z + 72.0 * pull], axis=1)
+
+
+def dog_rig() -> Rig:
+    """Return the dog's meshes and shapes, without joints and controls."""
+    head = make_head(CHARACTER)
+    human = rig_from_head(head)
+    parts = {name: head.parts[points] for name, points in mesh_points(head).items()}
+    kept = ("skin", "eyes", "teeth", "tongue", "brows")
+    meshes = tuple(
+        _dog_mesh(mesh, parts[mesh.path.rpartition("/")[2]])
+        for mesh in human.meshes
+        if mesh.path.rpartition("/")[2] in kept
+    )
+    return Rig(
+        file=Path(),
+        prim="/dog",
+        shapes=tuple(SHAPES),
+        meshes=meshes,
+        ranges=np.tile([0.0, 1.0], (len(SHAPES), 1)),
+    )
+
+
+def write_dog(path: Path) -> Rig:
+    """Write the dog with its joints and controls, and read it back."""
+    rig = dog_rig()
+    write_rig(path, rig)
+    stage = Usd.Stage.Open(str(path))
+    skeleton = UsdSkel.Skeleton.Get(stage, "/dog/rig/skeleton")
+    places = 0.1 * np.array(PLACES_MM, float)
+    parents = [JOINTS.index(joint.rpartition("/")[0]) if "/" in joint else -1 for joint in JOINTS]
+    bind = [Gf.Matrix4d().SetTranslate(Gf.Vec3d(*place)) for place in places]
+    rest = [
+        Gf.Matrix4d().SetTranslate(Gf.Vec3d(*(place - (places[up] if up >= 0 else 0))))
+        for place, up in zip(places, parents, strict=True)
+    ]
+    skeleton.GetJointsAttr().Set(list(JOINTS))
+    skeleton.GetBindTransformsAttr().Set(bind)
+    skeleton.GetRestTransformsAttr().Set(rest)
+    for mesh in rig.meshes:
+        binding = UsdSkel.BindingAPI(stage.GetPrimAtPath(mesh.path))
+        owner, share = _influences(mesh.points)
+        binding.GetJointIndicesPrimvar().GetAttr().Clear()
+        binding.CreateJointIndicesPrimvar(constant=False, elementSize=3).Set(owner.ravel().tolist())
+        binding.CreateJointWeightsPrimvar(constant=False, elementSize=3).Set(share.ravel().tolist())
+    lattice = UsdGeom.Scope.Define(stage, "/dog/rig/lattice").GetPrim()
+    for number, name in enumerate(LATTICE):
+        kind = (Sdf.ValueTypeNames.Float, Sdf.ValueTypeNames.Double)[number % 2]
+        lattice.CreateAttribute(name, kind).Set(0.0)
+    stage.GetRootLayer().Save()
+    return read_rig(path)
+
+
+def expressions(names: tuple[str, ...]) -> tuple[tuple[str, ...], FloatArray]:
+    """Return 34 source expressions by name: rest, what the dog can do, and four moods."""
+    wanted = [motion_and_side(shape) for shape in SHAPES.values()]
+    singles = [[name for name in names if motion_and_side(name) == each] for each in wanted]
+    singles[list(SHAPES).index("innerBrowRaiser")] = _of(names, "browinnerup")
+    singles[list(SHAPES).index("cheekPuff")] = _of(names, "cheekpuff")
+    moods = {
+        "joy": {"mouthsmile": 0.9, "cheeksquint": 0.7, "eyesquint": 0.4, "jawopen": 0.3},
+        "anger": {"browdown": 1.0, "nosesneer": 0.7, "mouthupperup": 0.6, "eyesquint": 0.5},
+        "surprise": {"browinnerup": 1.0, "browouterup": 0.9, "eyewide": 0.9, "jawopen": 0.7},
+        "sadness": {"browinnerup": 0.8, "mouthfrown": 0.9, "eyelookdown": 0.4, "eyeblink": 0.2},
+        "snarl": {"nosesneer": 1.0, "mouthupperup": 1.0, "jawopen": 0.25},
+    }
+    rows = [np.zeros(len(names))]
+    for single in singles:
+        rows.append(np.isin(names, single).astype(float))
+    for mood in moods.values():
+        row = np.zeros(len(names))
+        for motion, weight in mood.items():
+            row[np.isin(names, _of(names, motion))] = weight
+        rows.append(row)
+    return ("rest", *SHAPES, *moods), np.array(rows)
+
+
+def act(names: tuple[str, ...], weights: FloatArray) -> Controls:
+    """Return what the dog should do for source weights: the truth that pairs are keyed from."""
+    shapes = np.stack(
+        [weights[:, np.isin(names, _like(names, human))].sum(axis=1) for human in SHAPES.values()],
+        axis=1,
+    )
+    shapes /= np.maximum([len(_like(names, human)) for human in SHAPES.values()], 1)
+    bent = 1.1 * np.tanh(1.6 * shapes) / np.tanh(1.6)  # a cartoon's early, strong onset
+
+    def level(*motions: str) -> FloatArray:
+        found = [weights[:, np.isin(names, _of(names, motion))] for motion in motions]
+        return np.concatenate(found, axis=1).mean(axis=1)
+
+    anger, up, joy = (
+        level("browdown", "nosesneer"),
+        level("browinnerup", "browouterup"),
+        level("mouthsmile"),
+    )
+    turns = np.zeros((len(weights), len(JOINTS), 3))
+    for side, joint in ((1, 1), (-1, 3)):
+        turns[:, joint] = np.stack(
+            [-0.9 * anger + 0.5 * up, 0 * up, -side * (0.9 * anger - 0.4 * joy)], 1
+        )
+        turns[:, joint + 1] = np.stack([-0.5 * anger + 0.7 * up, 0 * up, -side * 0.6 * anger], 1)
+    turns[:, 5, 0] = 0.12 * anger - 0.1 * level("jawopen")
+    turns[:, 6, 0] = 0.2 * level("nosesneer")
+    lengths = np.zeros((len(weights), len(JOINTS), 3))
+    lengths[:, 7, 1] = 0.8 * up
+    places = 0.1 * np.array(PLACES_MM, float)
+    parents = [JOINTS.index(j.rpartition("/")[0]) if "/" in j else -1 for j in JOINTS]
+    rest = np.array(
+        [p - (places[u] if u >= 0 else 0) for p, u in zip(places, parents, strict=True)]
+    )
+    rng = np.random.default_rng(7)
+    mix = rng.normal(0, 0.5, (shapes.shape[1], len(ATTRIBUTES)))
+    return Controls(
+        shapes=tuple(SHAPES),
+        weights=np.clip(bent, 0.0, 1.0),
+        joints=JOINTS,
+        translations=rest + lengths,
+        rotations=Rotation.from_rotvec(turns.reshape(-1, 3))
+        .as_quat(scalar_first=True)
+        .reshape(*turns.shape[:2], 4),
+        scales=1.0 + 0.15 * np.repeat(up[:, None, None], len(JOINTS), axis=1) * [0, 1, 0],
+        attributes=ATTRIBUTES,
+        values=np.tanh(shapes @ mix) + 0.2 * shapes**2 @ mix,
+    )
+
+
+def _of(names: tuple[str, ...], motion: str) -> list[str]:
+    return [name for name in names if motion_and_side(name)[0] == motion]
+
+
+def _like(names: tuple[str, ...], human: str) -> list[str]:
+    motion, side = motion_and_side(human)
+    return [
+        n
+        for n in names
+        if motion_and_side(n)[0] == motion and (not side or motion_and_side(n)[1] == side)
+    ]
+
+
+def _dog_mesh(mesh: RigMesh, parts: FloatArray) -> RigMesh:
+    name = mesh.path.rpartition("/")[2]
+    ears = parts == int(Part.EARS)
+
+    def place(points: FloatArray, chosen: FloatArray) -> FloatArray:
+        moved = warp_to_dog(points)
+        return np.where(ears[chosen][:, None], _ear(points), moved)
+
+    every = np.arange(len(mesh.points))
+    human = {human: dog for dog, human in SHAPES.items()}
+    shapes = []
+    for shape in mesh.shapes:
+        if shape.name not in human:
+            continue
+        keys = tuple(
+            ShapeKey(
+                key.weight,
+                key.points,
+                place(mesh.points[key.points] + key.offsets, key.points)
+                - place(mesh.points[key.points], key.points),
+            )
+            for key in shape.keys
+        )
+        shapes.append(MeshShape(human[shape.name], keys))
+    colors = mesh.colors
+    if colors is not None and name == "skin":
+        colors = _coat(place(mesh.points, every), colors, ears)
+    return replace(
+        mesh,
+        path=f"/dog/geometry/{name}",
+        points=place(mesh.points, every),
+        shapes=tuple(shapes),
+        colors=colors,
+    )
+
+
+def _ear(points: FloatArray) -> FloatArray:
+    """Stand a human ear up: higher, further in and larger."""
+    side = np.sign(points[:, :1])
+    middle = np.array([74.0, -8.0, -14.0])
+    own = (points * np.r_[1.0, 1.0, 1.0] - side * middle * [1, 0, 0]) - middle * [0, 1, 1]
+    grown = own * [1.3, 2.2, 1.6]
+    return grown + np.concatenate(
+        [side * 66.0, np.full_like(side, 88.0), np.full_like(side, -14.0)], 1
+    )
+
+
+def _coat(points: FloatArray, colors: FloatArray, ears: FloatArray) -> FloatArray:
+    """Brown fur, a paler muzzle and a black nose."""
+    brown, pale = np.array([0.30, 0.17, 0.08]), np.array([0.62, 0.47, 0.32])
+    muzzle = np.clip((points[:, 2] - 75.0) / 45.0, 0, 1)[:, None]
+    coat = brown * (1 - muzzle) + pale * muzzle
+    coat = coat * (0.6 + 0.4 * colors.mean(axis=1, keepdims=True) / colors.mean())
+    nose = np.linalg.norm(points - np.array([0.0, -26.0, 172.0]), axis=1) < 17.0
+    coat[nose] = 0.03
+    coat[ears] *= 0.6
+    return np.clip(coat, 0, 1)
+
+
+def _influences(points: FloatArray) -> tuple[np.ndarray, FloatArray]:
+    """Return three joints for each point and their shares: the ears bend, the rest follows."""
+    owner = np.zeros((len(points), 3), int)
+    share = np.zeros((len(points), 3))
+    share[:, 0] = 1.0
+    for side, joint in ((1, 1), (-1, 3)):
+        up = (side * points[:, 0] > 30) & (points[:, 1] > 52) & (np.abs(points[:, 0]) > 46)
+        height = np.clip((points[up, 1] - 58.0) / 25.0, 0, 1)
+        tip = np.clip((points[up, 1] - 108.0) / 25.0, 0, 1)
+        owner[up] = [0, joint, joint + 1]
+        share[up] = np.stack([1 - height, height * (1 - tip), height * tip], axis=1)
+    return owner, share
