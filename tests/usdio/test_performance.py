@@ -11,6 +11,7 @@ from tests.usdio.small_rig import small_rig
 from usdface.deformer import Deformer
 from usdface.errors import InputError
 from usdface.usdio import weights_layer
+from usdface.provenance import Provenance
 from usdface.usdio.performance import read_performance, weights_path, writing_performance
 from usdface.usdio.rig import read_rig
 from usdface.usdio.rig_write import write_rig
@@ -34,6 +35,7 @@ def write(folder: Path, *, place: str | None = None, weights=WEIGHTS, first: int
         place=place,
         regions=("face",),
         timecode_start="00:01:00;02",
+        provenance=Provenance("map", "{}", {}),
     ) as writer:
         for start in range(0, len(weights), 7):
             part = weights[start : start + 7]
@@ -143,21 +145,3 @@ def test_a_rig_inside_an_instance_is_refused_with_the_way_out(tmp_path: Path) ->
     stage.Save()
     with pytest.raises(InputError, match="instanceable = false"):
         write(tmp_path)
-
-
-def test_validation_finds_a_sample_of_the_wrong_length(tmp_path: Path) -> None:
-    path = write(tmp_path)
-    layer = Sdf.Layer.FindOrOpen(str(weights_path(path)))
-    layer.SetTimeSample("/Hero/FaceSolve.blendShapeWeights", 1004, [0.5])
-    layer.Save()
-    findings = [each for each in validate(path) if each.check == "usdface:Weights"]
-    assert "1 weights for 3 shapes" in findings[0].message
-    assert findings[0].where.endswith("time code 1004")
-
-
-def test_validation_finds_shapes_that_no_mesh_has(tmp_path: Path) -> None:
-    path = write(tmp_path)
-    layer = Sdf.Layer.FindOrOpen(str(weights_path(path)))
-    layer.GetAttributeAtPath("/Hero/FaceSolve.blendShapes").default = ["smile", "jaw", "blink"]
-    layer.Save()
-    assert any("2 shapes are on no mesh: blink, jaw" in each.message for each in validate(path))

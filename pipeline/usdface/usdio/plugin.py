@@ -22,19 +22,24 @@ def schema_folder() -> Path:
     )
 
 
+def plugin_folders() -> tuple[Path, ...]:
+    """Return what belongs into PXR_PLUGINPATH_NAME: the schemas, and the validators."""
+    return schema_folder(), Path(__file__).resolve().parent / "checks"
+
+
 def register_schemas() -> None:
-    """Make FaceTakeAPI and its siblings known to USD in this process and in those it starts."""
-    folder = str(schema_folder())
-    known = os.environ.get("PXR_PLUGINPATH_NAME", "")
-    if folder not in known.split(os.pathsep):
-        os.environ["PXR_PLUGINPATH_NAME"] = os.pathsep.join(filter(None, (known, folder)))
+    """Make schemas and validators known to USD in this process and in those it starts."""
+    folders = list(map(str, plugin_folders()))
+    known = os.environ.get("PXR_PLUGINPATH_NAME", "").split(os.pathsep)
+    new = [folder for folder in folders if folder not in known]
+    os.environ["PXR_PLUGINPATH_NAME"] = os.pathsep.join(filter(None, (*known, *new)))
 
     from pxr import Plug, Usd
 
-    Plug.Registry().RegisterPlugins(folder)
+    Plug.Registry().RegisterPlugins(folders)
     # A registry built earlier in this process (a DCC) never learns of a plug-in that comes late.
     if Usd.SchemaRegistry().FindAppliedAPIPrimDefinition("FaceTakeAPI") is None:
         raise UsdfaceError(
             "USD was in use before usdface was imported, so its schemas are not known; import "
-            f"usdface first, or set PXR_PLUGINPATH_NAME={folder} before starting"
+            f"usdface first, or set PXR_PLUGINPATH_NAME={os.pathsep.join(folders)} before starting"
         )

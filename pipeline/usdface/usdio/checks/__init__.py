@@ -1,0 +1,84 @@
+"""Our validators, a plug-in of UsdValidation: any tool that asks USD for validators has them.
+
+USD reads ``plugInfo.json`` beside this file and imports this module when a validator is wanted.
+"""
+
+from collections.abc import Callable, Iterable
+
+from pxr import Sdf, Usd, UsdValidation
+
+from usdface.usdio.checks.curves import check_curves
+from usdface.usdio.checks.edits import check_edits
+from usdface.usdio.checks.fault import Fault
+from usdface.usdio.checks.files import check_absolute_paths, check_missing_files, check_provenance
+from usdface.usdio.checks.names import check_instances, check_names
+from usdface.usdio.checks.sides import check_sides
+from usdface.usdio.checks.timing import check_timing
+from usdface.usdio.checks.weights import check_weights
+
+PLUGIN = "usdface.usdio.checks"
+
+_KINDS = {
+    "error": UsdValidation.ValidationErrorType.Error,
+    "warning": UsdValidation.ValidationErrorType.Warn,
+}
+
+_PRIM_CHECKS: dict[str, Callable[[Usd.Prim], Iterable[Fault]]] = {
+    "Curves": check_curves,
+    "Edits": check_edits,
+    "Names": check_names,
+    "Weights": check_weights,
+}
+_STAGE_CHECKS: dict[str, Callable[[Usd.Stage], Iterable[Fault]]] = {
+    "AbsolutePaths": check_absolute_paths,
+    "Instances": check_instances,
+    "MissingFiles": check_missing_files,
+    "Provenance": check_provenance,
+    "Sides": check_sides,
+    "Timing": check_timing,
+}
+
+
+def _errors(
+    name: str, stage: Usd.Stage, faults: Iterable[Fault]
+) -> list[UsdValidation.ValidationError]:
+    return [
+        UsdValidation.ValidationError(
+            name,
+            _KINDS[fault.severity],
+            [UsdValidation.ValidationErrorSite(stage, Sdf.Path(fault.path))],
+            fault.message,
+        )
+        for fault in faults
+    ]
+
+
+def _register() -> None:
+    registry = UsdValidation.ValidationRegistry()
+    for name, check in _PRIM_CHECKS.items():
+
+        def look_at_prim(
+            prim: Usd.Prim,
+            _: object,
+            *,
+            name: str = name,
+            check: Callable[[Usd.Prim], Iterable[Fault]] = check,
+        ) -> list[UsdValidation.ValidationError]:
+            return _errors(name, prim.GetStage(), check(prim))
+
+        registry.RegisterPluginPrimValidator(f"{PLUGIN}:{name}", look_at_prim)
+    for name, look in _STAGE_CHECKS.items():
+
+        def look_at_stage(
+            stage: Usd.Stage,
+            _: object,
+            *,
+            name: str = name,
+            check: Callable[[Usd.Stage], Iterable[Fault]] = look,
+        ) -> list[UsdValidation.ValidationError]:
+            return _errors(name, stage, check(stage))
+
+        registry.RegisterPluginStageValidator(f"{PLUGIN}:{name}", look_at_stage)
+
+
+_register()

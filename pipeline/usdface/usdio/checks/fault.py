@@ -1,0 +1,84 @@
+"""What a check finds, and the samples that several checks look at."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pxr import Usd, UsdSkel
+
+from usdface.assets import Float32Array, FloatArray
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that is not in order.
+
+    Attributes
+    ----------
+    severity : {'error', 'warning'}
+        Whether a publish should stop.
+    path : str
+        The prim or property.
+    message : str
+        What is wrong, when, and how to mend it.
+    """
+
+    severity: Literal["error", "warning"]
+    path: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Samples:
+    """All samples of an animation's weights.
+
+    Attributes
+    ----------
+    path : str
+        Of the attribute.
+    names : tuple of str
+    times : (samples,) float array
+    values : (samples, shapes) float32 array
+    rate : float
+        Time codes per second.
+    """
+
+    path: str
+    names: tuple[str, ...]
+    times: FloatArray
+    values: Float32Array
+    rate: float
+
+
+def read_samples(prim: Usd.Prim) -> Samples | None:
+    """Return an animation's samples; None where there are none, or they do not fit the names."""
+    animation = UsdSkel.Animation(prim)
+    names = tuple(map(str, animation.GetBlendShapesAttr().Get() or ()))
+    attribute = animation.GetBlendShapeWeightsAttr()
+    times = attribute.GetTimeSamples() if attribute else []
+    values = np.empty((len(times), len(names)), dtype=np.float32)
+    for index, time in enumerate(times):
+        row = attribute.Get(time)
+        if row is None or len(row) != len(names):
+            return None
+        values[index] = np.asarray(row)
+    if not len(times) or not names or not np.isfinite(values).all():
+        return None
+    rate = float(prim.GetStage().GetTimeCodesPerSecond())
+    return Samples(str(attribute.GetPath()), names, np.array(times), values, rate)
+
+
+def is_recorded(prim: Usd.Prim) -> bool:
+    """Whether an animation is a take's own: recorded as it is, and driving nothing yet."""
+    parent = prim.GetParent()
+    return bool(parent) and bool(parent.HasAPI("FaceTakeAPI"))
+
+
+def is_solved(prim: Usd.Prim) -> bool:
+    """Whether an animation is a solve over time, not references, pairs or a pose."""
+    return bool(prim.HasAPI("FaceSolveAPI"))
+
+
+def some(names: list[str]) -> str:
+    """Return a few names, and how many more there are."""
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")

@@ -1,0 +1,302 @@
+"""What `validate` finds: each fault by the check that looks for it, with the way out."""
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Sdf, Usd
+
+from tests.usdio.small_rig import small_rig
+from usdface.assets import MeshShape, ShapeKey
+from usdface.layer_names import weights_path
+from usdface.provenance import Provenance
+from usdface.usdio.performance import writing_performance
+from usdface.usdio.plugin import plugin_folders
+from usdface.usdio.rig import read_rig
+from usdface.usdio.rig_write import write_rig
+from usdface.usdio.validation import Finding, validate
+
+NAMES = ("smile", "jawOpen", "eyeBlink")
+FRAMES = 1400
+SECONDS = np.arange(FRAMES) / 120
+WEIGHTS = 0.5 + 0.4 * np.sin(SECONDS[:, None] * [3.0, 5.0, 7.0])
+PRIM = "/Hero/FaceSolve"
+ATTRIBUTE = f"{PRIM}.blendShapeWeights"
+
+
+def write(folder: Path, weights: np.ndarray = WEIGHTS) -> Path:
+    write_rig(folder / "rig.usda", small_rig())
+    path = folder / "shot.hero.usda"
+    with writing_performance(
+        path,
+        read_rig(folder / "rig.usda"),
+        shape_names=NAMES,
+        rate=Fraction(120),
+        first_frame=1,
+        last_frame=len(weights),
+        provenance=Provenance("map", "{}", {}),
+    ) as writer:
+        writer.append(weights)
+    return path
+
+
+def change(path: Path, how: Callable[[Sdf.Layer], None]) -> Path:
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    how(layer)
+    layer.Save()
+    return path
+
+
+def only(path: Path, check: str) -> Finding:
+    found = [each for each in validate(path) if each.check == f"usdface:{check}"]
+    assert len(found) == 1, found
+    return found[0]
+
+
+def test_a_sound_performance_passes_every_check(tmp_path: Path) -> None:
+    assert validate(write(tmp_path)) == []
+
+
+def test_a_sample_of_the_wrong_length_is_named(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    change(weights_path(path), lambda layer: layer.SetTimeSample(ATTRIBUTE, 1004, [0.5]))
+    found = only(path, "Weights")
+    assert found.message.startswith("time code 1004: 1 weights for 3 shapes")
+    assert found.where == f"{path} <{ATTRIBUTE}>"
+    assert found.severity == "error"
+
+
+@pytest.mark.parametrize(
+    ("sample", "told"),
+    [
+        ([0.1, float("nan"), 0.2], "time code 7: jawOpen is not finite"),
+        ([0.1, 0.2, 55.0], "time code 7: eyeBlink is 55; .* percent"),
+    ],
+)
+def test_values_that_are_no_weights_are_named(tmp_path: Path, sample: list, told: str) -> None:
+    path = write(tmp_path)
+    change(weights_path(path), lambda layer: layer.SetTimeSample(ATTRIBUTE, 7, sample))
+    assert re.search(told, only(path, "Weights").message)
+
+
+def test_names_without_weights_are_empty(tmp_path: Path) -> None:
+    path = write(tmp_path)
+
+    def empty(layer: Sdf.Layer) -> None:
+        prim = layer.GetPrimAtPath(PRIM)
+        prim.RemoveProperty(prim.attributes["blendShapeWeights"])
+
+    change(weights_path(path), empty)
+    assert "3 shapes are named and there is no weight" in only(path, "Weights").message
+
+
+def test_shapes_that_no_mesh_has_are_named(tmp_path: Path) -> None:
+    path = write(tmp_path)
+
+    def rename(layer: Sdf.Layer) -> None:
+        layer.GetAttributeAtPath(f"{PRIM}.blendShapes").default = ["smile", "jaw", "blink"]
+
+    change(weights_path(path), rename)
+    assert "2 shapes are on no mesh: blink, jaw" in only(path, "Names").message
+
+
+def test_an_animation_that_nobody_follows_is_orphaned(tmp_path: Path) -> None:
+    path = write(tmp_path)
+
+    def unfollow(layer: Sdf.Layer) -> None:
+        for prim in list(layer.GetPrimAtPath("/Hero").nameChildren):
+            if prim.name != "FaceSolve":
+                del layer.GetPrimAtPath("/Hero").nameChildren[prim.name]
+
+    change(weights_path(path), unfollow)
+    found = only(path, "Names")
+    assert (found.severity, "no skeleton follows" in found.message) == ("warning", True)
+
+
+def test_an_instanceable_rig_in_a_shot_is_explained(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    stage = Usd.Stage.CreateNew(str(tmp_path / "shot.usda"))
+    hero = stage.DefinePrim("/Hero")
+    hero.GetReferences().AddReference("./rig.usda", "/Hero")
+    hero.SetInstanceable(True)
+    layer = stage.GetRootLayer()
+    layer.subLayerPaths.append(f"./{weights_path(path).name}")
+    layer.timeCodesPerSecond = layer.framesPerSecond = 120
+    layer.startTimeCode, layer.endTimeCode = 1, FRAMES
+    stage.Save()
+    found = only(tmp_path / "shot.usda", "Instances")
+    assert found.where.endswith("</Hero>")
+    assert f"ignores what {weights_path(path).name} says below it" in found.message
+    assert "instanceable = false" in found.message
+    hero.SetInstanceable(False)
+    stage.Save()
+    assert validate(tmp_path / "shot.usda") == []
+
+
+def curves(**edits: tuple[slice, object]) -> np.ndarray:
+    weights = WEIGHTS.copy()
+    for name, (part, value) in edits.items():
+        weights[part, NAMES.index(name)] = value
+    return weights
+
+
+@pytest.mark.parametrize(
+    ("weights", "told"),
+    [
+        (curves(jawOpen=(slice(50, 60), 1.2)), "jawOpen is 1.20, its range is 0 to 1"),
+        (curves(jawOpen=(slice(700, 701), 1.0)), "time code 70[12]: jawOpen jumps by"),
+        (curves(eyeBlink=(slice(None), 0.0)), "1 shapes never move: eyeBlink"),
+        (
+            np.concatenate([WEIGHTS[:300], np.tile(WEIGHTS[300], (100, 1)), WEIGHTS[300:]]),
+            "time codes 301 to 401: the face is frozen for 0.8 s",
+        ),
+    ],
+    ids=["range", "jump", "dead", "frozen"],
+)
+def test_curves_that_no_face_makes_are_named(
+    tmp_path: Path, weights: np.ndarray, told: str
+) -> None:
+    path = write(tmp_path, weights)
+    findings = [each for each in validate(path) if each.check == "usdface:Curves"]
+    assert any(re.search(told, each.message) for each in findings), findings
+    assert {each.severity for each in findings} == {"warning"}
+
+
+def test_a_range_that_the_rig_states_is_the_range(tmp_path: Path) -> None:
+    path = write(tmp_path, curves(smile=(slice(50, 200), WEIGHTS[50:200, 0] - 0.5)))
+    assert not [each for each in validate(path) if "range" in each.message]  # smile: -0.5 to 1.5
+
+
+def sided(folder: Path, *, flipped: str = "") -> Path:
+    """A performance over a rig whose shapes have sides, one of them perhaps the wrong way round."""
+    rig = small_rig()
+    skin = rig.meshes[0]
+    half = skin.points[:, 0] > skin.points[:, 0].mean()
+    shapes = []
+    for name in ("brow", "cheek", "mouth", "nose"):
+        for side, part in (("Left", half), ("Right", ~half)):
+            moved = np.flatnonzero(~part if name == flipped else part)
+            shapes.append(
+                MeshShape(f"{name}{side}", (ShapeKey(1.0, moved, np.ones((len(moved), 3))),))
+            )
+    names = tuple(shape.name for shape in shapes)
+    rig = replace(
+        rig,
+        shapes=names,
+        meshes=(replace(skin, shapes=tuple(shapes)),),
+        ranges=np.tile([0.0, 1.0], (len(names), 1)),
+    )
+    write_rig(folder / "sided.usda", rig)
+    return folder / "sided.usda"
+
+
+def test_a_pair_of_shapes_with_sides_exchanged_stands_out_from_the_others(tmp_path: Path) -> None:
+    assert not [f for f in validate(sided(tmp_path)) if f.check == "usdface:Sides"]
+    (tmp_path / "b").mkdir()
+    found = only(sided(tmp_path / "b", flipped="cheek"), "Sides")
+    assert found.message.startswith("cheekLeft: left and right are exchanged, compared with the")
+    assert "3 pairs" in found.message
+
+
+def test_sides_that_exchange_their_weights_at_a_frame_are_named(tmp_path: Path) -> None:
+    rig = read_rig(sided(tmp_path))
+    weights = np.tile(0.4 + 0.3 * np.sin(SECONDS)[:240, None], (1, 8))
+    weights[:, ::2] *= 0.2
+    weights[100:110] = weights[100:110].reshape(10, 4, 2)[:, :, ::-1].reshape(10, 8)
+    path = tmp_path / "a.usda"
+    with writing_performance(
+        path, rig, shape_names=rig.shapes, rate=Fraction(24), first_frame=1, last_frame=240
+    ) as writer:
+        writer.append(weights)
+    messages = [each.message for each in validate(path)]
+    assert any(
+        "time code 101: left and right shapes exchange their weights (2 times in all)" in message
+        for message in messages
+    )
+
+
+def test_a_rate_that_is_not_authored_is_an_error(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    change(path, lambda layer: layer.ClearTimeCodesPerSecond())
+    assert "timeCodesPerSecond is not authored" in only(path, "Timing").message
+
+
+def test_layers_of_different_rates_are_named(tmp_path: Path) -> None:
+    path = write(tmp_path)
+
+    def film(layer: Sdf.Layer) -> None:
+        layer.timeCodesPerSecond = layer.framesPerSecond = 24
+
+    change(path, film)
+    messages = [each.message for each in validate(path) if each.check == "usdface:Timing"]
+    assert any("has 120 time codes per second, shot.hero.usda 24" in each for each in messages)
+    assert any("lie between time codes" in each for each in messages)
+
+
+def test_samples_outside_the_range_are_named(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    change(path, lambda layer: setattr(layer, "endTimeCode", 100))
+    assert "samples from 1 to 1400 lie outside" in only(path, "Timing").message
+
+
+def test_missing_provenance_is_named(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    change(weights_path(path), lambda layer: setattr(layer, "customLayerData", {}))
+    assert "nobody can make it again" in only(path, "Provenance").message
+
+
+def test_an_absolute_path_is_named(tmp_path: Path) -> None:
+    path = write(tmp_path)
+
+    def absolute(layer: Sdf.Layer) -> None:
+        layer.subLayerPaths.append(str(weights_path(path)))
+
+    change(path, absolute)
+    assert "by an absolute path" in only(path, "AbsolutePaths").message
+
+
+def test_a_rig_that_was_moved_is_named(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    (tmp_path / "rig.usda").rename(tmp_path / "moved.usda")
+    assert "./rig.usda, which cannot be opened: was it moved?" in only(path, "MissingFiles").message
+
+
+def test_edits_that_find_no_shape_are_named(tmp_path: Path) -> None:
+    path = write(tmp_path)
+
+    def edit(layer: Sdf.Layer) -> None:
+        prim = Sdf.CreatePrimInLayer(layer, PRIM)
+        Sdf.AttributeSpec(prim, "face:edit:jaw", Sdf.ValueTypeNames.Float).default = 0.2
+
+    change(path, edit)
+    assert "edits of jaw find no such shape" in only(path, "Edits").message
+
+
+def test_other_tools_find_our_validators_through_the_plugin_path(tmp_path: Path) -> None:
+    path = write(tmp_path, curves(jawOpen=(slice(50, 60), 1.2)))
+    script = f"""
+from pxr import Usd, UsdValidation
+registry = UsdValidation.ValidationRegistry()
+ours = registry.GetValidatorMetadataForKeyword("usdface")
+assert len(ours) == 10, [each.name for each in ours]
+assert all(each.doc for each in ours)
+context = UsdValidation.ValidationContext(registry.GetOrLoadAllValidators())
+for error in context.Validate(Usd.Stage.Open({str(path)!r})):
+    print(error.GetErrorAsString())
+"""
+    folders = os.pathsep.join(map(str, plugin_folders()))
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env=os.environ | {"PXR_PLUGINPATH_NAME": folders},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "jawOpen is 1.20, its range is 0 to 1" in done.stdout
