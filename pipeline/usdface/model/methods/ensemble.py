@@ -1,24 +1,27 @@
 """The default: what examples say and what the rig's geometry says, heard together.
 
-Examples speak through three voices (a process over the whole face, and two over the region of each
-shape), weighed shape by shape by their leave-one-out errors. Geometry speaks through a
-linear face calibrated on the pairs, with local corrections. Both get half of the say: leave-one-out
-on chosen references flatters the examples, which know nothing of combinations that no reference
-shows. What comes out is brought within the shapes' ranges at the least cost to the face.
+Examples speak through three voices (processes over the region of each shape, near and wide, and
+kernel CCA over the whole face), weighed shape by shape by their leave-one-out errors. Geometry
+speaks through a linear face calibrated on the pairs. How far it is heard depends on the errors of
+both, geometry's being forgiven some: leave-one-out on chosen references flatters the examples,
+which know nothing of combinations that no reference shows. What comes out is brought within the
+shapes' ranges at the least cost to the face.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
 from usdface.assets import FloatArray
 from usdface.model.methods.contract import Fitted, Method, Pairs, Settings
-from usdface.model.methods.target_curve import CURVES, bend, unbend
+from usdface.model.methods.target_curve import CURVES, bend, choose_curves, unbend
 from usdface.model.methods.voices import (
-    CORRECTIONS,
+    FEWEST_CORRELATED,
     GLOBAL_LINES,
-    GLOBAL_LOCALS,
     REGION_TIGHT,
     REGION_WIDE,
     Voice,
+    correlation_voice,
     global_voice,
     predict_locals,
     regional_voice,
@@ -32,7 +35,9 @@ MOST_DIMENSIONS = 50
 LEAST_VARIANCE_MM2 = 1e-4
 """Variance of a component below which there is no motion, only rounding."""
 
-GEOMETRY_SHARE = 0.5
+FORGIVEN = 2.0
+"""How many times the squared error of the examples geometry may have to be heard as they are."""
+
 BLOCK_FRAMES = 1024
 
 SEEN_SHARE = 0.3
@@ -40,9 +45,10 @@ SEEN_SHARE = 0.3
 more, noise of the markers shows as jitter."""
 
 REACH = 1.2
-MOST_DOUBT = 0.1
-"""How far, in usual errors, weights near the upper limit are drawn to it; and the largest error
-that counts as usual."""
+UNSEEN = 2.0
+MOST_DOUBT = 0.15
+"""How far, in usual errors, weights near the upper limit are drawn to it; how much larger errors
+are on a take than on the chosen pairs; and the largest error that counts as usual."""
 
 _AT_LIMIT = 0.005  # weights this near to 0 or 1 may have wanted to go beyond
 _BEYOND = 0.25  # and how far at most
@@ -69,18 +75,21 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     importance = np.diag(gram) + 1e-3 * float(np.diag(gram).mean())
     examples, targets = _example_voices(pairs, z, targets, importance)
     say = _say(np.stack([(voice.residuals**2).mean(axis=0) for voice in examples]))
-    share = np.zeros(len(span)) if geometry is None else np.full(len(span), GEOMETRY_SHARE)
-    voices = [(voice, part * (1 - share)) for voice, part in zip(examples, say, strict=True)]
+    voices = list(zip(examples, say, strict=True))
     metric = gram + 1e-3 * float(np.diag(gram).mean()) * np.eye(len(gram))
     if geometry is not None:
-        metric = _metric(geometry, _together(voices, weights.shape) / (1 - GEOMETRY_SHARE))
-        voices += _geometry_voices(pairs, z, geometry, importance, share)
+        together = _together(voices, weights.shape)
+        metric = _metric(geometry, together)
+        share = _geometry_share(geometry.residuals, together)
+        line = Voice(geometry.slope, geometry.intercept, {}, geometry.residuals)
+        voices = [(voice, part * (1 - share)) for voice, part in voices] + [(line, share)]
     usual = np.sqrt((_together(voices, weights.shape) ** 2).mean(axis=0))
     arrays = {
         "slope": sum((part * voice.slope for voice, part in voices), np.zeros((kept, len(span)))),
         "intercept": sum((part * voice.intercept for voice, part in voices), np.zeros(len(span))),
         "metric": metric,
-        "doubt": np.clip(usual, 1e-6, MOST_DOUBT),
+        "doubt": np.clip(UNSEEN * usual, 1e-6, MOST_DOUBT),
+        "curve": curve,
         "low": low,
         "span": span,
     }
@@ -88,7 +97,7 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
         if voice.locals and (voice.locals["dual"] * part).any():
             arrays |= {f"local{k}_{name}": value for name, value in voice.locals.items()}
             arrays[f"local{k}_dual"] = voice.locals["dual"] * part
-    chosen: Settings = {"curve": curve, "geometry": geometry is not None}
+    chosen: Settings = {"curve": float(curve.mean()), "geometry": geometry is not None}
     return Fitted(arrays, settings | chosen)
 
 
@@ -107,7 +116,7 @@ def _predict(
         bent = z @ arrays["slope"] + arrays["intercept"]
         for parts in locals_:
             bent += predict_locals(parts, z)
-        free = _reach_limit(unbend(bent, float(settings["curve"])), arrays["doubt"])
+        free = _reach_limit(unbend(bent, arrays["curve"]), arrays["doubt"])
         within = project_to_box(free, arrays["metric"], lower=0 * ones, upper=ones)
         out[part] = arrays["low"] + arrays["span"] * within
     return out
@@ -115,34 +124,39 @@ def _predict(
 
 def _calibrated(
     pairs: Pairs, z: FloatArray, weights: FloatArray, gram: FloatArray, span: FloatArray
-) -> tuple[LinearPosterior | None, float]:
-    """Fit the linear face under every curve; keep the one that predicts unseen pairs best."""
+) -> tuple[LinearPosterior | None, FloatArray]:
+    """Fit the linear face under every curve; keep for each shape the curve that predicts best."""
     if pairs.skin is None or len(weights) < 3:
-        return None, 0.0
-    kept = z.shape[1]
-    motion = pairs.motion
-    markers = (pairs.coordinates @ motion.components).reshape(len(z), -1, 3)
-    best: tuple[float, float, LinearPosterior] | None = None
+        return None, np.zeros(len(span))
+    markers = (pairs.coordinates @ pairs.motion.components).reshape(len(z), -1, 3)
+    errors = []
     for curve in CURVES:
-        targets = bend(weights, curve)
-        prior = expect_marker_motion(pairs.skin * span[:, None, None], targets, markers)
-        basis = prior.basis.reshape(len(span), -1) @ motion.components[:kept].T
-        posterior = fit_linear_posterior(
-            z,
-            targets,
-            expected=basis,
-            components=motion.components[:kept],
-            variances=motion.variances[:kept],
-            gram=gram,
-        )
-        predicted = unbend(targets - posterior.residuals, curve)
-        error = np.clip(predicted, -0.1, 1.1) - weights
-        score = float(np.einsum("ns,st,nt->", error, gram, error))
-        if best is None or score < best[0]:
-            best = score, curve, posterior
-    if best is None:
-        return None, 0.0
-    return best[2], best[1]
+        posterior = _posterior(pairs, z, bend(weights, curve), gram, span, markers)
+        predicted = unbend(bend(weights, curve) - posterior.residuals, curve)
+        errors.append(np.clip(predicted, -0.1, 1.1) - weights)
+    curves = choose_curves(np.stack(errors), weights, gram)
+    return _posterior(pairs, z, bend(weights, curves), gram, span, markers), curves
+
+
+def _posterior(
+    pairs: Pairs,
+    z: FloatArray,
+    targets: FloatArray,
+    gram: FloatArray,
+    span: FloatArray,
+    markers: FloatArray,
+) -> LinearPosterior:
+    kept = z.shape[1]
+    components = pairs.motion.components[:kept]
+    prior = expect_marker_motion(pairs.skin * span[:, None, None], targets, markers)
+    return fit_linear_posterior(
+        z,
+        targets,
+        expected=prior.basis.reshape(len(span), -1) @ components.T,
+        components=components,
+        variances=pairs.motion.variances[:kept],
+        gram=gram,
+    )
 
 
 def _example_voices(
@@ -162,10 +176,10 @@ def _example_voices(
     components = pairs.motion.components[: z.shape[1]]
     guessed = np.clip(sample @ line.slope + line.intercept, 0.0, 1.0)
     covariance = np.cov(sample.T).reshape(z.shape[1], -1)
-    voices = [
-        line,
-        global_voice(z, targets, variances=variances, choices=GLOBAL_LOCALS, importance=importance),
-    ]
+    taught = replace(pairs, weights=targets, gram=np.diag(importance))
+    voices = []
+    if len(targets) >= FEWEST_CORRELATED:
+        voices = [correlation_voice(taught, targets, dimensions=z.shape[1])]
     for choices, sharpness, floor, shared in (
         (REGION_WIDE, 1.5, 0.01, True),
         (REGION_TIGHT, 2.0, 0.01, False),
@@ -176,26 +190,11 @@ def _example_voices(
     return voices, targets
 
 
-def _geometry_voices(
-    pairs: Pairs,
-    z: FloatArray,
-    geometry: LinearPosterior,
-    importance: FloatArray,
-    share: FloatArray,
-) -> list[tuple[Voice, FloatArray]]:
-    correction = global_voice(
-        z,
-        geometry.residuals,
-        variances=pairs.motion.variances[: z.shape[1]],
-        choices=CORRECTIONS,
-        importance=importance,
-        noises=10.0 ** np.arange(-3.0, 1.6, 0.5),
-    )
-    line = Voice(geometry.slope, geometry.intercept, {}, geometry.residuals)
-    alone = (geometry.residuals**2).mean(axis=0)
-    helped = (correction.residuals**2).mean(axis=0)
-    part = _say(np.stack([alone, helped]))[1]
-    return [(line, share), (correction, share * part)]
+def _geometry_share(geometry: FloatArray, examples: FloatArray) -> FloatArray:
+    """How far geometry is heard for each shape, by leave-one-out residuals of both."""
+    ratio = (geometry**2).mean(axis=0) / np.maximum((examples**2).mean(axis=0), 1e-7)
+    share: FloatArray = 1 / (1 + np.sqrt(ratio / FORGIVEN))
+    return share
 
 
 def _uncensor(tuned: FloatArray, predicted: FloatArray) -> FloatArray:

@@ -1,14 +1,17 @@
-"""The members of the ensemble: processes over the whole face and over the region of each shape.
+"""The members of the ensemble: processes over the region of each shape, and kernel CCA.
 
 A voice is a straight line plus local corrections. Lines of several voices add up to one line;
 local corrections keep their own centres.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from usdface.assets import FloatArray, IntArray
+from usdface.model.methods import kernel_cca
+from usdface.model.methods.contract import Pairs, Settings
+from usdface.model.methods.scaling import coordinate_scale, scaled
 from usdface.numerics.regression.gaussian_process import (
     NOISES,
     Choice,
@@ -20,29 +23,32 @@ from usdface.numerics.regression.gaussian_process import (
     smoothest_near_best,
     usable_choices,
 )
+from usdface.numerics.regression.kernel_cca import predict_kernel_cca
 from usdface.numerics.regression.marker_regions import RegionalFeatures
 
 GLOBAL_LINES = tuple(Choice(d, p) for d in (16, 24, 32, 40) for p in (0.0, 0.25, 0.5))
-GLOBAL_LOCALS = tuple(
-    Choice(d, p, r, c)
-    for d in (24, 32, 40)
-    for p in (0.0, 0.25, 0.5)
-    for r in (0.3, 1.0, 3.0)
-    for c in (1.0, 2.0, 4.0)
-)
 _LOCAL_SIZES = ((0.0, 1.0), (1.0, 1.0), (1.0, 3.0), (3.0, 3.0))
 REGION_WIDE = tuple(
     Choice(d, p, r, c) for d in (12, 24) for p in (0.25, 0.5) for r, c in _LOCAL_SIZES
 )
 REGION_TIGHT = tuple(Choice(d, 0.5, r, c) for d in (4, 8, 12) for r, c in _LOCAL_SIZES)
-CORRECTIONS = tuple(
-    Choice(d, p, 1.0, c, line=0.0)
-    for d in (8, 16, 24, 32)
-    for p in (0.25, 0.5)
-    for c in (0.5, 1.0, 2.0, 4.0)
-)
-"""Local parts over a line from elsewhere: no line and, through `OFFSET`, a constant."""
 
+CORRELATIONS = tuple(
+    (power, width, kappa)
+    for kappa in (1e-6, 1e-7, 1e-5)
+    for power in (0.0, 0.125, 0.25)
+    for width in (8.0, 4.0)
+)
+"""Whitening, width and penalty of kernel CCA; the first are tried first where pairs are many."""
+
+FEWEST_CORRELATED = 4
+"""Pairs below which nothing can be said to correlate."""
+
+CORRELATION_FOLDS = 25
+"""At most: pairs are left out one by one while they are no more than this."""
+
+CORRELATION_COST = 2e9
+"""Fits times cubed pairs: all choices up to 160 pairs."""
 
 AFFORDABLE = 16 * 60 * 200.0**3
 """Choices times shapes times cubed pairs: all of them up to 200 pairs of 60 shapes."""
@@ -97,6 +103,49 @@ def global_voice(
         "dual": process.dual,
     }
     return Voice(slope, process.intercept, parts, process.residuals)
+
+
+def correlation_voice(pairs: Pairs, targets: FloatArray, *, dimensions: int) -> Voice:
+    """Fit kernel CCA, its kernel and penalty those that move the surface least away.
+
+    Its wide kernels are nearly quadratic functions of the whole face: what happens together is
+    heard together.
+    """
+    count = len(targets)
+    folds = np.arange(count) % min(count, CORRELATION_FOLDS)
+    allowed = int(CORRELATION_COST / (int(folds.max()) + 1) / count**3)
+    best: tuple[float, Settings, FloatArray] | None = None
+    taught = replace(pairs, weights=targets)
+    for power, width, kappa in CORRELATIONS[: max(allowed, 1)]:
+        settings: Settings = {
+            "dimensions": dimensions,
+            "whitening": power,
+            "width": width,
+            "kappa": kappa,
+            "lines": "penalised",
+        }
+        scale = coordinate_scale(pairs, settings)
+        residuals = np.empty_like(targets)
+        for fold in range(int(folds.max()) + 1):
+            test = folds == fold
+            model = kernel_cca.fit_pairs(taught.rows(np.flatnonzero(~test)), scale, settings)
+            unseen = scaled(pairs.coordinates[test], scale)
+            residuals[test] = targets[test] - predict_kernel_cca(model, unseen)
+        error = float(np.einsum("ns,st,nt->", residuals, pairs.gram, residuals, optimize=True))
+        if best is None or error < best[0]:
+            best = error, settings, residuals
+    if best is None:
+        raise ValueError("no choice to try")
+    _, settings, residuals = best
+    scale = coordinate_scale(pairs, settings)
+    model = kernel_cca.fit_pairs(taught, scale, settings)
+    parts = {
+        "projection": np.diag(scale),
+        "centres": model.centres,
+        "exponent": np.array([-0.5 / model.width**2]),
+        "dual": model.operator,
+    }
+    return Voice(np.zeros((dimensions, targets.shape[1])), model.intercept, parts, residuals)
 
 
 def regional_voice(
