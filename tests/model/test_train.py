@@ -8,6 +8,7 @@ from usdface.assets import References
 from usdface.errors import InputError
 from usdface.model import predict_weights, train_mapping
 from usdface.model.methods import METHODS
+from usdface.model.train import observable_shapes
 
 CHOSEN = np.arange(0, 1200, 30)
 each_method = pytest.mark.parametrize("method", sorted(METHODS))
@@ -186,3 +187,14 @@ def test_progress_runs_from_nothing_to_all() -> None:
     )
     assert heard == sorted(heard)
     assert (heard[0], heard[-1]) == (0.0, 1.0)
+
+
+def test_shapes_that_no_marker_shows_do_not_decide() -> None:
+    rng = np.random.default_rng(0)
+    weights = rng.uniform(size=(40, 3))
+    near, chance = 0.05 * rng.normal(size=(40, 3)), weights - weights.mean(axis=0)
+    gaze = np.array([False, False, True])
+    errors = [np.where(gaze, 1.1 * chance, near), np.where(gaze, 1.3 * chance, 2 * near)]
+    assert observable_shapes(errors, weights).tolist() == [True, True, False]
+    assert observable_shapes([], weights).all()
+    assert observable_shapes([chance], weights).all()

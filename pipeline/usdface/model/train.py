@@ -1,10 +1,19 @@
 """References to a mapping: choose a method and its settings, fit on all pairs."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.assets import CandidateScore, FloatArray, IntArray, Mapping, MotionSpace, References
+from usdface.assets import (
+    BoolArray,
+    CandidateScore,
+    FloatArray,
+    IntArray,
+    Mapping,
+    MotionSpace,
+    References,
+)
 from usdface.errors import InputError
 from usdface.model.coordinates import marker_coordinates
 from usdface.model.familiarity import fit_familiarity
@@ -25,6 +34,9 @@ FOLDS = 5
 
 MINIMUM_TO_COMPARE = 8
 """Pairs below which cross-validation says nothing: the first, simplest candidate is taken."""
+
+OBSERVABLE = 0.9
+"""Of a shape's variance: a mean squared error above it says that markers do not show the shape."""
 
 SURFACE_TOLERANCE_MM = 1.0
 WEIGHT_TOLERANCE = 0.1
@@ -91,10 +103,15 @@ def train_mapping(
     )
     candidates = _candidates(pairs, method, dimensions)
     folds = blocked_folds(checked.frames, checked.takes, folds=FOLDS)
-    scored = []
+    tried = []
     for i, candidate in enumerate(candidates if len(pairs.weights) >= MINIMUM_TO_COMPARE else []):
         progress(0.9 * i / len(candidates), f"cross-validating {candidate.method.name}")
-        scored.append((_score(candidate, pairs, folds, with_rig=gram is not None), candidate))
+        tried.append((_unseen_errors(candidate, pairs, folds), candidate))
+    told = observable_shapes([errors for errors, _ in tried], pairs.weights)
+    scored = [
+        (_score(candidate, errors, told, pairs.gram if gram is not None else None), candidate)
+        for errors, candidate in tried
+    ]
     scored.sort(key=lambda entry: _order(entry[0]))
     best = scored[0][1] if scored else candidates[0]
     progress(0.9, f"fitting {best.method.name}")
@@ -124,7 +141,11 @@ def train_mapping(
             name: np.ascontiguousarray(value, dtype=np.float64) for name, value in arrays.items()
         },
         settings=fitted.settings
-        | {"pairs": len(pairs.weights), "limited_weights": sound.limited_weights},
+        | {
+            "pairs": len(pairs.weights),
+            "limited_weights": sound.limited_weights,
+            "unobservable_shapes": int((~told).sum()),
+        },
         scores=tuple(score for score, _ in scored),
     )
 
@@ -159,9 +180,33 @@ def _candidates(pairs: Pairs, method: str, dimensions: int | None) -> list[_Cand
     ]
 
 
-def _score(
-    candidate: _Candidate, pairs: Pairs, folds: tuple[Fold, ...], *, with_rig: bool
-) -> CandidateScore:
+def observable_shapes(errors: Sequence[FloatArray], weights: FloatArray) -> BoolArray:
+    """Find the shapes that markers tell anything about.
+
+    Where the eyes look moves no marker: what candidates make of it is chance, and chance must not
+    decide between them. A shape counts if some candidate predicts unseen pairs of it better than
+    its mean does.
+
+    Parameters
+    ----------
+    errors : sequence of (pairs, shapes) float arrays
+        Of every candidate, on pairs it has not seen.
+    weights : (pairs, shapes) float array
+
+    Returns
+    -------
+    (shapes,) bool array
+        All True where there is nothing to tell by.
+    """
+    usual = weights.var(axis=0)
+    if not len(errors):
+        return np.ones(len(usual), dtype=np.bool_)
+    least = np.min([(each**2).mean(axis=0) for each in errors], axis=0)
+    told = (least < OBSERVABLE * usual) | (usual == 0)
+    return told if told.any() else np.ones_like(told)
+
+
+def _unseen_errors(candidate: _Candidate, pairs: Pairs, folds: tuple[Fold, ...]) -> FloatArray:
     def fit_predict(train: IntArray, test: IntArray) -> FloatArray:
         seen = pairs.rows(train)
         settings = dict(candidate.settings)
@@ -174,12 +219,20 @@ def _score(
         return np.clip(predicted, pairs.ranges[:, 0], pairs.ranges[:, 1])
 
     predicted = predict_out_of_fold(fit_predict, folds, width=pairs.weights.shape[1])
-    errors = predicted - pairs.weights
+    return predicted - pairs.weights
+
+
+def _score(
+    candidate: _Candidate, errors: FloatArray, told: BoolArray, gram: FloatArray | None
+) -> CandidateScore:
+    seen = errors[:, told]
     return CandidateScore(
         method=candidate.method.name,
         settings=_readable(candidate.settings),
-        weight_rmse=weight_rmse(errors),
-        vertex_rms_mm=surface_rms_mm(errors, pairs.gram) if with_rig else float("nan"),
+        weight_rmse=weight_rmse(seen),
+        vertex_rms_mm=(
+            float("nan") if gram is None else surface_rms_mm(seen, gram[np.ix_(told, told)])
+        ),
     )
 
 

@@ -128,14 +128,15 @@ def _calibrated(
     """Fit the linear face under every curve; keep for each shape the curve that predicts best."""
     if pairs.skin is None or len(weights) < 3:
         return None, np.zeros(len(span))
+    skin = pairs.skin * span[:, None, None]
     markers = (pairs.coordinates @ pairs.motion.components).reshape(len(z), -1, 3)
     errors = []
     for curve in CURVES:
-        posterior = _posterior(pairs, z, bend(weights, curve), gram, span, markers)
+        posterior = _posterior(pairs, z, bend(weights, curve), gram, skin, markers)
         predicted = unbend(bend(weights, curve) - posterior.residuals, curve)
         errors.append(np.clip(predicted, -0.1, 1.1) - weights)
     curves = choose_curves(np.stack(errors), weights, gram)
-    return _posterior(pairs, z, bend(weights, curves), gram, span, markers), curves
+    return _posterior(pairs, z, bend(weights, curves), gram, skin, markers), curves
 
 
 def _posterior(
@@ -143,16 +144,16 @@ def _posterior(
     z: FloatArray,
     targets: FloatArray,
     gram: FloatArray,
-    span: FloatArray,
+    skin: FloatArray,
     markers: FloatArray,
 ) -> LinearPosterior:
     kept = z.shape[1]
     components = pairs.motion.components[:kept]
-    prior = expect_marker_motion(pairs.skin * span[:, None, None], targets, markers)
+    prior = expect_marker_motion(skin, targets, markers)
     return fit_linear_posterior(
         z,
         targets,
-        expected=prior.basis.reshape(len(span), -1) @ components.T,
+        expected=prior.basis.reshape(len(skin), -1) @ components.T,
         components=components,
         variances=pairs.motion.variances[:kept],
         gram=gram,
