@@ -10,8 +10,8 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 from tests.usdio.small_rig import small_rig
 from usdface.deformer import Deformer
 from usdface.errors import InputError
-from usdface.usdio import weights_layer
 from usdface.provenance import Provenance
+from usdface.usdio import weights_layer
 from usdface.usdio.performance import read_performance, weights_path, writing_performance
 from usdface.usdio.rig import read_rig
 from usdface.usdio.rig_write import write_rig

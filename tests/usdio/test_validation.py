@@ -137,7 +137,7 @@ def test_an_instanceable_rig_in_a_shot_is_explained(tmp_path: Path) -> None:
     assert "instanceable = false" in found.message
     hero.SetInstanceable(False)
     stage.Save()
-    assert validate(tmp_path / "shot.usda") == []
+    assert not [each for each in validate(tmp_path / "shot.usda") if "usdface:" in each.check]
 
 
 def curves(**edits: tuple[slice, object]) -> np.ndarray:

@@ -148,8 +148,10 @@ def spread_out(weights: FloatArray, change: FloatArray, count: int) -> IntArray:
     """Choose up to `count` rows: the most changed, and those farthest from any chosen one."""
     first = int(change.argmax())
     wanted = min(count, len(weights)) - 1
-    further = design_k_centre(weights, wanted, already=np.array([first])).chosen if wanted else []
-    return np.array(sorted([first, *further]), dtype=np.int64)
+    if not wanted:
+        return np.array([first], dtype=np.int64)
+    further = design_k_centre(weights, wanted, already=np.array([first])).chosen
+    return np.sort(np.concatenate([[first], further]))
 
 
 def _made_from(performance: Path) -> tuple[TakeReader, Mapping]:

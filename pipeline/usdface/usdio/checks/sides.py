@@ -3,6 +3,7 @@
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
+from usdface.assets import FloatArray
 from usdface.usdio.checks.curves import pair_sides
 from usdface.usdio.checks.fault import Fault, some
 
@@ -50,7 +51,8 @@ def _leaning(mesh: Usd.Prim) -> list[float]:
     out = []
     for target in binding.GetBlendShapeTargetsRel().GetTargets():
         shape = UsdSkel.BlendShape(mesh.GetStage().GetPrimAtPath(target))
-        offsets = np.asarray(shape.GetOffsetsAttr().Get() or [], dtype=np.float64) if shape else []
+        told = shape.GetOffsetsAttr().Get() if shape else None
+        offsets: FloatArray = np.asarray(told or np.zeros((0, 3)), dtype=np.float64)
         indices = shape.GetPointIndicesAttr().Get() if shape else None
         rows = np.arange(len(offsets)) if indices is None else np.asarray(indices)
         if not len(offsets) or len(rows) != len(offsets) or rows.max(initial=0) >= len(points):
