@@ -12,17 +12,19 @@ import numpy as np
 from usdface.assets import Float32Array
 from usdface.errors import InputError
 from usdface.media.color import ByteImage
+from usdface.media.containers import open_media
+from usdface.media.movie_sound import SoundTrack
 from usdface.replacing import replacing
 from usdface.timecode import frames_of
 
 _H264 = ("libx264", "libopenh264", "h264_videotoolbox", "h264_mf")
 _OPTIONS = {
-    "libx264": {"crf": "18", "preset": "veryfast", "g": "1"},
+    # A fixed quantiser looks at no neighbour: a picture is the same in whichever part it is made.
+    "libx264": {"qp": "19", "preset": "veryfast", "g": "1"},
     "libopenh264": {"g": "1", "b": "20M"},
     "libvpx-vp9": {"crf": "24", "b": "0", "cpu-used": "6", "row-mt": "1", "g": "12"},
 }
-_CONTAINERS = {".mp4": "mp4", ".mov": "mov", ".mkv": "matroska", ".webm": "webm"}
-_BLOCK = 1024  # samples that AAC takes at a time
+MOVIE_FORMATS = {".mp4": "mp4", ".mov": "mov", ".mkv": "matroska", ".webm": "webm"}
 _BT709 = 1
 
 
@@ -34,6 +36,7 @@ def write_movie(
     audio: Float32Array | None = None,
     sample_rate: int = 48000,
     timecode: str = "",
+    comment: str = "",
 ) -> None:
     """Encode pictures, and sound if there is some, into a movie that replaces `path` at the end.
 
@@ -54,6 +57,8 @@ def write_movie(
         Samples per second of `audio`.
     timecode : str
         SMPTE time of the first frame, ``HH:MM:SS:FF``, or ``;`` before FF for drop-frame.
+    comment : str
+        Kept in the file; see `read_movie_comment`.
 
     Raises
     ------
@@ -62,9 +67,7 @@ def write_movie(
         the folder cannot be written. An old file is left as it was.
     """
     file = Path(path)
-    container_format = _CONTAINERS.get(file.suffix.lower())
-    if container_format is None:
-        raise InputError(f"{file}: movies end in {', '.join(_CONTAINERS)}; rename it")
+    container_format = movie_format(file)
     if not rate > 0:
         raise InputError(f"{file}: a rate of {rate} frames a second cannot be written")
     if timecode:
@@ -78,6 +81,8 @@ def write_movie(
             with av.open(str(temporary), "w", format=container_format) as container:
                 if timecode:
                     container.metadata["timecode"] = timecode
+                if comment:
+                    container.metadata["comment"] = comment
                 _encode(
                     container,
                     _same_size(file, first, pictures),
@@ -88,6 +93,33 @@ def write_movie(
                 )
         except (av.error.FFmpegError, OSError) as error:
             raise InputError(f"{file}: the movie cannot be encoded ({error})") from error
+
+
+def movie_format(file: Path) -> str:
+    """Return the container of a movie's name.
+
+    Raises
+    ------
+    InputError
+        If no movie ends so.
+    """
+    found = MOVIE_FORMATS.get(file.suffix.lower())
+    if found is None:
+        raise InputError(f"{file}: movies end in {', '.join(MOVIE_FORMATS)}; rename it")
+    return found
+
+
+def read_movie_comment(file: Path) -> str:
+    """Return what `write_movie` was told to keep in a file; empty where there is nothing.
+
+    Raises
+    ------
+    InputError
+        If the file is no movie.
+    """
+    with open_media(file) as container:
+        said = {str(key).lower(): str(value) for key, value in container.metadata.items()}
+    return said.get("comment", "")
 
 
 def video_encoder(container_format: str) -> str:
@@ -123,47 +155,18 @@ def _encode(
     # Tagged as BT.709: no player then re-maps what is made to look right on an sRGB screen.
     context.color_primaries = context.color_trc = context.colorspace = _BT709
     context.color_range = 1  # limited, as broadcast and every player expect
-    sound = None
-    if audio is not None:
-        codec = "libopus" if container.format.name == "webm" else "aac"
-        sound = container.add_stream(codec, rate=sample_rate, layout="mono")
-    written = 0
+    sound = None if audio is None else SoundTrack(container, audio, sample_rate)
     for number, picture in enumerate(pictures):
         padded = _padded(picture, size)
         frame = av.VideoFrame.from_ndarray(padded, format="rgb24")
         frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
         frame.pts, frame.time_base = number, 1 / rate
         container.mux(video.encode(frame))
-        if audio is not None:
-            until = min(int((number + 1) / rate * sample_rate), len(audio))
-            written = _encode_sound(container, sound, audio, written, until, sample_rate)
+        if sound is not None:
+            sound.encode_until(Fraction(number + 1) / rate)
     container.mux(video.encode())
-    if audio is not None:
-        _encode_sound(container, sound, audio, written, len(audio), sample_rate, last=True)
-        container.mux(sound.encode())  # type: ignore[union-attr]
-
-
-def _encode_sound(
-    container: Any,
-    stream: Any,
-    audio: Float32Array,
-    start: int,
-    stop: int,
-    sample_rate: int,
-    *,
-    last: bool = False,
-) -> int:
-    """Encode whole blocks up to a sample, and at the end what is left; return where it stopped."""
-    while start < stop and (last or stop - start >= _BLOCK):
-        block = np.asarray(audio[start : min(start + _BLOCK, stop)], np.float32)
-        frame = av.AudioFrame.from_ndarray(
-            np.ascontiguousarray(np.clip(block, -1, 1)[None]), format="fltp", layout="mono"
-        )
-        frame.sample_rate, frame.pts = sample_rate, start
-        frame.time_base = Fraction(1, sample_rate)
-        container.mux(stream.encode(frame))
-        start += len(block)
-    return start
+    if sound is not None:
+        sound.finish()
 
 
 def _even_size(picture: ByteImage) -> tuple[int, int]:

@@ -270,7 +270,7 @@ def _upright(frame: Any) -> ByteImage:
 
 def _timecode(container: Any) -> str:
     for holder in (container, *container.streams):
-        value = holder.metadata.get("timecode")
-        if value:
-            return str(value)
+        for key, value in holder.metadata.items():
+            if str(key).lower() == "timecode" and value:  # Matroska shouts
+                return str(value)
     return ""

@@ -6,8 +6,10 @@ from pathlib import Path
 
 from usdface.errors import InputError
 from usdface.media.image import read_image_metadata
+from usdface.media.movie import read_movie_comment
 from usdface.provenance import Provenance, canonical_json, hash_files
 from usdface.specs.base import IMAGE_SUFFIXES, LAYER_SUFFIXES, Reads, Spec, Writes
+from usdface.specs.movie import MOVIE_SUFFIXES
 from usdface.usdio.layers import dependencies, read_provenance
 
 LARGEST_FIGURES_BYTES = 64 << 20
@@ -57,6 +59,8 @@ def provenance_of(path: Path) -> Provenance | None:
             return read_provenance(path)
         if path.suffix.lower() in IMAGE_SUFFIXES:
             return _from_metadata(read_image_metadata(path))
+        if path.suffix.lower() in MOVIE_SUFFIXES:
+            return _from_text(read_movie_comment(path))
         if path.suffix.lower() == ".json":
             return _from_json(path)
     except InputError:
@@ -113,6 +117,15 @@ def _from_json(path: Path) -> Provenance | None:
     except (OSError, ValueError, RecursionError):
         return None
     said = data.get("provenance") if isinstance(data, dict) else None
+    return _from_metadata(said) if isinstance(said, dict) else None
+
+
+def _from_text(text: str) -> Provenance | None:
+    """Read what a movie carries as its comment."""
+    try:
+        said = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
     return _from_metadata(said) if isinstance(said, dict) else None
 
 

@@ -1,37 +1,24 @@
 """A contact sheet: video, markers, the equation-solving baseline and the performance."""
 
 from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.assets import BoolArray, FloatArray, IntArray, Performance, Rig, Take
+from usdface.assets import FloatArray, IntArray, Performance, Rig, Take
 from usdface.deformer import Deformer
 from usdface.errors import InputError
-from usdface.media.camera import frame_rig
 from usdface.media.error_strip import ErrorCurve
 from usdface.media.image import write_image
-from usdface.media.image_sequence import ImageSequence, open_video
-from usdface.media.markers_view import draw_markers, frame_markers
-from usdface.media.render import FaceRenderer
 from usdface.media.sheet import SheetPage, SheetRow, Tile, compose_sheet
-from usdface.media.video import VideoReader
 from usdface.model.equation import BlendshapeEquation, set_up_equation
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
-from usdface.specs.base import frame_range
 from usdface.specs.sheet import SheetSpec
-from usdface.steps.cleaned_takes import read_cleaned
 from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
+from usdface.steps.shot_pictures import Shot, ShotPictures, open_shot
 from usdface.steps.weight_tables import read_weight_table
-from usdface.timecode import shift_timecode
-from usdface.usdio.performance import read_performance
-from usdface.usdio.rig import read_rig
-
-YAW_DEGREES = 12.0
-"""A little from the side, where lips and lids show their depth."""
 
 WORST_SHARE = 6
 """One row in so many shows a worst frame; the others show what the face does."""
@@ -55,49 +42,32 @@ class _Judged:
     error_mm: FloatArray
 
 
-@dataclass(frozen=True)
-class _Scene:
-    """What is drawn: the frames of a take, and the face that is to act them."""
-
-    take: Take
-    frames: IntArray
-    positions: FloatArray
-    deformer: Deformer
-    equation: BlendshapeEquation
-    renderer: FaceRenderer
-
-
 def run(
     spec: SheetSpec, *, provenance: Provenance | None = None, progress: Progress = silent
 ) -> Report:
     """Draw the sheet and write it."""
     progress(0.0, "reading")
-    performance = read_performance(spec.performance)
-    take = read_cleaned(spec.take)
-    rig = read_rig(performance.rig_file, prim=performance.rig_prim)
-    deformer = Deformer(rig)
-    frames = _shared_frames(spec, performance, take)
-    weights = _in_rig_order(performance, rig, frames)
+    shot = open_shot(spec.performance, spec.take, frames=spec.frames)
+    take, rig, deformer, frames = shot.take, shot.rig, shot.deformer, shot.frames
     progress(0.1, "placing the markers on the rig")
     equation = _equation(take, rig, deformer)
-    positions = _positions(take, frames)
+    positions = shot.positions
     truth = _truth(spec, rig, frames)
     judged = []
     if spec.baseline:
         solved = equation.solve_published(positions)
         judged.append(_judge("equation", solved, truth, equation, positions, deformer))
-    judged.append(_judge("usdface", weights, truth, equation, positions, deformer))
+    judged.append(_judge("usdface", shot.weights, truth, equation, positions, deformer))
     rows = _choose_rows(judged[-1], deformer, spec.rows)
-    renderer = FaceRenderer(rig.meshes)
-    scene = _Scene(take, frames, positions, deformer, equation, renderer)
+    pictures = ShotPictures(shot, height=spec.tile, quality=spec.quality)
     page = SheetPage(
         title=f"{take.name} on {rig.file.stem}",
-        facts=_facts(performance, take, frames),
+        facts=_facts(shot.performance, take, frames),
         columns=_columns(take, judged),
-        rows=tuple(_draw_rows(spec, scene, rig, judged, rows, progress)),
+        rows=tuple(_draw_rows(shot, pictures, equation, judged, rows, progress)),
         curves=tuple(ErrorCurve(each.label, each.error_mm) for each in judged),
         first_frame=int(frames[0]),
-        notes=_notes(truth is not None, judged, stand_in_eyes=renderer.eyes_put_in),
+        notes=_notes(truth is not None, judged, stand_in_eyes=pictures.stand_in_eyes),
         tile_height=spec.tile,
     )
     progress(0.95, f"writing {spec.out.name}")
@@ -110,36 +80,6 @@ def run(
     )
     progress(1.0, "done")
     return _report(spec, frames, judged, rows, truth is not None)
-
-
-def _shared_frames(spec: SheetSpec, performance: Performance, take: Take) -> IntArray:
-    """Return the frame numbers that performance, take and --frames have in common."""
-    first = max(performance.weights.first_frame, take.first_frame)
-    last = min(
-        performance.weights.first_frame + len(performance.weights.values),
-        take.first_frame + take.frame_count,
-    )
-    limits = frame_range(spec.frames)
-    if limits is not None:
-        first, last = max(first, limits[0]), min(last, limits[1] + 1)
-    if last <= first:
-        raise InputError(
-            f"{spec.performance}: shares no frame with {spec.take}"
-            + (f" in {spec.frames}" if spec.frames else "")
-            + "; is it the take it was mapped from?"
-        )
-    return np.arange(first, last, dtype=np.int64)
-
-
-def _in_rig_order(performance: Performance, rig: Rig, frames: IntArray) -> FloatArray:
-    clip = performance.weights
-    rows = clip.values[frames - clip.first_frame].astype(np.float64)
-    place = {name: index for index, name in enumerate(clip.names)}
-    out = np.zeros((len(frames), len(rig.shapes)))
-    for index, name in enumerate(rig.shapes):
-        if name in place:
-            out[:, index] = rows[:, place[name]]
-    return out
 
 
 def _equation(take: Take, rig: Rig, deformer: Deformer) -> BlendshapeEquation:
@@ -155,12 +95,6 @@ def _equation(take: Take, rig: Rig, deformer: Deformer) -> BlendshapeEquation:
         visible=markers.visible | (markers.confidence > 0),
         rigid=tuple(markers.names.index(name) for name in markers.rigid),
     )
-
-
-def _positions(take: Take, frames: IntArray) -> FloatArray:
-    if take.markers is None:
-        raise InputError(f"{take.name}: has no markers")
-    return take.markers.positions[frames - take.first_frame].astype(np.float64)
 
 
 def _truth(spec: SheetSpec, rig: Rig, frames: IntArray) -> FloatArray | None:
@@ -218,72 +152,27 @@ def _choose_rows(judged: _Judged, deformer: Deformer, count: int) -> list[tuple[
 
 
 def _draw_rows(
-    spec: SheetSpec,
-    scene: _Scene,
-    rig: Rig,
+    shot: Shot,
+    pictures: ShotPictures,
+    equation: BlendshapeEquation,
     judged: list[_Judged],
     rows: list[tuple[int, str]],
     progress: Progress,
 ) -> Iterator[SheetRow]:
-    take = scene.take
-    visible = _visible(take, scene.frames)
-    explained = scene.equation.explained(judged[-1].weights[[row for row, _ in rows]])
-    camera = frame_rig(rig.meshes, yaw_degrees=YAW_DEGREES)
-    cloud_frame = frame_markers(scene.positions)
-    with ExitStack() as open_files:
-        video: VideoReader | ImageSequence | None = None
-        if take.video is not None:
-            video = open_video(take.video.file, take.video.rate)
-            open_files.enter_context(video)
+    explained = equation.explained(judged[-1].weights[[row for row, _ in rows]])
+    with pictures:
         for number, (row, note) in enumerate(rows):
-            frame = int(scene.frames[row])
+            frame = int(shot.frames[row])
             progress(0.3 + 0.65 * number / len(rows), f"drawing frame {frame}")
-            tiles = []
-            if video is not None:
-                tiles.append(_video_tile(video, take, frame))
-            tiles.append(
-                Tile(
-                    draw_markers(
-                        scene.positions[row],
-                        width=spec.tile,
-                        height=spec.tile,
-                        frame=cloud_frame,
-                        visible=visible[row],
-                        explained=explained[number],
-                    )
-                )
-            )
+            tiles = [pictures.video(frame)] if shot.take.video is not None else []
+            tiles.append(Tile(pictures.markers(row, explained=explained[number])))
             for each in judged:
-                picture = scene.renderer.render(
-                    scene.deformer.points(each.weights[row : row + 1])[0],
-                    camera=camera,
-                    width=spec.tile,
-                    height=spec.tile,
-                    quality=spec.quality,
-                )
                 error = float(each.error_mm[row])
-                tiles.append(Tile(picture, value=None if np.isnan(error) else error))
-            timecode = shift_timecode(take.timecode_start, frame - take.first_frame, take.rate)
-            yield SheetRow(frame=frame, timecode=timecode, tiles=tuple(tiles), note=note)
-
-
-def _visible(take: Take, frames: IntArray) -> BoolArray:
-    if take.markers is None:
-        raise InputError(f"{take.name}: has no markers")
-    return take.markers.visible[frames - take.first_frame]
-
-
-def _video_tile(video: VideoReader | ImageSequence, take: Take, frame: int) -> Tile:
-    """Find the video's picture at a frame of the take, by the clock that aligns the two."""
-    if take.video is None:
-        raise InputError(f"{take.name}: has no video")
-    seconds = (frame - take.first_frame) / float(take.rate)
-    at = (seconds - take.video.offset) / (1.0 + take.video.drift * 1e-6)
-    try:
-        picture = video.frame_at(at)
-    except InputError:
-        return Tile(None, caption="cannot be decoded")
-    return Tile(picture, caption="" if picture is not None else "no video here")
+                value = None if np.isnan(error) else error
+                tiles.append(Tile(pictures.face(each.weights[row]), value=value))
+            yield SheetRow(
+                frame=frame, timecode=shot.timecode(frame), tiles=tuple(tiles), note=note
+            )
 
 
 def _columns(take: Take, judged: list[_Judged]) -> tuple[str, ...]:

@@ -1,0 +1,62 @@
+"""Which frame of a take each picture of a movie shows."""
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+from usdface.assets import Take
+from usdface.errors import InputError
+from usdface.timecode import frames_of, timecode_of
+
+FASTEST = 60
+"""[pictures per second] More no review screen shows."""
+
+
+@dataclass(frozen=True)
+class MovieClock:
+    """The pictures of a movie beside the frames of its take.
+
+    Attributes
+    ----------
+    rate, take_rate : Fraction
+        Pictures, and frames, per second.
+    first_frame : int
+        Frame number that the first picture shows.
+    frame_count : int
+        Frames that the movie spans.
+    """
+
+    rate: Fraction
+    take_rate: Fraction
+    first_frame: int
+    frame_count: int
+
+    @property
+    def picture_count(self) -> int:
+        """Pictures that begin while the frames last."""
+        return max(math.ceil(self.frame_count * self.rate / self.take_rate), 1)
+
+    def row(self, picture: int) -> int:
+        """Return the row of the frame seen nearest the moment a picture begins."""
+        nearest = math.floor(picture * self.take_rate / self.rate + Fraction(1, 2))
+        return min(nearest, self.frame_count - 1)
+
+    def timecode(self, take_start: str, take_first: int) -> str:
+        """Return the label of the first picture at the movie's own rate; empty where unknown."""
+        if not take_start:
+            return ""
+        frames = frames_of(take_start, self.take_rate) + self.first_frame - take_first
+        try:
+            drop = ";" in take_start and self.rate.denominator == 1001
+            pictures = math.floor(frames / self.take_rate * self.rate)
+            return timecode_of(pictures, self.rate, drop=drop)
+        except InputError:
+            return ""  # a rate that timecode has no labels for
+
+
+def movie_rate(take: Take) -> Fraction:
+    """Return the rate of a take's video, else its own, halved until a screen can show it."""
+    rate = take.video.rate if take.video is not None and take.video.rate is not None else take.rate
+    while rate > FASTEST:
+        rate /= 2
+    return rate

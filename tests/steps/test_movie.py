@@ -1,0 +1,169 @@
+"""Review movies: the right frame at the right time, resumable, the same in parts."""
+
+import json
+import os
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.steps.small_shot import Shot
+from usdface.assets import Take, Video
+from usdface.errors import InputError
+from usdface.media.movie import read_movie_comment
+from usdface.media.movie_frame import MoviePanel, compose_movie_frame, movie_size
+from usdface.media.video import VideoReader
+from usdface.specs.movie import MovieJoinSpec, MovieSpec
+from usdface.steps import movie as movie_step
+from usdface.steps.execute import execute
+from usdface.steps.movie_clock import MovieClock, movie_rate
+from usdface.steps.take_sound import SAMPLE_RATE, take_sound
+
+
+def spec_of(shot: Shot, name: str, **options: object) -> MovieSpec:
+    given = {"frames": "20-79", "height": 64, "workers": 1} | options
+    return MovieSpec(
+        performance=shot / "shot.hero.usda",
+        take=shot / "shot.clean.take.usda",
+        out=shot / name,
+        **given,
+    )
+
+
+def pictures_of(path: Path) -> np.ndarray:
+    with VideoReader(path) as movie:
+        return np.array([movie.frame(index) for index in range(len(movie.times))])
+
+
+def test_a_movie_has_the_length_the_rate_and_the_timecode_of_its_frames(shot: Shot) -> None:
+    report = execute(spec_of(shot, "review.mp4"))
+    assert report.figures["pictures"] == 30  # 60 frames at 120, shown at 60
+    with VideoReader(shot / "review.mp4") as movie:
+        assert movie.rate == 60
+        assert movie.timecode == "01:00:00:04"  # 19 frames on, at 4 frames a label
+        assert (movie.width, movie.height) == movie_size([64, 64], 64)
+        first = movie.frame(0)
+    assert first[:64, 66:].std() > 20, "there is no face"
+    said = json.loads(read_movie_comment(shot / "review.mp4"))
+    assert said["step"] == "movie"
+    assert (said["rate"], said["first_frame"], said["pictures"]) == ("60", 20, 30)
+    assert "the take has no video" in report.notes[0]
+
+
+def test_a_stopped_run_goes_on_where_it_stopped(shot: Shot, monkeypatch) -> None:
+    monkeypatch.setattr(movie_step, "STRETCH_PICTURES", 10)
+    drawn: list[int] = []
+    draw = movie_step._draw_stretch
+
+    def stop_at_the_third(plan, opened, stretch) -> None:
+        if len(drawn) == 2:
+            raise KeyboardInterrupt
+        drawn.append(stretch.start)
+        draw(plan, opened, stretch)
+
+    monkeypatch.setattr(movie_step, "_draw_stretch", stop_at_the_third)
+    with pytest.raises(KeyboardInterrupt):
+        execute(spec_of(shot, "review.mp4"))
+    assert not (shot / "review.mp4").exists()
+    monkeypatch.setattr(movie_step, "_draw_stretch", draw)
+    report = execute(spec_of(shot, "review.mp4"))
+    assert "2 of 3 stretches were there" in report.notes
+    execute(spec_of(shot, "again.mp4"))
+    np.testing.assert_array_equal(pictures_of(shot / "review.mp4"), pictures_of(shot / "again.mp4"))
+    assert not list(shot.folder.glob(".*.stretches"))
+
+
+def test_parts_joined_are_the_whole(shot: Shot) -> None:
+    execute(spec_of(shot, "whole.mp4"))
+    parts = []
+    for number, frames in enumerate(("20-49", "50-79")):
+        execute(spec_of(shot, f"part{number}.mp4", frames=frames))
+        parts.append(shot / f"part{number}.mp4")
+    join = MovieJoinSpec(
+        parts=tuple(parts), take=shot / "shot.clean.take.usda", out=shot / "joined.mp4"
+    )
+    assert execute(join).figures["pictures"] == 30
+    whole, joined = pictures_of(shot / "whole.mp4"), pictures_of(shot / "joined.mp4")
+    np.testing.assert_array_equal(joined, whole)
+    with pytest.raises(InputError, match=r"begins at frame 20, before"):
+        execute(join.model_copy(update={"parts": tuple(reversed(parts))}), overwrite=True)
+
+
+def test_two_processes_draw_what_one_draws(shot: Shot) -> None:
+    execute(spec_of(shot, "one.mp4", frames="20-139"))
+    execute(spec_of(shot, "two.mp4", frames="20-139", workers=2))
+    np.testing.assert_array_equal(pictures_of(shot / "two.mp4"), pictures_of(shot / "one.mp4"))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"panels": ("video", "performance")}, "has no video to show"),
+        ({"frames": "9000-9100"}, "shares no frame"),
+    ],
+)
+def test_what_cannot_be_shown_is_said(shot: Shot, change, message) -> None:
+    with pytest.raises(InputError, match=message):
+        execute(spec_of(shot, "review.mp4", **change))
+    assert not (shot / "review.mp4").exists()
+
+
+def test_a_movie_that_somebody_else_made_is_not_replaced(shot: Shot) -> None:
+    (shot / "review.mp4").write_bytes(b"an edit by hand")
+    with pytest.raises(InputError, match="was not written by usdface"):
+        execute(spec_of(shot, "review.mp4"))
+    assert (shot / "review.mp4").read_bytes() == b"an edit by hand"
+
+
+@pytest.mark.parametrize("rate", [Fraction(24000, 1001), Fraction(25), Fraction(60), Fraction(120)])
+def test_each_picture_shows_the_frame_nearest_its_moment(rate: Fraction) -> None:
+    clock = MovieClock(rate=rate, take_rate=Fraction(120), first_frame=7, frame_count=997)
+    rows = np.array([clock.row(picture) for picture in range(clock.picture_count)])
+    moments = np.arange(clock.picture_count) / float(rate)
+    nearest = np.abs(np.arange(997)[None] / 120 - moments[:, None]).min(axis=1)
+    np.testing.assert_allclose(np.abs(rows / 120 - moments), nearest, atol=1e-12)
+    assert abs(clock.picture_count / float(rate) - 997 / 120) <= 1 / float(rate)
+
+
+def test_a_fast_capture_without_video_is_shown_at_a_rate_of_screens() -> None:
+    take = Take("talk", Fraction(120000, 1001), 1)
+    assert movie_rate(take) == Fraction(60000, 1001)
+    camera = Video(Path("a.mov"), rate=Fraction(25))
+    assert movie_rate(replace(take, video=camera)) == 25
+
+
+def test_the_cameras_sound_is_put_on_the_takes_clock(tmp_path: Path) -> None:
+    from usdface.media.movie import write_movie
+
+    click = np.zeros(SAMPLE_RATE * 4, np.float32)
+    click[SAMPLE_RATE * 2 : SAMPLE_RATE * 2 + 96] = 0.9
+    still = [np.zeros((32, 32, 3), np.uint8)] * 100
+    write_movie(tmp_path / "cam.mkv", still, rate=Fraction(25), audio=click)
+    camera = Video(tmp_path / "cam.mkv", offset=-0.5, drift=0.0)
+    take = Take("talk", Fraction(120), 11, video=camera)
+    clock = MovieClock(
+        rate=Fraction(60), take_rate=Fraction(120), first_frame=11 + 60, frame_count=240
+    )
+    heard = take_sound(take, clock, [])
+    assert heard is not None
+    assert len(heard) == 2 * SAMPLE_RATE
+    # second 2 of the camera is second 1.5 of the take and second 1.0 of this movie
+    assert abs(int(np.abs(heard).argmax()) / SAMPLE_RATE - 1.0) < 0.025
+
+
+def test_a_frame_of_a_movie_keeps_its_size_whatever_is_missing() -> None:
+    wide, height = movie_size([160, 91], 91)
+    grey = np.full((50, 80, 3), 90, np.uint8)
+    for pixels in (grey, None):
+        panels = [MoviePanel(160, pixels, "video", "no video here"), MoviePanel(91, grey, "face")]
+        made = compose_movie_frame(
+            panels, height=91, title="a " * 200, clock="01:00:00:00 7", confidence=0.4
+        )
+        assert made.shape == (height, wide, 3)
+        assert made[92:].max() > 200  # there are letters
+
+
+def test_the_cores_used_are_those_this_process_may_use() -> None:
+    assert 1 <= movie_step._cores() <= (os.cpu_count() or 1)
