@@ -103,7 +103,12 @@ def fill_gaps(
             if inner and stop - start <= reach:
                 values = _spline(track, ok, start, stop)
             elif base is not None:
-                values = base[start:stop] + _blend_offsets(track - base, ok, start, stop, noise)
+                # Only what stands beside the gap: over all frames, gaps times frames are too many.
+                low, high = max(0, start - _END_SAMPLES), stop + _END_SAMPLES
+                rest = track[low:high] - base[low:high]
+                values = base[start:stop] + _blend_offsets(
+                    rest, ok[low:high], start - low, stop - low, noise
+                )
             else:
                 continue
             points[start:stop, marker] = values
