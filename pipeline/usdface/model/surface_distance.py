@@ -99,6 +99,12 @@ class SurfaceDistances:
         out: FloatArray = weight * self.geodesic_between + (1 - weight) * self.euclidean_between
         return out
 
+    def scaled(self, positions: FloatArray | Float32Array) -> FloatArray:
+        """Centre positions on the markers and scale them to about 1: (n, 3) float array."""
+        centre = self.marker_positions.mean(axis=0)
+        size = np.sqrt(((self.marker_positions - centre) ** 2).mean())
+        return np.asarray((positions - centre) / size, np.float64)
+
 
 def surface_distances(
     points: FloatArray,

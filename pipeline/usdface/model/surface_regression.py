@@ -1,4 +1,4 @@
-"""Markers move any mesh: W06's regression over the surface, fitted once and streamed over a take."""
+"""Markers move any mesh: W06's regression over the surface, fitted once, streamed over a take."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ import numpy as np
 
 from usdface.assets import Float32Array, FloatArray
 from usdface.errors import InputError
-from usdface.model.surface_choice import choose_settings
+from usdface.model.surface_choice import choose_settings, marker_spectrum
 from usdface.model.surface_distance import (
     BLEND,
     FEWEST_MARKERS,
@@ -16,12 +16,13 @@ from usdface.model.surface_distance import (
     UnreachedReport,
     surface_distances,
 )
-from usdface.numerics.manifold.hyper_posterior import HyperPrior, decompose
+from usdface.numerics.manifold.hyper_posterior import HyperPrior
 from usdface.numerics.manifold.hyper_sampling import (
     draw_laplace,
     find_modes,
     sample_hyperparameters,
 )
+from usdface.numerics.manifold.left_out import calibrate_spread, leave_markers_out
 from usdface.numerics.manifold.multiquadric import fit_distance_multiquadric, multiquadric_fields
 from usdface.numerics.manifold.posterior_prediction import (
     SurfaceFields,
@@ -31,7 +32,7 @@ from usdface.numerics.manifold.posterior_prediction import (
     predict_variance,
 )
 from usdface.numerics.manifold.shared_posterior import SharedSamples, sample_shared
-from usdface.numerics.manifold.surface_covariance import fit_covariance
+from usdface.numerics.manifold.surface_covariance import Shape
 from usdface.numerics.manifold.tabulated_energy import SharedTable, TabulatedEnergy
 from usdface.progress import Progress, silent
 
@@ -53,6 +54,7 @@ _SAMPLED_FRAMES = 256
 """Frames whose chains run in lockstep: their tables fill the cache and no more."""
 
 _MOMENT_FRAMES = 8
+_THINNED = 10  # samples of each chain by which intervals are calibrated
 _FIELD_VALUES = 1 << 22
 """Points times frames of fields that are held at once."""
 
@@ -66,12 +68,15 @@ class SurfaceMotion:
     mean : (frames, points, 3) float32 array
         Displacements from rest [mm].
     sd : (frames, points) float32 array or None
-        Standard deviation of each coordinate, the root of its mean square over the axes [mm].
-        None where the method has none to tell (``'rbf'``).
+        Standard deviation of a coordinate: the root of the mean square over the axes [mm]. None
+        where the method has none to tell (``'rbf'``).
+    sd_of_axes : (frames, points, 3) float32 array or None
+        The same for each axis by itself, on request [mm].
     """
 
     mean: Float32Array
     sd: Float32Array | None
+    sd_of_axes: Float32Array | None = None
 
 
 @dataclass(frozen=True)
@@ -113,18 +118,23 @@ class SurfaceRegression:
     marker_count: int
     point_count: int
     operator: Float32Array | None = field(default=None, repr=False)
+    spread: Float32Array | None = field(default=None, repr=False)
     table: SharedTable | None = field(default=None, repr=False)
     fields: SurfaceFields | None = field(default=None, repr=False)
     shared: SharedSamples | None = field(default=None, repr=False)
     seed: int = 0
 
-    def deform(self, displacements: FloatArray, *, progress: Progress = silent) -> SurfaceMotion:
+    def deform(
+        self, displacements: FloatArray, *, of_axes: bool = False, progress: Progress = silent
+    ) -> SurfaceMotion:
         """Move the whole mesh; the result is held in memory, `stream` holds a part.
 
         Parameters
         ----------
         displacements : (frames, markers, 3) float array
             Of the markers from the neutral frame [mm].
+        of_axes : bool
+            Whether `SurfaceMotion.sd_of_axes` is wanted too.
         progress : callable
 
         Raises
@@ -132,16 +142,19 @@ class SurfaceRegression:
         InputError
             If markers are others than those fitted or positions are not finite.
         """
-        parts = list(self.stream(displacements, progress=progress))
-        mean = np.concatenate([part.mean for part in parts])
-        sds = [part.sd for part in parts if part.sd is not None]
-        return SurfaceMotion(mean, np.concatenate(sds) if len(sds) == len(parts) else None)
+        parts = list(self.stream(displacements, of_axes=of_axes, progress=progress))
+        return SurfaceMotion(
+            np.concatenate([part.mean for part in parts]),
+            _join([part.sd for part in parts]),
+            _join([part.sd_of_axes for part in parts]),
+        )
 
     def stream(
         self,
         displacements: FloatArray,
         *,
         frames_per_part: int | None = None,
+        of_axes: bool = False,
         progress: Progress = silent,
     ) -> Iterator[SurfaceMotion]:
         """Move the mesh part by part: memory is bounded however long the take is.
@@ -154,6 +167,7 @@ class SurfaceRegression:
             [mm]
         frames_per_part : int, optional
             At most; by default about 16 MB of each field.
+        of_axes : bool
         progress : callable
         """
         moved = _check_displacements(displacements, self.marker_count)
@@ -168,7 +182,8 @@ class SurfaceRegression:
             theta = self._sample(block, start)
             for first in range(0, len(block), size):
                 part = slice(first, min(first + size, len(block)))
-                yield self._fields(block[part], None if theta is None else theta[..., part])
+                own = None if theta is None else theta[..., part]
+                yield self._fields(block[part], own, of_axes)
                 progress((start + part.stop) / len(moved), "moving the mesh")
 
     def _sample(self, moved: FloatArray, start: int) -> FloatArray | None:
@@ -184,7 +199,7 @@ class SurfaceRegression:
             theta = sample_hyperparameters(rng, self.table, rows)[0].theta
         return np.moveaxis(theta.reshape(len(theta), 4, len(moved), 3), 3, 2)
 
-    def _fields(self, moved: FloatArray, theta: FloatArray | None) -> SurfaceMotion:
+    def _fields(self, moved: FloatArray, theta: FloatArray | None, of_axes: bool) -> SurfaceMotion:
         if self.operator is not None:
             flat = np.float32(moved).transpose(1, 0, 2).reshape(self.marker_count, -1)
             mean = (self.operator @ flat).reshape(self.point_count, -1, 3).transpose(1, 0, 2)
@@ -192,7 +207,9 @@ class SurfaceRegression:
                 return SurfaceMotion(np.ascontiguousarray(mean), None)
         if self.table is None or self.fields is None:
             raise InputError("this regression holds no surface; fit it again")
-        means, sds = [], []
+        mean = np.empty((len(moved), self.point_count, 3), np.float32)
+        sd = np.empty((len(moved), self.point_count), np.float32)
+        each = np.empty((*sd.shape, 3), np.float32) if of_axes else None
         for first in range(0, len(moved), _MOMENT_FRAMES):
             part = slice(first, first + _MOMENT_FRAMES)
             rows = _rows(moved[part])
@@ -200,10 +217,20 @@ class SurfaceRegression:
                 own = np.repeat(self.shared.theta[:, :, None], len(rows), axis=2)
             elif theta is not None:
                 own = np.moveaxis(theta[..., part], 2, 3).reshape(len(theta), 4, -1)
-            moments = average_dual_weights(self.table.spectrum, rows, own, group=3)
-            means.append(predict_mean(self.fields, moments))
-            sds.append(np.sqrt(predict_variance(self.fields, moments) / np.float32(3.0)))
-        return SurfaceMotion(np.concatenate(means), np.concatenate(sds))
+            moments = average_dual_weights(self.table.spectrum, rows, own, group=1)
+            mean[part] = predict_mean(self.fields, moments)
+            variance = predict_variance(self.fields, moments).reshape(-1, 3, self.point_count)
+            if self.spread is not None:
+                variance *= self.spread**2
+            sd[part] = np.sqrt(variance.mean(axis=1))
+            if each is not None:
+                each[part] = np.sqrt(variance).transpose(0, 2, 1)
+        return SurfaceMotion(mean, sd, each)
+
+
+def _join(parts: list[Float32Array | None]) -> Float32Array | None:
+    there = [part for part in parts if part is not None]
+    return np.concatenate(there) if there and len(there) == len(parts) else None
 
 
 def fit_surface_regression(
@@ -214,6 +241,7 @@ def fit_surface_regression(
     sampler: Sampler = "hmc",
     blend: float | None = BLEND,
     length_scale: float | None = None,
+    covariance_shape: Shape = "creased",
     prior: HyperPrior | None = None,
     samples: int = 200,
     seed: int = 0,
@@ -235,6 +263,8 @@ def fit_surface_regression(
         Share of the geodesic distance [0-1]; None chooses it by leaving markers out.
     length_scale : float, optional
         [mm]; by default chosen by leaving markers out.
+    covariance_shape : {'creased', 'squared-exponential'}
+        The second is eq. 7 as published.
     prior : HyperPrior, optional
     samples : int
     seed : int
@@ -252,7 +282,13 @@ def fit_surface_regression(
     if blend is not None and not 0 <= blend <= 1:
         raise InputError(f"blend is the geodesic distance's share, 0 to 1; got {blend}")
     chosen = choose_settings(
-        distances, moved, method=method, blend=blend, length_scale=length_scale, prior=prior
+        distances,
+        moved,
+        method=method,
+        blend=blend,
+        length_scale=length_scale,
+        shape=covariance_shape,
+        prior=prior,
     )
     points = distances.points
     between = distances.blended_between(chosen.blend)
@@ -269,21 +305,26 @@ def fit_surface_regression(
                 point_count=len(points),
                 operator=multiquadric_fields(fit_distance_multiquadric(between), to_points),
             )
-        covariance = fit_covariance(between, length_scale=chosen.length_scale)
+        spectrum, covariance = marker_spectrum(
+            distances, chosen.blend, chosen.length_scale, shape=covariance_shape, prior=prior
+        )
     except ValueError as error:
         raise InputError(str(error)) from error
-    centre = distances.marker_positions.mean(axis=0)
-    size = np.sqrt(((distances.marker_positions - centre) ** 2).mean())
-    places = (distances.marker_positions - centre) / size
-    spectrum = decompose(covariance.matrix(), places, prior=prior)
     table = SharedTable(spectrum)
     rng = np.random.default_rng(seed)
-    fields = make_fields(
-        spectrum, covariance.cross(to_points), np.float32((points - centre) / size), rng=rng
-    )
+    cross = covariance.cross(to_points)
+    fields = make_fields(spectrum, cross, np.float32(distances.scaled(points)), rng=rng)
+    rows = _rows(chosen.frames)
     shared = None
     if sampler == "shared":
-        shared = sample_shared(rng, table, _rows(chosen.frames), keep=samples)
+        shared = sample_shared(rng, table, rows, keep=samples)
+        theta = np.repeat(shared.theta[:, :, None], len(rows), axis=2)
+    elif sampler == "map":
+        theta = find_modes(table, TabulatedEnergy(table, rows), rows).best.mode[None]
+    else:
+        theta = sample_hyperparameters(rng, table, rows, keep=samples)[0].theta
+    thin = max(1, len(theta) // _THINNED)
+    left_out = leave_markers_out(spectrum, rows, theta[::thin])
     return SurfaceRegression(
         method=method,
         sampler=sampler,
@@ -292,6 +333,12 @@ def fit_surface_regression(
         diagnostics=SurfaceDiagnostics(covariance.clipped, chosen.left_out_rms_mm),
         marker_count=count,
         point_count=len(points),
+        spread=np.stack(
+            [
+                calibrate_spread(left_out.of_axis(axis), covariance.matrix(), cross)
+                for axis in range(3)
+            ]
+        ),
         table=table,
         fields=fields,
         shared=shared,

@@ -5,10 +5,10 @@ One *chain* is one channel of one frame: N markers' displacements t along x, y o
 
     U(theta) = 1/2 log|C| + 1/2 t' C^-1 t + sum_a (theta_a - m_a)^2 / (2 s_a^2)           (eq. 8)
 
-K and S belong to the mesh. With ``K = Q diag(l) Q'`` and ``P = Q' [1 S]`` the two scales v0, v1 act
-on the spectrum and a0, a1 are a change of rank four (Woodbury). Dividing by v1, everything enters
-through sums that depend on ``x = theta_0 - theta_1 = log(v0 / v1)`` alone, ``R_i = 1/(1 + e^x l_i)``
-and ``z = Q' t``::
+K and S belong to the mesh. With ``K = Q diag(l) Q'`` and ``P = Q' [1 S]`` the two scales v0, v1
+act on the spectrum and a0, a1 are a change of rank four (Woodbury). Dividing by v1, everything
+enters through sums that depend on ``x = theta_0 - theta_1 = log(v0 / v1)`` alone; with
+``R_i = 1/(1 + e^x l_i)`` and ``z = Q' t``::
 
     M(x) = sum R p p'    b(x) = sum R z p    c(x) = sum R z^2    h(x) = sum log(1 + e^x l)
     A = (a0, a1, a1, a1) / v1,   G = diag(1/A) + M,   w = G^-1 b,   q = c - b'w

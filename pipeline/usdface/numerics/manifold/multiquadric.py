@@ -13,6 +13,10 @@ from usdface.numerics.regression.rbf_ridge import choose_ridge, rotate
 Array = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 
+SOFTNESS = 0.1
+"""Stiffness over the distance to the nearest marker. Song's and Hardy's 1 leaves the matrix of a
+geodesic distance nearly singular (errors of centimetres); without any the surface has creases."""
+
 _SINGULAR = 1e-12
 _COLUMNS = 1 << 15
 
@@ -65,14 +69,18 @@ def fit_distance_multiquadric(
         Smooth instead of meeting every marker: one ridge penalty for all, the median of those that
         generalised cross-validation chooses for the examples.
     stiffness : float or (markers,) array, optional
-        [mm]; by default the distance to the nearest other marker.
+        [mm]; by default `SOFTNESS` of the distance to the nearest other marker.
 
     Raises
     ------
     ValueError
         If two markers sit at one place, or a stiffness is negative.
     """
-    soft = nearest_stiffness(between) if stiffness is None else np.asarray(stiffness, np.float64)
+    soft = (
+        SOFTNESS * nearest_stiffness(between)
+        if stiffness is None
+        else np.asarray(stiffness, np.float64)
+    )
     soft = np.broadcast_to(soft, (len(between),)).copy()
     if not (soft >= 0).all():
         raise ValueError("stiffness must be 0 mm or more")

@@ -6,7 +6,8 @@ So what is averaged over the samples are its weights (*dual weights*), never fie
     gamma = [rho R (z - P w); w]        rho = v0 / v1, in the terms of `hyper_posterior`
     mean(x) = h' mean(gamma)
     var(x)  = mean(v0) + h' Sigma h
-    Sigma   = mean(Y'Y) + cov(gamma) - diag(mean(v0 rho R), 0),  Y = sqrt(v1) chol(G)^-1 [-rho P'R | I]
+    Sigma   = mean(Y'Y) + cov(gamma) - diag(mean(v0 rho R), 0)
+    Y       = sqrt(v1) chol(G)^-1 [-rho P'R | I]
 
 The variance is that of the surface, not of a marker measured there: v1 is left out.
 """
