@@ -1,0 +1,144 @@
+"""Find what there is to publish, and what it was made from."""
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+from usdface.errors import InputError
+from usdface.specs.base import LAYER_SUFFIXES
+from usdface.usdio.layers import read_provenance
+from usdface.usdio.performance import PerformanceReader
+
+MAKERS = ("map", "join", "retarget", "warp")
+"""Steps that write performances."""
+
+
+@dataclass(frozen=True)
+class PublishItem:
+    """A performance to publish.
+
+    Attributes
+    ----------
+    name : str
+        What it is published as.
+    performance : Path
+        The layer that the animator opens.
+    take : Path or None
+        What it was mapped from; None where the layer does not say or the take is gone: then there
+        is nothing to judge it by, and no sheet.
+    rig : Path
+        The character, which is published elsewhere and referenced.
+    first_frame, last_frame : int
+        Inclusive.
+    rate : Fraction
+        Frames per second.
+    timecode_start : str
+        SMPTE timecode of the first frame, empty when unknown.
+    shapes : int
+        Shapes that it drives.
+    edited : tuple of str
+        Shapes that an animator changed.
+    """
+
+    name: str
+    performance: Path
+    take: Path | None
+    rig: Path
+    first_frame: int
+    last_frame: int
+    rate: Fraction
+    timecode_start: str
+    shapes: int
+    edited: tuple[str, ...]
+
+
+def collect_performances(paths: Iterable[Path]) -> tuple[PublishItem, ...]:
+    """Return the performances among files and in folders.
+
+    Parameters
+    ----------
+    paths : iterable of Path
+        Performances, or folders with some: of a folder those count that usdface wrote.
+
+    Raises
+    ------
+    InputError
+        If a file named is no performance, or two would be published by one name.
+    """
+    found: dict[str, Path] = {}
+    for path in paths:
+        for file in _in_folder(path) if path.is_dir() else [path]:
+            other = found.setdefault(file.stem, file)
+            if other.resolve() != file.resolve():
+                raise InputError(
+                    f"{file}: has the name of {other}; publish them apart, or rename one"
+                )
+    return tuple(collect_performance(file) for file in found.values())
+
+
+def collect_performance(path: Path) -> PublishItem:
+    """Return one performance as an item to publish.
+
+    Raises
+    ------
+    InputError
+        If the file is no performance, or the rig it refers to is gone.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; check the path")
+    reader = PerformanceReader(path)
+    rig, _ = reader.rig()
+    take = take_of(path)
+    return PublishItem(
+        name=path.stem,
+        performance=path,
+        take=take if take is not None and take.is_file() else None,
+        rig=rig,
+        first_frame=reader.first_frame,
+        last_frame=reader.last_frame,
+        rate=reader.rate,
+        timecode_start=reader.timecode_start,
+        shapes=len(reader.names),
+        edited=tuple(sorted(reader.edits)),
+    )
+
+
+def take_of(performance: Path) -> Path | None:
+    """Return the take that a performance says it was mapped from, itself or its parts."""
+    path: Path = performance
+    for _ in range(2):  # a joined performance names its parts, and each of them the take
+        made = read_provenance(path) if path.is_file() else None
+        if made is None:
+            return None
+        spec = _spec(made.spec)
+        take, parts = spec.get("take"), spec.get("parts")
+        if isinstance(take, str):
+            return path.parent / take
+        if not (isinstance(parts, list) and parts and isinstance(parts[0], str)):
+            return None
+        path = path.parent / parts[0]
+    return None
+
+
+def _in_folder(folder: Path) -> list[Path]:
+    layers = sorted(path for path in folder.iterdir() if path.suffix in LAYER_SUFFIXES)
+    return [path for path in layers if _is_performance(path)]
+
+
+def _is_performance(path: Path) -> bool:
+    try:
+        made = read_provenance(path)
+        # A weights layer carries the same provenance as the layer to open; it has no rig.
+        return made is not None and made.step in MAKERS and not path.stem.endswith(".weights")
+    except InputError:
+        return False
+
+
+def _spec(text: str) -> dict[str, object]:
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return data if isinstance(data, dict) else {}

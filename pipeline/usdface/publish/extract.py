@@ -1,0 +1,136 @@
+"""Make the files that are published: weights with edits composed in, a layer to open, pictures."""
+
+import shutil
+import uuid
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from usdface.errors import InputError
+from usdface.layer_names import weights_path
+from usdface.progress import Progress, part, silent
+from usdface.publish.collect import PublishItem
+from usdface.specs.bake import BakeSpec
+from usdface.specs.movie import MovieSpec
+from usdface.specs.sheet import SheetSpec
+from usdface.steps.bake import header_of
+from usdface.steps.execute import execute
+from usdface.steps.outputs import make_provenance
+from usdface.usdio.performance import PerformanceReader, writing_top
+from usdface.usdio.rig import read_rig
+
+
+@dataclass(frozen=True)
+class ReviewOptions:
+    """What is made to judge a performance by, where its take is there.
+
+    Attributes
+    ----------
+    sheet, movie : bool
+    rows : int
+        Frames on the sheet.
+    quality : {'draft', 'final'}
+    """
+
+    sheet: bool = True
+    movie: bool = False
+    rows: int = 12
+    quality: Literal["draft", "final"] = "final"
+
+
+@dataclass(frozen=True)
+class Extracted:
+    """Files made for one version that does not exist yet.
+
+    Attributes
+    ----------
+    item : PublishItem
+    folder : Path
+        Where the files are: beside where they will be, so that what they refer to stays in place.
+    files : mapping of str to str
+        Name of each file by its role: `performance`, `weights`, `sheet`, `movie`.
+    """
+
+    item: PublishItem
+    folder: Path
+    files: Mapping[str, str]
+
+    def path(self, role: str) -> Path | None:
+        """Return the file of a role, if it was made."""
+        return self.folder / self.files[role] if role in self.files else None
+
+    def discard(self) -> None:
+        """Remove the files: this version will not be."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def extract_performance(
+    item: PublishItem,
+    root: Path,
+    *,
+    review: ReviewOptions | None = None,
+    progress: Progress = silent,
+) -> Extracted:
+    """Make a version's files, in a folder that does not count as a version yet.
+
+    Parameters
+    ----------
+    item : PublishItem
+    root : Path
+        Folder of publishes; each item has one of its own in it.
+    review : ReviewOptions, optional
+    progress : callable
+
+    Returns
+    -------
+    Extracted
+        For `integrate_performance`, or to be discarded.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read or made; nothing is left behind then.
+    """
+    review = review or ReviewOptions()
+    folder = root / item.name / f".{uuid.uuid4().hex[:12]}"
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise InputError(f"{folder.parent}: cannot be made: {error.strerror}") from error
+    try:
+        files = _extract(item, folder, review, progress)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return Extracted(item, folder, files)
+
+
+def _extract(
+    item: PublishItem, folder: Path, review: ReviewOptions, progress: Progress
+) -> dict[str, str]:
+    opened = folder / f"{item.name}.usda"
+    bake = BakeSpec(performance=item.performance, out=weights_path(opened))
+    reader = PerformanceReader(item.performance)
+    file, prim = reader.rig()
+    rig = read_rig(file, prim=prim)
+    with writing_top(opened, header_of(reader), rig, provenance=make_provenance(bake)):
+        execute(bake, progress=part(progress, 0.0, 0.3))
+    files = {"performance": opened.name, "weights": bake.out.name}
+    if item.take is None:
+        return files
+    if review.sheet:
+        sheet = folder / f"{item.name}.sheet.jpg"
+        spec = SheetSpec(
+            performance=opened, take=item.take, out=sheet, rows=review.rows, quality=review.quality
+        )
+        execute(spec, progress=part(progress, 0.3, 0.6 if review.movie else 1.0))
+        files["sheet"] = sheet.name
+    if review.movie:
+        movie = folder / f"{item.name}.review.mp4"
+        execute(
+            MovieSpec(performance=opened, take=item.take, out=movie, quality=review.quality),
+            progress=part(progress, 0.6, 1.0),
+        )
+        files["movie"] = movie.name
+    return files

@@ -1,0 +1,157 @@
+"""Make extracted files a version: numbered, whole, never changed again."""
+
+import hashlib
+import json
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from usdface.errors import InputError
+from usdface.publish.extract import Extracted
+from usdface.version import __version__
+
+MANIFEST = "publish.json"
+_VERSION = re.compile(r"v(\d{3,})")
+MOST_VERSIONS_TRIED = 1000
+
+
+@dataclass(frozen=True)
+class Published:
+    """A version that is there for others to use.
+
+    Attributes
+    ----------
+    name : str
+    version : int
+        From 1.
+    folder : Path
+    files : dict of str to Path
+        By role: `performance`, `weights`, `sheet`, `movie`.
+    is_new : bool
+        False where the newest version held the same already, and none was made.
+    """
+
+    name: str
+    version: int
+    folder: Path
+    files: dict[str, Path]
+    is_new: bool = True
+
+
+def integrate_performance(extracted: Extracted, *, comment: str = "") -> Published:
+    """Give extracted files the next version number.
+
+    A version appears whole, by one rename: of two that publish at once, each gets a number of its
+    own. What equals the newest version is not published again, so a publish that is retried makes
+    one version.
+
+    Parameters
+    ----------
+    extracted : Extracted
+    comment : str
+        What its maker says of it; kept in the version's publish.json.
+
+    Raises
+    ------
+    InputError
+        If the version cannot be made; the extracted files are still there then.
+    """
+    parent = extracted.folder.parent
+    hashes = {role: _hash(extracted.folder / name) for role, name in extracted.files.items()}
+    newest = latest_version(parent)
+    if newest and _hashes_of(parent / _folder_name(newest)) == hashes:
+        extracted.discard()
+        return _published(extracted, newest, is_new=False)
+    for version in range(newest + 1, newest + 1 + MOST_VERSIONS_TRIED):
+        _write_manifest(extracted, version, hashes, comment)
+        try:
+            extracted.folder.rename(parent / _folder_name(version))
+        except OSError as error:
+            if (parent / _folder_name(version)).exists():
+                continue  # somebody else was faster
+            raise InputError(
+                f"{parent / _folder_name(version)}: cannot be made: {error.strerror}"
+            ) from error
+        return _published(extracted, version, is_new=True)
+    raise InputError(f"{parent}: no version number is free after v{newest:03}")
+
+
+def latest_version(folder: Path) -> int:
+    """Return the highest version number in an item's folder; 0 where there is none."""
+    found = [_VERSION.fullmatch(path.name) for path in folder.iterdir()] if folder.is_dir() else []
+    return max((int(match[1]) for match in found if match), default=0)
+
+
+def read_manifest(folder: Path) -> dict[str, object]:
+    """Return what a published version says of itself.
+
+    Raises
+    ------
+    InputError
+        If the folder is no published version.
+    """
+    file = folder / MANIFEST
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(
+            f"{file}: cannot be read ({error}); is this a published version?"
+        ) from error
+    if not isinstance(data, dict) or not isinstance(data.get("files"), dict):
+        raise InputError(f"{file}: does not describe a published version")
+    return data
+
+
+def _published(extracted: Extracted, version: int, *, is_new: bool) -> Published:
+    folder = extracted.folder.parent / _folder_name(version)
+    files = {role: folder / name for role, name in extracted.files.items()}
+    return Published(extracted.item.name, version, folder, files, is_new)
+
+
+def _folder_name(version: int) -> str:
+    return f"v{version:03}"
+
+
+def _write_manifest(
+    extracted: Extracted, version: int, hashes: dict[str, str], comment: str
+) -> None:
+    item, folder = extracted.item, extracted.folder
+    files = {role: {"name": name, "sha256": hashes[role]} for role, name in extracted.files.items()}
+    manifest = {
+        "usdface": __version__,
+        "name": item.name,
+        "version": version,
+        "comment": comment,
+        "frames": [item.first_frame, item.last_frame],
+        "rate": [item.rate.numerator, item.rate.denominator],
+        "timecode": item.timecode_start,
+        "edited": list(item.edited),
+        "performance": _relative(item.performance, folder),
+        "take": None if item.take is None else _relative(item.take, folder),
+        "rig": _relative(item.rig, folder),
+        "files": files,
+    }
+    text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
+    try:
+        (folder / MANIFEST).write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise InputError(f"{folder / MANIFEST}: cannot be written: {error.strerror}") from error
+
+
+def _hashes_of(folder: Path) -> dict[str, str] | None:
+    try:
+        files = read_manifest(folder)["files"]
+    except InputError:
+        return None
+    if not isinstance(files, dict):
+        return None
+    return {str(role): each.get("sha256", "") for role, each in files.items()}
+
+
+def _hash(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _relative(path: Path, folder: Path) -> str:
+    return os.path.relpath(path.resolve(), folder.resolve()).replace(os.sep, "/")
