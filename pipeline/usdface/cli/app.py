@@ -1,6 +1,7 @@
 """Every command: those of steps are made from their specs, the others are written out here."""
 
 import inspect
+import os
 import sys
 import traceback
 from pathlib import Path
@@ -27,11 +28,13 @@ from usdface.specs.bake import BakeSpec
 from usdface.specs.base import Spec
 from usdface.specs.bind import BindSpec
 from usdface.specs.clean import CleanSpec
+from usdface.specs.confinement import VARIABLE, check_confined
 from usdface.specs.cyclic import CyclicSpec
 from usdface.specs.deform import DeformSpec
 from usdface.specs.edit import EditsImportSpec, EditSpec
 from usdface.specs.evaluate import EvaluateSpec
 from usdface.specs.ingest import IngestSpec
+from usdface.specs.job import JobSpec
 from usdface.specs.join import JoinSpec
 from usdface.specs.make_shapes import MakeShapesSpec
 from usdface.specs.map import MapSpec
@@ -41,6 +44,7 @@ from usdface.specs.pairs import PairsImportSpec, PairsProposeSpec
 from usdface.specs.path_mapping import read_path_rules
 from usdface.specs.phones import PhonesSpec
 from usdface.specs.reading import read_job, spec_text
+from usdface.specs.reference_sheet import ReferenceSheetSpec
 from usdface.specs.references import ReferencesFromEditsSpec, ReferencesImportSpec, SelectSpec
 from usdface.specs.retarget import RetargetSpec
 from usdface.specs.sequences import FindSequencesSpec, MakeSequenceSpec
@@ -81,6 +85,21 @@ SaveSpec = Annotated[
     Path | None,
     typer.Option("--save-spec", help="Write the spec of this command to a file and stop."),
 ]
+
+
+Root = Annotated[
+    Path | None,
+    typer.Option(
+        envvar=VARIABLE, help="Refuse a job that reads or writes anything outside this folder."
+    ),
+]
+
+
+def _confine(job: JobSpec, root: Path | None) -> None:
+    """Refuse paths outside a root, for this job and for every step that it runs."""
+    if root is not None:
+        os.environ[VARIABLE] = str(root.resolve())
+        check_confined(tuple(job.steps), root)
 
 
 def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
@@ -173,6 +192,7 @@ _STEPS: tuple[type[Spec], ...] = (
 for _spec in _STEPS:
     _add(app, _spec.model_fields["step"].default, _spec)
 _add(references, "import", ReferencesImportSpec)
+_add(references, "sheet", ReferenceSheetSpec)
 _add(references, "from-edits", ReferencesFromEditsSpec)
 app.add_typer(references, name="references")
 _add(pairs, "propose", PairsProposeSpec)
@@ -214,6 +234,7 @@ def run(
     with_folders: Annotated[
         bool, typer.Option("--make-folders", help="Make the folders that the job writes to.")
     ] = False,
+    root: Root = None,
 ) -> None:
     """Run the steps of a job whose outputs are missing or out of date.
 
@@ -224,6 +245,7 @@ def run(
     from usdface.steps.jobs import make_folders, run_job
 
     spec = read_job(job, path_rules=() if path_mapping is None else read_path_rules(path_mapping))
+    _confine(spec, root)
     if with_folders:
         make_folders(spec)
     with listening(progress) as listener:
@@ -239,6 +261,7 @@ def run(
 def check(
     job: Annotated[Path, typer.Argument(help="A job as YAML or JSON.", show_default=False)],
     as_json: Json = False,
+    root: Root = None,
 ) -> None:
     """Validate a job without running it, and say what it would run.
 
@@ -248,7 +271,9 @@ def check(
     """
     from usdface.steps.jobs import check_job
 
-    states = check_job(read_job(job))
+    spec = read_job(job)
+    _confine(spec, root)
+    states = check_job(spec)
     if as_json:
         show_json([{"step": s.spec.step, "state": s.state, "reason": s.reason} for s in states])
         return

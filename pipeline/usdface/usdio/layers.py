@@ -192,6 +192,15 @@ def dependencies(path: Path) -> list[Path]:
     return [path, *(each for each in found if each.resolve() != path.resolve())]
 
 
+def all_files(path: Path) -> list[Path]:
+    """Return every file that a USD file refers to, movies, sound and textures included."""
+    layer = open_layer(path)
+    with usd_errors_as_input_errors(path, "finding what it refers to"):
+        layers, assets, missing = UsdUtils.ComputeAllDependencies(layer.identifier)
+    named = [each.realPath for each in layers] + [str(each) for each in (*assets, *missing)]
+    return [Path(each) for each in named if each]
+
+
 def author_timing(layer: Sdf.Layer, *, rate: Fraction, first: float, last: float) -> None:
     """Set rate and range: USD rescales a layer silently when one rate is missing."""
     layer.timeCodesPerSecond = float(rate)
