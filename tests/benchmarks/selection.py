@@ -9,6 +9,7 @@ import tempfile
 import time
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -97,7 +98,7 @@ def _write_phones(path: Path, *, frames: int, rate: float) -> None:
     edges = np.linspace(0, duration, 2 * len(EMOTIONS) + 1)  # every mood in both halves
     emotions = [
         {"start": a, "end": b, "label": EMOTIONS[i % len(EMOTIONS)]}
-        for i, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True))
+        for i, (a, b) in enumerate(pairwise(edges))
     ]
     path.write_text(json.dumps({"phones": phones, "emotions": emotions}), encoding="utf-8")
 
@@ -147,7 +148,7 @@ def _random_per_emotion(rng: np.random.Generator, half: int) -> np.ndarray:
     to a take in which phones mean nothing."""
     edges = np.linspace(4030 * half, 4030 * (half + 1) - 1, 5).astype(int)
     return np.concatenate(
-        [rng.choice(np.arange(a, b), 25, replace=False) for a, b in zip(edges[:-1], edges[1:])]
+        [rng.choice(np.arange(a, b), 25, replace=False) for a, b in pairwise(edges)]
     )
 
 

@@ -21,6 +21,7 @@ from usdface.specs.movie import MovieJoinSpec, MovieSpec
 from usdface.specs.package import PackageSpec
 from usdface.specs.pairs import PairsImportSpec, PairsProposeSpec
 from usdface.specs.phones import PhonesSpec
+from usdface.specs.reference_sheet import ReferenceSheetSpec
 from usdface.specs.references import ReferencesFromEditsSpec, ReferencesImportSpec, SelectSpec
 from usdface.specs.retarget import RetargetSpec
 from usdface.specs.sequences import FindSequencesSpec, MakeSequenceSpec
@@ -37,6 +38,7 @@ STEP_SPECS: tuple[type[Spec], ...] = (
     PhonesSpec,
     SelectSpec,
     ReferencesImportSpec,
+    ReferenceSheetSpec,
     TrainSpec,
     MapSpec,
     JoinSpec,
@@ -67,6 +69,7 @@ AnyStep = Annotated[
     | PhonesSpec
     | SelectSpec
     | ReferencesImportSpec
+    | ReferenceSheetSpec
     | TrainSpec
     | MapSpec
     | JoinSpec
