@@ -54,3 +54,5 @@ class BindSpec(Spec):
     """The mesh in its file, where it holds several."""
     picture: ImageOut | None = None
     """Draw the markers on the mesh, named, the doubtful ones marked (.jpg, .png or .exr)."""
+    quality: Literal["draft", "final"] = "final"
+    """Draft leaves soft shadows and occlusion out of the picture."""

@@ -55,6 +55,9 @@ class SurfaceSpec(Spec):
     """Points further than this from every marker stay where they are, in millimetres along the
     surface; motion fades from half of it on. Four times the markers' spacing by default."""
 
+    quality: Literal["draft", "final"] = "final"
+    """Draft leaves soft shadows and occlusion out of the picture."""
+
     @model_validator(mode="after")
     def _landmarks_are_for_binding(self) -> Self:
         if self.landmarks and self.binding is not None:

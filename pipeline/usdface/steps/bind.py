@@ -57,6 +57,7 @@ def run(
                 title=f"{TakeReader(spec.take).name} on {spec.mesh.stem}",
                 facts=_facts(binding),
                 yaw_degrees=facing_yaw(face.mesh, at),
+                quality=spec.quality,
             ),
             metadata={} if provenance is None else provenance_metadata(provenance),
         )

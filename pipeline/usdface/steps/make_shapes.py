@@ -52,6 +52,7 @@ def run(
                 for index, (shape, given) in enumerate(zip(written, shapes, strict=True))
             ],
             title=f"shapes of {take.name} on {spec.mesh.stem}",
+            quality=spec.quality,
             provenance=provenance,
         )
     progress(1.0, "done")

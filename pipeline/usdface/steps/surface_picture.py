@@ -7,6 +7,7 @@ import numpy as np
 
 from usdface.assets import FloatArray
 from usdface.media.image import write_image
+from usdface.media.render import Quality
 from usdface.media.sheet import SheetPage, compose_sheet
 from usdface.media.surface_comparison import ComparedFrame, draw_compared
 from usdface.model.binding import facing_yaw
@@ -63,6 +64,7 @@ def write_comparison(
         spec.picture,
         plan,
         compared,
+        quality=spec.quality,
         title=f"{take.name} on {spec.mesh.stem}",
         columns=columns if sds is None else (*columns, "standard deviation"),
         facts=(
@@ -104,6 +106,7 @@ def write_shapes_picture(
     shapes: Sequence[tuple[str, int, FloatArray, FloatArray | None]],
     *,
     title: str,
+    quality: Quality,
     provenance: Provenance | None,
 ) -> None:
     """Draw shapes, as (name, frame, moved points, uncertainty), and write the picture."""
@@ -117,6 +120,7 @@ def write_shapes_picture(
         path,
         plan,
         compared,
+        quality=quality,
         title=title,
         columns=("shape", "standard deviation") if known else ("shape",),
         facts=(f"{len(shapes)} shapes", f"{len(rest)} points"),
@@ -130,6 +134,7 @@ def _write(
     plan: SurfacePlan,
     compared: list[ComparedFrame],
     *,
+    quality: Quality,
     title: str,
     columns: tuple[str, ...],
     facts: tuple[str, ...],
@@ -145,6 +150,7 @@ def _write(
         near=at,
         yaw_degrees=facing_yaw(plan.face.mesh, at) + YAW_DEGREES,
         high_mm=high,
+        quality=quality,
     )
     page = SheetPage(
         title=title, columns=columns, rows=tuple(rows), facts=facts, notes=notes, high=high
