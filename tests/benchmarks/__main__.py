@@ -1,7 +1,10 @@
-"""Run benchmarks and print their tables: `poe bench`, or `python -m tests.benchmarks NAME...`."""
+"""Run benchmarks and print their tables: `poe bench`, or `python -m tests.benchmarks NAME...`.
+
+With `--quick`, benchmarks that have a short form run that."""
 
 import sys
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
 
 
@@ -13,14 +16,16 @@ def names() -> list[str]:
 
 def main() -> int:
     """Run the benchmarks named, or all."""
-    wanted = sys.argv[1:] or names()
+    quick = "--quick" in sys.argv
+    wanted = [name for name in sys.argv[1:] if name != "--quick"] or names()
     unknown = [name for name in wanted if name not in names()]
     if unknown:
         print(f"no benchmark {', '.join(unknown)}; there are {', '.join(names())}", file=sys.stderr)
         return 2
     for name in wanted:
         print(f"## {name}\n", flush=True)
-        import_module(f"tests.benchmarks.{name}").run()
+        run = import_module(f"tests.benchmarks.{name}").run
+        run(**({"quick": True} if quick and "quick" in signature(run).parameters else {}))
         print()
     return 0
 

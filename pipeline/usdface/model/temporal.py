@@ -1,0 +1,108 @@
+"""Weights that move as faces do: smoothed over time, as a whole take or as frames arrive.
+
+A mapping looks at one frame at a time. Smoothing its weights takes out what no face does, at a
+cut-off that leaves blinks standing; frames that the mapping is less sure of are told by their
+neighbours. Ranges are part of the problem, not cut off afterwards.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from usdface.assets import FloatArray
+from usdface.errors import InputError
+from usdface.numerics.solve.banded_smoothing import (
+    FixedLagSmoother,
+    cutoff_penalty,
+    smooth_within_bounds,
+)
+
+CUTOFF_HZ = 20.0
+"""Motion of this frequency is halved. Blinks lose less than .005 at it; at 12 Hz they lose .01."""
+
+LAG_FRAMES = 2
+"""How far the causal mode is behind: with two frames nearly as good as the whole take."""
+
+MARGIN_FRAMES = 64
+"""Frames around a window beyond which nothing that is heard in it happens."""
+
+_LEAST_TRUST = 0.25  # a blink may be the frame that references know least
+
+Mode = Literal["none", "whole", "causal"]
+
+
+@dataclass(frozen=True)
+class TemporalSolve:
+    """How weights are smoothed.
+
+    Attributes
+    ----------
+    mode : {'none', 'whole', 'causal'}
+        Not at all; every frame by those before and after it; or by those before it and `lag`
+        frames after.
+    cutoff_hz : float
+    lag : int
+        Frames of latency of the causal mode.
+    """
+
+    mode: Mode = "none"
+    cutoff_hz: float = CUTOFF_HZ
+    lag: int = LAG_FRAMES
+
+    @property
+    def margin(self) -> int:
+        """Frames to solve on either side of those asked for."""
+        return 0 if self.mode == "none" else MARGIN_FRAMES
+
+
+def smooth_weights(
+    weights: FloatArray,
+    *,
+    confidence: FloatArray,
+    ranges: FloatArray,
+    rate: float,
+    solve: TemporalSolve,
+) -> FloatArray:
+    """Smooth consecutive frames of a performance.
+
+    Time grows with the frames. A long take may be smoothed in windows: with `solve.margin` more
+    frames on either side, what comes out between them is the same to rounding.
+
+    Parameters
+    ----------
+    weights : (frames, shapes) float array
+    confidence : (frames,) float array
+        [0-1]
+    ranges : (shapes, 2) float array
+    rate : float
+        Frames per second.
+    solve : TemporalSolve
+
+    Returns
+    -------
+    (frames, shapes) float array
+        Within the ranges.
+
+    Raises
+    ------
+    InputError
+        If the cut-off does not fit the rate or a value is not finite.
+    """
+    lower, upper = ranges[:, 0], ranges[:, 1]
+    trust = np.clip(confidence, _LEAST_TRUST, 1.0)
+    if solve.mode == "none":
+        return weights
+    try:
+        penalty = cutoff_penalty(solve.cutoff_hz, rate)
+        if solve.mode == "whole":
+            return smooth_within_bounds(
+                weights, penalty=penalty, trust=trust, lower=lower, upper=upper
+            )
+        smoother = FixedLagSmoother(weights.shape[1], penalty=penalty, lag=solve.lag)
+    except ValueError as error:
+        raise InputError(f"weights cannot be smoothed: {error}") from error
+    given = [smoother.push(row, float(each)) for row, each in zip(weights, trust, strict=True)]
+    known = [row for row in given if row is not None] + smoother.finish()
+    limited: FloatArray = np.clip(np.array(known).reshape(weights.shape), lower, upper)
+    return limited

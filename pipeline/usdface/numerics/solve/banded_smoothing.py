@@ -1,0 +1,183 @@
+"""Smooth tracks within bounds: a banded system, linear in the frames.
+
+What is minimised is ``sum_t r_t (w_t - y_t)^2 + penalty sum_t (w_{t-1} - 2 w_t + w_{t+1})^2``
+within bounds, for every track by itself. Its normal matrix has five diagonals. Which samples lie
+at a bound is found by a primal-dual active set: exact, in a few solves.
+
+References
+----------
+Hintermueller, Ito and Kunisch (2002), SIAM J. Optim. 13(3), 865-888: the active set.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
+
+Array = NDArray[np.float64]
+
+_ROUNDS = 30
+_PINNED = 1e8  # weight of a sample held at its bound, against 1 of a measured one
+_SLACK = 1e-9
+
+
+def cutoff_penalty(cutoff_hz: float, rate: float) -> float:
+    """Return the penalty that halves a motion of this frequency.
+
+    Parameters
+    ----------
+    cutoff_hz : float
+        Below half the rate.
+    rate : float
+        Frames per second.
+
+    Raises
+    ------
+    ValueError
+        If the frequency cannot be in frames of this rate.
+    """
+    if not 0 < cutoff_hz <= rate / 2:
+        raise ValueError(
+            f"a cut-off must lie between 0 and half the rate of {rate:g} frames per second, got "
+            f"{cutoff_hz:g} Hz"
+        )
+    return float((2 * np.sin(np.pi * cutoff_hz / rate)) ** -4)
+
+
+def smooth_within_bounds(
+    tracks: Array, *, penalty: float, trust: Array, lower: Array, upper: Array
+) -> Array:
+    """Smooth every column under its bounds.
+
+    Parameters
+    ----------
+    tracks : (frames, n) float array
+    penalty : float
+        On squared second differences; 0 only brings the tracks within their bounds.
+    trust : (frames,) float array
+        Weight of each frame, positive: frames with little are told by their neighbours.
+    lower, upper : (n,) float arrays
+
+    Returns
+    -------
+    (frames, n) float array
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite, a trust not positive or the penalty negative.
+    """
+    if not np.isfinite(tracks).all():
+        raise ValueError("tracks hold values that are not finite")
+    if trust.shape != (len(tracks),) or not (trust > 0).all():
+        raise ValueError(f"trust must be {len(tracks)} positive numbers")
+    if not penalty >= 0:
+        raise ValueError(f"penalty must not be negative, got {penalty}")
+    if len(tracks) < 3 or penalty == 0:
+        clipped: Array = np.clip(tracks, lower, upper)
+        return clipped
+    bands = _normal_bands(len(tracks), penalty, trust)
+    right = trust[:, None] * tracks
+    out: Array = solveh_banded(bands, right, check_finite=False)
+    outside = (out < lower - _SLACK) | (out > upper + _SLACK)
+    for column in np.flatnonzero(outside.any(axis=0)):
+        out[:, column] = _bounded(
+            bands, right[:, column], out[:, column], float(lower[column]), float(upper[column])
+        )
+    return out
+
+
+def _bounded(bands: Array, right: Array, free: Array, lower: float, upper: float) -> Array:
+    """Solve one track, samples that pull beyond a bound held at it."""
+    held = np.zeros(len(free), dtype=np.int8)
+    value = free
+    for _ in range(_ROUNDS):
+        pull = right - _product(bands, value)  # where held: the force into the bound
+        wanted = np.where(held == 0, 0, np.where(held > 0, pull > 0, pull < 0) * held)
+        wanted = np.where((held == 0) & (value > upper + _SLACK), 1, wanted)
+        wanted = np.where((held == 0) & (value < lower - _SLACK), -1, wanted).astype(np.int8)
+        if (wanted == held).all():
+            break
+        held = wanted
+        pinned = bands.copy()
+        pinned[-1] += _PINNED * (held != 0)
+        goal = np.where(held > 0, upper, lower)
+        value = solveh_banded(pinned, right + _PINNED * (held != 0) * goal, check_finite=False)
+        value = np.where(held > 0, upper, np.where(held < 0, lower, value))
+    clipped: Array = np.clip(value, lower, upper)
+    return clipped
+
+
+def _normal_bands(frames: int, penalty: float, trust: Array) -> Array:
+    """Return the upper bands of ``diag(trust) + penalty D'D``, the diagonal last."""
+    bands = np.zeros((3, frames))
+    row = np.array([1.0, -2.0, 1.0])
+    for i in range(3):
+        for j in range(i, 3):
+            bands[2 - (j - i), j : frames - 2 + j] += penalty * row[i] * row[j]
+    bands[2] += trust
+    return bands
+
+
+def _product(bands: Array, vector: Array) -> Array:
+    """Multiply the symmetric banded matrix by a vector."""
+    out: Array = bands[2] * vector
+    for off in (1, 2):
+        side = bands[2 - off, off:]
+        out[:-off] += side * vector[off:]
+        out[off:] += side * vector[:-off]
+    return out
+
+
+class FixedLagSmoother:
+    """The same smoothing as frames arrive: each is given out when `lag` later ones are known.
+
+    What is given out for a frame is what the whole-take smoothing of all frames up to `lag` after
+    it says of it, without bounds: a Kalman filter over the last ``lag + 1`` frames, whose gain is
+    shared by all tracks.
+
+    Parameters
+    ----------
+    tracks : int
+    penalty : float
+        As of `smooth_within_bounds`.
+    lag : int
+        Frames; not negative.
+    """
+
+    def __init__(self, tracks: int, *, penalty: float, lag: int) -> None:
+        if lag < 0 or not penalty > 0:
+            raise ValueError(f"lag must not be negative and penalty positive, got {lag}, {penalty}")
+        size = max(lag + 1, 2)
+        self.lag = lag
+        self._move = np.eye(size, k=-1)
+        self._move[0, :2] = 2.0, -1.0
+        self._drive = 1 / penalty
+        self._mean = np.zeros((size, tracks))
+        self._covariance = np.zeros((size, size))
+        self._seen = 0
+
+    def push(self, values: Array, trust: float = 1.0) -> Array | None:
+        """Take in one frame; return the frame `lag` before it, or None while there is none."""
+        if self._seen == 0:
+            self._mean[:] = values
+            # Nothing is known of where the tracks come from or how fast: a wide prior on both.
+            self._covariance[:2, :2] = _DIFFUSE * np.array([[1.0, 1.0], [1.0, 2.0]])
+        else:
+            self._mean = self._move @ self._mean
+            self._covariance = self._move @ self._covariance @ self._move.T
+            if self._seen > 1:
+                self._covariance[0, 0] += self._drive
+        known = self._covariance[0, 0] + 1 / trust
+        gain = self._covariance[:, 0] / known
+        self._mean += gain[:, None] * (values - self._mean[0])
+        self._covariance -= np.outer(gain, self._covariance[0])
+        self._seen += 1
+        return self._mean[self.lag].copy() if self._seen > self.lag else None
+
+    def finish(self) -> list[Array]:
+        """Return the frames that are still owed, in order."""
+        owed = min(self.lag, self._seen)
+        return [self._mean[k].copy() for k in reversed(range(owed))]
+
+
+_DIFFUSE = 1e6

@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+
+from usdface.errors import InputError
+from usdface.model.temporal import TemporalSolve, smooth_weights
+
+RATE = 60.0
+RANGES = np.array([[0.0, 1.0], [0.0, 1.0]])
+
+
+def shaky_blinks(frames: int = 900) -> tuple[np.ndarray, np.ndarray]:
+    """A smile and blinks of a seventh of a second, and the same with jitter."""
+    rng = np.random.default_rng(0)
+    time = np.arange(frames)
+    smile = 0.5 + 0.3 * np.sin(time / 40)
+    blink = np.exp(-(((time % 90 - 45) / 3.5) ** 2))
+    truth = np.stack([smile, blink], axis=1)
+    return truth, np.clip(truth + 0.02 * rng.normal(size=truth.shape), 0, 1)
+
+
+def roughness(weights: np.ndarray) -> float:
+    return float(np.abs(np.diff(weights, 3, axis=0)).mean())
+
+
+def smoothed(weights: np.ndarray, solve: TemporalSolve, sure: float = 1.0) -> np.ndarray:
+    return smooth_weights(
+        weights,
+        confidence=np.full(len(weights), sure),
+        ranges=RANGES,
+        rate=RATE,
+        solve=solve,
+    )
+
+
+@pytest.mark.parametrize("mode", ["whole", "causal"])
+def test_jitter_goes_and_blinks_stay(mode: str) -> None:
+    truth, shaky = shaky_blinks()
+    calm = smoothed(shaky, TemporalSolve(mode))  # type: ignore[arg-type]
+    assert roughness(calm) < 0.7 * roughness(shaky)
+    peaks = truth[:, 1] > 0.98
+    assert abs((calm - truth)[peaks, 1].mean()) < 0.02
+    assert calm.min() >= 0.0
+    assert calm.max() <= 1.0
+
+
+@pytest.mark.parametrize("mode", ["whole", "causal"])
+def test_windows_with_a_margin_are_the_whole_take(mode: str) -> None:
+    _, shaky = shaky_blinks()
+    solve = TemporalSolve(mode)  # type: ignore[arg-type]
+    whole = smoothed(shaky, solve)
+    window = smoothed(shaky[300 - solve.margin : 400 + solve.margin], solve)
+    np.testing.assert_allclose(window[solve.margin : -solve.margin], whole[300:400], atol=1e-9)
+
+
+def test_the_causal_mode_knows_no_more_than_its_lag() -> None:
+    _, shaky = shaky_blinks(200)
+    changed = shaky.copy()
+    changed[103:] = 0.5
+    solve = TemporalSolve("causal", lag=2)
+    first, second = smoothed(shaky, solve), smoothed(changed, solve)
+    np.testing.assert_array_equal(first[:101], second[:101])
+    assert (first[101] != second[101]).any()
+
+
+def test_a_frame_that_is_not_trusted_is_told_by_its_neighbours() -> None:
+    weights = np.full((60, 2), 0.5)
+    weights[30] = 0.9
+    sure = np.ones(60)
+    unsure = sure.copy()
+    unsure[30] = 0.0
+    found = [
+        smooth_weights(
+            weights, confidence=each, ranges=RANGES, rate=RATE, solve=TemporalSolve("whole")
+        )[30, 0]
+        for each in (sure, unsure)
+    ]
+    assert found[1] < found[0] - 0.03
+
+
+def test_a_cutoff_beyond_what_the_rate_holds_is_refused() -> None:
+    with pytest.raises(InputError, match="half the rate of 60 frames per second, got 40 Hz"):
+        smoothed(np.zeros((10, 2)), TemporalSolve("whole", cutoff_hz=40.0))
