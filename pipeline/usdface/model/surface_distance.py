@@ -178,7 +178,7 @@ def surface_distances(
         euclidean_between=straight_between,
         metric=metric,
         unreached=UnreachedReport(
-            points=lost.all(axis=0),
+            points=np.asarray(lost.all(axis=0)),
             pairs=int(lost_pairs.sum()) // 2,
             islands=int(found.islands.max()) + 1,
             islands_without_marker=int(found.islands.max()) + 1 - len(reached_islands),

@@ -1,6 +1,7 @@
 """Markers move any mesh: W06's regression over the surface, fitted once, streamed over a take."""
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -9,6 +10,7 @@ import numpy as np
 from usdface.assets import Float32Array, FloatArray
 from usdface.errors import InputError
 from usdface.model.surface_choice import choose_settings, marker_spectrum
+from usdface.model.surface_diagnostics import SurfaceDiagnostics, sample_twice
 from usdface.model.surface_distance import (
     BLEND,
     FEWEST_MARKERS,
@@ -22,12 +24,14 @@ from usdface.numerics.manifold.hyper_sampling import (
     find_modes,
     sample_hyperparameters,
 )
-from usdface.numerics.manifold.left_out import calibrate_spread, leave_markers_out
+from usdface.numerics.manifold.left_out import Widening, calibrate_spread, leave_markers_out
 from usdface.numerics.manifold.multiquadric import fit_distance_multiquadric, multiquadric_fields
 from usdface.numerics.manifold.posterior_prediction import (
     SurfaceFields,
     average_dual_weights,
+    join_moments,
     make_fields,
+    mix_variances,
     predict_mean,
     predict_variance,
 )
@@ -39,6 +43,7 @@ from usdface.progress import Progress, silent
 __all__ = [
     "BLEND",
     "FEWEST_MARKERS",
+    "SurfaceDiagnostics",
     "SurfaceDistances",
     "SurfaceMotion",
     "SurfaceRegression",
@@ -49,6 +54,9 @@ __all__ = [
 
 Method = Literal["gp", "rbf"]
 Sampler = Literal["hmc", "map", "shared"]
+
+SAMPLES = 200
+"""Saved samples of the hyper-parameters: W06, section 4.1."""
 
 _SAMPLED_FRAMES = 256
 """Frames whose chains run in lockstep: their tables fill the cache and no more."""
@@ -80,22 +88,6 @@ class SurfaceMotion:
 
 
 @dataclass(frozen=True)
-class SurfaceDiagnostics:
-    """How the fit came about.
-
-    Attributes
-    ----------
-    clipped : float
-        Change of the covariance between markers by which it became positive definite, as a share.
-    left_out_rms_mm : float
-        Error at markers that were left out of the fit, per coordinate [mm].
-    """
-
-    clipped: float = 0.0
-    left_out_rms_mm: float = float("nan")
-
-
-@dataclass(frozen=True)
 class SurfaceRegression:
     """A fitted regression; see `fit_surface_regression`.
 
@@ -118,10 +110,11 @@ class SurfaceRegression:
     marker_count: int
     point_count: int
     operator: Float32Array | None = field(default=None, repr=False)
-    spread: Float32Array | None = field(default=None, repr=False)
+    widening: Widening | None = field(default=None, repr=False)
     table: SharedTable | None = field(default=None, repr=False)
     fields: SurfaceFields | None = field(default=None, repr=False)
     shared: SharedSamples | None = field(default=None, repr=False)
+    samples: int = SAMPLES
     seed: int = 0
 
     def deform(
@@ -177,18 +170,24 @@ class SurfaceRegression:
                 np.zeros((0, self.point_count, 3), np.float32),
                 None if self.method == "rbf" else np.zeros((0, self.point_count), np.float32),
             )
-        for start in range(0, len(moved), _SAMPLED_FRAMES):
-            block = moved[start : start + _SAMPLED_FRAMES]
-            theta = self._sample(block, start)
-            for first in range(0, len(block), size):
-                part = slice(first, min(first + size, len(block)))
-                own = None if theta is None else theta[..., part]
-                yield self._fields(block[part], own, of_axes)
-                progress((start + part.stop) / len(moved), "moving the mesh")
+        starts = range(0, len(moved), _SAMPLED_FRAMES)
+        # the next block is sampled while this one becomes fields: two cores are busy
+        with ThreadPoolExecutor(max_workers=1) as ahead:
+            sampled = ahead.submit(self._sample, moved[:_SAMPLED_FRAMES], 0)
+            for start in starts:
+                theta = sampled.result()
+                after = start + _SAMPLED_FRAMES
+                sampled = ahead.submit(self._sample, moved[after : after + _SAMPLED_FRAMES], after)
+                block = moved[start:after]
+                for first in range(0, len(block), size):
+                    part = slice(first, min(first + size, len(block)))
+                    own = None if theta is None else theta[..., part]
+                    yield self._fields(block[part], own, of_axes)
+                    progress((start + part.stop) / len(moved), "moving the mesh")
 
     def _sample(self, moved: FloatArray, start: int) -> FloatArray | None:
         """Hyper-parameters of each frame and axis: (samples, 4, 3, frames)."""
-        if self.method == "rbf" or self.table is None or self.shared is not None:
+        if self.table is None or self.shared is not None or not len(moved):
             return None
         rng = np.random.default_rng((self.seed, start))
         rows = _rows(moved)
@@ -196,36 +195,36 @@ class SurfaceRegression:
             modes = find_modes(self.table, TabulatedEnergy(self.table, rows), rows)
             theta = draw_laplace(rng, modes, keep=16)
         else:
-            theta = sample_hyperparameters(rng, self.table, rows)[0].theta
+            theta = sample_hyperparameters(rng, self.table, rows, keep=self.samples)[0].theta
         return np.moveaxis(theta.reshape(len(theta), 4, len(moved), 3), 3, 2)
 
     def _fields(self, moved: FloatArray, theta: FloatArray | None, of_axes: bool) -> SurfaceMotion:
         if self.operator is not None:
-            flat = np.float32(moved).transpose(1, 0, 2).reshape(self.marker_count, -1)
+            flat = moved.astype(np.float32).transpose(1, 0, 2).reshape(self.marker_count, -1)
             mean = (self.operator @ flat).reshape(self.point_count, -1, 3).transpose(1, 0, 2)
             if self.shared is None:
                 return SurfaceMotion(np.ascontiguousarray(mean), None)
-        if self.table is None or self.fields is None:
+        if self.table is None or self.fields is None or self.widening is None:
             raise InputError("this regression holds no surface; fit it again")
-        mean = np.empty((len(moved), self.point_count, 3), np.float32)
-        sd = np.empty((len(moved), self.point_count), np.float32)
-        each = np.empty((*sd.shape, 3), np.float32) if of_axes else None
+        parts = []
         for first in range(0, len(moved), _MOMENT_FRAMES):
             part = slice(first, first + _MOMENT_FRAMES)
             rows = _rows(moved[part])
-            if theta is None and self.shared is not None:
-                own = np.repeat(self.shared.theta[:, :, None], len(rows), axis=2)
-            elif theta is not None:
+            if theta is not None:
                 own = np.moveaxis(theta[..., part], 2, 3).reshape(len(theta), 4, -1)
-            moments = average_dual_weights(self.table.spectrum, rows, own, group=1)
-            mean[part] = predict_mean(self.fields, moments)
-            variance = predict_variance(self.fields, moments).reshape(-1, 3, self.point_count)
-            if self.spread is not None:
-                variance *= self.spread**2
-            sd[part] = np.sqrt(variance.mean(axis=1))
-            if each is not None:
-                each[part] = np.sqrt(variance).transpose(0, 2, 1)
-        return SurfaceMotion(mean, sd, each)
+            elif self.shared is not None:
+                own = np.repeat(self.shared.theta[:, :, None], len(rows), axis=2)
+            parts.append(average_dual_weights(self.table.spectrum, rows, own))
+        moments = join_moments(parts)
+        shares = self.widening.of_axes**2
+        sd = np.sqrt(predict_variance(self.fields, mix_variances(moments, shares / 3.0)))
+        sd *= self.widening.of_points
+        if not of_axes:
+            return SurfaceMotion(predict_mean(self.fields, moments), sd)
+        each = predict_variance(self.fields, moments).reshape(-1, 3, self.point_count)
+        each = np.sqrt(each * shares.astype(np.float32)[:, None]) * self.widening.of_points
+        each = np.ascontiguousarray(each.transpose(0, 2, 1))
+        return SurfaceMotion(predict_mean(self.fields, moments), sd, each)
 
 
 def _join(parts: list[Float32Array | None]) -> Float32Array | None:
@@ -243,7 +242,7 @@ def fit_surface_regression(
     length_scale: float | None = None,
     covariance_shape: Shape = "creased",
     prior: HyperPrior | None = None,
-    samples: int = 200,
+    samples: int = SAMPLES,
     seed: int = 0,
 ) -> SurfaceRegression:
     """Fit a regression from markers to a surface.
@@ -313,16 +312,18 @@ def fit_surface_regression(
     table = SharedTable(spectrum)
     rng = np.random.default_rng(seed)
     cross = covariance.cross(to_points)
-    fields = make_fields(spectrum, cross, np.float32(distances.scaled(points)), rng=rng)
+    fields = make_fields(spectrum, cross, distances.scaled(points).astype(np.float32), rng=rng)
     rows = _rows(chosen.frames)
     shared = None
+    facts: dict[str, float] = {}
     if sampler == "shared":
         shared = sample_shared(rng, table, rows, keep=samples)
         theta = np.repeat(shared.theta[:, :, None], len(rows), axis=2)
+        facts["acceptance"] = shared.acceptance
     elif sampler == "map":
         theta = find_modes(table, TabulatedEnergy(table, rows), rows).best.mode[None]
     else:
-        theta = sample_hyperparameters(rng, table, rows, keep=samples)[0].theta
+        theta, facts = sample_twice(rng, table, rows, keep=samples)
     thin = max(1, len(theta) // _THINNED)
     left_out = leave_markers_out(spectrum, rows, theta[::thin])
     return SurfaceRegression(
@@ -330,18 +331,14 @@ def fit_surface_regression(
         sampler=sampler,
         blend=chosen.blend,
         length_scale=chosen.length_scale,
-        diagnostics=SurfaceDiagnostics(covariance.clipped, chosen.left_out_rms_mm),
+        diagnostics=SurfaceDiagnostics(covariance.clipped, chosen.left_out_rms_mm, **facts),
         marker_count=count,
         point_count=len(points),
-        spread=np.stack(
-            [
-                calibrate_spread(left_out.of_axis(axis), covariance.matrix(), cross)
-                for axis in range(3)
-            ]
-        ),
+        widening=calibrate_spread(left_out, covariance.matrix(), cross),
         table=table,
         fields=fields,
         shared=shared,
+        samples=samples,
         seed=seed,
     )
 

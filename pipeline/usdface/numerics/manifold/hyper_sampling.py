@@ -54,7 +54,8 @@ def find_modes(table: SharedTable, energy: Energy, displacements: Array) -> Mode
     noise = signal.copy()
     signal[0] = 0.5 * (centre[0] + np.log(power))
     noise[0], noise[1] = centre[0] - 3.0, np.log(power)
-    first, second = fit_laplace(energy, signal), fit_laplace(energy, noise)
+    with np.errstate(all="ignore"):  # a step too far overflows, and is not taken
+        first, second = fit_laplace(energy, signal), fit_laplace(energy, noise)
     swap = second.log_evidence > first.log_evidence
     best, other = _choose(swap, second, first), _choose(swap, first, second)
     distance = np.stack([_distance(best, other), _distance(other, best)]).min(axis=0)
@@ -85,18 +86,19 @@ def sample_hyperparameters(
     """
     energy = TabulatedEnergy(table, displacements)
     found = modes or find_modes(table, energy, displacements)
-    samples = sample_chains(rng, energy, found.best, burn=burn, keep=keep)
-    double = np.flatnonzero(found.double)
-    if not len(double):
-        return samples, found
-    again = sample_chains(
-        rng,
-        TabulatedEnergy(table, displacements[double]),
-        _take(found.best, double),
-        burn=burn,
-        keep=keep,
-        other=_take(found.second, double),
-    )
+    with np.errstate(all="ignore"):  # a proposal that overflows is rejected
+        samples = sample_chains(rng, energy, found.best, burn=burn, keep=keep)
+        double = np.flatnonzero(found.double)
+        if not len(double):
+            return samples, found
+        again = sample_chains(
+            rng,
+            TabulatedEnergy(table, displacements[double]),
+            _take(found.best, double),
+            burn=burn,
+            keep=keep,
+            other=_take(found.second, double),
+        )
     theta, acceptance, step = samples.theta.copy(), samples.acceptance.copy(), samples.step.copy()
     theta[:, :, double] = again.theta
     acceptance[double], step[double] = again.acceptance, again.step

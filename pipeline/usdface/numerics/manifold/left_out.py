@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 
 _NORMAL_95 = 1.959963984540054
+_LEAST = 1e-3  # a face at rest surprises nobody
 _WEIGHT = 0.3
 """Markers' worth of surprise of the average place that each place is given: a few markers say
 little of one place."""
@@ -35,9 +36,19 @@ class LeftOut:
     errors: Array
     expected: Array
 
-    def of_axis(self, axis: int) -> "LeftOut":
-        """Every third chain: those of one axis, where chains go x, y, z frame by frame."""
-        return LeftOut(self.errors[axis::3], self.expected[axis::3])
+
+@dataclass(frozen=True)
+class Widening:
+    """By how much standard deviations are to be multiplied.
+
+    Attributes
+    ----------
+    of_axes : (3,) float array
+    of_points : (points,) float32 array
+    """
+
+    of_axes: Array
+    of_points: Float32Array
 
 
 def leave_markers_out(spectrum: MarkerSpectrum, displacements: Array, theta: Array) -> LeftOut:
@@ -67,35 +78,33 @@ def leave_markers_out(spectrum: MarkerSpectrum, displacements: Array, theta: Arr
     return LeftOut(errors, np.sqrt(squares))
 
 
-def calibrate_spread(left_out: LeftOut, covariance: Array, cross: Float32Array) -> Float32Array:
-    """Find by how much standard deviations must be widened, over the surface.
+def calibrate_spread(left_out: LeftOut, covariance: Array, cross: Float32Array) -> Widening:
+    """Find by how much standard deviations must be widened, over the surface and along its axes.
 
     Each marker's mean squared surprise is spread to the points it speaks for; then one factor
-    makes 95 of 100 left-out values lie within the 95 % interval.
+    for each axis makes 95 of 100 left-out values lie within the 95 % interval.
 
     Parameters
     ----------
     left_out : LeftOut
+        Chains go x, y, z, frame by frame.
     covariance : (N, N) float array
         Between markers, 1 on its diagonal.
     cross : (points, N) float32 array
         Covariance of points with markers.
-
-    Returns
-    -------
-    (points,) float32 array
     """
-    z = left_out.errors / left_out.expected
-    surprise = (z**2).mean(axis=0)
+    z = (left_out.errors / left_out.expected).reshape(-1, 3, left_out.errors.shape[1])
+    size = np.sqrt((z**2).mean(axis=(0, 2), keepdims=True))
+    surprise = ((z / np.maximum(size, _LEAST)) ** 2).mean(axis=(0, 1))
     near = np.maximum(covariance, 0.0) ** 2
     np.fill_diagonal(near, 0.0)  # a marker may not speak for itself where it is left out
-    at_markers = _spread(near, surprise)
-    factor = np.quantile(np.abs(z / np.sqrt(at_markers)), 0.95) / _NORMAL_95
-    at_points = _spread(np.maximum(cross, 0.0) ** 2, surprise)
-    return np.float32(factor * np.sqrt(at_points))
+    levelled = np.abs(z) / np.sqrt(_spread(near, surprise))
+    factors = np.quantile(np.moveaxis(levelled, 1, 0).reshape(3, -1), 0.95, axis=1) / _NORMAL_95
+    of_points = np.sqrt(_spread(np.maximum(cross, 0.0) ** 2, surprise))
+    return Widening(np.maximum(factors, _LEAST), of_points.astype(np.float32))
 
 
 def _spread(weights: NDArray[np.floating], surprise: Array) -> Array:
     total = weights.sum(axis=1) + _WEIGHT
     spread: Array = (weights @ surprise + _WEIGHT * surprise.mean()) / total
-    return spread
+    return np.maximum(spread, _LEAST)

@@ -30,19 +30,18 @@ class DualMoments:
     Attributes
     ----------
     mean : (chains, N + 4) float32 array
-    covariance : (groups, N + 4, N + 4) float32 array or None
-        Summed over the chains of each group.
-    constant : (groups,) float32 array or None
-        v0, averaged over samples and summed over the chains of each group.
+    covariance : (chains, N + 4, N + 4) float32 array
+    constant : (chains,) float32 array
+        v0, averaged over samples.
     """
 
     mean: Float32Array
-    covariance: Float32Array | None = None
-    constant: Float32Array | None = None
+    covariance: Float32Array
+    constant: Float32Array
 
 
 def average_dual_weights(
-    spectrum: MarkerSpectrum, displacements: Array, theta: Array, *, group: int = 0
+    spectrum: MarkerSpectrum, displacements: Array, theta: Array
 ) -> DualMoments:
     """Average over samples.
 
@@ -52,9 +51,6 @@ def average_dual_weights(
     displacements : (chains, N) float array
         [mm]
     theta : (samples, 4, chains) float array
-    group : int
-        Consecutive chains whose variances are added up, 3 for the axes of a frame; 0 for no
-        variances at all.
     """
     rotated = (displacements @ spectrum.vectors).astype(np.float32)
     P = spectrum.trend.astype(np.float32)
@@ -66,13 +62,10 @@ def average_dual_weights(
     R = 1.0 / (1.0 + ratio * spectrum.values.astype(np.float32))
     M = (R.reshape(-1, count) @ products).reshape(chains, samples, 10)
     b = ((R * rotated[:, None]).reshape(-1, count) @ P).reshape(chains, samples, 4)
-    G = np.empty((chains, samples, 4, 4))
-    for k, (i, j) in enumerate(PAIRS):
-        G[..., i, j] = G[..., j, i] = M[..., k]
-    G[..., 0, 0] += v1 / scales[..., 2]
-    for k in (1, 2, 3):
-        G[..., k, k] += v1 / scales[..., 3]
-    inverse_root = np.linalg.inv(np.linalg.cholesky(G)).astype(np.float32)
+    M[..., 0] += v1 / scales[..., 2]
+    for k in (4, 7, 9):
+        M[..., k] += v1 / scales[..., 3]
+    inverse_root = _inverse_roots(M)
     w = np.einsum("bsji,bsjk,bsk->bsi", inverse_root, inverse_root, b, optimize=True)
     R *= ratio  # rho R from here on
     weights = np.empty((chains, samples, count + 4), np.float32)
@@ -82,24 +75,57 @@ def average_dual_weights(
     weights[..., :count] = R * (rotated[:, None] - fitted.reshape(chains, samples, count))
     weights[..., count:] = w
     mean = weights.mean(axis=1)
-    if not group:
-        return DualMoments(mean)
     weights -= mean[:, None]
     scaled = np.sqrt(v1)[..., None, None] * inverse_root
     spread = np.empty((chains, samples, 4, count + 4), np.float32)
     np.matmul(scaled, P.T, out=spread[..., :count])
     spread[..., :count] *= -R[:, :, None]
     spread[..., count:] = scaled
-    groups = chains // group
-    rows = spread.reshape(groups, group * samples * 4, count + 4)
+    rows = spread.reshape(chains, samples * 4, count + 4)
     covariance = np.matmul(rows.transpose(0, 2, 1), rows)
-    rows = weights.reshape(groups, group * samples, count + 4)
-    covariance += np.matmul(rows.transpose(0, 2, 1), rows)
+    covariance += np.matmul(weights.transpose(0, 2, 1), weights)
     diagonal = np.arange(count)
-    own = (v0[..., None] * R).reshape(groups, -1, count).sum(axis=1)
-    covariance[:, diagonal, diagonal] -= own
+    covariance[:, diagonal, diagonal] -= (v0[..., None] * R).sum(axis=1)
     covariance /= samples
-    return DualMoments(mean, covariance, v0.mean(axis=1).reshape(groups, group).sum(axis=1))
+    return DualMoments(mean, covariance, v0.mean(axis=1))
+
+
+def _inverse_roots(G: Float32Array) -> Float32Array:
+    """Invert the Cholesky factors of symmetric matrices of four, all at once.
+
+    Parameters
+    ----------
+    G : (..., 10) float32 array
+        Entries in the order of `PAIRS`.
+
+    Returns
+    -------
+    (..., 4, 4) float32 array
+        Lower triangular; its transpose times it is the inverse of G.
+    """
+    entry = {pair: np.float64(G[..., k]) for k, pair in enumerate(PAIRS)}
+    root: dict[tuple[int, int], Array] = {}
+    for j in range(4):
+        for i in range(j, 4):
+            left = entry[j, i] - sum(root[i, k] * root[j, k] for k in range(j))
+            root[i, j] = np.sqrt(left) if i == j else left / root[j, j]
+    out = np.zeros((*G.shape[:-1], 4, 4), np.float32)
+    inverse: dict[tuple[int, int], Array] = {}
+    for j in range(4):
+        for i in range(j, 4):
+            rest = sum(root[i, k] * inverse[k, j] for k in range(j, i))
+            inverse[i, j] = (float(i == j) - rest) / root[i, i]
+            out[..., i, j] = inverse[i, j]
+    return out
+
+
+def join_moments(parts: list[DualMoments]) -> DualMoments:
+    """Put the chains of several batches after each other."""
+    return DualMoments(
+        np.concatenate([part.mean for part in parts]),
+        np.concatenate([part.covariance for part in parts]),
+        np.concatenate([part.constant for part in parts]),
+    )
 
 
 @dataclass(frozen=True)
@@ -165,18 +191,35 @@ def predict_mean(fields: SurfaceFields, moments: DualMoments, *, group: int = 3)
 
 
 def predict_variance(fields: SurfaceFields, moments: DualMoments) -> Float32Array:
-    """Return variances, added up over each group: (groups, points) float32 array [mm^2]."""
-    if moments.covariance is None or moments.constant is None:
-        raise ValueError("these moments carry no covariance; average with a group")
+    """Return variances: (chains, points) float32 array [mm^2]."""
     upper = np.triu_indices(moments.covariance.shape[1])
     entries = moments.covariance[:, upper[0], upper[1]]
     out: Float32Array = (entries @ fields.reading.T) @ fields.squares.T
     out += moments.constant[:, None]
-    return np.maximum(out, 0.0, out=out)
+    return out.clip(min=0.0, out=out)
+
+
+def mix_variances(moments: DualMoments, shares: Array) -> DualMoments:
+    """Add up the variances of consecutive chains before they become fields, which are dear.
+
+    Parameters
+    ----------
+    moments : DualMoments
+    shares : (group,) float array
+        Of each of the chains that are added up: the axes of a frame.
+    """
+    parts = np.float32(shares)
+    size = moments.covariance.shape[1]
+    covariance = moments.covariance.reshape(-1, len(shares), size * size)
+    return DualMoments(
+        moments.mean,
+        np.tensordot(covariance, parts, axes=(1, 0)).reshape(-1, size, size),
+        moments.constant.reshape(-1, len(shares)) @ parts,
+    )
 
 
 def _products(basis: Float32Array) -> Float32Array:
     i, j = np.triu_indices(basis.shape[1])
     out: Float32Array = basis[:, i] * basis[:, j]
-    out[:, i != j] *= 2.0
+    out *= np.where(i == j, 1.0, 2.0).astype(np.float32)
     return out

@@ -62,7 +62,8 @@ def fit_shared_mode(table: SharedTable, displacements: Array) -> LaplaceFit:
     """Find the most probable theta of all rows together."""
     start = table.spectrum.prior.centre[:, None].copy()
     energy = PooledEnergy(table, displacements, chains=1)
-    return fit_laplace(energy, start, iterations=30)
+    with np.errstate(all="ignore"):
+        return fit_laplace(energy, start, iterations=30)
 
 
 def sample_shared(
@@ -94,6 +95,7 @@ def sample_shared(
         np.repeat(fit.log_evidence, chains),
     )
     energy = PooledEnergy(table, displacements, chains=chains)
-    samples = sample_chains(rng, energy, spread, burn=burn, keep=-(-keep // chains))
+    with np.errstate(all="ignore"):
+        samples = sample_chains(rng, energy, spread, burn=burn, keep=-(-keep // chains))
     theta = np.moveaxis(samples.theta, 1, 2).reshape(-1, 4)[:keep]
     return SharedSamples(fit.mode[:, 0], theta, float(samples.acceptance.mean()))

@@ -122,8 +122,10 @@ class TabulatedEnergy:
         k10 = k11 - k * (2.0 * t - 1.0)
 
         def read(table: Any, row: Any, columns: int) -> tuple[Any, Any]:
-            near = xp.take(table, row, axis=0).T
-            far = xp.take(table, row + 1, axis=0).T
+            # copied into rows of chains: what follows then reads memory in order
+            size = (2 * columns, -1)
+            near = xp.reshape(xp.take(table, row, axis=0).T, size, copy=True)
+            far = xp.reshape(xp.take(table, row + 1, axis=0).T, size, copy=True)
             first, step = near[:columns, :], far[:columns, :] - near[:columns, :]
             leave, arrive = near[columns:, :], far[columns:, :]
             values = first + h01 * step + h10 * leave + h11 * arrive

@@ -6,7 +6,7 @@ face: its distance to that face's corners is the straight line, and the surface 
 """
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,7 +134,7 @@ def _shortest_paths(
         column = np.concatenate([polygons[i] for i in chosen])
         value = np.maximum(np.concatenate([lengths[i] for i in chosen]), 1e-9)
         hung = sparse.csr_array((value, (row, column)), (len(chosen), count))
-        whole = sparse.block_array(
+        whole: Any = sparse.block_array(
             [[graph, None], [hung, sparse.csr_array((len(chosen), len(chosen)))]], format="csr"
         )
         sources = count + np.arange(len(chosen))
