@@ -157,8 +157,8 @@ class RetargetScore:
     settings : str
         Readable.
     cyclic_mm : float
-        Source to target to source: root mean square distance on the source's surface [mm]; of the
-        weights where no source rig is known.
+        Source to target to source: mean distance of the source's points [mm]; root mean square of
+        the weights where no source rig is known.
     pair_error : float
         Root mean square miss at the pairs themselves, each control over its range.
     """

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from usdface.assets import FloatArray, Rig
 from usdface.controls import ExpressionPairs
@@ -19,6 +20,9 @@ from usdface.progress import Progress, part, silent
 
 MOST_POINTS = 4000
 """Of the source's surface that are measured, spread evenly over its points."""
+
+TRAINING_POINTS = 600
+"""Of them when methods are compared in training; there are many candidates."""
 
 _BLOCK = 256
 
@@ -48,9 +52,7 @@ class SurfaceMeter:
 
     def __init__(self, rig: Rig) -> None:
         shapes = Deformer(rig).shapes
-        stride = -(-shapes.point_count // MOST_POINTS)
-        points = np.arange(0, shapes.point_count, stride)
-        columns = (3 * points[:, None] + np.arange(3)).ravel()
+        columns = _columns(shapes.point_count, MOST_POINTS)
         self._shapes = shapes
         self._offsets = shapes.key_offsets[:, columns].toarray()
 
@@ -63,6 +65,23 @@ class SurfaceMeter:
             moved = (apart @ self._offsets).reshape(len(apart), -1, 3)
             out[rows] = np.sqrt(np.einsum("fpc,fpc->fp", moved, moved)).mean(axis=1)
         return out
+
+
+def spread_displacements(
+    rig: Rig, names: tuple[str, ...], *, points: int = TRAINING_POINTS
+) -> FloatArray:
+    """Return what shapes at 1 do to points spread over a rig: (names, points, 3) float array."""
+    shapes = Deformer(rig).shapes
+    columns = _columns(shapes.point_count, points)
+    chosen = [rig.shapes.index(name) for name in names]
+    moved = shapes.target_offsets()[:, columns].toarray()[chosen]
+    return np.asarray(moved).reshape(len(names), -1, 3)
+
+
+def _columns(point_count: int, most: int) -> NDArray[np.int64]:
+    """Return the columns x, y, z of every n-th point, so that at most so many are taken."""
+    points = np.arange(0, point_count, -(-point_count // most))
+    return np.asarray((3 * points[:, None] + np.arange(3)).ravel(), np.int64)
 
 
 def evaluate_cyclic(
@@ -104,7 +123,7 @@ def evaluate_cyclic(
         If a method is not known, or needs a rig that is not given.
     """
     columns = [rig.shapes.index(name) for name in pairs.source_shapes]
-    weights = Deformer(rig).shapes.gram()[np.ix_(columns, columns)]
+    surface = spread_displacements(rig, pairs.source_shapes)
     near = SurfaceMeter(rig)
     far = None if truth is None or target_rig is None else SurfaceMeter(target_rig)
     asked = np.zeros((len(performance), len(rig.shapes)))
@@ -121,7 +140,7 @@ def evaluate_cyclic(
                 pairs,
                 method=method,
                 shape_ranges=shape_ranges,
-                gram=weights,
+                surface=surface,
                 performance=performance,
                 progress=share,
             )

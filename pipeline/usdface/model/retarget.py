@@ -73,7 +73,7 @@ def train_retargeting(
     *,
     method: str = "auto",
     shape_ranges: FloatArray | None = None,
-    gram: FloatArray | None = None,
+    surface: FloatArray | None = None,
     performance: FloatArray | None = None,
     alpha: float | None = None,
     progress: Progress = silent,
@@ -87,8 +87,8 @@ def train_retargeting(
         A key of `RETARGET_METHODS`, or ``auto``.
     shape_ranges : (target shapes, 2) float array, optional
         Limits of the target's weights; 0 to 1, widened to what the pairs use, by default.
-    gram : (source shapes, source shapes) float array, optional
-        What errors of source weights do to the source's surface [mm^2].
+    surface : (source shapes, points, 3) float array, optional
+        What each source shape at 1 does to points spread over the source's surface [mm].
     performance : (frames, source shapes) float array, optional
         What will be retargeted: methods are then compared on it as well.
     alpha : float, optional
@@ -103,12 +103,11 @@ def train_retargeting(
     check_pairs(pairs, "these pairs")
     examples = make_examples(pairs, shape_ranges=shape_ranges)
     probes = make_probes(examples, performance)
-    metric = np.eye(pairs.source.shape[1]) / pairs.source.shape[1] if gram is None else gram
     tried: list[tuple[RetargetScore, _Fit]] = []
     candidates = _candidates(method, alpha)
     for number, (each, settings) in enumerate(candidates, start=1):
         fitted = _fit(each, settings, examples)
-        tried.append((_score(fitted, examples, probes, metric), fitted))
+        tried.append((_score(fitted, examples, probes, surface), fitted))
         progress(number / len(candidates), f"tried {each.name}")
     moved = np.abs(pairs.source).max(axis=0) > LIVE
     tried.sort(key=lambda item: (item[0].cyclic_mm, item[0].pair_error))
@@ -255,16 +254,23 @@ def _cycle(fitted: _Fit, examples: Examples, source: FloatArray) -> FloatArray:
 
 
 def _score(
-    fitted: _Fit, examples: Examples, probes: FloatArray, metric: FloatArray
+    fitted: _Fit, examples: Examples, probes: FloatArray, surface: FloatArray | None
 ) -> RetargetScore:
     error = _cycle(fitted, examples, probes) - probes
-    squared = np.einsum("fs,st,ft->f", error, metric, error)
     at_pairs = _forward(fitted, examples, examples.source + examples.source_rest)
     missed = (at_pairs - examples.target_rest - examples.target) / examples.spans
     told = ", ".join(f"{name} {value}" for name, value in fitted.settings.items())
     return RetargetScore(
         method=fitted.method.name,
         settings=told,
-        cyclic_mm=float(np.sqrt(np.maximum(squared, 0.0)).mean()),
+        cyclic_mm=_mean_distance(error, surface),
         pair_error=float(np.sqrt((missed**2).mean())),
     )
+
+
+def _mean_distance(error: FloatArray, surface: FloatArray | None) -> float:
+    """Return how far errors of weights move the surface in the mean; without one, their size."""
+    if surface is None:
+        return float(np.sqrt((error**2).mean(axis=1)).mean())
+    moved = (error @ surface.reshape(len(surface), -1)).reshape(len(error), -1, 3)
+    return float(np.sqrt(np.einsum("fpc,fpc->fp", moved, moved)).mean())

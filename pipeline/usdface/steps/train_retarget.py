@@ -6,8 +6,8 @@ import numpy as np
 
 from usdface.assets import FloatArray
 from usdface.controls import ExpressionPairs, Retargeting
-from usdface.deformer import Deformer
 from usdface.errors import InputError
+from usdface.model.cyclic import spread_displacements
 from usdface.model.pair_checks import check_pairs, dead_controls, find_conflicts, unused_shapes
 from usdface.model.retarget import train_retargeting
 from usdface.progress import Progress, silent
@@ -37,8 +37,8 @@ def run(
         motion = read_source_motion(spec.source)
         performance, said = source_columns(spec.source, motion, pairs.source_shapes)
         notes += said
-    gram = source_gram(pairs)
-    if gram is None:
+    surface = source_surface(pairs)
+    if surface is None:
         notes.append(
             "the source's rig is not known, so errors were compared in weights, not millimetres"
         )
@@ -46,7 +46,7 @@ def run(
         pairs,
         method=spec.method,
         shape_ranges=target_ranges(pairs),
-        gram=gram,
+        surface=surface,
         performance=performance,
         alpha=spec.alpha,
         progress=progress,
@@ -55,7 +55,7 @@ def run(
     write_retargeting(spec.out, trained, provenance=provenance)
     return Report(
         (spec.out,),
-        _summary(trained, pairs, millimetres=gram is not None),
+        _summary(trained, pairs, millimetres=surface is not None),
         tuple(notes),
         describe_retargeting_figures(trained)
         | {
@@ -66,15 +66,14 @@ def run(
     )
 
 
-def source_gram(pairs: ExpressionPairs) -> FloatArray | None:
-    """Return what errors of source weights do to the source's surface; None without its rig."""
+def source_surface(pairs: ExpressionPairs) -> FloatArray | None:
+    """Return what source shapes do to the source's surface; None where its rig is not known."""
     if pairs.source_rig is None or not pairs.source_rig.is_file():
         return None
     rig = read_rig(pairs.source_rig, prim=pairs.source_prim)
-    columns = [rig.shapes.index(name) for name in pairs.source_shapes if name in rig.shapes]
-    if len(columns) != len(pairs.source_shapes):
+    if any(name not in rig.shapes for name in pairs.source_shapes):
         return None
-    return np.asarray(Deformer(rig).shapes.gram()[np.ix_(columns, columns)])
+    return spread_displacements(rig, pairs.source_shapes)
 
 
 def target_ranges(pairs: ExpressionPairs) -> FloatArray | None:

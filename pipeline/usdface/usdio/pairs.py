@@ -68,7 +68,7 @@ def write_pairs(
     source_rig, target_rig : Rig
     provenance : Provenance, optional
     """
-    _write_samples(samples_path(path), pairs, target_rig, provenance)
+    _write_samples(samples_path(path), pairs, source_rig, target_rig, provenance)
     with new_layer(path, provenance) as layer:
         if path.is_file():
             layer.TransferContent(open_layer(path))
@@ -79,12 +79,6 @@ def write_pairs(
         root = define_prim(layer, ROOT, "Xform")
         root.SetInfo("kind", Kind.Tokens.component)
         apply_api(root, "FacePairsAPI")
-        for place, rig, animation in (
-            (SOURCE, source_rig, SOURCE_WEIGHTS),
-            (TARGET, target_rig, TARGET_CONTROLS),
-        ):
-            define_reference(layer, str(place), rig, path)
-            point_skeletons_at(layer, str(place), rig, animation)
 
 
 def read_pairs(path: Path) -> ExpressionPairs:
@@ -133,7 +127,11 @@ def _author_header(layer: Sdf.Layer, count: int) -> None:
 
 
 def _write_samples(
-    path: Path, pairs: ExpressionPairs, target_rig: Rig, provenance: Provenance | None
+    path: Path,
+    pairs: ExpressionPairs,
+    source_rig: Rig,
+    target_rig: Rig,
+    provenance: Provenance | None,
 ) -> None:
     tokens = Sdf.ValueTypeNames.TokenArray
     target = pairs.target
@@ -143,6 +141,12 @@ def _write_samples(
         Sdf.AttributeSpec(root, NAME.name, Sdf.ValueTypeNames.String)
         for time, name in enumerate(pairs.names, start=1):
             layer.SetTimeSample(NAME, time, name)
+        for place, rig, animation in (
+            (SOURCE, source_rig, SOURCE_WEIGHTS),
+            (TARGET, target_rig, TARGET_CONTROLS),
+        ):
+            define_reference(layer, str(place), rig, path)
+            point_skeletons_at(layer, str(place), rig, animation)
         for place, shapes, weights in (
             (SOURCE_WEIGHTS, pairs.source_shapes, pairs.source),
             (TARGET_CONTROLS, target.shapes, target.weights),
