@@ -34,7 +34,10 @@ FORMAT = 1
 
 MICROMETRES = 1000.0
 _NARROW = np.iinfo(np.int16).max
-_SKY_RAYS = 32  # per point: openness is interpolated over triangles, so its noise is not seen
+_SKY_RAYS = 48
+_SKY_AVERAGES = 3  # over neighbours: counting rays is noisy, and stripes follow a mesh's rows
+# Which directions a point takes, in no order that a row of a mesh could follow.
+_PATTERN_OF = np.random.default_rng(0).integers(0, PATTERNS, 4093)
 _SKY_REACH = 0.28  # of the head's height, as in the ray-cast pictures
 _WEB = Path(__file__).parent / "web"
 _VIEWER = (
@@ -247,7 +250,7 @@ def _openness(rig: Rig, deformer: Deformer, surface: Surface) -> Float32Array:
             Tracer(fine.astype(np.float32), surface.triangles),
             fine.astype(np.float32) + np.float32(2e-3 * surface.size) * aim,
             aim,
-            patterns=np.arange(len(fine)) % PATTERNS,
+            patterns=_PATTERN_OF[np.arange(len(fine)) % len(_PATTERN_OF)],
             ray_count=_SKY_RAYS,
             reach=_SKY_REACH * surface.size,
         )
@@ -256,11 +259,13 @@ def _openness(rig: Rig, deformer: Deformer, surface: Surface) -> Float32Array:
 
 
 def _averaged(values: Float32Array, surface: Surface) -> Float32Array:
-    """Average each point with the triangles about it: counting rays is noisy."""
+    """Average each point with the triangles about it."""
     operator = normal_operator(surface.triangles, point_count=len(values))
     uses = np.maximum(np.asarray(operator.sum(axis=1)).ravel(), 1)
-    around = np.asarray(operator @ values[surface.triangles].mean(axis=1)) / uses
-    return np.asarray(0.5 * values + 0.5 * around, np.float32)
+    for _ in range(_SKY_AVERAGES):
+        around = np.asarray(operator @ values[surface.triangles].mean(axis=1)) / uses
+        values = np.asarray(0.4 * values + 0.6 * around, np.float32)
+    return values
 
 
 def _of_points(of_triangles: IntArray, surface: Surface, *, fill: int) -> IntArray:

@@ -67,8 +67,6 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
     )
     rest = _rest(equation, rig)
     motion = character_motion(equation.virtual, references.markers, references.neutral)
-    # Lid markers slide less than lids do: with the gain a closed eye leaves no residual.
-    motion = motion * equation.gain[:, None]
     return MarkerTargets(
         names=references.marker_names,
         rest=rest.astype(np.float32),

@@ -2,6 +2,8 @@
 
 const FONT = '10px ui-monospace, "SF Mono", Menlo, Consolas, "DejaVu Sans Mono", monospace';
 
+const HALF_LINE = 6;
+
 /** A text layer over a viewer's canvas; made when first needed. */
 export class MarkerLabels {
   constructor(canvas) {
@@ -34,12 +36,19 @@ export class MarkerLabels {
     pen.strokeStyle = "rgba(0, 0, 0, 0.75)";
     pen.fillStyle = "#e6e6e6";
     const middle = viewer.camera.distance;
-    marks.names.forEach((name, i) => {
-      const [x, y, depth] = viewer.project(...marks.points.subarray(3 * i, 3 * i + 3));
-      if (depth > middle) return;
-      pen.strokeText(name, x + 7, y);
-      pen.fillText(name, x + 7, y);
-    });
+    const taken = [];
+    marks.names
+      .map((name, i) => [name, viewer.project(...marks.points.subarray(3 * i, 3 * i + 3))])
+      .sort((a, b) => a[1][2] - b[1][2]) // the nearest first: they are what is looked at
+      .forEach(([name, [x, y, depth]]) => {
+        if (depth > middle) return;
+        const box = [x + 6, y - HALF_LINE, x + 9 + pen.measureText(name).width, y + HALF_LINE];
+        const hit = (b) => box[0] < b[2] && b[0] < box[2] && box[1] < b[3] && b[1] < box[3];
+        if (taken.some(hit)) return; // zoom in to read it
+        taken.push(box);
+        pen.strokeText(name, x + 7, y);
+        pen.fillText(name, x + 7, y);
+      });
   }
 
   remove() {

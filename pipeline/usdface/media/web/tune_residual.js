@@ -3,6 +3,7 @@
 const GOOD_MM = 0.5;
 const BAD_MM = 3;
 const FULL_BAR_MM = 4;
+const ORDER = ["brows", "lids", "cheeks and nose", "mouth", "jaw", "face"];
 const KNOTS = [
   [0.45, 0.78, 0.62],
   [0.93, 0.78, 0.34],
@@ -28,7 +29,7 @@ export class Residual {
     this.shares = new Float32Array(face.keyCount);
     this.bound = new Float32Array(3 * this.count);
     this.colors = new Float32Array(3 * this.count);
-    this.parts = [...new Set(this.regions.filter(Boolean))];
+    this.parts = ORDER.filter((part) => this.regions.includes(part));
   }
 
   target(pair) {

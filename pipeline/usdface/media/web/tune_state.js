@@ -1,6 +1,7 @@
 // The pairs' weights, one change at a time: what is shown, what is undone, what differs.
 
 const SAME = 1e-6; // as usdface.tuning.session
+const SEEN = 5e-4; // what three decimals show
 
 /** Emits `weights` (detail: pair, shapes), `done` (detail: pair) and `pair` (the current one). */
 export class TuneState extends EventTarget {
@@ -35,17 +36,22 @@ export class TuneState extends EventTarget {
     return this.row(pair, this.proposals);
   }
 
-  differs(shape, pair = this.current) {
-    return Math.abs(this.row(pair)[shape] - this.proposal(pair)[shape]) > SAME;
+  #away(shape, pair) {
+    return Math.abs(this.row(pair)[shape] - this.proposal(pair)[shape]);
   }
 
-  /** Shapes of a pair that differ from its proposal. */
+  /** Whether a shape can be seen to differ from its proposal. */
+  differs(shape, pair = this.current) {
+    return this.#away(shape, pair) > SEEN;
+  }
+
+  /** Shapes of a pair that differ from its proposal, however little. */
   changed(pair = this.current) {
-    return this.names.map((_, shape) => shape).filter((shape) => this.differs(shape, pair));
+    return this.names.map((_, shape) => shape).filter((shape) => this.#away(shape, pair) > SAME);
   }
 
   isTuned(pair) {
-    return this.done[pair] || this.names.some((_, shape) => this.differs(shape, pair));
+    return this.done[pair] || this.names.some((_, shape) => this.#away(shape, pair) > SAME);
   }
 
   go(pair) {

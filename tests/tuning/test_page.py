@@ -1,0 +1,346 @@
+"""The page in a real browser, against the real command: what an animator does, and what goes wrong.
+
+The page's policy forbids `eval`, so conditions are polled rather than waited for in the page.
+"""
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.browser import chromium
+from tests.tuning.small_asset import small_references, write_asset
+from usdface.specs.references import tuned_path
+from usdface.usdio.references import read_references
+
+PATIENCE_SECONDS = 40.0
+
+
+class Command:
+    """`usdface tune`, running."""
+
+    def __init__(self, asset: Path) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "usdface", "tune", str(asset), "--no-browser", "--json"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        assert line, self._process.communicate()[1]
+        self.link: str = json.loads(line)["link"]
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+    def interrupt(self) -> dict[str, Any]:
+        """Press Ctrl+C and return the report."""
+        self._process.send_signal(signal.SIGINT)
+        out, err = self._process.communicate(timeout=PATIENCE_SECONDS)
+        assert self._process.returncode == 0, err
+        return dict(json.loads(out))
+
+
+class Page:
+    """A browser's page, and every fault that it reports."""
+
+    def __init__(self, context: Any, link: str) -> None:
+        self.page = context.new_page()
+        self.faults: list[str] = []
+        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
+        self.page.on(
+            "console",
+            lambda message: self.faults.append(message.text) if message.type == "error" else None,
+        )
+        self.page.goto(link)
+        self.wait("!!globalThis.tune?.viewer")
+
+    def wait(self, condition: str) -> None:
+        end = time.monotonic() + PATIENCE_SECONDS
+        while not self.page.evaluate(condition):
+            assert time.monotonic() < end, f"never came true: {condition}; {self.faults}"
+            time.sleep(0.02)
+
+    def saved(self) -> None:
+        self.wait("tune.outbox.isEmpty")
+
+    def number(self, shape: str) -> Any:
+        return self.page.locator(f"input[type=number][aria-label={shape}]")
+
+    def type_weight(self, shape: str, value: float) -> None:
+        self.number(shape).fill(str(value))
+        self.number(shape).press("Enter")
+
+    def weight(self, shape: int) -> float:
+        return float(self.page.evaluate(f"tune.state.row()[{shape}]"))
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as running:
+        yield running
+
+
+@pytest.fixture
+def context(browser: Any) -> Iterator[Any]:
+    opened = browser.new_context(viewport={"width": 1280, "height": 760})
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def asset(tmp_path: Path) -> Path:
+    return write_asset(tmp_path)
+
+
+class Desk:
+    """One command and one browser that has entered, for tests that harm neither."""
+
+    def __init__(self, asset: Path, context: Any) -> None:
+        self.asset = asset
+        self.context = context
+        self.command = Command(asset)
+        self.home = self.command.link.split("/?")[0]
+        self._link = self.command.link
+
+    def page(self) -> Page:
+        link, self._link = self._link, self.home
+        return Page(self.context, link)
+
+    def layer(self, pair: int, expected: list[float | None]) -> None:
+        """Wait until the layer holds these weights; None stands for the proposal's."""
+        proposed = small_references(self.asset.parent).weights[pair]
+        wanted = [p if e is None else e for p, e in zip(proposed, expected, strict=True)]
+        end = time.monotonic() + PATIENCE_SECONDS
+        while not np.allclose(read_references(self.asset).weights[pair], wanted, atol=1e-6):
+            assert time.monotonic() < end, read_references(self.asset).weights[pair]
+            time.sleep(0.05)
+
+    def layer_bytes(self) -> bytes:
+        """Return the tuned layer once every change is in it."""
+        end = time.monotonic() + PATIENCE_SECONDS
+        while list(self.asset.parent.glob("*.journal")):
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        return tuned_path(self.asset).read_bytes()
+
+
+@pytest.fixture(scope="module")
+def desk(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
+    context = browser.new_context(viewport={"width": 1280, "height": 760})
+    desk = Desk(write_asset(tmp_path_factory.mktemp("desk")), context)
+    yield desk
+    desk.command.interrupt()
+    context.close()
+
+
+def test_a_tuned_pair_survives_a_reload_and_a_killed_server(asset: Path, context: Any) -> None:
+    command = Command(asset)
+    page = Page(context, command.link)
+    page.page.keyboard.press("n")
+    page.type_weight("jawOpen", 0.375)
+    page.saved()
+    page.page.reload()
+    page.wait("!!globalThis.tune?.viewer")
+    page.page.keyboard.press("n")
+    assert page.weight(0) == 0.375
+    page.type_weight("smile", 1.25)
+    page.saved()
+    command.kill()  # at once: the layer has not followed yet
+    again = Command(asset)
+    page = Page(context, again.link)
+    page.page.keyboard.press("n")
+    assert page.weight(0) == 0.375
+    assert page.weight(2) == 1.25
+    assert not page.faults
+    report = again.interrupt()
+    assert report["figures"] | {"recovered": 0} == {
+        "pairs": 5,
+        "tuned": 1,
+        "done": 0,
+        "recovered": 0,
+    }
+    composed = read_references(asset)
+    assert composed.weights[1].tolist()[::2] == [0.375, 1.25]
+    assert composed.tuned.tolist() == [False, True, False, False, False]
+    assert not list(asset.parent.glob("*.lock")) + list(asset.parent.glob("*.journal"))
+
+
+@pytest.mark.slow
+def test_what_was_changed_while_the_server_was_dead_is_sent_to_the_next(
+    asset: Path, context: Any
+) -> None:
+    command = Command(asset)
+    page = Page(context, command.link)
+    command.kill()
+    page.type_weight("jawOpen", 0.625)
+    page.wait("document.getElementById('saved').className === 'bad'")
+    page.page.close(run_before_unload=False)
+    again = Command(asset)
+    assert again.link.split("?")[0] == command.link.split("?")[0]
+    page = Page(context, again.link)
+    page.saved()
+    assert page.weight(0) == 0.625
+    again.interrupt()
+    assert read_references(asset).weights[0, 0] == 0.625
+
+
+def test_a_slow_server_gets_the_newest_value_of_a_drag(desk: Desk) -> None:
+    page = desk.page()
+    page.page.route("**/changes", lambda route: (time.sleep(0.15), route.continue_()))
+    page.page.evaluate(
+        "async () => { for (let k = 1; k <= 60; k++) { tune.state.slide(0, k / 100);"
+        " await new Promise((r) => setTimeout(r, 4)); } tune.state.endGesture(); }"
+    )
+    page.saved()
+    assert page.page.evaluate("tune.outbox.sent") < 30  # merged, not queued
+    assert page.page.evaluate("tune.state.past.length") == 1  # one drag, one step of undo
+    desk.layer(0, [0.6, None, None])
+
+
+def test_two_windows_of_one_session_agree(desk: Desk) -> None:
+    first, second = desk.page(), desk.page()
+    for page in (first, second):
+        page.page.evaluate("tune.state.go(4)")
+    first.type_weight("jawOpen", 0.25)
+    first.saved()
+    second.type_weight("smile", 0.75)
+    second.saved()
+    assert second.weight(0) == 0.25
+    desk.layer(4, [0.25, None, 0.75])
+
+
+def test_the_tools_of_a_pair_do_what_they_say(desk: Desk) -> None:
+    page = desk.page()
+    press = page.page.keyboard.press
+    press("n")
+    press("PageDown")
+    proposed = small_references(desk.asset.parent).weights
+    slider = page.page.locator("input[type=range][aria-label=smile]")
+    slider.focus()
+    for _ in range(3):
+        press("Shift+ArrowRight")
+    assert page.weight(2) == pytest.approx(proposed[2, 2] + 0.3, abs=1e-6)
+    assert page.page.locator(".shape.changed .label").all_inner_texts() == ["smile"]
+    press("Delete")
+    assert page.weight(2) == np.float32(proposed[2, 2])
+    page.type_weight("jawOpen", 0.5)
+    press("Control+z")
+    assert page.weight(0) == np.float32(proposed[2, 0])
+    press("Control+Shift+z")
+    assert page.weight(0) == 0.5
+    press("Shift+D")
+    assert page.page.locator("#number").inner_text() == "4"
+    press("c")
+    page.page.locator(".tile").nth(2).click()
+    assert page.weight(0) == 0.5
+    tile = page.page.locator(".tile")
+    assert set(tile.nth(3).get_attribute("class").split()) == {"tile", "tuned"}
+    assert set(tile.nth(2).get_attribute("class").split()) == {"tile", "tuned", "done"}
+    press("r")
+    assert page.weight(0) == np.float32(proposed[3, 0])
+    page.type_weight("jawOpen", 7)
+    assert page.weight(0) == 1.0
+    press("/")
+    page.page.keyboard.type("SMI")
+    assert page.page.locator(".shape:visible .label").all_inner_texts() == ["smile"]
+    press("Escape")
+    assert page.page.locator(".shape:visible").count() == 3
+    page.saved()
+    assert not page.faults
+    desk.layer(2, [0.5, None, None])
+    desk.layer(3, [1.0, None, None])
+    assert read_references(desk.asset).tuned[2:4].all()
+
+
+def test_sides_move_together_and_change_places(desk: Desk) -> None:
+    found = desk.page().page.evaluate(
+        """() => {
+          const sides = { mirror: [1, 0, 3, 2], sided: [true, true, false, false] };
+          const limits = { low: [0, 0, 0, 0], high: [1, 1, 1, 1] };
+          const names = ["smileL", "smileR", "jawL", "jawR"];
+          const state = new tune.state.constructor({ names, ...limits, ...sides }, [{}]);
+          const none = () => new Float32Array(4);
+          state.load({ weights: none(), proposals: none(), done: [false] });
+          state.slide(0, 0.5); state.slide(2, 0.25); const linked = [...state.row()];
+          state.linked = false; state.slide(0, 0.75); state.mirrorPair();
+          const mirrored = [...state.row()]; state.undo(); state.undo();
+          return [linked, mirrored, [...state.row()]];
+        }"""
+    )
+    assert found == [[0.5, 0.5, 0.25, 0.0], [0.5, 0.75, 0.0, 0.25], [0.5, 0.5, 0.25, 0.0]]
+
+
+class _Foreign(BaseHTTPRequestHandler):
+    """Any other page of the machine: it is same-site, so the cookie alone would let it in."""
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html")
+        self.end_headers()
+        self.wfile.write(b"<!doctype html><title>evil</title>")
+
+    def log_message(self, *given: object) -> None:
+        """Keep quiet."""
+
+
+def test_another_page_of_the_same_browser_reads_and_changes_nothing(desk: Desk) -> None:
+    desk.page()  # the cookie is in this browser now
+    before = desk.layer_bytes()
+    foreign = ThreadingHTTPServer(("127.0.0.1", 0), _Foreign)
+    threading.Thread(target=partial(foreign.serve_forever, 0.05), daemon=True).start()
+    try:
+        evil = desk.context.new_page()
+        evil.goto(f"http://127.0.0.1:{foreign.server_port}/")
+        won = evil.evaluate(
+            """async (home) => {
+              const won = [];
+              const body = JSON.stringify({ revision: 0, changes: [
+                { pair: 0, take: "kitchen", frame: 100, weights: { jawOpen: 0.875 } }] });
+              const tries = {
+                read: () => fetch(home + "/state.json", { credentials: "include" }),
+                plain: () => fetch(home + "/changes", { method: "POST", mode: "no-cors",
+                  credentials: "include", headers: { "Content-Type": "text/plain" }, body }),
+                json: () => fetch(home + "/changes", { method: "POST", credentials: "include",
+                  headers: { "Content-Type": "application/json", "X-Usdface-Tune": "1" }, body }),
+              };
+              for (const [name, attempt] of Object.entries(tries)) {
+                try { const r = await attempt(); if (r.ok) won.push(name); } catch { /* refused */ }
+              }
+              const element = (tag, path) => new Promise((resolve) => {
+                const one = document.createElement(tag);
+                one.onload = () => resolve(tag); one.onerror = () => resolve(null);
+                one.src = home + path; document.body.append(one);
+              });
+              won.push(await element("img", "/web/tune.svg"));
+              won.push(await element("script", "/web/tune.js"));
+              return won.filter(Boolean);
+            }""",
+            desk.home,
+        )
+        evil.evaluate(
+            "home => { const one = document.createElement('iframe'); one.src = home + '/';"
+            " document.body.append(one); }",
+            desk.home,
+        )
+        time.sleep(0.5)
+        framed = [frame.title() for frame in evil.frames[1:]]
+    finally:
+        foreign.shutdown()
+        foreign.server_close()
+    assert won == []
+    assert "usdface tune" not in framed
+    time.sleep(1.0)  # longer than the layer takes to follow
+    assert desk.layer_bytes() == before

@@ -1,0 +1,87 @@
+"""The live residual: markers glued to the rig, against where the captured ones should be."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.numerics.small_face import SmallActor, SmallFace, small_actor, small_face
+from usdface.assets import MeshShape, References, Rig, RigMesh, ShapeKey
+from usdface.deformer import Deformer
+from usdface.tuning.targets import MarkerTargets, find_targets, targets_or_reason
+
+
+def rig_of(face: SmallFace) -> Rig:
+    everywhere = np.arange(len(face.points))
+    mesh = RigMesh(
+        path="/Hero/face",
+        points=face.points,
+        face_counts=np.full(len(face.triangles), 3),
+        face_indices=face.triangles.ravel(),
+        shapes=tuple(
+            MeshShape(name, (ShapeKey(1.0, everywhere, offsets),))
+            for name, offsets in zip(face.names, face.offsets, strict=True)
+        ),
+    )
+    ranges = np.tile([0.0, 1.0], (len(face.names), 1))
+    return Rig(Path("hero.usda"), "/Hero", face.names, (mesh,), ranges)
+
+
+@pytest.fixture(scope="module")
+def made() -> tuple[Rig, SmallActor, References, MarkerTargets]:
+    face = small_face()
+    actor = small_actor(face, np.random.default_rng(0))
+    rig = rig_of(face)
+    pairs = np.arange(0, 240, 10)
+    references = References(
+        marker_names=tuple(f"m{i}" for i in range(len(actor.neutral))),
+        shape_names=face.names,
+        markers=actor.positions[pairs],
+        weights=actor.weights[pairs],
+        frames=pairs,
+        takes=("take",) * len(pairs),
+        tuned=np.zeros(len(pairs), dtype=np.bool_),
+        rigid=(),
+        neutral=actor.neutral,
+        rig_file=rig.file,
+        rig_prim=rig.prim,
+    )
+    return rig, actor, references, find_targets(references, rig)
+
+
+def residual(rig: Rig, targets: MarkerTargets, weights: np.ndarray) -> np.ndarray:
+    """What the page computes: (pairs, markers) [mm]."""
+    shares = Deformer(rig).shapes.key_weights(weights)
+    bound = targets.rest + np.einsum("pk,kmc->pmc", shares, targets.key_deltas)
+    return np.linalg.norm(bound - targets.targets, axis=2)
+
+
+def test_the_performed_weights_leave_little_and_rest_leaves_much(made) -> None:
+    rig, _, references, targets = made
+    performed = residual(rig, targets, references.weights)
+    still = residual(rig, targets, np.zeros_like(references.weights))
+    assert np.sqrt((performed**2).mean()) < 0.35 * np.sqrt((still**2).mean())
+
+
+def test_each_wrong_shape_shows_in_its_own_region(made) -> None:
+    rig, _, references, targets = made
+    regions = np.array(targets.regions)
+    weights = references.weights.copy()
+    base = residual(rig, targets, weights)
+    weights[:, references.shape_names.index("browUpL")] += 0.8
+    worse = residual(rig, targets, weights) - base
+    by_region = {name: worse[:, regions == name].mean() for name in set(targets.regions)}
+    assert max(by_region, key=by_region.get) == "brows"
+
+
+def test_every_marker_has_a_region_unless_it_is_rigid(made) -> None:
+    _, _, references, targets = made
+    assert len(targets.regions) == len(references.marker_names)
+    assert "" not in targets.regions
+    assert {"mouth", "brows", "lids"} <= set(targets.regions)
+
+
+def test_references_without_markers_give_the_reason(made) -> None:
+    rig, _, references, _ = made
+    bare = References(**(vars(references) | {"marker_names": ()}))
+    assert targets_or_reason(bare, rig) == "the references hold no markers"
