@@ -13,6 +13,13 @@ WIDE, HIGH = 25, 31
 MOUTH_ROW, MOUTH = 9, range(9, 16)
 """The row of the grid that is cut open, and the columns between the corners of the mouth."""
 
+CALLED = {
+    "skin_1_14": "chin_L",
+    "skin_21_6": "brow_R",
+    "skin_21_18": "brow_L",
+}
+"""Markers that have a name of their own."""
+
 FRAMES = 40
 FIRST = 101
 
@@ -80,7 +87,8 @@ def small_scan() -> Scan:
         markers += [int(top), int(bottom)]
     for row in range(1, HIGH, 4):
         for column in range(2, WIDE, 4):
-            names.append(f"skin_{row}_{column}")
+            name = f"skin_{row}_{column}"
+            names.append(CALLED.get(name, name))
             markers.append(row * WIDE + column)
     names.append("nose tip")  # no name that a prim may have
     markers.append((HIGH // 2 + 1) * WIDE + WIDE // 2)
@@ -128,7 +136,7 @@ def small_scan_take(scan: Scan, *, noise: float = 0.1, frames: int = FRAMES) -> 
 
 def landmarks(scan: Scan) -> tuple[str, ...]:
     """Five markers that a person might point at, as the command line takes them."""
-    chosen = ("nose tip", "skin_1_14", "lip_upper_0", "lip_lower_4", "skin_21_6")
+    chosen = ("nose tip", "chin_L", "lip_upper_0", "lip_lower_4", "brow_R")
     return tuple(f"{name}={scan.markers[scan.names.index(name)]}" for name in chosen)
 
 

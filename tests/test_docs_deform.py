@@ -1,0 +1,27 @@
+"""Every command of the page on meshes without a rig runs, one after the other."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.small_scan import small_scan, small_scan_take, write_scan
+from tests.test_docs import commands, run
+from usdface.usdio.take_write import write_take
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "deform.md"
+
+
+def test_the_page_on_any_mesh_runs_from_top_to_bottom(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scan = small_scan()
+    write_scan(tmp_path / "scan.usdc", scan)
+    write_take(tmp_path / "talk.take.usda", small_scan_take(scan))
+    monkeypatch.chdir(tmp_path)
+    lines = commands(PAGE)
+    assert len(lines) == 6
+    for line in lines:
+        draft = " --quality draft" if "--picture" in line else ""
+        assert run(line + draft) == 0, f"{line}\n{capsys.readouterr()}"
+    for name in ("scan.binding.jpg", "talk.scan.jpg", "talk.acted.usda"):
+        assert (tmp_path / name).is_file()
