@@ -1,0 +1,52 @@
+"""AYON: find face performances and make products of them."""
+
+import os
+from pathlib import Path
+
+import pyblish.api
+
+
+class CollectFacePerformances(pyblish.api.ContextPlugin):
+    """Make an instance, a product of type ``facePerformance``, of every performance.
+
+    Files or folders come from ``context.data["usdface"]`` or from the environment's
+    USDFACE_PUBLISH; folder and task are those of the publish.
+    """
+
+    label = "Collect face performances"
+    order = pyblish.api.CollectorOrder
+    hosts = ["*"]  # noqa: RUF012
+
+    def process(self, context):
+        """Add the instances."""
+        from usdface.publish import collect_performances
+
+        named = os.environ.get("USDFACE_PUBLISH", "")
+        paths = context.data.get("usdface") or [path for path in named.split(os.pathsep) if path]
+        for item in collect_performances(map(Path, paths)):
+            instance = context.create_instance(item.name)
+            instance.data.update(
+                {
+                    "productType": "facePerformance",
+                    "productBaseType": "facePerformance",
+                    "productName": _product_name(item.name),
+                    "family": "facePerformance",
+                    "families": ["facePerformance"],
+                    "folderPath": context.data.get("folderPath"),
+                    "task": context.data.get("task"),
+                    "frameStart": item.first_frame,
+                    "frameEnd": item.last_frame,
+                    "handleStart": 0,
+                    "handleEnd": 0,
+                    "fps": float(item.rate),
+                    "representations": [],
+                    "usdfaceItem": item,
+                }
+            )
+
+
+def _product_name(name):
+    """Return a name of letters, digits, ``_``, ``-`` and ``.``: all that AYON takes."""
+    return "".join(
+        each if each.isascii() and (each.isalnum() or each in "_-.") else "_" for each in name
+    )

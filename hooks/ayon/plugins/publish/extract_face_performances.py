@@ -1,0 +1,50 @@
+"""AYON: the files of a version, as representations that AYON's own integrator copies."""
+
+from pathlib import Path
+
+import pyblish.api
+from ayon_core.pipeline import publish  # its classes by name would be found as plug-ins
+
+
+class ExtractFacePerformance(publish.Extractor):
+    """Make the weights layer, edits composed in, and a sheet.
+
+    The layer stands alone, because AYON names files anew: sublayer or reference it over the
+    character.
+    """
+
+    label = "Extract face performance"
+    order = pyblish.api.ExtractorOrder
+    families = ["facePerformance"]  # noqa: RUF012
+
+    def process(self, instance):
+        """Extract the instance."""
+        from usdface.publish import extract_performance
+
+        extracted = extract_performance(
+            instance.data["usdfaceItem"],
+            Path(self.staging_dir(instance)),
+            review=instance.data.get("usdfaceReview"),
+        )
+        instance.data["stagingDir"] = str(extracted.folder)
+        self._add(instance, extracted, "weights", "usd", [])
+        self._add(instance, extracted, "sheet", "sheet", ["thumbnail"])
+        self._add(instance, extracted, "movie", "review", ["review"])
+
+    def _add(self, instance, extracted, role, name, tags):
+        path = extracted.path(role)
+        if path is None:
+            return
+        representation = {
+            "name": name,
+            "ext": path.suffix[1:],
+            "files": path.name,
+            "stagingDir": str(extracted.folder),
+        }
+        if tags:
+            representation["tags"] = tags
+        if role == "movie":
+            item = extracted.item
+            representation |= {"frameStart": item.first_frame, "frameEnd": item.last_frame}
+            representation["fps"] = float(item.rate)
+        instance.data.setdefault("representations", []).append(representation)

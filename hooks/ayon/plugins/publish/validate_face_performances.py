@@ -1,0 +1,29 @@
+"""AYON: is a face performance fit to be published."""
+
+import pyblish.api
+from ayon_core.pipeline import publish
+
+
+class ValidateFacePerformance(pyblish.api.InstancePlugin):
+    """Pass USD's own validators and usdface's; the report lists what to mend."""
+
+    label = "Validate face performance"
+    order = pyblish.api.ValidatorOrder
+    families = ["facePerformance"]  # noqa: RUF012
+
+    def process(self, instance):
+        """Look at the instance's performance."""
+        from usdface.publish import validate_performance
+
+        errors = []
+        for finding in validate_performance(instance.data["usdfaceItem"]):
+            if finding.severity == "error":
+                errors.append(f"- {finding.message} ({finding.check}, {finding.where})")
+            else:
+                self.log.warning("%s: %s", finding.where, finding.message)
+        if errors:
+            raise publish.PublishValidationError(
+                f"{instance.data['usdfaceItem'].performance}: {len(errors)} errors",
+                title="Face performance",
+                description="\n".join(errors),
+            )

@@ -1,0 +1,156 @@
+"""A version is whole, numbered, plays the edits, and is never changed again."""
+
+import shutil
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.steps.small_shot import FRAMES, Shot
+from usdface.errors import InputError
+from usdface.publish import (
+    Extracted,
+    ReviewOptions,
+    collect_performances,
+    extract_performance,
+    integrate_performance,
+    validate_performance,
+)
+from usdface.publish.integrate import latest_version, read_manifest
+from usdface.specs.edit import EditSpec
+from usdface.specs.join import JoinSpec
+from usdface.specs.map import MapSpec
+from usdface.steps.execute import execute
+from usdface.usdio.performance import read_performance
+from usdface.usdio.validation import validate
+
+NO_REVIEW = ReviewOptions(sheet=False)
+DRAFT = ReviewOptions(rows=1, quality="draft")
+
+
+def publish(shot: Shot, root: Path, review: ReviewOptions = NO_REVIEW):
+    (item,) = collect_performances([shot / "shot.hero.usda"])
+    return integrate_performance(extract_performance(item, root, review=review))
+
+
+def test_a_folder_is_searched_for_performances_and_nothing_else(shot: Shot) -> None:
+    (item,) = collect_performances([shot.folder])
+    assert item.name == "shot.hero"
+    assert item.take.resolve() == (shot / "shot.clean.take.usda").resolve()
+    assert item.rig.resolve() == (shot / "hero.usdc").resolve()
+    assert (item.first_frame, item.last_frame) == (1, FRAMES)
+    assert item.timecode_start == "01:00:00:00"
+    assert validate_performance(item) == ()
+
+
+def test_a_performance_joined_from_parts_still_knows_its_take(shot: Shot) -> None:
+    parts = (shot / "a.usda", shot / "b.usda")
+    for frames, part in zip(("1-240", f"241-{FRAMES}"), parts, strict=True):
+        execute(
+            MapSpec(
+                take=shot / "shot.clean.take.usda",
+                mapping=shot / "hero.mapping.usdc",
+                rig=shot / "hero.usdc",
+                out=part,
+                frames=frames,
+            )
+        )
+    execute(JoinSpec(parts=parts, out=shot / "joined.usda"))
+    (item,) = collect_performances([shot / "joined.usda"])
+    assert item.take.resolve() == (shot / "shot.clean.take.usda").resolve()
+
+
+def test_a_version_plays_the_edits_wherever_it_is_opened(shot: Shot, tmp_path: Path) -> None:
+    hero = shot / "shot.hero.usda"
+    execute(EditSpec(performance=hero, shape=("jawOpen",), add=0.05, frames="100-200", fade=60))
+    published = publish(shot, tmp_path / "publish", DRAFT)
+    assert published.folder == tmp_path / "publish" / "shot.hero" / "v001"
+    assert set(published.files) == {"performance", "weights", "sheet"}
+    wanted, got = read_performance(hero), read_performance(published.files["performance"])
+    assert np.array_equal(got.weights.values, wanted.weights.values)
+    assert got.rig_file.resolve() == (shot / "hero.usdc").resolve()
+    assert validate(published.files["performance"]) == []
+    manifest = read_manifest(published.folder)
+    assert manifest["version"] == 1
+    assert manifest["edited"] == ["jawOpen"]
+    assert (published.folder / manifest["rig"]).resolve() == (shot / "hero.usdc").resolve()
+
+
+def test_what_has_not_changed_is_not_published_again(shot: Shot, tmp_path: Path) -> None:
+    first = publish(shot, tmp_path)
+    again = publish(shot, tmp_path)
+    assert (first.version, first.is_new, again.version, again.is_new) == (1, True, 1, False)
+    execute(EditSpec(performance=shot / "shot.hero.usda", shape=("jawOpen",), add=0.1))
+    changed = publish(shot, tmp_path)
+    assert (changed.version, changed.is_new) == (2, True)
+    assert sorted(path.name for path in first.folder.parent.iterdir()) == ["v001", "v002"]
+
+
+def test_two_who_publish_at_once_each_get_a_version(shot: Shot, tmp_path: Path) -> None:
+    (item,) = collect_performances([shot / "shot.hero.usda"])
+    made = []
+    for index in range(6):
+        extracted = extract_performance(item, tmp_path, review=NO_REVIEW)
+        with (extracted.folder / "shot.hero.weights.usdc").open("ab") as stream:
+            stream.write(b"\0" * index)  # each its own
+        made.append(extracted)
+    done = []
+    threads = [
+        threading.Thread(target=lambda each=each: done.append(integrate_performance(each)))
+        for each in made
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(each.version for each in done) == [1, 2, 3, 4, 5, 6]
+    for each in done:
+        assert read_manifest(each.folder)["version"] == each.version
+    assert latest_version(tmp_path / "shot.hero") == 6
+
+
+def test_a_publish_that_fails_leaves_nothing_behind(shot: Shot, tmp_path: Path) -> None:
+    (item,) = collect_performances([shot / "shot.hero.usda"])
+    (shot / "hero.usdc").unlink()
+    with pytest.raises(InputError):
+        extract_performance(item, tmp_path, review=NO_REVIEW)
+    assert list((tmp_path / "shot.hero").iterdir()) == []
+
+
+def test_without_its_take_a_performance_is_published_without_a_sheet(
+    shot: Shot, tmp_path: Path
+) -> None:
+    shutil.move(shot / "shot.clean.take.usda", tmp_path / "elsewhere.usda")
+    (item,) = collect_performances([shot / "shot.hero.usda"])
+    assert item.take is None
+    (finding,) = validate_performance(item)
+    assert (finding.severity, finding.check) == ("warning", "usdface:take")
+    extracted = extract_performance(item, tmp_path / "publish", review=DRAFT)
+    assert set(extracted.files) == {"performance", "weights"}
+    extracted.discard()
+    assert list((tmp_path / "publish" / "shot.hero").iterdir()) == []
+
+
+def test_what_cannot_be_published_is_refused(shot: Shot, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        collect_performances([tmp_path / "no.usda"])
+    with pytest.raises(InputError, match="no SkelAnimation"):
+        collect_performances([shot / "hero.usdc"])
+    other = tmp_path / "shot.hero.usda"
+    shutil.copy(shot / "shot.hero.usda", other)
+    with pytest.raises(InputError, match="has the name of"):
+        collect_performances([shot / "shot.hero.usda", other])
+    with pytest.raises(InputError, match="is this a published version"):
+        read_manifest(tmp_path)
+
+
+def test_a_version_that_cannot_be_made_keeps_what_was_extracted(shot: Shot, tmp_path: Path) -> None:
+    (item,) = collect_performances([shot / "shot.hero.usda"])
+    extracted = extract_performance(item, tmp_path, review=NO_REVIEW)
+    gone: Extracted = replace(extracted, files={"performance": extracted.files["performance"]})
+    (extracted.folder / "publish.json").mkdir()
+    with pytest.raises(InputError, match="cannot be written"):
+        integrate_performance(gone)
+    assert extracted.path("weights").is_file()
