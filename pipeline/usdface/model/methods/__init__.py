@@ -10,22 +10,27 @@ from usdface.model.methods import (
     kernel_cca,
     linear,
     multiquadric,
+    regional,
+    relevance_process,
 )
 from usdface.model.methods.contract import Fitted, Method, Pairs, Settings
 
 __all__ = ["AUTO", "METHODS", "Fitted", "Method", "Pairs", "Settings", "find_method"]
 
 METHODS: dict[str, Method] = {
-    module.METHOD.name: module.METHOD
-    for module in (
-        d06,
-        linear,
-        gaussian_rbf,
-        ensemble,
-        multiquadric,
-        kernel_cca,
-        hybrid,
-        inverse,
+    method.name: method
+    for method in (
+        d06.METHOD,
+        linear.METHOD,
+        gaussian_rbf.METHOD,
+        ensemble.METHOD,
+        multiquadric.METHOD,
+        kernel_cca.METHOD,
+        hybrid.METHOD,
+        relevance_process.METHOD,
+        regional.METHOD,
+        inverse.METHOD,
+        *inverse.SINGLE,
     )
 }
 

@@ -10,23 +10,37 @@ from usdface.numerics.regression.rbf_ridge import (
     RBFRidge,
     centre_widths,
     fit_rbf_ridge,
+    gaussian_design,
     predict_rbf_ridge,
+    reestimate_ridge,
+    rotate,
 )
 
 PAPER_DIMENSIONS = 4
 PAPER_WIDTH = 2.0
 """Multiple of the distance to the nearest centre; the paper gives none, this is customary."""
 
+ITERATION_START = 1e-3
+"""Of the largest squared singular value; the paper gives none either."""
+
 
 def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
     choices = dimension_choices(pairs, dimensions, (PAPER_DIMENSIONS,))
-    return tuple({"dimensions": d, "width": PAPER_WIDTH} for d in choices)
+    return tuple(
+        {"dimensions": d, "width": PAPER_WIDTH, "ridge": ridge}
+        for d in choices
+        for ridge in ("closed form", "iterated")
+    )
 
 
 def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     centres = pairs.coordinates[:, : int(settings["dimensions"])]
     widths = centre_widths(centres, multiple=float(settings["width"]))
-    model = fit_rbf_ridge(centres, pairs.weights, widths=widths)
+    ridge = None
+    if settings.get("ridge") == "iterated":
+        rotated = rotate(gaussian_design(centres, centres, widths), pairs.weights)
+        ridge = reestimate_ridge(rotated, start=ITERATION_START)
+    model = fit_rbf_ridge(centres, pairs.weights, widths=widths, ridge=ridge)
     return Fitted(rbf_arrays(model), settings)
 
 

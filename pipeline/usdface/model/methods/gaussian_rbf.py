@@ -10,12 +10,22 @@ from usdface.numerics.regression.linear_ridge import (
     fit_linear_ridge,
     predict_linear_ridge,
 )
-from usdface.numerics.regression.rbf_ridge import fit_rbf_ridge, predict_rbf_ridge, shared_widths
+from usdface.numerics.regression.rbf_ridge import (
+    centre_widths,
+    fit_rbf_ridge,
+    predict_rbf_ridge,
+    shared_widths,
+)
 
 
 def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
     choices = dimension_choices(pairs, dimensions, (8, 16, 24, 32))
-    return tuple({"dimensions": d, "width": width} for d in choices for width in (4.0, 8.0, 16.0))
+    shared = [(width, "shared") for width in (4.0, 8.0, 16.0)]
+    return tuple(
+        {"dimensions": d, "width": width, "widths": widths}
+        for d in choices
+        for width, widths in (*shared, (8.0, "per centre"))
+    )
 
 
 def _fit(pairs: Pairs, settings: Settings) -> Fitted:
@@ -23,7 +33,8 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     line = fit_linear_ridge(features, pairs.weights)
     # The network learns what the line leaves over, so far from all pairs the line goes on. It
     # learns from leave-one-out residuals: the fitted ones are small where the line overfits.
-    widths = shared_widths(features, multiple=float(settings["width"]))
+    of = centre_widths if settings.get("widths") == "per centre" else shared_widths
+    widths = of(features, multiple=float(settings["width"]))
     network = fit_rbf_ridge(features, line.loo_residuals, widths=widths)
     arrays = {"mean": line.mean, "slope": line.coefficients, "intercept": line.intercept}
     return Fitted(rbf_arrays(network) | arrays, settings)

@@ -82,7 +82,7 @@ def fit_forward_model(weights: ArrayLike, motion: ArrayLike) -> ForwardModel:
 
 
 def solve_forward_model(
-    model: ForwardModel, motion: ArrayLike, *, solve: Solve, ranges: ArrayLike
+    model: ForwardModel, motion: ArrayLike, *, solve: Solve, ranges: ArrayLike, l1: float = 0.0
 ) -> Array:
     """Return the weights that explain motions best.
 
@@ -95,6 +95,8 @@ def solve_forward_model(
         within `ranges` and as usual as the noise allows: the most probable weights.
     ranges : (shapes, 2) array
         Lowest and highest weight of each shape.
+    l1 : float, optional
+        Of the bounded solve: how much the sum of absolute weights costs; leaves few shapes on.
 
     Returns
     -------
@@ -132,4 +134,5 @@ def solve_forward_model(
         linear + model.weight_mean @ model.weight_precision,
         lower=limits[:, 0],
         upper=limits[:, 1],
+        l1=l1,
     ).x

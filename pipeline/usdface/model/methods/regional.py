@@ -1,0 +1,67 @@
+"""A model of its own for each shape, over the markers that it moves."""
+
+import numpy as np
+
+from usdface.assets import FloatArray
+from usdface.model.methods.contract import Fitted, Method, Pairs, Settings, dimension_choices
+from usdface.model.methods.voices import (
+    GLOBAL_LINES,
+    REGION_TIGHT,
+    REGION_WIDE,
+    global_voice,
+    predict_locals,
+    regional_voice,
+)
+from usdface.numerics.regression.marker_regions import marker_relevance, regional_features
+
+FLOOR = 0.01
+SHARPNESS = {"wide": 1.5, "tight": 2.0}
+
+
+def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
+    most = dimension_choices(pairs, dimensions, (40,))
+    return tuple({"dimensions": d, "region": region} for d in most for region in SHARPNESS)
+
+
+def _fit(pairs: Pairs, settings: Settings) -> Fitted:
+    kept = int(settings["dimensions"])
+    z, components = pairs.coordinates[:, :kept], pairs.motion.components[:kept]
+    variances = np.maximum(pairs.motion.variances[:kept], 1e-9)
+    importance = np.diag(pairs.gram) + 1e-3 * float(np.diag(pairs.gram).mean())
+    line = global_voice(
+        z, pairs.weights, variances=variances, choices=GLOBAL_LINES, importance=importance
+    )
+    sample = pairs.motion.sample[:, :kept]
+    guessed = np.clip(sample @ line.slope + line.intercept, pairs.ranges[:, 0], pairs.ranges[:, 1])
+    relevance = marker_relevance(
+        sample, guessed, components, sharpness=SHARPNESS[str(settings["region"])], floor=FLOOR
+    )
+    covariance = np.cov(sample.T).reshape(kept, -1)
+    voice = regional_voice(
+        z,
+        pairs.weights,
+        regions=tuple(regional_features(components, covariance, row) for row in relevance),
+        choices=REGION_WIDE if settings["region"] == "wide" else REGION_TIGHT,
+        shared=settings["region"] == "wide",
+    )
+    arrays = {"slope": voice.slope, "intercept": voice.intercept, "relevance": relevance}
+    return Fitted(arrays | voice.locals, settings)
+
+
+def _predict(
+    arrays: dict[str, FloatArray], settings: Settings, coordinates: FloatArray
+) -> FloatArray:
+    z = np.ascontiguousarray(coordinates[:, : int(settings["dimensions"])])
+    out = z @ arrays["slope"]
+    out += arrays["intercept"]
+    out += predict_locals(arrays, z)
+    return out
+
+
+METHOD = Method(
+    name="regional",
+    summary="a Gaussian process for each shape over the markers it moves",
+    candidates=_candidates,
+    fit=_fit,
+    predict=_predict,
+)
