@@ -10,6 +10,7 @@ from usdface.assets import Float32Array, FloatArray, RigMesh
 from usdface.errors import InputError
 from usdface.media.camera import Camera
 from usdface.media.color import ByteImage, bytes_from_linear, heat_ramp
+from usdface.media.display_view import DisplayView
 from usdface.media.mesh_topology import vertex_normals
 from usdface.media.raycast import EFFORT, View, draw
 from usdface.media.surface import Surface, build_surface
@@ -28,6 +29,9 @@ class FaceRenderer:
     meshes : sequence of RigMesh
         Hidden meshes are left out. Coarse Catmull-Clark cages are subdivided. Where a mesh has no
         colours, pieces that are eyes, teeth, lashes or the inside of the mouth are recognised.
+    display : callable, optional
+        Turns light into bytes, see `display_view`; plain sRGB by default. Heat maps are data and
+        always plain.
 
     Raises
     ------
@@ -35,9 +39,10 @@ class FaceRenderer:
         If there is nothing to draw or polygons do not fit their points.
     """
 
-    def __init__(self, meshes: Sequence[RigMesh]) -> None:
+    def __init__(self, meshes: Sequence[RigMesh], *, display: DisplayView | None = None) -> None:
         self._sizes = [len(mesh.points) for mesh in meshes]
         self._surface: Surface = build_surface(meshes)
+        self._display = display or bytes_from_linear
 
     @property
     def point_count(self) -> int:
@@ -112,7 +117,7 @@ class FaceRenderer:
             colors=colors,
             heat=values is not None,
         )
-        return bytes_from_linear(draw(view))
+        return (bytes_from_linear if view.heat else self._display)(draw(view))
 
     def _gather(self, points: Sequence[ArrayLike] | ArrayLike) -> FloatArray:
         """Put the points of all meshes in a row and check them."""

@@ -14,12 +14,16 @@ from usdface.specs.base import (
     Spec,
 )
 
+SheetLayout = Literal["comparison", "worst", "strip", "characters"]
+FramePick = Literal["expression", "residual", "confidence", "jump", "even"]
+
 
 class SheetSpec(Spec):
     """Draw a contact sheet to judge a performance by.
 
-    Each row: the video frame, the markers, the equation-solving baseline (Deng et al. 2006, eq. 7)
-    and the performance, with frame, timecode and error.
+    Layouts: `comparison` (video, markers, the equation-solving baseline of Deng et al. 2006, eq. 7,
+    the performance, and how far it lies from the baseline or the truth), `worst` (frames to look
+    at first), `strip` (the whole shot at a glance), `characters` (several from one source).
     """
 
     example: ClassVar[str] = (
@@ -32,16 +36,30 @@ class SheetSpec(Spec):
     take: ReadPath
     """The cleaned take it was mapped from."""
     out: ImageOut
-    """The picture: .jpg, .png or .exr."""
-    rows: Annotated[int, Field(ge=1, le=400)] = 12
-    """How many frames to show."""
+    """The picture: .jpg, .png or .exr; further pages are NAME.2.jpg and so on."""
+    layout: SheetLayout = "comparison"
+    """What stands side by side."""
+    also: tuple[ReadPath, ...] = ()
+    """More performances of the same take, on this or other rigs, each a column."""
+    pick: FramePick | None = None
+    """How frames are chosen: strongest expressions and the worst, by residual, by confidence, by
+    jumps between frames, or evenly; by layout if not said."""
+    rows: Annotated[int, Field(ge=1, le=10_000)] | None = None
+    """How many frames to show: 12, for a strip 48."""
+    page_rows: Annotated[int, Field(ge=1, le=400)] = 100
+    """Rows on one page."""
     frames: Frames | None = None
     """Choose from these frames only, as FIRST-LAST."""
     against: ReadPath | None = None
     """What the weights should have been (.csv, .json or .usd): errors are measured against it."""
-    tile: Annotated[int, Field(ge=64, le=2048)] = 320
-    """Height of a picture in pixels."""
+    tile: Annotated[int, Field(ge=64, le=2048)] | None = None
+    """Height of a picture in pixels: 320, for a strip 192."""
     quality: Literal["draft", "final"] = "final"
     """Draft leaves out soft shadows and occlusion."""
     baseline: bool = True
-    """Show the equation-solving baseline."""
+    """Show the equation-solving baseline, where the layout has it."""
+    difference: bool = True
+    """Show where the performance differs from truth or baseline, where the layout has it."""
+    view: Annotated[str, Field(min_length=1, max_length=200)] | None = None
+    """View of the OpenColorIO configuration ($OCIO, else the built-in one) to show renders by, as
+    VIEW or DISPLAY/VIEW; plain sRGB by default."""

@@ -1,27 +1,36 @@
-"""A contact sheet: video, markers, the equation-solving baseline and the performance."""
+"""Contact sheets: video, markers, the equation-solving baseline, performances, differences."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from usdface.assets import FloatArray, IntArray, Performance, Rig, Take
-from usdface.deformer import Deformer
+from usdface.assets import FloatArray, IntArray, Rig
 from usdface.errors import InputError
+from usdface.media.display_view import display_view
 from usdface.media.error_strip import ErrorCurve
 from usdface.media.image import write_image
-from usdface.media.sheet import SheetPage, SheetRow, Tile, compose_sheet
+from usdface.media.sheet import SheetPage, SheetRow, Tile, compose_sheet, round_range
 from usdface.model.equation import BlendshapeEquation, set_up_equation
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
-from usdface.specs.sheet import SheetSpec
+from usdface.specs.sheet import FramePick, SheetLayout, SheetSpec
+from usdface.steps.frame_choice import ChosenFrame, choose_frames
 from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
-from usdface.steps.shot_pictures import Shot, ShotPictures, open_shot
+from usdface.steps.shot_pictures import EXAGGERATION, Shot, ShotPictures, open_shot
 from usdface.steps.weight_tables import read_weight_table
 
-WORST_SHARE = 6
-"""One row in so many shows a worst frame; the others show what the face does."""
+PICKS: dict[SheetLayout, FramePick] = {
+    "comparison": "expression",
+    "worst": "residual",
+    "strip": "even",
+    "characters": "expression",
+}
+STRIP_ROWS, STRIP_TILE = 48, 192
+OTHER_ROWS, OTHER_TILE = 12, 320
 
 
 @dataclass(frozen=True)
@@ -42,54 +51,95 @@ class _Judged:
     error_mm: FloatArray
 
 
+@dataclass(frozen=True)
+class _Column:
+    """Something drawn for every row."""
+
+    head: str
+    draw: Callable[[int], Tile]
+
+
 def run(
     spec: SheetSpec, *, provenance: Provenance | None = None, progress: Progress = silent
 ) -> Report:
     """Draw the sheet and write it."""
     progress(0.0, "reading")
-    shot = open_shot(spec.performance, spec.take, frames=spec.frames)
-    take, rig, deformer, frames = shot.take, shot.rig, shot.deformer, shot.frames
+    shots = _open_shots(spec)
+    shot = shots[0]
     progress(0.1, "placing the markers on the rig")
-    equation = _equation(take, rig, deformer)
-    positions = shot.positions
-    truth = _truth(spec, rig, frames)
-    judged = []
-    if spec.baseline:
-        solved = equation.solve_published(positions)
-        judged.append(_judge("equation", solved, truth, equation, positions, deformer))
-    judged.append(_judge("usdface", shot.weights, truth, equation, positions, deformer))
-    rows = _choose_rows(judged[-1], deformer, spec.rows)
-    pictures = ShotPictures(shot, height=spec.tile, quality=spec.quality)
+    equations = [_equation(each) for each in shots]
+    truth = _truth(spec, shot.rig, shot.frames)
+    judged = [_judge("usdface", shot, shot.weights, truth, equations[0])]
+    if spec.baseline and spec.layout in ("comparison", "worst"):
+        solved = equations[0].solve_published(shot.positions)
+        judged.insert(0, _judge("equation", shot, solved, truth, equations[0]))
+    for other, equation in zip(shots[1:], equations[1:], strict=True):
+        label = other.performance_file.stem.split(".usd")[0]
+        judged.append(_judge(label, other, other.weights, None, equation))
+    chosen = _choose(spec, shot, next(each for each in judged if each.label == "usdface"))
+    high = round_range(np.concatenate([each.error_mm for each in judged]))
+    tile = spec.tile or (STRIP_TILE if spec.layout == "strip" else OTHER_TILE)
+    show = display_view(spec.view)
+    with ExitStack() as open_files:
+        pictures = [ShotPictures(s, height=tile, quality=spec.quality, display=show) for s in shots]
+        for each in pictures:
+            open_files.enter_context(each)
+        columns = _columns(spec, shots, pictures, judged, equations[0], truth, chosen, high)
+        rows = []
+        for number, frame in enumerate(chosen):
+            progress(0.2 + 0.75 * number / len(chosen), f"drawing frame {shot.frames[frame.row]}")
+            rows.append(
+                SheetRow(
+                    frame=int(shot.frames[frame.row]),
+                    timecode=shot.timecode(int(shot.frames[frame.row])),
+                    tiles=tuple(column.draw(frame.row) for column in columns),
+                    note=frame.reason,
+                )
+            )
+        eyes = any(each.stand_in_eyes for each in pictures)
     page = SheetPage(
-        title=f"{take.name} on {rig.file.stem}",
-        facts=_facts(shot.performance, take, frames),
-        columns=_columns(take, judged),
-        rows=tuple(_draw_rows(shot, pictures, equation, judged, rows, progress)),
+        title=f"{shot.take.name} on {', '.join(dict.fromkeys(s.rig.file.stem for s in shots))}",
+        facts=_facts(shot),
+        columns=tuple(column.head for column in columns),
+        rows=tuple(rows),
         curves=tuple(ErrorCurve(each.label, each.error_mm) for each in judged),
-        first_frame=int(frames[0]),
-        notes=_notes(truth is not None, judged, stand_in_eyes=pictures.stand_in_eyes),
-        tile_height=spec.tile,
+        first_frame=int(shot.frames[0]),
+        notes=_notes(truth is not None, judged, stand_in_eyes=eyes),
+        tile_height=tile,
+        high=high,
     )
     progress(0.95, f"writing {spec.out.name}")
-    write_image(
-        spec.out,
-        compose_sheet(page),
-        metadata={} if provenance is None else provenance_metadata(provenance),
-        timecode=take.timecode_start or None,
-        rate=take.rate,
-    )
+    written = _write_pages(spec, page, shot, provenance)
     progress(1.0, "done")
-    return _report(spec, frames, judged, rows, truth is not None)
+    return _report(written, shot.frames, judged, chosen, truth is not None)
 
 
-def _equation(take: Take, rig: Rig, deformer: Deformer) -> BlendshapeEquation:
-    markers = take.markers
+def _open_shots(spec: SheetSpec) -> list[Shot]:
+    """Open every performance over the frames that all of them have."""
+    files = (spec.performance, *spec.also)
+    shots = [open_shot(file, spec.take, frames=spec.frames) for file in files]
+    first = max(int(shot.frames[0]) for shot in shots)
+    last = min(int(shot.frames[-1]) for shot in shots)
+    if last < first:
+        raise InputError(f"{', '.join(map(str, files))}: share no frame of {spec.take}")
+    return [
+        replace(
+            shot,
+            frames=shot.frames[(shot.frames >= first) & (shot.frames <= last)],
+            weights=shot.weights[(shot.frames >= first) & (shot.frames <= last)],
+        )
+        for shot in shots
+    ]
+
+
+def _equation(shot: Shot) -> BlendshapeEquation:
+    take, markers = shot.take, shot.take.markers
     if markers is None:
         raise InputError(f"{take.name}: has no markers")
     row = min(max(markers.neutral_frame - take.first_frame, 0), take.frame_count - 1)
     return set_up_equation(
-        rig,
-        deformer,
+        shot.rig,
+        shot.deformer,
         neutral=markers.positions[row].astype(np.float64),
         positions=markers.positions,
         visible=markers.visible | (markers.confidence > 0),
@@ -117,76 +167,135 @@ def _truth(spec: SheetSpec, rig: Rig, frames: IntArray) -> FloatArray | None:
 
 def _judge(
     label: str,
+    shot: Shot,
     weights: FloatArray,
     truth: FloatArray | None,
     equation: BlendshapeEquation,
-    positions: FloatArray,
-    deformer: Deformer,
 ) -> _Judged:
     """Measure weights on the surface where the truth is known, else by the markers."""
     if truth is None:
-        return _Judged(label, weights, equation.residual_mm(positions, weights))
-    error = weights - truth
-    squared = np.einsum("fs,st,ft->f", error, deformer.shapes.gram(), error)
-    return _Judged(label, weights, np.sqrt(np.maximum(squared, 0.0)))
+        return _Judged(label, weights, equation.residual_mm(shot.positions, weights))
+    return _Judged(label, weights, _surface_distance(shot, weights - truth))
 
 
-def _choose_rows(judged: _Judged, deformer: Deformer, count: int) -> list[tuple[int, str]]:
-    """Return rows in order of time: the strongest expression of each stretch, and the worst."""
-    count = min(count, len(judged.weights))
-    worst_count = min(count // WORST_SHARE, count - 1)
-    gram = deformer.shapes.gram()
-    strength = np.einsum("fs,st,ft->f", judged.weights, gram, judged.weights)
-    apart = max(len(strength) // (3 * count), 1)
-    chosen: dict[int, str] = {}
-    for stretch in np.array_split(np.arange(len(strength)), count - worst_count):
-        free = [row for row in stretch if all(abs(row - other) >= apart for other in chosen)]
-        chosen[int(max(free or stretch, key=lambda row: strength[row]))] = ""
-    error = np.nan_to_num(judged.error_mm, nan=-1.0)
-    for row in np.argsort(-error).tolist():
-        if len(chosen) >= count:
-            break
-        if all(abs(row - other) >= apart for other in chosen):
-            chosen[row] = "worst"
-    return sorted(chosen.items())
+def _surface_distance(shot: Shot, difference: FloatArray) -> FloatArray:
+    """Return the RMS distance of the surface that differences of weights make, (frames,) [mm]."""
+    squared = np.einsum("fs,st,ft->f", difference, shot.deformer.shapes.gram(), difference)
+    return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
 
-def _draw_rows(
-    shot: Shot,
-    pictures: ShotPictures,
-    equation: BlendshapeEquation,
+def _choose(spec: SheetSpec, shot: Shot, judged: _Judged) -> list[ChosenFrame]:
+    confidence = shot.performance.confidence
+    if confidence is not None:
+        confidence = confidence[shot.frames - shot.performance.weights.first_frame]
+    steps = np.diff(shot.weights, axis=0, prepend=shot.weights[:1])
+    return choose_frames(
+        spec.pick or PICKS[spec.layout],
+        spec.rows or (STRIP_ROWS if spec.layout == "strip" else OTHER_ROWS),
+        strength=_surface_distance(shot, shot.weights),
+        error_mm=judged.error_mm,
+        confidence=confidence,
+        jump_mm=_surface_distance(shot, steps),
+    )
+
+
+def _columns(
+    spec: SheetSpec,
+    shots: list[Shot],
+    pictures: list[ShotPictures],
     judged: list[_Judged],
-    rows: list[tuple[int, str]],
-    progress: Progress,
-) -> Iterator[SheetRow]:
-    explained = equation.explained(judged[-1].weights[[row for row, _ in rows]])
-    with pictures:
-        for number, (row, note) in enumerate(rows):
-            frame = int(shot.frames[row])
-            progress(0.3 + 0.65 * number / len(rows), f"drawing frame {frame}")
-            tiles = [pictures.video(frame)] if shot.take.video is not None else []
-            tiles.append(Tile(pictures.markers(row, explained=explained[number])))
-            for each in judged:
-                error = float(each.error_mm[row])
-                value = None if np.isnan(error) else error
-                tiles.append(Tile(pictures.face(each.weights[row]), value=value))
-            yield SheetRow(
-                frame=frame, timecode=shot.timecode(frame), tiles=tuple(tiles), note=note
+    equation: BlendshapeEquation,
+    truth: FloatArray | None,
+    chosen: list[ChosenFrame],
+    high: float,
+) -> list[_Column]:
+    """Return what the layout puts side by side."""
+    shot, drawn = shots[0], pictures[0]
+    columns: list[_Column] = []
+    if shot.take.video is not None:
+        columns.append(_Column("video", lambda row: drawn.video(int(shot.frames[row]))))
+    if spec.layout != "strip":
+        explained = dict(
+            zip(
+                [frame.row for frame in chosen],
+                equation.explained(shot.weights[[frame.row for frame in chosen]]),
+                strict=True,
             )
-
-
-def _columns(take: Take, judged: list[_Judged]) -> tuple[str, ...]:
+        )
+        columns.append(
+            _Column("markers", lambda row: Tile(drawn.markers(row, explained=explained[row])))
+        )
     names = {"equation": "equation solving", "usdface": "this performance"}
-    video = ("video",) if take.video is not None else ()
-    return (*video, "markers", *(names[each.label] for each in judged))
+    others = iter(pictures[1:])
+    for each in judged:
+        own = drawn if each.label in names else next(others)
+        columns.append(_Column(names.get(each.label, each.label), _face(own, each)))
+    compared = _compared(judged, truth)
+    if spec.difference and compared is not None and spec.layout in ("comparison", "worst"):
+        columns.append(
+            _Column(
+                f"away from {compared[0]}", _away(drawn, shot.weights, compared[1], high_mm=high)
+            )
+        )
+    return columns
 
 
-def _facts(performance: Performance, take: Take, frames: IntArray) -> tuple[str, ...]:
-    facts = [f"frames {frames[0]}-{frames[-1]}", f"{float(take.rate):g} fps"]
-    if take.performer:
-        facts.insert(0, take.performer)
-    if performance.confidence is not None:
-        facts.append(f"mean confidence {float(performance.confidence.mean()):.2f}")
+def _face(pictures: ShotPictures, judged: _Judged) -> Callable[[int], Tile]:
+    def draw(row: int) -> Tile:
+        error = float(judged.error_mm[row])
+        value = None if np.isnan(error) else error
+        return Tile(pictures.face(judged.weights[row]), value=value)
+
+    return draw
+
+
+def _away(
+    pictures: ShotPictures, weights: FloatArray, other: FloatArray, *, high_mm: float
+) -> Callable[[int], Tile]:
+    def draw(row: int) -> Tile:
+        if np.isnan(other[row]).any():
+            return Tile(None, caption="nothing keyed here")
+        painted = pictures.difference(weights[row], other[row], high_mm=high_mm)
+        return Tile(painted.picture, caption=f"at most {painted.largest_mm:.1f} mm")
+
+    return draw
+
+
+def _compared(judged: list[_Judged], truth: FloatArray | None) -> tuple[str, FloatArray] | None:
+    if truth is not None:
+        return "truth", truth
+    return next((("equation", j.weights) for j in judged if j.label == "equation"), None)
+
+
+def _write_pages(
+    spec: SheetSpec, page: SheetPage, shot: Shot, provenance: Provenance | None
+) -> tuple[Path, ...]:
+    """Write as many pages as the rows need; the first carries the name that was asked for."""
+    count = -(-len(page.rows) // spec.page_rows)
+    written = []
+    for number in range(count):
+        rows = page.rows[number * spec.page_rows : (number + 1) * spec.page_rows]
+        title = page.title if count == 1 else f"{page.title}, page {number + 1} of {count}"
+        file = spec.out
+        if number:
+            file = spec.out.with_name(f"{spec.out.stem}.{number + 1}{spec.out.suffix}")
+        write_image(
+            file,
+            compose_sheet(replace(page, title=title, rows=rows)),
+            metadata={} if provenance is None else provenance_metadata(provenance),
+            timecode=shot.timecode(rows[0].frame) or None,
+            rate=shot.take.rate,
+        )
+        written.append(file)
+    return tuple(written)
+
+
+def _facts(shot: Shot) -> tuple[str, ...]:
+    facts = [f"frames {shot.frames[0]}-{shot.frames[-1]}", f"{float(shot.take.rate):g} fps"]
+    if shot.take.performer:
+        facts.insert(0, shot.take.performer)
+    if shot.performance.confidence is not None:
+        facts.append(f"mean confidence {float(shot.performance.confidence.mean()):.2f}")
     return tuple(facts)
 
 
@@ -198,25 +307,26 @@ def _notes(truth_known: bool, judged: list[_Judged], *, stand_in_eyes: bool) -> 
     )
     means = ", ".join(f"{each.label} {np.nanmean(each.error_mm):.2f} mm" for each in judged)
     eyes = ("the rig has no eyes: stand-ins are drawn",) if stand_in_eyes else ()
-    return (what, f"mean: {means}", *eyes)
+    lines = f"lines at markers: what is left unexplained, {EXAGGERATION:g} times as long"
+    return (what, f"mean: {means}", lines, *eyes)
 
 
 def _report(
-    spec: SheetSpec,
+    written: tuple[Path, ...],
     frames: IntArray,
     judged: list[_Judged],
-    rows: list[tuple[int, str]],
+    chosen: list[ChosenFrame],
     truth_known: bool,
 ) -> Report:
     means = {each.label: float(np.nanmean(each.error_mm)) for each in judged}
     told = ", ".join(f"{label} {value:.2f} mm" for label, value in means.items())
     what = "surface error against the truth" if truth_known else "marker residual"
     return Report(
-        (spec.out,),
-        f"{len(rows)} rows; mean {what}: {told}",
+        written,
+        f"{len(chosen)} rows; mean {what}: {told}",
         (),
         {
-            "frames": [int(frames[row]) for row, _ in rows],
+            "frames": [int(frames[frame.row]) for frame in chosen],
             "mean_error_mm": means,
             "against_truth": truth_known,
         },

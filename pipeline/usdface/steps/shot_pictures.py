@@ -13,6 +13,7 @@ from usdface.deformer import Deformer
 from usdface.errors import InputError
 from usdface.media.camera import frame_rig
 from usdface.media.color import ByteImage
+from usdface.media.display_view import DisplayView
 from usdface.media.image_sequence import ImageSequence, open_video
 from usdface.media.markers_view import draw_markers, frame_markers
 from usdface.media.render import FaceRenderer
@@ -28,6 +29,9 @@ YAW_DEGREES = 12.0
 """A little from the side, where lips and lids show their depth."""
 
 
+EXAGGERATION = 4.0
+"""Lines from markers to where the weights put them are so many times as long: they are short."""
+
 FRAMED_BY = 2000
 """Frames of a take that its markers are framed by."""
 
@@ -38,6 +42,7 @@ class Shot:
 
     Attributes
     ----------
+    performance_file : Path
     take : Take
     performance : Performance
     rig : Rig
@@ -48,6 +53,7 @@ class Shot:
         In the rig's order.
     """
 
+    performance_file: Path
     take: Take
     performance: Performance
     rig: Rig
@@ -101,7 +107,7 @@ def open_shot(performance_file: Path, take_file: Path, *, frames: str | None = N
         )
     numbers = np.arange(first, last, dtype=np.int64)
     weights = weights_in_rig_order(performance, rig, numbers)
-    return Shot(take, performance, rig, Deformer(rig), numbers, weights)
+    return Shot(performance_file, take, performance, rig, Deformer(rig), numbers, weights)
 
 
 def weights_in_rig_order(performance: Performance, rig: Rig, frames: IntArray) -> FloatArray:
@@ -124,6 +130,14 @@ def _spread(take: Take) -> FloatArray:
     return take.markers.positions[::step].astype(np.float64)
 
 
+@dataclass(frozen=True)
+class Painted:
+    """A face painted with distances, and the largest of them [mm]."""
+
+    picture: ByteImage
+    largest_mm: float
+
+
 class ShotPictures:
     """Draws single frames of a shot; holds what all frames share. A context: it opens the video.
 
@@ -133,13 +147,22 @@ class ShotPictures:
     height : int
         Of every picture [pixels].
     quality : {'draft', 'final'}
+    display : callable, optional
+        How rendered light is shown, see `display_view`.
     """
 
-    def __init__(self, shot: Shot, *, height: int, quality: Literal["draft", "final"]) -> None:
+    def __init__(
+        self,
+        shot: Shot,
+        *,
+        height: int,
+        quality: Literal["draft", "final"],
+        display: DisplayView | None = None,
+    ) -> None:
         self._shot = shot
         self._height = height
         self._quality: Literal["draft", "final"] = quality
-        self._renderer = FaceRenderer(shot.rig.meshes)
+        self._renderer = FaceRenderer(shot.rig.meshes, display=display)
         self._camera = frame_rig(shot.rig.meshes, yaw_degrees=YAW_DEGREES)
         self._cloud = frame_markers(_spread(shot.take))
         self._open = ExitStack()
@@ -200,6 +223,7 @@ class ShotPictures:
             frame=self._cloud,
             visible=markers.visible[at],
             explained=explained,
+            exaggeration=EXAGGERATION,
         )
 
     def face(self, weights: FloatArray) -> ByteImage:
@@ -212,16 +236,18 @@ class ShotPictures:
             quality=self._quality,
         )
 
-    def difference(self, weights: FloatArray, other: FloatArray, *, high_mm: float) -> ByteImage:
+    def difference(self, weights: FloatArray, other: FloatArray, *, high_mm: float) -> Painted:
         """Paint on the rig how far its surface lies from where other weights put it."""
         ours = self._shot.deformer.points(weights[None])[0]
         theirs = self._shot.deformer.points(other[None])[0]
-        return self._renderer.render(
+        away = np.linalg.norm(np.asarray(ours) - np.asarray(theirs), axis=-1)
+        picture = self._renderer.render(
             ours,
             camera=self._camera,
             width=self._height,
             height=self._height,
             quality="draft",
-            values=np.linalg.norm(ours - theirs, axis=1),
+            values=away,
             value_range=(0.0, high_mm),
         )
+        return Painted(picture, float(away.max(initial=0.0)))

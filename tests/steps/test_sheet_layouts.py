@@ -1,0 +1,84 @@
+"""Every layout of a sheet, on a shot that has been solved."""
+
+import shutil
+
+import numpy as np
+import OpenImageIO as oiio  # noqa: N813
+import pytest
+
+from tests.steps.small_shot import Shot
+from usdface.errors import InputError
+from usdface.media.color import bytes_from_linear
+from usdface.media.display_view import display_view
+from usdface.media.image import read_image_metadata
+from usdface.specs.sheet import SheetSpec
+from usdface.steps import sheet as sheet_step
+from usdface.steps.execute import execute
+
+
+def spec_of(shot: Shot, **options: object) -> SheetSpec:
+    given = {"out": shot / "new.png", "tile": 64, "quality": "draft", "rows": 2} | options
+    return SheetSpec(
+        performance=shot / "shot.hero.usda", take=shot / "shot.clean.take.usda", **given
+    )
+
+
+def columns_of(shot: Shot, monkeypatch: pytest.MonkeyPatch, **options: object) -> tuple[str, ...]:
+    pages = []
+    compose = sheet_step.compose_sheet
+    monkeypatch.setattr(
+        sheet_step, "compose_sheet", lambda page: (pages.append(page), compose(page))[1]
+    )
+    execute(spec_of(shot, **options))
+    return pages[0].columns
+
+
+def test_a_comparison_shows_how_far_the_result_is_from_the_truth(shot, monkeypatch) -> None:
+    columns = columns_of(shot, monkeypatch, against=shot / "keys.csv")
+    assert columns == ("markers", "equation solving", "this performance", "away from truth")
+
+
+def test_worst_frames_come_with_their_reason(shot: Shot, monkeypatch) -> None:
+    report = execute(spec_of(shot, layout="worst", rows=3))
+    assert len(report.figures["frames"]) == 3
+    columns = columns_of(shot, monkeypatch, layout="worst", baseline=False, out=shot / "b.png")
+    assert columns == ("markers", "this performance")
+
+
+def test_several_characters_stand_side_by_side(shot: Shot, monkeypatch) -> None:
+    for name in ("usda", "weights.usdc"):
+        shutil.copy(shot / f"shot.hero.{name}", shot / f"other.{name}")
+    text = (shot / "other.usda").read_text(encoding="utf-8")
+    (shot / "other.usda").write_text(text.replace("shot.hero.weights", "other.weights"))
+    also = (shot / "other.usda",)
+    columns = columns_of(shot, monkeypatch, layout="characters", also=also)
+    assert columns == ("markers", "this performance", "other")
+
+
+def test_rows_that_do_not_fit_go_to_further_pages(shot: Shot) -> None:
+    report = execute(spec_of(shot, layout="strip", rows=5, page_rows=2))
+    assert [path.name for path in report.outputs] == ["new.png", "new.2.png", "new.3.png"]
+    for path in report.outputs:
+        assert read_image_metadata(path)["step"] == "sheet"
+        pixels = oiio.ImageBuf(str(path)).get_pixels(oiio.UINT8)
+        assert np.asarray(pixels).std() > 10
+
+
+def test_a_view_of_the_built_in_configuration_changes_light_as_it_says(monkeypatch) -> None:
+    monkeypatch.delenv("OCIO", raising=False)
+    ramp = np.linspace(0, 1, 48, dtype=np.float32).reshape(4, 4, 3)
+    plain = display_view("sRGB - Display/Un-tone-mapped")(ramp)
+    assert np.abs(plain.astype(int) - bytes_from_linear(ramp)).max() <= 1
+    toned = display_view("ACES 2.0 - SDR 100 nits (Rec.709)")(ramp)
+    assert np.abs(toned.astype(int) - plain).max() > 20
+
+
+def test_a_view_that_is_not_there_is_refused_by_name(monkeypatch, tmp_path) -> None:
+    monkeypatch.delenv("OCIO", raising=False)
+    with pytest.raises(InputError, match=r"no view 'nope'; it has 'ACES"):
+        display_view("nope")
+    with pytest.raises(InputError, match="no display 'TV'"):
+        display_view("TV/Raw")
+    monkeypatch.setenv("OCIO", str(tmp_path / "none.ocio"))
+    with pytest.raises(InputError, match=r"none\.ocio"):
+        display_view("Raw")
