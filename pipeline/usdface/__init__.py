@@ -1,5 +1,50 @@
-"""Facial capture to BlendShape weights, as a stage of an OpenUSD pipeline."""
+"""Facial capture to BlendShape weights, as a stage of an OpenUSD pipeline.
+
+Ten names are promised to scripts; each is imported when it is first used, so that
+``import usdface`` costs nothing and a machine without USD can still check specs.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from usdface.version import __version__
 
-__all__ = ["__version__"]
+if TYPE_CHECKING:
+    from usdface.api import (
+        check_job,
+        read_mapping,
+        read_performance,
+        read_references,
+        read_rig,
+        read_take,
+        run_job,
+        run_step,
+        validate,
+    )
+    from usdface.errors import UsdfaceError
+
+__all__ = [
+    "UsdfaceError",
+    "__version__",
+    "check_job",
+    "read_mapping",
+    "read_performance",
+    "read_references",
+    "read_rig",
+    "read_take",
+    "run_job",
+    "run_step",
+    "validate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module 'usdface' has no attribute {name!r}; it has {__all__}")
+    return getattr(
+        import_module("usdface.errors" if name == "UsdfaceError" else "usdface.api"), name
+    )
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -207,7 +207,8 @@ def test_corrected_frames_become_tuned_pairs_and_fades_do_not(shot: Shot) -> Non
     assert new <= {*range(97, 106), 300}
     assert 300 in new
     count = len(before.frames)
-    np.testing.assert_array_equal(after.weights[:count], before.weights)
+    kept = ~np.isin(before.frames, [*range(97, 106), 300])  # one of these may be corrected
+    np.testing.assert_array_equal(after.weights[:count][kept], before.weights[kept])
     np.testing.assert_array_equal(after.tuned[:count], before.tuned)
     assert after.tuned[count:].all()
     shown = read_weights(path)

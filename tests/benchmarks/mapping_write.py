@@ -1,0 +1,225 @@
+"""Mapping and writing a long take, against the bare USD write of the same array in the same run.
+
+432,000 frames are an hour at 120 frames per second. Markers are simulated; making them is not
+counted. Times are of the processor, since other work on the machine would count otherwise. Every
+route is a process of its own, so that peaks of memory are its own.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+FRAMES = 432_000
+MARKERS, RIGID, SHAPES, MANY, PAIRS = 102, 12, 46, 946, 100
+BLOCK = 4096
+QUICK = ("ridge", "rbf")
+THOROUGH = "ensemble"
+"""Maps an eighth of the frames: it is the slowest by far, and cost grows with frames alone."""
+
+MOST_TIME = 1.8
+MOST_MEMORY = 0.2
+
+
+def run(frames: int = FRAMES) -> None:
+    """Print times as ratios to the bare write, and peaks of memory as ratios to the raw array."""
+    bare = _route("bare", frames)
+    print(f"{frames:,} frames x {SHAPES} weights; times as ratios to the bare write\n")
+    print("| route | processor s | ratio | target |")
+    print("|---|---|---|---|")
+    print(f"| bare write | {bare['seconds']:.1f} | 1.00 | |")
+    for name, count, target in (
+        ("weights", frames, ""),
+        ("performance", frames, ""),
+        *((method, frames, MOST_TIME) for method in QUICK),
+        (THOROUGH, frames // 8, MOST_TIME),
+    ):
+        told = _route(name, count)
+        ratio = told["seconds"] / count / (bare["seconds"] / frames)
+        print(
+            f"| {_LABELS.get(name, f'mapped ({name}) and written')} | {told['seconds']:.1f} "
+            f"| {ratio:.2f} | {target} |",
+            flush=True,
+        )
+    raw = frames * MANY * 4 / 1e6
+    print(f"\n{frames:,} frames x {MANY} weights, {raw:.0f} MB raw; peaks beyond the start\n")
+    print("| route | peak MB | ratio | target |")
+    print("|---|---|---|---|")
+    for name in ("one layer", "parts"):
+        told = _route(name, frames)
+        ratio = told["peak_mb"] / raw
+        print(f"| {name} | {told['peak_mb']:.0f} | {ratio:.2f} | {MOST_MEMORY} |", flush=True)
+
+
+_LABELS = {
+    "weights": "our writer, weights alone",
+    "performance": "our writer, with confidence and residual",
+}
+
+
+def _route(name: str, frames: int) -> dict[str, float]:
+    """Run one route in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.benchmarks.mapping_write", name, str(frames)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    told: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    return told
+
+
+def _peak_mb() -> float:
+    """Return the peak of this process's memory; what the parent had counts for `getrusage`."""
+    lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1000
+
+
+def _weights(frames: int, shapes: int) -> Callable[[int], np.ndarray]:
+    """Return blocks of weights that cost next to nothing to make and differ in every frame."""
+    rng = np.random.default_rng(0)
+    waves = (0.5 + 0.4 * np.sin(rng.random((BLOCK, shapes)) * 6)).astype(np.float32)
+
+    def block(start: int) -> np.ndarray:
+        return waves[: frames - start] * np.float32(1 - 0.5 * start / frames)
+
+    return block
+
+
+def _bare(folder: Path, frames: int) -> float:
+    from pxr import Sdf, Vt
+
+    block = _weights(frames, SHAPES)
+    layer = Sdf.Layer.CreateNew(str(folder / "bare.usdc"))
+    prim = Sdf.CreatePrimInLayer(layer, "/Anim")
+    path = Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray).path
+    begun = time.process_time()
+    for start in range(0, frames, BLOCK):
+        for index, row in enumerate(block(start)):
+            layer.SetTimeSample(path, start + index, Vt.FloatArray.FromNumpy(row))
+    layer.Save()
+    return time.process_time() - begun
+
+
+def _written(
+    folder: Path,
+    frames: int,
+    shapes: int,
+    solve: Callable[[int], tuple[np.ndarray, np.ndarray | None]],
+    *,
+    part_frames: int | None = None,
+) -> float:
+    from tests.usdio.small_rig import small_rig
+    from usdface.usdio.performance import writing_performance
+    from usdface.usdio.rig import read_rig
+    from usdface.usdio.rig_write import write_rig
+
+    write_rig(folder / "rig.usda", small_rig())
+    begun = time.process_time()
+    with writing_performance(
+        folder / "a.usda",
+        read_rig(folder / "rig.usda"),
+        shape_names=tuple(f"shape{i}" for i in range(shapes)),
+        rate=Fraction(120),
+        first_frame=0,
+        last_frame=frames - 1,
+        regions=("face",),
+        part_frames=part_frames,
+    ) as writer:
+        for start in range(0, frames, BLOCK):
+            weights, trust = solve(start)
+            writer.append(
+                weights,
+                confidence=trust,
+                residual_mm=None if trust is None else trust[:, None],
+            )
+    return time.process_time() - begun
+
+
+def _mapped(folder: Path, frames: int, method: str) -> float:
+    from usdface.assets import References
+    from usdface.model import fit_motion_space
+    from usdface.model.predict import predict_weights
+    from usdface.model.train import train_mapping
+
+    rng = np.random.default_rng(0)
+    neutral = rng.uniform(-70, 70, (MARKERS, 3))
+    moves = 4 * rng.normal(size=(SHAPES, MARKERS, 3)) * (rng.random((SHAPES, MARKERS, 1)) < 0.3)
+    moves[:, :RIGID] = 0
+    phase = rng.random((2, SHAPES)) * 6
+
+    def markers(start: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+        seconds = (start + np.arange(count))[:, None] / 120
+        weights = np.clip(0.3 + 0.6 * np.sin(seconds * (0.5 + phase[0]) + phase[1]), 0, 1)
+        moved = neutral + np.tensordot(weights, moves, 1)
+        noise = np.random.default_rng(start).normal(0, 0.05, moved.shape)
+        return (moved + noise).astype(np.float32), weights
+
+    clouds, truth = markers(0, 6000)
+    picks = np.linspace(0, 5999, PAIRS).astype(int)
+    mapping = train_mapping(
+        References(
+            marker_names=tuple(f"m{i}" for i in range(MARKERS)),
+            shape_names=tuple(f"shape{i}" for i in range(SHAPES)),
+            markers=clouds[picks].astype(float),
+            weights=truth[picks],
+            frames=picks,
+            takes=("take",) * PAIRS,
+            tuned=np.ones(PAIRS, dtype=bool),
+            rigid=tuple(f"m{i}" for i in range(RIGID)),
+            neutral=neutral,
+            rig_file=Path("rig.usd"),
+            rig_prim="/Rig",
+            motion=fit_motion_space([clouds]),
+        ),
+        ranges=np.tile([0.0, 1.0], (SHAPES, 1)),
+        gram=np.einsum("smc,tmc->st", moves, moves) / MARKERS,
+        method=method,
+    )
+    made = 0.0
+
+    def solve(start: int) -> tuple[np.ndarray, np.ndarray | None]:
+        nonlocal made
+        begun = time.process_time()
+        positions, _ = markers(start, min(BLOCK, frames - start))
+        made += time.process_time() - begun
+        solved = predict_weights(mapping, positions)
+        return solved.weights, solved.confidence
+
+    return _written(folder, frames, SHAPES, solve) - made
+
+
+def _measure(name: str, frames: int) -> dict[str, float]:
+    with tempfile.TemporaryDirectory() as folder:
+        where = Path(folder)
+        if name == "bare":
+            return {"seconds": _bare(where, frames)}
+        if name in ("weights", "performance"):
+            block = _weights(frames, SHAPES)
+            trust = np.random.default_rng(0).random(BLOCK)
+
+            def known(start: int) -> tuple[np.ndarray, np.ndarray | None]:
+                rows = block(start)
+                return rows, trust[: len(rows)] if name == "performance" else None
+
+            return {"seconds": _written(where, frames, SHAPES, known)}
+        if name in ("one layer", "parts"):
+            block = _weights(frames, MANY)
+            _written(where, 2 * BLOCK, MANY, lambda start: (block(start), None))  # imports and all
+            before = _peak_mb()
+            part_frames = (1 << 27) // (4 * MANY) if name == "parts" else None
+            seconds = _written(
+                where, frames, MANY, lambda start: (block(start), None), part_frames=part_frames
+            )
+            return {"seconds": seconds, "peak_mb": _peak_mb() - before}
+        return {"seconds": _mapped(where, frames, name)}
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(_measure(sys.argv[1], int(sys.argv[2]))) + "\n")
