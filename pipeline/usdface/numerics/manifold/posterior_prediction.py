@@ -195,8 +195,8 @@ def predict_variance(fields: SurfaceFields, moments: DualMoments) -> Float32Arra
     upper = np.triu_indices(moments.covariance.shape[1])
     entries = moments.covariance[:, upper[0], upper[1]]
     out: Float32Array = (entries @ fields.reading.T) @ fields.squares.T
-    out += moments.constant[:, None]
-    return out.clip(min=0.0, out=out)
+    np.add(out, moments.constant[:, None], out=out)
+    return out.clip(min=0.0)
 
 
 def mix_variances(moments: DualMoments, shares: Array) -> DualMoments:

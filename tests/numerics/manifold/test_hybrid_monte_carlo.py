@@ -1,0 +1,184 @@
+"""Chains against what they should sample, known by quadrature, by algebra or by another sampler."""
+
+import numpy as np
+import pytest
+
+from tests.numerics.manifold.small_process import dense_energy, draw_rows, small_spectrum
+from usdface.numerics.manifold.chain_diagnostics import effective_sample_size, split_rhat
+from usdface.numerics.manifold.hybrid_monte_carlo import (
+    sample_chains,
+    start_chains,
+    take_hmc_step,
+)
+from usdface.numerics.manifold.hyper_posterior import (
+    HyperPrior,
+    direct_moments,
+    energy_of_moments,
+)
+from usdface.numerics.manifold.hyper_sampling import find_modes, sample_hyperparameters
+from usdface.numerics.manifold.laplace import LaplaceFit, fit_laplace
+from usdface.numerics.manifold.shared_posterior import fit_shared_mode, sample_shared
+from usdface.numerics.manifold.tabulated_energy import SharedTable, TabulatedEnergy
+
+
+class Gaussian:
+    """An energy whose every property is known."""
+
+    def __init__(self, chains: int) -> None:
+        rng = np.random.default_rng(3)
+        root = np.eye(4) + 0.4 * rng.standard_normal((4, 4))
+        self.covariance = root @ root.T
+        self.precision = np.linalg.inv(self.covariance)
+        self.centre = np.arange(4.0)[:, None] * np.ones(chains)
+
+    def __call__(self, theta: np.ndarray, with_energy: bool = True) -> tuple:  # type: ignore[type-arg]
+        gradient = self.precision @ (theta - self.centre)
+        return 0.5 * ((theta - self.centre) * gradient).sum(axis=0), gradient
+
+
+def test_newton_finds_a_gaussian_and_its_spread_at_once() -> None:
+    energy = Gaussian(5)
+    fit = fit_laplace(energy, np.zeros((4, 5)), iterations=4)
+    assert np.allclose(fit.mode, energy.centre, atol=1e-6)
+    covariance = np.einsum("abc,dbc->adc", fit.root, fit.root)
+    assert np.allclose(covariance, energy.covariance[:, :, None], rtol=1e-4)
+    evidence = 0.5 * np.linalg.slogdet(energy.covariance)[1]
+    assert np.allclose(fit.log_evidence, evidence, atol=1e-4)
+
+
+def test_a_small_step_conserves_energy_and_turns_back_the_way_it_came() -> None:
+    energy = Gaussian(200)
+    fit = fit_laplace(energy, np.zeros((4, 200)))
+    state = start_chains(energy, fit.mode + 0.5)
+    for step, least in ((0.05, 0.999), (0.4, 0.95)):
+        _, acceptance = take_hmc_step(
+            np.random.default_rng(0),
+            state,
+            energy,
+            root=fit.root,
+            step=np.full(200, step),
+            leapfrogs=8,
+        )
+        assert acceptance.mean() > least
+
+
+def test_chains_have_the_mean_and_covariance_of_what_they_sample() -> None:
+    energy = Gaussian(400)
+    fit = fit_laplace(energy, np.zeros((4, 400)))
+    samples = sample_chains(np.random.default_rng(0), energy, fit, keep=100)
+    drawn = np.moveaxis(samples.theta, 1, 0).reshape(4, -1)
+    assert np.allclose(drawn.mean(axis=1), np.arange(4.0), atol=0.02)
+    assert np.allclose(np.cov(drawn), energy.covariance, atol=0.06)
+    assert 0.6 < samples.acceptance.mean() < 0.95
+
+
+def test_posterior_means_and_spreads_agree_with_a_dense_random_walk() -> None:
+    """Another sampler, another formula of the density: Metropolis on eq. 8 by Cholesky."""
+    rng = np.random.default_rng(0)
+    spectrum = small_spectrum(8)
+    rows = draw_rows(spectrum, rng, 2)
+    table = SharedTable(spectrum)
+    chains = np.repeat(rows, 40, axis=0)
+    theta = sample_hyperparameters(rng, table, chains)[0].theta
+    ours = np.moveaxis(theta.reshape(200, 4, 2, 40), 3, 1).reshape(-1, 4, 2)
+    for row in range(2):
+        walk = [theta[-1, :, 40 * row]]
+        energy = dense_energy(spectrum, walk[0], rows[row])
+        for _ in range(12_000):
+            proposal = walk[-1] + 0.8 * rng.standard_normal(4)
+            other = dense_energy(spectrum, proposal, rows[row])
+            stay = rng.random() > np.exp(min(0.0, energy - other))
+            energy = energy if stay else other
+            walk.append(walk[-1] if stay else proposal)
+        reference = np.array(walk[500:])
+        spread = reference.std(axis=0)
+        assert np.abs(ours[:, :, row].mean(axis=0) - reference.mean(axis=0)).max() < 0.25
+        assert np.allclose(ours[:, :, row].std(axis=0), spread, rtol=0.2)
+
+
+def test_most_samples_are_worth_as_many_and_chains_agree() -> None:
+    rng = np.random.default_rng(0)
+    spectrum = small_spectrum(30)
+    rows = draw_rows(spectrum, rng, 60)
+    table = SharedTable(spectrum)
+    found = [sample_hyperparameters(rng, table, rows)[0] for _ in range(3)]
+    theta = np.stack([each.theta for each in found], axis=1)
+    assert np.median(effective_sample_size(theta[:, :1])) >= 150
+    assert np.median(split_rhat(theta)) < 1.01
+    assert np.quantile(split_rhat(theta), 0.95) < 1.05
+    assert np.mean(found[0].acceptance) == pytest.approx(0.8, abs=0.1)
+
+
+def two_modes() -> tuple[SharedTable, np.ndarray]:
+    """Few markers, a rough process, a tight prior on the noise: signal, or noise."""
+    prior = HyperPrior(medians=(0.1, 0.01, 1.0, 1.0), spread=(2.0, 2.0, 1.0, 1.0))
+    spectrum = small_spectrum(8, prior)
+    rng = np.random.default_rng(2)
+    rows = 1.2 * rng.standard_normal((400, 8)) + spectrum.vectors @ spectrum.trend[:, 0]
+    return SharedTable(spectrum), rows
+
+
+def test_two_modes_are_found_and_both_visited_in_their_proportion() -> None:
+    table, rows = two_modes()
+    modes = find_modes(table, TabulatedEnergy(table, rows), rows)
+    double = np.flatnonzero(modes.double)
+    assert len(double) > 3
+    chosen = rows[double[:4]]
+    many = np.repeat(chosen, 30, axis=0)
+    samples, again = sample_hyperparameters(np.random.default_rng(0), table, many, keep=200)
+    assert again.double.all()
+    x = (samples.theta[:, 0] - samples.theta[:, 1]).reshape(200, 4, 30)
+    middle = (modes.best.mode[0] - modes.best.mode[1])[double[:4]]
+    middle = 0.5 * (middle + (modes.second.mode[0] - modes.second.mode[1])[double[:4]])
+    above = (x > middle[:, None]).mean(axis=0)  # of each chain
+    assert (above.std(axis=1) < 0.15).all()  # no chain stays where it began
+    for row in range(4):
+        exact = _share_above(table, chosen[row], middle[row])
+        assert above[row].mean() == pytest.approx(exact, abs=0.08)
+
+
+def _share_above(table: SharedTable, row: np.ndarray, middle: float) -> float:
+    """Of the posterior's mass, by a sum over a grid of all four parameters."""
+    axes = [
+        np.linspace(c - 5 * s, c + 5 * s, n)
+        for c, s, n in zip(
+            table.spectrum.prior.centre, table.spectrum.prior.spread, (35, 35, 13, 13), strict=True
+        )
+    ]
+    grid = np.stack([each.ravel() for each in np.meshgrid(*axes, indexing="ij")])
+    moments = direct_moments(
+        table.spectrum, (row @ table.spectrum.vectors)[None], grid[0] - grid[1]
+    )
+    energy, _ = energy_of_moments(
+        grid,
+        moments,
+        count=len(row),
+        centre=table.spectrum.prior.centre[:, None],
+        precision=np.array(table.spectrum.prior.spread)[:, None] ** -2.0,
+        with_energy=True,
+    )
+    mass = np.exp(energy.min() - energy)
+    return float(mass[grid[0] - grid[1] > middle].sum() / mass.sum())
+
+
+def test_many_rows_together_find_the_scales_they_were_made_with() -> None:
+    rng = np.random.default_rng(0)
+    spectrum = small_spectrum(20)
+    rows = draw_rows(spectrum, rng, 300)
+    shared = sample_shared(rng, SharedTable(spectrum), rows)
+    made = np.log([4.0, 0.05, 1.0, 1.0])
+    assert (np.abs(shared.mode - made) < 4 * shared.theta.std(axis=0)).all()
+    assert np.abs(shared.mode - made)[[0, 2, 3]].max() < 0.2
+    assert shared.theta.shape == (200, 4)
+    assert (np.abs(shared.theta.mean(axis=0) - shared.mode) < shared.theta.std(axis=0)).all()
+
+
+def test_the_shared_mode_of_one_row_is_that_row_s_mode() -> None:
+    rng = np.random.default_rng(0)
+    spectrum = small_spectrum(15)
+    rows = draw_rows(spectrum, rng, 1)
+    table = SharedTable(spectrum)
+    alone: LaplaceFit = fit_laplace(
+        TabulatedEnergy(table, rows), spectrum.prior.centre[:, None].copy(), iterations=30
+    )
+    assert np.allclose(fit_shared_mode(table, rows).mode, alone.mode, atol=1e-3)

@@ -1,0 +1,148 @@
+"""Fields over the surface against the dense formulas, and multiquadrics against what they meet."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import RBFInterpolator
+from scipy.spatial.distance import cdist
+
+from tests.numerics.manifold.small_process import (
+    dense_covariance,
+    dense_parts,
+    draw_rows,
+    small_places,
+    small_spectrum,
+)
+from usdface.numerics.manifold.left_out import LeftOut, calibrate_spread, leave_markers_out
+from usdface.numerics.manifold.multiquadric import fit_distance_multiquadric, multiquadric_fields
+from usdface.numerics.manifold.posterior_prediction import (
+    average_dual_weights,
+    join_moments,
+    make_fields,
+    mix_variances,
+    predict_mean,
+    predict_variance,
+)
+from usdface.numerics.manifold.surface_covariance import fit_covariance
+
+
+def dense_prediction(spectrum, theta, row, cross, places) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
+    """Mean and variance at points under one theta, as any textbook has them."""
+    _, trend = dense_parts(spectrum)
+    v0, _, a0, a1 = np.exp(theta)
+    scale = np.array([a0, a1, a1, a1])
+    here = np.concatenate([np.ones((len(places), 1)), places], axis=1)
+    k = v0 * cross + (here * scale) @ trend.T
+    solved = np.linalg.solve(dense_covariance(spectrum, theta), np.c_[row, k.T])
+    own = v0 + (here**2 * scale).sum(axis=1)
+    return k @ solved[:, 0], own - np.einsum("pi,ip->p", k, solved[:, 1:])
+
+
+def test_mean_and_variance_are_those_of_the_mixture_over_samples() -> None:
+    rng = np.random.default_rng(0)
+    spectrum, at = small_spectrum(12), small_places(12)
+    places = rng.standard_normal((60, 3))
+    covariance = fit_covariance(cdist(at, at), length_scale=1.0)
+    cross = covariance.cross(cdist(at, places))
+    rows = draw_rows(spectrum, rng, 3)
+    theta = np.log([3.0, 0.1, 1.0, 1.0])[:, None] + 0.5 * rng.standard_normal((20, 4, 3))
+    fields = make_fields(spectrum, cross, places.astype(np.float32), rank=400, rng=rng)
+    moments = average_dual_weights(spectrum, rows, theta)
+    mean, variance = predict_mean(fields, moments)[0].T, predict_variance(fields, moments)
+    for chain in range(3):
+        each = [
+            dense_prediction(spectrum, theta[s, :, chain], rows[chain], cross, places)
+            for s in range(20)
+        ]
+        means = np.array([m for m, _ in each])
+        exact = np.mean([v for _, v in each], axis=0) + means.var(axis=0)
+        assert np.allclose(mean[chain], means.mean(axis=0), atol=2e-3)
+        assert np.allclose(variance[chain], exact, rtol=2e-3, atol=5e-3)
+
+
+def test_at_markers_without_noise_it_meets_them_and_is_sure() -> None:
+    rng = np.random.default_rng(0)
+    spectrum, at = small_spectrum(12), small_places(12)
+    cross = fit_covariance(cdist(at, at), length_scale=1.0).cross(cdist(at, at))
+    rows = draw_rows(spectrum, rng, 3)
+    theta = np.repeat(np.log([4.0, 1e-5, 1.0, 1.0])[None, :, None], 3, axis=2)
+    fields = make_fields(spectrum, cross, at.astype(np.float32), rank=400, rng=rng)
+    moments = average_dual_weights(spectrum, rows, theta)
+    assert np.allclose(predict_mean(fields, moments)[0].T, rows, atol=0.02)
+    assert predict_variance(fields, moments).max() < 0.02
+
+
+def test_batches_put_together_are_one_batch_and_axes_add_up() -> None:
+    rng = np.random.default_rng(0)
+    spectrum = small_spectrum(12)
+    rows, theta = draw_rows(spectrum, rng, 6), 0.1 * rng.standard_normal((7, 4, 6))
+    whole = average_dual_weights(spectrum, rows, theta)
+    halves = [
+        average_dual_weights(spectrum, rows[s], theta[..., s]) for s in (slice(3), slice(3, 6))
+    ]
+    joined = join_moments(halves)
+    assert np.allclose(whole.mean, joined.mean, rtol=1e-4, atol=1e-4)
+    assert np.allclose(whole.covariance, joined.covariance, rtol=1e-4, atol=1e-4)
+    mixed = mix_variances(whole, np.array([1.0, 0.0, 2.0]))
+    assert np.allclose(mixed.covariance[1], whole.covariance[3] + 2 * whole.covariance[5])
+    assert np.allclose(mixed.constant, whole.constant[::3] + 2 * whole.constant[2::3])
+
+
+def test_left_out_errors_are_those_of_fits_without_the_marker() -> None:
+    rng = np.random.default_rng(0)
+    spectrum = small_spectrum(12)
+    row = draw_rows(spectrum, rng, 1)
+    theta = np.log([4.0, 0.05, 1.0, 1.0])
+    found = leave_markers_out(spectrum, row, theta[None, :, None])
+    whole = dense_covariance(spectrum, theta)
+    for marker in range(12):
+        others = np.arange(12) != marker
+        weights = np.linalg.solve(whole[np.ix_(others, others)], whole[others, marker])
+        assert found.errors[0, marker] == pytest.approx(row[0, marker] - weights @ row[0, others])
+        variance = whole[marker, marker] - weights @ whole[others, marker]
+        assert found.expected[0, marker] ** 2 == pytest.approx(variance)
+
+
+def test_intervals_widen_where_and_along_which_axis_markers_surprise() -> None:
+    rng = np.random.default_rng(0)
+    places = rng.uniform(-100, 100, (60, 3))
+    covariance = fit_covariance(cdist(places, places), length_scale=30.0)
+    z = rng.standard_normal((200, 3, 60)) * np.array([1.0, 3.0, 0.5])[:, None]
+    z[..., places[:, 0] > 0] *= 2.0
+    points = np.array([[-60.0, 0, 0], [60.0, 0, 0]])
+    found = calibrate_spread(
+        LeftOut(z.reshape(-1, 60), np.ones((600, 60))),
+        covariance.matrix(),
+        covariance.cross(cdist(places, points)),
+    )
+    assert found.of_axes[1] / found.of_axes[0] == pytest.approx(3.0, rel=0.1)
+    assert found.of_axes[2] / found.of_axes[0] == pytest.approx(0.5, rel=0.1)
+    assert found.of_points[1] / found.of_points[0] > 1.3
+
+
+def test_multiquadrics_meet_every_marker_and_agree_with_scipy() -> None:
+    rng = np.random.default_rng(0)
+    places, points = rng.standard_normal((15, 3)), rng.standard_normal((40, 3))
+    moved = rng.standard_normal((15, 2))
+    model = fit_distance_multiquadric(cdist(places, places), stiffness=0.7)
+    ours = multiquadric_fields(model, cdist(places, points)) @ moved
+    theirs = RBFInterpolator(places, moved, kernel="multiquadric", epsilon=1 / 0.7, degree=-1)
+    assert np.allclose(ours, theirs(points), atol=1e-3)
+    assert np.allclose(multiquadric_fields(model, cdist(places, places)) @ moved, moved, atol=1e-3)
+
+
+def test_smoothing_multiquadrics_ignore_noise() -> None:
+    rng = np.random.default_rng(0)
+    places = rng.uniform(-1, 1, (60, 3))
+    clean = np.sin(places @ rng.standard_normal((3, 40)))
+    noisy = clean + 0.3 * rng.standard_normal(clean.shape)
+    between = cdist(places, places)
+    smooth = fit_distance_multiquadric(between, noisy)
+    found = multiquadric_fields(smooth, between) @ noisy
+    assert np.abs(found - clean).mean() < 0.7 * np.abs(noisy - clean).mean()
+
+
+def test_two_markers_at_one_place_are_named() -> None:
+    places = np.random.default_rng(0).standard_normal((6, 3))
+    places[4] = places[1]
+    with pytest.raises(ValueError, match="markers 1 and 4 are 0 mm apart"):
+        fit_distance_multiquadric(cdist(places, places))
