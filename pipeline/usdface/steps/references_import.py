@@ -7,6 +7,7 @@ from usdface.errors import InputError
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
 from usdface.specs.references import ReferencesImportSpec, tuned_path
+from usdface.steps.conflict_notes import tuned_conflicts
 from usdface.steps.report import Report
 from usdface.steps.weight_tables import WeightTable, read_weight_table
 from usdface.usdio.references import TunedPair, read_references, write_tuned_weights
@@ -55,11 +56,13 @@ def run(
     rest = len(references.frames) - len(pairs)
     if rest:
         notes.append(f"{rest} pairs are not in the file and stay as they were")
+    texts, conflicts = tuned_conflicts(spec.references)
+    notes += texts
     return Report(
         (tuned_path(spec.references),),
         f"{len(pairs)} of {len(references.frames)} pairs tuned, {len(known)} shapes each",
         tuple(notes),
-        {"pairs": len(pairs), "shapes": len(known)},
+        {"pairs": len(pairs), "shapes": len(known), "conflicts": conflicts},
     )
 
 

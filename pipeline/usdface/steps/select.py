@@ -26,6 +26,7 @@ from usdface.provenance import Provenance
 from usdface.specs.base import frame_range
 from usdface.specs.references import SelectSpec, proposed_path, tuned_path
 from usdface.steps.cleaned_takes import CleanedTakes, read_cleaned_takes
+from usdface.steps.conflict_notes import tuned_conflicts
 from usdface.steps.coverage_report import cover, coverage_figures, coverage_picture
 from usdface.steps.kept_pairs import KeptPair, find_kept_pairs, rows_in_place
 from usdface.steps.mapped_rows import MappedRows, mapped_rows
@@ -105,6 +106,7 @@ def run(
         metadata={} if provenance is None else provenance_metadata(provenance),
     )
     progress(1.0, "done")
+    contradictions, conflicts = tuned_conflicts(spec.out)
     outputs = (spec.out, proposed_path(spec.out), tuned_path(spec.out), spec.picture_path())
     summary = (
         f"{len(rows)} pairs of {len(takes.frames)} frames, {len(rig.shapes)} shapes proposed; "
@@ -115,13 +117,15 @@ def run(
         "frames": [int(takes.frames[row]) for row in rows],
         "takes": [takes.takes[row] for row in rows],
         "kept": len(kept),
+        "conflicts": conflicts,
         "design": choice.design,
         "measured_mm": {name: round(mm, 4) for name, mm in choice.measured_mm.items()},
         "visemes": list(references.visemes),
         "emotions": list(references.emotions),
         **coverage_figures(covered, takes),
     }
-    return Report(outputs, summary, tuple(_notes(scene, choice, mapping)), figures)
+    notes = (*_notes(scene, choice, mapping), *contradictions)
+    return Report(outputs, summary, notes, figures)
 
 
 def _mapping_for(spec: SelectSpec, rig: Rig) -> Mapping:
