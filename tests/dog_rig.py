@@ -6,6 +6,7 @@ is a formula, bent as an animator would bend it, so that retargeting can be meas
 """
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from usdface.assets import FloatArray, MeshShape, Rig, RigMesh, ShapeKey
 from usdface.controls import Controls
-from usdface.demo.head import Part
+from usdface.demo.head import DemoHead, Part
 from usdface.demo.proportions import CHARACTER
 from usdface.demo.rig import mesh_points, rig_from_head
 from usdface.demo.shapes import make_head
@@ -95,9 +96,14 @@ def warp_to_dog(points: FloatArray) -> FloatArray:
     return np.stack([x * wide * (1 - 0.12 * pull), y + 14.0 * pull, z + 72.0 * pull], axis=1)
 
 
+@cache
+def _human() -> DemoHead:
+    return make_head(CHARACTER)
+
+
 def dog_rig() -> Rig:
     """Return the dog's meshes and shapes, without joints and controls."""
-    head = make_head(CHARACTER)
+    head = _human()
     human = rig_from_head(head)
     parts = {name: head.parts[points] for name, points in mesh_points(head).items()}
     kept = ("skin", "eyes", "teeth", "tongue", "brows")
@@ -133,7 +139,9 @@ def write_dog(path: Path) -> Rig:
     skeleton.GetRestTransformsAttr().Set(rest)
     for mesh in rig.meshes:
         binding = UsdSkel.BindingAPI(stage.GetPrimAtPath(mesh.path))
-        owner, share = _influences(mesh.points)
+        skin = mesh.path.endswith("/skin")
+        of_ear = _human().parts[mesh_points(_human())["skin"]] == int(Part.EARS) if skin else False
+        owner, share = _influences(mesh.points, of_ear)
         binding.GetJointIndicesPrimvar().GetAttr().Clear()
         binding.CreateJointIndicesPrimvar(constant=False, elementSize=3).Set(owner.ravel().tolist())
         binding.CreateJointWeightsPrimvar(constant=False, elementSize=3).Set(share.ravel().tolist())
@@ -290,15 +298,15 @@ def _coat(points: FloatArray, colors: FloatArray, ears: FloatArray) -> FloatArra
     return np.clip(coat, 0, 1)
 
 
-def _influences(points: FloatArray) -> tuple[np.ndarray, FloatArray]:
+def _influences(points: FloatArray, of_ear: np.ndarray | bool) -> tuple[np.ndarray, FloatArray]:
     """Return three joints for each point and their shares: the ears bend, the rest follows."""
     owner = np.zeros((len(points), 3), int)
     share = np.zeros((len(points), 3))
     share[:, 0] = 1.0
     for side, joint in ((1, 1), (-1, 3)):
-        up = (side * points[:, 0] > 30) & (points[:, 1] > 52) & (np.abs(points[:, 0]) > 46)
-        height = np.clip((points[up, 1] - 58.0) / 25.0, 0, 1)
-        tip = np.clip((points[up, 1] - 108.0) / 25.0, 0, 1)
+        up = (side * points[:, 0] > 0) & of_ear
+        height = np.clip((points[up, 1] - 52.0) / 25.0, 0, 1)
+        tip = np.clip((points[up, 1] - 100.0) / 30.0, 0, 1)
         owner[up] = [0, joint, joint + 1]
         share[up] = np.stack([1 - height, height * (1 - tip), height * tip], axis=1)
     return owner, share

@@ -15,13 +15,16 @@ from usdface.media.text import TextStyle, draw_text
 
 WIDTH = 1800
 MARGIN = 36
-HEAD = 150
+HEAD = 184
 PANEL_HEIGHT = 170
 PANEL_GAP = 74
 LEFT = 76
+MOST_WINDOWS = 4
+ALIKE = 0.995
+"""Correlation of their changes beyond which two controls, left and right, are drawn once."""
 
 _PAGE: Color = (22, 23, 26)
-_BEFORE: Color = (120, 140, 166)
+_BEFORE: Color = (120, 200, 255)
 _AFTER: Color = (255, 178, 92)
 _SPAN: Color = (58, 66, 84)
 _NOTE = TextStyle(size=15, color=(152, 157, 166))
@@ -87,7 +90,7 @@ class Panel:
 def before_and_after(
     names: Sequence[str], before: FloatArray, after: FloatArray, *, count: int = 8
 ) -> tuple[Panel, ...]:
-    """Return a panel for each of the controls that change most, each over its own range.
+    """Return a panel for each of the controls that change most, those that change alike once.
 
     Parameters
     ----------
@@ -95,11 +98,17 @@ def before_and_after(
     before, after : (frames, controls) float arrays
     count : int
     """
+    change = after - before
     span = np.maximum(np.ptp(before, axis=0), np.ptp(after, axis=0))
-    change = np.abs(after - before).max(axis=0)
     # Weights are judged by what they do, angles and lengths by their own span.
-    order = np.argsort(-np.minimum(change, change / np.maximum(span, 1e-9)), kind="stable")
-    chosen = [int(index) for index in order[:count] if change[index] > 1e-6]
+    size = np.minimum(np.abs(change).max(axis=0), np.abs(change).max(axis=0) / (span + 1e-9))
+    unit = change / np.maximum(np.linalg.norm(change, axis=0), 1e-12)
+    chosen: list[int] = []
+    for index in np.argsort(-size, kind="stable").tolist():
+        if len(chosen) == count or size[index] < 1e-6:
+            break
+        if all(abs(unit[:, index] @ unit[:, other]) < ALIKE for other in chosen):
+            chosen.append(index)
     return tuple(
         Panel(
             names[index],
@@ -113,26 +122,40 @@ def before_and_after(
     )
 
 
+def windows_around(
+    spans: Sequence[Span], *, first_frame: int, last_frame: int, context: int = 40
+) -> tuple[tuple[int, int], ...]:
+    """Return the stretches to look at: each span with some context, at most `MOST_WINDOWS`."""
+    return tuple(
+        (max(span.first_frame - context, first_frame), min(span.last_frame + context, last_frame))
+        for span in spans[:MOST_WINDOWS]
+    )
+
+
 def draw_motion_curves(
     title: str,
     facts: tuple[str, ...],
     panels: Sequence[Panel],
     *,
     first_frame: int,
+    step: int = 1,
+    windows: Sequence[tuple[int, int]] = (),
     spans: Sequence[Span] = (),
     from_zero: bool = False,
 ) -> ByteImage:
-    """Draw panels below each other: (height, width, 3) uint8 array, sRGB.
+    """Draw panels below each other, windows side by side: (height, width, 3) uint8 array, sRGB.
 
     Parameters
     ----------
     title : str
     facts : tuple of str
     panels : sequence of Panel
-    first_frame : int
-        Frame number of each curve's first value.
+    first_frame, step : int
+        Frame number of each curve's first value, and frames from one value to the next.
+    windows : sequence of (first, last) frame
+        What to show of the curves; all by default.
     spans : sequence of Span
-        Shaded in every panel, named in the first.
+        Shaded in every panel, named in the first row.
     from_zero : bool
         Let every panel start at 0: for errors.
 
@@ -143,52 +166,66 @@ def draw_motion_curves(
     """
     if not panels:
         raise InputError(f"{title}: nothing changes, so there is no curve to draw")
+    count = len(panels[0].curves[0].values)
+    frames = first_frame + step * np.arange(count, dtype=np.float64)
+    shown = tuple(windows) or ((first_frame, int(frames[-1])),)
     height = HEAD + len(panels) * (PANEL_HEIGHT + PANEL_GAP) + MARGIN
     picture = new_picture(WIDTH, height, _PAGE)
     y = draw_header(picture, title, facts, x=MARGIN, y=MARGIN - 8, width=WIDTH - 2 * MARGIN)
-    _draw_legend(picture, panels[0].curves, y=y + 2)
-    for number, panel in enumerate(panels):
-        top = HEAD + number * (PANEL_HEIGHT + PANEL_GAP)
-        _draw_panel(picture, panel, first_frame, spans, top, from_zero, number)
+    _draw_legend(picture, panels[0].curves, y=y - 6)
+    pitch = (WIDTH - 2 * MARGIN) // len(shown)
+    for row, panel in enumerate(panels):
+        for column, (first, last) in enumerate(shown):
+            plot = _plot(
+                picture,
+                panel,
+                (first, last),
+                x=MARGIN + LEFT + column * pitch,
+                y=HEAD + row * (PANEL_HEIGHT + PANEL_GAP) + 28,
+                width=pitch - LEFT,
+                from_zero=from_zero,
+            )
+            plot.draw_axes(panel.caption if not column else "", across="frame", up=panel.unit)
+            inside = [
+                span for span in spans if span.last_frame >= first and span.first_frame <= last
+            ]
+            _shade(plot, inside, named=not row)
+            for curve in panel.curves:
+                plot.draw_curve(frames, curve.values, curve.color)
     return picture
 
 
-def _draw_panel(
+def _plot(
     picture: ByteImage,
     panel: Panel,
-    first_frame: int,
-    spans: Sequence[Span],
-    top: int,
+    window: tuple[int, int],
+    *,
+    x: int,
+    y: int,
+    width: int,
     from_zero: bool,
-    number: int,
-) -> None:
+) -> Plot:
     values = np.concatenate([curve.values for curve in panel.curves])
     values = values[np.isfinite(values)]
     low = 0.0 if from_zero else float(values.min())
     high = max(float(values.max()), low + 1e-6)
     room = 0.06 * (high - low)
-    count = len(panel.curves[0].values)
-    plot = Plot(
-        picture,
-        MARGIN + LEFT,
-        top + 28,
-        WIDTH - 2 * MARGIN - LEFT,
-        PANEL_HEIGHT,
-        float(first_frame) - 0.5,
-        float(first_frame + count) - 0.5,
-        low - (0.0 if from_zero else room),
-        high + room,
-    )
-    plot.draw_axes(panel.caption, across="frame", up=panel.unit)
+    left, right = window[0] - 0.5, window[1] + 0.5
+    bottom = low - (0.0 if from_zero else room)
+    return Plot(picture, x, y, width, PANEL_HEIGHT, left, right, bottom, high + room)
+
+
+def _shade(plot: Plot, spans: Sequence[Span], *, named: bool) -> None:
     for span in spans:
-        left, right = plot.column(span.first_frame - 0.5), plot.column(span.last_frame + 0.5)
-        x, width = round(left), max(round(right - left), 2)
-        fill_box(picture, x, plot.y + 1, width, plot.height - 2, _SPAN, cover=0.45)
-        if not number:
-            draw_text(picture, span.label, x=x + 5, y=plot.y + 4, style=_SPAN_LABEL, max_width=160)
-    frames = np.arange(first_frame, first_frame + count, dtype=np.float64)
-    for curve in panel.curves:
-        plot.draw_curve(frames, curve.values, curve.color)
+        left = max(round(plot.column(span.first_frame - 0.5)), plot.x + 1)
+        right = min(round(plot.column(span.last_frame + 0.5)), plot.x + plot.width - 1)
+        width = max(right - left, 2)
+        fill_box(plot.picture, left, plot.y + 1, width, plot.height - 2, _SPAN, cover=0.45)
+        if named:
+            style, room = _SPAN_LABEL, max(width - 10, 60)
+            draw_text(
+                plot.picture, span.label, x=left + 5, y=plot.y + 4, style=style, max_width=room
+            )
 
 
 def _draw_legend(picture: ByteImage, curves: Sequence[Curve], *, y: int) -> None:

@@ -134,18 +134,23 @@ def _write(
             title = f"{spec.source.stem}: there and back with {spec.pairs.stem}"
             facts = tuple(_line(each) for each in found[:1])
             picture = draw_motion_curves(
-                title, facts, _panels(spec, found), first_frame=motion.first_frame, from_zero=True
+                title,
+                facts,
+                _panels(found),
+                first_frame=motion.first_frame,
+                step=spec.every,
+                from_zero=True,
             )
             write_image(path, picture, metadata=made)
 
 
-def _panels(spec: CyclicSpec, found: tuple[CyclicError, ...]) -> tuple[Panel, ...]:
+def _panels(found: tuple[CyclicError, ...]) -> tuple[Panel, ...]:
     """Return one plot of all cyclic errors, and one of direct errors where the truth is known."""
     colors = [PALETTE[index % len(PALETTE)] for index in range(len(found))]
 
     def curves(values: list[FloatArray]) -> tuple[Curve, ...]:
         drawn = [
-            Curve(f"{each.method} {value.mean():.3f} mm", np.repeat(value, spec.every), color)
+            Curve(f"{each.method} {value.mean():.3f} mm", value, color)
             for each, value, color in zip(found, values, colors, strict=True)
         ]
         return tuple(sorted(drawn, key=lambda each: -float(each.values.mean())))

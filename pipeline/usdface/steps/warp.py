@@ -11,7 +11,12 @@ from usdface.assets import FloatArray, Rig
 from usdface.controls import Controls, EmotionalSequence, SequenceMatch
 from usdface.errors import InputError
 from usdface.media.image import write_image
-from usdface.media.motion_curves import Span, before_and_after, draw_motion_curves
+from usdface.media.motion_curves import (
+    Span,
+    before_and_after,
+    draw_motion_curves,
+    windows_around,
+)
 from usdface.model.control_space import ControlSpace, control_space
 from usdface.numerics.warp.laplacian_warp import Insertion, ease_weights, warp_motion
 from usdface.numerics.warp.retiming import stretch_motion
@@ -256,12 +261,16 @@ def _draw(
     provenance: Provenance | None,
 ) -> None:
     labels = ", ".join(dict.fromkeys(each.sequence.label for each in placements))
+    spans = [Span(p.first_frame, p.last_frame, p.sequence.label) for p in placements]
     picture = draw_motion_curves(
         f"{spec.performance.stem}: before and after warping",
         (f"{len(placements)} sequences: {labels}", f"weight {spec.weight:g}, blend {spec.blend}"),
         before_and_after(space.names, before, after),
         first_frame=read.clip.first_frame,
-        spans=[Span(p.first_frame, p.last_frame, p.sequence.label) for p in placements],
+        windows=windows_around(
+            spans, first_frame=read.clip.first_frame, last_frame=read.clip.last_frame
+        ),
+        spans=spans,
     )
     made = {} if provenance is None else provenance_metadata(provenance)
     write_image(path, picture, metadata=made)

@@ -48,10 +48,9 @@ def rotation_vectors(quaternions: Array, mean: Array) -> Array:
 
 def rotations_at(vectors: Array, mean: Array) -> Array:
     """Return the mean turned by rotation vectors: (..., 4) unit quaternions, w first."""
-    half = 0.5 * np.linalg.norm(vectors, axis=-1, keepdims=True)
+    half = 0.5 * np.sqrt(np.einsum("...i,...i->...", vectors, vectors))[..., None]
     ratio = 0.5 * np.where(half > _SMALL, np.sin(half) / np.maximum(half, _SMALL), 1.0)
-    turned = multiply_quaternions(mean, np.concatenate([np.cos(half), vectors * ratio], axis=-1))
-    return np.asarray(turned / np.linalg.norm(turned, axis=-1, keepdims=True))
+    return multiply_quaternions(mean, np.concatenate([np.cos(half), vectors * ratio], axis=-1))
 
 
 def multiply_quaternions(left: Array, right: Array) -> Array:
