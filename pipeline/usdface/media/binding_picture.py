@@ -11,11 +11,11 @@ import numpy as np
 from usdface.assets import BoolArray, FloatArray, RigMesh
 from usdface.errors import InputError
 from usdface.media.camera import Camera, frame_face
-from usdface.media.canvas import Color, draw_dot, draw_line, new_picture
+from usdface.media.canvas import Color, draw_dot, draw_line, fill_box, new_picture
 from usdface.media.color import ByteImage
 from usdface.media.render import FaceRenderer, Quality
 from usdface.media.sheet import draw_header
-from usdface.media.text import TextStyle, draw_text
+from usdface.media.text import TextStyle, draw_text, text_width
 
 MARGIN = 36
 HEAD = 124
@@ -170,6 +170,10 @@ def _draw_names(panel: ByteImage, markers: BoundMarkers, at: FloatArray, seen: B
             style = TextStyle(size=15, color=color, weight="bold" if doubt else "regular")
             x = NAMES - 40 if left else width - NAMES + 40
             draw_line(panel, (x + (6 if left else -6), row), at[marker], _LINE, thickness=1.0)
+            long = min(text_width(text, style), NAMES - 50)
+            start = x - long - 3 if left else x - 3
+            # A wide head reaches under the names.
+            fill_box(panel, start, round(row) - 9, long + 6, 19, _PAGE, cover=0.55)
             draw_text(
                 panel,
                 text,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.assets import FloatArray
+from usdface.assets import BoolArray, FloatArray
 from usdface.media.image import write_image
 from usdface.media.render import Quality
 from usdface.media.sheet import SheetPage, compose_sheet
@@ -24,6 +24,9 @@ from usdface.usdio.take import TakeReader
 
 NOISE_BELIEVED = HyperPrior(medians=(9.0, 1e-6, 4.0, 1.0), spread=(1.5, 0.05, 1.5, 1.5))
 """Markers without noise: the surface then meets each of them, as an interpolant does."""
+
+MOVING = 0.15
+"""Of the largest motion: markers that move less need not be in the picture."""
 
 YAW_DEGREES = 18.0
 """A little from the side, where lips and lids show their depth."""
@@ -147,7 +150,7 @@ def _write(
     rows = draw_compared(
         plan.face.mesh,
         compared,
-        near=at,
+        near=at[_moving(plan)],
         yaw_degrees=facing_yaw(plan.face.mesh, at) + YAW_DEGREES,
         high_mm=high,
         quality=quality,
@@ -157,6 +160,13 @@ def _write(
     )
     metadata = {} if provenance is None else provenance_metadata(provenance)
     write_image(path, compose_sheet(page), metadata=metadata)
+
+
+def _moving(plan: SurfacePlan) -> BoolArray:
+    """Say which markers the face's motion shows: a head's others would make it small."""
+    moved = plan.displacements(plan.sample.positions)
+    far = np.linalg.norm(moved, axis=2).max(axis=0)
+    return np.asarray(far >= MOVING * far.max(), np.bool_)
 
 
 def _round_up(value: float) -> float:

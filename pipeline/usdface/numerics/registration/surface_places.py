@@ -8,13 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from usdface.numerics.registration.triangulation import triangulate
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-_ROWS = 1 << 18  # of the table (places x triangles) that is held at once
 
 
 @dataclass(frozen=True)
@@ -59,14 +58,12 @@ def places_at_points(
         If a point belongs to no face.
     """
     triangles, owners = triangulate(face_counts, face_indices)
-    first: dict[int, int] = {}
-    for row in range(len(triangles) - 1, -1, -1):
-        for point in triangles[row].tolist():
-            first[point] = row
-    lost = [int(point) for point in chosen if int(point) not in first]
-    if lost:
+    used, first = np.unique(triangles.ravel(), return_index=True)
+    at = np.minimum(np.searchsorted(used, chosen), max(len(used) - 1, 0))
+    lost = chosen if not len(used) else chosen[used[at] != chosen]
+    if len(lost):
         raise ValueError(f"point {lost[0]} belongs to no face; choose a point of the surface")
-    rows = np.array([first[int(point)] for point in chosen], np.int64)
+    rows = first[at] // 3
     corners = triangles[rows].reshape(-1, 3)
     return SurfacePlaces(owners[rows], corners, (corners == chosen[:, None]).astype(float))
 
@@ -88,7 +85,8 @@ def places_of_corners(
         If three points share no face.
     """
     triangles, owners = triangulate(face_counts, face_indices)
-    row_of = {tuple(sorted(each)): row for row, each in enumerate(triangles.tolist())}
+    near = np.flatnonzero(np.isin(triangles, corners).all(axis=1))
+    row_of = {tuple(sorted(triangles[row].tolist())): row for row in near.tolist()}
     single = (corners == corners[:, :1]).all(axis=1)
     faces, found = np.zeros(len(corners), np.int64), corners.copy()
     shares = np.array(weights, float)
@@ -125,13 +123,17 @@ def nearest_places(
         raise ValueError("the mesh has no face to place anything on")
     rows = np.zeros(len(wanted), np.int64)
     weights = np.zeros((len(wanted), 3))
-    block = max(1, _ROWS // len(triangles))
-    for start in range(0, len(wanted), block):
-        part = slice(start, start + block)
-        shares, away = _closest_on_triangles(points[triangles], wanted[part])
-        best = away.argmin(axis=1)
-        rows[part] = best
-        weights[part] = shares[np.arange(len(best)), best]
+    corners = points[triangles]
+    middles = corners.mean(axis=1)
+    # No surface is further than the nearest corner: only triangles that reach so far can win.
+    reach = float(np.sqrt(((corners - middles[:, None]) ** 2).sum(axis=2).max()))
+    bound, _ = KDTree(points[np.unique(triangles)]).query(wanted)
+    found = KDTree(middles).query_ball_point(wanted, bound + reach + 1e-9)
+    for index, candidates in enumerate(found):
+        near = np.array(sorted(candidates), np.int64)
+        shares, away = _closest_on_triangles(corners[near], wanted[index : index + 1])
+        best = int(away[0].argmin())
+        rows[index], weights[index] = near[best], shares[0, best]
     return SurfacePlaces(owners[rows], triangles[rows], weights)
 
 
