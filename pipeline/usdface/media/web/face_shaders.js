@@ -1,5 +1,6 @@
 // Light on a face, as media/shading.py has it for pictures: key, fill and two rims that travel with
 // the camera, skin that is not plastic, irises painted by angle. All light is linear until the end.
+// Varyings are centroid: at the rim of a small triangle they would be sampled outside of it.
 
 export const FACE_VERTEX = `#version 300 es
 layout(location=0) in vec3 position;
@@ -10,12 +11,12 @@ layout(location=4) in vec3 gaze;
 layout(location=5) in float reach;
 uniform mat4 view;
 uniform mat4 projection;
-out vec3 vNormal;
-out vec3 vPosition;
-out vec3 vColor;
-out float vOpen;
-out vec3 vGaze;
-out float vReach;
+centroid out vec3 vNormal;
+centroid out vec3 vPosition;
+centroid out vec3 vColor;
+centroid out float vOpen;
+centroid out vec3 vGaze;
+centroid out float vReach;
 flat out int vPart;
 void main() {
   vec4 seen = view * vec4(position, 1.0);
@@ -31,12 +32,12 @@ void main() {
 
 export const FACE_FRAGMENT = `#version 300 es
 precision highp float;
-in vec3 vNormal;
-in vec3 vPosition;
-in vec3 vColor;
-in float vOpen;
-in vec3 vGaze;
-in float vReach;
+centroid in vec3 vNormal;
+centroid in vec3 vPosition;
+centroid in vec3 vColor;
+centroid in float vOpen;
+centroid in vec3 vGaze;
+centroid in float vReach;
 flat in int vPart;
 uniform float opacity;
 out vec4 color;
@@ -66,8 +67,11 @@ vec3 lamp(vec3 n, vec3 albedo, vec3 wrap, vec3 direction, vec3 light, float reac
 }
 
 void main() {
-  vec3 n = normalize(gl_FrontFacing ? vNormal : -vNormal);
   vec3 v = normalize(-vPosition);
+  vec3 n = normalize(vNormal);
+  // Seen from behind, as the inside of a mouth may be. Not gl_FrontFacing: it is a guess for
+  // triangles smaller than a pixel, and leaves specks.
+  if (dot(n, v) < -0.25) n = -n;
   float open = clamp(vOpen, 0.0, 1.0); // at a triangle's edge it may be sampled beyond its corners
   vec3 albedo = clamp(dot(vGaze, vGaze) > 0.0 ? iris(vColor) : vColor, 0.0, 1.0);
   bool skin = vPart == SKIN;

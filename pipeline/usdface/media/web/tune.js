@@ -38,8 +38,10 @@ async function main() {
   if (recovered) page.tell(`${recovered} values that could not be sent before were taken up again`);
   globalThis.tune = page; // for tests and for the curious
   state.go(0);
+  const markers = ask("/markers.json"); // the server places them while the face is fetched
+  markers.catch(() => {});
   await page.loadFace();
-  page.loadMarkers();
+  await page.loadMarkers(await markers);
 }
 
 class Page {
@@ -92,8 +94,8 @@ class Page {
     );
   }
 
-  async loadMarkers() {
-    const markers = await (await ask("/markers.json")).json();
+  async loadMarkers(response) {
+    const markers = await response.json();
     if (markers.reason) {
       $("markers").disabled = $("labels").disabled = true;
       $("markers").title = `No markers: ${markers.reason}`;

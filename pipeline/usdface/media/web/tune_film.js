@@ -82,7 +82,7 @@ export class FilmStrip {
       .filter(Boolean)
       .join(" · ");
     const canvas = document.createElement("canvas");
-    const ratio = Math.min(devicePixelRatio || 1, 2);
+    const ratio = 2; // drawn larger than shown: small faces have edges finer than a pixel
     canvas.width = WIDTH * ratio;
     canvas.height = HEIGHT * ratio;
     const what = document.createElement("span");

@@ -1,0 +1,89 @@
+"""`usdface tune` as a user meets it when it cannot start."""
+
+import json
+import shlex
+import socket
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.regenerate import REPOSITORY
+from tests.test_docs import commands
+from tests.tuning.small_asset import write_asset
+from usdface.cli import main
+from usdface.specs.tune import TuneSpec
+from usdface.tuning.lock import TuningLock
+
+
+def run(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as stopped:
+        main(["tune", *arguments])
+    return int(stopped.value.code or 0)
+
+
+def test_the_commands_of_its_page_and_its_help_are_understood(
+    tmp_path: Path, monkeypatch, capsys
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    lines = [*commands(REPOSITORY / "docs" / "tuning.md"), TuneSpec.example]
+    for line in lines:
+        assert run(*shlex.split(line)[2:]) == 2
+        assert "hero.references.usda: no such file; check the path" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("missing", ["starlette", "uvicorn"])
+def test_a_missing_extra_is_named_with_the_line_that_installs_it(
+    tmp_path: Path, monkeypatch, capsys, missing: str
+) -> None:
+    asset = write_asset(tmp_path)
+    for name in [name for name in sys.modules if name.startswith("usdface.tuning")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, missing, None)
+    assert run(str(asset)) == 2
+    said = capsys.readouterr().err
+    assert missing in said
+    assert "pip install 'usdface[tune]'" in said
+
+
+def test_a_layer_that_is_no_references_asset_is_refused(tmp_path: Path, capsys) -> None:
+    write_asset(tmp_path)
+    assert run(str(tmp_path / "rig.usda"), "--no-browser") == 2
+    assert "not a references asset" in capsys.readouterr().err
+
+
+def test_a_port_in_use_is_named_and_the_lock_is_given_back(tmp_path: Path, capsys) -> None:
+    asset = write_asset(tmp_path)
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = str(other.getsockname()[1])
+        assert run(str(asset), "--no-browser", "--port", port) == 2
+    said = capsys.readouterr().err
+    assert f"port {port} of this machine cannot be used" in said
+    assert not list(tmp_path.glob("*.lock"))
+
+
+def test_a_second_person_is_told_who_tunes(tmp_path: Path, capsys) -> None:
+    asset = write_asset(tmp_path)
+    lock = TuningLock(tmp_path / "hero.references.tuned.lock")
+    lock.acquire()
+    assert run(str(asset), "--no-browser") == 2
+    said = capsys.readouterr().err
+    holder = json.loads(lock.path.read_text())
+    assert f"{holder['user']} on {holder['host']} has been tuning it since" in said
+    assert "--take-over" in said
+    lock.check()
+
+
+def test_a_rig_that_lost_shapes_is_named(tmp_path: Path, capsys) -> None:
+    asset = write_asset(tmp_path)
+    rig = tmp_path / "rig.usda"
+    rig.write_text(rig.read_text().replace("smile", "grin"))
+    assert run(str(asset), "--no-browser") == 2
+    assert "selected for another rig" in capsys.readouterr().err
+
+
+def test_a_port_beyond_the_limit_is_refused(tmp_path: Path, capsys) -> None:
+    assert run(str(tmp_path / "x.usda"), "--port", "70000") == 2
+    assert "port" in capsys.readouterr().err
