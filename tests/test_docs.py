@@ -79,3 +79,11 @@ def test_the_review_page_runs(shot, monkeypatch, capsys) -> None:
         code = run(f"{line}{small} --overwrite")
         assert code == 0, f"{line}\n{capsys.readouterr()}"
     assert (shot / "shot.review.mp4").is_file()
+
+
+def test_every_command_of_the_references_page_is_understood(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    lines = commands(REPOSITORY / "docs" / "references.md")
+    assert len(lines) == 7
+    for line in lines:
+        assert run(f"{line} --save-spec spec.yaml") == 0, line
