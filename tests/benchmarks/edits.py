@@ -1,6 +1,6 @@
 """Edits teach: ten corrected frames, and what they do for the rest of the take.
 
-References come from the first half of `crosstake`. An animator looks at the second half and corrects
+References come from the first half of `crosstake`. An animator looks at the second and corrects
 the ten worst moments, far enough apart; the frames within a second of a correction are not scored.
 """
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.benchmarks.crosstake import COLUMNS, HALF, _prepare, _references, _ruler
+from tests.benchmarks.crosstake import COLUMNS, DAMAGES, HALF, _prepare, _references, _ruler
 from tests.conftest import SHARED_DATA
 from usdface.deformer import Deformer
 from usdface.specs.edit import EditsImportSpec
@@ -36,7 +36,8 @@ def run(counts: tuple[int, ...] = (25, 50)) -> None:
     shapes_of = ruler.rig_shapes(str(rig_file))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        truth = _prepare(folder)
+        truth = np.load(SHARED_DATA / "crosstake" / "truth.npz")
+        _prepare(folder, DAMAGES[0], truth)
         shapes = [str(each) for each in truth["shapes"]]
         wanted = truth["weights"].astype(float)
         seen = np.array([not each.lower().startswith("eyelook") for each in shapes])

@@ -7,7 +7,6 @@ import numpy as np
 from usdface.assets import Mapping, Rig
 from usdface.errors import InputError
 from usdface.model.head_space import HeadSpace
-from usdface.model.predict import predict_weights
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
 from usdface.specs.base import frame_range
@@ -15,6 +14,7 @@ from usdface.specs.map import MapSpec
 from usdface.steps.edited import edit_notes
 from usdface.steps.placed_take import find_take_space, read_markers
 from usdface.steps.report import Report
+from usdface.steps.solving import solve_ahead
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance import weights_path, writing_performance
 from usdface.usdio.rig import read_rig
@@ -58,9 +58,9 @@ def run(
         part_frames=_part_frames(spec, last - first + 1, len(mapping.shape_names)),
         provenance=provenance,
     ) as writer:
-        for block in _blocks(take, first, last):
-            placed = space.place(read_markers(take, block.start, block.stop - 1))
-            solved = predict_weights(mapping, placed.positions, visible=placed.visible)
+        blocks = list(_blocks(take, first, last))
+        placed = (space.place(read_markers(take, block.start, block.stop - 1)) for block in blocks)
+        for block, solved in zip(blocks, solve_ahead(mapping, placed), strict=True):
             asked = slice(max(first - block.start, 0), last + 1 - block.start)
             writer.append(
                 solved.weights[asked],
