@@ -10,7 +10,13 @@ from usdface.controls import Controls, ExpressionPairs, bare_controls
 from usdface.errors import InputError
 from usdface.model.control_space import control_space
 from usdface.model.pair_checks import check_pairs, dead_controls, find_conflicts, unused_shapes
-from usdface.model.retarget import make_examples, retarget, there_and_back, train_retargeting
+from usdface.model.retarget import (
+    SAME_MM,
+    make_examples,
+    retarget,
+    there_and_back,
+    train_retargeting,
+)
 from usdface.model.retarget_methods import RETARGET_METHODS
 
 SHAPES = ("jawOpen", "eyeBlink", "smile")
@@ -120,7 +126,7 @@ def test_auto_returns_expressions_no_worse_than_any_method(which: str) -> None:
     best = cyclic(trained.method, trained.settings)
     for name, method in RETARGET_METHODS.items():
         for settings in method.candidates:
-            assert best <= cyclic(name, settings) + 1e-12, name
+            assert best <= cyclic(name, settings) + SAME_MM, name
     assert best == pytest.approx(trained.scores[0].cyclic_mm)
 
 

@@ -24,6 +24,9 @@ MOST_POINTS = 4000
 TRAINING_POINTS = 600
 """Of them when methods are compared in training; there are many candidates."""
 
+POSITIONS = "positions"
+"""Name under which matching positions is compared: no regression, and nothing to be trained."""
+
 _BLOCK = 256
 
 
@@ -132,7 +135,7 @@ def evaluate_cyclic(
     for number, method in enumerate(methods):
         share = part(progress, number / len(methods), (number + 1) / len(methods))
         share(0.0, method)
-        if method == "positions":
+        if method == POSITIONS:
             label, settings = method, ""
             there, back = _by_positions(pairs, performance, rig, target_rig)
         else:

@@ -32,6 +32,9 @@ MOST_FRAMES = 768
 ROOM = 0.5
 """How far beyond the pairs a joint or an attribute may go, as a share of its span in them."""
 
+SAME_MM = 1e-3
+"""Errors there and back that differ by less are the same to any eye; then the pairs decide."""
+
 _LEAST_SPAN = 1e-9
 
 
@@ -110,7 +113,7 @@ def train_retargeting(
         tried.append((_score(fitted, examples, probes, surface), fitted))
         progress(number / len(candidates), f"tried {each.name}")
     moved = np.abs(pairs.source).max(axis=0) > LIVE
-    tried.sort(key=lambda item: (item[0].cyclic_mm, item[0].pair_error))
+    tried = _best_first(tried)
     best = tried[0][1]
     return Retargeting(
         method=best.method.name,
@@ -266,6 +269,16 @@ def _score(
         cyclic_mm=_mean_distance(error, surface),
         pair_error=float(np.sqrt((missed**2).mean())),
     )
+
+
+def _best_first(
+    tried: list[tuple[RetargetScore, _Fit]],
+) -> list[tuple[RetargetScore, _Fit]]:
+    """Sort by the error there and back; the first few that are the same, by that at the pairs."""
+    ordered = sorted(tried, key=lambda item: (item[0].cyclic_mm, item[0].pair_error))
+    least = ordered[0][0].cyclic_mm
+    same = [item for item in ordered if item[0].cyclic_mm <= least + SAME_MM]
+    return sorted(same, key=lambda item: item[0].pair_error) + ordered[len(same) :]
 
 
 def _mean_distance(error: FloatArray, surface: FloatArray | None) -> float:

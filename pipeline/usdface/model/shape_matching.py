@@ -8,6 +8,8 @@ The same correspondence gives the method that S11 (section 6.3) compares with: *
 non-negative weights of the target whose displacements are nearest to the source's.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,7 +87,7 @@ def correspond(source: Rig, target: Rig) -> Correspondence:
     """
     one, other = _surface(source), _surface(target)
     stride = max(len(one.samples.positions) // CLOUD_POINTS, 1)
-    try:
+    with _no_face(f"{source.file} on {target.file}"):
         alignment = align_cloud(
             one.samples.positions[::stride],
             other.samples.positions,
@@ -93,8 +95,6 @@ def correspond(source: Rig, target: Rig) -> Correspondence:
             areas=other.samples.areas,
             amplitude=one.activity[::stride],
         )
-    except ValueError as error:
-        raise InputError(f"{source.file} on {target.file}: {error}") from error
     stride = max(len(one.samples.positions) // SAMPLES, 1)
     chosen = np.arange(0, len(one.samples.positions), stride)
     placed = alignment.apply(one.samples.positions[chosen])
@@ -172,15 +172,25 @@ def _surface(rig: Rig) -> _Surface:
     deformer = Deformer(rig)
     deltas = deformer.shapes.target_offsets().toarray().reshape(len(rig.shapes), -1, 3)
     activity = np.linalg.norm(deltas, axis=2).max(axis=0)
-    try:
+    with _no_face(str(rig.file)):
         facing = facing_direction(deformer.neutral, deformer.triangles, activity)
         samples = sample_outer_surface(
             deformer.neutral, deformer.triangles, facing=facing, activity=activity
         )
-    except ValueError as error:
-        raise InputError(f"{rig.file}: {error}") from error
     at = np.einsum("spkc,pk->spc", deltas[:, samples.corners], samples.weights)
     return _Surface(samples, at, np.linalg.norm(at, axis=2).max(axis=0))
+
+
+@contextmanager
+def _no_face(where: str) -> Iterator[None]:
+    """Say of a surface that has no extent, or no part that moves, that it is no face."""
+    try:
+        with np.errstate(divide="raise", invalid="raise"):
+            yield
+    except FloatingPointError as error:
+        raise InputError(f"{where}: the surface is too small or too flat for a face") from error
+    except ValueError as error:
+        raise InputError(f"{where}: {error}") from error
 
 
 def _unit(fields: FloatArray) -> FloatArray:

@@ -1,6 +1,7 @@
 """Pairs and a performance in; how well each method brings it there and back out."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +11,14 @@ from usdface.controls import ExpressionPairs
 from usdface.errors import InputError
 from usdface.media.image import write_image
 from usdface.media.motion_curves import PALETTE, Curve, Panel, draw_motion_curves
-from usdface.model.cyclic import CyclicError, evaluate_cyclic
+from usdface.model.cyclic import POSITIONS, CyclicError, evaluate_cyclic
 from usdface.model.pair_checks import check_pairs
 from usdface.model.retarget_methods import find_retarget_method
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
 from usdface.replacing import replacing
 from usdface.specs.base import frame_range
-from usdface.specs.cyclic import CyclicSpec
+from usdface.specs.cyclic import METHODS, CyclicSpec
 from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
 from usdface.steps.source_motion import SourceMotion, read_source_motion, source_columns
@@ -32,7 +33,7 @@ def run(
 ) -> Report:
     """Measure every method and write what was asked for."""
     for method in spec.methods:
-        if method not in ("auto", "positions"):
+        if method not in ("auto", POSITIONS):
             find_retarget_method(method)
     pairs = read_pairs(spec.pairs)
     check_pairs(pairs, str(spec.pairs))
@@ -42,16 +43,25 @@ def run(
     weights, said = source_columns(spec.source, motion, pairs.source_shapes)
     picks = np.arange(0, len(weights), spec.every)
     truth = None if spec.truth is None else _truth(spec, spec.truth, motion, picks, pairs)
-    found = evaluate_cyclic(
+    measure = partial(
+        evaluate_cyclic,
         pairs,
         weights[picks],
-        methods=spec.methods,
         rig=source_rig,
         target_rig=target_rig,
         shape_ranges=target_ranges(pairs),
         truth=truth,
-        progress=progress,
     )
+    methods = tuple(method for method in spec.methods if method != POSITIONS)
+    found = measure(methods=methods, progress=progress)
+    notes = [*said, *pair_notes(pairs)]
+    if POSITIONS in spec.methods:
+        try:
+            found += measure(methods=(POSITIONS,))
+        except InputError as error:
+            if spec.methods != METHODS:  # asked for by name, not by default
+                raise
+            notes.append(f"positions were not matched: {error}")
     figures = _figures(spec, found, picks + motion.first_frame)
     _write(spec, found, figures, motion, provenance)
     best = min(found, key=lambda each: float(each.mean_vertex_mm.mean()))
@@ -59,7 +69,7 @@ def run(
         spec.out,
         f"{len(picks)} frames there and back; least error {best.mean_vertex_mm.mean():.3f} mm with "
         f"{best.method}",
-        (*said, *pair_notes(pairs)),
+        tuple(notes),
         figures,
         table=tuple(_line(each) for each in found),
     )

@@ -6,7 +6,7 @@ from usdface.assets import FloatArray, Rig
 from usdface.controls import Controls, ExpressionPairs, bare_controls
 from usdface.errors import InputError
 from usdface.model.pair_checks import dead_controls
-from usdface.model.shape_matching import match_deformations
+from usdface.model.shape_matching import ShapeMatch, match_deformations
 from usdface.model.shape_names import NameMatch, match_names
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
@@ -69,14 +69,7 @@ def _match(
     notes = [f"{len(named)} shapes match by name"] if named else []
     if spec.match != "name":
         progress(0.2, "laying one face onto the other")
-        spoken = {match.name for match in named}
-        driven = {name for match in named for name, _ in match.target}
-        alike = match_deformations(
-            source,
-            target,
-            source_shapes=tuple(name for name in source.shapes if name not in spoken),
-            target_shapes=tuple(name for name in target.shapes if name not in driven),
-        )
+        alike = _alike(spec, source, target, named, notes)
         for each in alike:
             named.append(NameMatch(each.source, ((each.source, 1.0),), ((each.target, 1.0),)))
             notes.append(
@@ -89,6 +82,26 @@ def _match(
             f"{', '.join(unmatched[:5])}"
         )
     return named, notes
+
+
+def _alike(
+    spec: PairsProposeSpec, source: Rig, target: Rig, named: list[NameMatch], notes: list[str]
+) -> tuple[ShapeMatch, ...]:
+    """Match by deformation what names left; where names sufficed, a face that fails is a note."""
+    spoken = {match.name for match in named}
+    driven = {name for match in named for name, _ in match.target}
+    try:
+        return match_deformations(
+            source,
+            target,
+            source_shapes=tuple(name for name in source.shapes if name not in spoken),
+            target_shapes=tuple(name for name in target.shapes if name not in driven),
+        )
+    except InputError as error:
+        if spec.match == "deformation" or not named:
+            raise
+        notes.append(f"what shapes do could not be compared: {error}")
+        return ()
 
 
 def _pairs(source: Rig, target: Rig, matches: list[NameMatch], rest: Controls) -> ExpressionPairs:

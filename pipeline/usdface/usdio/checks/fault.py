@@ -69,9 +69,9 @@ def read_samples(prim: Usd.Prim) -> Samples | None:
 
 
 def is_recorded(prim: Usd.Prim) -> bool:
-    """Whether an animation is a take's own: recorded as it is, and driving nothing yet."""
+    """Whether an animation is a take's or a sequence's own: kept as it is, and driving nothing."""
     parent = prim.GetParent()
-    return bool(parent) and bool(parent.HasAPI("FaceTakeAPI"))
+    return bool(parent) and any(map(parent.HasAPI, ("FaceTakeAPI", "FaceSequenceAPI")))
 
 
 def is_solved(prim: Usd.Prim) -> bool:
