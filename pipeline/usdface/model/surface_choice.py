@@ -120,7 +120,6 @@ def _try(
     else:
         spectrum, _ = marker_spectrum(distances, blend, scale, shape=shape, prior=prior)
         theta = fit_shared_mode(SharedTable(spectrum), columns.T).mode[:, 0]
-        same = np.repeat(theta[None, :, None], columns.shape[1], axis=2)
-        errors = leave_markers_out(spectrum, columns.T, same).errors
+        errors = leave_markers_out(spectrum, columns.T, theta[None, :, None]).errors
     rms = float(np.sqrt((errors**2).mean()))
     return SurfaceSettings(blend, scale, theta, rms, frames)

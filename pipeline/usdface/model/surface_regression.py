@@ -280,35 +280,35 @@ def fit_surface_regression(
         raise InputError("no frame to fit the regression to; give the take's displacements")
     if blend is not None and not 0 <= blend <= 1:
         raise InputError(f"blend is the geodesic distance's share, 0 to 1; got {blend}")
-    chosen = choose_settings(
-        distances,
-        moved,
-        method=method,
-        blend=blend,
-        length_scale=length_scale,
-        shape=covariance_shape,
-        prior=prior,
-    )
-    points = distances.points
-    between = distances.blended_between(chosen.blend)
-    to_points = distances.blended_to_points(chosen.blend)
     try:
-        if method == "rbf":
-            return SurfaceRegression(
-                method=method,
-                sampler=sampler,
-                blend=chosen.blend,
-                length_scale=0.0,
-                diagnostics=SurfaceDiagnostics(0.0, chosen.left_out_rms_mm),
-                marker_count=count,
-                point_count=len(points),
-                operator=multiquadric_fields(fit_distance_multiquadric(between), to_points),
-            )
-        spectrum, covariance = marker_spectrum(
-            distances, chosen.blend, chosen.length_scale, shape=covariance_shape, prior=prior
+        chosen = choose_settings(
+            distances,
+            moved,
+            method=method,
+            blend=blend,
+            length_scale=length_scale,
+            shape=covariance_shape,
+            prior=prior,
         )
     except ValueError as error:
         raise InputError(str(error)) from error
+    points = distances.points
+    between = distances.blended_between(chosen.blend)
+    to_points = distances.blended_to_points(chosen.blend)
+    if method == "rbf":
+        return SurfaceRegression(
+            method=method,
+            sampler=sampler,
+            blend=chosen.blend,
+            length_scale=0.0,
+            diagnostics=SurfaceDiagnostics(0.0, chosen.left_out_rms_mm),
+            marker_count=count,
+            point_count=len(points),
+            operator=multiquadric_fields(fit_distance_multiquadric(between), to_points),
+        )
+    spectrum, covariance = marker_spectrum(
+        distances, chosen.blend, chosen.length_scale, shape=covariance_shape, prior=prior
+    )
     table = SharedTable(spectrum)
     rng = np.random.default_rng(seed)
     cross = covariance.cross(to_points)
@@ -318,7 +318,7 @@ def fit_surface_regression(
     facts: dict[str, float] = {}
     if sampler == "shared":
         shared = sample_shared(rng, table, rows, keep=samples)
-        theta = np.repeat(shared.theta[:, :, None], len(rows), axis=2)
+        theta = shared.theta[:, :, None]
         facts["acceptance"] = shared.acceptance
     elif sampler == "map":
         theta = find_modes(table, TabulatedEnergy(table, rows), rows).best.mode[None]

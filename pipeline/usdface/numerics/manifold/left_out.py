@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 
 _NORMAL_95 = 1.959963984540054
+_JITTER = 1e-10  # of the trace: samples without any noise stay invertible
 _LEAST = 1e-3  # a face at rest surprises nobody
 _WEIGHT = 0.3
 """Markers' worth of surprise of the average place that each place is given: a few markers say
@@ -59,22 +60,25 @@ def leave_markers_out(spectrum: MarkerSpectrum, displacements: Array, theta: Arr
     spectrum : MarkerSpectrum
     displacements : (chains, N) float array
         [mm]
-    theta : (samples, 4, chains) float array
-        Predictions are averaged over the samples.
+    theta : (samples, 4, chains or 1) float array
+        Predictions are averaged over the samples; one theta may serve all chains.
     """
     Q = spectrum.vectors
     covariance = (Q * spectrum.values) @ Q.T
     trend = Q @ spectrum.trend
     linear = trend[:, 1:] @ trend[:, 1:].T
     errors, squares = np.empty_like(displacements), np.empty_like(displacements)
-    for chain, row in enumerate(displacements):
+    together = theta.shape[2] == 1
+    for chain in range(theta.shape[2]):
+        rows = slice(None) if together else slice(chain, chain + 1)
         v0, v1, a0, a1 = (np.exp(theta[:, k, chain])[:, None, None] for k in range(4))
         whole = v0 * covariance + a0 + a1 * linear + v1 * np.eye(len(Q))
+        whole += _JITTER * np.trace(whole, axis1=1, axis2=2)[:, None, None] * np.eye(len(Q))
         inverse = np.linalg.inv(whole)
-        own = np.diagonal(inverse, axis1=1, axis2=2)
-        each = (inverse @ row) / own
-        errors[chain] = each.mean(axis=0)
-        squares[chain] = (1.0 / own).mean(axis=0) + each.var(axis=0)
+        own = np.diagonal(inverse, axis1=1, axis2=2)[:, None]
+        each = (displacements[rows] @ inverse) / own
+        errors[rows] = each.mean(axis=0)
+        squares[rows] = (1.0 / own).mean(axis=0) + each.var(axis=0)
     return LeftOut(errors, np.sqrt(squares))
 
 
