@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from usdface.specs.base import Spec, frame_range
 from usdface.specs.join import JoinSpec
@@ -15,17 +16,20 @@ FrameRange = tuple[int, int]
 
 @dataclass(frozen=True)
 class ChunkSizes:
-    """Frames that one task works on.
+    """How many frames one task works on, and what becomes of its parts.
 
     Attributes
     ----------
     map : int
     movie : int or None
         None leaves a movie in one piece.
+    clips : {'auto', 'always', 'never'}
+        Whether the parts of a performance stay where they are, as value clips.
     """
 
     map: int
     movie: int | None = None
+    clips: Literal["auto", "always", "never"] = "auto"
 
 
 def parts_folder(out: Path) -> Path:
@@ -66,8 +70,7 @@ def in_chunks(step: Spec, sizes: ChunkSizes, frames: FrameRange | None) -> list[
             step.model_copy(update={"frames": text, "out": name, "chunk": None})
             for text, name in zip(chunks, names, strict=True)
         ]
-        # Beyond a size the join leaves parts where they are, or as many as the spec asks for.
-        clips = "auto" if step.chunk is None else "always"
+        clips = sizes.clips if step.chunk is None else "always"
         return [*parts, JoinSpec(parts=names, out=step.out, clips=clips)]
     if isinstance(step, MovieSpec) and sizes.movie is not None:
         chunks = _chunks(frames, sizes.movie)

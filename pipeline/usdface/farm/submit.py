@@ -60,7 +60,7 @@ def submit(spec: SubmitSpec, *, overwrite: bool = False, quiet: bool = False) ->
     job = _with_absolute_paths(read_job(spec.job))
     check_job_name(job.job)
     _check_inputs(job)
-    sizes = ChunkSizes(map=spec.chunk, movie=spec.movie_chunk)
+    sizes = ChunkSizes(map=spec.chunk, movie=spec.movie_chunk, clips=spec.clips)
     plan = plan_job(job, sizes=sizes, frames_of=_frames_of)
     files = compose_bundle(job.job, plan.steps, carried=_carried(job))
     bundle = spec.out or spec.job.with_name(f"{spec.job.stem}-{bundle_hash(files)}.bundle")

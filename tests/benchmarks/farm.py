@@ -1,0 +1,106 @@
+"""An hour mapped in chunks by `openjd run`, against one process that maps it whole.
+
+The take is the demo's actor again and again, 432,000 frames. Both routes are the installed command
+line on the same files; times are of the processor, all processes together, since other work on the
+machine would count otherwise. Chunks are those of `usdface submit` by default.
+"""
+
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+FRAMES = 432_000
+MOST_OVERHEAD = 1.1
+
+
+def run(frames: int = FRAMES) -> None:
+    """Print processor and wall times of each route, and whether it agrees value for value."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        _make_shot(folder, frames)
+        print(f"{frames:,} frames; target {MOST_OVERHEAD}\n")
+        print("| route | tasks | processor s | ratio | wall s | equal |")
+        print("|---|---|---|---|---|---|")
+        whole = _timed(["run", str(_job(folder, "whole"))])
+        print(f"| one process | 1 | {whole[0]:.1f} | 1.00 | {whole[1]:.1f} | |", flush=True)
+        for label, name, clips in (
+            ("chunks, played as value clips", "clips", "always"),
+            ("chunks, merged", "merged", "never"),
+        ):
+            told = _timed(["submit", str(_job(folder, name)), "--clips", clips])
+            tasks = len(list(folder.glob(f"{name}.job-*.bundle/tasks/*/*.yaml")))
+            print(
+                f"| {label} | {tasks} | {told[0]:.1f} | {told[0] / whole[0]:.2f} | {told[1]:.1f} "
+                f"| {_equal(folder, name)} |",
+                flush=True,
+            )
+
+
+def _make_shot(folder: Path, frames: int) -> None:
+    """Train on a few seconds of the demo's actor, and repeat them into a long cleaned take."""
+    from tests.steps.small_shot import make_inputs
+    from usdface.specs.reading import read_job
+    from usdface.steps.jobs import run_job
+    from usdface.usdio.take import read_take
+    from usdface.usdio.take_write import write_take
+
+    make_inputs(folder)
+    job = read_job(folder / "shot.job.yaml")
+    wanted = [step for step in job.steps if step.step not in ("map", "sheet")]
+    run_job(job.model_copy(update={"steps": tuple(wanted)}))
+    take = read_take(folder / "shot.clean.take.usda")
+    markers = take.markers
+    assert markers is not None
+    count = len(markers.positions)
+    again = np.abs((np.arange(frames) + count - 1) % (2 * count - 2) - (count - 1))
+    long = replace(
+        take,
+        markers=replace(
+            markers,
+            positions=markers.positions[again],
+            visible=markers.visible[again],
+            confidence=markers.confidence[again],
+        ),
+        head_motion=None if take.head_motion is None else take.head_motion[again],
+    )
+    write_take(folder / "long.take.usda", long)
+
+
+def _job(folder: Path, name: str) -> Path:
+    steps = [
+        {
+            "step": "map",
+            "take": "long.take.usda",
+            "mapping": "hero.mapping.usdc",
+            "rig": "hero.usdc",
+            "out": f"{name}.usda",
+        }
+    ]
+    file = folder / f"{name}.job.yaml"
+    file.write_text(yaml.safe_dump({"job": name, "steps": steps}), encoding="utf-8")
+    return file
+
+
+def _timed(arguments: list[str]) -> tuple[float, float]:
+    """Return processor and wall time of a command and all that it starts [s]."""
+    usdface = shutil.which("usdface", path=str(Path(sys.executable).parent)) or "usdface"
+    before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    subprocess.run([usdface, *arguments], check=True, capture_output=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return used, time.perf_counter() - begun
+
+
+def _equal(folder: Path, name: str) -> bool:
+    from usdface.usdio.performance import read_weights
+
+    whole, chunked = (read_weights(folder / f"{each}.usda") for each in ("whole", name))
+    return whole.names == chunked.names and bool(np.array_equal(whole.values, chunked.values))
