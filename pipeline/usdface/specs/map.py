@@ -43,6 +43,9 @@ class MapSpec(Spec):
     """The face in the rig's file, where it holds several."""
     frames: Frames | None = None
     """Map these frames only, as FIRST-LAST; what a frame becomes does not depend on it."""
+    alpha: ReadPath | None = None
+    """Share of the multiquadric in a hybrid over time: .csv (frame, alpha), or .usd with a
+    time-sampled float `face:mapping:alpha` on any prim."""
     chunk: Annotated[int, Field(ge=1)] | None = None
     """Write the weights in parts of this many frames, played as value clips; by default in one
     layer up to 1 GB."""

@@ -12,6 +12,7 @@ from usdface.provenance import Provenance
 from usdface.specs.base import frame_range
 from usdface.specs.map import MapSpec
 from usdface.steps.edited import edit_notes
+from usdface.steps.keyed_blend import check_blend, solve_blended
 from usdface.steps.placed_take import find_take_space, read_markers
 from usdface.steps.report import Report
 from usdface.steps.solving import solve_ahead
@@ -39,6 +40,8 @@ def run(
     mapping = read_mapping(spec.mapping)
     rig = read_rig(spec.rig, prim=spec.rig_prim)
     _check_rig(spec, mapping, rig)
+    if spec.alpha is not None:
+        check_blend(spec.mapping, mapping)
     take = TakeReader(spec.take)
     first, last = frame_range(spec.frames) or (take.first_frame, take.last_frame)
     _check_frames(spec, take, first, last)
@@ -60,7 +63,12 @@ def run(
     ) as writer:
         blocks = list(_blocks(take, first, last))
         placed = (space.place(read_markers(take, block.start, block.stop - 1)) for block in blocks)
-        for block, solved in zip(blocks, solve_ahead(mapping, placed), strict=True):
+        answers = (
+            solve_ahead(mapping, placed)
+            if spec.alpha is None
+            else solve_blended(mapping, placed, spec.alpha, blocks)
+        )
+        for block, solved in zip(blocks, answers, strict=True):
             asked = slice(max(first - block.start, 0), last + 1 - block.start)
             writer.append(
                 solved.weights[asked],
