@@ -283,6 +283,26 @@ def test_sides_move_together_and_change_places(desk: Desk) -> None:
     assert found == [[0.5, 0.5, 0.25, 0.0], [0.5, 0.75, 0.0, 0.25], [0.5, 0.5, 0.25, 0.0]]
 
 
+def test_the_policy_stops_what_gets_into_the_page(desk: Desk) -> None:
+    page = desk.page().page
+    won = page.evaluate(
+        """async () => {
+          const inline = document.createElement("script");
+          inline.textContent = "globalThis.won = true";
+          document.head.append(inline);
+          const handler = document.createElement("div");
+          handler.innerHTML = "<img src=x onerror='globalThis.won = true'>";
+          document.body.append(handler);
+          const out = await fetch("http://127.0.0.1:9/").then(() => 1, () => 0);
+          await new Promise((resolve) => setTimeout(resolve, 200));
+          let evaluated = 0; // only now: while a debugger evaluates, the policy is lifted
+          try { evaluated = (0, eval)("1"); } catch { /* refused */ }
+          return [globalThis.won ?? false, out, evaluated];
+        }"""
+    )
+    assert won == [False, 0, 0]
+
+
 class _Foreign(BaseHTTPRequestHandler):
     """Any other page of the machine: it is same-site, so the cookie alone would let it in."""
 

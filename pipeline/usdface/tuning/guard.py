@@ -85,6 +85,7 @@ class Guard:
             await self._app(scope, receive, send)
             return
         if scope["type"] != "http":  # there are no web sockets here
+            await send({"type": "websocket.close", "code": 1008})
             return
         request = Request.of(scope)
         answer = (

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import hashlib
 import logging
+import os
 import socket
 from collections.abc import Callable
 from pathlib import Path
@@ -140,9 +141,11 @@ def _listen(spec: TuneSpec) -> socket.socket:
     """
     asked = spec.port if spec.port else _own_port(spec.references)
     for port in (asked, 0):
-        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        # By name: asyncio spares sockets of protocol 0 TCP_NODELAY, and each answer waits 40 ms.
+        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         try:
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            if os.name == "posix":  # elsewhere it lets two programs share a port
+                listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listener.bind(("127.0.0.1", port))
             listener.listen(64)
         except OSError as error:

@@ -39,7 +39,7 @@ centroid in float vOpen;
 centroid in vec3 vGaze;
 centroid in float vReach;
 flat in int vPart;
-uniform float opacity;
+uniform float tint;
 out vec4 color;
 
 const int SKIN = 0;
@@ -93,10 +93,10 @@ void main() {
   vec3 over = max(light - 0.6, 0.0);
   light = min(light, 0.6) + 0.4 * over / (over + 0.4);
   float luma = dot(light, vec3(0.21, 0.72, 0.07));
-  light = mix(light, TINT * (0.15 + luma), 0.75 * clamp(vReach, 0.0, 1.0));
+  light = mix(light, TINT * (0.15 + luma), 0.75 * tint * clamp(vReach, 0.0, 1.0));
   vec3 shown = mix(12.92 * light, 1.055 * pow(light, vec3(1.0 / 2.4)) - 0.055,
                    step(0.0031308, light));
-  color = vec4(shown * opacity, opacity);
+  color = vec4(shown, 1.0);
 }`;
 
 export const MARK_VERTEX = `#version 300 es

@@ -192,7 +192,11 @@ export class FaceViewer {
         gl.framebufferRenderbuffer(gl.FRAMEBUFFER, attachment, gl.RENDERBUFFER, buffer);
         return buffer;
       });
-      return { frame, free: () => [gl.deleteFramebuffer(frame), ...buffers.map((each) => gl.deleteRenderbuffer(each))] };
+      const free = () => {
+        gl.deleteFramebuffer(frame);
+        for (const buffer of buffers) gl.deleteRenderbuffer(buffer);
+      };
+      return { frame, free };
     };
     const flat = make(0);
     const smooth = make(SAMPLES);
@@ -202,7 +206,7 @@ export class FaceViewer {
     this.#pose(weights);
     this.view = this.camera.view();
     this.projection = this.camera.projection(width / height);
-    this.#drawFace(width, height);
+    this.#drawFace(width, height, 0);
     gl.bindFramebuffer(gl.READ_FRAMEBUFFER, smooth.frame);
     gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, flat.frame);
     gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
@@ -283,7 +287,7 @@ export class FaceViewer {
     this.posed = true;
   }
 
-  #drawFace(width, height) {
+  #drawFace(width, height, tint = 1) {
     const { gl } = this;
     const { program, uniforms } = this.programs.face;
     gl.viewport(0, 0, width, height);
@@ -293,7 +297,7 @@ export class FaceViewer {
     gl.useProgram(program);
     gl.uniformMatrix4fv(uniforms.view, false, this.view);
     gl.uniformMatrix4fv(uniforms.projection, false, this.projection);
-    gl.uniform1f(uniforms.opacity, 1);
+    gl.uniform1f(uniforms.tint, tint);
     gl.bindVertexArray(this.array);
     gl.drawElements(gl.TRIANGLES, this.face.triangles.length, gl.UNSIGNED_INT, 0);
   }

@@ -54,16 +54,13 @@ export class Outbox extends EventTarget {
     for (const change of kept) {
       const shown = this.state.pairs[change.pair];
       if (shown?.take !== change.take || shown?.frame !== change.frame) continue;
-      const entry = this.#entry(change.pair);
-      for (const [name, value] of Object.entries(change.weights)) {
-        const shape = this.state.names.indexOf(name);
-        if (shape >= 0) entry.weights.set(shape, value);
-        found++;
-      }
-      if (typeof change.done === "boolean") entry.done = change.done;
+      const known = Object.entries(change.weights)
+        .map(([name, value]) => [this.state.names.indexOf(name), value])
+        .filter(([shape, value]) => shape >= 0 && this.state.row(change.pair)[shape] !== value);
+      found += known.length;
+      this.state.set(new Map(known), null, change.pair); // as any other change: it can be undone
+      if (typeof change.done === "boolean") this.state.setDone(change.done, change.pair);
     }
-    this.overlay();
-    if (this.waiting.size) this.#queue();
     return found;
   }
 
