@@ -4,6 +4,7 @@ References come from one half of the take and are scored on the other, both ways
 made up for the take, which has none: their places are random, as a mouth's are to a take of moods.
 """
 
+import csv
 import json
 import tempfile
 import time
@@ -14,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.benchmarks.crosstake import _prepare
 from tests.conftest import SHARED_DATA
 from usdface.assets import Mapping, Markers, References, Take
 from usdface.deformer import Deformer
@@ -22,6 +22,8 @@ from usdface.model.predict import predict_weights
 from usdface.model.skin import sample_skin
 from usdface.model.train import train_mapping
 from usdface.numerics.measure.face_regions import blinks
+from usdface.specs.clean import CleanSpec
+from usdface.specs.ingest import IngestSpec
 from usdface.specs.references import ReferencesImportSpec, SelectSpec
 from usdface.specs.train import TrainSpec
 from usdface.steps.cleaned_takes import read_cleaned_takes
@@ -64,6 +66,26 @@ def run() -> None:
         _print_starts(stage)
     with tempfile.TemporaryDirectory() as name:
         _print_speed(Path(name))
+
+
+def _prepare(folder: Path) -> np.lib.npyio.NpzFile:
+    """Ingest and clean the take, and write what an animator would key at every frame."""
+    source = SHARED_DATA / "crosstake"
+    said, truth = json.loads((source / "take.json").read_text()), np.load(source / "truth.npz")
+    execute(
+        IngestSpec(
+            sources=(source / "take.c3d",),
+            out=folder / "x.take.usda",
+            rigid=tuple(said["rigid"]),
+            neutral=said["neutral_frame"] + 1,  # an index there, a frame number here
+        )
+    )
+    execute(CleanSpec(take=folder / "x.take.usda", out=folder / "x.clean.take.usda"))
+    with (folder / "keys.csv").open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["frame", *truth["shapes"]])
+        writer.writerows([i, *row] for i, row in enumerate(truth["weights"], start=1))
+    return truth
 
 
 def _stage(folder: Path) -> Stage:

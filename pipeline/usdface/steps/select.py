@@ -10,6 +10,7 @@ from usdface.deformer import Deformer
 from usdface.errors import InputError
 from usdface.media.image import write_image
 from usdface.model.equation import BlendshapeEquation, set_up_equation
+from usdface.model.lip_contact import find_lips, keep_lip_contact
 from usdface.model.motion import fit_motion_space
 from usdface.model.selection import (
     Choice,
@@ -51,6 +52,7 @@ class _Scene:
     spec: SelectSpec
     takes: CleanedTakes
     rig: Rig
+    deformer: Deformer
     motion: MotionSpace
     equation: BlendshapeEquation
     space: SelectionSpace
@@ -193,7 +195,18 @@ def _set_up(
         ]
     )
     return _Scene(
-        spec, takes, rig, motion, equation, space, features, stand_ins, spoken, kept, candidates
+        spec,
+        takes,
+        rig,
+        deformer,
+        motion,
+        equation,
+        space,
+        features,
+        stand_ins,
+        spoken,
+        kept,
+        candidates,
     )
 
 
@@ -307,9 +320,11 @@ def _choose_next(scene: _Scene, mapped: MappedRows | None) -> Choice:
 
 def _propose(scene: _Scene, mapped: MappedRows | None, rows: IntArray) -> FloatArray:
     """Return weights to start from: the mapping's where there is one, else the rig's geometry."""
-    weights = scene.equation.propose(
-        _positions(scene.takes, rows), visible=np.concatenate(scene.takes.usable)[rows]
-    )
+    positions = _positions(scene.takes, rows)
+    weights = scene.equation.propose(positions, visible=np.concatenate(scene.takes.usable)[rows])
+    lips = find_lips(scene.equation, scene.deformer, scene.rig.shapes)
+    if lips is not None:
+        weights = keep_lip_contact(scene.equation, scene.deformer, lips, positions, weights)
     if mapped is not None:
         columns = [scene.rig.shapes.index(name) for name in mapped.shape_names]
         weights[:, columns] = mapped.weights(rows)
