@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from tests.small_scan import (
@@ -24,10 +25,10 @@ from usdface.specs.base import Spec
 from usdface.specs.bind import BindSpec, corrected_path
 from usdface.specs.deform import DeformSpec
 from usdface.specs.make_shapes import MakeShapesSpec
-from usdface.specs.map import MapSpec
+from usdface.specs.reading import read_job
 from usdface.specs.references import SelectSpec
-from usdface.specs.train import TrainSpec
 from usdface.steps.execute import execute
+from usdface.steps.jobs import check_job, run_job
 from usdface.steps.report import Report
 from usdface.usdio.binding import read_binding
 from usdface.usdio.mesh import read_face_mesh
@@ -193,30 +194,46 @@ def test_distances_are_kept_by_the_hash_of_the_surface_and_read_again(
     np.testing.assert_array_equal(points_at(folder / "talk.scan.usda", FIRST + 9), before)
 
 
-def test_a_scan_without_a_rig_is_selected_trained_and_mapped(folder: Path, scan: Scan) -> None:
-    run(make_shapes(folder, count=4))
-    rig = read_rig(folder / "scan.rig.usda")
-    assert len(rig.shapes) == 4
-    take, rig_file = folder / "talk.take.usda", folder / "scan.rig.usda"
-    run(SelectSpec(takes=(take,), rig=rig_file, count=16, out=folder / "scan.references.usda"))
-    run(
-        TrainSpec(
-            references=folder / "scan.references.usda",
-            method="ridge",
-            out=folder / "scan.mapping.usdc",
-        )
-    )
-    run(
-        MapSpec(
-            take=take,
-            mapping=folder / "scan.mapping.usdc",
-            rig=rig_file,
-            out=folder / "talk.acted.usda",
-        )
-    )
-    weights = read_performance(folder / "talk.acted.usda").weights.values
+def test_a_scan_without_a_rig_becomes_an_animated_face_in_one_job(folder: Path, scan: Scan) -> None:
+    mesh = {"take": "talk.take.usda", "mesh": "scan.usdc"}
+    rig = {"rig": "job.rig.usda"}
+    steps = [
+        {"step": "bind", **mesh, "out": "job.binding.usda", "landmarks": list(landmarks(scan))},
+        {
+            "step": "make-shapes",
+            **mesh,
+            "binding": "job.binding.usda",
+            "count": 4,
+            "out": "job.rig.usda",
+        },
+        {
+            "step": "select",
+            "takes": ["talk.take.usda"],
+            **rig,
+            "count": 16,
+            "out": "job.references.usda",
+        },
+        {
+            "step": "train",
+            "references": "job.references.usda",
+            "method": "ridge",
+            "out": "job.mapping.usdc",
+        },
+        {
+            "step": "map",
+            "take": "talk.take.usda",
+            "mapping": "job.mapping.usdc",
+            **rig,
+            "out": "job.acted.usda",
+        },
+    ]
+    job = folder / "scan.job.yaml"
+    job.write_text(yaml.safe_dump({"job": "scan", "steps": steps}), encoding="utf-8")
+    run_job(read_job(job))
+    weights = read_performance(folder / "job.acted.usda").weights.values
     assert weights.shape == (FRAMES, 4)
     assert weights.max() > 0.8
+    assert {state.state for state in check_job(read_job(job))} == {"done"}
 
 
 def test_a_shape_at_one_is_the_frame_it_was_made_of(folder: Path) -> None:

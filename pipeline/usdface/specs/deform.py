@@ -94,3 +94,5 @@ class DeformSpec(SurfaceSpec):
     (.jpg, .png or .exr)."""
     rows: Annotated[int, Field(ge=1, le=60)] = 6
     """How many frames the picture shows."""
+    picture_noise: Annotated[float, Field(ge=0.0, le=20.0)] = 0.0
+    """Shake the markers by so many millimetres in the picture, to see what smoothing is worth."""

@@ -47,10 +47,14 @@ def write_comparison(
     progress(0.0, f"drawing {spec.picture.name}")
     inside = [i for i, f in enumerate(plan.sample.frames) if frames[0] <= f <= frames[1]]
     every = plan.displacements(plan.sample.positions)
+    if spec.picture_noise:
+        every = every + np.random.default_rng(0).normal(0, spec.picture_noise, every.shape)
     moved = every[inside]
     rows = np.sort(most_different_rows(moved.reshape(len(moved), -1), spec.rows))
     chosen = moved[rows]
     columns, ways = _ways(spec, plan, every)
+    if spec.picture_noise and spec.method == "gp":  # it must know of the noise to smooth it
+        ways = (*ways[:-1], _as_planned(spec, plan, every))
     surfaces = [each.deform(chosen) for each in ways]
     sds = surfaces[-1].sd
     rest = plan.face.mesh.points
@@ -74,6 +78,7 @@ def write_comparison(
             f"{len(plan.columns)} markers",
             f"{len(rest)} points",
             f"left-out markers {plan.regression.diagnostics.left_out_rms_mm:.2f} mm",
+            *((f"markers shaken by {spec.picture_noise:g} mm",) if spec.picture_noise else ()),
         ),
         notes=("standard deviation of each point, and its root mean square",)
         if sds is not None
@@ -101,6 +106,12 @@ def _ways(
         )
     columns = ("Euclidean", "geodesic", f"blended {blend:.2f}, noise kept", "smoothed: this result")
     return columns, (*alone, fit(blend, NOISE_BELIEVED), plan.regression)
+
+
+def _as_planned(spec: DeformSpec, plan: SurfacePlan, moved: FloatArray) -> SurfaceRegression:
+    return fit_surface_regression(
+        plan.distances, moved, method="gp", sampler=spec.sampler, blend=plan.regression.blend
+    )
 
 
 def write_shapes_picture(
