@@ -1,6 +1,5 @@
 """Bundles: valid, the same bytes every time, and deaf to what names say."""
 
-import os
 from pathlib import Path
 
 import pytest
@@ -156,4 +155,20 @@ def test_tasks_are_specs_that_run_from_anywhere(tmp_path: Path, monkeypatch) -> 
     text = (done.bundle / "template.yaml").read_text()
     assert text.startswith(MARK)
     (task,) = read_job(done.bundle / "tasks" / "clean" / "1.yaml").steps
-    assert task.take == Path(os.path.normpath(tmp_path / "in.usda"))
+    assert task.take == tmp_path.resolve() / "in.usda"
+
+
+def test_a_job_that_leaves_the_folder_it_is_confined_to_is_not_submitted(
+    tmp_path: Path, monkeypatch
+) -> None:
+    shows = tmp_path / "shows"
+    shows.mkdir()
+    (tmp_path / "secret.usda").write_text("#usda 1.0\n")
+    (shows / "link").symlink_to(tmp_path)
+    monkeypatch.setenv("USDFACE_ROOT", str(shows))
+    for take in ("../secret.usda", "link/secret.usda", str(tmp_path / "secret.usda")):
+        job = shows / "job.yaml"
+        job.write_text(yaml.safe_dump({"step": "clean", "take": take, "out": "out.usda"}))
+        with pytest.raises(InputError, match="lies outside"):
+            submit(SubmitSpec(job=job, write_only=True))
+    assert sorted(path.name for path in shows.iterdir()) == ["job.yaml", "link"]

@@ -1,6 +1,5 @@
 """From a job's file to a farm."""
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from usdface.farm.plan import FarmStep, Plan, plan_job
 from usdface.farm.template import check_job_name
 from usdface.replacing import replacing
 from usdface.specs.base import LAYER_SUFFIXES, Reads
+from usdface.specs.confinement import check_confined, confinement_root
 from usdface.specs.job import JobSpec
 from usdface.specs.reading import read_job
 from usdface.specs.submit import SubmitSpec
@@ -59,6 +59,9 @@ def submit(spec: SubmitSpec, *, overwrite: bool = False, quiet: bool = False) ->
     """
     job = _with_absolute_paths(read_job(spec.job))
     check_job_name(job.job)
+    root = confinement_root()
+    if root is not None:
+        check_confined(tuple(job.steps), root)
     _check_inputs(job)
     sizes = ChunkSizes(map=spec.chunk, movie=spec.movie_chunk, clips=spec.clips)
     plan = plan_job(job, sizes=sizes, frames_of=_frames_of)
@@ -103,7 +106,8 @@ def _hand_over(
 
 def _with_absolute_paths(job: JobSpec) -> JobSpec:
     def absolute(path: Path) -> Path:
-        return Path(os.path.normpath(path.absolute()))
+        # `..` after a link does not lead back to where the link is.
+        return path.resolve() if ".." in path.parts else path.absolute()
 
     return job.model_copy(update={"steps": tuple(step.with_paths(absolute) for step in job.steps)})
 
