@@ -53,7 +53,7 @@ def run() -> None:
         print("| measure | median | 95 % | beside |")
         print("|---|---|---|---|")
         _saving(path)
-        _posting(path)
+        _posting(path, rig.shapes[0])
         _sliding(path)
 
 
@@ -76,7 +76,7 @@ def _sliding(path: Path) -> None:
     print(f"| page opened until the face is shown | {opened:.1f} s | | |")
 
 
-def _posting(path: Path) -> None:
+def _posting(path: Path, shape: str) -> None:
     """Send changes without a browser: here one draws on the processor that serves."""
     command = Command(path)
     home = command.link.split("/?")[0]
@@ -85,9 +85,8 @@ def _posting(path: Path) -> None:
     try:
         with httpx.Client(base_url=home) as client:
             client.get(command.link)
-            name = client.get("/face.json").json()["face"]["shapes"][0]["name"]
             for step in range(60):
-                change = {"pair": 1, "take": "take", "frame": 1, "weights": {name: step / 100}}
+                change = {"pair": 1, "take": "take", "frame": 1, "weights": {shape: step / 100}}
                 begun = time.perf_counter()
                 answer = client.post(
                     "/changes", json={"revision": revision, "changes": [change]}, headers=rights
