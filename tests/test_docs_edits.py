@@ -3,13 +3,12 @@
 import pytest
 
 from tests.regenerate import REPOSITORY
-from tests.steps.conftest import finished_shot, shot  # noqa: F401
 from tests.steps.small_shot import Shot
 from tests.test_docs import commands, run
 
 
 @pytest.mark.parametrize("page", ["edits", "checks"])
-def test_the_page_runs(page: str, shot: Shot, monkeypatch, capsys) -> None:  # noqa: F811
+def test_the_page_runs(page: str, shot: Shot, monkeypatch, capsys) -> None:
     monkeypatch.chdir(shot.folder)
     lines = commands(REPOSITORY / "docs" / f"{page}.md")
     assert lines

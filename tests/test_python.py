@@ -9,7 +9,6 @@ import pytest
 
 import usdface
 from tests.regenerate import REPOSITORY
-from tests.steps.conftest import finished_shot, shot  # noqa: F401
 from tests.steps.small_shot import Shot
 
 PAGE = REPOSITORY / "docs" / "python.md"
@@ -45,7 +44,7 @@ def test_what_is_wrong_with_a_step_is_said(tmp_path: Path) -> None:
         usdface.run_step("map", out=tmp_path / "a.usda")
 
 
-def test_the_documented_script_runs(shot: Shot, monkeypatch, capsys) -> None:  # noqa: F811
+def test_the_documented_script_runs(shot: Shot, monkeypatch, capsys) -> None:
     monkeypatch.chdir(shot.folder)
     (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
     exec(compile(code, str(PAGE), "exec"), {})
