@@ -263,6 +263,19 @@ def test_sequences_are_found_without_a_threshold_and_by_label(performed: Stall, 
     assert usdface(*line.split(), "--overwrite", "--shapes", "jaw*") == 0
 
 
+def test_faces_are_drawn_side_by_side(performed: Stall, capsys) -> None:
+    line = (
+        "faces shot.usda beast.shot.usda --out faces.png --rows 2 --tile 64 --quality draft --json"
+    )
+    assert usdface(*line.split()) == 0
+    frames = json.loads(capsys.readouterr().out)["figures"]["frames"]
+    assert len(frames) == 2
+    assert all(FIRST <= frame < FIRST + FRAMES for frame in frames)
+    assert read_image_metadata(Path("faces.png"))["step"] == "faces"
+    assert usdface(*line.split(), "--frames", "900-950", "--overwrite") == 2
+    assert "share no frame in 900-950" in capsys.readouterr().err
+
+
 def test_alpha_is_keyed_over_time(trained: Stall) -> None:
     assert usdface("train-retarget", "x.pairs.usda", "--out", "h.usda", "--method", "hybrid") == 0
     Path("alpha.csv").write_text("frame,alpha\n101,0\n150,1\n")

@@ -33,6 +33,7 @@ from usdface.specs.cyclic import CyclicSpec
 from usdface.specs.deform import DeformSpec
 from usdface.specs.edit import EditsImportSpec, EditSpec
 from usdface.specs.evaluate import EvaluateSpec
+from usdface.specs.faces import FacesSpec
 from usdface.specs.ingest import IngestSpec
 from usdface.specs.job import JobSpec
 from usdface.specs.join import JoinSpec
@@ -46,6 +47,7 @@ from usdface.specs.phones import PhonesSpec
 from usdface.specs.reading import read_job, spec_text
 from usdface.specs.reference_sheet import ReferenceSheetSpec
 from usdface.specs.references import ReferencesFromEditsSpec, ReferencesImportSpec, SelectSpec
+from usdface.specs.report import ReportSpec
 from usdface.specs.retarget import RetargetSpec
 from usdface.specs.sequences import FindSequencesSpec, MakeSequenceSpec
 from usdface.specs.sheet import SheetSpec
@@ -178,6 +180,7 @@ _STEPS: tuple[type[Spec], ...] = (
     SheetSpec,
     MovieSpec,
     MovieJoinSpec,
+    ReportSpec,
     EvaluateSpec,
     BindSpec,
     DeformSpec,
@@ -188,6 +191,7 @@ _STEPS: tuple[type[Spec], ...] = (
     MakeSequenceSpec,
     FindSequencesSpec,
     WarpSpec,
+    FacesSpec,
 )
 for _spec in _STEPS:
     _add(app, _spec.model_fields["step"].default, _spec)

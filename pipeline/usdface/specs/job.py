@@ -13,6 +13,7 @@ from usdface.specs.clean import CleanSpec
 from usdface.specs.cyclic import CyclicSpec
 from usdface.specs.deform import DeformSpec
 from usdface.specs.evaluate import EvaluateSpec
+from usdface.specs.faces import FacesSpec
 from usdface.specs.ingest import IngestSpec
 from usdface.specs.join import JoinSpec
 from usdface.specs.make_shapes import MakeShapesSpec
@@ -23,6 +24,7 @@ from usdface.specs.pairs import PairsImportSpec, PairsProposeSpec
 from usdface.specs.phones import PhonesSpec
 from usdface.specs.reference_sheet import ReferenceSheetSpec
 from usdface.specs.references import ReferencesFromEditsSpec, ReferencesImportSpec, SelectSpec
+from usdface.specs.report import ReportSpec
 from usdface.specs.retarget import RetargetSpec
 from usdface.specs.sequences import FindSequencesSpec, MakeSequenceSpec
 from usdface.specs.sheet import SheetSpec
@@ -48,6 +50,7 @@ STEP_SPECS: tuple[type[Spec], ...] = (
     SheetSpec,
     MovieSpec,
     MovieJoinSpec,
+    ReportSpec,
     EvaluateSpec,
     BindSpec,
     DeformSpec,
@@ -60,6 +63,7 @@ STEP_SPECS: tuple[type[Spec], ...] = (
     MakeSequenceSpec,
     FindSequencesSpec,
     WarpSpec,
+    FacesSpec,
 )
 
 AnyStep = Annotated[
@@ -79,6 +83,7 @@ AnyStep = Annotated[
     | SheetSpec
     | MovieSpec
     | MovieJoinSpec
+    | ReportSpec
     | EvaluateSpec
     | BindSpec
     | DeformSpec
@@ -90,7 +95,8 @@ AnyStep = Annotated[
     | CyclicSpec
     | MakeSequenceSpec
     | FindSequencesSpec
-    | WarpSpec,
+    | WarpSpec
+    | FacesSpec,
     Field(discriminator="step"),
 ]
 
