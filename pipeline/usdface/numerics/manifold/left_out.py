@@ -68,10 +68,11 @@ def leave_markers_out(spectrum: MarkerSpectrum, displacements: Array, theta: Arr
     trend = Q @ spectrum.trend
     linear = trend[:, 1:] @ trend[:, 1:].T
     errors, squares = np.empty_like(displacements), np.empty_like(displacements)
+    scales = np.exp(np.clip(theta, -30.0, 30.0))  # a take at rest has none
     together = theta.shape[2] == 1
     for chain in range(theta.shape[2]):
         rows = slice(None) if together else slice(chain, chain + 1)
-        v0, v1, a0, a1 = (np.exp(theta[:, k, chain])[:, None, None] for k in range(4))
+        v0, v1, a0, a1 = (scales[:, k, chain][:, None, None] for k in range(4))
         whole = v0 * covariance + a0 + a1 * linear + v1 * np.eye(len(Q))
         whole += _JITTER * np.trace(whole, axis1=1, axis2=2)[:, None, None] * np.eye(len(Q))
         inverse = np.linalg.inv(whole)

@@ -22,6 +22,9 @@ from usdface.numerics.manifold.hyper_posterior import PAIRS, MarkerSpectrum
 Array = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 
+_FARTHEST = 30.0
+"""Of theta: a take that stands still drives scales to 0, which single precision cannot divide."""
+
 
 @dataclass(frozen=True)
 class DualMoments:
@@ -56,7 +59,8 @@ def average_dual_weights(
     P = spectrum.trend.astype(np.float32)
     count, chains, samples = len(P), len(rotated), len(theta)
     products = np.stack([P[:, i] * P[:, j] for i, j in PAIRS], axis=1)
-    scales = np.exp(np.moveaxis(theta, 2, 0)).astype(np.float32)  # chains, samples, 4
+    within = np.clip(np.moveaxis(theta, 2, 0), -_FARTHEST, _FARTHEST)  # chains, samples, 4
+    scales = np.exp(within).astype(np.float32)
     v0, v1 = scales[..., 0], scales[..., 1]
     ratio = (v0 / v1)[..., None]
     R = 1.0 / (1.0 + ratio * spectrum.values.astype(np.float32))
@@ -194,9 +198,10 @@ def predict_variance(fields: SurfaceFields, moments: DualMoments) -> Float32Arra
     """Return variances: (chains, points) float32 array [mm^2]."""
     upper = np.triu_indices(moments.covariance.shape[1])
     entries = moments.covariance[:, upper[0], upper[1]]
-    out: Float32Array = (entries @ fields.reading.T) @ fields.squares.T
+    read = entries @ fields.reading.T
+    out = (read @ fields.squares.T).astype(np.float32, copy=False)
     np.add(out, moments.constant[:, None], out=out)
-    return out.clip(min=0.0)
+    return np.maximum(out, 0.0, out=out)
 
 
 def mix_variances(moments: DualMoments, shares: Array) -> DualMoments:

@@ -1,0 +1,149 @@
+"""Regression over the surface: its errors on performed faces, and the sampler's speed."""
+
+import time
+
+import numpy as np
+from scipy import sparse
+
+from tests.benchmarks._dense_sampler import sample_densely
+from tests.benchmarks._surface_subjects import Subject, demo_subject, recorded_subject
+from usdface.model.surface_regression import (
+    fit_surface_regression,
+    surface_distances,
+)
+from usdface.numerics.manifold.chain_diagnostics import effective_sample_size, split_rhat
+from usdface.numerics.manifold.hyper_sampling import sample_hyperparameters
+from usdface.numerics.measure.lip_gap import find_lip_pairs
+
+WAYS = {
+    "RBF, Euclidean": {"method": "rbf", "blend": 0.0},
+    "RBF, blended": {"method": "rbf"},
+    "GP, shared sample": {"sampler": "shared"},
+    "GP, mode and Laplace": {"sampler": "map"},
+    "GP, HMC": {},
+    "GP, HMC, w chosen": {"blend": None},
+    "GP, HMC, w = 1": {"blend": 1.0},
+    "GP, HMC, eq. 7's shape": {"covariance_shape": "squared-exponential"},
+}
+
+
+def run(frames: int = 24) -> None:
+    """Print accuracy on every face there is, then speed."""
+    for subject in (recorded_subject(frames), demo_subject(frames)):
+        if subject is None:
+            print("ict_face with recorded curves: skipped, no shared data\n")
+            continue
+        accuracy(subject)
+    speed()
+
+
+def accuracy(subject: Subject) -> None:
+    """Print errors at unseen points, the lips' opening and what 95 % intervals hold."""
+    distances = surface_distances(
+        subject.points,
+        subject.counts,
+        subject.indices,
+        subject.places.faces,
+        subject.places.weights,
+        marker_corners=subject.places.corners,
+    )
+    moving = np.linalg.norm(subject.motion, axis=2).max(axis=0) > 0.5
+    moving[subject.chosen] = False
+    print(f"{subject.name}: {len(subject.chosen)} markers, {moving.sum()} unseen moving points\n")
+    print("| noise [mm] | method | RMSE [mm] | lips' opening | in 95 % intervals |")
+    print("|---|---|---|---|---|")
+    rng = np.random.default_rng(0)
+    for noise in (0.0, 0.5):
+        moved = subject.motion[:, subject.chosen]
+        moved = moved + noise * rng.standard_normal(moved.shape)
+        for name, options in WAYS.items():
+            found = fit_surface_regression(distances, moved, **options).deform(moved, of_axes=True)
+            error = (found.mean - subject.motion)[:, moving]
+            held = "-"
+            if found.sd_of_axes is not None:
+                inside = np.abs(error) < 1.96 * found.sd_of_axes[:, moving]
+                held = f"{100 * inside.mean():.1f} %"
+            rms = float(np.sqrt((error**2).mean()))
+            print(
+                f"| {noise} | {name} | {rms:.3f} | {_opening(subject, found.mean)} | {held} |",
+                flush=True,
+            )
+    print()
+
+
+def _opening(subject: Subject, motion: np.ndarray) -> str:
+    pairs = find_lip_pairs(
+        subject.points, sparse.csr_array(subject.offsets), jaw_open=subject.jaw, mouth=subject.mouth
+    )
+    if pairs is None:
+        return "-"
+
+    def gap(of: np.ndarray) -> np.ndarray:
+        return ((of[:, pairs.upper] - of[:, pairs.lower]) @ pairs.direction).mean(axis=1)
+
+    true = gap(subject.motion)
+    open_frames = true > 0.5 * true.max()
+    return f"{100 * gap(motion)[open_frames].mean() / true[open_frames].mean():.0f} %"
+
+
+def speed(frames: int = 256) -> None:
+    """Print the sampler's speed over a dense one's in the same run, and of whole fields."""
+    subject = demo_subject(frames, markers=42)
+    distances = surface_distances(
+        subject.points,
+        subject.counts,
+        subject.indices,
+        subject.places.faces,
+        subject.places.weights,
+        marker_corners=subject.places.corners,
+    )
+    rng = np.random.default_rng(0)
+    moved = subject.motion[:, subject.chosen]
+    moved = moved + 0.15 * rng.standard_normal(moved.shape)
+    fitted = fit_surface_regression(distances, moved, length_scale=40.0)
+    table = fitted.table
+    if table is None:
+        return
+    rows = np.ascontiguousarray(moved.transpose(0, 2, 1).reshape(-1, moved.shape[1]))
+    start = time.process_time()
+    samples, modes = sample_hyperparameters(rng, table, rows)
+    ours = frames / (time.process_time() - start)
+    again = sample_hyperparameters(rng, table, rows)[0]
+    start = time.process_time()
+    sample_densely(rng, table.spectrum, rows[:3], modes.best.root[..., :3], modes.best.mode[:, :3])
+    dense = 1 / (time.process_time() - start)
+    theta = np.stack([samples.theta, again.theta], axis=1)
+    ess = np.median(effective_sample_size(theta[:, :1]))
+    points = np.tile(subject.points, (3, 1))[:26_719]
+    basis = np.tile(fitted.fields.basis, (3, 1))[: len(points)]
+    squares = np.tile(fitted.fields.squares, (3, 1))[: len(points)]
+    whole = _grown(fitted, basis, squares)
+    start, wall = time.process_time(), time.perf_counter()
+    for _ in whole.stream(moved):
+        pass
+    cpu, wall = time.process_time() - start, time.perf_counter() - wall
+    print("| 42 markers, 3 axes, 200 saved samples | | wanted |")
+    print("|---|---|---|")
+    print(f"| sampled frames a second of one core | {ours:.0f} | |")
+    print(f"| a dense sampler's, same trajectories | {dense:.2f} | |")
+    print(f"| ratio | {ours / dense:.0f}× | ≥ 300× |")
+    print(f"| effective samples, median | {ess:.0f} | ≥ 150 |")
+    print(f"| split R-hat, median | {np.median(split_rhat(theta)):.4f} | |")
+    print(f"| acceptance | {samples.acceptance.mean():.2f} | |")
+    print(f"| posteriors with two modes | {100 * modes.double.mean():.1f} % | |")
+    print(
+        f"| mean and deviation on {len(points):,} points, frames a CPU second | "
+        f"{frames / cpu:.0f} | ≥ 60 |"
+    )
+    print(f"| the same, frames a second as measured | {frames / wall:.0f} | ≥ 120 |")
+
+
+def _grown(fitted, basis: np.ndarray, squares: np.ndarray):  # type: ignore[no-untyped-def]
+    """Return the regression on a mesh of as many points as ICT's head."""
+    from dataclasses import replace
+
+    widening = replace(
+        fitted.widening, of_points=np.tile(fitted.widening.of_points, 3)[: len(basis)]
+    )
+    fields = replace(fitted.fields, basis=basis, squares=squares)
+    return replace(fitted, fields=fields, widening=widening, point_count=len(basis))
