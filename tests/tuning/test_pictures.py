@@ -1,0 +1,107 @@
+"""The picture beside the face is the one the camera took of it, and what is missing is said."""
+
+import io
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from tests.media.bar_code import draw_number, read_number, write_numbered
+from tests.tuning.small_asset import small_references, write_asset
+from tests.usdio.test_take import small_take
+from usdface.assets import References, Video
+from usdface.errors import InputError
+from usdface.media.image import write_image
+from usdface.tuning.pictures import PairPictures
+from usdface.usdio.take_write import write_take
+from usdface.usdio.tuning import PairNotes, read_pair_notes, take_files
+
+RATE = Fraction(24)
+OFFSET, DRIFT = -0.51, 40.0  # no pair on the edge between two frames
+FRAMES = np.array([101, 118, 119, 160, 240])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("take")
+    write_numbered(made / "kitchen.mov", list(range(60)), base=1 / RATE, rate=RATE)
+    video = Video(made / "kitchen.mov", RATE, OFFSET, DRIFT)
+    write_take(made / "kitchen.take.usda", replace(small_take(), video=video))
+    return made
+
+
+def references(folder: Path) -> References:
+    return replace(small_references(folder), frames=FRAMES)
+
+
+def pictures(folder: Path, **changes: object) -> PairPictures:
+    notes = [PairNotes()] * 5
+    given = {"notes": notes, "takes": [folder / "kitchen.take.usda"]} | changes
+    return PairPictures(references(folder), given["notes"], given["takes"])  # type: ignore[arg-type]
+
+
+def decoded(data: bytes) -> np.ndarray:
+    with av.open(io.BytesIO(data)) as container:
+        return next(container.decode(video=0)).to_ndarray(format="rgb24")
+
+
+def test_each_pair_shows_the_video_frame_of_its_moment(folder: Path) -> None:
+    shown = pictures(folder)
+    for pair in (0, 4, 2, 1, 3, 0):
+        seconds = ((FRAMES[pair] - 101) / 120 - OFFSET) / (1 + DRIFT * 1e-6)
+        assert read_number(decoded(shown.jpeg(pair))) == int(seconds * 24 + 1e-9)
+    shown.close()
+
+
+def test_a_moment_the_camera_did_not_record_is_said(folder: Path) -> None:
+    shown = PairPictures(
+        replace(references(folder), frames=FRAMES + 2000),
+        [PairNotes()] * 5,
+        [folder / "kitchen.take.usda"],
+    )
+    with pytest.raises(InputError, match="the video of kitchen does not show frame 2101"):
+        shown.jpeg(0)
+    shown.close()
+
+
+def test_a_picture_that_the_asset_names_goes_before_the_video(folder: Path) -> None:
+    write_image(folder / "pair.png", draw_number(777))
+    notes = [PairNotes(image=folder / "pair.png"), *[PairNotes()] * 4]
+    shown = pictures(folder, notes=notes)
+    assert read_number(decoded(shown.jpeg(0))) == 777
+    assert read_number(decoded(shown.jpeg(1))) != 777
+    shown.close()
+
+
+@pytest.mark.parametrize(
+    ("video", "message"),
+    [
+        (None, "the take kitchen has no video"),
+        (Video(Path("gone.mov"), RATE), "gone.mov: no such file"),
+    ],
+    ids=["none", "gone"],
+)
+def test_what_is_missing_is_named(tmp_path: Path, video: Video | None, message: str) -> None:
+    write_take(tmp_path / "kitchen.take.usda", replace(small_take(), video=video))
+    with pytest.raises(InputError, match=message):
+        pictures(tmp_path).jpeg(0)
+
+
+def test_a_take_that_moved_is_asked_for_by_name(tmp_path: Path) -> None:
+    gone = pictures(tmp_path)
+    assert gone.reason_without(0)
+    with pytest.raises(InputError, match=r"kitchen"):
+        gone.jpeg(0)
+    nowhere = pictures(tmp_path, takes=[])
+    assert nowhere.reason_without(0) == (
+        "the take kitchen was not found; name its file with --takes"
+    )
+
+
+def test_an_asset_made_by_hand_knows_no_takes_and_has_no_notes(tmp_path: Path) -> None:
+    path = write_asset(tmp_path)
+    assert take_files(path) == ()
+    assert read_pair_notes(path, 5) == [PairNotes()] * 5
