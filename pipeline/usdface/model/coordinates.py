@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.assets import BoolArray, FloatArray, MotionSpace
+from usdface.assets import BoolArray, Float32Array, FloatArray, MotionSpace
 
 NOISE_FLOOR_MM = 0.05
 """Least noise assumed of a marker's coordinate: optical systems resolve about this."""
@@ -22,13 +22,13 @@ class Coordinates:
     certainty : (frames,) float array
         Share of the markers that are seen times the share of the face's motion that they
         determine [0-1].
-    residual_mm : (frames,) float array
-        Root mean square distance of the markers seen from what the motion space can say [mm].
+    away_mm : (frames, markers) float32 array
+        Distance of each marker from what the motion space can say; NaN where it is not seen [mm].
     """
 
     values: FloatArray
     certainty: FloatArray
-    residual_mm: FloatArray
+    away_mm: Float32Array
 
 
 def noise_variance(motion: MotionSpace) -> float:
@@ -58,19 +58,31 @@ def marker_coordinates(
     visible : (frames, markers) bool array, optional
         By default all are.
     """
-    frames, markers = positions.shape[:2]
-    seen = np.ones((frames, markers), dtype=bool) if visible is None else visible
+    frames = len(positions)
     offsets = positions.reshape(frames, -1).astype(np.float64)
     offsets -= motion.mean
-    offsets[~np.repeat(seen, 3, axis=1)] = 0.0  # also what keeps NaN out
-    values = offsets @ motion.components.T
     certainty = np.ones(frames)
-    for pattern, rows in _patterns(seen):
+    if visible is None or visible.all():
+        values = offsets @ motion.components.T
+        return Coordinates(values, certainty, _distances(motion, offsets, values))
+    offsets[~np.repeat(visible, 3, axis=1)] = 0.0  # also what keeps NaN out
+    values = offsets @ motion.components.T
+    for pattern, rows in _patterns(visible):
         values[rows], certainty[rows] = _conditional(motion, offsets[rows], pattern)
-    away = offsets - values @ motion.components
-    away[~np.repeat(seen, 3, axis=1)] = 0.0
-    squared = np.einsum("ij,ij->i", away, away) / np.maximum(seen.sum(axis=1), 1)
-    return Coordinates(values, certainty, np.sqrt(squared))
+    distances = _distances(motion, offsets, values)
+    distances[~visible] = np.nan
+    return Coordinates(values, certainty, distances)
+
+
+def _distances(motion: MotionSpace, offsets: FloatArray, values: FloatArray) -> Float32Array:
+    """How far each marker is from what the coordinates say; single precision is enough."""
+    away = offsets.astype(np.float32)
+    away -= values.astype(np.float32) @ motion.components.astype(np.float32)
+    np.square(away, out=away)
+    squared: Float32Array = away[:, 0::3] + away[:, 1::3]
+    squared += away[:, 2::3]
+    np.sqrt(squared, out=squared)
+    return squared
 
 
 def _patterns(seen: BoolArray) -> list[tuple[BoolArray, NDArray[np.int64]]]:

@@ -1,9 +1,16 @@
-"""How far a frame is from what the references showed."""
+"""How large the error of a frame is likely to be, in each part of the face.
+
+A frame far from what the references showed is a guess: the variance that a Gaussian process has
+left there says how far. How errors grow with it is learned from references that were predicted
+without themselves: their errors over the square root of that variance have a distribution, and
+with it a frame's variance becomes the probability of an error that nobody sees.
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial.distance import cdist, pdist
+from scipy.special import ndtr, ndtri
 
 from usdface.assets import FloatArray, MotionSpace
 from usdface.model.coordinates import noise_variance
@@ -18,9 +25,17 @@ SIGNAL_TO_NOISE = 4.0
 NOISE = 1e-3
 LINEAR_SHARE = 0.5
 
-LEAST_ERROR = 0.3
-"""Of the tolerance: references predict each other well where the face is simple, and say nothing
-of what it has not shown."""
+LEAST_SPREAD = 0.35
+"""Of the logarithm of errors: few references agree by chance."""
+
+UNKNOWN_SPREAD = 0.7
+"""The same where references were too few to compare."""
+
+EXCESS = 1.1
+"""Errors on takes over those on pairs left out, on the performers of `tests/benchmarks`: pairs are
+chosen, a take does as it likes."""
+
+CONFIDENT = 0.9
 
 
 def fit_familiarity(
@@ -28,9 +43,9 @@ def fit_familiarity(
     motion: MotionSpace,
     *,
     folds: Sequence[Fold],
-    error_over_tolerance: float = 1.0,
+    error_over_tolerance: FloatArray,
 ) -> dict[str, FloatArray]:
-    """Learn how much of a frame the references say: the variance of a Gaussian process.
+    """Learn how errors depend on how much of a frame the references say.
 
     Parameters
     ----------
@@ -38,15 +53,15 @@ def fit_familiarity(
         Of the references.
     motion : MotionSpace
     folds : sequence of Fold
-        Of the cross-validation that the error comes from.
-    error_over_tolerance : float
-        Error of references predicted by other folds, over the error that halves the confidence:
-        turns variance into the error to expect.
+        Of the cross-validation that the errors come from.
+    error_over_tolerance : (pairs, regions) float array
+        Errors of references predicted by other folds, over the error that would be seen.
+        A single row where nothing was compared.
 
     Returns
     -------
     dict of str to float array
-        What `familiarity` reads, as part of a mapping.
+        What `confidence_of` and `likely_error` read, as part of a mapping.
     """
     heard = int((motion.variances > SIGNAL_TO_NOISE * noise_variance(motion)).sum())
     kept = max(1, min(DIMENSIONS, coordinates.shape[1], heard))
@@ -54,21 +69,34 @@ def fit_familiarity(
     rows = coordinates[:, :kept] * scale
     width = float(np.median(pdist(rows, "sqeuclidean"))) or 1.0
     size = float(np.einsum("ij,ij->", rows, rows)) / len(rows) or 1.0
-    settings = np.array([width, size, 1.0])
+    reach = float(np.einsum("ij,ij->i", rows, rows).max()) or 1.0
+    settings = np.array([width, size, reach])
     covariance = _kernel(rows, rows, settings)
     inverse = np.linalg.inv(covariance + NOISE * np.eye(len(rows)))
-    unseen = np.concatenate([_unseen_variance(covariance, fold) for fold in folds])
-    settings[2] = float(np.mean(unseen)) / max(error_over_tolerance, LEAST_ERROR) ** 2
+    unseen = np.full(len(rows), np.nan)
+    for fold in folds:
+        unseen[fold.test] = _unseen_variance(covariance, fold)
+    if len(error_over_tolerance) == len(rows):
+        logs = np.log(np.maximum(error_over_tolerance, 1e-3)) - 0.5 * np.log(unseen)[:, None]
+        middle, spread = logs.mean(axis=0), np.maximum(logs.std(axis=0), LEAST_SPREAD)
+    else:
+        middle = np.log(error_over_tolerance[0]) - 0.5 * np.log(unseen.mean())
+        spread = np.full(len(middle), UNKNOWN_SPREAD)
+    middle = middle + np.log(EXCESS)
     return {
         "familiar_rows": rows,
         "familiar_scale": scale,
         "familiar_inverse": inverse,
         "familiar_settings": settings,
+        "familiar_error": np.stack([middle, spread]),
     }
 
 
-def familiarity(arrays: dict[str, FloatArray], coordinates: FloatArray) -> FloatArray:
-    """Rate frames by how well the references cover them.
+def unfamiliarity(arrays: dict[str, FloatArray], coordinates: FloatArray) -> FloatArray:
+    """Return the variance that the references leave of each frame.
+
+    Further out than any reference errors grow with the square of the distance: there no line need
+    go on, and limits cut weights off.
 
     Parameters
     ----------
@@ -79,16 +107,51 @@ def familiarity(arrays: dict[str, FloatArray], coordinates: FloatArray) -> Float
     Returns
     -------
     (frames,) float array
-        Near 1 where the error to expect is far below the tolerance, 0.5 where it reaches it,
-        towards 0 beyond.
+        In units of the process's variance.
     """
     scale, settings = arrays["familiar_scale"], arrays["familiar_settings"]
     rows = coordinates[:, : len(scale)] * scale
     known = _kernel(rows, arrays["familiar_rows"], settings)
-    own = 1.0 + LINEAR_SHARE * np.einsum("ij,ij->i", rows, rows) / settings[1]
-    left = own - np.einsum("ij,ij->i", known @ arrays["familiar_inverse"], known)
-    rated: FloatArray = 1 / (1 + np.maximum(left, 0.0) / settings[2])
-    return rated
+    distance = np.einsum("ij,ij->i", rows, rows)
+    own = 1.0 + LINEAR_SHARE * distance / settings[1]
+    left: FloatArray = own - np.einsum("ij,ij->i", known @ arrays["familiar_inverse"], known)
+    left = np.maximum(left, NOISE)
+    left *= np.maximum(distance / settings[2], 1.0) ** 2
+    return left
+
+
+def confidence_of(arrays: dict[str, FloatArray], left: FloatArray) -> FloatArray:
+    """Return the probability that errors stay below the tolerance.
+
+    Parameters
+    ----------
+    arrays : dict
+        From `fit_familiarity`.
+    left : (frames,) float array
+        From `unfamiliarity`.
+
+    Returns
+    -------
+    (frames, regions) float array
+        [0-1]
+    """
+    middle, spread = arrays["familiar_error"]
+    far: FloatArray = ndtr(-(middle + 0.5 * np.log(left)[:, None]) / spread)
+    return far
+
+
+def likely_error(
+    arrays: dict[str, FloatArray], left: FloatArray, *, probability: float = CONFIDENT
+) -> FloatArray:
+    """Return the error, in tolerances, that is not exceeded with this probability.
+
+    Returns
+    -------
+    (frames, regions) float array
+    """
+    middle, spread = arrays["familiar_error"]
+    error: FloatArray = np.exp(middle + spread * ndtri(probability)) * np.sqrt(left)[:, None]
+    return error
 
 
 def _unseen_variance(covariance: FloatArray, fold: Fold) -> FloatArray:

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.assets import BoolArray, FloatArray, Mapping
+from usdface.assets import BoolArray, Float32Array, FloatArray, Mapping
 from usdface.errors import InputError
 from usdface.model.coordinates import marker_coordinates
-from usdface.model.familiarity import familiarity
+from usdface.model.familiarity import confidence_of, likely_error, unfamiliarity
 from usdface.model.methods import find_method
 from usdface.model.train import motion_of
 
@@ -24,16 +24,29 @@ class Prediction:
     weights : (frames, shapes) float array
         Within the mapping's ranges.
     confidence : (frames,) float array
-        [0-1]: how well the references cover the frame, times how much of the face's motion the
+        [0-1]: probability that the face is within the tolerance of what an animator would key
+        (`usdface.model.train.SURFACE_TOLERANCE_MM`), times how much of the face's motion the
         markers seen determine.
     residual_mm : (frames,) float array
         Root mean square distance of the markers seen from anything the performer's takes showed
         [mm]: large where markers are swapped or the face does something new.
+    regions : tuple of str
+        Parts of the face, the whole first.
+    region_confidence : (frames, regions) float array
+    region_residual_mm : (frames, regions) float array
+        0 where no marker of the region is seen [mm].
+    region_error : (frames, regions) float array
+        What the error stays below nine times in ten: in mm on the surface where training knew the
+        rig, else in weights.
     """
 
     weights: FloatArray
     confidence: FloatArray
     residual_mm: FloatArray
+    regions: tuple[str, ...]
+    region_confidence: FloatArray
+    region_residual_mm: FloatArray
+    region_error: FloatArray
 
 
 def predict_weights(
@@ -61,9 +74,10 @@ def predict_weights(
     method = find_method(mapping.method)
     motion = motion_of(mapping)
     _check_positions(mapping, positions, visible)
-    frames = len(positions)
+    frames, regions = len(positions), regions_of(mapping)
+    held = mapping.arrays["region_markers"].T
     weights = np.empty((frames, len(mapping.shape_names)))
-    confidence, residual = np.empty(frames), np.empty(frames)
+    confidence, residual, error = (np.empty((frames, len(regions))) for _ in range(3))
     for start in range(0, frames, BLOCK_FRAMES):
         part = slice(start, start + BLOCK_FRAMES)
         found = marker_coordinates(
@@ -71,9 +85,43 @@ def predict_weights(
         )
         raw = method.predict(mapping.arrays, mapping.settings, found.values)
         np.clip(raw, mapping.ranges[:, 0], mapping.ranges[:, 1], out=weights[part])
-        confidence[part] = familiarity(mapping.arrays, found.values) * found.certainty
-        residual[part] = found.residual_mm
-    return Prediction(weights, confidence, residual)
+        left = unfamiliarity(mapping.arrays, found.values)
+        confidence[part] = confidence_of(mapping.arrays, left) * found.certainty[:, None]
+        error[part] = likely_error(mapping.arrays, left) * mapping.arrays["region_tolerance"]
+        residual[part] = _by_region(found.away_mm, held)
+    return Prediction(
+        weights, confidence[:, 0], residual[:, 0], regions, confidence, residual, error
+    )
+
+
+def _by_region(away_mm: Float32Array, held: FloatArray) -> FloatArray:
+    """Root mean square over each region's markers seen; 0 where there are none."""
+    seen = np.isfinite(away_mm)
+    if seen.all():
+        counts = held.sum(axis=0)
+    else:
+        away_mm, counts = np.where(seen, away_mm, 0.0), seen @ held
+    mean: FloatArray = np.square(away_mm).astype(np.float64) @ held
+    mean /= np.maximum(counts, 1)
+    return np.sqrt(mean, out=mean)
+
+
+def regions_of(mapping: Mapping) -> tuple[str, ...]:
+    """Return the parts of the face that a mapping tells residual and confidence for.
+
+    Raises
+    ------
+    InputError
+        If the mapping was trained before there were any.
+    """
+    needed = ("region_markers", "region_tolerance", "familiar_error")
+    lacking = [name for name in needed if name not in mapping.arrays]
+    if lacking or "regions" not in mapping.settings:
+        raise InputError(
+            f"the mapping lacks {', '.join(lacking) or 'its regions'}; train it again with this "
+            "version"
+        )
+    return tuple(str(mapping.settings["regions"]).split(","))
 
 
 def _check_positions(

@@ -20,10 +20,12 @@ from usdface.model.familiarity import fit_familiarity
 from usdface.model.methods import AUTO, Method, Pairs, Settings, find_method
 from usdface.model.motion import motion_from_pca
 from usdface.model.reference_checks import check_dimensions, check_references, check_skin
+from usdface.model.regions import marker_motion, membership, region_points
 from usdface.numerics.regression.cross_validation import (
     Fold,
     blocked_folds,
     predict_out_of_fold,
+    surface_errors_mm,
     surface_rms_mm,
     weight_rmse,
 )
@@ -40,7 +42,7 @@ OBSERVABLE = 0.9
 
 SURFACE_TOLERANCE_MM = 1.0
 WEIGHT_TOLERANCE = 0.1
-"""Errors to expect that halve a frame's confidence: such a frame should be looked at."""
+"""Errors that would be seen: confidence is the probability of smaller ones."""
 
 
 @dataclass(frozen=True)
@@ -123,12 +125,15 @@ def train_mapping(
         "motion_variances": motion.variances,
         "motion_total": np.array([motion.total_variance]),
     }
-    doubt = fit_familiarity(
-        pairs.coordinates,
-        motion,
-        folds=folds,
-        error_over_tolerance=_error_over_tolerance(scored[0][0]) if scored else 1.0,
+    regions = region_points(
+        checked.shape_names, marker_motion(pairs.weights, checked.markers.astype(np.float64))
     )
+    errors = next((each for each, tried_one in tried if tried_one is best), None)
+    tolerance, seen = _seen_errors(errors, pairs, tuple(regions), checked.shape_names, gram)
+    doubt = fit_familiarity(pairs.coordinates, motion, folds=folds, error_over_tolerance=seen) | {
+        "region_markers": membership(regions, len(checked.marker_names)),
+        "region_tolerance": np.array([tolerance]),
+    }
     arrays = fitted.arrays | space | doubt
     return Mapping(
         method=best.method.name,
@@ -144,6 +149,7 @@ def train_mapping(
         | {
             "pairs": len(pairs.weights),
             "limited_weights": sound.limited_weights,
+            "regions": ",".join(regions),
             "unobservable_shapes": int((~told).sum()),
         },
         scores=tuple(score for score, _ in scored),
@@ -236,10 +242,26 @@ def _score(
     )
 
 
-def _error_over_tolerance(score: CandidateScore) -> float:
-    if np.isnan(score.vertex_rms_mm):
-        return score.weight_rmse / WEIGHT_TOLERANCE
-    return score.vertex_rms_mm / SURFACE_TOLERANCE_MM
+def _seen_errors(
+    errors: FloatArray | None,
+    pairs: Pairs,
+    regions: tuple[str, ...],
+    names: tuple[str, ...],
+    gram: FloatArray | None,
+) -> tuple[float, FloatArray]:
+    """Return the tolerance, and errors over it: (pairs, regions), or a row where none are known."""
+    tolerance = WEIGHT_TOLERANCE if gram is None else SURFACE_TOLERANCE_MM
+    if errors is None:
+        return tolerance, np.ones((1, len(regions)))
+    whole = np.sqrt((errors**2).mean(axis=1)) if gram is None else surface_errors_mm(errors, gram)
+    each = np.tile(whole[:, None], (1, len(regions)))
+    if gram is not None and pairs.skin is not None:
+        for region, points in region_points(names, pairs.skin).items():
+            if region in regions[1:]:
+                moved = np.einsum("ns,spc->npc", errors, pairs.skin[:, points], optimize=True)
+                size = np.sqrt((moved**2).sum(axis=2).mean(axis=1))
+                each[:, regions.index(region)] = size
+    return tolerance, each / tolerance
 
 
 def _order(score: CandidateScore) -> float:

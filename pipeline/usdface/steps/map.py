@@ -7,6 +7,8 @@ import numpy as np
 from usdface.assets import Mapping, Rig
 from usdface.errors import InputError
 from usdface.model.head_space import HeadSpace
+from usdface.model.predict import regions_of
+from usdface.model.temporal import TemporalSolve, smooth_weights
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
 from usdface.specs.base import frame_range
@@ -46,6 +48,7 @@ def run(
     first, last = frame_range(spec.frames) or (take.first_frame, take.last_frame)
     _check_frames(spec, take, first, last)
     space = find_take_space(take, mapping)
+    solve = TemporalSolve(spec.temporal, spec.cutoff, spec.lag)
     confidence: list[np.ndarray] = []
     residual: list[np.ndarray] = []
     with writing_performance(
@@ -56,24 +59,34 @@ def run(
         first_frame=first,
         last_frame=last,
         place=spec.prim,
-        regions=("face",),
+        regions=regions_of(mapping),
         timecode_start=take.timecode_at(first),
         part_frames=_part_frames(spec, last - first + 1, len(mapping.shape_names)),
         provenance=provenance,
     ) as writer:
         blocks = list(_blocks(take, first, last))
-        placed = (space.place(read_markers(take, block.start, block.stop - 1)) for block in blocks)
+        windows = [_window(take, block, solve.margin) for block in blocks]
+        placed = (space.place(read_markers(take, each.start, each.stop - 1)) for each in windows)
         answers = (
             solve_ahead(mapping, placed)
             if spec.alpha is None
-            else solve_blended(mapping, placed, spec.alpha, blocks)
+            else solve_blended(mapping, placed, spec.alpha, windows)
         )
-        for block, solved in zip(blocks, answers, strict=True):
-            asked = slice(max(first - block.start, 0), last + 1 - block.start)
+        for block, window, solved in zip(blocks, windows, answers, strict=True):
+            weights = smooth_weights(
+                solved.weights,
+                confidence=solved.confidence,
+                ranges=mapping.ranges,
+                rate=float(take.rate),
+                solve=solve,
+            )
+            asked = slice(
+                max(first, block.start) - window.start, min(last + 1, block.stop) - window.start
+            )
             writer.append(
-                solved.weights[asked],
+                weights[asked],
                 confidence=solved.confidence[asked],
-                residual_mm=solved.residual_mm[asked, None],
+                residual_mm=solved.region_residual_mm[asked],
             )
             confidence.append(solved.confidence[asked])
             residual.append(solved.residual_mm[asked])
@@ -96,6 +109,13 @@ def _blocks(take: TakeReader, first: int, last: int) -> Iterator[range]:
     start = first - (first - take.first_frame) % BLOCK_FRAMES
     for block in range(start, last + 1, BLOCK_FRAMES):
         yield range(block, min(block + BLOCK_FRAMES, take.last_frame + 1))
+
+
+def _window(take: TakeReader, block: range, margin: int) -> range:
+    """Return a block with frames around it, as far as the take goes."""
+    return range(
+        max(block.start - margin, take.first_frame), min(block.stop + margin, take.last_frame + 1)
+    )
 
 
 def _part_frames(spec: MapSpec, frames: int, shapes: int) -> int | None:

@@ -1,0 +1,53 @@
+"""Weights smoothed over time by the map step."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.steps.small_shot import Shot
+from usdface.errors import InputError
+from usdface.specs.map import MapSpec
+from usdface.steps.execute import execute
+from usdface.usdio.performance import read_performance
+
+
+def mapped(shot: Shot, out: Path, **options: object) -> np.ndarray:
+    execute(
+        MapSpec(
+            take=shot / "shot.clean.take.usda",
+            mapping=shot / "hero.mapping.usdc",
+            rig=shot / "hero.usdc",
+            out=out,
+            **options,
+        )
+    )
+    return read_performance(out).weights.values
+
+
+def test_temporal_modes_calm_a_shot_and_frames_do_not_depend_on_the_range(
+    finished_shot: Shot, tmp_path: Path
+) -> None:
+    plain = mapped(finished_shot, tmp_path / "plain.usda")
+    rough = np.abs(np.diff(plain, 3, axis=0)).mean()
+    for mode in ("whole", "causal"):
+        calm = mapped(finished_shot, tmp_path / f"{mode}.usda", temporal=mode, cutoff=12.0)
+        assert np.abs(np.diff(calm, 3, axis=0)).mean() < 0.9 * rough
+        part = mapped(
+            finished_shot, tmp_path / f"{mode}2.usda", temporal=mode, cutoff=12.0, frames="101-200"
+        )
+        np.testing.assert_array_equal(part, calm[100:200])
+
+
+def test_residuals_are_told_for_each_part_of_the_face(finished_shot: Shot) -> None:
+    performance = read_performance(finished_shot / "shot.hero.usda")
+    assert performance.regions[0] == "face"
+    assert {"brows", "lids", "mouth"} <= set(performance.regions)
+    assert performance.residual_mm is not None
+    assert performance.residual_mm.shape == (480, len(performance.regions))
+
+
+def test_a_cutoff_that_the_rate_cannot_hold_is_refused(finished_shot: Shot, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="half the rate of 120 frames per second, got 90 Hz"):
+        mapped(finished_shot, tmp_path / "x.usda", temporal="whole", cutoff=90.0)
+    assert not list(tmp_path.glob("x.*"))
