@@ -1,6 +1,7 @@
 """Selecting as a user does: every way of choosing, and what must never be lost."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +14,15 @@ from usdface.assets import Rig
 from usdface.errors import InputError
 from usdface.media.image import read_image_metadata
 from usdface.model.equation import BlendshapeEquation, set_up_equation
+from usdface.specs.reference_sheet import ReferenceSheetSpec
 from usdface.specs.references import ReferencesImportSpec, SelectSpec, tuned_path
 from usdface.steps import select
 from usdface.steps.execute import execute
 from usdface.usdio.references import read_references, read_tuned_pairs
 from usdface.usdio.rig import read_rig
 from usdface.usdio.rig_write import write_rig
+from usdface.usdio.take import read_take
+from usdface.usdio.take_write import write_take
 from usdface.usdio.validation import validate
 
 EQUATIONS: dict[tuple[str, ...], BlendshapeEquation] = {}
@@ -175,8 +179,6 @@ def test_fewer_frames_than_pairs_are_refused(shot: Shot) -> None:
 
 def other_rig(shot: Shot) -> Path:
     """The same head whose shapes are called otherwise."""
-    from dataclasses import replace
-
     rig = read_rig(shot / "hero.usdc")
     rename = {name: f"x_{name}" for name in rig.shapes}
     meshes = tuple(
@@ -239,3 +241,32 @@ def test_references_hold_what_blender_needs(shot: Shot) -> None:
     assert max(len(name.encode()) for name in names) < 64
     samples = animation.GetBlendShapeWeightsAttr().GetTimeSamples()
     assert samples == [float(i) for i in range(1, 13)]
+
+
+def test_the_sheet_shows_pairs_as_they_are_now(shot: Shot) -> None:
+    for paper, name in ((False, "screen.png"), (True, "paper.png")):
+        report = execute(
+            ReferenceSheetSpec(
+                references=shot / "hero.references.usda",
+                takes=(shot / "shot.clean.take.usda",),
+                out=shot / name,
+                pairs="2-5",
+                paper=paper,
+                tile=64,
+                quality="draft",
+            )
+        )
+        assert report.figures["pairs"] == [2, 3, 4, 5]
+        assert report.summary == "4 pairs drawn, 4 of them tuned"
+        assert any("no video frame" in note for note in report.notes)
+        assert read_image_metadata(shot / name)["step"] == "references-sheet"
+
+
+def test_a_sheet_of_pairs_that_are_not_there_or_of_another_take_is_refused(shot: Shot) -> None:
+    given = {"references": shot / "hero.references.usda", "out": shot / "x.png", "tile": 64}
+    with pytest.raises(InputError, match="has pairs 1-24, none of 30-40"):
+        execute(ReferenceSheetSpec(**given, pairs="30-40"))
+    take = replace(read_take(shot / "shot.clean.take.usda"), name="other")
+    write_take(shot / "other.take.usda", take)
+    with pytest.raises(InputError, match="no pair is of take 'other', but of shot"):
+        execute(ReferenceSheetSpec(**given, takes=(shot / "other.take.usda",)))
