@@ -1,53 +1,71 @@
 """A hybrid of markers whose blend is keyed: its ends are the parts, between them it is straight."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.model.synthetic import SyntheticFace, references_of, synthetic_face
 from tests.steps.small_shot import Shot
+from usdface.assets import Mapping
 from usdface.errors import InputError
+from usdface.model.head_space import MappedMarkers
+from usdface.model.predict import predict_weights
+from usdface.model.train import train_mapping
 from usdface.specs.map import MapSpec
-from usdface.specs.train import TrainSpec
 from usdface.steps.execute import execute
-from usdface.usdio.mapping import read_mapping, write_mapping
-from usdface.usdio.performance import read_weights
+from usdface.steps.keyed_blend import solve_blended
 
 
-def mapped(shot: Shot, mapping: str, out: str, **more: object) -> np.ndarray:
-    spec = MapSpec(
-        take=shot / "shot.clean.take.usda",
-        mapping=shot / mapping,
-        rig=shot / "hero.usdc",
-        out=shot / out,
-        frames="20-120",
-        **more,  # type: ignore[arg-type]
+@pytest.fixture(scope="module")
+def hybrid() -> tuple[SyntheticFace, Mapping]:
+    face = synthetic_face(frames=300, bend=0.2)
+    references = references_of(face, np.arange(0, 300, 12))
+    trained = train_mapping(
+        references, ranges=face.ranges, gram=face.gram, method="hybrid", dimensions=6
     )
-    execute(spec)
-    return read_weights(shot / out).values
+    return face, trained
 
 
-def keys(shot: Shot, text: str) -> Path:
-    (shot / "alpha.csv").write_text(f"frame,alpha\n{text}")
-    return shot / "alpha.csv"
-
-
-def test_alpha_runs_from_one_part_to_the_other(shot: Shot) -> None:
-    references = shot / "hero.references.usda"
-    execute(TrainSpec(references=references, out=shot / "h.usdc", method="hybrid", dimensions=16))
-    hybrid = read_mapping(shot / "h.usdc")
-    parts = []
-    for share in (0.0, 1.0):
-        settings = hybrid.settings | {"alpha": share}
-        write_mapping(shot / "part.usdc", type(hybrid)(**{**vars(hybrid), "settings": settings}))
-        parts.append(mapped(shot, "part.usdc", f"part{share:g}.usda"))
-    blended = mapped(shot, "h.usdc", "keyed.usda", alpha=keys(shot, "20,0\n120,1\n"))
-    share = np.linspace(0, 1, 101)[:, None]
-    expected = (1 - share) * parts[0] + share * parts[1]
-    np.testing.assert_allclose(blended, expected, atol=1e-6)
-    assert np.abs(parts[1] - parts[0]).max() > 0.01
+def test_alpha_runs_from_one_part_to_the_other(
+    hybrid: tuple[SyntheticFace, Mapping], tmp_path: Path
+) -> None:
+    face, mapping = hybrid
+    (tmp_path / "alpha.csv").write_text("frame,alpha\n1,0\n100,1\n")
+    positions = face.positions[:100].astype(np.float32)
+    visible = np.ones(positions.shape[:2], bool)
+    blocks = [range(1, 61), range(61, 101)]
+    placed = (
+        MappedMarkers(
+            positions[b.start - 1 : b.stop - 1], visible[b.start - 1 : b.stop - 1], (), (), 0
+        )
+        for b in blocks
+    )
+    answers = list(solve_blended(mapping, placed, tmp_path / "alpha.csv", blocks))
+    blended = np.concatenate([each.weights for each in answers])
+    ends = [
+        predict_weights(
+            replace(mapping, settings=mapping.settings | {"alpha": share}),
+            positions,
+            visible=visible,
+        ).weights
+        for share in (0.0, 1.0)
+    ]
+    share = np.linspace(0, 1, 100)[:, None]
+    np.testing.assert_allclose(blended, (1 - share) * ends[0] + share * ends[1], atol=1e-9)
+    assert np.abs(ends[1] - ends[0]).max() > 1e-3
+    assert len(answers[0].confidence) == 60
 
 
 def test_what_is_no_hybrid_has_nothing_to_blend(shot: Shot) -> None:
+    (shot / "alpha.csv").write_text("frame,alpha\n1,0.5\n")
+    spec = MapSpec(
+        take=shot / "shot.clean.take.usda",
+        mapping=shot / "hero.mapping.usdc",
+        rig=shot / "hero.usdc",
+        out=shot / "keyed.usda",
+        alpha=shot / "alpha.csv",
+    )
     with pytest.raises(InputError, match="train with --method hybrid"):
-        mapped(shot, "hero.mapping.usdc", "keyed.usda", alpha=keys(shot, "1,0.5\n"))
+        execute(spec)

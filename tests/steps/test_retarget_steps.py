@@ -360,6 +360,36 @@ def test_conflicting_pairs_are_reported(stall: Stall, capsys) -> None:
     assert "pairs 6 (frame 6) and 31 (frame 31) conflict" in told
 
 
+JOB = """
+job: face_to_face
+steps:
+  - {step: pairs-import, source: human_poses.usda, target: beast_poses.usda,
+     source_rig: human.usda, target_rig: beast.usda, attributes: ["rig/lattice.dfm:[cs]*"],
+     out: x.pairs.usda}
+  - {step: train-retarget, pairs: x.pairs.usda, source: shot.usda, out: x.retarget.usdc}
+  - {step: retarget, source: shot.usda, retargeting: x.retarget.usdc, out: beast.shot.usda}
+  - {step: make-sequence, source: shot.usda, source_frames: 150-190, target: beast_poses.usda,
+     label: joy, out: joy.sequence.usda}
+  - {step: find-sequences, source: shot.usda, sequence: joy.sequence.usda, by: label, label: joy,
+     out: shot.matches.usda}
+  - {step: warp, performance: beast.shot.usda, matches: shot.matches.usda, out: warped.usda}
+"""
+
+
+def test_a_job_of_all_steps_runs_once_and_then_is_up_to_date(stall: Stall, capsys) -> None:
+    Path("x.job.yaml").write_text(JOB, encoding="utf-8")
+    assert usdface("run", "x.job.yaml") == 0
+    assert len(read_control_clip(Path("warped.usda")).clip.controls) == FRAMES
+    capsys.readouterr()
+    assert usdface("check", "x.job.yaml", "--json") == 0
+    states = [each["state"] for each in json.loads(capsys.readouterr().out)]
+    assert len(states) == 6
+    assert len(set(states)) == 1, states
+    first = Path("warped.usda").stat().st_mtime_ns
+    assert usdface("run", "x.job.yaml") == 0
+    assert Path("warped.usda").stat().st_mtime_ns == first
+
+
 Fault = Callable[[Stall], str]
 
 

@@ -20,7 +20,7 @@ from usdface.media.motion_curves import (
 from usdface.model.control_space import ControlSpace, control_space
 from usdface.numerics.warp.laplacian_warp import Insertion, ease_weights, warp_motion
 from usdface.numerics.warp.retiming import stretch_motion
-from usdface.progress import Progress, silent
+from usdface.progress import Progress, part, silent
 from usdface.provenance import Provenance
 from usdface.specs.warp import WarpSpec
 from usdface.steps.outputs import provenance_metadata
@@ -71,7 +71,7 @@ def run(
     # vector and back would not be the same to the last bit.
     warped = _replace_changed(read.clip.controls, space.decode(after), after != before)
     progress(0.6, "writing")
-    _write(spec, rig, reader.place, read, warped, provenance)
+    _write(spec, rig, reader.place, read, warped, part(progress, 0.6, 0.95), provenance)
     if spec.curves is not None:
         _draw(spec, spec.curves, placements, space, before, after, read, provenance)
     progress(1.0, "done")
@@ -231,6 +231,7 @@ def _write(
     place: str,
     read: ReadControls,
     warped: Controls,
+    progress: Progress,
     provenance: Provenance | None,
 ) -> None:
     with writing_control_performance(
@@ -248,6 +249,7 @@ def _write(
     ) as writer:
         for start in range(0, len(warped), CHUNK_FRAMES):
             writer.append(warped.rows(slice(start, start + CHUNK_FRAMES)))
+            progress(start / len(warped), f"writing frame {read.clip.first_frame + start}")
 
 
 def _draw(
