@@ -17,6 +17,7 @@ from usdface.speech.phone_track import PhoneTrack, Span
 from usdface.speech.track_files import read_phone_track
 from usdface.speech.visemes import arpabet_of, viseme_of
 from usdface.steps.execute import execute
+from usdface.steps.outputs import make_provenance, provenance_of
 from usdface.steps.phones import _on_clock
 from usdface.usdio.take_write import write_take
 
@@ -158,3 +159,18 @@ def test_any_loudness_gives_the_same_phones(speech: Path, tmp_path: Path) -> Non
         execute(PhonesSpec(audio=sound, text=" ".join(words), out=out))
         found.append([span.middle for span in said(read_phone_track(out))])
     np.testing.assert_allclose(found[0], found[1], atol=0.05)
+
+
+@pytest.mark.parametrize("suffix", [".TextGrid", ".json"])
+def test_phones_know_what_made_them_so_that_a_job_need_not_make_them_again(
+    speech: Path, tmp_path: Path, suffix: str
+) -> None:
+    samples = read_audio(speech / "wav" / "acoustic_corpus.wav")[: 16000 * 4]
+    words = " ".join((speech / "lab" / "acoustic_corpus.lab").read_text().split()[:9])
+    sound = write_wave(tmp_path / "x.wav", samples)
+    spec = PhonesSpec(audio=sound, text=words, out=tmp_path / f"x{suffix}")
+    execute(spec)
+    made = provenance_of(spec.out)
+    assert made is not None
+    assert made.matches(make_provenance(spec))
+    assert said(read_phone_track(spec.out))

@@ -2,8 +2,10 @@
 
 import json
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote, unquote
 
 from usdface.errors import InputError
 from usdface.replacing import replacing
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
 LARGEST_TRACK_BYTES = 256 << 20
 HTK_UNIT = 1e-7
 """[s] HTK counts time in hundreds of nanoseconds."""
+
+ORIGIN_MARK = "usdface-provenance:"
 
 TRACK_SUFFIXES = (".textgrid", ".lab", ".json")
 _TIERS = {
@@ -59,16 +63,27 @@ def read_phone_track(path: Path) -> PhoneTrack:
     return track
 
 
-def write_phone_track(path: Path, track: PhoneTrack) -> None:
-    """Write a track in the format that the name ends in; see `read_phone_track`."""
+def write_phone_track(
+    path: Path, track: PhoneTrack, *, origin: Mapping[str, object] | None = None
+) -> None:
+    """Write a track in the format that the name ends in; see `read_phone_track`.
+
+    Parameters
+    ----------
+    path : Path
+    track : PhoneTrack
+    origin : mapping, optional
+        What made it. A TextGrid carries it as the label of a tier of its own, JSON as a key; HTK's
+        labels have no room for it.
+    """
     suffix = path.suffix.lower()
     with replacing(path) as temporary:
         if suffix == ".lab":
             temporary.write_text(_htk_text(track), encoding="utf-8")
         elif suffix == ".json":
-            temporary.write_text(_json_text(track), encoding="utf-8")
+            temporary.write_text(_json_text(track, origin), encoding="utf-8")
         else:
-            _textgrid(track).save(
+            _textgrid(track, origin).save(
                 str(temporary), "long_textgrid", includeBlankSpaces=True, reportingMode="silence"
             )
 
@@ -156,15 +171,17 @@ def _from_json(path: Path, text: str) -> PhoneTrack:
     return _track(*found)
 
 
-def _json_text(track: PhoneTrack) -> str:
+def _json_text(track: PhoneTrack, origin: Mapping[str, object] | None) -> str:
     def spans(entries: tuple[Span, ...]) -> list[dict[str, object]]:
         return [
             {"start": round(e.start, 6), "end": round(e.end, 6), "label": e.label} for e in entries
         ]
 
-    data = {"phones": spans(track.phones), "words": spans(track.words)}
+    data: dict[str, object] = {"phones": spans(track.phones), "words": spans(track.words)}
     if track.emotions:
         data["emotions"] = spans(track.emotions)
+    if origin is not None:
+        data["provenance"] = dict(origin)
     return json.dumps(data, indent=1, ensure_ascii=False) + "\n"
 
 
@@ -205,7 +222,7 @@ def _tier(grid: "Textgrid", names: tuple[str, ...]) -> list[Span]:
     return []
 
 
-def _textgrid(track: PhoneTrack) -> "Textgrid":
+def _textgrid(track: PhoneTrack, origin: Mapping[str, object] | None) -> "Textgrid":
     textgrid = _praatio()
     grid: Textgrid = textgrid.Textgrid()
     for name in ("words", "phones", "emotions"):
@@ -214,7 +231,24 @@ def _textgrid(track: PhoneTrack) -> "Textgrid":
         if entries:
             tier = textgrid.IntervalTier(name, entries, 0.0, max(track.duration, entries[-1][1]))
             grid.addTier(tier, reportingMode="silence")
+    if origin is not None and grid.tierNames:
+        label = ORIGIN_MARK + quote(json.dumps(origin))  # quoted: Praat's own quoting stays out
+        entries = [(0.0, float(grid.maxTimestamp), label)]
+        grid.addTier(
+            textgrid.IntervalTier("usdface", entries, 0.0, float(grid.maxTimestamp)),
+            reportingMode="silence",
+        )
     return grid
+
+
+def read_origin(path: Path) -> dict[str, object] | None:
+    """Return what a TextGrid says of its making; None where it says nothing."""
+    found = re.search(ORIGIN_MARK + r"([^\"\s]+)", read_text(path, LARGEST_TRACK_BYTES))
+    try:
+        data = json.loads(unquote(found.group(1))) if found else None
+    except ValueError:
+        return None
+    return data if isinstance(data, dict) else None
 
 
 def _praatio() -> Any:

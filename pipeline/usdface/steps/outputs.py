@@ -10,6 +10,7 @@ from usdface.media.movie import read_movie_comment
 from usdface.provenance import Provenance, canonical_json, hash_files
 from usdface.specs.base import IMAGE_SUFFIXES, LAYER_SUFFIXES, Reads, Spec, Writes
 from usdface.specs.movie import MOVIE_SUFFIXES
+from usdface.speech.track_files import read_origin
 from usdface.usdio.layers import dependencies, read_provenance
 
 LARGEST_FIGURES_BYTES = 64 << 20
@@ -63,6 +64,8 @@ def provenance_of(path: Path) -> Provenance | None:
             return _from_text(read_movie_comment(path))
         if path.suffix.lower() == ".json":
             return _from_json(path)
+        if path.suffix.lower() == ".textgrid":
+            return _from_metadata(read_origin(path) or {})
     except InputError:
         return None
     return None

@@ -15,6 +15,7 @@ from usdface.speech.phone_track import PhoneTrack, Span
 from usdface.speech.track_files import write_phone_track
 from usdface.speech.transcript import spoken_words
 from usdface.speech.visemes import viseme_of
+from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
 from usdface.usdio.take import read_take
 
@@ -43,7 +44,8 @@ def run(
         samples, clock = _video_sound(spec, take)
     found = align_phones(samples, words, pronunciations=own, progress=part(progress, 0.1, 0.95))
     track = _on_clock(found.track, *clock)
-    write_phone_track(spec.out, track)
+    origin = None if provenance is None else provenance_metadata(provenance)
+    write_phone_track(spec.out, track, origin=origin)
     progress(1.0, "done")
     said = [span for span in track.phones if viseme_of(span.label) != "pau"]
     visemes = sorted({viseme_of(span.label) or "" for span in said})
