@@ -170,6 +170,7 @@ def test_the_folder_is_removed_meanwhile(shot: Shot) -> None:
         assert contents(path.parent) == undisturbed
 
 
+@pytest.mark.slow
 def test_two_that_map_into_the_same_file(shot: Shot) -> None:
     path, _ = prepared(shot)
     processes = [start(shot.folder, 0) for _ in range(2)]
