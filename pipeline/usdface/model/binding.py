@@ -25,6 +25,7 @@ from usdface.numerics.registration.surface_places import (
     places_of_corners,
 )
 from usdface.numerics.registration.triangulation import triangulate
+from usdface.numerics.surface.geodesic import geodesic_distances
 
 FEWEST_LANDMARKS = 3
 
@@ -35,6 +36,7 @@ _FAR = 0.05  # of the face's size: a marker so far from its place is half believ
 _ODD = 3.0  # times the usual surprise: motion that does not fit the neighbours'
 _REACH = 0.35  # of the face's size: skin within it of some marker may carry markers
 _SAMPLE_FRAMES = 400
+_MOST_POINTS = 60_000
 
 
 def propose_binding(
@@ -50,8 +52,8 @@ def propose_binding(
 ) -> MarkerBinding:
     """Find the place of every marker on a mesh.
 
-    Three or more pinned markers give a similarity, and a smooth warp from there; without them the
-    mesh must have shapes, whose motion is compared with the markers'.
+    Where the mesh has shapes, their motion is compared with the markers'. Where it has none, three
+    or more pinned markers give a similarity, and a smooth warp goes on from there.
 
     Parameters
     ----------
@@ -84,10 +86,10 @@ def propose_binding(
     picks = np.unique(np.linspace(0, len(positions) - 1, _SAMPLE_FRAMES).astype(np.int64))
     sample, seen = positions[picks].astype(np.float64), visible[picks]
     try:
-        if len(pins) >= FEWEST_LANDMARKS:
+        if mesh.shapes:
+            places = _by_shapes(mesh, neutral, sample, seen, rigid, pins)
+        elif len(pins) >= FEWEST_LANDMARKS:
             places = _by_landmarks(mesh, neutral, pins)
-        elif mesh.shapes:
-            places = _by_shapes(mesh, neutral, sample, seen, rigid)
         else:
             raise InputError(
                 f"<{mesh.path}>: has no shapes to tell where its face is, and {len(pins)} "
@@ -124,7 +126,9 @@ def _by_shapes(
     sample: FloatArray,
     seen: BoolArray,
     rigid: tuple[int, ...],
+    pins: dict[int, FloatArray],
 ) -> SurfacePlaces:
+    nearest = KDTree(mesh.points)
     names = tuple(shape.name for shape in mesh.shapes)
     ranges = np.tile([0.0, 1.0], (len(names), 1))
     deformer = Deformer(Rig(Path(), mesh.path, names, (mesh,), ranges))
@@ -136,6 +140,7 @@ def _by_shapes(
         motion=sample,
         visible=seen,
         rigid=rigid,
+        landmarks={marker: int(nearest.query(at)[1]) for marker, at in pins.items()},
     )
     return places_of_corners(mesh.face_counts, mesh.face_indices, virtual.points, virtual.weights)
 
@@ -244,8 +249,7 @@ def _judge(
     odd = _beside_neighbours(at, fitted.away_mm)
     confidence = 1 / (1 + (odd / (_FAR * size)) ** 2)
     moved = (sample - neutral) @ fitted.linear.T
-    apart = np.linalg.norm(at[:, None] - at[None], axis=2)
-    surprise = motion_agreement(moved, apart)
+    surprise = motion_agreement(moved, _apart(mesh, places, at))
     confidence *= 1 / (1 + (np.maximum(surprise - 1, 0) / _ODD) ** 4)
     confidence[list(pins)] = 1.0
     return MarkerBinding(
@@ -255,6 +259,26 @@ def _judge(
         distance_mm=fitted.away_mm,
         sources=tuple(sources.get(i, "proposed") for i in range(len(names))),
     )
+
+
+def _apart(mesh: RigMesh, places: SurfacePlaces, at: FloatArray) -> FloatArray:
+    """Return how far the markers are from each other over the surface: lips are two places.
+
+    Meshes of very many points are measured through the air: a proposal must not take minutes.
+    """
+    straight: FloatArray = np.linalg.norm(at[:, None] - at[None], axis=2)
+    if len(mesh.points) > _MOST_POINTS:
+        return straight
+    between = geodesic_distances(
+        mesh.points,
+        mesh.face_counts,
+        mesh.face_indices,
+        faces=places.faces,
+        corners=places.corners,
+        weights=places.weights,
+        metric="dijkstra-diagonals",
+    ).between
+    return np.where(np.isfinite(between), between, straight)
 
 
 def _beside_neighbours(at: FloatArray, away: FloatArray) -> FloatArray:
