@@ -69,8 +69,8 @@ def plugins(ayon_core: None) -> list[type]:
 
 def run(shot: Shot, plugins, review: ReviewOptions):
     context = api.Context()
-    context.data |= {"usdface": [str(shot / "shot.hero.usda")]}
-    context.data |= {"folderPath": "/shots/sh010", "task": "facial"}
+    context.data.update({"usdface": [str(shot / "shot.hero.usda")]})
+    context.data.update({"folderPath": "/shots/sh010", "task": "facial"})
     util.collect(context, plugins)
     for instance in context:
         instance.data["usdfaceReview"] = review
