@@ -1,6 +1,6 @@
 """Write a review movie that scrubs: every frame a key frame, colours tagged, time code kept."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,11 @@ _OPTIONS = {
     "libvpx-vp9": {"crf": "24", "b": "0", "cpu-used": "6", "row-mt": "1", "g": "12"},
 }
 MOVIE_FORMATS = {".mp4": "mp4", ".mov": "mov", ".mkv": "matroska", ".webm": "webm"}
+_PROXY_OPTIONS = {
+    # No pictures that wait for later ones: a page seeks to exactly the frame it names.
+    "libx264": {"crf": "26", "preset": "veryfast", "g": "15", "bf": "0"},
+    "libvpx-vp9": {"crf": "34", "b": "0", "cpu-used": "6", "row-mt": "1", "g": "15"},
+}
 _BT709 = 1
 
 
@@ -37,6 +42,7 @@ def write_movie(
     sample_rate: int = 48000,
     timecode: str = "",
     comment: str = "",
+    proxy: bool = False,
 ) -> None:
     """Encode pictures, and sound if there is some, into a movie that replaces `path` at the end.
 
@@ -59,6 +65,8 @@ def write_movie(
         SMPTE time of the first frame, ``HH:MM:SS:FF``, or ``;`` before FF for drop-frame.
     comment : str
         Kept in the file; see `read_movie_comment`.
+    proxy : bool
+        A third of the size, for a page: every fifteenth picture is a key frame.
 
     Raises
     ------
@@ -90,6 +98,7 @@ def write_movie(
                     rate=Fraction(rate),
                     audio=audio,
                     sample_rate=sample_rate,
+                    options=_PROXY_OPTIONS if proxy else _OPTIONS,
                 )
         except (av.error.FFmpegError, OSError) as error:
             raise InputError(f"{file}: the movie cannot be encoded ({error})") from error
@@ -145,9 +154,10 @@ def _encode(
     rate: Fraction,
     audio: Float32Array | None,
     sample_rate: int,
+    options: Mapping[str, dict[str, str]],
 ) -> None:
     encoder = video_encoder(container.format.name)
-    video = container.add_stream(encoder, rate=rate, options=_OPTIONS.get(encoder, {}))
+    video = container.add_stream(encoder, rate=rate, options=options.get(encoder, {}))
     video.height, video.width = size
     video.pix_fmt = "yuv420p"
     context = video.codec_context

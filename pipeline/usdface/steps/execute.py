@@ -16,7 +16,9 @@ Step = Callable[..., Report]
 
 def find_step(name: str) -> Step:
     """Return a step's function; its module is imported only now, so that others start quickly."""
-    module = import_module(f"usdface.steps.{name.replace('-', '_')}")
+    # `steps.report` is what every step returns; the page has a longer name.
+    file = "review_page" if name == "report" else name.replace("-", "_")
+    module = import_module(f"usdface.steps.{file}")
     step: Step = module.run
     return step
 

@@ -67,8 +67,8 @@ def run(
     shots = _open_shots(spec)
     shot = shots[0]
     progress(0.1, "placing the markers on the rig")
-    equations = [_equation(each) for each in shots]
-    truth = _truth(spec, shot.rig, shot.frames)
+    equations = [place_markers(each) for each in shots]
+    truth = read_truth(spec.against, shot.rig, shot.frames)
     judged = [_judge("usdface", shot, shot.weights, truth, equations[0])]
     if spec.baseline and spec.layout in ("comparison", "worst"):
         solved = equations[0].solve_published(shot.positions)
@@ -132,7 +132,8 @@ def _open_shots(spec: SheetSpec) -> list[Shot]:
     ]
 
 
-def _equation(shot: Shot) -> BlendshapeEquation:
+def place_markers(shot: Shot) -> BlendshapeEquation:
+    """Bind a shot's markers to its rig, as the equation-solving baseline needs them."""
     take, markers = shot.take, shot.take.markers
     if markers is None:
         raise InputError(f"{take.name}: has no markers")
@@ -147,13 +148,13 @@ def _equation(shot: Shot) -> BlendshapeEquation:
     )
 
 
-def _truth(spec: SheetSpec, rig: Rig, frames: IntArray) -> FloatArray | None:
+def read_truth(file: Path | None, rig: Rig, frames: IntArray) -> FloatArray | None:
     """Return what the weights should have been; NaN at frames the file does not have."""
-    if spec.against is None:
+    if file is None:
         return None
-    table = read_weight_table(spec.against)
+    table = read_weight_table(file)
     if not set(table.names) & set(rig.shapes):
-        raise InputError(f"{spec.against}: names none of the rig's shapes; is it the right file?")
+        raise InputError(f"{file}: names none of the rig's shapes; is it the right file?")
     row_of = {frame: row for row, frame in enumerate(table.frames)}
     known = table.columns(rig.shapes)
     truth = np.full((len(frames), len(rig.shapes)), np.nan)
@@ -161,7 +162,7 @@ def _truth(spec: SheetSpec, rig: Rig, frames: IntArray) -> FloatArray | None:
         if frame in row_of:
             truth[index] = known[row_of[frame]]
     if np.isnan(truth).all():
-        raise InputError(f"{spec.against}: has none of the frames {frames[0]}-{frames[-1]}")
+        raise InputError(f"{file}: has none of the frames {frames[0]}-{frames[-1]}")
     return truth
 
 

@@ -1,0 +1,192 @@
+"""The report in a real browser: opened from disk, it shows exactly what was solved."""
+
+import html
+import re
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pxr import Sdf
+
+from tests.browser import chromium
+from tests.media.bar_code import read_number, write_numbered
+from tests.steps.small_shot import Shot
+from usdface.errors import InputError
+from usdface.media.report_page import WEIGHT_STEPS, Listing, ReviewPage, WeightCurves, build_page
+from usdface.specs.report import ReportSpec
+from usdface.steps import review_page
+from usdface.steps.execute import execute
+from usdface.usdio.performance_reader import PerformanceReader
+
+EARLY_PICTURES = 5
+"""By how many pictures the camera of these tests started before the capture."""
+
+
+def spec_of(shot: Shot, **options: object) -> ReportSpec:
+    given = {"height": 180, "baseline": False} | options
+    return ReportSpec(
+        performance=shot / "shot.hero.usda",
+        take=shot / "shot.clean.take.usda",
+        out=shot / "shot.html",
+        **given,
+    )
+
+
+def give_video(shot: Shot) -> None:
+    """Give the take a movie whose pictures carry their numbers, begun a little before it."""
+    rate = Fraction(25)
+    write_numbered(shot / "camera.mp4", list(range(120)), base=1 / rate, rate=rate)
+    layer = Sdf.Layer.FindOrOpen(str(shot / "shot.clean.take.usda"))
+    prim = layer.GetPrimAtPath("/Take")
+    video = Sdf.AttributeSpec(prim, "face:video:file", Sdf.ValueTypeNames.Asset)
+    video.default = Sdf.AssetPath("./camera.mp4")
+    Sdf.AttributeSpec(prim, "face:video:rate", Sdf.ValueTypeNames.Double).default = 25.0
+    offset = Sdf.AttributeSpec(prim, "face:video:offset", Sdf.ValueTypeNames.Double)
+    offset.default = -EARLY_PICTURES / 25
+    layer.Save()
+
+
+def open_page(browser: Any, file: Path, faults: list[str]) -> Any:
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.on("console", lambda said: faults.append(said.text) if said.type == "error" else None)
+    page.on("request", lambda asked: check_request(asked.url, faults))
+    page.goto(file.as_uri())
+    page.wait_for_selector("body[data-ready=true]", timeout=60_000)
+    return page
+
+
+def check_request(url: str, faults: list[str]) -> None:
+    if not url.startswith(("file:", "blob:", "data:")):
+        faults.append(f"asked for {url}")
+
+
+def test_each_of_fifty_seeks_shows_the_pictures_and_weights_of_its_frame(shot: Shot) -> None:
+    give_video(shot)
+    execute(spec_of(shot))
+    reader = PerformanceReader(shot / "shot.hero.usda")
+    weights = reader.edited()
+    faults: list[str] = []
+    with chromium() as browser:
+        page = open_page(browser, shot / "shot.html", faults)
+        names = page.evaluate("report.viewer.face.names")
+        order = [reader.names.index(name) for name in names]
+        rng = np.random.default_rng(0)
+        for picture in rng.permutation(100)[:50].tolist():
+            got = page.evaluate(SEEK, picture)
+            assert read_number(np.array(got["pixels"]).reshape(1, -1, 4)[[0] * 41]) == (
+                picture + EARLY_PICTURES
+            )
+            frame = round(picture / 25 * 120 + 1e-9)
+            assert got["frame"] == reader.first_frame + frame
+            np.testing.assert_allclose(
+                got["weights"], weights[frame][order], atol=0.51 / WEIGHT_STEPS
+            )
+        page.close()
+    assert not faults
+
+
+SEEK = """async (picture) => {
+  report.show(picture);
+  const video = document.getElementById("video");
+  const deadline = performance.now() + 20000;
+  while (report.seeking || video.seeking || video.readyState < 2) {
+    if (performance.now() > deadline) throw new Error("the video does not seek");
+    await new Promise((next) => setTimeout(next, 5));
+  }
+  const canvas = document.createElement("canvas");
+  canvas.width = video.videoWidth; canvas.height = video.videoHeight;
+  const context = canvas.getContext("2d");
+  context.drawImage(video, 0, 0);
+  const pixels = [...context.getImageData(0, 40, canvas.width, 1).data];
+  const { frames } = JSON.parse(document.getElementById("data").textContent);
+  return { pixels, frame: frames[picture], weights: [...report.weights] };
+}"""
+
+
+def test_the_page_is_worked_by_keyboard_and_by_address(shot: Shot) -> None:
+    report = execute(spec_of(shot, against=shot / "keys.csv", baseline=True, worst=4))
+    assert len(report.figures["worst_frames"]) == 4
+    faults: list[str] = []
+    with chromium() as browser:
+        page = open_page(browser, shot / "shot.html", faults)
+        frame = "Number(document.getElementById('clock').textContent.split(/\\s+/).at(-1))"
+        page.evaluate("location.hash = '#101'")
+        assert polled(page, frame) == 101
+        page.keyboard.press("ArrowRight")
+        assert polled(page, frame) == 103  # shown at 60 per second
+        page.keyboard.press("End")
+        assert polled(page, frame) == 479
+        page.click("#worst a >> nth=0")
+        assert polled(page, frame) == report.figures["worst_frames"][0]
+        page.fill("#find", "jawopen")
+        rows = page.locator(".curve:visible")
+        assert rows.count() == 1
+        page.wait_for_selector(".curve:visible path.s0")
+        assert page.locator("h2", has_text="Measured against the truth").count() == 1
+        assert page.locator("button:not([aria-label])").count() == 0
+        page.emulate_media(media="print")
+        page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        filled = page.evaluate(
+            "(() => { const s = document.getElementById('still'); "
+            "const d = s.getContext('2d').getImageData(0, 0, s.width, s.height).data; "
+            "return new Set(d).size; })()"
+        )
+        assert filled > 50, "the face is not on paper"
+        page.close()
+    assert not faults
+
+
+def polled(page: Any, expression: str) -> int:
+    page.wait_for_timeout(150)
+    return int(page.evaluate(expression))
+
+
+def test_nothing_in_the_data_becomes_part_of_the_page(shot: Shot) -> None:
+    from usdface.media.face_payload import pack_face
+    from usdface.usdio.rig import read_rig
+
+    evil = "</script><img src=x onerror=alert(1)> @DATA@"
+    made = build_page(
+        ReviewPage(
+            title=evil,
+            facts=(evil,),
+            rate=25.0,
+            frames=[1],
+            timecodes=[evil],
+            shapes=(evil,),
+            regions=(evil,),
+            curves=(WeightCurves("solve", np.zeros((1, 1))),),
+            strips=(),
+            worst=((0, evil),),
+            listings=(Listing(evil, (evil,), ((evil,),), (1,)),),
+            face=pack_face(read_rig(shot / "hero.usdc")),
+        )
+    )
+    assert "<img src=x" not in made
+    assert html.escape(evil) in made
+    assert made.count("</script>") == len(re.findall(r"<script", made))
+    assert "default-src 'none'" in made
+    assert "unsafe" not in made.split("<style>")[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"frames": "9000-9100"}, "shares no frame"),
+        ({"sheet": "hero.usdc"}, r"browsers show \.jpg"),
+    ],
+)
+def test_what_cannot_be_shown_is_said(shot: Shot, change: dict[str, str], message: str) -> None:
+    given = {key: shot / value if key == "sheet" else value for key, value in change.items()}
+    with pytest.raises(InputError, match=message):
+        execute(spec_of(shot, **given))
+    assert not (shot / "shot.html").exists()
+
+
+def test_a_performance_too_long_for_a_page_is_refused(shot: Shot, monkeypatch) -> None:
+    monkeypatch.setattr(review_page, "LONGEST_PICTURES", 100)
+    with pytest.raises(InputError, match=r"240 pictures are too many.*--frames"):
+        execute(spec_of(shot))
