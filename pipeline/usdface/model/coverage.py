@@ -15,6 +15,9 @@ BLOCK_FRAMES = 4096
 HOLE = 0.25
 """Share of a face's motion left to guess at which a frame counts as a hole."""
 
+COVERED_FRAMES = 40_000
+"""Frames that are measured one by one; of longer takes every second, third ... stands for all."""
+
 CURVE_FRAMES = 1500
 """Frames spread over the takes on which coverage is averaged."""
 
@@ -79,6 +82,9 @@ def measure_coverage(
         Of all frames of the takes.
     pair_features : (pairs, d) float array
     """
+    count = len(features)
+    step = -(-count // COVERED_FRAMES)  # neighbours of a long recording are one face
+    features = features[::step]
     some = _spread(len(features))
     covered = np.empty(len(features))
     regions = np.empty((len(features), len(space.regions)))
@@ -91,7 +97,9 @@ def measure_coverage(
         for index, ((a, b), kernel) in enumerate(zip(space.columns, parts, strict=True)):
             left = left_over(kernel, pair_features[:, a:b], features[rows, a:b], noise=NOISE)
             regions[rows, index] = 1 - np.sqrt(left)
-    return Coverage(covered, space.regions, regions)
+    return Coverage(
+        np.repeat(covered, step)[:count], space.regions, np.repeat(regions, step, axis=0)[:count]
+    )
 
 
 def measure_growth(

@@ -41,6 +41,9 @@ from usdface.usdio.rig import read_rig
 USABLE_SHARE = 0.9
 """A frame with fewer markers than this is no example to learn from."""
 
+MOTION_FRAMES = 120_000
+"""Frames from which the space of the motion is measured."""
+
 FEWEST_TUNED = 2
 """Tuned pairs from which one can learn where a mapping errs."""
 
@@ -168,7 +171,9 @@ def _set_up(
             f"{spec.count} pairs are asked for and {int(free.sum()) + len(kept)} frames can be "
             "used; lower --count, widen --frames or give more takes"
         )
-    motion = fit_motion_space(takes.positions)
+    # Of an hour every fourth frame says as much of how a face moves as all of them.
+    step = -(-len(takes.frames) // MOTION_FRAMES)
+    motion = fit_motion_space([clip[::step] for clip in takes.positions])
     progress(0.35, "placing the markers on the rig")
     deformer = Deformer(rig)
     equation = _equation(takes, rig, deformer)
