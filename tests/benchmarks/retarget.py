@@ -5,7 +5,6 @@ another maker and a dog of 28 shapes, 8 joints and 36 deformer controls.
 """
 
 import time
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -125,16 +124,13 @@ def _blind(pairs: ExpressionPairs, source: Rig, weights: FloatArray) -> None:
     surface = spread_displacements(source, pairs.source_shapes)
     blind = train_retargeting(pairs, surface=surface)
     seen = train_retargeting(pairs, surface=surface, performance=weights)
+    seen_of = {(score.method, score.settings): score.cyclic_mm for score in seen.scores}
+    best = blind.scores[0]
     print(
-        f"\nauto chooses {blind.method} without the performance and {seen.method} with it; "
-        f"on the performance {_named(seen.scores, blind)} and {seen.scores[0].cyclic_mm:.3f} mm"
+        f"\nauto chooses {blind.method} without the performance and {seen.method} with it; on the "
+        f"performance {seen_of[best.method, best.settings]:.3f} and "
+        f"{seen.scores[0].cyclic_mm:.3f} mm"
     )
-
-
-def _named(scores: Sequence[object], chosen: object) -> str:
-    told = {(s.method, s.settings): s.cyclic_mm for s in scores}  # type: ignore[attr-defined]
-    best = chosen.scores[0]  # type: ignore[attr-defined]
-    return f"{told[(best.method, best.settings)]:.3f}"
 
 
 def _speed(pairs: ExpressionPairs, weights: FloatArray) -> None:
