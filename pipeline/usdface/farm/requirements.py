@@ -27,6 +27,9 @@ _BY_STEP = {
     "train": HostRequirements(2, 8192),
     "sheet": HostRequirements(2, 4096),
     "movie": HostRequirements(4, 8192),
+    "deform": HostRequirements(2, 8192),
+    "make-shapes": HostRequirements(2, 8192),
+    "train-retarget": HostRequirements(2, 8192),
 }
 
 
