@@ -75,7 +75,8 @@ def test_examples_in_the_help_are_understood(tmp_path: Path, monkeypatch) -> Non
 def test_the_review_page_runs(shot, monkeypatch, capsys) -> None:
     monkeypatch.chdir(shot.folder)
     for line in commands(REPOSITORY / "docs" / "review.md"):
-        small = "" if "movie-join" in line or "report" in line else " --height 64 --rate 12" if "movie" in line else " --tile 64"
+        command = line.split()[1]
+        small = {"sheet": " --tile 64", "movie": " --height 64 --rate 12"}.get(command, "")
         code = run(f"{line}{small} --overwrite")
         assert code == 0, f"{line}\n{capsys.readouterr()}"
     assert (shot / "shot.review.mp4").is_file()

@@ -28,7 +28,10 @@ def test_the_installed_command_tells_its_version() -> None:
 
 @pytest.mark.parametrize(
     "command",
-    "ingest align clean select train map sheet evaluate run check submit describe validate demo".split(),
+    (
+        "ingest align clean select train map sheet movie report evaluate run check submit describe "
+        "validate demo"
+    ).split(),
 )
 def test_every_command_answers_help_with_an_example(command: str, capsys) -> None:
     assert run(command, "--help") == 0

@@ -1,6 +1,7 @@
 """Write a take: a readable layer to open, and its samples in a binary one beside it."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pxr import Gf, Kind, Sdf, UsdGeom, UsdMedia, Vt
@@ -179,9 +180,7 @@ class _Told:
         self._frame = 0
         self._written = -1
 
-    def tell(
-        self, layer: Sdf.Layer, frames: list[int], values: np.ndarray, kind: type[object]
-    ) -> None:
+    def tell(self, layer: Sdf.Layer, frames: list[int], values: np.ndarray, kind: Any) -> None:
         """Write the samples of the next frames."""
         changed = np.ones(len(frames), bool)
         changed[1:] = (values[1:] != values[:-1]).any(axis=1)
@@ -196,7 +195,7 @@ class _Told:
         if len(frames):
             self._last, self._frame = values[-1].copy(), frames[-1]
 
-    def _set(self, layer: Sdf.Layer, frame: int, value: np.ndarray, kind: type[object]) -> None:
+    def _set(self, layer: Sdf.Layer, frame: int, value: np.ndarray, kind: Any) -> None:
         layer.SetTimeSample(self._path, frame, kind.FromNumpy(np.ascontiguousarray(value)))
         self._written = frame
 
