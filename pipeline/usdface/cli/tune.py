@@ -59,4 +59,11 @@ def _tune(spec_type: type[Spec], values: dict[str, Any], *, as_json: bool) -> No
         "recovered": session.recovered,
     }
     summary = f"{figures['tuned']} of {count} pairs tuned, {figures['done']} done"
-    show_report(Report((session.tuned_path,), summary, (), figures), as_json=as_json)
+    notes = list[str]()
+    if session.recovered:
+        notes.append(f"{session.recovered} changes of a session that crashed were taken up again")
+    if (before := session.lock.taken_from) is not None:
+        notes.append(
+            f"taken over from {before.user} on {before.host}, who had begun {before.since}"
+        )
+    show_report(Report((session.tuned_path,), summary, tuple(notes), figures), as_json=as_json)

@@ -61,11 +61,13 @@ export class TuneState extends EventTarget {
     this.dispatchEvent(new CustomEvent("pair"));
   }
 
-  /** Set one shape, and with linked sides its mirror image; moves of one drag undo together. */
+  /** Set one shape within its range, and with linked sides its mirror image; a drag is one undo. */
   slide(shape, value) {
     const partner = this.mirror[shape];
     const both = this.linked && partner !== shape && this.sided[shape] && this.sided[partner];
-    this.set(new Map([shape, ...(both ? [partner] : [])].map((k) => [k, value])), `slide ${shape}`);
+    const limited = (k) => Math.max(this.low[k], Math.min(this.high[k], value));
+    const moved = [shape, ...(both ? [partner] : [])].map((k) => [k, limited(k)]);
+    this.set(new Map(moved), `slide ${shape}`);
   }
 
   /** Set shapes of the current pair. Changes with the same gesture are one step of undo. */
@@ -73,10 +75,10 @@ export class TuneState extends EventTarget {
     const row = this.row(pair);
     const step = { pair, before: new Map(), after: new Map() };
     for (const [shape, value] of values) {
-      const limited = Math.fround(Math.max(this.low[shape], Math.min(this.high[shape], value)));
-      if (limited === row[shape] || !Number.isFinite(limited)) continue;
+      const single = Math.fround(value); // as layers hold it
+      if (single === row[shape] || !Number.isFinite(single)) continue;
       step.before.set(shape, row[shape]);
-      step.after.set(shape, limited);
+      step.after.set(shape, single);
     }
     if (!step.after.size) return;
     const last = this.past.at(-1);
