@@ -23,38 +23,14 @@ from usdface.cli.console import (
 from usdface.cli.spec_options import build_spec, command_of
 from usdface.cli.tune import tune_command
 from usdface.errors import InputError, UsdfaceError
-from usdface.specs.align import AlignSpec
-from usdface.specs.bake import BakeSpec
 from usdface.specs.base import Spec
-from usdface.specs.bind import BindSpec
-from usdface.specs.clean import CleanSpec
 from usdface.specs.confinement import VARIABLE, check_confined
-from usdface.specs.cyclic import CyclicSpec
-from usdface.specs.deform import DeformSpec
 from usdface.specs.edit import EditsImportSpec, EditSpec
-from usdface.specs.evaluate import EvaluateSpec
-from usdface.specs.faces import FacesSpec
 from usdface.specs.ingest import IngestSpec
-from usdface.specs.job import JobSpec
-from usdface.specs.join import JoinSpec
-from usdface.specs.make_shapes import MakeShapesSpec
-from usdface.specs.map import MapSpec
-from usdface.specs.movie import MovieJoinSpec, MovieSpec
-from usdface.specs.package import PackageSpec
-from usdface.specs.pairs import PairsImportSpec, PairsProposeSpec
+from usdface.specs.job import STEP_SPECS, JobSpec
 from usdface.specs.path_mapping import read_path_rules
-from usdface.specs.phones import PhonesSpec
 from usdface.specs.reading import read_job, spec_text
-from usdface.specs.reference_sheet import ReferenceSheetSpec
-from usdface.specs.references import ReferencesFromEditsSpec, ReferencesImportSpec, SelectSpec
-from usdface.specs.report import ReportSpec
-from usdface.specs.retarget import RetargetSpec
-from usdface.specs.sequences import FindSequencesSpec, MakeSequenceSpec
-from usdface.specs.sheet import SheetSpec
 from usdface.specs.submit import SubmitSpec
-from usdface.specs.train import TrainSpec
-from usdface.specs.train_retarget import TrainRetargetSpec
-from usdface.specs.warp import WarpSpec
 from usdface.version import __version__
 
 EPILOG = "Exit codes: 0 done, 1 a check failed, 2 bad input, 3 interrupted."
@@ -161,49 +137,16 @@ def _folder_to_ingest(spec_type: type[Spec], values: dict[str, Any]) -> Path | N
     return sources[0] if sources and len(sources) == 1 and sources[0].is_dir() else None
 
 
-def _add(parent: typer.Typer, name: str, spec: type[Spec]) -> None:
-    parent.command(name, epilog=EPILOG)(command_of(spec, _run_step, COMMON))
-
-
-_STEPS: tuple[type[Spec], ...] = (
-    IngestSpec,
-    AlignSpec,
-    CleanSpec,
-    PhonesSpec,
-    SelectSpec,
-    TrainSpec,
-    MapSpec,
-    JoinSpec,
-    EditSpec,
-    BakeSpec,
-    PackageSpec,
-    SheetSpec,
-    MovieSpec,
-    MovieJoinSpec,
-    ReportSpec,
-    EvaluateSpec,
-    BindSpec,
-    DeformSpec,
-    MakeShapesSpec,
-    TrainRetargetSpec,
-    RetargetSpec,
-    CyclicSpec,
-    MakeSequenceSpec,
-    FindSequencesSpec,
-    WarpSpec,
-    FacesSpec,
-)
-for _spec in _STEPS:
-    _add(app, _spec.model_fields["step"].default, _spec)
-_add(references, "import", ReferencesImportSpec)
-_add(references, "sheet", ReferenceSheetSpec)
-_add(references, "from-edits", ReferencesFromEditsSpec)
-app.add_typer(references, name="references")
-_add(pairs, "propose", PairsProposeSpec)
-_add(pairs, "import", PairsImportSpec)
-app.add_typer(pairs, name="pairs")
-_add(edits, "import", EditsImportSpec)
-app.add_typer(edits, name="edits")
+_GROUPS = {"references": references, "pairs": pairs, "edits": edits}
+# An edit is a person's: a job makes none again.
+_COMMANDS: tuple[type[Spec], ...] = (*STEP_SPECS, EditSpec, EditsImportSpec)
+for _spec in _COMMANDS:
+    _name = _spec.model_fields["step"].default
+    _group, _, _rest = _name.partition("-")
+    _add = _GROUPS[_group].command(_rest, epilog=EPILOG) if _group in _GROUPS else None
+    (_add or app.command(_name, epilog=EPILOG))(command_of(_spec, _run_step, COMMON))
+for _group, _commands in _GROUPS.items():
+    app.add_typer(_commands, name=_group)
 
 
 @edits.command("list", epilog=EPILOG)

@@ -1,7 +1,7 @@
 """A job: steps in the order they build on each other."""
 
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self, get_args
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -32,39 +32,6 @@ from usdface.specs.takes import FOR_EACH_SCHEMA, TAKES_SCHEMA, write_out
 from usdface.specs.train import TrainSpec
 from usdface.specs.train_retarget import TrainRetargetSpec
 from usdface.specs.warp import WarpSpec
-
-STEP_SPECS: tuple[type[Spec], ...] = (
-    IngestSpec,
-    AlignSpec,
-    CleanSpec,
-    PhonesSpec,
-    SelectSpec,
-    ReferencesImportSpec,
-    ReferenceSheetSpec,
-    TrainSpec,
-    MapSpec,
-    JoinSpec,
-    BakeSpec,
-    PackageSpec,
-    ReferencesFromEditsSpec,
-    SheetSpec,
-    MovieSpec,
-    MovieJoinSpec,
-    ReportSpec,
-    EvaluateSpec,
-    BindSpec,
-    DeformSpec,
-    MakeShapesSpec,
-    PairsProposeSpec,
-    PairsImportSpec,
-    TrainRetargetSpec,
-    RetargetSpec,
-    CyclicSpec,
-    MakeSequenceSpec,
-    FindSequencesSpec,
-    WarpSpec,
-    FacesSpec,
-)
 
 AnyStep = Annotated[
     IngestSpec
@@ -99,6 +66,9 @@ AnyStep = Annotated[
     | FacesSpec,
     Field(discriminator="step"),
 ]
+
+STEP_SPECS: tuple[type[Spec], ...] = get_args(get_args(AnyStep)[0])
+"""Every step of a job, in the order of a day's work."""
 
 
 def _with_takes(schema: dict[str, Any]) -> None:
