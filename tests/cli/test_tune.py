@@ -1,9 +1,11 @@
 """`usdface tune` as a user meets it when it cannot start."""
 
 import json
+import os
 import shlex
 import socket
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -80,6 +82,8 @@ def test_a_rig_that_lost_shapes_is_named(tmp_path: Path, capsys) -> None:
     asset = write_asset(tmp_path)
     rig = tmp_path / "rig.usda"
     rig.write_text(rig.read_text().replace("smile", "grin"))
+    later = time.time() + 10  # USD reads a layer again by its time, and this one was just written
+    os.utime(rig, (later, later))
     assert run(str(asset), "--no-browser") == 2
     assert "selected for another rig" in capsys.readouterr().err
 
