@@ -1,4 +1,4 @@
-"""Regenerate what is derived from one source: USD schema files and JSON Schemas of the specs.
+"""Regenerate what is derived from one source: USD schema files, JSON Schemas, reference pages.
 
 `poe schemas` writes them into the repository; a test writes them elsewhere and compares.
 """
@@ -9,11 +9,13 @@ import sys
 import tempfile
 from pathlib import Path
 
+from tests.reference_pages import reference_pages
 from usdface.specs.job import STEP_SPECS, JobSpec
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 USD_SCHEMA = REPOSITORY / "schemas" / "usdface"
 JSON_SCHEMAS = REPOSITORY / "schemas" / "json"
+REFERENCE = REPOSITORY / "docs" / "reference"
 PLUG_INFO_TOKENS = {
     "@PLUG_INFO_LIBRARY_PATH@": "",
     "@PLUG_INFO_RESOURCE_PATH@": ".",
@@ -65,6 +67,9 @@ def main() -> None:
         old.unlink()
     for name, text in json_schemas().items():
         (JSON_SCHEMAS / name).write_text(text, encoding="utf-8")
+    REFERENCE.mkdir(exist_ok=True)
+    for name, text in reference_pages(USD_SCHEMA / "schema.usda").items():
+        (REFERENCE / name).write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

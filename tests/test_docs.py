@@ -2,12 +2,14 @@
 
 import re
 import shlex
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
 from develop import main as develop
-from tests.regenerate import REPOSITORY
+from tests.reference_pages import anchor, reference_pages
+from tests.regenerate import REFERENCE, REPOSITORY, USD_SCHEMA
 from tests.steps.small_shot import make_inputs
 from usdface.cli import main
 
@@ -27,11 +29,35 @@ def run(line: str) -> int:
     return int(stopped.value.code or 0)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def anchors(page: Path) -> set[str]:
+    """What the headings of a page are linked by; the second of a name ends in -1."""
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    seen = Counter[str]()
+    found = set()
+    for title in re.findall(r"^#+ +(.+)$", text, flags=re.MULTILINE):
+        name = anchor(re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", title))
+        found.add(f"{name}-{seen[name]}" if seen[name] else name)
+        seen[name] += 1
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(REPOSITORY).as_posix())
 def test_every_link_leads_somewhere(page: Path) -> None:
-    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
-        if not target.startswith("http"):
-            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+    text = page.read_text(encoding="utf-8")
+    for target, _, place in re.findall(r"\]\(([^)#\s]*)(#([^)\s]*))?\)", text):
+        if target.startswith("http"):
+            continue
+        linked = page.parent / target if target else page
+        assert linked.exists(), f"{page.name} links to {target}"
+        if place:
+            assert place in anchors(linked), f"{page.name} links to {target}#{place}"
+
+
+def test_committed_reference_pages_are_those_of_the_code() -> None:
+    pages = reference_pages(USD_SCHEMA / "schema.usda")
+    assert {path.name for path in REFERENCE.glob("*.md")} == set(pages)
+    for name, text in pages.items():
+        assert (REFERENCE / name).read_text(encoding="utf-8") == text, "run `poe schemas`"
 
 
 def test_the_tutorial_runs_from_top_to_bottom(tmp_path: Path, monkeypatch, capsys) -> None:
