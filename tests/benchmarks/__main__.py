@@ -1,11 +1,13 @@
-"""Run benchmarks and print their tables: `poe bench`, or `python -m tests.benchmarks NAME...`.
+"""Run benchmarks and print their tables: `poe bench`, or `python -m tests.benchmarks NAME...`."""
 
-With `--quick`, benchmarks that have a short form run that."""
-
+import argparse
+import os
 import sys
+import time
 from importlib import import_module
-from inspect import signature
 from pathlib import Path
+
+from tests.benchmarks._report import Measured, kept_output, write_report
 
 
 def names() -> list[str]:
@@ -16,17 +18,24 @@ def names() -> list[str]:
 
 def main() -> int:
     """Run the benchmarks named, or all."""
-    quick = "--quick" in sys.argv
-    wanted = [name for name in sys.argv[1:] if name != "--quick"] or names()
-    unknown = [name for name in wanted if name not in names()]
+    parser = argparse.ArgumentParser(description="Run benchmarks and print their tables.")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"one of {', '.join(names())}")
+    parser.add_argument("--out", type=Path, help="keep the tables in this folder, as .md and .json")
+    asked = parser.parse_args()
+    unknown = [name for name in asked.names if name not in names()]
     if unknown:
         print(f"no benchmark {', '.join(unknown)}; there are {', '.join(names())}", file=sys.stderr)
         return 2
-    for name in wanted:
+    for name in asked.names or names():
         print(f"## {name}\n", flush=True)
-        run = import_module(f"tests.benchmarks.{name}").run
-        run(**({"quick": True} if quick and "quick" in signature(run).parameters else {}))
+        load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+        start = time.perf_counter()
+        with kept_output() as kept:
+            import_module(f"tests.benchmarks.{name}").run()
         print()
+        if asked.out is not None:
+            seconds = time.perf_counter() - start
+            write_report(asked.out, [Measured(name, kept.text, seconds, load)])
     return 0
 
 
