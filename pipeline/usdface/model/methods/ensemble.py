@@ -18,8 +18,10 @@ from usdface.model.methods.target_curve import CURVES, bend, choose_curves, unbe
 from usdface.model.methods.voices import (
     FEWEST_CORRELATED,
     GLOBAL_LINES,
+    GLOBAL_LOCALS,
     REGION_TIGHT,
     REGION_WIDE,
+    REGIONAL_COST,
     Voice,
     correlation_voice,
     global_voice,
@@ -173,14 +175,21 @@ def _example_voices(
     line = global_voice(
         z, targets, variances=variances, choices=GLOBAL_LINES, importance=importance
     )
-    sample = pairs.motion.sample[:, : z.shape[1]]
-    components = pairs.motion.components[: z.shape[1]]
-    guessed = np.clip(sample @ line.slope + line.intercept, 0.0, 1.0)
-    covariance = np.cov(sample.T).reshape(z.shape[1], -1)
     taught = replace(pairs, weights=targets, gram=np.diag(importance))
     voices = []
     if len(targets) >= FEWEST_CORRELATED:
         voices = [correlation_voice(taught, targets, dimensions=z.shape[1])]
+    if len(targets) ** 3 * targets.shape[1] > REGIONAL_COST:
+        voices.append(
+            global_voice(
+                z, targets, variances=variances, choices=GLOBAL_LOCALS, importance=importance
+            )
+        )
+        return voices, targets
+    sample = pairs.motion.sample[:, : z.shape[1]]
+    components = pairs.motion.components[: z.shape[1]]
+    guessed = np.clip(sample @ line.slope + line.intercept, 0.0, 1.0)
+    covariance = np.cov(sample.T).reshape(z.shape[1], -1)
     for choices, sharpness, floor, shared in (
         (REGION_WIDE, 1.5, 0.01, True),
         (REGION_TIGHT, 2.0, 0.01, False),

@@ -45,10 +45,20 @@ FEWEST_CORRELATED = 4
 """Pairs below which nothing can be said to correlate."""
 
 CORRELATION_FOLDS = 25
-"""At most: pairs are left out one by one while they are no more than this."""
+MANY_PAIRS = 100
+MANY_FOLDS = 10
+"""Parts in which pairs are left out: the first up to this many pairs, beyond the last."""
 
-CORRELATION_COST = 2e9
-"""Fits times cubed pairs: all choices up to 160 pairs."""
+CORRELATION_COST = 5e8
+"""Fits times cubed pairs: all choices up to 100 pairs."""
+
+REGIONAL_COST = 200 * 200.0**3
+"""Shapes times cubed pairs up to which every shape has a process of its own."""
+
+GLOBAL_LOCALS = tuple(
+    Choice(d, p, 1.0, c) for d in (24, 40) for p in (0.25, 0.5) for c in (1.0, 4.0)
+)
+"""Of one process for all shapes, where they are too many."""
 
 AFFORDABLE = 16 * 60 * 200.0**3
 """Choices times shapes times cubed pairs: all of them up to 200 pairs of 60 shapes."""
@@ -112,7 +122,8 @@ def correlation_voice(pairs: Pairs, targets: FloatArray, *, dimensions: int) -> 
     heard together.
     """
     count = len(targets)
-    folds = np.arange(count) % min(count, CORRELATION_FOLDS)
+    parts_out = CORRELATION_FOLDS if count <= MANY_PAIRS else MANY_FOLDS
+    folds = np.arange(count) % min(count, parts_out)
     allowed = int(CORRELATION_COST / (int(folds.max()) + 1) / count**3)
     best: tuple[float, Settings, FloatArray] | None = None
     taught = replace(pairs, weights=targets)

@@ -20,6 +20,10 @@ SPREADS = (0.05, 0.1)
 OWN_SHARE = 0.15
 """How much of the weights' covariance is each weight on its own, the rest is the pairs'."""
 
+SINGLY = 100
+FOLDS = 25
+"""Pairs are left out one by one up to the first number, beyond in this many parts."""
+
 _NOISE_MM = 0.03  # least noise of a coordinate
 _CORRELATED = 0.4  # share of the errors' covariance that is believed as it is: pairs are few
 _EVIDENCE = 3.0  # how much more markers say together than one direction's error suggests
@@ -101,16 +105,17 @@ def fit_linear_posterior(
     scores = [float((fit.residuals**2).mean(axis=0) @ importance) for fit in fits]
     ridge = float(RIDGES[int(np.argmin(scores))])
     whole = fits[int(np.argmin(scores))]
-    others = [np.delete(np.arange(n), i) for i in range(n)]
+    out = np.array_split(np.arange(n), n if n <= SINGLY else FOLDS)
+    others = [np.setdiff1d(np.arange(n), each) for each in out]
     without = [_calibrate(coordinates[k], weights[k], expected, ridge) for k in others]
     tried = []
     for spread in SPREADS:
         predicted = np.empty_like(weights)
-        for i, (rest, fit) in enumerate(zip(others, without, strict=True)):
+        for left, rest, fit in zip(out, others, without, strict=True):
             slope, intercept = _invert(
                 fit, weights[rest], _noise_of(whole.residuals[rest], components), spread
             )
-            predicted[i] = coordinates[i] @ slope + intercept
+            predicted[left] = coordinates[left] @ slope + intercept
         error = weights - predicted
         tried.append((float(np.einsum("ns,st,nt->", error, gram, error)), spread, error))
     _, spread, residuals = min(tried, key=lambda entry: entry[0])
@@ -124,9 +129,11 @@ def _calibrate(z: Array, w: Array, expected: Array, ridge: float) -> _Forward:
     mean_z, mean_w = z.mean(axis=0), w.mean(axis=0)
     rows = w - mean_w
     penalty = ridge * max(float((rows**2).mean()), 1e-9) * len(w)
-    inverse = np.linalg.inv(rows.T @ rows + penalty * np.eye(w.shape[1]))
-    matrix = expected + inverse @ (rows.T @ (z - mean_z - rows @ expected))
-    leverage = np.einsum("ij,jk,ik->i", rows, inverse, rows, optimize=True) + 1 / len(w)
+    # As large as the pairs, however many shapes there are: (R'R + p)^-1 R' = R' (RR' + p)^-1.
+    product = rows @ rows.T
+    inverse = np.linalg.inv(product + penalty * np.eye(len(w)))
+    matrix = expected + rows.T @ (inverse @ (z - mean_z - rows @ expected))
+    leverage = np.einsum("ij,ij->i", product, inverse) + 1 / len(w)
     residual = (z - mean_z - rows @ matrix) / np.maximum(1 - leverage, 0.02)[:, None]
     return _Forward(matrix, mean_z - mean_w @ matrix, residual)
 
@@ -150,8 +157,9 @@ def _noise_of(residuals: Array, components: Array) -> Array:
 def _invert(fit: _Forward, w: Array, noise: Array, spread: float) -> tuple[Array, Array]:
     """Mean of the weights given the coordinates: ``S B (B' S B + R)^-1`` and its constant."""
     mean = w.mean(axis=0)
-    own = OWN_SHARE * spread**2 * np.eye(len(mean))
-    covariance = own + (1 - OWN_SHARE) * np.cov(w.T).reshape(len(mean), -1)
-    carried = covariance @ fit.matrix
+    own = OWN_SHARE * spread**2
+    rows = w - mean
+    together = rows.T @ (rows @ fit.matrix) / max(len(w) - 1, 1)  # their covariance, not formed
+    carried = own * fit.matrix + (1 - OWN_SHARE) * together
     slope = np.linalg.solve(fit.matrix.T @ carried + noise, carried.T).astype(np.float64)
     return slope, mean - (mean @ fit.matrix + fit.offset) @ slope

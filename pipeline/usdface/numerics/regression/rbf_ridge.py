@@ -5,7 +5,7 @@ score of every output at every ridge. Weight decay, ``(H'H + rI)^-1 H'W``, is no
 ``(K + rI)^-1 W``: the same ridge means another amount of smoothing.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -184,7 +184,10 @@ def choose_ridge(rotated: Rotated, *, freedom_limit: float = FREEDOM_LIMIT) -> A
     for ridge in np.unique(best):
         outputs = best == ridge
         near = np.maximum(ridge * fine, floor)
-        chosen[outputs] = near[gcv_scores(rotated, near)[:, outputs].argmin(axis=0)]
+        own = replace(
+            rotated, outputs=rotated.outputs[:, outputs], unreached=rotated.unreached[outputs]
+        )
+        chosen[outputs] = near[gcv_scores(own, near).argmin(axis=0)]
     return chosen
 
 

@@ -63,7 +63,8 @@ def expect_marker_motion(skin: Array, weights: Array, markers: Array) -> SkinPri
     if markers.shape[0] != len(weights):
         raise ValueError(f"{markers.shape[0]} marker clouds but {len(weights)} weights")
     seen = (markers - markers.mean(axis=0)).transpose(1, 0, 2)
-    moved = np.einsum("ns,spc->pnc", weights - weights.mean(axis=0), skin)
+    flat = (weights - weights.mean(axis=0)) @ skin.reshape(len(skin), -1)
+    moved = np.ascontiguousarray(flat.reshape(len(weights), -1, 3).transpose(1, 0, 2))
     energy = np.einsum("mnc,mnc->m", seen, seen)
     size = np.einsum("pnc,pnc->p", moved, moved)
     values = 3 * len(weights)
