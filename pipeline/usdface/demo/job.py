@@ -15,8 +15,10 @@ from usdface.specs.job import JobSpec
 from usdface.specs.map import MapSpec
 from usdface.specs.reading import read_job, spec_text
 from usdface.specs.references import ReferencesImportSpec, SelectSpec
+from usdface.specs.report import ReportSpec
 from usdface.specs.sheet import SheetSpec
 from usdface.specs.train import TrainSpec
+from usdface.steps.confined_inputs import confine
 from usdface.steps.jobs import run_job
 from usdface.steps.report import Report
 from usdface.usdio.performance import read_performance
@@ -45,6 +47,7 @@ def run_demo(folder: Path, *, progress: Progress = silent) -> Report:
     InputError
         If the folder cannot be made or written, or holds something else.
     """
+    confine("demo", writes=[folder])
     job_file = folder / JOB_NAME
     _make_folder(folder, job_file)
     inputs = write_demo_inputs(folder, progress=part(progress, 0.0, INPUTS_SHARE))
@@ -58,8 +61,8 @@ def run_demo(folder: Path, *, progress: Progress = silent) -> Report:
         f"{len(error)} frames that were not keyed: surface error {np.mean(error):.2f} mm on "
         f"average, {np.percentile(error, 95):.2f} mm at the 95th percentile",
         (
-            f"look at {folder / 'demo.sheet.jpg'}, and open {folder / 'demo.character.usda'} in a "
-            "USD viewer",
+            f"look at {folder / 'demo.sheet.jpg'}, open {folder / 'demo.report.html'} in a browser "
+            f"and {folder / 'demo.character.usda'} in a USD viewer",
             f"change {job_file} and run it again: usdface run {job_file}",
         ),
         {
@@ -67,6 +70,7 @@ def run_demo(folder: Path, *, progress: Progress = silent) -> Report:
             "surface_error_p95_mm": float(np.percentile(error, 95)),
             "job": str(job_file),
             "sheet": str(folder / "demo.sheet.jpg"),
+            "report": str(folder / "demo.report.html"),
         },
     )
 
@@ -123,6 +127,13 @@ def _job(inputs: DemoInputs, folder: Path) -> JobSpec:
                 take=clean,
                 out=Path("demo.sheet.jpg"),
                 against=local(inputs.animator_weights),
+            ),
+            ReportSpec(
+                performance=performance,
+                take=clean,
+                out=Path("demo.report.html"),
+                against=local(inputs.animator_weights),
+                sheet=Path("demo.sheet.jpg"),
             ),
         ),
     )
