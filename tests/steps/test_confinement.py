@@ -1,5 +1,6 @@
 """Confined to a folder: whatever names something outside is refused, and nothing is executed."""
 
+import os
 import shutil
 from pathlib import Path
 
@@ -12,7 +13,9 @@ from usdface.cli import main
 from usdface.errors import InputError
 from usdface.specs.bake import BakeSpec
 from usdface.specs.confinement import VARIABLE, check_confined
+from usdface.specs.reading import read_job
 from usdface.steps.execute import execute
+from usdface.steps.jobs import check_job, run_job
 from usdface.usdio.rig_write import write_rig
 
 LAYER = "#usda 1.0\n(\n    subLayers = [@%s@]\n)\n"
@@ -111,3 +114,83 @@ def test_a_layer_that_carries_code_is_data(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no SkelAnimation"):
         bake(tmp_path / "a.usda", tmp_path / "b.usda")
     assert not (tmp_path / "owned").exists()
+
+
+@pytest.mark.parametrize("name", ["sly.USDA", "sly.usdz"])
+def test_no_name_of_a_layer_escapes_the_look_inside(root: Path, name: str) -> None:
+    layer = root / "inside.usda"
+    layer.write_text(LAYER % (root.parent / "secret.usda"))
+    if name.endswith("z"):
+        package = Sdf.ZipFileWriter.CreateNew(str(root / name))
+        package.AddFile(str(layer), "inside.usda")
+        package.Save()
+    else:
+        layer.rename(root / name)
+    with pytest.raises(InputError, match=r"refers to .*secret.usda, which lies outside"):
+        bake(root / name, root / "b.usda")
+
+
+ASSET = 'def "A"\n{\n    asset x%s\n}\n'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'def "A" (\n    references = @../secret.usda@\n)\n{\n}\n',
+        'def "A" (\n    payload = @../secret.usda@\n)\n{\n}\n',
+        'def "A" (\n    prepend variantSets = "v"\n)\n{\n    variantSet "v" = {\n        "a" (\n'
+        "            references = @../secret.usda@\n        ) {\n        }\n    }\n}\n",
+        ASSET % " = @../secret.usda@",
+        ASSET % ".timeSamples = {1: @../secret.usda@}",
+        ASSET % " = @../not-there.mov@",
+        'def "A" (\n    references = @file:///etc/secret.usda@\n)\n{\n}\n',
+        'def "A" (\n    clips = {\n        dictionary default = {\n'
+        "            asset[] assetPaths = [@../secret.usda@]\n"
+        '            string primPath = "/A"\n        }\n    }\n)\n{\n}\n',
+        '(\n    expressionVariables = {\n        string X = "../secret.usda"\n    }\n)\n'
+        'def "A" (\n    references = @`"${X}"`@\n)\n{\n}\n',
+    ],
+    ids="reference payload variant asset samples absent url clips expression".split(),
+)
+def test_no_way_of_naming_a_file_in_a_layer_leads_out(root: Path, text: str) -> None:
+    (root / "sly.usda").write_text(f"#usda 1.0\n{text}")
+    with pytest.raises(InputError, match="which lies outside"):
+        bake(root / "sly.usda", root / "b.usda")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "validate ../secret.usda",
+        "describe ../secret.usda",
+        "edits list ../secret.usda",
+        "tune ../secret.usda --no-browser",
+        "demo --out ../demo",
+        "edit ../secret.usda --shape a --add 1 --frames 1-2",
+        "bake a.usda --out ../b.usda",
+    ],
+)
+def test_commands_without_a_job_are_confined_too(
+    root: Path, words: str, monkeypatch, capsys
+) -> None:
+    monkeypatch.chdir(root)
+    with pytest.raises(SystemExit) as stopped:
+        main(words.split())
+    assert stopped.value.code == 2
+    assert "lies outside" in capsys.readouterr().err
+    assert sorted(path.name for path in root.parent.iterdir()) == ["root", "secret.usda"]
+
+
+def test_a_pipe_is_refused_before_it_is_opened(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.usda")
+    os.mkfifo(tmp_path / "pipe.yaml")
+    with pytest.raises(InputError, match="a pipe or a device"):
+        bake(tmp_path / "pipe.usda", tmp_path / "b.usda")
+    with pytest.raises(InputError, match="a pipe or a device"):
+        read_job(tmp_path / "pipe.yaml")
+    job = tmp_path / "job.yaml"
+    steps = [{"step": "bake", "performance": "pipe.usda", "out": "b.usda"}]
+    job.write_text(yaml.safe_dump({"job": "x", "steps": steps}))
+    for look in (run_job, check_job):
+        with pytest.raises(InputError, match="a pipe or a device"):
+            look(read_job(job))

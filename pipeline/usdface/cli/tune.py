@@ -9,6 +9,7 @@ from usdface.cli.console import out, show_report
 from usdface.cli.spec_options import build_spec, command_of
 from usdface.errors import InputError
 from usdface.specs.base import Reads, Spec
+from usdface.specs.confinement import confinement_root
 from usdface.specs.tune import TuneSpec
 from usdface.steps.report import Report
 
@@ -26,6 +27,11 @@ def _tune(spec_type: type[Spec], values: dict[str, Any], *, as_json: bool) -> No
     if missing:
         names = ", ".join(map(str, missing))
         raise InputError(f"tune: {names}: no such file; check the path")
+    root = confinement_root()
+    if root is not None:
+        from usdface.steps.confined_inputs import check_confined_inputs
+
+        check_confined_inputs(spec, root)
     try:
         from usdface.tuning.serve import serve
     except ModuleNotFoundError as error:

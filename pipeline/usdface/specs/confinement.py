@@ -1,6 +1,7 @@
 """Work kept below one folder: nothing outside it is read or written, whichever way it is named."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from usdface.errors import InputError
@@ -27,16 +28,38 @@ def check_confined(specs: tuple[Spec, ...], root: Path) -> None:
     InputError
         If the folder does not exist, or naming every path that lies outside.
     """
+    check_paths_confined(
+        [
+            (spec.step, path)
+            for spec in specs
+            for path in dict.fromkeys((*spec.paths(Reads), *spec.paths(Writes), *spec.changes()))
+        ],
+        root,
+    )
+
+
+def check_paths_confined(paths: Sequence[tuple[str, Path]], root: Path) -> None:
+    """Refuse paths outside a folder, as `check_confined` does.
+
+    Parameters
+    ----------
+    paths : sequence of (str, Path)
+        Each with the name of what reads or writes it.
+    root : Path
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist, or naming every path that lies outside.
+    """
     if not root.is_dir():
         raise InputError(f"{root}: no such folder, so nothing can be confined to it")
     top = root.resolve()
     faults = []
-    for spec in specs:
-        paths = (*spec.paths(Reads), *spec.paths(Writes), *spec.changes())
-        for path in dict.fromkeys(paths):
-            real = path.resolve()
-            if not real.is_relative_to(top):
-                by = " (by a link)" if path.absolute().is_relative_to(top) else ""
-                faults.append(f"{spec.step}: {path}: lies outside {root}{by}, at {real}")
+    for what, path in paths:
+        real = path.resolve()
+        if not real.is_relative_to(top):
+            by = " (by a link)" if path.absolute().is_relative_to(top) else ""
+            faults.append(f"{what}: {path}: lies outside {root}{by}, at {real}")
     if faults:
         raise InputError("\n".join(faults) + "\nmove the files below it, or ask for another root")

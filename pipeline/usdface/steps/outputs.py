@@ -9,19 +9,38 @@ from usdface.media.image import read_image_metadata
 from usdface.media.movie import read_movie_comment
 from usdface.provenance import Provenance, canonical_json, hash_files
 from usdface.specs.base import IMAGE_SUFFIXES, LAYER_SUFFIXES, Reads, Spec, Writes
+from usdface.specs.confinement import confinement_root
 from usdface.specs.movie import MOVIE_SUFFIXES
 from usdface.speech.track_files import read_origin
-from usdface.usdio.layers import dependencies, read_provenance
+from usdface.steps.confined_inputs import check_confined_inputs
+from usdface.usdio.layers import dependencies, is_layer_name, read_provenance
 
 LARGEST_FIGURES_BYTES = 64 << 20
 
 
 def check_inputs(spec: Spec) -> None:
     """Raise InputError naming every file that a spec reads and that is not there."""
+    check_may_be_read(spec)
     missing = [path for path in spec.paths(Reads) if not path.exists()]
     if missing:
         names = ", ".join(map(str, missing))
         raise InputError(f"{spec.step}: {names}: no such file; check the path")
+
+
+def check_may_be_read(spec: Spec) -> None:
+    """Raise InputError if a spec leaves the folder of ``USDFACE_ROOT``, or reads what is no file.
+
+    Before anything is opened, to hash it or to use it.
+    """
+    root = confinement_root()
+    if root is not None:
+        check_confined_inputs(spec, root)
+    # A pipe or a device may never end, or never begin.
+    paths = [path for path in spec.paths(Reads) if path.exists()]
+    odd = [path for path in paths if not (path.is_file() or path.is_dir())]
+    if odd:
+        names = ", ".join(map(str, odd))
+        raise InputError(f"{spec.step}: {names}: a pipe or a device, not a file; copy it to one")
 
 
 def check_outputs(spec: Spec, *, overwrite: bool) -> None:
@@ -133,7 +152,7 @@ def _from_text(text: str) -> Provenance | None:
 
 
 def _hash(path: Path, *, alone: bool) -> str:
-    if alone or path.suffix not in (*LAYER_SUFFIXES, ".usdz"):
+    if alone or not is_layer_name(path):
         return hash_files([path])
     return hash_files(dependencies(path))
 

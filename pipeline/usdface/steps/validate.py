@@ -3,6 +3,7 @@
 from dataclasses import asdict
 from pathlib import Path
 
+from usdface.steps.confined_inputs import confine
 from usdface.steps.report import Report
 from usdface.usdio.validation import validate
 
@@ -15,6 +16,7 @@ def validate_layers(layers: tuple[Path, ...]) -> Report:
     InputError
         If a layer cannot be opened.
     """
+    confine("validate", reads=layers)
     found = {str(layer): validate(layer) for layer in layers}
     findings = [finding for each in found.values() for finding in each]
     errors = [finding for finding in findings if finding.severity == "error"]

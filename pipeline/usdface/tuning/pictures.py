@@ -17,6 +17,9 @@ from usdface.media.video import VideoReader
 from usdface.usdio.take import TakeReader
 from usdface.usdio.tuning import PairNotes
 
+MOST_VALUES = 1 << 29
+"""Of one picture, all channels: 16,384 by 8,192 pixels of four."""
+
 KEPT = 64
 """Encoded pictures that are kept: going back and forth decodes nothing."""
 
@@ -119,6 +122,12 @@ def _read_picture(path: Path) -> ByteImage:
     buffer = oiio.ImageBuf(str(path))
     if buffer.has_error:
         raise InputError(f"{path}: cannot be read as a picture ({buffer.geterror()})")
+    size = buffer.spec()
+    if size.width * size.height * size.nchannels > MOST_VALUES:
+        raise InputError(
+            f"{path}: {size.width} × {size.height} with {size.nchannels} channels is too large for "
+            "the page; write it smaller"
+        )
     pixels = buffer.get_pixels("uint8")
     if pixels is None or pixels.ndim != 3:
         raise InputError(f"{path}: cannot be read as a picture")

@@ -12,6 +12,7 @@ from pathlib import Path
 import uvicorn
 
 from usdface.errors import CancelledError, InputError
+from usdface.specs.confinement import check_paths_confined, confinement_root
 from usdface.specs.tune import TuneSpec
 from usdface.tuning.application import Scene, build_application
 from usdface.tuning.guard import Guard
@@ -74,7 +75,11 @@ def _run(
             f"{', '.join(missing[:5])}; it was selected for another rig: select again"
         )
     notes = read_pair_notes(spec.references, len(references.frames))
-    pictures = PairPictures(references, notes, spec.takes or take_files(spec.references))
+    takes = spec.takes or take_files(spec.references)
+    root = confinement_root()
+    if root is not None:  # the asset says where its takes are
+        check_paths_confined([("tune", take) for take in takes], root)
+    pictures = PairPictures(references, notes, takes)
     scene = Scene(session, rig, notes, pictures)
     guard = Guard(build_application(scene), port=listener.getsockname()[1], announce=announce)
     config = uvicorn.Config(

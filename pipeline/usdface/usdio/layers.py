@@ -38,6 +38,11 @@ def usd_errors_as_input_errors(path: Path, doing: str) -> Iterator[None]:
         delegate.TakeUncoalescedDiagnostics()
 
 
+def is_layer_name(path: Path) -> bool:
+    """Whether USD would open a file of this name as a layer; a package is one."""
+    return bool(Usd.Stage.IsSupportedFile(str(path)))
+
+
 def open_layer(path: Path) -> Sdf.Layer:
     """Open one layer as it is on disk now.
 
@@ -48,7 +53,7 @@ def open_layer(path: Path) -> Sdf.Layer:
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file; check the path")
-    if not Usd.Stage.IsSupportedFile(str(path)):
+    if not is_layer_name(path):
         raise InputError(
             f"{path}: not a USD file by its name; expected .usd, .usda, .usdc or .usdz"
         )
