@@ -18,6 +18,7 @@ from usdface.model.surface_distance import (
     UnreachedReport,
     surface_distances,
 )
+from usdface.numerics.manifold.fold_sides import FoldSides, find_fold_sides
 from usdface.numerics.manifold.hyper_posterior import HyperPrior
 from usdface.numerics.manifold.hyper_sampling import (
     draw_laplace,
@@ -242,6 +243,7 @@ def fit_surface_regression(
     length_scale: float | None = None,
     covariance_shape: Shape = "creased",
     prior: HyperPrior | None = None,
+    folds: bool = True,
     samples: int = SAMPLES,
     seed: int = 0,
 ) -> SurfaceRegression:
@@ -265,6 +267,9 @@ def fit_surface_regression(
     covariance_shape : {'creased', 'squared-exponential'}
         The second is eq. 7 as published.
     prior : HyperPrior, optional
+    folds : bool
+        Whether points in folds, such as the insides of lips, follow the markers of their own
+        side; never where the distance is Euclidean (`blend` 0), which knows no sides.
     samples : int
     seed : int
         Of every random choice: the same take moves the same way each time.
@@ -295,7 +300,11 @@ def fit_surface_regression(
     points = distances.points
     between = distances.blended_between(chosen.blend)
     to_points = distances.blended_to_points(chosen.blend)
+    sides = _sides(distances) if folds and chosen.blend > 0 else None
     if method == "rbf":
+        operator = multiquadric_fields(fit_distance_multiquadric(between), to_points)
+        if sides is not None:
+            sides.apply(operator, np.eye(count))
         return SurfaceRegression(
             method=method,
             sampler=sampler,
@@ -304,7 +313,7 @@ def fit_surface_regression(
             diagnostics=SurfaceDiagnostics(0.0, chosen.left_out_rms_mm),
             marker_count=count,
             point_count=len(points),
-            operator=multiquadric_fields(fit_distance_multiquadric(between), to_points),
+            operator=operator,
         )
     spectrum, covariance = marker_spectrum(
         distances, chosen.blend, chosen.length_scale, shape=covariance_shape, prior=prior
@@ -312,7 +321,11 @@ def fit_surface_regression(
     table = SharedTable(spectrum)
     rng = np.random.default_rng(seed)
     cross = covariance.cross(to_points)
-    fields = make_fields(spectrum, cross, distances.scaled(points).astype(np.float32), rng=rng)
+    places = distances.scaled(points).astype(np.float32)
+    if sides is not None:
+        sides.apply(cross, covariance.matrix())
+        sides.apply(places, distances.scaled(distances.marker_positions))
+    fields = make_fields(spectrum, cross, places, rng=rng)
     rows = _rows(chosen.frames)
     shared = None
     facts: dict[str, float] = {}
@@ -340,6 +353,15 @@ def fit_surface_regression(
         shared=shared,
         samples=samples,
         seed=seed,
+    )
+
+
+def _sides(distances: SurfaceDistances) -> FoldSides:
+    markers = distances.marker_positions
+    return find_fold_sides(
+        distances.geodesic_to_points,
+        distances.euclidean_to_points,
+        spread=float((markers - markers.mean(axis=0)).std()),
     )
 
 
