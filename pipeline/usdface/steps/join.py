@@ -43,11 +43,7 @@ def run(
                 for reader in readers:
                     for first in range(reader.first_frame, reader.last_frame + 1, BLOCK_FRAMES):
                         last = min(first + BLOCK_FRAMES - 1, reader.last_frame)
-                        writer.append(
-                            reader.solved(first, last),
-                            confidence=reader.series("face:confidence", first, last),
-                            residual_mm=reader.series("face:residual", first, last),
-                        )
+                        writer.copy(reader.animation, first, last)
                         done = (last - whole.first_frame + 1) / whole.frame_count
                         progress(done, f"joined to frame {last}")
     notes = edit_notes(spec.out)

@@ -7,9 +7,11 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from pxr import Sdf, Vt
+from pxr import Gf, Sdf, Usd, Vt
 
 from usdface.assets import Float32Array, FloatArray, IntArray, Rig
+from usdface.errors import InputError
+from usdface.numerics.curves.sparse_samples import sparse_rows
 from usdface.provenance import Provenance
 from usdface.usdio.authoring import apply_api, author_uniform, define_prim
 from usdface.usdio.layers import (
@@ -28,6 +30,12 @@ ANIMATION = "FaceSolve"
 WEIGHTS = "blendShapeWeights"
 CONFIDENCE = "face:confidence"
 RESIDUAL = "face:residual"
+
+CONFIDENCE_WITHIN = 0.005
+RESIDUAL_WITHIN_MM = 0.01
+"""Samples of confidence and residual are left out where USD's line between those kept is as near:
+nobody sees the difference, and a sample costs as much as a frame of weights. Weights are all
+written."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +88,7 @@ class WeightsWriter:
         self._residual = header.animation.AppendProperty(RESIDUAL)
         self._lot = min(FRAMES_IN_MEMORY, VALUES_IN_MEMORY // max(len(header.shape_names), 1) + 1)
         self._unsaved = 0
+        self._shapes = len(header.shape_names)
         self.next_frame = header.first_frame
 
     def append(
@@ -123,22 +132,67 @@ class WeightsWriter:
         keys: IntArray,
     ) -> None:
         # One attribute after the other, and names looked up once: this loop is what mapping waits
-        # for when the regression is a quick one.
+        # for when the regression is a quick one. Nobody listens to a layer while it is written.
         write, array, first = self._layer.SetTimeSample, Vt.FloatArray.FromNumpy, self.next_frame
-        for index in keys.tolist():
-            write(self._weights, first + index, array(rows[index]))
-        if confidence is not None:
-            for frame, value in enumerate(confidence.tolist(), start=first):
-                write(self._confidence, frame, value)
-        if residual is not None:
-            for frame, row in enumerate(residual, start=first):
-                write(self._residual, frame, array(row))
-        self.next_frame += len(rows)
-        self._unsaved += len(rows)
+        with Sdf.ChangeBlock():
+            for index in keys.tolist():
+                write(self._weights, first + index, array(rows[index]))
+            if confidence is not None:
+                for index in _samples(confidence[:, None], CONFIDENCE_WITHIN):
+                    write(self._confidence, first + index, float(confidence[index]))
+            if residual is not None:
+                for index in _samples(residual, RESIDUAL_WITHIN_MM):
+                    write(self._residual, first + index, array(residual[index]))
+        self._count(len(rows))
+
+    def copy(self, animation: Usd.Prim, first: int, last: int) -> None:
+        """Append frames of an animation of the same shapes, sample by sample, as they are.
+
+        Raises
+        ------
+        ValueError
+            If they are not the next frames.
+        InputError
+            If a frame has no weights, or others than the shapes ask for.
+        """
+        if first != self.next_frame:
+            raise ValueError(f"frame {self.next_frame} comes next, not {first}")
+        write = self._layer.SetTimeSample
+        for start in range(first, last + 1, self._lot):
+            stop = min(start + self._lot, last + 1)
+            part = Gf.Interval(start, stop, True, False)
+            with Sdf.ChangeBlock():
+                for path in (self._weights, self._confidence, self._residual):
+                    attribute = animation.GetAttribute(path.name)
+                    times = attribute.GetTimeSamplesInInterval(part) if attribute else []
+                    values = [attribute.Get(time) for time in times]
+                    if path == self._weights:
+                        self._check_samples(animation, values, stop - start)
+                    for time, value in zip(times, values, strict=True):
+                        write(path, time, value)
+            self._count(stop - start)
+
+    def _check_samples(self, animation: Usd.Prim, values: list[Vt.FloatArray], frames: int) -> None:
+        sizes = set(map(len, values))
+        if len(values) != frames or sizes != {self._shapes}:
+            raise InputError(
+                f"<{animation.GetPath()}> from frame {self.next_frame}: {len(values)} samples of "
+                f"{', '.join(map(str, sorted(sizes)))} weights where {frames} of {self._shapes} "
+                "are needed; map that part again"
+            )
+
+    def _count(self, frames: int) -> None:
+        self.next_frame += frames
+        self._unsaved += frames
         if self._unsaved >= self._lot:
             # A saved binary layer reads its samples back from disk when asked.
             save_layer(self._layer, self._path)
             self._unsaved = 0
+
+
+def _samples(values: FloatArray | Float32Array, within: float) -> list[int]:
+    kept: list[int] = sparse_rows(values, within).tolist()
+    return kept
 
 
 @contextlib.contextmanager

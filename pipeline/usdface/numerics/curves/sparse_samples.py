@@ -1,0 +1,67 @@
+"""Samples that a line between their neighbours tells well enough are left out."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+SPAN = 64
+"""Longest stretch that one line may tell: stretches are looked at on their own, so what is kept of
+one depends on nothing around it."""
+
+
+def sparse_rows(
+    values: NDArray[np.float32] | NDArray[np.float64], tolerance: float
+) -> NDArray[np.int64]:
+    """Choose rows so that lines between them tell all others within a tolerance.
+
+    A stretch that its two ends do not tell is halved, and its halves are looked at in turn: all
+    stretches of one length at once, so that the cost of a frame is that of a few sums.
+
+    Parameters
+    ----------
+    values : (frames, columns) float array
+    tolerance : float
+        Most that any value may be off, in the unit of the values.
+
+    Returns
+    -------
+    (kept,) int array
+        Ascending, the first and the last among them.
+
+    See Also
+    --------
+    usdface.numerics.curves.key_reduction.reduce_keys : fewer rows, in a loop over them.
+    """
+    count = len(values)
+    kept = np.zeros(count, dtype=bool)
+    kept[::SPAN] = True
+    kept[-1:] = True
+    whole = (count - 1) // SPAN if count else 0
+    if whole:
+        _halve(values, np.arange(whole) * SPAN, SPAN, tolerance, kept)
+    start, span = whole * SPAN, SPAN // 2
+    while span:  # what is left, in stretches each half as long as the one before
+        if start + span < count:
+            kept[start + span] = True
+            _halve(values, np.array([start]), span, tolerance, kept)
+            start += span
+        span //= 2
+    return np.flatnonzero(kept)
+
+
+def _halve(
+    values: NDArray[np.float32] | NDArray[np.float64],
+    starts: NDArray[np.int64],
+    span: int,
+    tolerance: float,
+    kept: NDArray[np.bool_],
+) -> None:
+    """Mark the rows to keep within stretches from each start to a span after it."""
+    while span > 1 and len(starts):
+        along = (np.arange(1, span) / span).astype(values.dtype)[:, None]
+        first, last = values[starts][:, None], values[starts + span][:, None]
+        off = values[starts[:, None] + np.arange(1, span)]
+        off -= first + along * (last - first)
+        far = np.abs(off, out=off).max(axis=(1, 2), initial=0) > tolerance
+        span //= 2
+        starts = np.concatenate([starts[far], starts[far] + span])
+        kept[starts] = True
