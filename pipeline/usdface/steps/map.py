@@ -8,6 +8,7 @@ from usdface.assets import Mapping, Rig
 from usdface.errors import InputError
 from usdface.model.head_space import HeadSpace
 from usdface.model.predict import regions_of
+from usdface.model.rig_identity import check_same_rig
 from usdface.model.temporal import TemporalSolve, smooth_weights
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
@@ -41,7 +42,7 @@ def run(
     """Map every frame of a take and write the performance as it goes."""
     mapping = read_mapping(spec.mapping)
     rig = read_rig(spec.rig, prim=spec.rig_prim)
-    _check_rig(spec, mapping, rig)
+    changes = _check_rig(spec, mapping, rig)
     if spec.alpha is not None:
         check_blend(spec.mapping, mapping)
     take = TakeReader(spec.take)
@@ -92,7 +93,7 @@ def run(
             residual.append(solved.residual_mm[asked])
             done = min(block.stop - 1, last)
             progress((done - first + 1) / (last - first + 1), f"mapped to frame {done}")
-    notes = [*_notes(space), *edit_notes(spec.out)]
+    notes = [*changes, *_notes(space), *edit_notes(spec.out)]
     return _report(spec, first, np.concatenate(confidence), np.concatenate(residual), notes)
 
 
@@ -125,7 +126,7 @@ def _part_frames(spec: MapSpec, frames: int, shapes: int) -> int | None:
     return None if frames * frame_bytes <= LARGEST_LAYER_BYTES else PART_BYTES // frame_bytes
 
 
-def _check_rig(spec: MapSpec, mapping: Mapping, rig: Rig) -> None:
+def _check_rig(spec: MapSpec, mapping: Mapping, rig: Rig) -> tuple[str, ...]:
     missing = [name for name in mapping.shape_names if name not in rig.shapes]
     if len(missing) == len(mapping.shape_names):
         raise InputError(
@@ -138,6 +139,7 @@ def _check_rig(spec: MapSpec, mapping: Mapping, rig: Rig) -> None:
             f"{spec.rig}: {len(missing)} of the mapping's {len(mapping.shape_names)} shapes are "
             f"not on this rig: {', '.join(missing[:5])}; train again for it"
         )
+    return check_same_rig(mapping, rig)
 
 
 def _notes(space: HeadSpace) -> list[str]:

@@ -7,6 +7,7 @@ import numpy as np
 from usdface.assets import Mapping, References
 from usdface.deformer import Deformer
 from usdface.errors import InputError
+from usdface.model.rig_identity import rig_summary
 from usdface.model.skin import sample_skin
 from usdface.model.train import train_mapping
 from usdface.progress import Progress, silent
@@ -54,7 +55,11 @@ def run(
         dimensions=spec.dimensions,
         progress=progress,
     )
-    mapping = replace(mapping, references=spec.references.name)
+    mapping = replace(
+        mapping,
+        references=spec.references.name,
+        arrays=mapping.arrays | rig_summary(rig, mapping.shape_names),
+    )
     write_mapping(spec.out, mapping, provenance=provenance)
     return Report(
         (spec.out,), _summary(mapping, references), tuple(notes), describe_figures(mapping)
