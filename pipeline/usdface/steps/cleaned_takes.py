@@ -11,6 +11,8 @@ from usdface.numerics.rigid.rigid_alignment import align_rigid_robust, remove_mo
 from usdface.usdio.take import read_take
 
 FEWEST_RIGID = 3
+MIDDLE_FRAMES = 20_000
+"""Enough for a median to a hundredth of the noise."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ def read_cleaned(path: Path) -> Take:
     InputError
         If it is another kind of take.
     """
-    take = read_take(path)
+    take = read_take(path, head_motion=False)
     if take.markers is None:
         raise InputError(f"{path}: has no markers; ingest a capture that has")
     if take.markers.space != "stabilized":
@@ -87,13 +89,18 @@ def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
         )
     positions, usable = [], []
     for cloud in clouds:
-        columns = [cloud.names.index(name) for name in names]
-        positions.append(cloud.positions[:, columns])
-        usable.append(cloud.visible[:, columns] | (cloud.confidence[:, columns] > 0))
+        known = cloud.visible | (cloud.confidence > 0)
+        if cloud.names == names:  # nothing to pick: an hour of markers is not copied
+            positions.append(cloud.positions)
+            usable.append(known)
+        else:
+            columns = [cloud.names.index(name) for name in names]
+            positions.append(cloud.positions[:, columns])
+            usable.append(known[:, columns])
     skull = [names.index(name) for name in rigid]
-    home = np.median(positions[0][:, skull].astype(np.float64), axis=0)
+    home = _middle(positions[0], skull)
     for index in range(1, len(positions)):
-        middle = np.median(positions[index][:, skull].astype(np.float64), axis=0)[None]
+        middle = _middle(positions[index], skull)[None]
         alignment = align_rigid_robust(middle, home, visible=np.ones((1, len(skull)), bool))
         flat = positions[index].reshape(1, -1, 3)
         moved = remove_motion(flat, alignment).reshape(positions[index].shape)
@@ -117,6 +124,12 @@ def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
         dropped=tuple(name for name in every if name not in shared),
         sources=tuple(replace(take, markers=None, head_motion=None, source=None) for take in takes),
     )
+
+
+def _middle(positions: Float32Array, columns: list[int]) -> FloatArray:
+    """Return the median place of some markers, over frames spread through the take."""
+    step = max(len(positions) // MIDDLE_FRAMES, 1)
+    return np.asarray(np.median(positions[::step, columns].astype(np.float64), axis=0))
 
 
 def _check_names(paths: tuple[Path, ...], takes: list[Take]) -> None:

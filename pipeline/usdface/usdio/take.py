@@ -73,8 +73,13 @@ class TakeReader:
         start = str(self._value("face:timecode:start") or "")
         return shift_timecode(start, frame - self.first_frame, self.rate)
 
-    def read(self, first: int | None = None, last: int | None = None) -> Take:
+    def read(
+        self, first: int | None = None, last: int | None = None, *, head_motion: bool = True
+    ) -> Take:
         """Read the frames `first` to `last`, inclusive; all by default.
+
+        `head_motion` may stay on disk where it is not needed: a matrix a frame takes USD as long
+        to hand over as all the markers.
 
         Raises
         ------
@@ -95,7 +100,7 @@ class TakeReader:
             first_frame=first,
             markers=self._read_markers(frames),
             source=self._read_source(frames),
-            head_motion=self._read_head_motion(frames),
+            head_motion=self._read_head_motion(frames) if head_motion else None,
             video=self._read_video(),
             audio=self._read_audio(),
             performer=str(self._value("face:performer") or ""),
@@ -265,6 +270,12 @@ def _between(times: np.ndarray, told: np.ndarray, frames: np.ndarray) -> np.ndar
     return out
 
 
-def read_take(path: Path, *, first: int | None = None, last: int | None = None) -> Take:
+def read_take(
+    path: Path,
+    *,
+    first: int | None = None,
+    last: int | None = None,
+    head_motion: bool = True,
+) -> Take:
     """Read a take, or a range of its frames; see `TakeReader.read`."""
-    return TakeReader(path).read(first, last)
+    return TakeReader(path).read(first, last, head_motion=head_motion)
