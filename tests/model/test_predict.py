@@ -5,6 +5,7 @@ from tests.model.synthetic import MARKERS, SyntheticFace, references_of, synthet
 from usdface.assets import Mapping
 from usdface.errors import InputError
 from usdface.model import predict_weights, train_mapping
+from usdface.model.head_space import MINIMUM_SHARE
 
 
 def trained(face: SyntheticFace, method: str = "ridge") -> Mapping:
@@ -53,6 +54,18 @@ def test_with_no_marker_seen_nothing_is_certain() -> None:
     )
     assert np.isfinite(prediction.weights).all()
     np.testing.assert_allclose(prediction.confidence, 0.0, atol=1e-3)
+
+
+def test_a_frame_below_the_stated_share_of_markers_has_no_confidence() -> None:
+    face = synthetic_face()
+    visible = np.ones((3, MARKERS), dtype=bool)
+    least = int(np.ceil(MINIMUM_SHARE * MARKERS))
+    visible[1, least:] = False
+    visible[2, least - 1 :] = False
+    prediction = predict_weights(trained(face), face.positions[:3], visible=visible)
+    assert prediction.lacking.tolist() == [False, False, True]
+    assert (prediction.region_confidence[:2, 0] > 0).all()
+    assert (prediction.region_confidence[2] == 0).all()
 
 
 def test_confidence_is_high_at_references_and_falls_with_strange_faces() -> None:

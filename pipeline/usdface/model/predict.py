@@ -9,6 +9,7 @@ from usdface.assets import BoolArray, Float32Array, FloatArray, Mapping
 from usdface.errors import InputError
 from usdface.model.coordinates import marker_coordinates
 from usdface.model.familiarity import confidence_of, likely_error, unfamiliarity
+from usdface.model.head_space import MINIMUM_SHARE
 from usdface.model.methods import find_method
 from usdface.model.train import motion_of
 
@@ -38,6 +39,9 @@ class Prediction:
     region_error : (frames, regions) float array
         What the error stays below nine times in ten: in mm on the surface where training knew the
         rig, else in weights.
+    lacking : (frames,) bool array
+        True where fewer than `usdface.model.head_space.MINIMUM_SHARE` of the mapping's markers are
+        seen: the face is a guess there, and the confidence 0.
     """
 
     weights: FloatArray
@@ -47,6 +51,7 @@ class Prediction:
     region_confidence: FloatArray
     region_residual_mm: FloatArray
     region_error: FloatArray
+    lacking: BoolArray
 
 
 def predict_weights(
@@ -64,7 +69,7 @@ def predict_weights(
         In the mapping's marker order and head space [mm]; see `into_head_space`.
     visible : (frames, markers) bool array, optional
         False where a position is not to be used; the others then speak for it, and the
-        confidence falls. By default all are used.
+        confidence falls; to 0 where too few are left. By default all are used.
 
     Raises
     ------
@@ -89,9 +94,19 @@ def predict_weights(
         confidence[part] = confidence_of(mapping.arrays, left) * found.certainty[:, None]
         error[part] = likely_error(mapping.arrays, left) * mapping.arrays["region_tolerance"]
         residual[part] = _by_region(found.away_mm, held)
+    lacking = _lacking(frames, visible)
+    confidence[lacking] = 0.0
     return Prediction(
-        weights, confidence[:, 0], residual[:, 0], regions, confidence, residual, error
+        weights, confidence[:, 0], residual[:, 0], regions, confidence, residual, error, lacking
     )
+
+
+def _lacking(frames: int, visible: BoolArray | None) -> BoolArray:
+    """Return the frames that see too few markers: what a whole take is refused for."""
+    if visible is None:
+        return np.zeros(frames, dtype=np.bool_)
+    few: BoolArray = visible.sum(axis=1) < MINIMUM_SHARE * visible.shape[1]
+    return few
 
 
 def _by_region(away_mm: Float32Array, held: FloatArray) -> FloatArray:

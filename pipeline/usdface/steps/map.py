@@ -6,7 +6,7 @@ import numpy as np
 
 from usdface.assets import Mapping, Rig
 from usdface.errors import InputError
-from usdface.model.head_space import HeadSpace
+from usdface.model.head_space import MINIMUM_SHARE, HeadSpace
 from usdface.model.predict import regions_of
 from usdface.model.rig_identity import check_same_rig
 from usdface.model.temporal import TemporalSolve, smooth_weights
@@ -52,6 +52,7 @@ def run(
     solve = TemporalSolve(spec.temporal, spec.cutoff, spec.lag)
     confidence: list[np.ndarray] = []
     residual: list[np.ndarray] = []
+    lacking: list[np.ndarray] = []
     with writing_performance(
         spec.out,
         rig,
@@ -91,9 +92,15 @@ def run(
             )
             confidence.append(solved.confidence[asked])
             residual.append(solved.residual_mm[asked])
+            lacking.append(solved.lacking[asked])
             done = min(block.stop - 1, last)
             progress((done - first + 1) / (last - first + 1), f"mapped to frame {done}")
-    notes = [*changes, *_notes(space), *edit_notes(spec.out)]
+    notes = [
+        *changes,
+        *_notes(space),
+        *_lacking_notes(first, np.concatenate(lacking)),
+        *edit_notes(spec.out),
+    ]
     return _report(spec, first, np.concatenate(confidence), np.concatenate(residual), notes)
 
 
@@ -155,6 +162,18 @@ def _notes(space: HeadSpace) -> list[str]:
             f"{', '.join(space.extra[:5])}"
         )
     return notes
+
+
+def _lacking_notes(first: int, lacking: np.ndarray) -> list[str]:
+    frames = first + np.flatnonzero(lacking)
+    if not len(frames):
+        return []
+    some = ", ".join(map(str, frames[:5])) + (", ..." if len(frames) > 5 else "")
+    return [
+        f"{len(frames)} frames see fewer than {MINIMUM_SHARE:.0%} of the mapping's markers "
+        f"({some}): their weights are a guess, with confidence 0; mend them in the take, or key "
+        "them as edits"
+    ]
 
 
 def _report(
