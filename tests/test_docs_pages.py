@@ -58,3 +58,10 @@ def test_every_command_of_a_how_to_page_is_understood(
 def test_every_how_to_page_is_listed_and_no_other() -> None:
     listed = re.findall(r"\]\((\w+\.md)\)", (DOCS / "howto" / "README.md").read_text("utf-8"))
     assert sorted(listed) == [page.name for page in HOW_TO if page.stem != "README"]
+
+
+def test_every_page_is_in_the_index() -> None:
+    linked = set(re.findall(r"\]\(([\w/.-]+\.md)\)", (DOCS / "README.md").read_text("utf-8")))
+    pages = {page.name for page in DOCS.glob("*.md")} - {"README.md"}
+    folders = {page.relative_to(DOCS).as_posix() for page in DOCS.glob("*/README.md")}
+    assert pages | folders <= linked

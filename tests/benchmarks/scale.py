@@ -1,0 +1,120 @@
+"""What a take costs, step by step: to begin with, and a frame; then an hour, and a season.
+
+The demo's actor, again and again, as two takes of different length. Each step is the installed
+command in a process of its own; times are of the processor. A straight line through both lengths
+is the cost model of `docs/scale.md`; what it says of longer takes is extrapolated.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+SHORT, LONG = 6_000, 24_000
+HOUR = 432_000
+SEASON, SEASON_FRAMES = 500, 7_200
+"""A season: 500 takes of a minute at 120 frames per second."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Of one run of a command."""
+
+    seconds: float
+    peak_mb: float
+    disk_mb: float
+
+
+def run(short: int = SHORT, long: int = LONG) -> None:
+    """Print measured costs, the line through them, and what it says of an hour and of a season."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        _prepare(folder, (short, long))
+        rows = []
+        for step, words, made in (
+            ("ingest", "ingest {n}.c3d --out {n}.take.usda --neutral 31", "{n}.take*"),
+            ("clean", "clean {n}.take.usda --out {n}.clean.take.usda", "{n}.clean*"),
+            (
+                "map",
+                "map {n}.clean.take.usda --mapping hero.mapping.usdc --rig hero.usdc "
+                "--out {n}.hero.usda",
+                "{n}.hero*",
+            ),
+        ):
+            rows.append((step, [_cost(folder, words, made, n) for n in (short, long)]))
+    print(f"24 pairs, `auto`; seconds of the processor at {short:,} and {long:,} frames\n")
+    print(
+        "| step | short | long | to begin [s] | ms a frame | MB at first | KB a frame | "
+        "disk, B a frame |"
+    )
+    print("|---|---|---|---|---|---|---|---|")
+    lines = []
+    for step, (few, many) in rows:
+        slope = (many.seconds - few.seconds) / (long - short)
+        begin = few.seconds - slope * short
+        memory = (many.peak_mb - few.peak_mb) / (long - short)
+        base = few.peak_mb - memory * short
+        disk = (many.disk_mb - few.disk_mb) / (long - short)
+        lines.append((step, begin, slope, base, memory))
+        print(
+            f"| {step} | {few.seconds:.1f} | {many.seconds:.1f} | {begin:.1f} | {1e3 * slope:.2f} "
+            f"| {base:.0f} | {1e3 * memory:.1f} | {1e6 * disk:.0f} |"
+        )
+    print("\n| step | an hour [min] | peak [GB] | 500 takes of a minute [core hours] |")
+    print("|---|---|---|---|")
+    for step, begin, slope, base, memory in lines:
+        season = SEASON * (begin + slope * SEASON_FRAMES) / 3600
+        print(
+            f"| {step} | {(begin + slope * HOUR) / 60:.1f} | {(base + memory * HOUR) / 1e3:.1f} "
+            f"| {season:.1f} |"
+        )
+
+
+def _prepare(folder: Path, lengths: tuple[int, ...]) -> None:
+    """Train on the small shot, and write captures that repeat it."""
+    from tests.steps.small_shot import make_inputs
+    from usdface.capture.c3d_write import write_c3d
+    from usdface.demo.acting import performance
+    from usdface.demo.capture import simulate_capture
+    from usdface.demo.markers import place_markers
+    from usdface.demo.proportions import ACTOR
+    from usdface.demo.shapes import make_head
+    from usdface.specs.reading import read_job
+    from usdface.steps.jobs import run_job
+
+    make_inputs(folder)
+    job = read_job(folder / "shot.job.yaml")
+    wanted = [step for step in job.steps if step.step not in ("map", "sheet")]
+    run_job(job.model_copy(update={"steps": tuple(wanted)}))
+    actor, acted = make_head(ACTOR), performance()
+    markers = place_markers(actor)
+    captured = simulate_capture(actor, acted, markers)
+    count = len(captured.positions)
+    for frames in lengths:
+        again = np.abs((np.arange(frames) + count - 1) % (2 * count - 2) - (count - 1))
+        write_c3d(
+            folder / f"{frames}.c3d",
+            captured.positions[again],
+            captured.visible[again],
+            markers.names,
+            rate=acted.weights.rate,
+            first_frame=1,
+        )
+
+
+def _cost(folder: Path, words: str, made: str, frames: int) -> Cost:
+    command = [sys.executable, "-m", "usdface", *words.format(n=frames).split()]
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    process = subprocess.Popen(
+        command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=sys.stderr
+    )
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise SystemExit(f"{' '.join(command)} ended with {process.returncode}")
+    size = sum(path.stat().st_size for path in folder.glob(made.format(n=frames)))
+    return Cost(used.ru_utime + used.ru_stime, used.ru_maxrss / 1e3, size / 1e6)
