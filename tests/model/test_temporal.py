@@ -43,7 +43,7 @@ def test_jitter_goes_and_blinks_stay(mode: str) -> None:
     assert calm.max() <= 1.0
 
 
-@pytest.mark.parametrize("mode", ["whole", "causal"])
+@pytest.mark.parametrize("mode", ["whole", "causal", "bands"])
 def test_windows_with_a_margin_are_the_whole_take(mode: str) -> None:
     _, shaky = shaky_blinks()
     solve = TemporalSolve(mode)  # type: ignore[arg-type]
@@ -80,3 +80,20 @@ def test_a_frame_that_is_not_trusted_is_told_by_its_neighbours() -> None:
 def test_a_cutoff_beyond_what_the_rate_holds_is_refused() -> None:
     with pytest.raises(InputError, match="half the rate of 60 frames per second, got 40 Hz"):
         smoothed(np.zeros((10, 2)), TemporalSolve("whole", cutoff_hz=40.0))
+
+
+def test_the_published_filter_bank_calms_and_every_band_costs_blinks_more() -> None:
+    truth, shaky = shaky_blinks()
+    peaks = truth[:, 1] > 0.98
+    lost, rough = [], []
+    for bands in (1, 2, 3):
+        calm = smoothed(shaky, TemporalSolve("bands", bands=bands))
+        assert calm.min() >= 0.0
+        assert calm.max() <= 1.0
+        lost.append(-(calm - truth)[peaks, 1].mean())
+        rough.append(roughness(calm))
+    assert lost == sorted(lost)
+    assert lost[0] < 0.1
+    assert lost[2] > 0.15
+    assert rough == sorted(rough, reverse=True)
+    assert rough[0] < 0.3 * roughness(shaky)

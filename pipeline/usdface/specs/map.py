@@ -49,11 +49,15 @@ class MapSpec(Spec):
     chunk: Annotated[int, Field(ge=1)] | None = None
     """Write the weights in parts of this many frames, played as value clips; by default in one
     layer up to 1 GB."""
-    temporal: Literal["none", "whole", "causal"] = "none"
+    temporal: Literal["none", "whole", "causal", "bands"] = "none"
     """Smooth weights over time within their ranges: every frame by those before and after it
-    (`whole`), or as for streaming by those before it and `--lag` after (`causal`)."""
+    (`whole`), as for streaming by those before it and `--lag` after (`causal`), or as published by
+    a filter bank (`bands`)."""
     cutoff: Annotated[float, Field(gt=0)] = 20.0
     """Hz: motion of this frequency is halved by `--temporal`; lower is calmer, below 12 blinks
     lose."""
     lag: Annotated[int, Field(ge=0, le=32)] = 2
     """Frames that the causal mode is behind."""
+    bands: Annotated[int, Field(ge=1, le=4)] = 1
+    """Octaves, from half the rate downwards, that `--temporal bands` leaves out; at 60 frames per
+    second a second one costs blinks."""

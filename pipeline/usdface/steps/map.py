@@ -49,7 +49,7 @@ def run(
     first, last = frame_range(spec.frames) or (take.first_frame, take.last_frame)
     _check_frames(spec, take, first, last)
     space = find_take_space(take, mapping)
-    solve = TemporalSolve(spec.temporal, spec.cutoff, spec.lag)
+    solve = TemporalSolve(spec.temporal, spec.cutoff, spec.lag, spec.bands)
     confidence: list[np.ndarray] = []
     residual: list[np.ndarray] = []
     lacking: list[np.ndarray] = []
