@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from usdface.assets import BoolArray, Float32Array, FloatArray, IntArray, Mapping, Markers
 from usdface.errors import InputError
+from usdface.numerics.rigid.optimal_rotation import optimal_rotations
 
 MINIMUM_SHARE = 0.5
 """Of the mapping's markers, how many a take must have: with fewer, most of the face is a guess."""
@@ -160,8 +160,9 @@ def _rigid_movement(
     for _ in range(10):  # a rigid marker that slipped must not turn the head
         centre = np.average(middle, axis=0, weights=trust)
         goal = np.average(target, axis=0, weights=trust)
-        turned, _ = Rotation.align_vectors(target - goal, middle - centre, weights=trust)
-        rotation = turned.as_matrix()
+        carried = (trust[:, None] * (target - goal)).T @ (middle - centre)
+        turned, _ = optimal_rotations(carried[None], rank_tolerance=1e-12)
+        rotation: FloatArray = turned[0]
         away = np.linalg.norm((middle - centre) @ rotation.T - (target - goal), axis=1)
         trust = 1 / (1 + (away / 1.0) ** 2) ** 2
     if np.median(away) > RIGID_TOLERANCE_MM:

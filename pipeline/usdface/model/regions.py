@@ -1,7 +1,6 @@
 """Parts of the face that residuals and confidence are told for: by what shapes move."""
 
 import numpy as np
-from scipy import sparse
 
 from usdface.assets import FloatArray, IntArray
 from usdface.numerics.measure.face_regions import points_by_region, shapes_by_region
@@ -27,6 +26,8 @@ def region_points(names: tuple[str, ...], motion: FloatArray) -> dict[str, IntAr
     dict of str to (n,) int array
         The whole face first.
     """
+    from scipy import sparse  # only when wanted: it takes half a second
+
     everywhere = np.arange(motion.shape[1])
     found = points_by_region(
         sparse.csr_array(motion.reshape(len(motion), -1)), shapes_by_region(names)

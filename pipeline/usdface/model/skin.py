@@ -1,9 +1,15 @@
 """Points of a rig's surface that stand for all of it."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
-from scipy import sparse
 
 from usdface.assets import FloatArray
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 POINTS = 1500
 LEAST_SHARE = 0.02
@@ -24,6 +30,8 @@ def sample_skin(offsets: FloatArray | sparse.sparray, *, count: int = POINTS) ->
     -------
     (shapes, kept, 3) float array
     """
+    from scipy import sparse  # only when wanted: it takes half a second
+
     table = sparse.csc_array(offsets)
     energy = np.asarray(table.power(2).sum(axis=0)).reshape(-1, 3).sum(axis=1)
     reach = np.sqrt(energy)

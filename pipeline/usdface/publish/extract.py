@@ -14,10 +14,9 @@ from usdface.publish.collect import PublishItem
 from usdface.specs.bake import BakeSpec
 from usdface.specs.movie import MovieSpec
 from usdface.specs.sheet import SheetSpec
-from usdface.steps.bake import header_of
 from usdface.steps.execute import execute
 from usdface.steps.outputs import make_provenance
-from usdface.usdio.performance import PerformanceReader, writing_top
+from usdface.usdio.performance import PerformanceReader, header_of, writing_top
 from usdface.usdio.rig import read_rig
 
 

@@ -10,9 +10,9 @@ from usdface.provenance import Provenance
 from usdface.specs.bake import BakeSpec
 from usdface.steps.report import Report
 from usdface.usdio.edits import edited_weights
-from usdface.usdio.performance import PerformanceReader
+from usdface.usdio.performance import PerformanceReader, header_of
 from usdface.usdio.rig import read_rig
-from usdface.usdio.weights_layer import WeightsHeader, writing_weights
+from usdface.usdio.weights_layer import writing_weights
 
 BLOCK_FRAMES = 4096
 """Frames that are composed at once; their ends are keys, so that memory stays bounded."""
@@ -54,19 +54,6 @@ def run(
         summary,
         tuple(notes),
         {"frames": header.frame_count, "keys": kept, "edited_shapes": edited},
-    )
-
-
-def header_of(reader: PerformanceReader) -> WeightsHeader:
-    """Return what a weights layer says that stands for a performance."""
-    return WeightsHeader(
-        place=reader.place,
-        shape_names=reader.names,
-        rate=reader.rate,
-        first_frame=reader.first_frame,
-        last_frame=reader.last_frame,
-        regions=reader.regions,
-        timecode_start=reader.timecode_start,
     )
 
 

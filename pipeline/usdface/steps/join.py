@@ -9,12 +9,11 @@ from usdface.layer_names import weights_path
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
 from usdface.specs.join import JoinSpec
-from usdface.steps.bake import header_of
 from usdface.steps.edited import edit_notes
 from usdface.steps.map import LARGEST_LAYER_BYTES
 from usdface.steps.report import Report
 from usdface.usdio.clips import Part, write_clips
-from usdface.usdio.performance import PerformanceReader, writing_top
+from usdface.usdio.performance import PerformanceReader, header_of, writing_top
 from usdface.usdio.rig import read_rig
 from usdface.usdio.weights_layer import WeightsHeader, writing_weights
 

@@ -34,6 +34,7 @@ from usdface.usdio.weights_layer import (
 __all__ = [
     "PerformanceReader",
     "find_animation",
+    "header_of",
     "read_performance",
     "read_weights",
     "weights_path",
@@ -128,3 +129,16 @@ def writing_top(
             # The layer to open was lost or made anew; what was edited is not.
             layer.subLayerPaths.insert(0, edits_asset)
     clear_parts(weights_path(path))
+
+
+def header_of(reader: PerformanceReader) -> WeightsHeader:
+    """Return what a weights layer says that stands for a performance."""
+    return WeightsHeader(
+        place=reader.place,
+        shape_names=reader.names,
+        rate=reader.rate,
+        first_frame=reader.first_frame,
+        last_frame=reader.last_frame,
+        regions=reader.regions,
+        timecode_start=reader.timecode_start,
+    )

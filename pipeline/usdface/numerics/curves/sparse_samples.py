@@ -8,9 +8,12 @@ SPAN = 64
 one depends on nothing around it."""
 
 
-def sparse_rows(
-    values: NDArray[np.float32] | NDArray[np.float64], tolerance: float
-) -> NDArray[np.int64]:
+Float32Array = NDArray[np.float32]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def sparse_rows(values: Float32Array | FloatArray, tolerance: float) -> IntArray:
     """Choose rows so that lines between them tell all others within a tolerance.
 
     A stretch that its two ends do not tell is halved, and its halves are looked at in turn: all
@@ -19,6 +22,7 @@ def sparse_rows(
     Parameters
     ----------
     values : (frames, columns) float array
+        Looked at in single precision, as USD keeps them.
     tolerance : float
         Most that any value may be off, in the unit of the values.
 
@@ -31,35 +35,32 @@ def sparse_rows(
     --------
     usdface.numerics.curves.key_reduction.reduce_keys : fewer rows, in a loop over them.
     """
-    count = len(values)
+    rows = np.asarray(values, dtype=np.float32)
+    count = len(rows)
     kept = np.zeros(count, dtype=bool)
     kept[::SPAN] = True
     kept[-1:] = True
     whole = (count - 1) // SPAN if count else 0
     if whole:
-        _halve(values, np.arange(whole) * SPAN, SPAN, tolerance, kept)
+        _halve(rows, np.arange(whole) * SPAN, SPAN, tolerance, kept)
     start, span = whole * SPAN, SPAN // 2
     while span:  # what is left, in stretches each half as long as the one before
         if start + span < count:
             kept[start + span] = True
-            _halve(values, np.array([start]), span, tolerance, kept)
+            _halve(rows, np.array([start]), span, tolerance, kept)
             start += span
         span //= 2
     return np.flatnonzero(kept)
 
 
 def _halve(
-    values: NDArray[np.float32] | NDArray[np.float64],
-    starts: NDArray[np.int64],
-    span: int,
-    tolerance: float,
-    kept: NDArray[np.bool_],
+    rows: Float32Array, starts: IntArray, span: int, tolerance: float, kept: NDArray[np.bool_]
 ) -> None:
     """Mark the rows to keep within stretches from each start to a span after it."""
     while span > 1 and len(starts):
-        along = (np.arange(1, span) / span).astype(values.dtype)[:, None]
-        first, last = values[starts][:, None], values[starts + span][:, None]
-        off = values[starts[:, None] + np.arange(1, span)]
+        along = (np.arange(1, span) / span).astype(np.float32)[:, None]
+        first, last = rows[starts][:, None], rows[starts + span][:, None]
+        off = rows[starts[:, None] + np.arange(1, span)]
         off -= first + along * (last - first)
         far = np.abs(off, out=off).max(axis=(1, 2), initial=0) > tolerance
         span //= 2

@@ -1,10 +1,15 @@
 """Which part of the face a shape belongs to, by its name, and a point, by what moves it."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import sparse
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -107,6 +112,8 @@ def region_gram(key_offsets: sparse.csr_array, points: IntArray) -> FloatArray:
     (keys, keys) float array
         ``G`` such that ``sqrt(e @ G @ e)`` is the root mean square distance of those points.
     """
+    from scipy import sparse  # only when wanted: it takes half a second
+
     columns = (3 * points[:, None] + np.arange(3)).ravel()
     part = sparse.csr_array(key_offsets.tocsc()[:, columns])
     return np.asarray((part @ part.T).toarray()) / max(len(points), 1)

@@ -13,8 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
 
 Array = NDArray[np.float64]
 
@@ -72,6 +70,9 @@ def fit_ard_process(features: Array, outputs: Array) -> ARDProcess:
         raise ValueError("features or outputs hold values that are not finite")
     count, dimensions = features.shape
     unit = np.maximum(features.std(axis=0), 1e-12)
+    from scipy.linalg import cho_factor, cho_solve  # only when wanted: it takes half a second
+    from scipy.optimize import minimize
+
     mean, scale = outputs.mean(axis=0), outputs.std(axis=0)
     told = scale > 1e-12
     rows, targets = features / unit, (outputs - mean)[:, told] / scale[told]
@@ -108,6 +109,8 @@ def log_evidence(features: Array, outputs: Array, theta: Array) -> tuple[float, 
     theta : (d + 2,) float array
         Logarithms of lengths, amplitude and noise variance.
     """
+    from scipy.linalg import cho_factor, cho_solve  # only when wanted: it takes half a second
+
     count, columns = outputs.shape
     amplitude, noise = np.exp(theta[-2]), np.exp(theta[-1])
     rows = features / np.exp(theta[:-2])

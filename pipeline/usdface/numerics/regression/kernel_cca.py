@@ -24,7 +24,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.distance import pdist
 
 from usdface.numerics.regression.rbf_ridge import gaussian_design
 
@@ -89,6 +88,8 @@ def median_width(points: Array, *, multiple: float = 1.0) -> float:
     ValueError
         If the points coincide.
     """
+    from scipy.spatial.distance import pdist  # only when wanted: it takes half a second
+
     distances = pdist(points)
     middle = float(np.median(distances)) if len(distances) else 0.0
     if middle == 0.0:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.distance import cdist
 
 from usdface.numerics.regression.rbf_ridge import choose_ridge, nearest_distances, rotate
 
@@ -47,6 +46,8 @@ def nearest_softness(centres: Array) -> Array:
     ValueError
         If fewer than two centres differ.
     """
+    from scipy.spatial.distance import cdist  # only when wanted: it takes half a second
+
     nearest = nearest_distances(centres)
     if not (nearest > 0).all():
         distances = cdist(centres, centres)
@@ -58,6 +59,8 @@ def nearest_softness(centres: Array) -> Array:
 
 def multiquadric_design(points: Array, centres: Array, softness: Array) -> Array:
     """Evaluate every basis function at every point: (points, centres) float array."""
+    from scipy.spatial.distance import cdist  # only when wanted: it takes half a second
+
     design: Array = cdist(points, centres, "sqeuclidean")
     design += softness**2
     np.sqrt(design, out=design)
@@ -130,6 +133,8 @@ def predict_multiquadric(model: Multiquadric, points: Array, *, block_rows: int 
 
 
 def _check_distinct(centres: Array) -> None:
+    from scipy.spatial.distance import cdist  # only when wanted: it takes half a second
+
     distances = cdist(centres, centres)
     distances[np.tril_indices(len(centres))] = np.inf
     if distances.min() == 0.0:

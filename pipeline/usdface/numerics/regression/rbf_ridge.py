@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
 Array = NDArray[np.float64]
 
@@ -62,6 +61,8 @@ def nearest_distances(points: Array) -> Array:
     """
     if len(points) < 2:
         raise ValueError(f"nearest distances need at least 2 points, got {len(points)}")
+    from scipy.spatial.distance import cdist  # only when wanted: it takes half a second
+
     distances = cdist(points, points)
     np.fill_diagonal(distances, np.inf)
     nearest: Array = distances.min(axis=1)

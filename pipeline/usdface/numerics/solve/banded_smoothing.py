@@ -11,7 +11,6 @@ Hintermueller, Ito and Kunisch (2002), SIAM J. Optim. 13(3), 865-888: the active
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solveh_banded
 
 Array = NDArray[np.float64]
 
@@ -77,13 +76,20 @@ def smooth_within_bounds(
         return clipped
     bands = _normal_bands(len(tracks), penalty, trust)
     right = trust[:, None] * tracks
-    out: Array = solveh_banded(bands, right, check_finite=False)
+    out: Array = _solve(bands, right)
     outside = (out < lower - _SLACK) | (out > upper + _SLACK)
     for column in np.flatnonzero(outside.any(axis=0)):
         out[:, column] = _bounded(
             bands, right[:, column], out[:, column], float(lower[column]), float(upper[column])
         )
     return out
+
+
+def _solve(bands: Array, right: Array) -> Array:
+    from scipy.linalg import solveh_banded  # only when wanted: it takes half a second
+
+    solved: Array = solveh_banded(bands, right, check_finite=False)
+    return solved
 
 
 def _bounded(bands: Array, right: Array, free: Array, lower: float, upper: float) -> Array:
@@ -101,7 +107,7 @@ def _bounded(bands: Array, right: Array, free: Array, lower: float, upper: float
         pinned = bands.copy()
         pinned[-1] += _PINNED * (held != 0)
         goal = np.where(held > 0, upper, lower)
-        value = solveh_banded(pinned, right + _PINNED * (held != 0) * goal, check_finite=False)
+        value = _solve(pinned, right + _PINNED * (held != 0) * goal)
         value = np.where(held > 0, upper, np.where(held < 0, lower, value))
     clipped: Array = np.clip(value, lower, upper)
     return clipped
