@@ -59,8 +59,8 @@ Sampler = Literal["hmc", "map", "shared"]
 SAMPLES = 200
 """Saved samples of the hyper-parameters: W06, section 4.1."""
 
-_SAMPLED_FRAMES = 256
-"""Frames whose chains run in lockstep: their tables fill the cache and no more."""
+_SAMPLED_FRAMES = 512
+"""Frames whose chains run in lockstep: twice as many are a fifth faster and hold 150 MB more."""
 
 _MOMENT_FRAMES = 8
 _THINNED = 10  # samples of each chain by which intervals are calibrated

@@ -49,6 +49,24 @@ class ChainSamples:
     step: Any
 
 
+@dataclass(frozen=True)
+class Jumps:
+    """Chains whose posterior has two modes, which walking does not join.
+
+    Attributes
+    ----------
+    chains : (n,) int array
+    energy : callable
+        Of these chains alone.
+    modes : (LaplaceFit, LaplaceFit)
+        Of these chains alone.
+    """
+
+    chains: Any
+    energy: Energy
+    modes: tuple[LaplaceFit, LaplaceFit]
+
+
 def start_chains(energy: Energy, theta: Any) -> ChainState:
     """Evaluate where chains begin."""
     value, gradient = energy(theta)
@@ -121,7 +139,7 @@ def sample_chains(
     burn: int = 40,
     keep: int = 200,
     leapfrogs: tuple[int, int] = (2, 3),
-    other: LaplaceFit | None = None,
+    jumps: Jumps | None = None,
 ) -> ChainSamples:
     """Run chains from a draw of their Laplace fit, tune in the burn-in, keep what follows.
 
@@ -133,9 +151,9 @@ def sample_chains(
     burn, keep : int
     leapfrogs : (int, int)
         Least and most leapfrog steps of a trajectory, drawn for each.
-    other : LaplaceFit, optional
-        A second mode of every chain: each step is then followed by a proposal to jump, drawn
-        from both Gaussians, and accepted by Metropolis and Hastings' rule.
+    jumps : Jumps, optional
+        In these chains every other step is followed by a proposal drawn from the Gaussians around
+        both modes, accepted by Metropolis and Hastings' rule.
     """
     xp = laplace.mode.__array_namespace__()
     root = laplace.root
@@ -147,8 +165,8 @@ def sample_chains(
     for index in range(burn + keep):
         count = int(rng.integers(leapfrogs[0], leapfrogs[1] + 1))
         state, acceptance = take_hmc_step(rng, state, energy, root=root, step=step, leapfrogs=count)
-        if other is not None:
-            state = _jump(rng, state, energy, (laplace, other))
+        if jumps is not None and index % 2:
+            state = _jump_some(rng, state, jumps)
         if index >= burn:
             accepted = accepted + acceptance
             kept.append(state.theta)
@@ -162,6 +180,22 @@ def sample_chains(
         averaged = weight * log_step + (1.0 - weight) * averaged
         step = xp.exp(averaged if index == burn - 1 else log_step)
     return ChainSamples(xp.stack(kept), accepted / keep, step)
+
+
+def _jump_some(rng: np.random.Generator, state: ChainState, jumps: Jumps) -> ChainState:
+    xp = state.theta.__array_namespace__()
+    some = jumps.chains
+    part = ChainState(state.theta[:, some], state.energy[some], state.gradient[:, some])
+    moved = _jump(rng, part, jumps.energy, jumps.modes)
+    # the state before is kept as a sample: change copies
+    whole = ChainState(
+        xp.asarray(state.theta, copy=True),
+        xp.asarray(state.energy, copy=True),
+        xp.asarray(state.gradient, copy=True),
+    )
+    whole.theta[:, some], whole.gradient[:, some] = moved.theta, moved.gradient
+    whole.energy[some] = moved.energy
+    return whole
 
 
 def _jump(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.numerics.manifold.hybrid_monte_carlo import ChainSamples, sample_chains
+from usdface.numerics.manifold.hybrid_monte_carlo import ChainSamples, Jumps, sample_chains
 from usdface.numerics.manifold.laplace import Energy, LaplaceFit, fit_laplace
 from usdface.numerics.manifold.tabulated_energy import SharedTable, TabulatedEnergy
 
@@ -86,23 +86,21 @@ def sample_hyperparameters(
     """
     energy = TabulatedEnergy(table, displacements)
     found = modes or find_modes(table, energy, displacements)
-    with np.errstate(all="ignore"):  # a proposal that overflows is rejected
-        samples = sample_chains(rng, energy, found.best, burn=burn, keep=keep)
-        double = np.flatnonzero(found.double)
-        if not len(double):
-            return samples, found
-        again = sample_chains(
-            rng,
-            TabulatedEnergy(table, displacements[double]),
-            _take(found.best, double),
-            burn=burn,
-            keep=keep,
-            other=_take(found.second, double),
+    # single precision errs by about 1e-4 of an energy, which acceptance does not notice
+    single = np.zeros(1, np.float32)
+    double = np.flatnonzero(found.double)
+    jumps = None
+    if len(double):
+        jumps = Jumps(
+            double,
+            TabulatedEnergy(table, displacements[double], like=single),
+            (_cast(_take(found.best, double)), _cast(_take(found.second, double))),
         )
-    theta, acceptance, step = samples.theta.copy(), samples.acceptance.copy(), samples.step.copy()
-    theta[:, :, double] = again.theta
-    acceptance[double], step[double] = again.acceptance, again.step
-    return ChainSamples(theta, acceptance, step), found
+    quick = TabulatedEnergy(table, displacements, like=single)
+    with np.errstate(all="ignore"):  # a proposal that overflows is rejected
+        samples = sample_chains(rng, quick, _cast(found.best), burn=burn, keep=keep, jumps=jumps)
+    theta = samples.theta.astype(np.float64)
+    return ChainSamples(theta, samples.acceptance, samples.step), found
 
 
 def draw_laplace(rng: np.random.Generator, modes: Modes, *, keep: int) -> Array:
@@ -118,6 +116,16 @@ def _choose(which: BoolArray, yes: LaplaceFit, no: LaplaceFit) -> LaplaceFit:
         np.where(which, yes.energy, no.energy),
         np.where(which, yes.root, no.root),
         np.where(which, yes.log_evidence, no.log_evidence),
+    )
+
+
+def _cast(fit: LaplaceFit) -> LaplaceFit:
+    """Single precision, and chains next to each other in memory: the inner loop reads them so."""
+    return LaplaceFit(
+        *(
+            np.ascontiguousarray(part, np.float32)
+            for part in (fit.mode, fit.energy, fit.root, fit.log_evidence)
+        )
     )
 
 

@@ -19,6 +19,7 @@ from usdface.numerics.manifold.hyper_posterior import (
 )
 
 Array = NDArray[np.float64]
+FloatArray = NDArray[np.floating]
 
 SPACING = 0.125
 """Of the nodes in x. Cubic interpolation errs by about 1e-7 of a sum's size."""
@@ -50,17 +51,50 @@ class SharedTable:
         products = np.stack([P[:, i] * P[:, j] for i, j in PAIRS], axis=1)
         logs = -np.log(R).sum(axis=1, keepdims=True)
         slopes = spacing * (1.0 - R).sum(axis=1, keepdims=True)
-        self.table: Array = np.concatenate([R @ products, logs, steep @ products, slopes], axis=1)
-        linear = np.stack([R.T[:, :, None] * P[:, None], steep.T[:, :, None] * P[:, None]], axis=2)
-        self._linear: Array = linear.reshape(len(P), -1)
-        self._square: Array = np.stack([R.T, steep.T], axis=2).reshape(len(P), -1)
+        whole = np.concatenate([R @ products, logs, steep @ products, slopes], axis=1)
+        self.table: Array = _cubics(whole[None])[0]
+        linear = np.concatenate([R.T[:, :, None] * P[:, None], steep.T[:, :, None] * P[:, None]], 2)
+        self._linear: Array = _cubics(linear).reshape(len(P), -1)
+        self._square: Array = _cubics(np.stack([R.T, steep.T], axis=2)).reshape(len(P), -1)
 
-    def own_table(self, rotated: Array) -> Array:
-        """Tabulate the chains' own sums: (chains, nodes, 10), values then slopes times spacing."""
-        chains = len(rotated)
-        linear = (rotated @ self._linear).reshape(chains, self.nodes, 2, 4)
-        square = (rotated**2 @ self._square).reshape(chains, self.nodes, 2, 1)
-        return np.concatenate([linear, square], axis=3).reshape(chains, self.nodes, 10)
+    def own_tables(self, rotated: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Tabulate the chains' own sums, in the precision of `rotated`.
+
+        Returns
+        -------
+        linear : (chains * nodes, 16) float array
+            The cubics' coefficients for b.
+        square : (chains * nodes, 4) float array
+            And for c.
+        """
+        kind = rotated.dtype
+        linear = rotated @ self._linear.astype(kind)
+        square = rotated**2 @ self._square.astype(kind)
+        return linear.reshape(-1, 16), square.reshape(-1, 4)
+
+
+def _cubics(nodes: Array) -> Array:
+    """Turn values and slopes at nodes into each interval's cubic.
+
+    Parameters
+    ----------
+    nodes : (chains, nodes, 2 k) float array
+        Values, then slopes times the spacing.
+
+    Returns
+    -------
+    (chains, nodes, 4 k) float array
+        Coefficients of 1, t, t^2, t^3 with t from 0 to 1 on the way to the next node; those of
+        the last node are of no use.
+    """
+    half = nodes.shape[2] // 2
+    out = np.zeros((*nodes.shape[:2], 4, half))
+    value, slope = nodes[..., :half], nodes[..., half:]
+    rise = value[:, 1:] - value[:, :-1]
+    out[:, :, 0], out[:, :, 1] = value, slope
+    out[:, :-1, 2] = 3.0 * rise - 2.0 * slope[:, :-1] - slope[:, 1:]
+    out[:, :-1, 3] = slope[:, :-1] + slope[:, 1:] - 2.0 * rise
+    return out.reshape(*nodes.shape[:2], 4 * half)
 
 
 class TabulatedEnergy:
@@ -81,12 +115,13 @@ class TabulatedEnergy:
         self.chains = len(displacements)
         self.count = len(shared.spectrum.values)
         self._start, self._spacing, self._nodes = shared.start, shared.spacing, shared.nodes
-        own = shared.own_table(displacements @ shared.spectrum.vectors)
+        kind = np.float32 if anchor.dtype == xp.float32 else np.float64
+        own = shared.own_tables((displacements @ shared.spectrum.vectors).astype(kind))
 
         def convert(values: Any) -> Any:
             return xp.asarray(values, dtype=anchor.dtype)
 
-        self._own = convert(own.reshape(-1, 10))
+        self._linear, self._square = convert(own[0]), convert(own[1])
         self._shared = convert(shared.table)
         self._row = xp.arange(self.chains) * self._nodes
         self._centre = convert(shared.spectrum.prior.centre[:, None])
@@ -111,26 +146,22 @@ class TabulatedEnergy:
         place = xp.where(outside, xp.zeros_like(place), place)
         node = xp.astype(place, xp.int64)
         t = place - xp.astype(node, place.dtype)
-        square = t * t
-        cube = square * t
-        h01 = 3.0 * square - 2.0 * cube
-        h11 = cube - square
-        h10 = h11 - square + t
-        k = 1.0 / self._spacing
-        k01 = (6.0 * k) * (t - square)
-        k11 = k * (3.0 * square - 2.0 * t)
-        k10 = k11 - k * (2.0 * t - 1.0)
-
-        def read(table: Any, row: Any, columns: int) -> tuple[Any, Any]:
-            # copied into rows of chains: what follows then reads memory in order
-            size = (2 * columns, -1)
-            near = xp.reshape(xp.take(table, row, axis=0).T, size, copy=True)
-            far = xp.reshape(xp.take(table, row + 1, axis=0).T, size, copy=True)
-            first, step = near[:columns, :], far[:columns, :] - near[:columns, :]
-            leave, arrive = near[columns:, :], far[columns:, :]
-            values = first + h01 * step + h10 * leave + h11 * arrive
-            return values, k01 * step + k10 * leave + k11 * arrive
-
-        own, own_slope = read(self._own, self._row + node, 5)
-        shared, shared_slope = read(self._shared, node, 11)
-        return Moments(shared, own, shared_slope, own_slope, outside)
+        row = self._row + node
+        linear = xp.reshape(xp.take(self._linear, row, axis=0).T, (4, 4, -1))
+        square = xp.reshape(xp.take(self._square, row, axis=0).T, (4, 1, -1))
+        shared = xp.reshape(xp.take(self._shared, node, axis=0).T, (4, 11, -1))
+        # put together into rows of chains: what follows then reads memory in order
+        first, second, third, fourth = xp.concat([linear, square, shared], axis=1)
+        # Horner's rule, and its derivative beside it
+        values = fourth * t
+        slopes = values + values
+        values += third
+        slopes += third
+        values *= t
+        slopes *= t
+        values += second
+        slopes += values
+        values *= t
+        values += first
+        slopes *= 1.0 / self._spacing
+        return Moments(values[5:, :], values[:5, :], slopes[5:, :], slopes[:5, :], outside)
