@@ -65,3 +65,42 @@ def test_every_page_is_in_the_index() -> None:
     pages = {page.name for page in DOCS.glob("*.md")} - {"README.md"}
     folders = {page.relative_to(DOCS).as_posix() for page in DOCS.glob("*/README.md")}
     assert pages | folders <= linked
+
+
+OTHERS = {
+    "--background --python": "Blender",
+    "--project --shot --status --task --sequence": "the Kitsu hook",
+    "--install": "rez",
+    "--require-hashes": "pip",
+    "--out --quick": "poe bench",
+}
+"""Options of other programs that pages speak of."""
+
+
+def test_pages_name_no_option_command_or_task_that_is_not_there() -> None:
+    reference = (REFERENCE / "command-line.md").read_text("utf-8")
+    options = {*re.findall(r"`(--[a-z0-9-]+)`", reference), "--verbose", "--version", "--help"}
+    options |= {option for given in OTHERS for option in given.split()}
+    project = (REPOSITORY / "pyproject.toml").read_text("utf-8")
+    tasks = set(re.findall(r"^(\w+) = \{ (?:cmd|sequence)", project, flags=re.MULTILINE))
+    benchmarks = {path.stem for path in (REPOSITORY / "tests" / "benchmarks").glob("*.py")}
+    wrong = []
+    for page in [REPOSITORY / "README.md", *DOCS.rglob("*.md")]:
+        text = page.read_text("utf-8")
+        wrong += [
+            f"{page.name}: {name}"
+            for name in set(re.findall(r"(?<![\w-])(--[a-z][a-z0-9-]+)", text)) - options
+        ]
+        wrong += [
+            f"{page.name}: poe {name}" for name in set(re.findall(r"`poe (\w+)", text)) - tasks
+        ]
+        wrong += [
+            f"{page.name}: poe bench {name}"
+            for name in set(re.findall(r"`poe bench ([a-z]\w*)", text)) - benchmarks
+        ]
+        wrong += [
+            f"{page.name}: usdface {name}"
+            for name in re.findall(r"`usdface ([a-z][a-z-]+)", text)
+            if f"\n## usdface {name}" not in reference
+        ]
+    assert wrong == []

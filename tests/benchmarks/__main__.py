@@ -5,6 +5,7 @@ import os
 import sys
 import time
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
 
 from tests.benchmarks._report import Measured, kept_output, write_report
@@ -21,6 +22,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Run benchmarks and print their tables.")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"one of {', '.join(names())}")
     parser.add_argument("--out", type=Path, help="keep the tables in this folder, as .md and .json")
+    parser.add_argument("--quick", action="store_true", help="less, where a benchmark has less")
     asked = parser.parse_args()
     unknown = [name for name in asked.names if name not in names()]
     if unknown:
@@ -31,7 +33,8 @@ def main() -> int:
         load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
         start = time.perf_counter()
         with kept_output() as kept:
-            import_module(f"tests.benchmarks.{name}").run()
+            run = import_module(f"tests.benchmarks.{name}").run
+            run(quick=True) if asked.quick and "quick" in signature(run).parameters else run()
         print()
         if asked.out is not None:
             seconds = time.perf_counter() - start
