@@ -14,7 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-SHORT, LONG = 6_000, 24_000
+SHORT, LONG = 6_000, 18_000
+NOISE_MM = 0.1
+"""Added to every frame: USD keeps equal samples once, and real frames are never equal."""
+
 HOUR = 432_000
 SEASON, SEASON_FRAMES = 500, 7_200
 """A season: 500 takes of a minute at 120 frames per second."""
@@ -94,11 +97,13 @@ def _prepare(folder: Path, lengths: tuple[int, ...]) -> None:
     markers = place_markers(actor)
     captured = simulate_capture(actor, acted, markers)
     count = len(captured.positions)
+    rng = np.random.default_rng(0)
     for frames in lengths:
         again = np.abs((np.arange(frames) + count - 1) % (2 * count - 2) - (count - 1))
         write_c3d(
             folder / f"{frames}.c3d",
-            captured.positions[again],
+            captured.positions[again]
+            + rng.normal(0, NOISE_MM, (frames, *captured.positions.shape[1:])),
             captured.visible[again],
             markers.names,
             rate=acted.weights.rate,
