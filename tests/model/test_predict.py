@@ -107,3 +107,15 @@ def test_positions_that_do_not_fit_are_refused() -> None:
         predict_weights(mapping, broken)
     with pytest.raises(InputError, match="visible has shape"):
         predict_weights(mapping, face.positions, visible=np.ones((2, 2), dtype=bool))
+
+
+@pytest.mark.parametrize("method", ["ridge", "rbf", "ensemble"])
+def test_takes_in_single_precision_are_told_as_in_double(method: str) -> None:
+    face = synthetic_face(noise=0.05)
+    mapping = trained(face, method)
+    single = face.positions.astype(np.float32)
+    found = predict_weights(mapping, single)
+    wanted = predict_weights(mapping, single.astype(np.float64))
+    np.testing.assert_allclose(found.weights, wanted.weights, atol=1e-5)
+    np.testing.assert_allclose(found.region_confidence, wanted.region_confidence, atol=1e-4)
+    np.testing.assert_allclose(found.residual_mm, wanted.residual_mm, atol=1e-4)

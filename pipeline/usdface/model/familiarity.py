@@ -71,7 +71,7 @@ def fit_familiarity(
     kept = max(1, min(DIMENSIONS, coordinates.shape[1], heard))
     scale = motion.variances[:kept] ** -0.25  # half whitened
     rows = coordinates[:, :kept] * scale
-    apart = _squared_distances(rows, rows)[np.triu_indices(len(rows), 1)]
+    apart = _squared_distances(rows, rows, rows @ rows.T)[np.triu_indices(len(rows), 1)]
     width = float(np.median(apart)) or 1.0
     size = float(np.einsum("ij,ij->", rows, rows)) / len(rows) or 1.0
     reach = float(np.einsum("ij,ij->i", rows, rows).max()) or 1.0
@@ -172,16 +172,19 @@ def _unseen_variance(covariance: FloatArray, fold: Fold) -> FloatArray:
 
 
 def _kernel(left: FloatArray, right: FloatArray, settings: FloatArray) -> FloatArray:
-    out = _squared_distances(left, right)
-    out *= -0.5 / settings[0]
+    width, size, _ = settings
+    along = left @ right.T
+    out = _squared_distances(left, right, along)
+    out *= -0.5 / width
     np.exp(out, out=out)
-    out += LINEAR_SHARE * (left @ right.T) / settings[1]
+    along *= LINEAR_SHARE / size
+    out += along
     return out
 
 
-def _squared_distances(left: FloatArray, right: FloatArray) -> FloatArray:
-    """One product of matrices: rows are few numbers of a like size, so that digits suffice."""
-    out: FloatArray = left @ (-2.0 * right.T)
+def _squared_distances(left: FloatArray, right: FloatArray, along: FloatArray) -> FloatArray:
+    """From the products `along` of all rows: they are of a like size, so that digits suffice."""
+    out: FloatArray = -2.0 * along
     out += np.einsum("ij,ij->i", left, left)[:, None]
     out += np.einsum("ij,ij->i", right, right)
     np.maximum(out, 0.0, out=out)
