@@ -149,6 +149,43 @@ def test_pairs_that_cannot_be_learned_from_are_named(fault: str, message: str) -
         train_mapping(broken(fault), ranges=face.ranges, gram=face.gram)
 
 
+def test_a_neutral_face_or_motion_that_is_not_finite_is_refused() -> None:
+    face, pairs = synthetic_face(), references()
+    neutral = pairs.neutral.copy()
+    neutral[7, 0] = np.nan
+    with pytest.raises(InputError, match="neutral face: markers m07 are not finite; ingest"):
+        train_mapping(replace(pairs, neutral=neutral), ranges=face.ranges, gram=face.gram)
+    assert pairs.motion is not None
+    motion = replace(pairs.motion, components=pairs.motion.components * np.inf)
+    with pytest.raises(InputError, match="motion space holds values that are not finite; select"):
+        train_mapping(replace(pairs, motion=motion), ranges=face.ranges, gram=face.gram)
+
+
+def test_ranges_and_a_surface_that_are_not_finite_are_refused() -> None:
+    face = synthetic_face()
+    ranges = face.ranges.copy()
+    ranges[2, 1] = np.nan
+    with pytest.raises(InputError, match=r"shape2 has the empty range \[0.0, nan\]"):
+        train_mapping(references(), ranges=ranges, gram=face.gram)
+    with pytest.raises(InputError, match="gram holds values that are not finite; check the rig"):
+        train_mapping(references(), ranges=face.ranges, gram=face.gram * np.nan)
+
+
+@each_method
+def test_markers_that_never_move_do_no_harm(method: str) -> None:
+    face = synthetic_face(noise=0.001)
+    positions = face.positions.copy()
+    positions[:, 9:11] = positions[0, 9:11]  # two on the face, beside those that are rigid
+    stuck = replace(face, positions=positions)
+    mapping = train_mapping(
+        references_of(stuck, CHOSEN), ranges=face.ranges, gram=face.gram, method=method
+    )
+    prediction = predict_weights(mapping, positions)
+    assert np.isfinite(prediction.confidence).all()
+    error = prediction.weights - face.weights
+    assert np.sqrt((error**2).mean()) < (0.25 if method == "d06" else 0.03)
+
+
 def test_one_pair_is_too_few() -> None:
     face = synthetic_face()
     with pytest.raises(InputError, match=r"1 pairs: at least 2 are needed.*tune more"):

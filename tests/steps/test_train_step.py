@@ -1,11 +1,16 @@
 """What the train step gives to training beyond the pairs."""
 
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
+import pytest
 
 from tests.steps.small_shot import Shot
 from usdface.specs.train import TrainSpec
 from usdface.steps.execute import execute
 from usdface.usdio.mapping import read_mapping
+from usdface.usdio.references import read_references
 
 
 def test_the_geometry_of_the_rig_takes_part_in_training(
@@ -14,3 +19,26 @@ def test_the_geometry_of_the_rig_takes_part_in_training(
     references, out = finished_shot / "hero.references.usda", tmp_path / "x.mapping.usdc"
     execute(TrainSpec(references=references, out=out, method="ensemble"))
     assert read_mapping(out).settings["geometry"] is True
+
+
+def test_weights_beyond_the_range_and_pairs_that_repeat_are_told(
+    finished_shot: Shot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given, out = finished_shot / "hero.references.usda", tmp_path / "x.mapping.usdc"
+    pairs = read_references(given)
+    again = np.r_[np.arange(len(pairs.frames)), 3]
+    weights = pairs.weights.copy()
+    weights[0, pairs.shape_names.index("jawOpen")] = 1.4
+    changed = replace(
+        pairs,
+        markers=pairs.markers[again],
+        weights=weights[again],
+        frames=pairs.frames[again],
+        takes=(*pairs.takes, pairs.takes[3]),
+        tuned=pairs.tuned[again],
+    )
+    monkeypatch.setattr("usdface.steps.train.read_references", lambda path: changed)
+    notes = execute(TrainSpec(references=given, out=out, method="ridge")).notes
+    assert any(note.startswith("1 weights of the pairs are beyond") for note in notes)
+    assert any(note.startswith("1 pairs repeat others") for note in notes)
+    assert read_mapping(out).settings["limited_weights"] == 1

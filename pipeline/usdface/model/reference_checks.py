@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from usdface.assets import FloatArray, References
+from usdface.assets import FloatArray, MotionSpace, References
 from usdface.errors import InputError
 
 MINIMUM_PAIRS = 2
@@ -136,6 +136,15 @@ def _value_faults(references: References) -> list[str]:
         faults.append(
             f"{pair_name(references, int(pair))}: weights {names} are not finite; tune them again"
         )
+    still = np.flatnonzero(~np.isfinite(references.neutral).all(axis=1))
+    if len(still):
+        names = ", ".join(references.marker_names[m] for m in still[:3])
+        faults.append(
+            f"the neutral face: markers {names} are not finite; ingest the take again with "
+            "another neutral frame"
+        )
+    if references.motion is not None and not _is_finite(references.motion):
+        faults.append("the motion space holds values that are not finite; select again")
     if faults:
         return faults
     if np.ptp(references.markers, axis=0).max() == 0:
@@ -147,6 +156,11 @@ def _value_faults(references: References) -> list[str]:
                 "markers but different weights; keep one of them"
             )
     return faults
+
+
+def _is_finite(motion: MotionSpace) -> bool:
+    parts = (motion.mean, motion.components, motion.variances, motion.total_variance, motion.sample)
+    return all(bool(np.isfinite(part).all()) for part in parts)
 
 
 def _same_markers(references: References) -> list[tuple[int, int]]:

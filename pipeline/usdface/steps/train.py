@@ -61,6 +61,7 @@ def run(
         arrays=mapping.arrays | rig_summary(rig, mapping.shape_names),
     )
     write_mapping(spec.out, mapping, provenance=provenance)
+    notes += _mended(mapping, references)
     return Report(
         (spec.out,), _summary(mapping, references), tuple(notes), describe_figures(mapping)
     )
@@ -84,6 +85,21 @@ def describe_figures(mapping: Mapping) -> dict[str, object]:
         ],
         "references": mapping.references,
     }
+
+
+def _mended(mapping: Mapping, references: References) -> list[str]:
+    """Say what of the pairs was not taken as it is."""
+    notes = []
+    limited = int(mapping.settings.get("limited_weights", 0))
+    if limited:
+        notes.append(
+            f"{limited} weights of the pairs are beyond their shape's range on the rig and were "
+            "limited to it; tune them again if that is not meant"
+        )
+    repeated = len(references.frames) - int(mapping.settings["pairs"])
+    if repeated:
+        notes.append(f"{repeated} pairs repeat others, markers and weights alike: left out")
+    return notes
 
 
 def _summary(mapping: Mapping, references: References) -> str:
