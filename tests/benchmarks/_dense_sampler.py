@@ -31,8 +31,9 @@ def sample_densely(
     burn: int = 40,
     keep: int = 200,
     step: float = 1.0,
+    leapfrogs: tuple[int, int] = (2, 3),
 ) -> np.ndarray:
-    """Run the same trajectories chain by chain: (keep, 4, chains)."""
+    """Run trajectories chain by chain, the same as ours by default: (keep, 4, chains)."""
     Q, count = spectrum.vectors, len(spectrum.values)
     trend = Q @ spectrum.trend
     parts = (
@@ -46,23 +47,27 @@ def sample_densely(
     for chain, row in enumerate(rows):
         root, theta = roots[..., chain], modes[:, chain]
         energy, gradient = dense_energy(theta, row, parts, prior)
+        length = step
         for index in range(burn + keep):
             momentum = rng.standard_normal(4)
             before = energy + 0.5 * momentum @ momentum
             place, slope = theta, gradient
-            momentum = momentum - 0.5 * step * root.T @ slope
-            leapfrogs = int(rng.integers(2, 4))
-            for leap in range(leapfrogs):
-                place = place + step * root @ momentum
+            momentum = momentum - 0.5 * length * root.T @ slope
+            count_leaps = int(rng.integers(leapfrogs[0], leapfrogs[1] + 1))
+            for leap in range(count_leaps):
+                place = place + length * root @ momentum
                 try:
                     value, slope = dense_energy(place, row, parts, prior)
                 except np.linalg.LinAlgError:
                     value = np.inf
                     break
-                share = 0.5 if leap == leapfrogs - 1 else 1.0
-                momentum = momentum - share * step * root.T @ slope
-            if rng.random() < np.exp(min(0.0, before - value - 0.5 * momentum @ momentum)):
+                share = 0.5 if leap == count_leaps - 1 else 1.0
+                momentum = momentum - share * length * root.T @ slope
+            chance = np.exp(min(0.0, before - value - 0.5 * momentum @ momentum))
+            if rng.random() < chance:
                 theta, energy, gradient = place, value, slope
+            if index < burn:
+                length *= np.exp((chance - 0.8) / np.sqrt(index + 1.0))
             if index >= burn:
                 out[index - burn, :, chain] = theta
     return out

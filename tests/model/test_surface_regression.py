@@ -119,16 +119,16 @@ def test_lips_that_follow_their_side_are_nearer_to_the_truth_and_the_rest_is_no_
     assert rms(mouth, with_folds) < 1.05 * rms(mouth, without)
 
 
-def test_noise_is_smoothed_and_intervals_hold_what_they_say(mouth: Mouth) -> None:
+@pytest.mark.parametrize("sampler", [pytest.param("hmc", marks=pytest.mark.slow), "map", "shared"])
+def test_noise_is_smoothed_and_intervals_hold_what_they_say(mouth: Mouth, sampler: str) -> None:
     distances, moved = mouth.distances(), mouth.markers(noise=0.5)
     rbf = fit_surface_regression(distances, moved, method="rbf").deform(moved)
-    for sampler in ("hmc", "map", "shared"):
-        fitted = fit_surface_regression(distances, moved, sampler=sampler)
-        found = fitted.deform(moved, of_axes=True)
-        assert rms(mouth, found.mean) < 0.97 * rms(mouth, rbf.mean)
-        assert found.sd_of_axes is not None
-        inside = np.abs(found.mean - mouth.motion) < 1.96 * found.sd_of_axes
-        assert 0.91 < inside.mean() < 0.99
+    fitted = fit_surface_regression(distances, moved, sampler=sampler)  # type: ignore[arg-type]
+    found = fitted.deform(moved, of_axes=True)
+    assert rms(mouth, found.mean) < 0.97 * rms(mouth, rbf.mean)
+    assert found.sd_of_axes is not None
+    inside = np.abs(found.mean - mouth.motion) < 1.96 * found.sd_of_axes
+    assert 0.91 < inside.mean() < 0.99
 
 
 def test_the_sampler_says_how_well_it_mixed(mouth: Mouth) -> None:
@@ -165,7 +165,7 @@ def test_the_same_take_moves_the_same_way_twice(mouth: Mouth) -> None:
 
 
 def test_settings_that_are_left_open_are_chosen_by_leaving_markers_out(mouth: Mouth) -> None:
-    moved, distances = mouth.markers(), mouth.distances()
+    moved, distances = mouth.markers()[::5], mouth.distances()
     chosen = fit_surface_regression(distances, moved, sampler="map", blend=None)
     given = fit_surface_regression(distances, moved, sampler="map", blend=0.0)
     assert chosen.diagnostics.left_out_rms_mm <= given.diagnostics.left_out_rms_mm
