@@ -284,7 +284,7 @@ def _write_pages(
             file,
             compose_sheet(replace(page, title=title, rows=rows)),
             metadata={} if provenance is None else provenance_metadata(provenance),
-            timecode=shot.timecode(rows[0].frame) or None,
+            timecode=shot.timecode(int(shot.frames[0])) or None,
             rate=shot.take.rate,
         )
         written.append(file)
