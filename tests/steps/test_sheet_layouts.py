@@ -55,6 +55,21 @@ def test_several_characters_stand_side_by_side(shot: Shot, monkeypatch) -> None:
     assert columns == ("markers", "this performance", "other")
 
 
+def test_doubt_has_a_strip_of_its_own_scale(shot: Shot, monkeypatch) -> None:
+    pages = []
+    compose = sheet_step.compose_sheet
+    monkeypatch.setattr(
+        sheet_step, "compose_sheet", lambda page: (pages.append(page), compose(page))[1]
+    )
+    execute(spec_of(shot))
+    doubt = pages[0].curves[-1]
+    assert (doubt.label, doubt.high, doubt.unit) == ("doubt", 1.0, "")
+    assert ((doubt.values >= 0) & (doubt.values <= 1)).all()
+    assert pages[0].high == sheet_step.round_range(
+        np.concatenate([curve.values for curve in pages[0].curves[:-1]])
+    )
+
+
 def test_rows_that_do_not_fit_go_to_further_pages(shot: Shot) -> None:
     report = execute(spec_of(shot, layout="strip", rows=5, page_rows=2))
     assert [path.name for path in report.outputs] == ["new.png", "new.2.png", "new.3.png"]

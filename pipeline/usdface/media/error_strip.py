@@ -32,10 +32,14 @@ class ErrorCurve:
     label : str
     values : (frames,) float array
         NaN where there is none.
+    high, unit : float, str or None
+        Of a figure that is no error, such as a doubt of 0 to 1; as the sheet's errors by default.
     """
 
     label: str
     values: FloatArray
+    high: float | None = None
+    unit: str | None = None
 
 
 def strip_height(curve_count: int) -> int:
@@ -84,9 +88,10 @@ def draw_error_strip(
         draw_text(page, curve.label, x=x, y=lane + 2, style=_LABEL, max_width=_LABEL_WIDTH - 10)
         finite = curve.values[np.isfinite(curve.values)]
         if len(finite):
-            mean = f"{finite.mean():.2f} {unit}"
+            mean = f"{finite.mean():.2f} {unit if curve.unit is None else curve.unit}"
             draw_text(page, mean, x=x, y=lane + 26, style=_AXIS, max_width=_LABEL_WIDTH - 8)
-        _draw_lane(page, curve.values, left, lane, inner, count=count, high=high)
+        most = high if curve.high is None else curve.high
+        _draw_lane(page, curve.values, left, lane, inner, count=count, high=most)
 
     bottom = top + len(curves) * (LANE_HEIGHT + _GAP) - _GAP
     taken = -(10**9)

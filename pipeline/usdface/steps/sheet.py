@@ -102,9 +102,14 @@ def run(
         facts=_facts(shot),
         columns=tuple(column.head for column in columns),
         rows=tuple(rows),
-        curves=tuple(ErrorCurve(each.label, each.error_mm) for each in judged),
+        curves=(*(ErrorCurve(each.label, each.error_mm) for each in judged), *_doubt(shot)),
         first_frame=int(shot.frames[0]),
-        notes=_notes(truth is not None, judged, stand_in_eyes=eyes),
+        notes=_notes(
+            truth is not None,
+            judged,
+            stand_in_eyes=eyes,
+            doubted=shot.performance.confidence is not None,
+        ),
         tile_height=tile,
         high=high,
     )
@@ -183,6 +188,15 @@ def _surface_distance(shot: Shot, difference: FloatArray) -> FloatArray:
     """Return the RMS distance of the surface that differences of weights make, (frames,) [mm]."""
     squared = np.einsum("fs,st,ft->f", difference, shot.deformer.shapes.gram(), difference)
     return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
+
+
+def _doubt(shot: Shot) -> tuple[ErrorCurve, ...]:
+    """Return how little the performance trusts itself, 1 less its confidence; none if unknown."""
+    confidence = shot.performance.confidence
+    if confidence is None:
+        return ()
+    own = confidence[shot.frames - shot.performance.weights.first_frame]
+    return (ErrorCurve("doubt", 1.0 - np.asarray(own, np.float64), high=1.0, unit=""),)
 
 
 def _choose(spec: SheetSpec, shot: Shot, judged: _Judged) -> list[ChosenFrame]:
@@ -300,7 +314,9 @@ def _facts(shot: Shot) -> tuple[str, ...]:
     return tuple(facts)
 
 
-def _notes(truth_known: bool, judged: list[_Judged], *, stand_in_eyes: bool) -> tuple[str, ...]:
+def _notes(
+    truth_known: bool, judged: list[_Judged], *, stand_in_eyes: bool, doubted: bool
+) -> tuple[str, ...]:
     what = (
         "error: RMS distance of the surface from what was keyed"
         if truth_known
@@ -308,8 +324,9 @@ def _notes(truth_known: bool, judged: list[_Judged], *, stand_in_eyes: bool) -> 
     )
     means = ", ".join(f"{each.label} {np.nanmean(each.error_mm):.2f} mm" for each in judged)
     eyes = ("the rig has no eyes: stand-ins are drawn",) if stand_in_eyes else ()
+    doubt = ("doubt: 1 less the confidence",) if doubted else ()
     lines = f"lines at markers: what is left unexplained, {EXAGGERATION:g} times as long"
-    return (what, f"mean: {means}", lines, *eyes)
+    return (what, f"mean: {means}", lines, *doubt, *eyes)
 
 
 def _report(
