@@ -3,9 +3,12 @@
 import contextlib
 import json
 import logging
+import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator
+from types import FrameType
 from typing import Any, Literal
 
 from rich.console import Console
@@ -17,6 +20,9 @@ from usdface.progress import silent
 from usdface.steps.report import Report
 
 ProgressStyle = Literal["auto", "bar", "openjd", "none"]
+
+RETRY_SECONDS = 0.05
+"""An import is over in a second or two; a farm waits longer before it kills."""
 
 LONGEST_FARM_MESSAGE = 1000
 """Farms cut or refuse longer lines."""
@@ -93,13 +99,30 @@ def set_up_logging(*, verbose: bool) -> None:
 
 
 def raise_on_terminate() -> None:
-    """Turn the one SIGTERM a farm sends into an exception, so that half files are removed."""
+    """Turn the one SIGTERM a farm sends into an exception, so that half files are removed.
 
-    def cancel(signum: int, frame: object) -> None:
+    Inside an import it waits: USD's loader would swallow the exception and go on with half of
+    itself.
+    """
+
+    def cancel(signum: int, frame: FrameType | None) -> None:
+        if _is_importing(frame):
+            again = threading.Timer(RETRY_SECONDS, os.kill, (os.getpid(), signal.SIGTERM))
+            again.daemon = True
+            again.start()
+            return
         raise CancelledError("stopped on request; nothing half done was left")
 
     with contextlib.suppress(ValueError):  # only the main thread may set handlers
         signal.signal(signal.SIGTERM, cancel)
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def exit_code_of(error: BaseException) -> int:

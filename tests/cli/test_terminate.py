@@ -1,0 +1,54 @@
+"""SIGTERM, as a farm sends it: once, at any moment."""
+
+import importlib
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from usdface.cli import console
+from usdface.errors import CancelledError
+
+
+@pytest.fixture
+def terminable():
+    before = signal.getsignal(signal.SIGTERM)
+    console.raise_on_terminate()
+    yield
+    signal.signal(signal.SIGTERM, before)
+
+
+def stop_and_wait() -> None:
+    os.kill(os.getpid(), signal.SIGTERM)
+    wait()
+
+
+def import_and_wait() -> None:
+    importlib.import_module("slow_to_import")
+    wait()
+
+
+def wait() -> None:
+    end = time.monotonic() + 10
+    while time.monotonic() < end:
+        time.sleep(0.01)
+
+
+def test_it_becomes_an_exception_at_once(terminable) -> None:
+    with pytest.raises(CancelledError):
+        stop_and_wait()
+
+
+def test_inside_an_import_it_waits_for_the_import_to_end(
+    terminable, tmp_path: Path, monkeypatch
+) -> None:
+    stop = "os.kill(os.getpid(), signal.SIGTERM)"
+    text = f"import os, signal, time\n{stop}\ntime.sleep(0.2)\nwhole = 1\n"
+    (tmp_path / "slow_to_import.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(CancelledError):
+        import_and_wait()
+    assert sys.modules.pop("slow_to_import").whole == 1
