@@ -100,14 +100,7 @@ class Video:
 
 @dataclass(frozen=True)
 class Event:
-    """A moment that somebody marked on the capture machine.
-
-    Attributes
-    ----------
-    label : str
-    frame : float
-        In the take's frame numbers; between two where it was marked between them.
-    """
+    """A moment marked on the capture machine; `frame` may lie between two frame numbers."""
 
     label: str
     frame: float
