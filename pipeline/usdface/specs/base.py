@@ -61,6 +61,8 @@ LayerOut = Annotated[WritePath, AfterValidator(_ending(LAYER_SUFFIXES, "a USD la
 ImageOut = Annotated[WritePath, AfterValidator(_ending(IMAGE_SUFFIXES, "a picture"))]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 PrimPath = Annotated[str, Field(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")]
+Device = Annotated[str, Field(pattern=r"^(cpu|torch|cuda(:\d+)?)$", examples=["cpu", "cuda"])]
+"""What `numerics.array_namespace` opens."""
 
 
 def _in_order(frames: str) -> str:
