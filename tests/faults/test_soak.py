@@ -37,6 +37,10 @@ def open_files() -> int:
     return len(list((PROCESS / "fd").iterdir()))
 
 
+def threads() -> int:
+    return len(list((PROCESS / "task").iterdir()))
+
+
 def children() -> list[str]:
     tasks = (PROCESS / "task").iterdir()
     return [child for task in tasks for child in (task / "children").read_text().split()]
@@ -52,7 +56,7 @@ def test_many_jobs_leave_nothing_behind(shot: Shot) -> None:
             method="ridge",
         )
     )
-    warm: tuple[int, int] | None = None
+    warm: tuple[int, int, int] | None = None
     for number in range(JOBS):
         first = 1 + 8 * (number % 40)
         mapped = MapSpec(
@@ -67,12 +71,18 @@ def test_many_jobs_leave_nothing_behind(shot: Shot) -> None:
         validate_layers((mapped.out,))
         if number == int(WARM_UP * JOBS):
             gc.collect()
-            warm = resident_kb(), open_files()
+            warm = resident_kb(), open_files(), threads()
     gc.collect()
     assert warm is not None
     grown = resident_kb() - warm[0]
     counted = JOBS - int(WARM_UP * JOBS) - 1
+    told = (
+        f"{counted} jobs after {JOBS - counted}: {grown:+} KB, {open_files() - warm[1]:+} files, "
+    )
+    told += f"{threads() - warm[2]:+} threads, {len(children())} processes, at {resident_kb()} KB"
+    print(told)  # noqa: T201 - `pytest -s` shows what docs/security.md quotes
     assert open_files() <= warm[1]
+    assert threads() <= warm[2]
     assert children() == []
     assert grown <= LEAST_GROWTH_KB + MOST_GROWTH_KB_A_JOB * counted, f"{grown} KB, {counted} jobs"
     assert not [each for each in folder.iterdir() if each.name.startswith(".")]
