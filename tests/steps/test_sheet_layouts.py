@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 import pytest
+from pxr import Gf, Usd, UsdGeom
 
 from tests.steps.small_shot import Shot
 from usdface.errors import InputError
@@ -97,3 +98,40 @@ def test_a_view_that_is_not_there_is_refused_by_name(monkeypatch, tmp_path) -> N
     monkeypatch.setenv("OCIO", str(tmp_path / "none.ocio"))
     with pytest.raises(InputError, match=r"none\.ocio"):
         display_view("Raw")
+
+
+def test_a_camera_of_the_shot_gives_the_picture_its_width_and_its_view(shot, monkeypatch) -> None:
+    stage = Usd.Stage.CreateNew(str(shot / "cut 1.usda"))
+    stage.GetRootLayer().subLayerPaths.append("./shot.hero.usda")
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    stage.SetTimeCodesPerSecond(120)
+    for name, focal in (("near", 60.0), ("far", 6.0), ("away", 60.0)):
+        camera = UsdGeom.Camera.Define(stage, f"/{name}")
+        camera.AddTranslateOp().Set(Gf.Vec3d(0, 3, 70))
+        camera.CreateFocalLengthAttr(focal)
+        camera.CreateHorizontalApertureAttr(36)
+        camera.CreateVerticalApertureAttr(24)
+        if name == "away":
+            camera.AddRotateYOp().Set(180)
+    stage.Save()
+    pages = []
+    compose = sheet_step.compose_sheet
+    monkeypatch.setattr(
+        sheet_step, "compose_sheet", lambda page: (pages.append(page), compose(page))[1]
+    )
+    notes = {}
+    for name in ("near", "far", "away"):
+        given = {"camera": f"/{name}", "camera_stage": shot / "cut 1.usda", "rows": 1}
+        report = execute(spec_of(shot, out=shot / f"{name}.png", baseline=False, **given))
+        notes[name] = report.notes
+    assert notes["near"] == ()
+    assert "% of the height" in notes["far"][0]
+    assert notes["away"] == ("/away does not see the face at frame 1",)
+    near, far = (page.rows[0].tiles[-1].pixels for page in pages[:2])
+    assert near.shape == far.shape == (64, 96, 3)
+    assert "camera /near" in pages[0].facts
+    wall = far[:, :20].astype(int)
+    assert np.ptp(wall, axis=1).max() < 12, "the far face does not reach the side"
+    assert near[20:44, 30:66].std() > 10
+    with pytest.raises(InputError, match=r"no prim </none>; its cameras are </near>, </far>"):
+        execute(spec_of(shot, camera="/none", camera_stage=shot / "cut 1.usda"), overwrite=True)

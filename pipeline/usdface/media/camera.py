@@ -28,12 +28,18 @@ class Camera:
         Vertical field of view [degrees].
     up : tuple of three floats
         Direction that is up in the picture.
+    shift : tuple of two floats
+        Where the picture's middle lies off the axis, right and up [half heights]; a lens shift.
+    span_mm : float or None
+        Height of what an orthographic camera sees [mm]; None for perspective.
     """
 
     eye: tuple[float, float, float]
     target: tuple[float, float, float]
     fov_degrees: float = 16.0
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    shift: tuple[float, float] = (0.0, 0.0)
+    span_mm: float | None = None
 
     def axes(self) -> FloatArray:
         """Return the rows right, up and backward (from the target to the eye), orthonormal."""
@@ -57,13 +63,30 @@ class Camera:
         -------
         (n, 3) float32 array
         """
-        half = np.tan(np.radians(self.fov_degrees / 2))
-        x = (2 * pixels[:, 0] - width) / height * half
-        y = (1 - 2 * pixels[:, 1] / height) * half
         right, up, backward = self.axes()
-        rays = x[:, None] * right + y[:, None] * up - backward
+        if self.span_mm is not None:
+            return np.asarray(np.broadcast_to(-backward, (len(pixels), 3)), np.float32)
+        x, y = self._off_axis(pixels, width, height)
+        half = np.tan(np.radians(self.fov_degrees / 2))
+        rays = half * (x[:, None] * right + y[:, None] * up) - backward
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         return np.asarray(rays, np.float32)
+
+    def origins(self, pixels: FloatArray, *, width: int, height: int) -> Float32Array:
+        """Return where the rays of `directions` begin, (n, 3) float32 array [mm]."""
+        if self.span_mm is None:
+            return np.asarray(np.broadcast_to(self.eye, (len(pixels), 3)), np.float32)
+        right, up, _ = self.axes()
+        x, y = self._off_axis(pixels, width, height)
+        across = self.span_mm / 2 * (x[:, None] * right + y[:, None] * up)
+        return np.asarray(self.eye + across, np.float32)
+
+    def _off_axis(
+        self, pixels: FloatArray, width: int, height: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return how far right and up of the axis picture positions lie [half heights]."""
+        x = (2 * pixels[:, 0] - width) / height + self.shift[0]
+        return x, 1 - 2 * pixels[:, 1] / height + self.shift[1]
 
     def project(self, points: ArrayLike, *, width: int, height: int) -> FloatArray:
         """Return column, row [pixels] and distance along the view [mm] of each point.
@@ -81,9 +104,12 @@ class Camera:
         """
         local = (np.asarray(points, np.float64) - self.eye) @ self.axes().T
         depth = -local[:, 2]
-        scale = height / 2 / np.tan(np.radians(self.fov_degrees / 2)) / depth
-        column = width / 2 + local[:, 0] * scale
-        return np.stack([column, height / 2 - local[:, 1] * scale, depth], axis=1)
+        half = depth * np.tan(np.radians(self.fov_degrees / 2))
+        if self.span_mm is not None:
+            half = np.full(len(local), self.span_mm / 2)
+        column = width / 2 + (local[:, 0] / half - self.shift[0]) * height / 2
+        row = height / 2 - (local[:, 1] / half - self.shift[1]) * height / 2
+        return np.stack([column, row, depth], axis=1)
 
 
 def motion_weights(meshes: Sequence[RigMesh]) -> FloatArray:

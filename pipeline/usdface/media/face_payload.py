@@ -22,7 +22,7 @@ from scipy import sparse
 
 from usdface.assets import Float32Array, FloatArray, IntArray, Rig
 from usdface.deformer import Deformer
-from usdface.media.camera import frame_rig
+from usdface.media.camera import Camera, frame_rig
 from usdface.media.color import bytes_from_linear
 from usdface.media.mesh_topology import normal_operator, vertex_normals
 from usdface.media.surface import Surface, build_surface
@@ -39,6 +39,7 @@ _OPEN = 0.6
 _SKY_AVERAGES = 6  # over neighbours: counting rays is noisy, and stripes follow a mesh's rows
 # Which directions a point takes, in no order that a row of a mesh could follow.
 _PATTERN_OF = np.random.default_rng(0).integers(0, PATTERNS, 4093)
+_FLAT_FOV = 2.0  # [degrees]
 _SKY_REACH = 0.28  # of the head's height, as in the ray-cast pictures
 _WEB = Path(__file__).parent / "web"
 _VIEWER = (
@@ -90,7 +91,7 @@ def viewer_source() -> str:
     return "\n".join(_LINKS.sub("", part) for part in parts)
 
 
-def pack_face(rig: Rig) -> FacePayload:
+def pack_face(rig: Rig, *, camera: Camera | None = None) -> FacePayload:
     """Pack a rig for the web viewer.
 
     What is drawn is what `usdface.media.render` draws: hidden meshes and lash cards left out,
@@ -100,6 +101,9 @@ def pack_face(rig: Rig) -> FacePayload:
     Parameters
     ----------
     rig : Rig
+    camera : Camera, optional
+        Where the face is first seen from; framed on it from the front by default. Its place, aim
+        and field of view are kept; roll and lens shift are not.
 
     Returns
     -------
@@ -138,7 +142,7 @@ def pack_face(rig: Rig) -> FacePayload:
         "shapes": _shapes(rig),
         "tracks": _tracks(rig, keys),
         "eyeCenters": np.round(surface.eye_centers, 4).tolist(),
-        "camera": _camera(rig),
+        "camera": _camera(camera or frame_rig(rig.meshes)),
         "size": round(surface.size, 3),
         "eyesPutIn": surface.eyes_put_in,
     }
@@ -282,13 +286,19 @@ def _of_points(of_triangles: IntArray, surface: Surface, *, fill: int) -> IntArr
     return values
 
 
-def _camera(rig: Rig) -> dict[str, Any]:
-    camera = frame_rig(rig.meshes)
-    distance = float(np.linalg.norm(np.subtract(camera.eye, camera.target)))
+def _camera(camera: Camera) -> dict[str, Any]:
+    back = np.subtract(camera.eye, camera.target)
+    distance, fov = float(np.linalg.norm(back)), camera.fov_degrees
+    if camera.span_mm is not None:  # the page has perspective only: a lens so long that it is flat
+        fov = _FLAT_FOV
+        distance = camera.span_mm / 2 / float(np.tan(np.radians(fov / 2)))
+    back = back / np.linalg.norm(back)
     return {
         "target": [round(each, 4) for each in camera.target],
         "distance": round(distance, 4),
-        "fov": camera.fov_degrees,
+        "fov": fov,
+        "yaw": round(float(np.arctan2(back[0], back[2])), 6),
+        "pitch": round(float(np.arcsin(np.clip(back[1], -1, 1))), 6),
     }
 
 

@@ -156,7 +156,8 @@ def draw(view: View) -> Float32Array:
 def _sample(view: View, pixels: FloatArray) -> _Samples:
     """Cast rays through picture positions and read the surface where they meet it."""
     directions = view.camera.directions(pixels, width=view.width, height=view.height)
-    found = view.tracer.find(view.camera.eye, directions)
+    origins = view.camera.origins(pixels, width=view.width, height=view.height)
+    found = view.tracer.find(origins, directions)
     corners = view.surface.triangles[found.triangles]
     normals = _mix(view.normals, corners, found.barycentric)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.float32(1e-9))

@@ -55,10 +55,9 @@ class Tracer:
             np.ascontiguousarray(triangles, np.int32),
         )
 
-    def find(self, origin: tuple[float, float, float], directions: Float32Array) -> Found:
-        """Return what each ray from one origin meets first."""
-        start = np.asarray(origin, np.float32)
-        origins = np.ascontiguousarray(np.broadcast_to(start, directions.shape))
+    def find(self, origins: Float32Array, directions: Float32Array) -> Found:
+        """Return what each ray meets first; both (n, 3), directions unit."""
+        origins = np.ascontiguousarray(origins)
         met = self._scene.run(origins, np.ascontiguousarray(directions), output=1)
         rays = np.flatnonzero(met["primID"] >= 0)
         u, v = met["u"][rays], met["v"][rays]
@@ -66,7 +65,7 @@ class Tracer:
             rays=rays,
             triangles=met["primID"][rays].astype(np.int64),
             barycentric=np.stack([1 - u - v, u, v], axis=1),
-            positions=start + met["tfar"][rays, None] * directions[rays],
+            positions=origins[rays] + met["tfar"][rays, None] * directions[rays],
         )
 
     def blocked(

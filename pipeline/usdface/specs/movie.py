@@ -6,6 +6,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import AfterValidator, Field
 
 from usdface.specs.base import FilePath, Frames, Positional, ReadPath, Reads, Spec, WritePath
+from usdface.specs.camera import CameraName
 
 MOVIE_SUFFIXES = (".mp4", ".mov", ".mkv", ".webm")
 
@@ -50,6 +51,10 @@ class MovieSpec(Spec):
     """Final has soft shadows and occlusion and takes ten times as long."""
     workers: Annotated[int, Field(ge=0, le=256)] = 0
     """Processes that draw; as many as there are cores by default."""
+    camera: CameraName = "auto"
+    """What the face is drawn by: `auto` frames it; a prim path is a camera of the stage."""
+    camera_stage: ReadPath | None = None
+    """The stage that holds the camera, a shot say; the performance's own by default."""
     sound: bool = True
     """Put the take's sound in."""
 

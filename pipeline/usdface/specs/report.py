@@ -6,6 +6,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import AfterValidator, Field
 
 from usdface.specs.base import FilePath, Frames, Positional, ReadPath, Reads, Spec, WritePath
+from usdface.specs.camera import CameraName
 
 PAGE_SUFFIXES = (".html", ".htm")
 
@@ -42,6 +43,10 @@ class ReportSpec(Spec):
     """A contact sheet to put into the page (.jpg or .png)."""
     baseline: bool = True
     """Draw the equation-solving baseline's curves too."""
+    camera: CameraName = "auto"
+    """What the face is first seen by: `auto` frames it; a prim path is a camera of the stage."""
+    camera_stage: ReadPath | None = None
+    """The stage that holds the camera, a shot say; the performance's own by default."""
     height: Annotated[int, Field(ge=120, le=1080)] = 360
     """Height of the video in the page, in pixels."""
     worst: Annotated[int, Field(ge=1, le=100)] = 12

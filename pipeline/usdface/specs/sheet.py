@@ -13,6 +13,7 @@ from usdface.specs.base import (
     Reads,
     Spec,
 )
+from usdface.specs.camera import CameraName
 
 SheetLayout = Literal["comparison", "worst", "strip", "characters"]
 FramePick = Literal["expression", "residual", "confidence", "jump", "even"]
@@ -60,6 +61,10 @@ class SheetSpec(Spec):
     """Show the equation-solving baseline, where the layout has it."""
     difference: bool = True
     """Show where the performance differs from truth or baseline, where the layout has it."""
+    camera: CameraName = "auto"
+    """What the face is drawn by: `auto` frames it; a prim path is a camera of the stage."""
+    camera_stage: ReadPath | None = None
+    """The stage that holds the camera, a shot say; the performance's own by default."""
     view: Annotated[str, Field(min_length=1, max_length=200)] | None = None
     """View of the OpenColorIO configuration ($OCIO, else the built-in one) to show renders by, as
     VIEW or DISPLAY/VIEW; plain sRGB by default."""

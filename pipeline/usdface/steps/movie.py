@@ -23,6 +23,7 @@ from usdface.specs.movie import MovieSpec, Panel
 from usdface.steps.movie_clock import MovieClock, movie_rate
 from usdface.steps.outputs import make_provenance, provenance_metadata
 from usdface.steps.report import Report
+from usdface.steps.shot_camera import ShotCamera
 from usdface.steps.shot_pictures import Shot, ShotPictures, open_shot
 from usdface.steps.take_sound import SAMPLE_RATE, take_sound
 
@@ -73,6 +74,8 @@ def run(
     waiting = [stretch for stretch in stretches if not stretch.file.is_file()]
     if len(waiting) < len(stretches):
         notes.append(f"{len(stretches) - len(waiting)} of {len(stretches)} stretches were there")
+    if "performance" in panels:
+        notes += _camera(spec, shot).notes(clock.first_frame)
     _draw_all(_Plan(spec, panels, clock), waiting, shot, progress)
     progress(0.97, "joining the stretches")
     sound = take_sound(take, clock, notes) if spec.sound else None
@@ -193,9 +196,24 @@ def _work(stretch: _Stretch) -> None:
     _draw_stretch(*_shared, stretch)
 
 
+def _camera(spec: MovieSpec, shot: Shot) -> ShotCamera:
+    return ShotCamera(
+        shot.performance_file,
+        shot.performance,
+        shot.rig,
+        name=spec.camera,
+        stage=spec.camera_stage,
+    )
+
+
 def _draw_stretch(plan: _Plan, shot: Shot, stretch: _Stretch) -> None:
     with ExitStack() as open_files:
-        pictures = ShotPictures(shot, height=plan.spec.height, quality=plan.spec.quality)
+        pictures = ShotPictures(
+            shot,
+            height=plan.spec.height,
+            quality=plan.spec.quality,
+            camera=_camera(plan.spec, shot),
+        )
         open_files.enter_context(pictures)
         write_movie(stretch.file, _pictures(plan, shot, pictures, stretch), rate=plan.clock.rate)
 
@@ -207,6 +225,8 @@ def _pictures(
     widths = {panel: height for panel in plan.panels}
     if "video" in plan.panels:
         widths["video"] = round(height * pictures.video_aspect / 2) * 2
+    if "performance" in plan.panels:
+        widths["performance"] = pictures.face_width
     title = f"{shot.take.name}  ·  {shot.rig.file.stem}"
     confidence = shot.performance.confidence
     for number in range(stretch.start, stretch.stop):
@@ -221,7 +241,7 @@ def _pictures(
             elif panel == "markers":
                 pixels = pictures.markers(row)
             else:
-                pixels = pictures.face(shot.weights[row])
+                pixels = pictures.face(row, shot.weights[row])
             panels.append(MoviePanel(widths[panel], pixels, LABELS[panel], missing))
         trust = None
         if confidence is not None:

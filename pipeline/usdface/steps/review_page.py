@@ -20,6 +20,7 @@ from usdface.numerics.measure.face_regions import region_of_shape
 from usdface.progress import Progress, part, silent
 from usdface.provenance import Provenance
 from usdface.replacing import replacing
+from usdface.specs.camera import AUTO
 from usdface.specs.report import ReportSpec
 from usdface.steps.frame_choice import choose_frames
 from usdface.steps.movie_clock import MovieClock, movie_rate
@@ -27,6 +28,7 @@ from usdface.steps.outputs import make_provenance
 from usdface.steps.report import Report
 from usdface.steps.review_listings import evaluate_shown, listings
 from usdface.steps.sheet import place_markers, read_truth
+from usdface.steps.shot_camera import ShotCamera
 from usdface.steps.shot_pictures import Shot, open_shot
 from usdface.steps.take_sound import SAMPLE_RATE, take_sound
 from usdface.usdio.performance_reader import PerformanceReader
@@ -65,7 +67,15 @@ def run(
     baseline = equation.solve_published(shot.positions) if spec.baseline else None
     evaluation = evaluate_shown(shot, truth)
     progress(0.2, "packing the face")
-    face = pack_face(shot.rig)
+    view = ShotCamera(
+        shot.performance_file,
+        shot.performance,
+        shot.rig,
+        name=spec.camera,
+        stage=spec.camera_stage,
+    )
+    notes += view.notes(clock.first_frame)
+    face = pack_face(shot.rig, camera=None if spec.camera == AUTO else view.at(clock.first_frame))
     movie = _movie(spec, shot, clock, notes, part(progress, 0.25, 0.95))
     frames = shot.frames[rows]
     sheet, sheet_type = _sheet(spec)

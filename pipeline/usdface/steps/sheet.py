@@ -16,10 +16,12 @@ from usdface.media.sheet import SheetPage, SheetRow, Tile, compose_sheet, round_
 from usdface.model.equation import BlendshapeEquation, set_up_equation
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
+from usdface.specs.camera import AUTO
 from usdface.specs.sheet import FramePick, SheetLayout, SheetSpec
 from usdface.steps.frame_choice import ChosenFrame, choose_frames
 from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
+from usdface.steps.shot_camera import ShotCamera
 from usdface.steps.shot_pictures import EXAGGERATION, Shot, ShotPictures, open_shot
 from usdface.steps.weight_tables import read_weight_table
 
@@ -80,8 +82,12 @@ def run(
     high = round_range(np.concatenate([each.error_mm for each in judged]))
     tile = spec.tile or (STRIP_TILE if spec.layout == "strip" else OTHER_TILE)
     show = display_view(spec.view)
+    cameras = [_camera(spec, each) for each in shots]
     with ExitStack() as open_files:
-        pictures = [ShotPictures(s, height=tile, quality=spec.quality, display=show) for s in shots]
+        pictures = [
+            ShotPictures(s, height=tile, quality=spec.quality, display=show, camera=camera)
+            for s, camera in zip(shots, cameras, strict=True)
+        ]
         for each in pictures:
             open_files.enter_context(each)
         columns = _columns(spec, shots, pictures, judged, equations[0], truth, chosen, high)
@@ -99,7 +105,7 @@ def run(
         eyes = any(each.stand_in_eyes for each in pictures)
     page = SheetPage(
         title=f"{shot.take.name} on {', '.join(dict.fromkeys(s.rig.file.stem for s in shots))}",
-        facts=_facts(shot),
+        facts=_facts(spec, shot),
         columns=tuple(column.head for column in columns),
         rows=tuple(rows),
         curves=(*(ErrorCurve(each.label, each.error_mm) for each in judged), *_doubt(shot)),
@@ -116,7 +122,8 @@ def run(
     progress(0.95, f"writing {spec.out.name}")
     written = _write_pages(spec, page, shot, provenance)
     progress(1.0, "done")
-    return _report(written, shot.frames, judged, chosen, truth is not None)
+    told = dict.fromkeys(note for each in cameras for note in each.notes(int(shot.frames[0])))
+    return _report(written, shot.frames, judged, chosen, truth is not None, tuple(told))
 
 
 def _open_shots(spec: SheetSpec) -> list[Shot]:
@@ -135,6 +142,16 @@ def _open_shots(spec: SheetSpec) -> list[Shot]:
         )
         for shot in shots
     ]
+
+
+def _camera(spec: SheetSpec, shot: Shot) -> ShotCamera:
+    return ShotCamera(
+        shot.performance_file,
+        shot.performance,
+        shot.rig,
+        name=spec.camera,
+        stage=spec.camera_stage,
+    )
 
 
 def place_markers(shot: Shot) -> BlendshapeEquation:
@@ -259,7 +276,7 @@ def _face(pictures: ShotPictures, judged: _Judged) -> Callable[[int], Tile]:
     def draw(row: int) -> Tile:
         error = float(judged.error_mm[row])
         value = None if np.isnan(error) else error
-        return Tile(pictures.face(judged.weights[row]), value=value)
+        return Tile(pictures.face(row, judged.weights[row]), value=value)
 
     return draw
 
@@ -270,7 +287,7 @@ def _away(
     def draw(row: int) -> Tile:
         if np.isnan(other[row]).any():
             return Tile(None, caption="nothing keyed here")
-        painted = pictures.difference(weights[row], other[row], high_mm=high_mm)
+        painted = pictures.difference(row, weights[row], other[row], high_mm=high_mm)
         return Tile(painted.picture, caption=f"at most {painted.largest_mm:.1f} mm")
 
     return draw
@@ -305,8 +322,10 @@ def _write_pages(
     return tuple(written)
 
 
-def _facts(shot: Shot) -> tuple[str, ...]:
+def _facts(spec: SheetSpec, shot: Shot) -> tuple[str, ...]:
     facts = [f"frames {shot.frames[0]}-{shot.frames[-1]}", f"{float(shot.take.rate):g} fps"]
+    if spec.camera != AUTO:
+        facts.append(f"camera {spec.camera}")
     if shot.take.performer:
         facts.insert(0, shot.take.performer)
     if shot.performance.confidence is not None:
@@ -335,6 +354,7 @@ def _report(
     judged: list[_Judged],
     chosen: list[ChosenFrame],
     truth_known: bool,
+    notes: tuple[str, ...],
 ) -> Report:
     means = {each.label: float(np.nanmean(each.error_mm)) for each in judged}
     told = ", ".join(f"{label} {value:.2f} mm" for label, value in means.items())
@@ -342,7 +362,7 @@ def _report(
     return Report(
         written,
         f"{len(chosen)} rows; mean {what}: {told}",
-        (),
+        notes,
         {
             "frames": [int(frames[frame.row]) for frame in chosen],
             "mean_error_mm": means,

@@ -11,7 +11,6 @@ import numpy as np
 from usdface.assets import FloatArray, IntArray, Performance, Rig, Take
 from usdface.deformer import Deformer
 from usdface.errors import InputError
-from usdface.media.camera import frame_rig
 from usdface.media.color import ByteImage
 from usdface.media.display_view import DisplayView
 from usdface.media.image_sequence import ImageSequence, open_video
@@ -21,13 +20,10 @@ from usdface.media.sheet import Tile
 from usdface.media.video import VideoReader
 from usdface.specs.base import frame_range
 from usdface.steps.cleaned_takes import read_cleaned
+from usdface.steps.shot_camera import ShotCamera
 from usdface.timecode import shift_timecode
 from usdface.usdio.performance import read_performance
 from usdface.usdio.rig import read_rig
-
-YAW_DEGREES = 12.0
-"""A little from the side, where lips and lids show their depth."""
-
 
 EXAGGERATION = 4.0
 """Lines from markers to where the weights put them are so many times as long: they are short."""
@@ -149,6 +145,8 @@ class ShotPictures:
     quality : {'draft', 'final'}
     display : callable, optional
         How rendered light is shown, see `display_view`.
+    camera : ShotCamera, optional
+        What faces are drawn by; framed on the face by default.
     """
 
     def __init__(
@@ -158,12 +156,14 @@ class ShotPictures:
         height: int,
         quality: Literal["draft", "final"],
         display: DisplayView | None = None,
+        camera: ShotCamera | None = None,
     ) -> None:
         self._shot = shot
         self._height = height
         self._quality: Literal["draft", "final"] = quality
         self._renderer = FaceRenderer(shot.rig.meshes, display=display)
-        self._camera = frame_rig(shot.rig.meshes, yaw_degrees=YAW_DEGREES)
+        self._camera = camera or ShotCamera(shot.performance_file, shot.performance, shot.rig)
+        self._width = self._camera.width(height, int(shot.frames[0]))
         self._cloud = frame_markers(_spread(shot.take))
         self._open = ExitStack()
         self._video: VideoReader | ImageSequence | None = None
@@ -172,6 +172,11 @@ class ShotPictures:
     def stand_in_eyes(self) -> bool:
         """Whether the rig has no eyes and some were put in: a sheet should say so."""
         return self._renderer.eyes_put_in
+
+    @property
+    def face_width(self) -> int:
+        """Width of pictures of the face [pixels]."""
+        return self._width
 
     @property
     def video_aspect(self) -> float:
@@ -226,25 +231,27 @@ class ShotPictures:
             exaggeration=EXAGGERATION,
         )
 
-    def face(self, weights: FloatArray) -> ByteImage:
-        """Draw the rig at one set of weights, (shapes,)."""
+    def face(self, row: int, weights: FloatArray) -> ByteImage:
+        """Draw the rig at one set of weights, (shapes,), as a row's frame sees it."""
         return self._renderer.render(
             self._shot.deformer.points(weights[None])[0],
-            camera=self._camera,
-            width=self._height,
+            camera=self._camera.at(int(self._shot.frames[row])),
+            width=self._width,
             height=self._height,
             quality=self._quality,
         )
 
-    def difference(self, weights: FloatArray, other: FloatArray, *, high_mm: float) -> Painted:
+    def difference(
+        self, row: int, weights: FloatArray, other: FloatArray, *, high_mm: float
+    ) -> Painted:
         """Paint on the rig how far its surface lies from where other weights put it."""
         ours = self._shot.deformer.points(weights[None])[0]
         theirs = self._shot.deformer.points(other[None])[0]
         away = np.linalg.norm(np.asarray(ours) - np.asarray(theirs), axis=-1)
         picture = self._renderer.render(
             ours,
-            camera=self._camera,
-            width=self._height,
+            camera=self._camera.at(int(self._shot.frames[row])),
+            width=self._width,
             height=self._height,
             quality="draft",
             values=away,

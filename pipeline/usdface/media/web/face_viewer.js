@@ -120,8 +120,7 @@ export class FaceViewer {
 
   /** Frame the face from the front, or from elsewhere [degrees]. */
   resetView(yaw = FRONT, pitch = 0) {
-    this.camera.reset();
-    this.camera.turn((yaw * Math.PI) / 180, (pitch * Math.PI) / 180);
+    this.camera.reset((yaw * Math.PI) / 180, (pitch * Math.PI) / 180);
     this.invalidate();
   }
 

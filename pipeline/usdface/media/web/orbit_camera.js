@@ -4,17 +4,20 @@ const STEP = Math.PI / 36;
 
 /** Where a face is seen from: angles, distance, and the point looked at [mm, radians]. */
 export class OrbitCamera {
-  /** @param {{target: number[], distance: number, fov: number}} home frames the face. */
+  /**
+   * @param {{target: number[], distance: number, fov: number, yaw?: number, pitch?: number}} home
+   *   frames the face.
+   */
   constructor(home, size) {
     this.home = home;
     this.size = size;
     this.reset();
   }
 
-  /** Frame the face from the front. */
-  reset() {
-    this.yaw = 0;
-    this.pitch = 0;
+  /** Frame the face from where it is first seen, or from elsewhere. */
+  reset(yaw = this.home.yaw ?? 0, pitch = this.home.pitch ?? 0) {
+    this.yaw = yaw;
+    this.pitch = pitch;
     this.frame();
   }
 
