@@ -7,9 +7,13 @@ from pathlib import Path
 
 import pytest
 from pxr import Sdf, Vt
+from typer.core import TyperGroup
+from typer.main import get_command
 
 from tests.usdio.small_rig import small_rig
 from usdface.cli import main
+from usdface.cli.app import app
+from usdface.cli.command_list import SECTIONS
 from usdface.usdio.rig_write import write_rig
 from usdface.version import __version__
 
@@ -26,12 +30,11 @@ def test_the_installed_command_tells_its_version() -> None:
     assert done.stdout == f"usdface {__version__}\n"
 
 
+GROUPS = ("references", "pairs", "edits")
+
+
 @pytest.mark.parametrize(
-    "command",
-    (
-        "ingest align clean select train map sheet movie report evaluate run check submit describe "
-        "validate demo"
-    ).split(),
+    "command", [name for names in SECTIONS.values() for name in names if name not in GROUPS]
 )
 def test_every_command_answers_help_with_an_example(command: str, capsys) -> None:
     assert run(command, "--help") == 0
@@ -130,3 +133,18 @@ def test_a_farms_worker_makes_the_folders_it_writes_to(tmp_path: Path, capsys) -
     assert run("run", str(job), "--make-folders") == 2  # there is no take
     assert (tmp_path / "parts" / "deep").is_dir()
     assert "x.usda: no such file" in capsys.readouterr().err
+
+
+def test_every_command_is_listed_once_under_a_heading() -> None:
+    group = get_command(app)
+    assert isinstance(group, TyperGroup)
+    listed = [name for names in SECTIONS.values() for name in names]
+    assert sorted(listed) == sorted(group.commands)
+
+
+def test_the_list_of_commands_says_whole_sentences(capsys) -> None:
+    assert run("--help") == 0
+    told = capsys.readouterr().out
+    assert "...\n" not in told.replace("[ARGS]...", "")
+    assert told.index("Capture:") < told.index("Review:")
+    assert "Find where the video lies in the take: shift and clock drift" in " ".join(told.split())

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from usdface.cli.command_list import CommandList
 from usdface.cli.console import (
     ProgressStyle,
     exit_code_of,
@@ -37,6 +38,7 @@ EPILOG = "Exit codes: 0 done, 1 a check failed, 2 bad input, 3 interrupted."
 
 app = typer.Typer(
     name="usdface",
+    cls=CommandList,
     help="Facial capture to BlendShape weights, as a stage of an OpenUSD pipeline.",
     epilog=EPILOG,
     no_args_is_help=True,
@@ -44,9 +46,19 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-pairs = typer.Typer(help="Make pairs of expressions of two characters.", no_args_is_help=True)
-references = typer.Typer(help="Work on a references asset.", no_args_is_help=True)
-edits = typer.Typer(help="Work on the edits of a performance.", no_args_is_help=True)
+pairs = typer.Typer(
+    cls=CommandList, help="Make pairs of expressions of two characters.", no_args_is_help=True
+)
+references = typer.Typer(
+    cls=CommandList,
+    help="Work on a references asset: tuned weights in, a sheet out, what edits teach.",
+    no_args_is_help=True,
+)
+edits = typer.Typer(
+    cls=CommandList,
+    help="Take edits from a DCC, or list what a performance holds.",
+    no_args_is_help=True,
+)
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for scripts.")]
 ShowProgress = Annotated[
