@@ -16,7 +16,7 @@ from usdface.media.image import read_image_metadata
 from usdface.model.equation import BlendshapeEquation, set_up_equation
 from usdface.specs.reference_sheet import ReferenceSheetSpec
 from usdface.specs.references import ReferencesImportSpec, SelectSpec, tuned_path
-from usdface.steps import select
+from usdface.steps import selection_scene
 from usdface.steps.execute import execute
 from usdface.usdio.references import read_references, read_tuned_pairs
 from usdface.usdio.rig import read_rig
@@ -37,7 +37,7 @@ def registered_once(monkeypatch: pytest.MonkeyPatch) -> None:
             EQUATIONS[rig.shapes] = set_up_equation(rig, *rest, **given)  # type: ignore[arg-type]
         return EQUATIONS[rig.shapes]
 
-    monkeypatch.setattr(select, "set_up_equation", remembered)
+    monkeypatch.setattr(selection_scene, "set_up_equation", remembered)
 
 
 def spec(shot: Shot, **changed: object) -> SelectSpec:

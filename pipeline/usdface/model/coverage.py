@@ -15,7 +15,7 @@ BLOCK_FRAMES = 4096
 HOLE = 0.25
 """Share of a face's motion left to guess at which a frame counts as a hole."""
 
-COVERED_FRAMES = 40_000
+COVERED_FRAMES = 24_000
 """Frames that are measured one by one; of longer takes every second, third ... stands for all."""
 
 CURVE_FRAMES = 1500

@@ -22,7 +22,7 @@ DESIGNS: dict[str, Callable[..., Design]] = {
     "D-optimal": design_d_optimal,
 }
 
-POOL_FRAMES = 40_000
+POOL_FRAMES = 24_000
 """Frames that are looked at: of a longer recording the most extreme of each short stretch."""
 
 NEXT_FRAMES = 2500
@@ -86,7 +86,7 @@ def pool_of(features: FloatArray, candidates: BoolArray, *, limit: int = POOL_FR
     rows = np.flatnonzero(candidates)
     if len(rows) <= limit:
         return rows
-    size = np.einsum("ij,ij->i", features[rows], features[rows])
+    size = np.einsum("ij,ij->i", features, features)[rows]
     starts = np.linspace(0, len(rows), limit, endpoint=False).astype(np.int64)
     order = np.lexsort((-size, np.searchsorted(starts, np.arange(len(rows)), side="right")))
     stretch = np.searchsorted(starts, order, side="right")

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from usdface.assets import IntArray, Rig
 from usdface.errors import InputError
 from usdface.specs.references import SelectSpec, tuned_path
@@ -26,10 +28,10 @@ def find_kept_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[Kep
     InputError
         If one is of a take that is not given, or of another rig, or there is no room for it.
     """
-    rows = {(t, int(f)): i for i, (t, f) in enumerate(zip(takes.takes, takes.frames, strict=True))}
     layer = tuned_path(spec.out)
     tuned: list[TunedPair] = read_tuned_pairs(layer)
-    lost = [each for each in tuned if (each.take, each.frame) not in rows]
+    rows = find_rows(takes, [(each.take, each.frame) for each in tuned])
+    lost = [each for each, row in zip(tuned, rows, strict=True) if row is None]
     if lost:
         raise InputError(
             f"{layer}: pair {lost[0].pair + 1} was tuned for frame {lost[0].frame} of "
@@ -50,7 +52,30 @@ def find_kept_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[Kep
                 f"{len(strange)} of its {len(each.weights)} shapes are not on {rig.file} "
                 f"({', '.join(strange[:3])}); give that rig, or write to another --out"
             )
-    return [KeptPair(each.pair, rows[each.take, each.frame], each) for each in tuned]
+    return [
+        KeptPair(each.pair, row, each)
+        for each, row in zip(tuned, rows, strict=True)
+        if row is not None
+    ]
+
+
+def find_rows(takes: CleanedTakes, places: list[tuple[str, int]]) -> list[int | None]:
+    """Return the row, among the frames of all takes, of each take and frame; None where it is not.
+
+    A take's frames follow one another without a gap, so nothing is searched.
+    """
+    starts = np.cumsum([0, *(len(clip) for clip in takes.positions)]).tolist()
+    first = {
+        source.name: (start, end, int(takes.frames[start]))
+        for source, start, end in zip(takes.sources, starts, starts[1:], strict=False)
+        if end > start
+    }
+    rows: list[int | None] = []
+    for take, frame in places:
+        start, end, begins = first.get(take, (0, 0, 0))
+        row = start + frame - begins
+        rows.append(row if start <= row < end else None)
+    return rows
 
 
 def rows_in_place(count: int, kept: list[KeptPair], chosen: IntArray) -> list[int]:

@@ -71,7 +71,9 @@ def read_spoken(spec: SelectSpec, takes: CleanedTakes) -> Spoken:
                     f"{spec.phones[index].name}: {len(unknown)} symbols are no phone and were "
                     f"left out: {', '.join(map(repr, unknown[:5]))}"
                 )
-        own = [label_at(track.emotions, at) or felt for at in seconds]
+        own = [felt] * count
+        if track.emotions:
+            own = [label_at(track.emotions, at) or felt for at in seconds]
         if not any(own):
             unmarked.append(source.name)
         said = [viseme_of(label) or "" if label else "" for label in _labels(track, seconds)]

@@ -159,12 +159,14 @@ def _path_misfit(
         upper=limits[:, 1],
         ridge=_WEIGHT_RIDGE,
     ).x
-    path = motion.transpose(0, 2, 1).reshape(frames * 3, markers)
-    could = np.empty((frames * 3, samples))
+    # Paths of samples are sums of few shapes: their products need the shapes' alone, not each path.
+    together = weights.T @ weights
+    energy = np.einsum("fmc,fmc->m", motion, motion)
+    common, own = np.zeros((markers, samples)), np.zeros(samples)
     for axis in range(3):
-        could[axis::3] = weights @ skin_deltas[:, :, axis]
-    energy, own = (path**2).sum(axis=0), (could**2).sum(axis=0)
-    common = path.T @ could
+        moves = np.ascontiguousarray(skin_deltas[:, :, axis])
+        common += (motion[:, :, axis].T @ weights) @ moves
+        own += np.einsum("ks,ks->s", moves, together @ moves)
     gain = np.clip(common / np.maximum(own, 1e-9), *_GAINS)
     left = energy[:, None] - 2 * gain * common + gain**2 * own
     noise = 3 * frames * _NOISE_MM**2

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 Array = NDArray[np.float64]
 
@@ -82,9 +82,9 @@ def left_over(kernel: DesignKernel, known: Array, rows: Array, *, noise: float) 
     prior = kernel.diagonal(rows)
     if not len(known):
         return np.ones(len(rows))
-    factor = cho_factor(kernel(known, known) + noise * np.eye(len(known)), lower=True)
-    shared = kernel(known, rows)
-    explained = np.einsum("ij,ij->j", shared, cho_solve(factor, shared))
+    factor = np.linalg.cholesky(kernel(known, known) + noise * np.eye(len(known)))
+    shared = solve_triangular(factor, kernel(known, rows), lower=True, check_finite=False)
+    explained = np.einsum("ij,ij->j", shared, shared)
     share: Array = np.clip(1.0 - explained / prior, 0.0, 1.0)
     return share
 

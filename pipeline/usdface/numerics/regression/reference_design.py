@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-BATCH = 4096
+BATCH = 512
 """Frames whose variance is computed at a time by `design_gp_variance`."""
 
 
