@@ -33,7 +33,7 @@ def sample_densely(
     step: float = 1.0,
     leapfrogs: tuple[int, int] = (2, 3),
 ) -> np.ndarray:
-    """Run trajectories chain by chain, the same as ours by default: (keep, 4, chains)."""
+    """Run leapfrog trajectories chain by chain: (keep, 4, chains)."""
     Q, count = spectrum.vectors, len(spectrum.values)
     trend = Q @ spectrum.trend
     parts = (

@@ -52,10 +52,10 @@ class ArrayDevice:
         dtype : str, optional
             Name of a type, as ``"float32"``; by default that of `values`.
         """
+        if self.namespace is np:
+            return np.asarray(values, dtype=dtype)
         found = np.asarray(values)
         kind = getattr(self.namespace, dtype or found.dtype.name)
-        if self.namespace is np:
-            return np.asarray(found, dtype=kind)
         # readers may hand out read-only views, which torch warns of
         return self.namespace.asarray(np.array(found), dtype=kind, device=self.device)
 

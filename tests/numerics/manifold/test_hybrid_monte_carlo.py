@@ -1,9 +1,13 @@
 """Chains against what they should sample, known by quadrature, by algebra or by another sampler."""
 
+from dataclasses import replace
+
+import array_api_strict
 import numpy as np
 import pytest
 
 from tests.numerics.manifold.small_process import dense_energy, draw_rows, small_spectrum
+from usdface.numerics.array_namespace import ArrayDevice
 from usdface.numerics.manifold.chain_diagnostics import effective_sample_size, split_rhat
 from usdface.numerics.manifold.hybrid_monte_carlo import (
     sample_chains,
@@ -15,7 +19,11 @@ from usdface.numerics.manifold.hyper_posterior import (
     direct_moments,
     energy_of_moments,
 )
-from usdface.numerics.manifold.hyper_sampling import find_modes, sample_hyperparameters
+from usdface.numerics.manifold.hyper_sampling import (
+    draw_laplace,
+    find_modes,
+    sample_hyperparameters,
+)
 from usdface.numerics.manifold.laplace import LaplaceFit, fit_laplace
 from usdface.numerics.manifold.shared_posterior import fit_shared_mode, sample_shared
 from usdface.numerics.manifold.tabulated_energy import SharedTable, TabulatedEnergy
@@ -44,32 +52,43 @@ def test_newton_finds_a_gaussian_and_its_spread_at_once() -> None:
     assert np.allclose(covariance, energy.covariance[:, :, None], rtol=1e-4)
     evidence = 0.5 * np.linalg.slogdet(energy.covariance)[1]
     assert np.allclose(fit.log_evidence, evidence, atol=1e-4)
+    anywhere = np.random.default_rng(0).standard_normal((4, 5))
+    assert np.allclose(fit.theta(fit.whiten(anywhere)), anywhere, atol=1e-12)
 
 
-def test_a_small_step_conserves_energy_and_turns_back_the_way_it_came() -> None:
+@pytest.mark.parametrize("angle", [0.3, 1.5, 2.2])
+def test_a_gaussian_is_followed_exactly_however_far_a_step_goes(angle: float) -> None:
     energy = Gaussian(200)
     fit = fit_laplace(energy, np.zeros((4, 200)))
-    state = start_chains(energy, fit.mode + 0.5)
-    for step, least in ((0.05, 0.999), (0.4, 0.95)):
+    state = start_chains(energy, fit, np.full((4, 200), 0.5))
+    _, acceptance = take_hmc_step(
+        np.random.default_rng(0), state, energy, fit, angle=np.full(200, angle)
+    )
+    assert acceptance.min() > 1 - 1e-4  # the Hessian is a finite difference
+
+
+def test_energy_beyond_the_gaussian_is_conserved_to_the_square_of_the_step() -> None:
+    energy = Gaussian(200)
+    fit = fit_laplace(energy, np.zeros((4, 200)))
+    wrong = replace(fit, root=1.3 * fit.root, inverse=fit.inverse / 1.3)
+    state = start_chains(energy, wrong, np.full((4, 200), 0.8))
+    lost = []
+    for angle in (0.2, 0.1):
         _, acceptance = take_hmc_step(
-            np.random.default_rng(0),
-            state,
-            energy,
-            root=fit.root,
-            step=np.full(200, step),
-            leapfrogs=8,
+            np.random.default_rng(0), state, energy, wrong, angle=np.full(200, angle)
         )
-        assert acceptance.mean() > least
+        lost.append(-np.log(acceptance).mean())
+    assert 0 < lost[1] < 0.3 * lost[0] < 0.01
 
 
 def test_chains_have_the_mean_and_covariance_of_what_they_sample() -> None:
     energy = Gaussian(400)
     fit = fit_laplace(energy, np.zeros((4, 400)))
     samples = sample_chains(np.random.default_rng(0), energy, fit, keep=100)
-    drawn = np.moveaxis(samples.theta, 1, 0).reshape(4, -1)
+    drawn = np.moveaxis(samples.places, 1, 0).reshape(4, -1)
     assert np.allclose(drawn.mean(axis=1), np.arange(4.0), atol=0.02)
     assert np.allclose(np.cov(drawn), energy.covariance, atol=0.06)
-    assert 0.6 < samples.acceptance.mean() < 0.95
+    assert samples.acceptance.mean() > 0.999
 
 
 def test_posterior_means_and_spreads_agree_with_a_dense_random_walk() -> None:
@@ -106,7 +125,7 @@ def test_most_samples_are_worth_as_many_and_chains_agree() -> None:
     assert np.median(effective_sample_size(theta[:, :1])) >= 150
     assert np.median(split_rhat(theta)) < 1.01
     assert np.quantile(split_rhat(theta), 0.95) < 1.05
-    assert np.mean(found[0].acceptance) == pytest.approx(0.8, abs=0.1)
+    assert 0.65 < np.mean(found[0].acceptance) < 0.95
 
 
 def two_modes() -> tuple[SharedTable, np.ndarray]:
@@ -120,7 +139,7 @@ def two_modes() -> tuple[SharedTable, np.ndarray]:
 
 def test_two_modes_are_found_and_both_visited_in_their_proportion() -> None:
     table, rows = two_modes()
-    modes = find_modes(table, TabulatedEnergy(table, rows), rows)
+    modes = find_modes(table, rows)
     double = np.flatnonzero(modes.double)
     assert len(double) > 3
     chosen = rows[double[:4]]
@@ -128,13 +147,49 @@ def test_two_modes_are_found_and_both_visited_in_their_proportion() -> None:
     samples, again = sample_hyperparameters(np.random.default_rng(0), table, many, keep=200)
     assert again.double.all()
     x = (samples.theta[:, 0] - samples.theta[:, 1]).reshape(200, 4, 30)
-    middle = (modes.best.mode[0] - modes.best.mode[1])[double[:4]]
-    middle = 0.5 * (middle + (modes.second.mode[0] - modes.second.mode[1])[double[:4]])
+    middle = (modes.theta[0] - modes.theta[1])[double[:4]]
+    middle = 0.5 * (middle + (modes.second_theta[0] - modes.second_theta[1])[double[:4]])
     above = (x > middle[:, None]).mean(axis=0)  # of each chain
     assert (above.std(axis=1) < 0.15).all()  # no chain stays where it began
     for row in range(4):
         exact = _share_above(table, chosen[row], middle[row])
         assert above[row].mean() == pytest.approx(exact, abs=0.08)
+
+
+STRICT = ArrayDevice("strict", array_api_strict, array_api_strict.Device("CPU_DEVICE"))
+"""An array library that refuses whatever the array API does not promise."""
+
+
+def test_every_array_library_walks_the_same_chains() -> None:
+    table, rows = two_modes()  # jumps between modes included
+    some = rows[:120]
+    here, modes = sample_hyperparameters(
+        np.random.default_rng(0), table, some, burn=20, keep=30, dtype="float64"
+    )
+    there, found = sample_hyperparameters(
+        np.random.default_rng(0), table, some, burn=20, keep=30, dtype="float64", device=STRICT
+    )
+    assert modes.double.any()
+    assert np.array_equal(found.double, modes.double)
+    assert isinstance(there.theta, np.ndarray)
+    assert np.abs(there.theta - here.theta).max() < 1e-6
+    assert np.abs(there.acceptance - here.acceptance).max() < 1e-6
+    drawn = [draw_laplace(np.random.default_rng(1), table, each, keep=5) for each in (modes, found)]
+    assert np.abs(drawn[0] - drawn[1]).max() < 1e-6
+
+
+def test_single_precision_samples_the_same_posterior() -> None:
+    spectrum = small_spectrum(20)
+    rows = draw_rows(spectrum, np.random.default_rng(0), 20)
+    many, table = np.repeat(rows, 30, axis=0), SharedTable(spectrum)
+    found = []
+    for dtype in ("float32", "float64"):
+        theta = sample_hyperparameters(np.random.default_rng(0), table, many, dtype=dtype)[0].theta  # type: ignore[arg-type]
+        pooled = theta.reshape(200, 4, 20, 30)
+        found.append((pooled.mean(axis=(0, 3)), pooled.std(axis=(0, 3))))
+    # of 80 posteriors; the last of their digits is that of any other seed
+    assert np.abs(found[0][0] - found[1][0]).mean() < 0.03
+    assert np.abs(found[0][1] / found[1][1] - 1).mean() < 0.05
 
 
 def _share_above(table: SharedTable, row: np.ndarray, middle: float) -> float:

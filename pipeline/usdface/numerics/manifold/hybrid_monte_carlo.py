@@ -1,7 +1,11 @@
 """Hybrid Monte Carlo (Duane et al., 1987) on many chains in lockstep: W06, section 4.1.
 
-Every chain moves in coordinates whitened by its own Laplace fit, so that one number of leapfrog
-steps suits all; each finds its step length by dual averaging in the burn-in.
+Every chain moves in coordinates whitened by its own Laplace fit, where its energy is nearly that of
+the standard Gaussian. So a trajectory is split (Shahbaba, Lan, Johnson and Neal, 2014): the
+Gaussian's part is followed exactly, which is a rotation of place and momentum into each other; what
+the energy is beyond it kicks before and after. One gradient then makes a trajectory as long as is
+best, where leapfrog steps need several; only how far the posterior is from Gaussian is ever
+refused. Each chain finds its angle by dual averaging in the burn-in.
 """
 
 import math
@@ -10,25 +14,36 @@ from typing import Any
 
 import numpy as np
 
+from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
 from usdface.numerics.manifold.laplace import Energy, LaplaceFit
 
-ACCEPTANCE = 0.8
-"""Mean acceptance the step length is tuned to."""
+ACCEPTANCE = 0.7
+"""Mean acceptance the angle is tuned to."""
 
-FIRST_STEP = 0.85
-"""In whitened coordinates: two or three make about a quarter of an orbit."""
+FIRST_ANGLE = 1.9
+"""A quarter of an orbit forgets where it began; a little more lands on the other side, and the
+means of samples are better for it."""
 
-_LONGEST, _SHORTEST = 1.4, 0.01
+_LONGEST, _SHORTEST = 2.2, 0.05
 _DIFFUSE = 1.5  # standard deviations of the jumps' proposal over those of the Laplace fit
 
 
 @dataclass(frozen=True)
 class ChainState:
-    """Where the chains are: theta (4, chains), their energies and gradients."""
+    """Where the chains are.
 
-    theta: Any
+    Attributes
+    ----------
+    white : (4, chains) array
+        In whitened coordinates.
+    energy : (chains,) array
+    residual : (4, chains) array
+        Gradient of the energy beyond the Gaussian's.
+    """
+
+    white: Any
     energy: Any
-    gradient: Any
+    residual: Any
 
 
 @dataclass(frozen=True)
@@ -37,16 +52,17 @@ class ChainSamples:
 
     Attributes
     ----------
-    theta : (kept, 4, chains) array
+    places : (kept, 4, chains) array
+        In the coordinates that the energy takes.
     acceptance : (chains,) array
         Mean probability of acceptance of the steps kept.
-    step : (chains,) array
-        The step length found.
+    angle : (chains,) array
+        The angle found.
     """
 
-    theta: Any
+    places: Any
     acceptance: Any
-    step: Any
+    angle: Any
 
 
 @dataclass(frozen=True)
@@ -56,6 +72,7 @@ class Jumps:
     Attributes
     ----------
     chains : (n,) int array
+        numpy's.
     energy : callable
         Of these chains alone.
     modes : (LaplaceFit, LaplaceFit)
@@ -67,20 +84,29 @@ class Jumps:
     modes: tuple[LaplaceFit, LaplaceFit]
 
 
-def start_chains(energy: Energy, theta: Any) -> ChainState:
-    """Evaluate where chains begin."""
-    value, gradient = energy(theta)
-    return ChainState(theta, value, gradient)
+def start_chains(energy: Energy, fit: LaplaceFit, white: Any) -> ChainState:
+    """Evaluate where chains are, or begin.
+
+    Parameters
+    ----------
+    energy : callable
+    fit : LaplaceFit
+        Whitens; the mass matrix is the inverse of ``root @ root'``.
+    white : (4, chains) array
+    """
+    xp = namespace_of(white)
+    value, gradient = energy(fit.theta(white))
+    return ChainState(white, value, xp.sum(fit.root * gradient[:, None, :], axis=0) - white)
 
 
 def take_hmc_step(
     rng: np.random.Generator,
     state: ChainState,
     energy: Energy,
+    fit: LaplaceFit,
     *,
-    root: Any,
-    step: Any,
-    leapfrogs: int,
+    angle: Any,
+    device: ArrayDevice = CPU,
 ) -> tuple[ChainState, Any]:
     """Throw every chain with a new momentum, follow it, accept or refuse.
 
@@ -89,11 +115,12 @@ def take_hmc_step(
     rng : numpy.random.Generator
     state : ChainState
     energy : callable
-    root : (4, 4, chains) array
-        Whitening; the mass matrix is the inverse of ``root @ root'``.
-    step : (chains,) array
-        In whitened coordinates; shaken by a fifth, against orbits that close.
-    leapfrogs : int
+    fit : LaplaceFit
+    angle : (chains,) array
+        By which place and momentum turn into each other [radians]; shaken by a tenth, against
+        orbits that close.
+    device : ArrayDevice
+        Where the arrays are.
 
     Returns
     -------
@@ -101,34 +128,19 @@ def take_hmc_step(
     acceptance : (chains,) array
         Probability of acceptance.
     """
-    xp = root.__array_namespace__()
-    chains = root.shape[2]
-    dtype = np.float32 if root.dtype == xp.float32 else np.float64
-    drawn = rng.standard_normal((4, chains), dtype=dtype)
-    uniform = xp.asarray(rng.random((2, chains), dtype=dtype))
-    momentum = xp.asarray(drawn)
-    length = step * (0.8 + 0.4 * uniform[0, :])
-
-    def push(by: Any, gradient: Any) -> Any:
-        return by * xp.sum(root * gradient[:, None, :], axis=0)
-
+    xp = namespace_of(angle)
+    chains = angle.shape[0]
+    dtype = np.float32 if angle.dtype == xp.float32 else np.float64
+    momentum = device.put(rng.standard_normal((4, chains), dtype=dtype))
+    uniform = device.put(rng.random((2, chains), dtype=dtype))
+    turn = angle * (0.9 + 0.2 * uniform[0, :])
+    cosine, sine = xp.cos(turn), xp.sin(turn)
     kinetic = 0.5 * xp.sum(momentum * momentum, axis=0)
-    theta, gradient, value = state.theta, state.gradient, state.energy
-    momentum = momentum - push(0.5 * length, gradient)
-    for index in range(leapfrogs):
-        last = index == leapfrogs - 1
-        theta = theta + length * xp.sum(root * momentum[None, :, :], axis=1)
-        value, gradient = energy(theta, with_energy=last)
-        momentum = momentum - push(0.5 * length if last else length, gradient)
-    lost = state.energy + kinetic - value - 0.5 * xp.sum(momentum * momentum, axis=0)
-    lost = xp.where(xp.isfinite(lost), lost, xp.full_like(lost, -50.0))
-    acceptance = xp.exp(xp.clip(lost, -50.0, 0.0))
-    taken = uniform[1, :] < acceptance
-    return ChainState(
-        xp.where(taken, theta, state.theta),
-        xp.where(taken, value, state.energy),
-        xp.where(taken, gradient, state.gradient),
-    ), acceptance
+    pushed = momentum - 0.5 * turn * state.residual
+    there = start_chains(energy, fit, cosine * state.white + sine * pushed)
+    pushed = cosine * pushed - sine * state.white - 0.5 * turn * there.residual
+    gained = state.energy + kinetic - there.energy - 0.5 * xp.sum(pushed * pushed, axis=0)
+    return _accept(state, there, gained, uniform[1, :])
 
 
 def sample_chains(
@@ -138,8 +150,8 @@ def sample_chains(
     *,
     burn: int = 40,
     keep: int = 200,
-    leapfrogs: tuple[int, int] = (2, 3),
     jumps: Jumps | None = None,
+    device: ArrayDevice = CPU,
 ) -> ChainSamples:
     """Run chains from a draw of their Laplace fit, tune in the burn-in, keep what follows.
 
@@ -149,87 +161,121 @@ def sample_chains(
     energy : callable
     laplace : LaplaceFit
     burn, keep : int
-    leapfrogs : (int, int)
-        Least and most leapfrog steps of a trajectory, drawn for each.
     jumps : Jumps, optional
         In these chains every other step is followed by a proposal drawn from the Gaussians around
         both modes, accepted by Metropolis and Hastings' rule.
+    device : ArrayDevice
+        Where the arrays are.
     """
-    xp = laplace.mode.__array_namespace__()
-    root = laplace.root
-    drawn = xp.asarray(rng.standard_normal(laplace.mode.shape), dtype=root.dtype)
-    state = start_chains(energy, laplace.mode + xp.sum(root * drawn[None, :, :], axis=1))
-    step = xp.full_like(state.energy, FIRST_STEP)
-    bias, averaged = xp.zeros_like(step), xp.zeros_like(step)
-    accepted, kept = xp.zeros_like(step), []
+    xp = namespace_of(laplace.mode)
+    drawn = rng.standard_normal(laplace.mode.shape)
+    kind = "float32" if laplace.mode.dtype == xp.float32 else "float64"
+    state = start_chains(energy, laplace, device.put(drawn, dtype=kind))
+    angle = xp.full_like(state.energy, FIRST_ANGLE)
+    bias, averaged = xp.zeros_like(angle), xp.zeros_like(angle)
+    accepted, kept = xp.zeros_like(angle), []
     for index in range(burn + keep):
-        count = int(rng.integers(leapfrogs[0], leapfrogs[1] + 1))
-        state, acceptance = take_hmc_step(rng, state, energy, root=root, step=step, leapfrogs=count)
+        state, acceptance = take_hmc_step(rng, state, energy, laplace, angle=angle, device=device)
         if jumps is not None and index % 2:
-            state = _jump_some(rng, state, jumps)
+            state = _jump_some(rng, state, laplace, jumps, device)
         if index >= burn:
             accepted = accepted + acceptance
-            kept.append(state.theta)
+            kept.append(state.white)
             continue
-        # Hoffman and Gelman (2014), eq. 6, around the first step
+        # Hoffman and Gelman (2014), eq. 6, around the first angle
         m = index + 1.0
         bias = bias + (ACCEPTANCE - acceptance - bias) / (m + 10.0)
-        log_step = math.log(1.2 * FIRST_STEP) - math.sqrt(m) / 0.5 * bias
-        log_step = xp.clip(log_step, math.log(_SHORTEST), math.log(_LONGEST))
+        log_angle = math.log(1.2 * FIRST_ANGLE) - math.sqrt(m) / 0.5 * bias
+        log_angle = xp.clip(log_angle, math.log(_SHORTEST), math.log(_LONGEST))
         weight = m**-0.75
-        averaged = weight * log_step + (1.0 - weight) * averaged
-        step = xp.exp(averaged if index == burn - 1 else log_step)
-    return ChainSamples(xp.stack(kept), accepted / keep, step)
+        averaged = weight * log_angle + (1.0 - weight) * averaged
+        angle = xp.exp(averaged if index == burn - 1 else log_angle)
+    white = xp.stack(kept)
+    rows = [laplace.mode[a, :] + xp.sum(laplace.root[a, :, :] * white, axis=1) for a in range(4)]
+    return ChainSamples(xp.stack(rows, axis=1), accepted / keep, angle)
 
 
-def _jump_some(rng: np.random.Generator, state: ChainState, jumps: Jumps) -> ChainState:
-    xp = state.theta.__array_namespace__()
-    some = jumps.chains
-    part = ChainState(state.theta[:, some], state.energy[some], state.gradient[:, some])
-    moved = _jump(rng, part, jumps.energy, jumps.modes)
-    # the state before is kept as a sample: change copies
-    whole = ChainState(
-        xp.asarray(state.theta, copy=True),
-        xp.asarray(state.energy, copy=True),
-        xp.asarray(state.gradient, copy=True),
+def _accept(before: ChainState, after: ChainState, gained: Any, uniform: Any) -> Any:
+    xp = namespace_of(gained)
+    gained = xp.where(xp.isfinite(gained), gained, xp.full_like(gained, -50.0))
+    acceptance = xp.exp(xp.clip(gained, -50.0, 0.0))
+    taken = uniform < acceptance
+    return ChainState(
+        xp.where(taken, after.white, before.white),
+        xp.where(taken, after.energy, before.energy),
+        xp.where(taken, after.residual, before.residual),
+    ), acceptance
+
+
+def _jump_some(
+    rng: np.random.Generator,
+    state: ChainState,
+    laplace: LaplaceFit,
+    jumps: Jumps,
+    device: ArrayDevice,
+) -> ChainState:
+    xp = namespace_of(state.white)
+    some = device.put(jumps.chains)
+    fit = take_chains(laplace, some)
+    part = ChainState(
+        xp.take(state.white, some, axis=1),
+        xp.take(state.energy, some),
+        xp.take(state.residual, some, axis=1),
     )
-    whole.theta[:, some], whole.gradient[:, some] = moved.theta, moved.gradient
-    whole.energy[some] = moved.energy
-    return whole
+    moved = _jump(rng, part, fit, jumps, device)
+    place = np.arange(state.energy.shape[0])
+    place[jumps.chains] = len(place) + np.arange(len(jumps.chains))
+    after = device.put(place)
+
+    def merge(whole: Any, changed: Any) -> Any:
+        return xp.take(xp.concat([whole, changed], axis=-1), after, axis=whole.ndim - 1)
+
+    return ChainState(
+        merge(state.white, moved.white),
+        merge(state.energy, moved.energy),
+        merge(state.residual, moved.residual),
+    )
 
 
 def _jump(
     rng: np.random.Generator,
     state: ChainState,
-    energy: Energy,
-    modes: tuple[LaplaceFit, LaplaceFit],
+    fit: LaplaceFit,
+    jumps: Jumps,
+    device: ArrayDevice,
 ) -> ChainState:
     """Propose a draw of the mixture of two Gaussians, each as likely, whatever the state."""
-    xp = state.theta.__array_namespace__()
-    chains = state.theta.shape[1]
-    first = xp.asarray(rng.random(chains) < 0.5)
-    drawn = xp.asarray(rng.standard_normal((4, chains)), dtype=state.theta.dtype)
-    mode = xp.where(first, modes[0].mode, modes[1].mode)
-    root = xp.where(first, modes[0].root, modes[1].root)
-    proposed = mode + _DIFFUSE * xp.sum(root * drawn[None, :, :], axis=1)
-    value, gradient = energy(proposed)
-    gain = state.energy - value
-    gain = gain + _log_mixture(state.theta, modes) - _log_mixture(proposed, modes)
-    gain = xp.where(xp.isfinite(gain), gain, xp.full_like(gain, -50.0))
-    taken = xp.asarray(rng.random(chains), dtype=gain.dtype) < xp.exp(xp.clip(gain, -50.0, 0.0))
-    return ChainState(
-        xp.where(taken, proposed, state.theta),
-        xp.where(taken, value, state.energy),
-        xp.where(taken, gradient, state.gradient),
-    )
+    xp = namespace_of(state.white)
+    chains = state.energy.shape[0]
+    kind = "float32" if state.energy.dtype == xp.float32 else "float64"
+    first = device.put(rng.random(chains) < 0.5)
+    drawn = _DIFFUSE * device.put(rng.standard_normal((4, chains)), dtype=kind)
+    one, other = jumps.modes
+    theta = fit.theta(state.white)
+    proposed = xp.where(first, one.theta(drawn), other.theta(drawn))
+    there = start_chains(jumps.energy, fit, fit.whiten(proposed))
+    gained = state.energy - there.energy
+    gained = gained + _log_mixture(theta, jumps.modes) - _log_mixture(proposed, jumps.modes)
+    return _accept(state, there, gained, device.put(rng.random(chains), dtype=kind))[0]
 
 
 def _log_mixture(theta: Any, modes: tuple[LaplaceFit, LaplaceFit]) -> Any:
-    xp = theta.__array_namespace__()
+    xp = namespace_of(theta)
     logs = []
     for mode in modes:
-        root = xp.permute_dims(mode.root, (2, 0, 1))
-        away = (theta - mode.mode).T[:, :, None]
-        white = xp.linalg.solve(root, away)[:, :, 0] / _DIFFUSE
-        logs.append(-0.5 * xp.sum(white * white, axis=1) - xp.log(xp.abs(xp.linalg.det(root))))
+        white = mode.whiten(theta) / _DIFFUSE
+        log_spread = mode.log_evidence + mode.energy  # of the root's determinant
+        logs.append(-0.5 * xp.sum(white * white, axis=0) - log_spread)
     return xp.logaddexp(logs[0], logs[1])
+
+
+def take_chains(fit: LaplaceFit, chains: Any) -> LaplaceFit:
+    """Return the fit of some chains, by their indices."""
+    xp = namespace_of(fit.mode)
+    return LaplaceFit(
+        xp.take(fit.mode, chains, axis=1),
+        xp.take(fit.energy, chains),
+        xp.take(fit.root, chains, axis=2),
+        xp.take(fit.inverse, chains, axis=2),
+        xp.take(fit.log_evidence, chains),
+    )

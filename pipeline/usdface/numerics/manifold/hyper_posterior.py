@@ -29,6 +29,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from usdface.numerics.array_namespace import namespace_of
+
 Array = NDArray[np.float64]
 
 PARAMETERS = ("v0", "v1", "a0", "a1")
@@ -170,7 +172,7 @@ def energy_of_moments(
     energy : (chains,) array or None
     gradient : (4, chains) array
     """
-    xp = theta.__array_namespace__()
+    xp = namespace_of(theta)
     M, D, own, slope = moments.shared, moments.shared_slope, moments.own, moments.own_slope
     inverse_v1 = xp.exp(-theta[1, :])
     inverse_a0, inverse_a1 = xp.exp(theta[1, :] - theta[2, :]), xp.exp(theta[1, :] - theta[3, :])

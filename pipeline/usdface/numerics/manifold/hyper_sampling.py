@@ -1,13 +1,21 @@
 """Samples of the hyper-parameters of every chain: start, modes, chains."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.numerics.manifold.hybrid_monte_carlo import ChainSamples, Jumps, sample_chains
-from usdface.numerics.manifold.laplace import Energy, LaplaceFit, fit_laplace
-from usdface.numerics.manifold.tabulated_energy import SharedTable, TabulatedEnergy
+from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
+from usdface.numerics.manifold.hybrid_monte_carlo import Jumps, sample_chains, take_chains
+from usdface.numerics.manifold.laplace import LaplaceFit, fit_laplace
+from usdface.numerics.manifold.straight_coordinates import (
+    StraightEnergy,
+    noise_gain,
+    phi_of,
+    theta_of,
+)
+from usdface.numerics.manifold.tabulated_energy import Precision, SharedTable, TabulatedEnergy
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -20,33 +28,69 @@ _RARE = 7.0
 
 
 @dataclass(frozen=True)
+class HyperSamples:
+    """Samples of the hyper-parameters.
+
+    Attributes
+    ----------
+    theta : (kept, 4, chains) float array
+        ``log(v0, v1, a0, a1)``
+    acceptance : (chains,) float array
+        Mean probability of acceptance of the steps kept.
+    angle : (chains,) float array
+        That chains turn by in a step [radians].
+    """
+
+    theta: Array
+    acceptance: Array
+    angle: Array
+
+
+@dataclass(frozen=True)
 class Modes:
     """The modes of every chain.
 
     Attributes
     ----------
     best : LaplaceFit
-        The one with the more mass.
+        The one with the more mass, in `straight_coordinates`.
     second : LaplaceFit
         The other start's; only that of chains in `double` is a mode of its own.
+    theta, second_theta : (4, chains) float array
+        Where they are.
     double : (chains,) bool array
-        Chains with two: what moves may be signal or noise.
+        Chains with two: what moves may be signal or noise. numpy's.
+    device : ArrayDevice
+        Where the fits are.
     """
 
     best: LaplaceFit
     second: LaplaceFit
+    theta: Array
+    second_theta: Array
     double: BoolArray
+    device: ArrayDevice = CPU
 
 
-def find_modes(table: SharedTable, energy: Energy, displacements: Array) -> Modes:
+def find_modes(
+    table: SharedTable,
+    displacements: Array,
+    *,
+    energy: TabulatedEnergy | None = None,
+    device: ArrayDevice = CPU,
+    dtype: Precision = "float64",
+) -> Modes:
     """Look for modes from two starts: all is signal, all is noise.
 
     Parameters
     ----------
     table : SharedTable
-    energy : callable
-        The energy of these displacements.
     displacements : (chains, N) float array
+        [mm]
+    energy : TabulatedEnergy, optional
+        Of these displacements, on `device` and of `dtype`, where it is made already.
+    device : ArrayDevice
+    dtype : {'float64', 'float32'}
     """
     centre = table.spectrum.prior.centre
     power = np.maximum(displacements.var(axis=1), 1e-3)
@@ -54,13 +98,24 @@ def find_modes(table: SharedTable, energy: Energy, displacements: Array) -> Mode
     noise = signal.copy()
     signal[0] = 0.5 * (centre[0] + np.log(power))
     noise[0], noise[1] = centre[0] - 3.0, np.log(power)
+    gain = noise_gain(table.spectrum)
+    whole = energy or TabulatedEnergy(table, displacements, device=device, dtype=dtype)
+    straight = StraightEnergy(whole, gain)
     with np.errstate(all="ignore"):  # a step too far overflows, and is not taken
-        first, second = fit_laplace(energy, signal), fit_laplace(energy, noise)
-    swap = second.log_evidence > first.log_evidence
-    best, other = _choose(swap, second, first), _choose(swap, first, second)
-    distance = np.stack([_distance(best, other), _distance(other, best)]).min(axis=0)
-    likely = best.log_evidence - other.log_evidence < _RARE
-    return Modes(best, other, (distance > _APART) & likely)
+        first, second = (
+            fit_laplace(straight, device.put(phi_of(start, gain), dtype=dtype))
+            for start in (signal, noise)
+        )
+        swap = second.log_evidence > first.log_evidence
+        best, other = _choose(swap, second, first), _choose(swap, first, second)
+        xp = namespace_of(swap)
+        nearer = xp.minimum(_distance(best, other), _distance(other, best))
+        likely = best.log_evidence - other.log_evidence < _RARE
+    theta, second_theta = (
+        theta_of(device.fetch(fit.mode).astype(np.float64), gain) for fit in (best, other)
+    )
+    double = device.fetch((nearer > _APART) & likely)
+    return Modes(best, other, theta, second_theta, double, device)
 
 
 def sample_hyperparameters(
@@ -71,75 +126,79 @@ def sample_hyperparameters(
     burn: int = 40,
     keep: int = 200,
     modes: Modes | None = None,
-) -> tuple[ChainSamples, Modes]:
+    device: ArrayDevice = CPU,
+    dtype: Precision = "float32",
+) -> tuple[HyperSamples, Modes]:
     """Sample every chain's posterior: W06, eq. 3 and "200 sampled values".
 
     Parameters
     ----------
     rng : numpy.random.Generator
+        Drawn from in the same order on every device.
     table : SharedTable
     displacements : (chains, N) float array
         [mm]
     burn, keep : int
     modes : Modes, optional
-        Known already.
+        Known already, on this device and of this type.
+    device : ArrayDevice
+        Where chains run; the samples are numpy's.
+    dtype : {'float32', 'float64'}
+        In double precision all devices walk the same chains. In single precision a rounding may
+        accept what another device refuses: other samples of the same posterior.
     """
-    energy = TabulatedEnergy(table, displacements)
-    found = modes or find_modes(table, energy, displacements)
-    # single precision errs by about 1e-4 of an energy, which acceptance does not notice
-    single = np.zeros(1, np.float32)
+    energy = TabulatedEnergy(table, displacements, device=device, dtype=dtype)
+    found = modes or find_modes(table, displacements, energy=energy, device=device, dtype=dtype)
+    gain = noise_gain(table.spectrum)
     double = np.flatnonzero(found.double)
     jumps = None
     if len(double):
+        some = device.put(double)
         jumps = Jumps(
             double,
-            TabulatedEnergy(table, displacements[double], like=single),
-            (_cast(_take(found.best, double)), _cast(_take(found.second, double))),
+            StraightEnergy(
+                TabulatedEnergy(table, displacements[double], device=device, dtype=dtype), gain
+            ),
+            (take_chains(found.best, some), take_chains(found.second, some)),
         )
-    quick = TabulatedEnergy(table, displacements, like=single)
     with np.errstate(all="ignore"):  # a proposal that overflows is rejected
-        samples = sample_chains(rng, quick, _cast(found.best), burn=burn, keep=keep, jumps=jumps)
-    theta = samples.theta.astype(np.float64)
-    return ChainSamples(theta, samples.acceptance, samples.step), found
-
-
-def draw_laplace(rng: np.random.Generator, modes: Modes, *, keep: int) -> Array:
-    """Draw from the Gaussian around the best mode instead of walking: (keep, 4, chains)."""
-    drawn = rng.standard_normal((keep, *modes.best.mode.shape))
-    out: Array = modes.best.mode + np.einsum("abc,kbc->kac", modes.best.root, drawn)
-    return out
-
-
-def _choose(which: BoolArray, yes: LaplaceFit, no: LaplaceFit) -> LaplaceFit:
-    return LaplaceFit(
-        np.where(which, yes.mode, no.mode),
-        np.where(which, yes.energy, no.energy),
-        np.where(which, yes.root, no.root),
-        np.where(which, yes.log_evidence, no.log_evidence),
-    )
-
-
-def _cast(fit: LaplaceFit) -> LaplaceFit:
-    """Single precision, and chains next to each other in memory: the inner loop reads them so."""
-    return LaplaceFit(
-        *(
-            np.ascontiguousarray(part, np.float32)
-            for part in (fit.mode, fit.energy, fit.root, fit.log_evidence)
+        samples = sample_chains(
+            rng,
+            StraightEnergy(energy, gain),
+            found.best,
+            burn=burn,
+            keep=keep,
+            jumps=jumps,
+            device=device,
         )
+    phi, acceptance, angle = (
+        device.fetch(each).astype(np.float64)
+        for each in (samples.places, samples.acceptance, samples.angle)
     )
+    theta = np.moveaxis(theta_of(np.moveaxis(phi, 1, 0), gain), 0, 1)
+    return HyperSamples(theta, acceptance, angle), found
 
 
-def _take(fit: LaplaceFit, chains: NDArray[np.int64]) -> LaplaceFit:
+def draw_laplace(rng: np.random.Generator, table: SharedTable, modes: Modes, *, keep: int) -> Array:
+    """Draw from the Gaussian around the best mode instead of walking: (keep, 4, chains) theta."""
+    mode, root = modes.device.fetch(modes.best.mode), modes.device.fetch(modes.best.root)
+    drawn = rng.standard_normal((keep, *mode.shape))
+    phi = mode[:, None] + np.einsum("abc,kbc->akc", root, drawn)
+    return np.moveaxis(theta_of(phi, noise_gain(table.spectrum)), 0, 1)
+
+
+def _choose(which: Any, yes: LaplaceFit, no: LaplaceFit) -> LaplaceFit:
+    xp = namespace_of(which)
     return LaplaceFit(
-        fit.mode[:, chains],
-        fit.energy[chains],
-        fit.root[:, :, chains],
-        fit.log_evidence[chains],
+        xp.where(which, yes.mode, no.mode),
+        xp.where(which, yes.energy, no.energy),
+        xp.where(which, yes.root, no.root),
+        xp.where(which, yes.inverse, no.inverse),
+        xp.where(which, yes.log_evidence, no.log_evidence),
     )
 
 
-def _distance(of: LaplaceFit, to: LaplaceFit) -> Array:
-    root = np.moveaxis(of.root, 2, 0)
-    white = np.linalg.solve(root, (to.mode - of.mode).T[:, :, None])[:, :, 0]
-    out: Array = np.linalg.norm(white, axis=1)
-    return out
+def _distance(of: LaplaceFit, to: LaplaceFit) -> Any:
+    white = of.whiten(to.mode)
+    xp = namespace_of(white)
+    return xp.sqrt(xp.sum(white * white, axis=0))

@@ -92,10 +92,11 @@ def sample_shared(
         np.repeat(fit.mode, chains, axis=1),
         np.repeat(fit.energy, chains),
         np.repeat(fit.root, chains, axis=2),
+        np.repeat(fit.inverse, chains, axis=2),
         np.repeat(fit.log_evidence, chains),
     )
     energy = PooledEnergy(table, displacements, chains=chains)
     with np.errstate(all="ignore"):
         samples = sample_chains(rng, energy, spread, burn=burn, keep=-(-keep // chains))
-    theta = np.moveaxis(samples.theta, 1, 2).reshape(-1, 4)[:keep]
+    theta = np.moveaxis(samples.places, 1, 2).reshape(-1, 4)[:keep]
     return SharedSamples(fit.mode[:, 0], theta, float(samples.acceptance.mean()))

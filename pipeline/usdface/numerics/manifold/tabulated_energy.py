@@ -2,15 +2,16 @@
 
 All sums of `hyper_posterior` are functions of one variable x for each chain. They and their
 slopes are tabulated on nodes once (one matrix product for all chains) and read by cubic Hermite
-interpolation, whose own derivative is the gradient: leapfrog steps conserve what is tabulated.
+interpolation, whose own derivative is the gradient: trajectories conserve what is tabulated.
 """
 
 import math
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from usdface.numerics.array_namespace import CPU, ArrayDevice
 from usdface.numerics.manifold.hyper_posterior import (
     PAIRS,
     MarkerSpectrum,
@@ -20,6 +21,8 @@ from usdface.numerics.manifold.hyper_posterior import (
 
 Array = NDArray[np.float64]
 FloatArray = NDArray[np.floating]
+
+Precision = Literal["float32", "float64"]
 
 SPACING = 0.125
 """Of the nodes in x. Cubic interpolation errs by about 1e-7 of a sum's size."""
@@ -54,23 +57,8 @@ class SharedTable:
         whole = np.concatenate([R @ products, logs, steep @ products, slopes], axis=1)
         self.table: Array = _cubics(whole[None])[0]
         linear = np.concatenate([R.T[:, :, None] * P[:, None], steep.T[:, :, None] * P[:, None]], 2)
-        self._linear: Array = _cubics(linear).reshape(len(P), -1)
-        self._square: Array = _cubics(np.stack([R.T, steep.T], axis=2)).reshape(len(P), -1)
-
-    def own_tables(self, rotated: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Tabulate the chains' own sums, in the precision of `rotated`.
-
-        Returns
-        -------
-        linear : (chains * nodes, 16) float array
-            The cubics' coefficients for b.
-        square : (chains * nodes, 4) float array
-            And for c.
-        """
-        kind = rotated.dtype
-        linear = rotated @ self._linear.astype(kind)
-        square = rotated**2 @ self._square.astype(kind)
-        return linear.reshape(-1, 16), square.reshape(-1, 4)
+        self.linear: Array = _cubics(linear).reshape(len(P), -1)
+        self.square: Array = _cubics(np.stack([R.T, steep.T], axis=2)).reshape(len(P), -1)
 
 
 def _cubics(nodes: Array) -> Array:
@@ -105,27 +93,36 @@ class TabulatedEnergy:
     shared : SharedTable
     displacements : (chains, N) float array
         t [mm], one channel of one frame in each row.
-    like : array, optional
-        The result's kind and place: tables are converted to its namespace and data type.
+    device : ArrayDevice
+        Where tables are kept and theta comes from.
+    dtype : {'float64', 'float32'}
+        Of tables and theta. Single precision errs by about 1e-4 of an energy, which acceptance does
+        not notice.
     """
 
-    def __init__(self, shared: SharedTable, displacements: Array, *, like: Any = None) -> None:
-        anchor = np.zeros(1) if like is None else like
-        self.namespace = xp = anchor.__array_namespace__()
+    def __init__(
+        self,
+        shared: SharedTable,
+        displacements: Array,
+        *,
+        device: ArrayDevice = CPU,
+        dtype: Precision = "float64",
+    ) -> None:
+        def put(values: FloatArray) -> Any:
+            return device.put(values, dtype=dtype)
+
+        self.namespace = xp = device.namespace
         self.chains = len(displacements)
         self.count = len(shared.spectrum.values)
         self._start, self._spacing, self._nodes = shared.start, shared.spacing, shared.nodes
-        kind = np.float32 if anchor.dtype == xp.float32 else np.float64
-        own = shared.own_tables((displacements @ shared.spectrum.vectors).astype(kind))
-
-        def convert(values: Any) -> Any:
-            return xp.asarray(values, dtype=anchor.dtype)
-
-        self._linear, self._square = convert(own[0]), convert(own[1])
-        self._shared = convert(shared.table)
-        self._row = xp.arange(self.chains) * self._nodes
-        self._centre = convert(shared.spectrum.prior.centre[:, None])
-        self._precision = convert(np.array(shared.spectrum.prior.spread)[:, None] ** -2.0)
+        rotated = put(displacements @ shared.spectrum.vectors)
+        # the cubics' coefficients for b and for c, a row for each node of each chain
+        self._linear = xp.reshape(rotated @ put(shared.linear), (-1, 16))
+        self._square = xp.reshape((rotated * rotated) @ put(shared.square), (-1, 4))
+        self._shared = put(shared.table)
+        self._row = device.put(np.arange(self.chains) * self._nodes)
+        self._centre = put(shared.spectrum.prior.centre[:, None])
+        self._precision = put(np.array(shared.spectrum.prior.spread)[:, None] ** -2.0)
 
     def __call__(self, theta: Any, with_energy: bool = True) -> tuple[Any, Any]:
         """Return the energies (chains,), or None, and gradients (4, chains)."""
@@ -151,7 +148,8 @@ class TabulatedEnergy:
         square = xp.reshape(xp.take(self._square, row, axis=0).T, (4, 1, -1))
         shared = xp.reshape(xp.take(self._shared, node, axis=0).T, (4, 11, -1))
         # put together into rows of chains: what follows then reads memory in order
-        first, second, third, fourth = xp.concat([linear, square, shared], axis=1)
+        cubics = xp.concat([linear, square, shared], axis=1)
+        first, second, third, fourth = (cubics[k, :, :] for k in range(4))
         # Horner's rule, and its derivative beside it
         values = fourth * t
         slopes = values + values
