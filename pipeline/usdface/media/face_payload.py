@@ -24,12 +24,12 @@ from usdface.assets import Float32Array, FloatArray, IntArray, Rig
 from usdface.deformer import Deformer
 from usdface.media.camera import Camera, frame_rig
 from usdface.media.color import bytes_from_linear
-from usdface.media.mesh_topology import normal_operator, vertex_normals
+from usdface.media.mesh_topology import normal_operator
 from usdface.media.surface import Surface, build_surface
 from usdface.media.tracing import PATTERNS, Tracer, sky_seen
 from usdface.numerics.measure.face_regions import blinks, jaw_opener, region_of_shape
 
-FORMAT = 1
+FORMAT = 2
 """Version of the blob; the viewer refuses others."""
 
 MICROMETRES = 1000.0
@@ -128,6 +128,7 @@ def pack_face(rig: Rig, *, camera: Camera | None = None) -> FacePayload:
     arrays: dict[str, NDArray[Any]] = {
         "neutral": _planes(_micrometres(surface.rest[used])),
         "triangles": np.diff(triangles.ravel(), prepend=0).astype(np.int32),
+        "middles": np.searchsorted(used, _middles(surface, used)).astype(np.int32),
         "colors": _colors(rig, deformer, surface)[used].T,
         "parts": _of_points(surface.parts, surface, fill=0)[used].astype(np.uint8),
         "eyes": _of_points(surface.eyes, surface, fill=-1)[used].astype(np.int8),
@@ -147,6 +148,13 @@ def pack_face(rig: Rig, *, camera: Camera | None = None) -> FacePayload:
         "eyesPutIn": surface.eyes_put_in,
     }
     return _joined(header, arrays)
+
+
+def _middles(surface: Surface, used: IntArray) -> IntArray:
+    """Return each drawn point that lies in a quad's middle, and its four corners."""
+    middles = surface.middles
+    rows = np.concatenate([middles.points[:, None], middles.corners], axis=1)
+    return rows[np.isin(middles.points, used)]
 
 
 @dataclass(frozen=True)
@@ -257,7 +265,7 @@ def _openness(rig: Rig, deformer: Deformer, surface: Surface) -> Float32Array:
 def _sky_of(surface: Surface, cage: FloatArray, rows: IntArray) -> Float32Array:
     """Return how much sky some drawn points see in one pose of the rig [0-1]."""
     fine = np.asarray(surface.matrix @ cage)
-    normals = vertex_normals(fine, surface.triangles, surface.normals)[rows]
+    normals = surface.normals_at(fine)[rows]
     aim = (surface.outward * normals).astype(np.float32)
     return sky_seen(
         Tracer(fine.astype(np.float32), surface.triangles),

@@ -6,12 +6,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.assets import Float32Array, FloatArray, RigMesh
+from usdface.assets import FloatArray, RigMesh
 from usdface.errors import InputError
 from usdface.media.camera import Camera
 from usdface.media.color import ByteImage, bytes_from_linear, heat_ramp
 from usdface.media.display_view import DisplayView
-from usdface.media.mesh_topology import vertex_normals
 from usdface.media.raycast import EFFORT, View, draw
 from usdface.media.surface import Surface, build_surface
 from usdface.media.tracing import Tracer
@@ -113,7 +112,7 @@ class FaceRenderer:
             height=height,
             effort=EFFORT[quality],
             tracer=Tracer(fine.astype(np.float32), surface.triangles),
-            normals=_normals(fine, surface),
+            normals=surface.normals_at(fine.astype(np.float32)).astype(np.float32),
             colors=colors,
             heat=values is not None,
         )
@@ -147,9 +146,3 @@ def _finite(array: FloatArray, shape: tuple[int, ...], name: str) -> FloatArray:
 def _check_size(width: int, height: int) -> None:
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
         raise InputError(f"a picture of {width} × {height} pixels cannot be drawn; ask for less")
-
-
-def _normals(fine: FloatArray, surface: Surface) -> Float32Array:
-    return vertex_normals(fine.astype(np.float32), surface.triangles, surface.normals).astype(
-        np.float32
-    )

@@ -16,10 +16,10 @@ from usdface.media.mesh_topology import (
     vertex_normals,
 )
 from usdface.media.parts import Part, Pieces, find_pieces
+from usdface.media.quad_middles import cut_polygons
 from usdface.media.stand_in_eyes import fit_stand_in_eyes
 from usdface.media.subdivision import catmull_clark
 from usdface.media.tracing import PATTERNS, Tracer, sky_seen
-from usdface.numerics.registration.triangulation import triangulate
 
 COARSE_POINTS = 6000
 """Subdivide a Catmull-Clark cage of fewer points; finer ones look smooth at sheet size."""
@@ -27,6 +27,24 @@ COARSE_POINTS = 6000
 _EXPOSURE_RAYS = 48  # to colour by: below, the inside of the mouth has a ragged edge
 _SORTING_RAYS = 12  # to tell pieces apart, by their median
 _PROBES = 2000  # points that decide which way normals point
+
+
+LONG_EDGE = 0.02
+"""Of the height of all that is drawn: edges of quads that a picture shows in many pixels."""
+
+
+@dataclass(frozen=True)
+class Middles:
+    """Drawn points in the middle of four others, lit as the mean of them.
+
+    Attributes
+    ----------
+    points : (n,) int array
+    corners : (n, 4) int array
+    """
+
+    points: IntArray
+    corners: IntArray
 
 
 @dataclass(frozen=True)
@@ -40,6 +58,7 @@ class Surface:
     triangles : (triangles, 3) int array
     normals : (drawn points, triangles) sparse array
         Adds triangle normals at their corners.
+    middles : Middles
     parts : (triangles,) int array
         A `Part` each.
     albedo : (drawn points, 3) float32 array
@@ -61,6 +80,7 @@ class Surface:
     matrix: Sparse
     triangles: IntArray
     normals: Sparse
+    middles: Middles
     parts: IntArray
     albedo: Float32Array
     rest: Float32Array
@@ -69,6 +89,20 @@ class Surface:
     size: float
     outward: float
     eyes_put_in: bool
+
+    def normals_at(self, fine: FloatArray) -> FloatArray:
+        """Return unit normals of the drawn points in a pose; zero where no triangle is.
+
+        Parameters
+        ----------
+        fine : (drawn points, 3) float array
+            [mm]
+        """
+        normals = vertex_normals(fine, self.triangles, self.normals)
+        summed = normals[self.middles.corners].sum(axis=1)
+        length = np.linalg.norm(summed, axis=1, keepdims=True)
+        normals[self.middles.points] = summed / np.maximum(length, 1e-12)
+        return normals
 
 
 def build_surface(meshes: Sequence[RigMesh]) -> Surface:
@@ -116,6 +150,7 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
         matrix=drawn.matrix @ selection,
         triangles=triangles,
         normals=normal_operator(triangles, point_count=len(rest)),
+        middles=drawn.middles,
         parts=parts[kept],
         albedo=np.asarray(
             drawn.matrix @ paint(visible, pieces, exposure=exposure.seen), np.float32
@@ -139,6 +174,7 @@ class _Drawn:
     triangles: IntArray
     corner_of_triangle: IntArray  # a cage point that each triangle belongs to
     row_of_point: IntArray  # the drawn point that each cage point became
+    middles: Middles
 
 
 @dataclass(frozen=True)
@@ -151,12 +187,14 @@ class _Exposure:
 
 def _recognise(meshes: Sequence[RigMesh]) -> tuple[_Drawn, Pieces]:
     """Refine the meshes and tell their pieces apart."""
-    drawn = _concatenate([_refine(mesh) for mesh in meshes])
+    heights = np.concatenate([mesh.points[:, 1] for mesh in meshes])
+    least = LONG_EDGE * float(np.ptp(heights))
+    drawn = _concatenate([_refine(mesh, least_edge=least) for mesh in meshes])
     exposure = _rest_exposure(meshes, drawn, rays=_SORTING_RAYS)
     return drawn, find_pieces(meshes, exposure=exposure.seen)
 
 
-def _refine(mesh: RigMesh) -> _Drawn:
+def _refine(mesh: RigMesh, *, least_edge: float) -> _Drawn:
     count = len(mesh.points)
     counts, indices = mesh.face_counts, mesh.face_indices
     starts = np.cumsum(counts) - counts
@@ -169,9 +207,16 @@ def _refine(mesh: RigMesh) -> _Drawn:
         matrix = step.matrix @ matrix
         counts, indices = step.face_counts, step.face_indices
         cage_corner = cage_corner[step.parents]
-    triangles, faces = triangulate(counts, indices)
-    # Subdivision keeps the cage's points first.
-    return _Drawn(sparse.csr_array(matrix), triangles, cage_corner[faces], np.arange(count))
+    cut = cut_polygons(np.asarray(matrix @ mesh.points), counts, indices, least_edge=least_edge)
+    first = matrix.shape[0]
+    matrix = sparse.vstack([matrix, cut.middles @ matrix])
+    return _Drawn(
+        sparse.csr_array(matrix),
+        cut.triangles,
+        cage_corner[cut.faces],
+        np.arange(count),  # both keep the cage's points first
+        Middles(first + np.arange(len(cut.corners)), cut.corners),
+    )
 
 
 def _concatenate(drawn: Sequence[_Drawn]) -> _Drawn:
@@ -185,6 +230,10 @@ def _concatenate(drawn: Sequence[_Drawn]) -> _Drawn:
         ),
         row_of_point=np.concatenate(
             [d.row_of_point + r for d, r in zip(drawn, rows, strict=False)]
+        ),
+        middles=Middles(
+            np.concatenate([d.middles.points + r for d, r in zip(drawn, rows, strict=False)]),
+            np.concatenate([d.middles.corners + r for d, r in zip(drawn, rows, strict=False)]),
         ),
     )
 

@@ -1,7 +1,7 @@
 // A packed face (media/face_payload.py) as arrays, and the pose that weights give it.
 // Lengths are millimetres. No dependency, no build step.
 
-const FORMAT = 1;
+const FORMAT = 2;
 const MM = 1e-3; // the payload counts micrometres
 const TYPES = {
   i1: Int8Array,
@@ -70,6 +70,7 @@ export class FaceModel {
     const micro = interleave(array("neutral"), count, Int32Array);
     this.neutral = Float32Array.from(micro, (value) => value * MM);
     this.triangles = Uint32Array.from(sum(array("triangles").slice()));
+    this.middles = array("middles").slice();
     this.colors = new Uint8Array(4 * count);
     const planes = array("colors");
     for (let i = 0; i < count; i++) {
@@ -197,8 +198,30 @@ export class FaceModel {
       normals[c + 1] += y;
       normals[c + 2] += z;
     }
+    this.#smoothMiddles();
     this.timings.morph = moved - begun;
     this.timings.normals = performance.now() - moved;
+  }
+
+  /** Turn points in the middle of a quad as its four corners are: no diagonal of it shows. */
+  #smoothMiddles() {
+    const { middles, normals } = this;
+    for (let row = 0; row < middles.length; row += 5) {
+      let x = 0;
+      let y = 0;
+      let z = 0;
+      for (let k = 1; k < 5; k++) {
+        const c = 3 * middles[row + k];
+        const share = 1 / (Math.hypot(normals[c], normals[c + 1], normals[c + 2]) || 1);
+        x += share * normals[c];
+        y += share * normals[c + 1];
+        z += share * normals[c + 2];
+      }
+      const m = 3 * middles[row];
+      normals[m] = x;
+      normals[m + 1] = y;
+      normals[m + 2] = z;
+    }
   }
 
   /** How much a shape moves each point, 0 to 255 of its own largest motion. */

@@ -20,7 +20,7 @@ centroid out float vReach;
 flat out int vPart;
 void main() {
   vec4 seen = view * vec4(position, 1.0);
-  vNormal = mat3(view) * normal;
+  vNormal = mat3(view) * normalize(normal); // unit, or large triangles outweigh small ones
   vPosition = seen.xyz;
   vColor = pow(paint.rgb, vec3(2.2));
   vOpen = paint.a;
