@@ -1,14 +1,13 @@
 """Damaged captures: a sentence with file, line, column, value and remedy, and nothing else."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from tests.capture import text_samples as samples
+from tests.damage import damage
 from usdface.capture import text_table
 from usdface.capture.marker_take import FARTHEST_MM, CaptureOptions
 from usdface.capture.sniff import FORMATS, read_capture
@@ -159,39 +158,6 @@ def test_a_file_beyond_the_limits_is_refused(tmp_path, monkeypatch, limit, value
     (tmp_path / "kitchen.txt").write_text(TRC)
     with pytest.raises(InputError, match=expected):
         read_capture(tmp_path / "kitchen.txt")
-
-
-def damage() -> st.SearchStrategy[Callable[[bytes], bytes]]:
-    """Cuts at random places, flipped bytes, and stretches moved elsewhere."""
-    place = st.floats(0, 1, exclude_max=True)
-
-    def cut(at: float) -> Callable[[bytes], bytes]:
-        return lambda content: content[: int(at * len(content))]
-
-    def flip(changes: list[tuple[float, int]]) -> Callable[[bytes], bytes]:
-        def apply(content: bytes) -> bytes:
-            changed = bytearray(content)
-            for at, value in changes:
-                changed[int(at * len(changed))] = value
-            return bytes(changed)
-
-        return apply
-
-    def move(ends: tuple[float, float, float]) -> Callable[[bytes], bytes]:
-        def apply(content: bytes) -> bytes:
-            first, second, at = (int(end * len(content)) for end in ends)
-            low, high = sorted((first, second))
-            return content[:at] + content[low:high] + content[at:]
-
-        return apply
-
-    printable = st.sampled_from(list(b'0123456789.,-e;\t\n"|#NnaIi: \x00\xff'))
-    changes = st.tuples(place, st.integers(0, 255) | printable)
-    return (
-        place.map(cut)
-        | st.lists(changes, min_size=1, max_size=8).map(flip)
-        | st.tuples(place, place, place).map(move)
-    )
 
 
 @pytest.mark.parametrize("name", READERS)

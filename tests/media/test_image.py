@@ -24,6 +24,25 @@ def test_metadata_survives_in_every_format(tmp_path: Path, suffix: str) -> None:
     assert read_image_metadata(path) == said | {"timecode": "01:02:03:14", "rate": "24000/1001"}
 
 
+@pytest.mark.parametrize("suffix", ["jpg", "png", "exr", "tif"])
+def test_a_picture_that_the_disk_cut_short_takes_no_ones_place(tmp_path: Path, suffix: str) -> None:
+    resource = pytest.importorskip("resource")
+    path = tmp_path / f"sheet.{suffix}"
+    picture = np.random.default_rng(0).integers(0, 256, (200, 300, 3), dtype=np.uint8)
+    write_image(path, picture)
+    whole = path.read_bytes()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        for size in (1, len(whole) // 2, len(whole) - 1):
+            resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+            with pytest.raises(InputError, match=r"sheet.*cannot be written"):
+                write_image(path, 255 - picture)
+            assert path.read_bytes() == whole
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert [each.name for each in tmp_path.iterdir()] == [path.name]
+
+
 @pytest.mark.parametrize("suffix", ["png", "tif"])
 def test_lossless_formats_keep_every_pixel(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"sheet.{suffix}"

@@ -1,6 +1,8 @@
 """Write pictures that say where they come from, and read what they say."""
 
+import errno
 import json
+import os
 from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
@@ -26,8 +28,11 @@ _COMPRESSION = {
     ".tif": "zip",
     ".tiff": "zip",
 }
+# How a whole file ends: libpng does not tell when a full disk cut it short.
+_ENDS = {".png": b"IEND\xaeB`\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
 _MAX_JPEG = 65500
 _MAX_METADATA = 16 << 20
+_LEAST_ROOM = 64 << 10
 
 
 def write_image(
@@ -77,6 +82,7 @@ def write_image(
     linear = suffix == ".exr"
     data = linear_from_srgb(image / 255.0).astype(np.float32) if linear else image
     with replacing(file) as temporary:
+        _see_that_there_is_room(file, temporary, data.nbytes + len(spec["ImageDescription"]))
         _write(file, temporary, spec, np.ascontiguousarray(data))
 
 
@@ -151,6 +157,22 @@ def _specification(
     return spec
 
 
+def _see_that_there_is_room(file: Path, temporary: Path, raw_bytes: int) -> None:
+    """Refuse a full disk before a library meets it: libjpeg would end the process there."""
+    if not hasattr(os, "posix_fallocate"):
+        return
+    try:
+        with temporary.open("wb") as stream:
+            os.posix_fallocate(stream.fileno(), 0, raw_bytes + _LEAST_ROOM)
+    except OSError as error:
+        if error.errno in (errno.EINVAL, errno.EOPNOTSUPP):  # a file system that cannot promise
+            return
+        raise InputError(
+            f"{file}: cannot be written ({error.strerror}): it may need "
+            f"{(raw_bytes + _LEAST_ROOM) / 1e6:.1f} MB; free the disk, or write elsewhere"
+        ) from error
+
+
 def _write(file: Path, temporary: Path, spec: Any, data: np.ndarray) -> None:
     output = oiio.ImageOutput.create(str(temporary.absolute()))
     if output is None:
@@ -159,3 +181,11 @@ def _write(file: Path, temporary: Path, spec: Any, data: np.ndarray) -> None:
     reason = output.geterror()
     if not output.close() or not written:
         raise InputError(f"{file}: cannot be written ({reason or output.geterror()})")
+    end = _ENDS.get(file.suffix.lower(), b"")
+    with temporary.open("rb") as stream:
+        stream.seek(-min(len(end), stream.seek(0, os.SEEK_END)), os.SEEK_END)
+        whole = stream.read() == end if end else True
+    if not whole:
+        raise InputError(
+            f"{file}: cannot be written whole; is the disk full? Free it, or write elsewhere"
+        )

@@ -105,3 +105,5 @@ def _read_data(path: Path) -> Any:
         raise InputError(f"{path}: is no valid YAML or JSON: {reason}") from error
     except RecursionError as error:
         raise InputError(f"{path}: is nested too deeply for a spec") from error
+    except (ValueError, LookupError, AttributeError) as error:  # a number or a date that is none
+        raise InputError(f"{path}: holds a value that cannot be read: {error}") from error

@@ -163,7 +163,14 @@ def _from_json(path: Path, text: str) -> PhoneTrack:
             [Span(float(e["start"]), float(e["end"]), str(e["label"])) for e in data.get(key, [])]
             for key in ("phones", "words", "emotions")
         ]
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (
+        ArithmeticError,
+        LookupError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        RecursionError,
+    ) as error:
         raise InputError(
             f'{path}: is not {{"phones": [{{"start": 0.1, "end": 0.2, "label": "AH"}}, ...]}}: '
             f"{error}"
@@ -246,7 +253,7 @@ def read_origin(path: Path) -> dict[str, object] | None:
     found = re.search(ORIGIN_MARK + r"([^\"\s]+)", read_text(path, LARGEST_TRACK_BYTES))
     try:
         data = json.loads(unquote(found.group(1))) if found else None
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     return data if isinstance(data, dict) else None
 

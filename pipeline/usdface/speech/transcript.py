@@ -12,8 +12,11 @@ _ONES = (
 _TENS = "twenty thirty forty fifty sixty seventy eighty ninety".split()
 _SCALES = ((10**9, "billion"), (10**6, "million"), (1000, "thousand"), (100, "hundred"))
 
-_ANNOTATION = re.compile(r"\[[^\]]*\]|<[^>]*>|\{[^}]*\}|\([^)]*\)")
+_CLOSED_BY = {"[": "]", "<": ">", "{": "}", "(": ")"}
+_OPENING = re.compile(r"[\[<{(]")
 _DIGITS = re.compile(r"\d+(?:[.,]\d+)*")
+LONGEST_NUMBER = 40
+"""Characters; what is longer is read out digit by digit."""
 _SIGNS = {"&": " and ", "%": " percent ", "@": " at ", "+": " plus "}
 
 
@@ -31,7 +34,7 @@ def spoken_words(text: str) -> tuple[str, ...]:
     InputError
         If no word is left.
     """
-    plain = _ANNOTATION.sub(" ", text.replace("’", "'"))
+    plain = _without_remarks(text.replace("’", "'"))
     plain = _DIGITS.sub(lambda found: f" {_number(found.group())} ", plain)
     for sign, word in _SIGNS.items():
         plain = plain.replace(sign, word)
@@ -47,11 +50,28 @@ def spoken_words(text: str) -> tuple[str, ...]:
     return spoken
 
 
+def _without_remarks(text: str) -> str:
+    """Leave out what stands in brackets, each read once: a row of open ones costs no more."""
+    kept, at = [], 0
+    open_for_good: set[str] = set()
+    for found in _OPENING.finditer(text):
+        bracket, start = found.group(), found.start()
+        if start < at or bracket in open_for_good:
+            continue
+        end = text.find(_CLOSED_BY[bracket], start)
+        if end < 0:
+            open_for_good.add(bracket)
+            continue
+        kept.append(text[at:start])
+        at = end + 1
+    return " ".join((*kept, text[at:]))
+
+
 def _number(digits: str) -> str:
-    if "." in digits:
+    if "." in digits and len(digits) <= LONGEST_NUMBER:
         whole, _, rest = digits.replace(",", "").partition(".")
         return " ".join([_whole(int(whole)), "point", *(_ONES[int(d)] for d in rest if d != ".")])
-    plain = digits.replace(",", "")
+    plain = digits.replace(",", "").replace(".", "")
     if len(plain) > 12 or (len(plain) > 1 and plain[0] == "0"):  # a code, not a count
         return " ".join(_ONES[int(d)] for d in plain)
     return _whole(int(plain))

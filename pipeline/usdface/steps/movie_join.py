@@ -75,7 +75,7 @@ def _said(name: str, comment: str) -> tuple[Fraction, int, int]:
         rate, first, count = Fraction(data["rate"]), int(data["first_frame"]), int(data["pictures"])
         if not 0 < rate <= 1000 or not 0 < count < 1 << 31:
             raise ValueError
-    except (ValueError, KeyError, TypeError, ZeroDivisionError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, ArithmeticError, RecursionError) as error:
         raise InputError(
             f"{name}: does not say which frames it shows; give parts that `usdface movie` made"
         ) from error

@@ -157,14 +157,17 @@ def spread_out(weights: FloatArray, change: FloatArray, count: int) -> IntArray:
 def _made_from(performance: Path) -> tuple[TakeReader, Mapping]:
     """Return the take and the mapping that a performance says it was made from."""
     made = read_provenance(performance)
-    spec = json.loads(made.spec) if made is not None and made.step == "map" else {}
-    if "take" not in spec or "mapping" not in spec:
+    try:
+        spec = json.loads(made.spec) if made is not None and made.step == "map" else {}
+    except (ValueError, RecursionError):
+        spec = {}
+    if not isinstance(spec, dict) or "take" not in spec or "mapping" not in spec:
         raise InputError(
             f"{performance}: does not say from which take and mapping it was made; give a "
             "performance that `usdface map` wrote"
         )
     folder = performance.resolve().parent
-    return TakeReader(folder / spec["take"]), read_mapping(folder / spec["mapping"])
+    return TakeReader(folder / str(spec["take"])), read_mapping(folder / str(spec["mapping"]))
 
 
 def _markers_at(

@@ -143,6 +143,6 @@ def _provenance(shot: Shot, page: Provenance) -> Listing:
 def _spec(provenance: Provenance) -> dict[str, object]:
     try:
         said = json.loads(provenance.spec or "{}")
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}
     return said if isinstance(said, dict) else {}

@@ -107,7 +107,7 @@ def _csv_rows(path: Path, text: str) -> list[tuple[str, dict[str, object]]]:
 def _json_rows(path: Path, text: str) -> list[tuple[str, dict[str, object]]]:
     try:
         data = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: is no valid JSON: {error}") from error
     if not isinstance(data, list) or not all(isinstance(row, dict) for row in data):
         raise InputError(f'{path}: must be a list of rows like {{"frame": 12, "jawOpen": 0.4}}')

@@ -81,6 +81,6 @@ def read_distances(path: Path, *, key: str) -> CachedDistances | None:
                 shape = tuple(int(size) for size in values[f"{name}:shape"])
                 arrays[name.removeprefix(ARRAY)] = np.array(value).reshape(shape)
         facts = json.loads(values[FACTS])
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError):
         return None
     return CachedDistances(arrays, facts)

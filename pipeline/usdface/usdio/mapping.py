@@ -70,7 +70,7 @@ def read_mapping(path: Path) -> Mapping:
     try:
         settings = json.loads(_value(path, prim, "settings") or "{}")
         scores = tuple(map(_score, json.loads(_value(path, prim, "scores") or "[]")))
-    except (json.JSONDecodeError, TypeError, AttributeError) as error:
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(
             f"{path} <{prim.GetPath()}>: its settings or scores are no valid JSON: {error}; "
             "train again"

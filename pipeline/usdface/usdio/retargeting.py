@@ -83,7 +83,7 @@ def read_retargeting(path: Path) -> Retargeting:
     try:
         settings = json.loads(str(_value(prim, "settings") or "{}"))
         scores = tuple(RetargetScore(**e) for e in json.loads(str(_value(prim, "scores") or "[]")))
-    except (json.JSONDecodeError, TypeError) as error:
+    except (ValueError, TypeError, RecursionError) as error:
         raise InputError(
             f"{path} <{prim.GetPath()}>: its settings or scores are no valid JSON: {error}; "
             "train again"

@@ -134,7 +134,7 @@ def take_files(path: Path) -> tuple[Path, ...]:
     made = read_provenance(path)
     try:
         said = json.loads(made.spec) if made is not None and made.spec else {}
-    except ValueError:
+    except (ValueError, RecursionError):
         said = {}
     takes = said.get("takes", ()) if isinstance(said, dict) else ()
     return tuple(path.parent / str(take) for take in takes)
