@@ -6,7 +6,7 @@ import numpy as np
 
 from usdface.assets import BoolArray, FloatArray, IntArray
 from usdface.model.selection import NOISE
-from usdface.model.selection_space import SelectionSpace
+from usdface.model.selection_space import Features, SelectionSpace, features_at
 from usdface.numerics.regression.design_kernel import DesignKernel, left_over
 from usdface.numerics.regression.reference_design import design_gp_variance
 
@@ -71,7 +71,7 @@ class Growth:
 
 
 def measure_coverage(
-    space: SelectionSpace, features: FloatArray, pair_features: FloatArray
+    space: SelectionSpace, features: Features, pair_features: FloatArray
 ) -> Coverage:
     """Measure how far pairs determine every frame.
 
@@ -84,18 +84,18 @@ def measure_coverage(
     """
     count = len(features)
     step = -(-count // COVERED_FRAMES)  # neighbours of a long recording are one face
-    features = features[::step]
-    some = _spread(len(features))
-    covered = np.empty(len(features))
-    regions = np.empty((len(features), len(space.regions)))
-    whole = DesignKernel.for_rows(features[some])
-    parts = [DesignKernel.for_rows(features[some, a:b]) for a, b in space.columns]
-    for start in range(0, len(features), BLOCK_FRAMES):
+    thinned = np.asarray(features[::step], dtype=np.float64)
+    some = _spread(len(thinned))
+    covered = np.empty(len(thinned))
+    regions = np.empty((len(thinned), len(space.regions)))
+    whole = DesignKernel.for_rows(thinned[some])
+    parts = [DesignKernel.for_rows(thinned[some, a:b]) for a, b in space.columns]
+    for start in range(0, len(thinned), BLOCK_FRAMES):
         rows = slice(start, start + BLOCK_FRAMES)
-        left = left_over(whole, pair_features, features[rows], noise=NOISE)
+        left = left_over(whole, pair_features, thinned[rows], noise=NOISE)
         covered[rows] = 1 - np.sqrt(left)
         for index, ((a, b), kernel) in enumerate(zip(space.columns, parts, strict=True)):
-            left = left_over(kernel, pair_features[:, a:b], features[rows, a:b], noise=NOISE)
+            left = left_over(kernel, pair_features[:, a:b], thinned[rows, a:b], noise=NOISE)
             regions[rows, index] = 1 - np.sqrt(left)
     return Coverage(
         np.repeat(covered, step)[:count], space.regions, np.repeat(regions, step, axis=0)[:count]
@@ -103,7 +103,7 @@ def measure_coverage(
 
 
 def measure_growth(
-    features: FloatArray,
+    features: Features,
     pair_features: FloatArray,
     *,
     further: int = 10,
@@ -122,13 +122,15 @@ def measure_growth(
     """
     open_rows = np.flatnonzero(np.ones(len(features), bool) if candidates is None else candidates)
     rows = open_rows[_spread(len(open_rows), 20 * CURVE_FRAMES)]
-    together = np.concatenate([pair_features, features[rows]])
+    together = np.concatenate([pair_features, features_at(features, rows)])
     known = np.arange(len(pair_features), dtype=np.int64)
     count = min(further, len(rows))
     chosen = design_gp_variance(together, count, already=known).chosen - len(known)
-    sample = features[_spread(len(features))]
+    sample = features_at(features, _spread(len(features)))
     kernel = DesignKernel.for_rows(sample)
-    share = _shares(kernel, np.concatenate([pair_features, features[rows[chosen]]]), sample)
+    share = _shares(
+        kernel, np.concatenate([pair_features, features_at(features, rows[chosen])]), sample
+    )
     return Growth(share[: len(known) + 1], rows[chosen], share[len(known) + 1 :])
 
 

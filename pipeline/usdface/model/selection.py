@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from usdface.assets import BoolArray, FloatArray, IntArray
+from usdface.model.selection_space import Features, features_at
 from usdface.model.viseme_pairs import Segment, extreme_frames, viseme_frames
 from usdface.numerics.regression.design_kernel import DesignKernel, predict_from
 from usdface.numerics.regression.next_references import design_total_variance
@@ -78,7 +79,7 @@ class Choice:
     missing: tuple[tuple[str, str], ...] = ()
 
 
-def pool_of(features: FloatArray, candidates: BoolArray, *, limit: int = POOL_FRAMES) -> IntArray:
+def pool_of(features: Features, candidates: BoolArray, *, limit: int = POOL_FRAMES) -> IntArray:
     """Return rows to choose among: of every short stretch the face farthest from the mean face.
 
     Neighbouring frames of a recording are nearly the same face; the peaks are what teaches.
@@ -94,7 +95,7 @@ def pool_of(features: FloatArray, candidates: BoolArray, *, limit: int = POOL_FR
 
 
 def choose_by_design(
-    features: FloatArray,
+    features: Features,
     count: int,
     *,
     already: IntArray,
@@ -119,7 +120,7 @@ def choose_by_design(
     known = np.arange(len(already), dtype=np.int64)
     chosen: dict[str, IntArray] = {}
     for name, design in DESIGNS.items():
-        chosen[name] = rows[design(features[rows], count, already=known).chosen]
+        chosen[name] = rows[design(features_at(features, rows), count, already=known).chosen]
     measured = {
         name: stand_in_error_mm(features, np.concatenate([already, picks]), stand_ins)
         for name, picks in chosen.items()
@@ -129,7 +130,7 @@ def choose_by_design(
 
 
 def choose_visemes(
-    features: FloatArray,
+    features: Features,
     count: int,
     *,
     segments: Sequence[Segment],
@@ -170,7 +171,7 @@ def choose_visemes(
 
 
 def choose_next(
-    features: FloatArray,
+    features: Features,
     count: int,
     *,
     already: IntArray,
@@ -189,31 +190,40 @@ def choose_next(
     free = candidates.copy()
     free[already] = False
     rows = pool_of(features, free, limit=max(NEXT_FRAMES, count))
-    kernel = DesignKernel.for_rows(features[rows])
+    own = features_at(features, rows)
+    kernel = DesignKernel.for_rows(own)
     error = expected_error(rows)
     importance = error / max(float(error.mean()), 1e-300)
     design = design_total_variance(
-        features[rows], count, kernel=kernel, known=features[already], importance=importance
+        own,
+        count,
+        kernel=kernel,
+        known=features_at(features, already),
+        importance=importance,
     )
     return Choice(rows[design.chosen])
 
 
-def stand_in_error_mm(features: FloatArray, rows: IntArray, stand_ins: StandIns) -> float:
+def stand_in_error_mm(features: Features, rows: IntArray, stand_ins: StandIns) -> float:
     """Return the error of stand-in weights predicted from some frames, over all [mm]."""
     kernel = DesignKernel.for_rows(stand_ins.features)
     predicted = predict_from(
-        kernel, features[rows], stand_ins.of_rows(rows), stand_ins.features, noise=NOISE
+        kernel,
+        features_at(features, rows),
+        stand_ins.of_rows(rows),
+        stand_ins.features,
+        noise=NOISE,
     )
     error = predicted - stand_ins.weights
     squared = np.einsum("fs,st,ft->f", error, stand_ins.gram, error)
     return float(np.sqrt(np.maximum(squared, 0.0).mean()))
 
 
-def in_order_of_worth(features: FloatArray, rows: IntArray, already: IntArray) -> IntArray:
+def in_order_of_worth(features: Features, rows: IntArray, already: IntArray) -> IntArray:
     """Return rows so that each says most beyond those before it: who stops early loses least."""
     if not len(rows):
         return rows
     together = np.concatenate([already, rows])
     known = np.arange(len(already), dtype=np.int64)
-    order = design_gp_variance(features[together], len(rows), already=known).chosen
+    order = design_gp_variance(features_at(features, together), len(rows), already=known).chosen
     return together[order]

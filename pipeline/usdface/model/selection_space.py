@@ -10,10 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.assets import FloatArray, MotionSpace
+from usdface.assets import Float32Array, FloatArray, IntArray, MotionSpace
 from usdface.numerics.measure.face_regions import shapes_by_region
 from usdface.numerics.regression.marker_regions import marker_relevance, regional_features
 from usdface.numerics.regression.reference_design import whiten
+
+Features = Float32Array | FloatArray
+"""Of an hour they are kept in single precision; what is reckoned with is double."""
 
 REGION_DIMENSIONS = 10
 """Principal axes of each region: beyond these a region differs by noise."""
@@ -50,6 +53,11 @@ class SelectionSpace:
     def features(self, coordinates: FloatArray) -> FloatArray:
         """Return features of frames: (frames, dimensions) to (frames, features)."""
         return np.asarray(coordinates @ self.projection - self.offset)
+
+
+def features_at(features: Features, rows: IntArray) -> FloatArray:
+    """Return features of some frames, to reckon with."""
+    return np.asarray(features[rows], dtype=np.float64)
 
 
 def selection_space(

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.assets import BoolArray, FloatArray, IntArray
+from usdface.assets import BoolArray, IntArray
+from usdface.model.selection_space import Features, features_at
 from usdface.numerics.regression.reference_design import design_k_centre
 
 
@@ -33,7 +34,7 @@ class Segment:
 
 
 def viseme_frames(
-    features: FloatArray, segments: Sequence[Segment], *, candidates: BoolArray
+    features: Features, segments: Sequence[Segment], *, candidates: BoolArray
 ) -> dict[tuple[str, str], int]:
     """Return the frame of the most typical segment for each emotion and viseme that is spoken.
 
@@ -71,7 +72,7 @@ def viseme_frames(
 
 
 def extreme_frames(
-    features: FloatArray,
+    features: Features,
     emotion_of: Sequence[str],
     count: int,
     *,
@@ -101,7 +102,7 @@ def extreme_frames(
         pool = np.concatenate([before, own])
         wanted = min(count, len(own))
         chosen = design_k_centre(
-            features[pool], wanted, already=np.arange(len(before), dtype=np.int64)
+            features_at(features, pool), wanted, already=np.arange(len(before), dtype=np.int64)
         ).chosen
         found[emotion] = [int(row) for row in pool[chosen]]
     return found

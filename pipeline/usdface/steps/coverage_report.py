@@ -9,7 +9,7 @@ from usdface.media.color import ByteImage
 from usdface.media.coverage_chart import CoveragePage, Hole, draw_coverage
 from usdface.media.error_strip import ErrorCurve
 from usdface.model.coverage import Coverage, Growth, measure_coverage, measure_growth
-from usdface.model.selection_space import SelectionSpace
+from usdface.model.selection_space import Features, SelectionSpace, features_at
 from usdface.steps.cleaned_takes import CleanedTakes
 
 FURTHER = 10
@@ -26,14 +26,14 @@ class Covered:
 
 def cover(
     space: SelectionSpace,
-    features: FloatArray,
+    features: Features,
     rows: IntArray,
     *,
     candidates: BoolArray,
     pair_features: FloatArray | None = None,
 ) -> Covered:
     """Measure coverage of all frames by pairs at some rows, or with features of their own."""
-    pairs = features[rows] if pair_features is None else pair_features
+    pairs = features_at(features, rows) if pair_features is None else pair_features
     free = candidates.copy()
     free[rows] = False
     return Covered(
