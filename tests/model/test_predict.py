@@ -5,7 +5,11 @@ from tests.model.synthetic import MARKERS, SyntheticFace, references_of, synthet
 from usdface.assets import Mapping
 from usdface.errors import InputError
 from usdface.model import predict_weights, train_mapping
+from usdface.model.coordinates import marker_coordinates
 from usdface.model.head_space import MINIMUM_SHARE
+from usdface.model.methods import find_method
+from usdface.model.train import motion_of
+from usdface.numerics.array_namespace import CPU
 
 
 def trained(face: SyntheticFace, method: str = "ridge") -> Mapping:
@@ -119,3 +123,14 @@ def test_takes_in_single_precision_are_told_as_in_double(method: str) -> None:
     np.testing.assert_allclose(found.weights, wanted.weights, atol=1e-5)
     np.testing.assert_allclose(found.region_confidence, wanted.region_confidence, atol=1e-4)
     np.testing.assert_allclose(found.residual_mm, wanted.residual_mm, atol=1e-4)
+
+
+def test_mapping_many_frames_agrees_with_what_the_method_was_judged_by() -> None:
+    face = synthetic_face(bend=0.5)
+    for name in ("ensemble", "regional"):
+        mapping = trained(face, name)
+        z = marker_coordinates(motion_of(mapping), face.positions).values
+        method = find_method(name)
+        exact = method.predict(mapping.arrays, mapping.settings, z)
+        quick = method.predictor(mapping.arrays, mapping.settings, CPU)(z)
+        np.testing.assert_allclose(quick, exact, atol=1e-6)

@@ -12,6 +12,7 @@ from usdface.model.familiarity import confidence_of, likely_error, unfamiliarity
 from usdface.model.head_space import MINIMUM_SHARE
 from usdface.model.methods import find_method
 from usdface.model.train import motion_of
+from usdface.numerics.array_namespace import CPU, ArrayDevice
 
 BLOCK_FRAMES = 512
 """What is worked on stays near the processor: a quarter quicker than in large blocks."""
@@ -55,6 +56,63 @@ class Prediction:
     lacking: BoolArray
 
 
+class WeightPredictor:
+    """A mapping made ready for many frames; safe to use from several threads.
+
+    Parameters
+    ----------
+    mapping : Mapping
+    device : ArrayDevice
+        Where the method is evaluated; what goes in and comes out is numpy's.
+    """
+
+    def __init__(self, mapping: Mapping, *, device: ArrayDevice = CPU) -> None:
+        self._mapping = mapping
+        self._device = device
+        self._motion = motion_of(mapping)
+        self._regions = regions_of(mapping)
+        self._predict = find_method(mapping.method).predictor(
+            mapping.arrays, mapping.settings, device
+        )
+
+    def predict(
+        self,
+        positions: NDArray[np.float32] | NDArray[np.float64],
+        *,
+        visible: BoolArray | None = None,
+    ) -> Prediction:
+        """Evaluate the mapping on stabilised markers; see `predict_weights`."""
+        mapping, arrays = self._mapping, self._mapping.arrays
+        _check_positions(mapping, positions, visible)
+        frames, regions = len(positions), len(self._regions)
+        held = arrays["region_markers"].T
+        weights = np.empty((frames, len(mapping.shape_names)))
+        confidence, residual, error = (np.empty((frames, regions)) for _ in range(3))
+        for start in range(0, frames, BLOCK_FRAMES):
+            part = slice(start, start + BLOCK_FRAMES)
+            found = marker_coordinates(
+                self._motion, positions[part], visible=None if visible is None else visible[part]
+            )
+            raw = self._device.fetch(self._predict(self._device.put(found.values)))
+            np.clip(raw, mapping.ranges[:, 0], mapping.ranges[:, 1], out=weights[part])
+            left = unfamiliarity(arrays, found.values)
+            confidence[part] = confidence_of(arrays, left) * found.certainty[:, None]
+            error[part] = likely_error(arrays, left) * arrays["region_tolerance"]
+            residual[part] = _by_region(found.away_mm, held)
+        lacking = _lacking(frames, visible)
+        confidence[lacking] = 0.0
+        return Prediction(
+            weights,
+            confidence[:, 0],
+            residual[:, 0],
+            self._regions,
+            confidence,
+            residual,
+            error,
+            lacking,
+        )
+
+
 def predict_weights(
     mapping: Mapping,
     positions: NDArray[np.float32] | NDArray[np.float64],
@@ -77,29 +135,7 @@ def predict_weights(
     InputError
         If shapes do not fit the mapping, or a position to be used is not finite.
     """
-    method = find_method(mapping.method)
-    motion = motion_of(mapping)
-    _check_positions(mapping, positions, visible)
-    frames, regions = len(positions), regions_of(mapping)
-    held = mapping.arrays["region_markers"].T
-    weights = np.empty((frames, len(mapping.shape_names)))
-    confidence, residual, error = (np.empty((frames, len(regions))) for _ in range(3))
-    for start in range(0, frames, BLOCK_FRAMES):
-        part = slice(start, start + BLOCK_FRAMES)
-        found = marker_coordinates(
-            motion, positions[part], visible=None if visible is None else visible[part]
-        )
-        raw = method.predict(mapping.arrays, mapping.settings, found.values)
-        np.clip(raw, mapping.ranges[:, 0], mapping.ranges[:, 1], out=weights[part])
-        left = unfamiliarity(mapping.arrays, found.values)
-        confidence[part] = confidence_of(mapping.arrays, left) * found.certainty[:, None]
-        error[part] = likely_error(mapping.arrays, left) * mapping.arrays["region_tolerance"]
-        residual[part] = _by_region(found.away_mm, held)
-    lacking = _lacking(frames, visible)
-    confidence[lacking] = 0.0
-    return Prediction(
-        weights, confidence[:, 0], residual[:, 0], regions, confidence, residual, error, lacking
-    )
+    return WeightPredictor(mapping).predict(positions, visible=visible)
 
 
 def _lacking(frames: int, visible: BoolArray | None) -> BoolArray:

@@ -1,14 +1,16 @@
 """Skin prior, linear posterior, regions and box projection: what geometry adds to examples."""
 
+import array_api_strict
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 
+from usdface.numerics.array_namespace import ArrayDevice
 from usdface.numerics.regression.linear_posterior import fit_linear_posterior
 from usdface.numerics.regression.marker_regions import marker_relevance, regional_features
 from usdface.numerics.regression.skin_prior import expect_marker_motion
-from usdface.numerics.solve.box_projection import project_to_box
+from usdface.numerics.solve.box_projection import BoxProjection, project_to_box
 
 SHAPES, POINTS, MARKERS, PAIRS = 6, 80, 30, 20
 
@@ -162,6 +164,19 @@ def test_projection_is_the_nearest_point_of_the_box_under_the_metric() -> None:
     for row, result in zip(wanted, found, strict=True):
         exact = lsq_linear(factor, factor @ row, bounds=(low, high), tol=1e-12).x
         np.testing.assert_allclose(result, exact, atol=1e-5)
+
+
+def test_projection_in_single_precision_or_on_a_device_is_the_same() -> None:
+    rng = np.random.default_rng(0)
+    factor = rng.normal(size=(SHAPES, SHAPES)) + 2 * np.eye(SHAPES)
+    metric, wanted = 100 * factor.T @ factor, rng.uniform(-0.2, 1.2, size=(500, SHAPES))
+    low, high = np.zeros(SHAPES), np.ones(SHAPES)
+    found = project_to_box(wanted, metric, lower=low, upper=high)
+    single = BoxProjection(metric, lower=low, upper=high, single=True)(wanted)
+    np.testing.assert_allclose(single, found, atol=1e-6)
+    device = ArrayDevice("strict", array_api_strict, array_api_strict.Device("CPU_DEVICE"))
+    there = BoxProjection(metric, lower=low, upper=high, device=device)(device.put(wanted))
+    np.testing.assert_allclose(device.fetch(there), found, atol=1e-12)
 
 
 def test_rows_within_their_limits_are_left_alone_and_a_diagonal_metric_only_cuts() -> None:

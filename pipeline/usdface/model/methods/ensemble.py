@@ -9,11 +9,12 @@ shapes' ranges at the least cost to the face.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from usdface.assets import FloatArray
-from usdface.model.methods.contract import Fitted, Method, Pairs, Settings
+from usdface.model.methods.contract import Fitted, Method, Pairs, Predictor, Settings
 from usdface.model.methods.target_curve import CURVES, bend, choose_curves, unbend
 from usdface.model.methods.voices import (
     FEWEST_CORRELATED,
@@ -25,13 +26,14 @@ from usdface.model.methods.voices import (
     Voice,
     correlation_voice,
     global_voice,
-    predict_locals,
+    local_sums,
     regional_voice,
 )
+from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
 from usdface.numerics.regression.linear_posterior import LinearPosterior, fit_linear_posterior
 from usdface.numerics.regression.marker_regions import marker_relevance, regional_features
 from usdface.numerics.regression.skin_prior import expect_marker_motion
-from usdface.numerics.solve.box_projection import project_to_box
+from usdface.numerics.solve.box_projection import BoxProjection
 
 MOST_DIMENSIONS = 50
 LEAST_VARIANCE_MM2 = 1e-4
@@ -39,8 +41,6 @@ LEAST_VARIANCE_MM2 = 1e-4
 
 FORGIVEN = 2.0
 """How many times the squared error of the examples geometry may have to be heard as they are."""
-
-BLOCK_FRAMES = 1024
 
 SEEN_SHARE = 0.3
 """How far markers, against the examples, say where weights go that a limit pushes aside: with
@@ -106,22 +106,41 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
 def _predict(
     arrays: dict[str, FloatArray], settings: Settings, coordinates: FloatArray
 ) -> FloatArray:
+    predicted: FloatArray = _prepare(arrays, settings, single=False)(coordinates)
+    return predicted
+
+
+def _prepare(
+    arrays: dict[str, FloatArray],
+    settings: Settings,
+    device: ArrayDevice = CPU,
+    *,
+    single: bool = True,
+) -> Predictor:
     kept = int(settings["dimensions"])
+    slope, intercept, curve, doubt, low, span = (
+        device.put(arrays[name]) for name in ("slope", "intercept", "curve", "doubt", "low", "span")
+    )
     names = sorted(name.partition("_")[0] for name in arrays if name.endswith("_projection"))
-    fields = ("projection", "centres", "exponent", "dual")
-    locals_ = [{field: arrays[f"{name}_{field}"] for field in fields} for name in names]
-    out = np.empty((len(coordinates), len(arrays["span"])))
-    ones = np.ones(len(arrays["span"]))
-    for start in range(0, len(coordinates), BLOCK_FRAMES):
-        part = slice(start, start + BLOCK_FRAMES)
-        z = coordinates[part, :kept]
-        bent = z @ arrays["slope"] + arrays["intercept"]
-        for parts in locals_:
-            bent += predict_locals(parts, z)
-        free = _reach_limit(unbend(bent, arrays["curve"]), arrays["doubt"])
-        within = project_to_box(free, arrays["metric"], lower=0 * ones, upper=ones)
-        out[part] = arrays["low"] + arrays["span"] * within
-    return out
+    locals_ = [
+        local_sums(arrays, prefix=f"{name}_", single=single, device=device) for name in names
+    ]
+    within = BoxProjection(
+        arrays["metric"],
+        lower=np.zeros(len(arrays["span"])),
+        upper=np.ones(len(arrays["span"])),
+        single=single,
+        device=device,
+    )
+
+    def predict(coordinates: Any) -> Any:
+        z = coordinates[:, :kept]
+        bent = z @ slope + intercept
+        for sums in locals_:
+            bent += sums(z)
+        return low + span * within(_reach_limit(unbend(bent, curve), doubt))
+
+    return predict
 
 
 def _calibrated(
@@ -226,15 +245,14 @@ def _together(voices: list[tuple[Voice, FloatArray]], shape: tuple[int, ...]) ->
     return sum((part * voice.residuals for voice, part in voices), np.zeros(shape))
 
 
-def _reach_limit(weights: FloatArray, doubt: FloatArray) -> FloatArray:
+def _reach_limit(weights: Any, doubt: Any) -> Any:
     """Let full weights be full: lids close, though errors beyond the limit are cut off.
 
     A shape tuned to its limit is predicted around it, and cutting off what lies beyond leaves it
     short on average. Within two of its usual errors of the limit a weight is drawn towards it.
     """
-    near = np.clip((weights - 1) / doubt + 2, 0.0, 1.0)
-    reached: FloatArray = weights + REACH * doubt * near
-    return reached
+    near = namespace_of(weights).clip((weights - 1) / doubt + 2, 0.0, 1.0)
+    return weights + REACH * doubt * near
 
 
 def _metric(geometry: LinearPosterior, residuals: FloatArray) -> FloatArray:
@@ -251,4 +269,5 @@ METHOD = Method(
     candidates=_candidates,
     fit=_fit,
     predict=_predict,
+    prepare=_prepare,
 )

@@ -1,17 +1,27 @@
 """A model of its own for each shape, over the markers that it moves."""
 
+from typing import Any
+
 import numpy as np
 
 from usdface.assets import FloatArray
-from usdface.model.methods.contract import Fitted, Method, Pairs, Settings, dimension_choices
+from usdface.model.methods.contract import (
+    Fitted,
+    Method,
+    Pairs,
+    Predictor,
+    Settings,
+    dimension_choices,
+)
 from usdface.model.methods.voices import (
     GLOBAL_LINES,
     REGION_TIGHT,
     REGION_WIDE,
     global_voice,
-    predict_locals,
+    local_sums,
     regional_voice,
 )
+from usdface.numerics.array_namespace import CPU, ArrayDevice
 from usdface.numerics.regression.marker_regions import marker_relevance, regional_features
 
 FLOOR = 0.01
@@ -51,11 +61,26 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
 def _predict(
     arrays: dict[str, FloatArray], settings: Settings, coordinates: FloatArray
 ) -> FloatArray:
-    z = np.ascontiguousarray(coordinates[:, : int(settings["dimensions"])])
-    out = z @ arrays["slope"]
-    out += arrays["intercept"]
-    out += predict_locals(arrays, z)
-    return out
+    predicted: FloatArray = _prepare(arrays, settings, single=False)(coordinates)
+    return predicted
+
+
+def _prepare(
+    arrays: dict[str, FloatArray],
+    settings: Settings,
+    device: ArrayDevice = CPU,
+    *,
+    single: bool = True,
+) -> Predictor:
+    kept = int(settings["dimensions"])
+    slope, intercept = device.put(arrays["slope"]), device.put(arrays["intercept"])
+    sums = local_sums(arrays, single=single, device=device)
+
+    def predict(coordinates: Any) -> Any:
+        z = coordinates[:, :kept]
+        return z @ slope + intercept + sums(z)
+
+    return predict
 
 
 METHOD = Method(
@@ -64,4 +89,5 @@ METHOD = Method(
     candidates=_candidates,
     fit=_fit,
     predict=_predict,
+    prepare=_prepare,
 )

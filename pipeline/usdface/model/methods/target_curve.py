@@ -5,9 +5,12 @@ A shape at half its weight has often moved the skin by more than half. Trained o
 as the pairs can tell it from the one that suits all: a lid saturates where a brow does not.
 """
 
+from typing import Any
+
 import numpy as np
 
 from usdface.assets import FloatArray
+from usdface.numerics.array_namespace import namespace_of
 
 CURVES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)
 """Bends tried; 0 is none, 1 would stand still at full weight."""
@@ -62,11 +65,12 @@ def bend(weights: FloatArray, curve: float | FloatArray) -> FloatArray:
     return bent
 
 
-def unbend(bent: FloatArray, curve: float | FloatArray) -> FloatArray:
-    """Undo `bend`."""
-    inside = np.clip(bent, 0.0, 1.0)
-    root = np.sqrt((1 + curve) ** 2 - 4 * curve * inside)
-    weights: FloatArray = 2 * inside / (1 + curve + root)
-    weights += np.minimum(bent, 0.0) / (1 + curve)
-    weights += np.maximum(bent - 1.0, 0.0) / (1 - curve)
+def unbend(bent: Any, curve: Any) -> Any:
+    """Undo `bend`, on whichever device the arrays are."""
+    xp = namespace_of(bent)
+    inside = xp.clip(bent, 0.0, 1.0)
+    root = xp.sqrt((1 + curve) ** 2 - 4 * curve * inside)
+    weights = 2 * inside / (1 + curve + root)
+    weights += xp.clip(bent, max=0.0) / (1 + curve)
+    weights += xp.clip(bent - 1.0, min=0.0) / (1 - curve)
     return weights

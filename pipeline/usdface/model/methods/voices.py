@@ -12,6 +12,7 @@ from usdface.assets import FloatArray, IntArray
 from usdface.model.methods import kernel_cca
 from usdface.model.methods.contract import Pairs, Settings
 from usdface.model.methods.scaling import coordinate_scale, scaled
+from usdface.numerics.array_namespace import CPU, ArrayDevice
 from usdface.numerics.regression.gaussian_process import (
     NOISES,
     Choice,
@@ -19,11 +20,11 @@ from usdface.numerics.regression.gaussian_process import (
     fit_best_gaussian_process,
     fit_gaussian_process,
     leave_one_out_errors,
-    radial_values,
     smoothest_near_best,
     usable_choices,
 )
 from usdface.numerics.regression.kernel_cca import predict_kernel_cca
+from usdface.numerics.regression.local_sums import LocalSums
 from usdface.numerics.regression.marker_regions import RegionalFeatures
 
 GLOBAL_LINES = tuple(Choice(d, p) for d in (16, 24, 32, 40) for p in (0.0, 0.25, 0.5))
@@ -73,7 +74,7 @@ class Voice:
     slope : (D, s) float array
     intercept : (s,) float array
     locals : dict of str to float array
-        Local corrections, as `predict_locals` reads them.
+        Local corrections, as `local_sums` reads them.
     residuals : (n, s) float array
         Leave-one-out.
     """
@@ -235,30 +236,14 @@ def _stack(fits: list[GaussianProcess], regions: tuple[RegionalFeatures, ...]) -
     )
 
 
-def predict_locals(parts: dict[str, FloatArray], coordinates: FloatArray) -> FloatArray:
-    """Evaluate local corrections, of one process or of one for each shape.
-
-    Parameters
-    ----------
-    parts : dict
-        ``projection`` (D, d) or (s, D, d), ``centres`` (n, d) or (s, n, d), ``exponent`` (1,) or
-        (s,), ``dual`` (n, s).
-    coordinates : (f, D) float array
-
-    Returns
-    -------
-    (f, s) float array
-    """
-    projection, centres, dual = parts["projection"], parts["centres"], parts["dual"]
-    if projection.ndim == 2:
-        near = radial_values(coordinates @ projection, centres, float(parts["exponent"][0]))
-        out: FloatArray = near @ dual
-        return out
-    s, full, kept = projection.shape
-    rows = coordinates @ projection.transpose(1, 0, 2).reshape(full, s * kept)
-    out = np.zeros((len(coordinates), s))
-    for j in np.flatnonzero(dual.any(axis=0)):
-        own = rows[:, j * kept : (j + 1) * kept]
-        near = radial_values(own, centres[j], float(parts["exponent"][j]))
-        out[:, j] = near @ dual[:, j]
-    return out
+def local_sums(
+    arrays: dict[str, FloatArray],
+    *,
+    prefix: str = "",
+    single: bool = False,
+    device: ArrayDevice = CPU,
+) -> LocalSums:
+    """Make the local corrections ready that a mapping's arrays hold under a prefix."""
+    names = ("projection", "centres", "exponent", "dual")
+    parts = (arrays[prefix + name] for name in names)
+    return LocalSums(*parts, single=single, device=device)

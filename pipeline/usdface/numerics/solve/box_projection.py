@@ -5,8 +5,13 @@ with it. The nearest point of the box under the metric in which weights are dete
 along: what a shape may not do, its neighbours take over.
 """
 
+import math
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+
+from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
 
 Array = NDArray[np.float64]
 
@@ -14,41 +19,82 @@ STEPS = 30
 """Of accelerated projected gradient: weights have settled to a thousandth."""
 
 
-def project_to_box(
-    weights: Array, metric: Array, *, lower: Array, upper: Array, steps: int = STEPS
-) -> Array:
-    """Approach the point of a box that is nearest under a quadratic metric.
+class BoxProjection:
+    """Approaches the points of a box that are nearest under a quadratic metric.
 
     Minimises ``(x - w)' M (x - w)`` with ``lower <= x <= upper`` for every row, from the row cut
     off at its limits, by a fixed number of accelerated projected gradient steps; rows already
-    within their limits are returned as they are. The metric is scaled to a unit diagonal first.
+    within their limits stay as they are. The metric is scaled to a unit diagonal first. Steps
+    are taken in ``x - w``, which is small: single precision then rounds ``x`` by less than 1e-6.
 
     Parameters
     ----------
-    weights : (f, s) float array
     metric : (s, s) float array
         Symmetric, positive definite.
     lower, upper : (s,) float arrays
+    steps : int
+    single : bool
+        Take the steps in single precision.
+    device : ArrayDevice
+        Where weights will be.
 
     References
     ----------
     Beck and Teboulle (2009), SIAM J. Imaging Sciences 2(1), 183-202.
     """
-    out: Array = np.clip(weights, lower, upper)
-    moved = np.flatnonzero((out != weights).any(axis=1))
-    if not len(moved):
-        return out
-    unit = 1 / np.sqrt(np.diag(metric))
-    scaled = metric * unit[:, None] * unit
-    step = 1 / float(np.linalg.eigvalsh(scaled)[-1])
-    low, high, wanted = lower / unit, upper / unit, weights[moved] / unit
-    pull = wanted @ scaled
-    x = out[moved] / unit
-    ahead, momentum = x, 1.0
-    for _ in range(steps):
-        following = np.clip(ahead - step * (ahead @ scaled - pull), low, high)
-        gained = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
-        ahead = following + (momentum - 1) / gained * (following - x)
-        x, momentum = following, gained
-    out[moved] = np.clip(x * unit, lower, upper)
-    return out
+
+    def __init__(
+        self,
+        metric: Array,
+        *,
+        lower: Array,
+        upper: Array,
+        steps: int = STEPS,
+        single: bool = False,
+        device: ArrayDevice = CPU,
+    ) -> None:
+        unit = 1 / np.sqrt(np.diag(metric))
+        scaled = metric * unit[:, None] * unit
+        step = 1 / float(np.linalg.eigvalsh(scaled)[-1])
+        descent = (np.eye(len(metric)) - step * scaled) / unit[:, None] * unit
+        self._descent = device.put(descent, dtype="float32" if single else "float64")
+        self._lower, self._upper = device.put(lower), device.put(upper)
+        self._steps = steps
+
+    def __call__(self, weights: Any) -> Any:
+        """Project rows.
+
+        Parameters
+        ----------
+        weights : (f, s) float array
+            On the device, in double precision.
+        """
+        xp = namespace_of(weights)
+        kind = self._descent.dtype
+        low = xp.astype(self._lower - weights, kind)
+        high = xp.astype(self._upper - weights, kind)
+        moved = xp.clip(xp.zeros_like(low), low, high)
+        ahead, momentum = moved, 1.0
+        for _ in range(self._steps):
+            following = xp.clip(xp.matmul(ahead, self._descent), low, high)
+            gained = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
+            ahead = following - moved
+            ahead *= (momentum - 1) / gained
+            ahead += following
+            moved, momentum = following, gained
+        return xp.clip(weights + xp.astype(moved, weights.dtype), self._lower, self._upper)
+
+
+def project_to_box(
+    weights: Array, metric: Array, *, lower: Array, upper: Array, steps: int = STEPS
+) -> Array:
+    """Project rows once; see `BoxProjection`.
+
+    Parameters
+    ----------
+    weights : (f, s) float array
+    metric, lower, upper, steps
+        Those of `BoxProjection`.
+    """
+    projected: Array = BoxProjection(metric, lower=lower, upper=upper, steps=steps)(weights)
+    return projected
