@@ -26,6 +26,7 @@ COMMANDS = {
     "references-import": "references import hero.references.usda --weights keys.csv",
     "references-sheet": "references sheet hero.references.usda --out pairs.jpg --pairs 1-2 "
     "--tile 64 --quality draft",
+    "references-coverage": f"references coverage hero.references.usda {TAKE} --out covered.png",
     "train": "train hero.references.usda --method ridge --out hero.mapping.usdc",
     "map": f"{MAP} --out {HERO}",
     "join": "join one.hero.usda two.hero.usda --out joined.hero.usda",

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom, UsdSkel
 from pydantic import ValidationError
+from scipy.spatial.transform import Rotation
 
 from tests.steps.small_shot import PAIRS, Shot
 from usdface.assets import Rig
@@ -16,6 +17,7 @@ from usdface.media.image import read_image_metadata
 from usdface.model.equation import BlendshapeEquation, set_up_equation
 from usdface.specs.reference_sheet import ReferenceSheetSpec
 from usdface.specs.references import ReferencesImportSpec, SelectSpec, tuned_path
+from usdface.specs.references_coverage import ReferencesCoverageSpec
 from usdface.steps import selection_scene
 from usdface.steps.execute import execute
 from usdface.usdio.references import read_references, read_tuned_pairs
@@ -104,6 +106,67 @@ def test_coverage_is_told_and_drawn_beside(shot: Shot) -> None:
     assert read_image_metadata(picture)["step"] == "select"
     more = execute(spec(shot, count=24), overwrite=True)
     assert more.figures["coverage"] > report.figures["coverage"]
+
+
+def coverage_spec(shot: Shot, take: str, **changed: object) -> ReferencesCoverageSpec:
+    given: dict[str, object] = {
+        "references": shot / "hero.references.usda",
+        "takes": (shot / take,),
+        "out": shot / "covered.png",
+    }
+    return ReferencesCoverageSpec(**(given | changed))  # type: ignore[arg-type]
+
+
+def test_coverage_as_a_command_is_what_select_said(shot: Shot) -> None:
+    said = execute(spec(shot)).figures
+    told = execute(
+        coverage_spec(shot, "shot.clean.take.usda", references=shot / "new.references.usda")
+    )
+    for name in ("coverage", "coverage_by_region", "hole_share", "growth", "next"):
+        assert told.figures[name] == said[name]
+    assert told.figures["of_other_takes"] == 0
+    assert f"frame {said['next'][0]['frame']} of shot next" in told.notes[0]
+    assert read_image_metadata(shot / "covered.png")["step"] == "references-coverage"
+
+
+def test_pairs_cover_another_take_wherever_its_head_stands(shot: Shot) -> None:
+    own = execute(coverage_spec(shot, "shot.clean.take.usda")).figures
+    take = read_take(shot / "shot.clean.take.usda")
+    assert take.markers is not None
+    turn = Rotation.from_rotvec([0.1, -0.2, 0.05]).as_matrix().astype(np.float32)
+    moved = replace(take.markers, positions=take.markers.positions @ turn.T + np.float32(30.0))
+    write_take(shot / "other.take.usda", replace(take, name="other", markers=moved))
+    told = execute(coverage_spec(shot, "other.take.usda"), overwrite=True)
+    assert told.figures["of_other_takes"] == PAIRS
+    assert told.notes[0].startswith(f"{PAIRS} of {PAIRS} pairs are of other takes")
+    # Markers are stored in single precision and the head is found again: all but exact.
+    assert told.figures["coverage"] == pytest.approx(own["coverage"], abs=0.01)
+
+
+def test_only_tuned_pairs_may_count_and_strange_markers_are_refused(shot: Shot) -> None:
+    few = execute(
+        coverage_spec(shot, "shot.clean.take.usda", tuned_only=True), overwrite=True
+    ).figures
+    assert few["pairs"] == list(range(1, PAIRS + 1))
+    execute(spec(shot))
+    with pytest.raises(InputError, match="none of its 12 pairs is tuned"):
+        execute(
+            coverage_spec(
+                shot,
+                "shot.clean.take.usda",
+                references=shot / "new.references.usda",
+                tuned_only=True,
+            ),
+            overwrite=True,
+        )
+    take = read_take(shot / "shot.clean.take.usda")
+    assert take.markers is not None
+    names = tuple(f"x_{name}" for name in take.markers.names)
+    rigid = tuple(f"x_{name}" for name in take.markers.rigid)
+    strange = replace(take.markers, names=names, rigid=rigid)
+    write_take(shot / "strange.take.usda", replace(take, name="strange", markers=strange))
+    with pytest.raises(InputError, match=r"has 0 of the takes' \d+ markers"):
+        execute(coverage_spec(shot, "strange.take.usda"), overwrite=True)
 
 
 def test_active_keeps_what_is_tuned_and_starts_from_the_mapping(shot: Shot) -> None:

@@ -24,6 +24,7 @@ from usdface.specs.pairs import PairsImportSpec, PairsProposeSpec
 from usdface.specs.phones import PhonesSpec
 from usdface.specs.reference_sheet import ReferenceSheetSpec
 from usdface.specs.references import ReferencesFromEditsSpec, ReferencesImportSpec, SelectSpec
+from usdface.specs.references_coverage import ReferencesCoverageSpec
 from usdface.specs.report import ReportSpec
 from usdface.specs.retarget import RetargetSpec
 from usdface.specs.sequences import FindSequencesSpec, MakeSequenceSpec
@@ -41,6 +42,7 @@ AnyStep = Annotated[
     | SelectSpec
     | ReferencesImportSpec
     | ReferenceSheetSpec
+    | ReferencesCoverageSpec
     | TrainSpec
     | MapSpec
     | JoinSpec

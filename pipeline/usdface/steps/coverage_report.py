@@ -58,9 +58,15 @@ def holes_of(covered: Covered, takes: CleanedTakes) -> tuple[Hole, ...]:
 
 
 def coverage_picture(
-    covered: Covered, takes: CleanedTakes, rows: IntArray, *, tuned: IntArray, title: str
+    covered: Covered,
+    takes: CleanedTakes,
+    rows: IntArray,
+    *,
+    tuned: IntArray,
+    title: str,
+    pairs: int | None = None,
 ) -> ByteImage:
-    """Draw it."""
+    """Draw it; `pairs` counts those of other takes as well, which have no row."""
     coverage = covered.coverage
     lanes = [ErrorCurve("whole face", 100 * (1 - coverage.covered))]
     if len(coverage.regions) > 1:
@@ -69,7 +75,7 @@ def coverage_picture(
             for index, region in enumerate(coverage.regions)
         ]
     facts = (
-        f"{len(rows)} references, {len(tuned)} tuned",
+        f"{len(rows) if pairs is None else pairs} references, {len(tuned)} tuned",
         f"{coverage.share:.1%} of the motion covered",
         f"{coverage.hole_share:.1%} of the frames are holes",
         f"{len(takes.frames)} frames of {len(takes.sources)} "
