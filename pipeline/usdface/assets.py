@@ -86,10 +86,8 @@ class Video:
         The movie; referred to, never copied.
     rate : Fraction or None
         Frames per second as the file states it.
-    offset : float
-        [s]
-    drift : float
-        [ppm]
+    offset, drift : float
+        [s], [ppm]
     """
 
     file: Path
@@ -123,8 +121,7 @@ class Take:
         Blendshape weights that the capture carries (Live Link, another solver).
     head_motion : (frames, 4, 4) float array or None
         Column-vector transforms that put stabilised markers back where they were captured.
-    video : Video or None
-    audio : Path or None
+    video, audio : Video or Path or None
     timecode_start : str
         SMPTE timecode of the first frame, empty when unknown.
     events : tuple of Event
@@ -208,6 +205,10 @@ class RigMesh:
         ``'none'``, ``'catmullClark'``, ``'loop'`` or ``'bilinear'``.
     visible : bool
         False when hidden or not meant for rendering (purpose guide or proxy).
+    face_colors : (polygons, 4) float array or None
+        Linear colour and opacity that materials give polygons; NaN where none does.
+    undrawn : tuple of str
+        What of its materials pictures leave out.
     """
 
     path: str
@@ -219,6 +220,8 @@ class RigMesh:
     normals: FloatArray | None = None
     subdivision: str = "none"
     visible: bool = True
+    face_colors: FloatArray | None = None
+    undrawn: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -290,8 +293,7 @@ class References:
         The markers that move with the skull alone.
     neutral : (markers, 3) float array
         The performer's neutral face in the space of `markers` [mm].
-    rig_file : Path
-    rig_prim : str
+    rig_file, rig_prim : Path, str
     motion : MotionSpace or None
         Of the takes the pairs were selected from; None for pairs made by hand.
     visemes, emotions : tuple of str
@@ -358,8 +360,7 @@ class CandidateScore:
 
     Attributes
     ----------
-    method : str
-    settings : str
+    method, settings : str
         The candidate's hyper-parameters, readable.
     weight_rmse : float
         Root mean square error of the weights.
@@ -380,8 +381,7 @@ class Performance:
     Attributes
     ----------
     weights : WeightsClip
-    rig_file : Path
-    rig_prim : str
+    rig_file, rig_prim : Path, str
     confidence : (frames,) float array or None
         [0-1]
     residual_mm : (frames, regions) float array or None

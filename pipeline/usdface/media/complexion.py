@@ -13,6 +13,38 @@ from usdface.media.parts import Part, Pieces
 _CLOSED, _OPEN = 0.015, 0.09  # of the sky seen at rest: inside of a mouth below, skin above
 
 
+OPAQUE = 0.5
+"""Faces below this opacity are not drawn: corneas and tear lines would hide what is judged."""
+
+_PALE = 0.25  # linear green of an eye from which it is a white without an iris
+
+
+def tone(mesh: RigMesh) -> FloatArray | None:
+    """Return the one colour that all opaque faces of a mesh have by material; None without."""
+    if mesh.face_colors is None:
+        return None
+    opaque = mesh.face_colors[~(mesh.face_colors[:, 3] < OPAQUE), :3]
+    if not len(opaque) or np.isnan(opaque).any() or np.ptp(opaque, axis=0).max() > 0:
+        return None
+    return np.asarray(opaque[0])
+
+
+def faces_painted(mesh: RigMesh) -> FloatArray:
+    """Return the colour of each face that is not that of its points, (faces, 3); else NaN."""
+    colors = np.full((len(mesh.face_counts), 3), np.nan)
+    if mesh.face_colors is not None and tone(mesh) is None:
+        colors[:] = mesh.face_colors[:, :3]
+    return colors
+
+
+def is_plain_eye(colors: FloatArray) -> bool:
+    """Whether an eye's own colours, (n, 3), are one pale colour, so that its iris is not there."""
+    if not len(colors) or np.isnan(colors).all():
+        return True
+    one = np.ptp(colors, axis=0).max() < 0.02  # NaN compares false: partly painted is painted
+    return bool(one and colors[0, 1] > _PALE)
+
+
 def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) -> FloatArray:
     """Return a colour for every point: the rig's own where it has them.
 
@@ -41,8 +73,16 @@ def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) ->
     colors += (shading.INNER_MOUTH - colors) * inside[:, None]
     first = 0
     for mesh in meshes:
-        if mesh.colors is not None:
-            colors[first : first + len(mesh.points)] = mesh.colors
+        own = slice(first, first + len(mesh.points))
+        one = tone(mesh)
+        if one is not None:  # of what the mesh is most; teeth in a head of one material stay teeth
+            most = np.bincount(parts[own]).argmax() if len(parts[own]) else Part.SKIN
+            toned = parts[own] == most
+            shade = inside[own, None] * (most == Part.SKIN)
+            mixed = one + (shading.INNER_MOUTH - one) * shade
+            colors[own] = np.where(toned[:, None], mixed, colors[own])
+        elif mesh.colors is not None:
+            colors[own] = mesh.colors
         first += len(mesh.points)
     return colors
 

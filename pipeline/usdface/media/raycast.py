@@ -166,6 +166,10 @@ def _sample(view: View, pixels: FloatArray) -> _Samples:
     normals[view.surface.outward * facing < 0] *= -1
     away = facing < -0.2
     albedo = _mix(view.colors, corners, found.barycentric)
+    if not view.heat:
+        own = view.surface.painted[found.triangles]
+        known = ~np.isnan(own[:, 0])
+        albedo[known] = own[known]
     # The back of the skin, seen through an eye hole: inside of the head, no surface to judge.
     albedo[away] *= _INSIDE
     if not view.heat:

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from usdface.assets import Float32Array, FloatArray, IntArray, RigMesh
+from usdface.assets import BoolArray, Float32Array, FloatArray, IntArray, RigMesh
 from usdface.errors import InputError
-from usdface.media.complexion import paint
+from usdface.media.complexion import OPAQUE, faces_painted, is_plain_eye, paint
 from usdface.media.mesh_topology import (
     Sparse,
     check_topology,
@@ -63,6 +63,8 @@ class Surface:
         A `Part` each.
     albedo : (drawn points, 3) float32 array
         Linear.
+    painted : (triangles, 3) float32 array
+        The colour that a material gives this very triangle; NaN where `albedo` holds.
     rest : (drawn points, 3) float32 array
         [mm]
     eyes : (triangles,) int array
@@ -83,6 +85,7 @@ class Surface:
     middles: Middles
     parts: IntArray
     albedo: Float32Array
+    painted: Float32Array
     rest: Float32Array
     eyes: IntArray
     eye_centers: Float32Array
@@ -137,10 +140,17 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
     parts = pieces.parts[pieces.of_point[drawn.corner_of_triangle]]
     eye_rows = {piece: row for row, piece in enumerate(pieces.eyeballs)}
     eyes = np.array([eye_rows.get(p, -1) for p in range(len(pieces.parts))])
-    plain = np.concatenate([np.full(len(m.points), m.colors is None) for m in visible])
-    eye_of_point = np.where(plain, eyes[pieces.of_point], -1)
-    kept = parts != Part.HIDDEN
-    triangles = drawn.triangles[kept]
+    faces = drawn.face_of_triangle
+    painted = np.concatenate([faces_painted(mesh) for mesh in visible])[faces]
+    piece_of_triangle = pieces.of_point[drawn.corner_of_triangle]
+    for piece in pieces.eyeballs:
+        if not _plain_eye(visible, pieces, piece, painted[piece_of_triangle == piece]):
+            eyes[piece] = -1
+    clear = np.concatenate([_clear(mesh) for mesh in visible])[faces]
+    kept = (parts != Part.HIDDEN) & ~clear
+    if not kept.any():
+        kept = parts != Part.HIDDEN
+    triangles, painted = drawn.triangles[kept], painted[kept]
     # Without lash cards and tear lines: they hide skin that is seen.
     shown = replace(drawn, triangles=triangles, corner_of_triangle=drawn.corner_of_triangle[kept])
     exposure = _rest_exposure(visible, shown, rays=_EXPOSURE_RAYS)
@@ -152,11 +162,12 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
         normals=normal_operator(triangles, point_count=len(rest)),
         middles=drawn.middles,
         parts=parts[kept],
-        albedo=np.asarray(
-            drawn.matrix @ paint(visible, pieces, exposure=exposure.seen), np.float32
+        albedo=_of_points_too(
+            drawn.matrix @ paint(visible, pieces, exposure=exposure.seen), triangles, painted
         ),
+        painted=painted.astype(np.float32),
         rest=rest.astype(np.float32),
-        eyes=eye_of_point[drawn.corner_of_triangle[kept]],
+        eyes=eyes[piece_of_triangle[kept]],
         eye_centers=np.array(
             [ball.center for ball in pieces.eyeballs.values()], np.float32
         ).reshape(-1, 3),
@@ -173,6 +184,8 @@ class _Drawn:
     matrix: Sparse
     triangles: IntArray
     corner_of_triangle: IntArray  # a cage point that each triangle belongs to
+    face_of_triangle: IntArray  # the cage's polygon that it lies in
+    face_count: int
     row_of_point: IntArray  # the drawn point that each cage point became
     middles: Middles
 
@@ -194,11 +207,42 @@ def _recognise(meshes: Sequence[RigMesh]) -> tuple[_Drawn, Pieces]:
     return drawn, find_pieces(meshes, exposure=exposure.seen)
 
 
+def _clear(mesh: RigMesh) -> BoolArray:
+    """Return which polygons one looks through."""
+    if mesh.face_colors is None:
+        return np.zeros(len(mesh.face_counts), bool)
+    return np.asarray(mesh.face_colors[:, 3] < OPAQUE)
+
+
+def _plain_eye(meshes: Sequence[RigMesh], pieces: Pieces, piece: int, painted: FloatArray) -> bool:
+    """Whether an eye lacks an iris of its own: by its points' colours and by its faces'."""
+    colors = np.concatenate(
+        [
+            np.full(mesh.points.shape, np.nan) if mesh.colors is None else mesh.colors
+            for mesh in meshes
+        ]
+    )
+    return is_plain_eye(colors[pieces.of_point == piece]) and is_plain_eye(painted)
+
+
+def _of_points_too(albedo: FloatArray, triangles: IntArray, painted: FloatArray) -> Float32Array:
+    """Give points the mean colour of the painted triangles about them, as pages show them."""
+    known = np.flatnonzero(~np.isnan(painted[:, 0]))
+    if len(known):
+        corners = triangles[known].ravel()
+        uses = np.bincount(corners, minlength=len(albedo))
+        for axis in range(3):
+            summed = np.bincount(corners, np.repeat(painted[known, axis], 3), minlength=len(albedo))
+            albedo[:, axis] = np.where(uses > 0, summed / np.maximum(uses, 1), albedo[:, axis])
+    return np.asarray(albedo, np.float32)
+
+
 def _refine(mesh: RigMesh, *, least_edge: float) -> _Drawn:
     count = len(mesh.points)
     counts, indices = mesh.face_counts, mesh.face_indices
     starts = np.cumsum(counts) - counts
     cage_corner = indices[np.minimum(starts, len(indices) - 1)]
+    cage_face = np.arange(len(counts))
     matrix: Sparse = sparse.identity(count, format="csr")
     while mesh.subdivision == "catmullClark" and matrix.shape[0] < COARSE_POINTS:
         step = catmull_clark(counts, indices, point_count=matrix.shape[0])
@@ -206,7 +250,7 @@ def _refine(mesh: RigMesh, *, least_edge: float) -> _Drawn:
             break
         matrix = step.matrix @ matrix
         counts, indices = step.face_counts, step.face_indices
-        cage_corner = cage_corner[step.parents]
+        cage_corner, cage_face = cage_corner[step.parents], cage_face[step.parents]
     cut = cut_polygons(np.asarray(matrix @ mesh.points), counts, indices, least_edge=least_edge)
     first = matrix.shape[0]
     matrix = sparse.vstack([matrix, cut.middles @ matrix])
@@ -214,6 +258,8 @@ def _refine(mesh: RigMesh, *, least_edge: float) -> _Drawn:
         sparse.csr_array(matrix),
         cut.triangles,
         cage_corner[cut.faces],
+        cage_face[cut.faces],
+        len(mesh.face_counts),
         np.arange(count),  # both keep the cage's points first
         Middles(first + np.arange(len(cut.corners)), cut.corners),
     )
@@ -222,12 +268,17 @@ def _refine(mesh: RigMesh, *, least_edge: float) -> _Drawn:
 def _concatenate(drawn: Sequence[_Drawn]) -> _Drawn:
     rows = np.cumsum([0, *(d.matrix.shape[0] for d in drawn)])
     columns = np.cumsum([0, *(d.matrix.shape[1] for d in drawn)])
+    faces = np.cumsum([0, *(d.face_count for d in drawn)])
     return _Drawn(
         matrix=sparse.csr_array(sparse.block_diag([d.matrix for d in drawn], format="csr")),
         triangles=np.concatenate([d.triangles + r for d, r in zip(drawn, rows, strict=False)]),
         corner_of_triangle=np.concatenate(
             [d.corner_of_triangle + c for d, c in zip(drawn, columns, strict=False)]
         ),
+        face_of_triangle=np.concatenate(
+            [d.face_of_triangle + f for d, f in zip(drawn, faces, strict=False)]
+        ),
+        face_count=int(faces[-1]),
         row_of_point=np.concatenate(
             [d.row_of_point + r for d, r in zip(drawn, rows, strict=False)]
         ),

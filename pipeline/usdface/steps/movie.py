@@ -24,7 +24,7 @@ from usdface.steps.movie_clock import MovieClock, movie_rate
 from usdface.steps.outputs import make_provenance, provenance_metadata
 from usdface.steps.report import Report
 from usdface.steps.shot_camera import ShotCamera
-from usdface.steps.shot_pictures import Shot, ShotPictures, open_shot
+from usdface.steps.shot_pictures import Shot, ShotPictures, open_shot, undrawn
 from usdface.steps.take_sound import SAMPLE_RATE, take_sound
 
 STRETCH_PICTURES = 48
@@ -75,7 +75,7 @@ def run(
     if len(waiting) < len(stretches):
         notes.append(f"{len(stretches) - len(waiting)} of {len(stretches)} stretches were there")
     if "performance" in panels:
-        notes += _camera(spec, shot).notes(clock.first_frame)
+        notes += [*_camera(spec, shot).notes(clock.first_frame), *undrawn(shot.rig)]
     _draw_all(_Plan(spec, panels, clock), waiting, shot, progress)
     progress(0.97, "joining the stretches")
     sound = take_sound(take, clock, notes) if spec.sound else None

@@ -24,6 +24,7 @@ from usdface.specs.reference_sheet import ReferenceSheetSpec
 from usdface.speech.visemes import viseme_label
 from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
+from usdface.steps.shot_pictures import undrawn
 from usdface.timecode import shift_timecode
 from usdface.usdio.references import read_references
 from usdface.usdio.rig import read_rig
@@ -105,6 +106,9 @@ def run(
     ]
     if renderer.eyes_put_in:
         facts.append("the rig has no eyes: stand-ins are drawn")
+    plain = undrawn(rig)
+    if plain:
+        facts.append("textures are not drawn")
     page = compose_reference_sheet(
         tuple(rows),
         title=spec.references.stem,
@@ -116,7 +120,7 @@ def run(
     write_image(spec.out, page, metadata=metadata)
     progress(1.0, "done")
     blind = sum(row.video is None for row in rows)
-    notes = (f"{blind} pairs have no video frame",) if blind else ()
+    notes = (*((f"{blind} pairs have no video frame",) if blind else ()), *plain)
     return Report(
         (spec.out,),
         f"{len(rows)} pairs drawn, {int(references.tuned[pairs].sum())} of them tuned",

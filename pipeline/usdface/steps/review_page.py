@@ -29,7 +29,7 @@ from usdface.steps.report import Report
 from usdface.steps.review_listings import evaluate_shown, listings
 from usdface.steps.sheet import place_markers, read_truth
 from usdface.steps.shot_camera import ShotCamera
-from usdface.steps.shot_pictures import Shot, open_shot
+from usdface.steps.shot_pictures import Shot, open_shot, undrawn
 from usdface.steps.take_sound import SAMPLE_RATE, take_sound
 from usdface.usdio.performance_reader import PerformanceReader
 
@@ -74,7 +74,7 @@ def run(
         name=spec.camera,
         stage=spec.camera_stage,
     )
-    notes += view.notes(clock.first_frame)
+    notes += [*view.notes(clock.first_frame), *undrawn(shot.rig)]
     face = pack_face(shot.rig, camera=None if spec.camera == AUTO else view.at(clock.first_frame))
     movie = _movie(spec, shot, clock, notes, part(progress, 0.25, 0.95))
     frames = shot.frames[rows]

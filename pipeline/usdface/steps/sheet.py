@@ -22,7 +22,13 @@ from usdface.steps.frame_choice import ChosenFrame, choose_frames
 from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
 from usdface.steps.shot_camera import ShotCamera
-from usdface.steps.shot_pictures import EXAGGERATION, Shot, ShotPictures, open_shot
+from usdface.steps.shot_pictures import (
+    EXAGGERATION,
+    Shot,
+    ShotPictures,
+    open_shot,
+    undrawn,
+)
 from usdface.steps.weight_tables import read_weight_table
 
 PICKS: dict[SheetLayout, FramePick] = {
@@ -115,6 +121,7 @@ def run(
             judged,
             stand_in_eyes=eyes,
             doubted=shot.performance.confidence is not None,
+            plain=any(undrawn(each.rig) for each in shots),
         ),
         tile_height=tile,
         high=high,
@@ -123,6 +130,7 @@ def run(
     written = _write_pages(spec, page, shot, provenance)
     progress(1.0, "done")
     told = dict.fromkeys(note for each in cameras for note in each.notes(int(shot.frames[0])))
+    told |= dict.fromkeys(note for each in shots for note in undrawn(each.rig))
     return _report(written, shot.frames, judged, chosen, truth is not None, tuple(told))
 
 
@@ -334,7 +342,7 @@ def _facts(spec: SheetSpec, shot: Shot) -> tuple[str, ...]:
 
 
 def _notes(
-    truth_known: bool, judged: list[_Judged], *, stand_in_eyes: bool, doubted: bool
+    truth_known: bool, judged: list[_Judged], *, stand_in_eyes: bool, doubted: bool, plain: bool
 ) -> tuple[str, ...]:
     what = (
         "error: RMS distance of the surface from what was keyed"
@@ -344,8 +352,9 @@ def _notes(
     means = ", ".join(f"{each.label} {np.nanmean(each.error_mm):.2f} mm" for each in judged)
     eyes = ("the rig has no eyes: stand-ins are drawn",) if stand_in_eyes else ()
     doubt = ("doubt: 1 less the confidence",) if doubted else ()
+    textures = ("textures are not drawn",) if plain else ()
     lines = f"lines at markers: what is left unexplained, {EXAGGERATION:g} times as long"
-    return (what, f"mean: {means}", lines, *doubt, *eyes)
+    return (what, f"mean: {means}", lines, *doubt, *eyes, *textures)
 
 
 def _report(

@@ -28,6 +28,8 @@ from usdface.usdio.rig import read_rig
 EXAGGERATION = 4.0
 """Lines from markers to where the weights put them are so many times as long: they are short."""
 
+UNDRAWN_TOLD = 3
+
 FRAMED_BY = 2000
 """Frames of a take that its markers are framed by."""
 
@@ -116,6 +118,15 @@ def weights_in_rig_order(performance: Performance, rig: Rig, frames: IntArray) -
         if name in place:
             out[:, index] = rows[:, place[name]]
     return out
+
+
+def undrawn(rig: Rig) -> tuple[str, ...]:
+    """Return what of a rig's materials no picture shows, each once; of many the first few."""
+    found = [note for mesh in rig.meshes if mesh.visible for note in mesh.undrawn]
+    told = list(dict.fromkeys(found))
+    if len(told) > UNDRAWN_TOLD:
+        told[UNDRAWN_TOLD:] = [f"and {len(told) - UNDRAWN_TOLD} more"]
+    return (f"drawn without its textures: {'; '.join(told)}",) if told else ()
 
 
 def _spread(take: Take) -> FloatArray:

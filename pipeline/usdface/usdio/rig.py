@@ -11,6 +11,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 from usdface.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.errors import InputError
 from usdface.usdio.layers import open_stage
+from usdface.usdio.materials import read_look
 from usdface.usdio.rest_pose import RestPose
 from usdface.usdio.space import stage_to_ours
 
@@ -119,6 +120,7 @@ def _read_mesh(prim: Usd.Prim, rest: RestPose, path: Path) -> RigMesh:
     if not np.isfinite(local).all():
         raise InputError(f"{where}: points hold NaN or infinity; repair the mesh")
     placed = rest.place(prim, local)
+    look = read_look(prim, len(counts))
     bare = RigMesh(
         path=str(prim.GetPath()),
         points=placed.points,
@@ -129,6 +131,8 @@ def _read_mesh(prim: Usd.Prim, rest: RestPose, path: Path) -> RigMesh:
         subdivision=str(mesh.GetSubdivisionSchemeAttr().Get()),
         visible=mesh.ComputeVisibility() != UsdGeom.Tokens.invisible
         and mesh.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render),
+        face_colors=look.face_colors,
+        undrawn=look.undrawn,
     )
     binding = UsdSkel.BindingAPI(prim)
     names = [str(name) for name in binding.GetBlendShapesAttr().Get() or []]
