@@ -15,7 +15,7 @@ from tests.test_docs import commands
 from tests.tuning.small_asset import write_asset
 from usdface.cli import main
 from usdface.specs.tune import TuneSpec
-from usdface.tuning.lock import TuningLock
+from usdface.tuning_lock import TuningLock
 
 
 def run(*arguments: str) -> int:

@@ -16,10 +16,13 @@ from usdface.errors import InputError
 from usdface.media.image import read_image_metadata
 from usdface.model.equation import BlendshapeEquation, set_up_equation
 from usdface.specs.reference_sheet import ReferenceSheetSpec
-from usdface.specs.references import ReferencesImportSpec, SelectSpec, tuned_path
+from usdface.specs.references import ReferencesImportSpec, SelectSpec, lock_path, tuned_path
 from usdface.specs.references_coverage import ReferencesCoverageSpec
-from usdface.steps import selection_scene
+from usdface.steps import select, selection_scene
 from usdface.steps.execute import execute
+from usdface.tuning.journal import Change
+from usdface.tuning.session import TuningSession
+from usdface.tuning_lock import TuningLock
 from usdface.usdio.references import read_references, read_tuned_pairs
 from usdface.usdio.rig import read_rig
 from usdface.usdio.rig_write import write_rig
@@ -232,6 +235,57 @@ def test_phones_of_another_take_are_refused(shot: Shot) -> None:
     (shot / "long.lab").write_text("0.0 1.0 m\n1.0 60.0 aa\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"lasts 60\.0 s and its take shot 4\.0 s"):
         execute(spec(shot, phones=(shot / "long.lab",)))
+
+
+def asset_bytes(out: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in out.parent.glob("hero.references*")}
+
+
+def test_nothing_is_selected_under_the_hand_that_tunes(shot: Shot) -> None:
+    out = shot / "hero.references.usda"
+    before = asset_bytes(out)
+    lock = TuningLock(lock_path(out))
+    lock.acquire()
+    with pytest.raises(InputError, match=r"has been tuning it since .* under their hand"):
+        execute(spec(shot, out=out, count=PAIRS + 1), overwrite=True)
+    lock.release()
+    assert asset_bytes(out) == before
+    execute(spec(shot, out=out, count=PAIRS + 1), overwrite=True)
+    assert not lock_path(out).exists()
+
+
+def test_changes_of_a_page_that_was_killed_are_taken_in_before_pairs_move(shot: Shot) -> None:
+    out = shot / "hero.references.usda"
+    before = read_references(out)
+    session = TuningSession(out)
+    first = Change(0, before.takes[0], int(before.frames[0]), {before.shape_names[0]: 0.123})
+    session.apply([first], revision=session.revision)
+    session.lock.release()  # what the operating system does for a killed page: nothing was saved
+    with pytest.raises(InputError, match=r"holds changes of a tuning page that was killed"):
+        execute(spec(shot, out=out, count=PAIRS + 1), overwrite=True)
+    TuningSession(out).close()
+    execute(spec(shot, out=out, count=PAIRS + 1), overwrite=True)
+    assert read_references(out).weights[0, 0] == pytest.approx(0.123)
+
+
+def test_pairs_tuned_while_frames_are_chosen_are_not_moved(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    execute(spec(shot))
+    new = shot / "new.references.usda"
+    kept = read_references(new)
+    chosen = select.in_order_of_worth
+
+    def tuned_meanwhile(*given: object) -> object:
+        execute(ReferencesImportSpec(references=new, weights=shot / "keys.csv"), overwrite=True)
+        return chosen(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(select, "in_order_of_worth", tuned_meanwhile)
+    with pytest.raises(InputError, match="12 pairs were tuned while frames were chosen"):
+        execute(spec(shot, count=20), overwrite=True)
+    after = read_references(new)
+    np.testing.assert_array_equal(after.frames, kept.frames)
+    assert after.tuned.all()
 
 
 def test_fewer_frames_than_pairs_are_refused(shot: Shot) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from usdface.errors import InputError
-from usdface.tuning.lock import STALE_SECONDS, TuningLock
+from usdface.tuning_lock import STALE_SECONDS, TuningLock
 
 
 @pytest.fixture

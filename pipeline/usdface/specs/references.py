@@ -29,6 +29,16 @@ def proposed_path(references: Path) -> Path:
     return references.with_name(f"{references.stem}.proposed.usda")
 
 
+def lock_path(references: Path) -> Path:
+    """Return the file that says who tunes a references asset now."""
+    return references.with_name(f"{references.stem}.tuned.lock")
+
+
+def journal_path(references: Path) -> Path:
+    """Return the file of changes that are not yet in the tuned layer."""
+    return references.with_name(f"{references.stem}.tuned.journal")
+
+
 class SelectSpec(Spec):
     """Choose the frames an animator should tune, and propose weights for them.
 

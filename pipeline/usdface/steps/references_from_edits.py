@@ -15,6 +15,7 @@ from usdface.specs.references import ReferencesFromEditsSpec, proposed_path, tun
 from usdface.steps.edited import runs
 from usdface.steps.placed_take import find_take_space, read_markers
 from usdface.steps.report import Report
+from usdface.steps.tuning_in_progress import nobody_tunes
 from usdface.usdio.edits import ShapeEdit
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.mapping import read_mapping
@@ -56,14 +57,6 @@ def run(
             f"{LEAST_CHANGE:g} with its markers seen; edit the performance first"
         )
     rig = read_rig(references.rig_file, prim=references.rig_prim)
-    write_references(
-        spec.out,
-        references,
-        rig,
-        tuned_path=tuned_path(spec.out),
-        proposed_path=proposed_path(spec.out),
-        provenance=provenance,
-    )
     tuned = [
         TunedPair(
             int(pair),
@@ -73,7 +66,18 @@ def run(
         )
         for pair in np.flatnonzero(references.tuned)
     ]
-    write_tuned_weights(references, tuned, tuned_path=tuned_path(spec.out), provenance=provenance)
+    with nobody_tunes(spec.out):
+        write_references(
+            spec.out,
+            references,
+            rig,
+            tuned_path=tuned_path(spec.out),
+            proposed_path=proposed_path(spec.out),
+            provenance=provenance,
+        )
+        write_tuned_weights(
+            references, tuned, tuned_path=tuned_path(spec.out), provenance=provenance
+        )
     progress(1.0, "written")
     return Report(
         (spec.out, tuned_path(spec.out), proposed_path(spec.out)),

@@ -28,8 +28,9 @@ from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
 from usdface.steps.selection_scene import SelectionScene, candidate_frames, set_up_scene
 from usdface.steps.spoken_frames import Spoken, read_spoken
+from usdface.steps.tuning_in_progress import check_nobody_tunes, nobody_tunes
 from usdface.usdio.mapping import read_mapping
-from usdface.usdio.references import write_references
+from usdface.usdio.references import read_tuned_pairs, write_references
 from usdface.usdio.rig import read_rig
 
 FEWEST_TUNED = 2
@@ -62,6 +63,7 @@ def run(
 ) -> Report:
     """Choose pairs, propose weights to start from, write the asset and draw its coverage."""
     progress(0.0, "reading the takes")
+    check_nobody_tunes(spec.out)
     takes = read_cleaned_takes(spec.takes)
     rig = read_rig(spec.rig, prim=spec.prim)
     spoken = read_spoken(spec, takes)
@@ -76,14 +78,16 @@ def run(
     weights = _propose(asked, mapped, rows)
     references = _references(asked, choice, rows, weights)
     progress(0.85, f"writing {spec.out.name}")
-    write_references(
-        spec.out,
-        references,
-        rig,
-        tuned_path=tuned_path(spec.out),
-        proposed_path=proposed_path(spec.out),
-        provenance=provenance,
-    )
+    with nobody_tunes(spec.out):
+        _check_tuning_is_as_read(spec, kept)
+        write_references(
+            spec.out,
+            references,
+            rig,
+            tuned_path=tuned_path(spec.out),
+            proposed_path=proposed_path(spec.out),
+            provenance=provenance,
+        )
     progress(0.9, "measuring the coverage")
     covered = cover(asked.scene.space, asked.scene.features, rows, candidates=asked.candidates)
     write_image(
@@ -112,6 +116,23 @@ def run(
     }
     notes = (*_notes(asked, choice, mapping), *contradictions)
     return Report(outputs, summary, notes, figures)
+
+
+def _check_tuning_is_as_read(spec: SelectSpec, kept: list[KeptPair]) -> None:
+    """Refuse to write where pairs were tuned while frames were chosen.
+
+    Raises
+    ------
+    InputError
+        Nothing is changed.
+    """
+    now = {(each.pair, each.take, each.frame) for each in read_tuned_pairs(tuned_path(spec.out))}
+    before = {(each.tuned.pair, each.tuned.take, each.tuned.frame) for each in kept}
+    if now - before:
+        raise InputError(
+            f"{tuned_path(spec.out)}: {len(now - before)} pairs were tuned while frames were "
+            "chosen; nothing was changed. Select again, which keeps them"
+        )
 
 
 def _mapping_for(spec: SelectSpec, rig: Rig) -> Mapping:

@@ -10,9 +10,9 @@ import numpy as np
 from usdface.assets import BoolArray, FloatArray, References
 from usdface.errors import InputError
 from usdface.provenance import Provenance, canonical_json, hash_files
-from usdface.specs.references import proposed_path, tuned_path
+from usdface.specs.references import journal_path, lock_path, proposed_path, tuned_path
 from usdface.tuning.journal import Change, Journal, flush_folder
-from usdface.tuning.lock import TuningLock
+from usdface.tuning_lock import TuningLock
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.references import (
     TunedPair,
@@ -94,10 +94,10 @@ class TuningSession:
         self._selected = [_signature(path), _signature(proposed_path(path))]
         self._guard = threading.Lock()
         self._revision = 0
-        self.lock = TuningLock(path.with_name(f"{path.stem}.tuned.lock"))
+        self.lock = TuningLock(lock_path(path))
         self.lock.acquire(take_over=take_over)
         try:
-            self._journal = Journal(path.with_name(f"{path.stem}.tuned.journal"))
+            self._journal = Journal(journal_path(path))
             self._unsaved: list[Change] = self._journal.replay()
             self._check_pairs(self._unsaved)
             self.recovered = len(self._unsaved)

@@ -16,6 +16,10 @@ from usdface.errors import InputError
 STALE_SECONDS = 60.0
 """A lock that nobody has renewed for this long belongs to a machine that is gone."""
 
+TAKE_OVER = (
+    "wait until that page is closed, or take over with --take-over: what was saved there is kept"
+)
+
 
 @dataclass(frozen=True)
 class Holder:
@@ -52,13 +56,15 @@ class TuningLock:
         self.taken_from: Holder | None = None
         self._own: Holder | None = None
 
-    def acquire(self, *, take_over: bool = False) -> None:
+    def acquire(self, *, take_over: bool = False, remedy: str = TAKE_OVER) -> None:
         """Take the lock.
 
         Parameters
         ----------
         take_over : bool
             Take it from whoever holds it; their page then refuses changes and says why.
+        remedy : str
+            What to do where someone else holds it.
 
         Raises
         ------
@@ -80,7 +86,7 @@ class TuningLock:
             except FileExistsError:
                 holder = self.holder()
                 if holder is not None and not take_over and not self._is_stale(holder):
-                    raise InputError(self._held_by(holder)) from None
+                    raise InputError(self._held_by(holder, remedy)) from None
                 self.taken_from = holder
                 with contextlib.suppress(FileNotFoundError):
                     self.path.unlink()
@@ -147,11 +153,10 @@ class TuningLock:
         finally:
             probe.unlink(missing_ok=True)
 
-    def _held_by(self, holder: Holder) -> str:
+    def _held_by(self, holder: Holder, remedy: str) -> str:
         return (
             f"{self.path.name.removesuffix('.lock')}: {holder.user} on {holder.host} has been "
-            f"tuning it since {holder.since} (process {holder.process}); wait until that page is "
-            "closed, or take over with --take-over: what was saved there is kept"
+            f"tuning it since {holder.since} (process {holder.process}); {remedy}"
         )
 
 
