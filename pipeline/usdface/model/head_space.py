@@ -73,9 +73,11 @@ class HeadSpace:
     def place(self, markers: Markers) -> MappedMarkers:
         """Bring frames of the take into the mapping's order and head space."""
         positions, visible = _in_order(markers, self.own, self.slots, self.count)
-        positions @= self.rotation.T.astype(np.float32)
-        positions += self.shift.astype(np.float32)
-        positions[~visible] = 0.0
+        flat = positions.reshape(-1, 3) @ self.rotation.T.astype(np.float32)
+        flat += self.shift.astype(np.float32)
+        positions = flat.reshape(positions.shape)
+        if not visible.all():
+            positions[~visible] = 0.0
         return MappedMarkers(positions, visible, self.missing, self.extra, self.moved_mm)
 
 
@@ -127,11 +129,19 @@ def _in_order(
     markers: Markers, own: IntArray, slots: IntArray, count: int
 ) -> tuple[Float32Array, BoolArray]:
     frames = len(markers.positions)
-    positions = np.zeros((frames, count, 3), dtype=np.float32)
-    visible = np.zeros((frames, count), dtype=bool)
-    positions[:, slots] = markers.positions[:, own]
-    visible[:, slots] = markers.visible[:, own] | (markers.confidence[:, own] > 0)
-    visible &= np.isfinite(positions).all(axis=2)
+    if len(slots) == count:  # then they are in order: nothing to leave room for
+        positions = np.take(markers.positions, own, axis=1).astype(np.float32, copy=False)
+        visible = np.take(markers.visible, own, axis=1)
+        visible |= np.take(markers.confidence, own, axis=1) > 0
+    else:
+        positions = np.zeros((frames, count, 3), dtype=np.float32)
+        visible = np.zeros((frames, count), dtype=bool)
+        positions[:, slots] = markers.positions[:, own]
+        visible[:, slots] = markers.visible[:, own] | (markers.confidence[:, own] > 0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        doubtful = not np.isfinite(positions.sum())  # one sum tells of all
+    if doubtful:
+        visible &= np.isfinite(positions).all(axis=2)
     return positions, visible
 
 

@@ -5,13 +5,10 @@ import os
 from pathlib import Path
 
 from usdface.errors import InputError
-from usdface.media.image import read_image_metadata
-from usdface.media.movie import read_movie_comment
 from usdface.provenance import Provenance, canonical_json, hash_files
 from usdface.specs.base import IMAGE_SUFFIXES, LAYER_SUFFIXES, Reads, Spec, Writes
 from usdface.specs.confinement import confinement_root
 from usdface.specs.movie import MOVIE_SUFFIXES
-from usdface.speech.track_files import read_origin
 from usdface.steps.confined_inputs import check_confined_inputs
 from usdface.usdio.layers import dependencies, is_layer_name, read_provenance
 
@@ -78,12 +75,18 @@ def provenance_of(path: Path) -> Provenance | None:
         if path.suffix in LAYER_SUFFIXES:
             return read_provenance(path)
         if path.suffix.lower() in IMAGE_SUFFIXES:
+            from usdface.media.image import read_image_metadata  # media only when there are any
+
             return _from_metadata(read_image_metadata(path))
         if path.suffix.lower() in MOVIE_SUFFIXES:
+            from usdface.media.movie import read_movie_comment
+
             return _from_text(read_movie_comment(path))
         if path.suffix.lower() == ".json":
             return _from_json(path)
         if path.suffix.lower() == ".textgrid":
+            from usdface.speech.track_files import read_origin
+
             return _from_metadata(read_origin(path) or {})
     except InputError:
         return None

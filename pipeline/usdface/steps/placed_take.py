@@ -22,7 +22,7 @@ def find_take_space(take: TakeReader, mapping: Mapping) -> HeadSpace:
         If the take is not stabilised, or has too few of the mapping's markers.
     """
     count = take.last_frame - take.first_frame + 1
-    picks = np.unique(np.linspace(take.first_frame, take.last_frame, min(count, SAMPLE_FRAMES)))
+    picks = np.linspace(take.first_frame, take.last_frame, min(count, SAMPLE_FRAMES))
     parts = [read_markers(take, int(frame), int(frame)) for frame in picks]
     sample = replace(
         parts[0],
@@ -44,7 +44,7 @@ def read_markers(take: TakeReader, first: int, last: int) -> Markers:
     InputError
         If the take has none.
     """
-    markers = take.read(first, last).markers
+    markers = take.read(first, last, head_motion=False).markers
     if markers is None:
         raise InputError(f"{take.path}: has no markers; ingest a capture that has")
     return markers

@@ -55,6 +55,7 @@ class TakeReader:
             place.name: self._stage.GetPrimAtPath(root.GetPath().AppendChild(place.name))
             for place in (MARKERS, HEAD_MOTION, SOURCE, AUDIO)
         }
+        self._times: dict[str, np.ndarray] = {}
 
     @property
     def name(self) -> str:
@@ -123,8 +124,9 @@ class TakeReader:
                 f"{self.path} <{prim.GetPath()}>: face:markers:names is empty; "
                 "ingest the capture again"
             )
-        positions = self._read_vectors(prim, frames, len(names)) @ self._ours.T.astype(np.float32)
-        shape = positions.shape[:2]
+        read = self._read_vectors(prim, frames, len(names))
+        shape = read.shape[:2]
+        positions = (read.reshape(-1, 3) @ self._ours.T.astype(np.float32)).reshape(read.shape)
         visible = self._read_primvar(prim, VISIBLE, frames, shape, np.dtype(np.bool_))
         confidence = self._read_primvar(prim, CONFIDENCE, frames, shape, np.dtype(np.float32))
         rigid = prim.GetAttribute("face:markers:rigid").Get() or ()
@@ -154,14 +156,20 @@ class TakeReader:
                     f"{count} marker names; ingest the capture again"
                 )
             out[index] = np.asarray(value)
-        bad = ~np.isfinite(out).all(axis=2)
+        with np.errstate(over="ignore", invalid="ignore"):
+            doubtful = not np.isfinite(out.sum())  # one sum tells of all
+        if doubtful:
+            self._check_finite(out, attribute, frames)
+        return out
+
+    def _check_finite(self, read: np.ndarray, attribute: Usd.Attribute, frames: range) -> None:
+        bad = ~np.isfinite(read).all(axis=2)
         if bad.any():
             frame, marker = np.argwhere(bad)[0]
             raise InputError(
                 f"{self.path} <{attribute.GetPath()}> frame {frames[frame]}: marker {marker} is "
                 "NaN or infinite; a marker that is not seen must keep its last position"
             )
-        return out
 
     def _read_primvar(
         self, prim: Usd.Prim, name: str, frames: range, shape: tuple[int, int], kind: np.dtype
@@ -170,7 +178,9 @@ class TakeReader:
         if not attribute or not attribute.HasAuthoredValue():
             return np.broadcast_to(np.ones((), kind), shape)
         # Values are written where they change, so between samples there is nothing to ask for.
-        times = np.array(attribute.GetTimeSamples() or [frames[0]])
+        times = self._sample_times(attribute)
+        if not len(times):
+            times = np.array([frames[0]])
         start = max(int(np.searchsorted(times, frames[0], "right")) - 1, 0)
         times = times[start : int(np.searchsorted(times, frames[-1], "left")) + 1]
         told = np.empty((len(times), shape[1]), kind)
@@ -185,6 +195,12 @@ class TakeReader:
         if len(told) == 1:
             return np.broadcast_to(told[0], shape)
         return _between(times, told, np.arange(frames[0], frames[-1] + 1))
+
+    def _sample_times(self, attribute: Usd.Attribute) -> np.ndarray:
+        """Return when an attribute has samples; USD lists them all each time, however many."""
+        if attribute.GetName() not in self._times:
+            self._times[attribute.GetName()] = np.array(attribute.GetTimeSamples())
+        return self._times[attribute.GetName()]
 
     def _read_source(self, frames: range) -> WeightsClip | None:
         prim = self._prims[SOURCE.name]
