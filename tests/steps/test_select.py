@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom, UsdSkel
 from pydantic import ValidationError
-from scipy.spatial.transform import Rotation
 
 from tests.steps.small_shot import PAIRS, Shot
 from usdface.assets import Rig
@@ -16,13 +15,9 @@ from usdface.errors import InputError
 from usdface.media.image import read_image_metadata
 from usdface.model.equation import BlendshapeEquation, set_up_equation
 from usdface.specs.reference_sheet import ReferenceSheetSpec
-from usdface.specs.references import ReferencesImportSpec, SelectSpec, lock_path, tuned_path
-from usdface.specs.references_coverage import ReferencesCoverageSpec
-from usdface.steps import select, selection_scene
+from usdface.specs.references import ReferencesImportSpec, SelectSpec, tuned_path
+from usdface.steps import selection_scene
 from usdface.steps.execute import execute
-from usdface.tuning.journal import Change
-from usdface.tuning.session import TuningSession
-from usdface.tuning_lock import TuningLock
 from usdface.usdio.references import read_references, read_tuned_pairs
 from usdface.usdio.rig import read_rig
 from usdface.usdio.rig_write import write_rig
@@ -111,67 +106,6 @@ def test_coverage_is_told_and_drawn_beside(shot: Shot) -> None:
     assert more.figures["coverage"] > report.figures["coverage"]
 
 
-def coverage_spec(shot: Shot, take: str, **changed: object) -> ReferencesCoverageSpec:
-    given: dict[str, object] = {
-        "references": shot / "hero.references.usda",
-        "takes": (shot / take,),
-        "out": shot / "covered.png",
-    }
-    return ReferencesCoverageSpec(**(given | changed))  # type: ignore[arg-type]
-
-
-def test_coverage_as_a_command_is_what_select_said(shot: Shot) -> None:
-    said = execute(spec(shot)).figures
-    told = execute(
-        coverage_spec(shot, "shot.clean.take.usda", references=shot / "new.references.usda")
-    )
-    for name in ("coverage", "coverage_by_region", "hole_share", "growth", "next"):
-        assert told.figures[name] == said[name]
-    assert told.figures["of_other_takes"] == 0
-    assert f"frame {said['next'][0]['frame']} of shot next" in told.notes[0]
-    assert read_image_metadata(shot / "covered.png")["step"] == "references-coverage"
-
-
-def test_pairs_cover_another_take_wherever_its_head_stands(shot: Shot) -> None:
-    own = execute(coverage_spec(shot, "shot.clean.take.usda")).figures
-    take = read_take(shot / "shot.clean.take.usda")
-    assert take.markers is not None
-    turn = Rotation.from_rotvec([0.1, -0.2, 0.05]).as_matrix().astype(np.float32)
-    moved = replace(take.markers, positions=take.markers.positions @ turn.T + np.float32(30.0))
-    write_take(shot / "other.take.usda", replace(take, name="other", markers=moved))
-    told = execute(coverage_spec(shot, "other.take.usda"), overwrite=True)
-    assert told.figures["of_other_takes"] == PAIRS
-    assert told.notes[0].startswith(f"{PAIRS} of {PAIRS} pairs are of other takes")
-    # Markers are stored in single precision and the head is found again: all but exact.
-    assert told.figures["coverage"] == pytest.approx(own["coverage"], abs=0.01)
-
-
-def test_only_tuned_pairs_may_count_and_strange_markers_are_refused(shot: Shot) -> None:
-    few = execute(
-        coverage_spec(shot, "shot.clean.take.usda", tuned_only=True), overwrite=True
-    ).figures
-    assert few["pairs"] == list(range(1, PAIRS + 1))
-    execute(spec(shot))
-    with pytest.raises(InputError, match="none of its 12 pairs is tuned"):
-        execute(
-            coverage_spec(
-                shot,
-                "shot.clean.take.usda",
-                references=shot / "new.references.usda",
-                tuned_only=True,
-            ),
-            overwrite=True,
-        )
-    take = read_take(shot / "shot.clean.take.usda")
-    assert take.markers is not None
-    names = tuple(f"x_{name}" for name in take.markers.names)
-    rigid = tuple(f"x_{name}" for name in take.markers.rigid)
-    strange = replace(take.markers, names=names, rigid=rigid)
-    write_take(shot / "strange.take.usda", replace(take, name="strange", markers=strange))
-    with pytest.raises(InputError, match=r"has 0 of the takes' \d+ markers"):
-        execute(coverage_spec(shot, "strange.take.usda"), overwrite=True)
-
-
 def test_active_keeps_what_is_tuned_and_starts_from_the_mapping(shot: Shot) -> None:
     out = shot / "hero.references.usda"
     before = read_references(out)
@@ -235,57 +169,6 @@ def test_phones_of_another_take_are_refused(shot: Shot) -> None:
     (shot / "long.lab").write_text("0.0 1.0 m\n1.0 60.0 aa\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"lasts 60\.0 s and its take shot 4\.0 s"):
         execute(spec(shot, phones=(shot / "long.lab",)))
-
-
-def asset_bytes(out: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in out.parent.glob("hero.references*")}
-
-
-def test_nothing_is_selected_under_the_hand_that_tunes(shot: Shot) -> None:
-    out = shot / "hero.references.usda"
-    before = asset_bytes(out)
-    lock = TuningLock(lock_path(out))
-    lock.acquire()
-    with pytest.raises(InputError, match=r"has been tuning it since .* under their hand"):
-        execute(spec(shot, out=out, count=PAIRS + 1), overwrite=True)
-    lock.release()
-    assert asset_bytes(out) == before
-    execute(spec(shot, out=out, count=PAIRS + 1), overwrite=True)
-    assert not lock_path(out).exists()
-
-
-def test_changes_of_a_page_that_was_killed_are_taken_in_before_pairs_move(shot: Shot) -> None:
-    out = shot / "hero.references.usda"
-    before = read_references(out)
-    session = TuningSession(out)
-    first = Change(0, before.takes[0], int(before.frames[0]), {before.shape_names[0]: 0.123})
-    session.apply([first], revision=session.revision)
-    session.lock.release()  # what the operating system does for a killed page: nothing was saved
-    with pytest.raises(InputError, match=r"holds changes of a tuning page that was killed"):
-        execute(spec(shot, out=out, count=PAIRS + 1), overwrite=True)
-    TuningSession(out).close()
-    execute(spec(shot, out=out, count=PAIRS + 1), overwrite=True)
-    assert read_references(out).weights[0, 0] == pytest.approx(0.123)
-
-
-def test_pairs_tuned_while_frames_are_chosen_are_not_moved(
-    shot: Shot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    execute(spec(shot))
-    new = shot / "new.references.usda"
-    kept = read_references(new)
-    chosen = select.in_order_of_worth
-
-    def tuned_meanwhile(*given: object) -> object:
-        execute(ReferencesImportSpec(references=new, weights=shot / "keys.csv"), overwrite=True)
-        return chosen(*given)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(select, "in_order_of_worth", tuned_meanwhile)
-    with pytest.raises(InputError, match="12 pairs were tuned while frames were chosen"):
-        execute(spec(shot, count=20), overwrite=True)
-    after = read_references(new)
-    np.testing.assert_array_equal(after.frames, kept.frames)
-    assert after.tuned.all()
 
 
 def test_fewer_frames_than_pairs_are_refused(shot: Shot) -> None:

@@ -192,8 +192,8 @@ def choose_next(
     rows = pool_of(features, free, limit=max(NEXT_FRAMES, count))
     own = features_at(features, rows)
     kernel = DesignKernel.for_rows(own)
-    error = expected_error(rows)
-    importance = error / max(float(error.mean()), 1e-300)
+    squared = expected_error(rows) ** 2
+    importance = squared / max(float(squared.mean()), 1e-300)
     design = design_total_variance(
         own,
         count,

@@ -79,6 +79,9 @@ class SelectSpec(Spec):
     """Where the coverage is drawn; beside the references by default."""
     frames: Frames | None = None
     """Choose from these frames only, as FIRST-LAST."""
+    images: bool = True
+    """Keep the video frame of each pair as a picture beside the references, where a take has
+    video."""
     prim: PrimPath | None = None
     """The face in the rig's file, where it holds several."""
 

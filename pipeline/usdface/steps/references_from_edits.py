@@ -28,6 +28,7 @@ from usdface.usdio.references import (
 )
 from usdface.usdio.rig import read_rig
 from usdface.usdio.take import TakeReader
+from usdface.usdio.tuning import read_pair_notes
 
 LEAST_CHANGE = 0.02
 """A change of every weight below this teaches nothing."""
@@ -66,6 +67,8 @@ def run(
         )
         for pair in np.flatnonzero(references.tuned)
     ]
+    images = [note.image for note in read_pair_notes(spec.references, len(old.frames))]
+    images += [None] * (len(references.frames) - len(images))
     with nobody_tunes(spec.out):
         write_references(
             spec.out,
@@ -73,6 +76,7 @@ def run(
             rig,
             tuned_path=tuned_path(spec.out),
             proposed_path=proposed_path(spec.out),
+            images=images,
             provenance=provenance,
         )
         write_tuned_weights(

@@ -13,6 +13,7 @@ from usdface.media.color import ByteImage
 from usdface.media.image import write_image
 from usdface.media.image_sequence import ImageSequence, open_video
 from usdface.media.markers_view import draw_markers, frame_markers
+from usdface.media.picture import read_picture
 from usdface.media.reference_sheet import ReferenceRow, compose_reference_sheet
 from usdface.media.render import FaceRenderer
 from usdface.media.video import VideoReader
@@ -29,6 +30,7 @@ from usdface.timecode import shift_timecode
 from usdface.usdio.references import read_references
 from usdface.usdio.rig import read_rig
 from usdface.usdio.take import read_take
+from usdface.usdio.tuning import read_pair_notes
 
 YAW_DEGREES = 12.0
 """A little from the side, where lips and lids show their depth."""
@@ -69,12 +71,15 @@ def run(
     camera = frame_rig(rig.meshes, yaw_degrees=YAW_DEGREES)
     cloud = frame_markers(references.markers)
     rows = []
+    kept = read_pair_notes(spec.references, len(references.frames))
     with ExitStack() as open_files:
         videos = {name: _open_video(take, open_files) for name, take in takes.items()}
         for number, pair in enumerate(pairs):
             progress(0.2 + 0.7 * number / len(pairs), f"drawing pair {pair + 1}")
             name, frame = references.takes[pair], int(references.frames[pair])
             picture, missing = _video_picture(takes.get(name), videos.get(name), frame)
+            if picture is None:
+                picture = _kept_picture(kept[pair].image)
             face = renderer.render(
                 deformer.points(weights[pair : pair + 1])[0],
                 camera=camera,
@@ -170,6 +175,14 @@ def _video_picture(
         return video.frame_at(at), "no video here"
     except InputError:
         return None, "cannot be decoded"
+
+
+def _kept_picture(image: Path | None) -> ByteImage | None:
+    """Return what `select` kept of the video, where the asset names it and it is still there."""
+    try:
+        return None if image is None else read_picture(image)
+    except InputError:
+        return None
 
 
 def _place(take: Take | None, name: str, frame: int) -> str:

@@ -25,6 +25,11 @@ from usdface.steps.coverage_report import cover, coverage_figures, coverage_pict
 from usdface.steps.kept_pairs import KeptPair, find_kept_pairs, rows_in_place
 from usdface.steps.mapped_rows import MappedRows, mapped_rows
 from usdface.steps.outputs import provenance_metadata
+from usdface.steps.reference_images import (
+    PairImages,
+    remove_unused_images,
+    write_pair_images,
+)
 from usdface.steps.report import Report
 from usdface.steps.selection_scene import SelectionScene, candidate_frames, set_up_scene
 from usdface.steps.spoken_frames import Spoken, read_spoken
@@ -77,6 +82,11 @@ def run(
     progress(0.7, "proposing weights")
     weights = _propose(asked, mapped, rows)
     references = _references(asked, choice, rows, weights)
+    metadata = {} if provenance is None else provenance_metadata(provenance)
+    images = PairImages((), ())
+    if spec.images:
+        progress(0.75, "keeping the video frames of the pairs")
+        images = write_pair_images(spec.out, references, takes.sources, metadata=metadata)
     progress(0.85, f"writing {spec.out.name}")
     with nobody_tunes(spec.out):
         _check_tuning_is_as_read(spec, kept)
@@ -86,14 +96,16 @@ def run(
             rig,
             tuned_path=tuned_path(spec.out),
             proposed_path=proposed_path(spec.out),
+            images=images.files,
             provenance=provenance,
         )
+    remove_unused_images(spec.out, images.files)
     progress(0.9, "measuring the coverage")
     covered = cover(asked.scene.space, asked.scene.features, rows, candidates=asked.candidates)
     write_image(
         spec.picture_path(),
         coverage_picture(covered, takes, rows, tuned=asked.already, title=spec.out.stem),
-        metadata={} if provenance is None else provenance_metadata(provenance),
+        metadata=metadata,
     )
     progress(1.0, "done")
     contradictions, conflicts = tuned_conflicts(spec.out)
@@ -112,9 +124,10 @@ def run(
         "measured_mm": {name: round(mm, 4) for name, mm in choice.measured_mm.items()},
         "visemes": list(references.visemes),
         "emotions": list(references.emotions),
+        "images": sum(file is not None for file in images.files),
         **coverage_figures(covered, takes),
     }
-    notes = (*_notes(asked, choice, mapping), *contradictions)
+    notes = (*_notes(asked, choice, mapping), *images.notes, *contradictions)
     return Report(outputs, summary, notes, figures)
 
 

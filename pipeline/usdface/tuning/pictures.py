@@ -5,20 +5,15 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-import OpenImageIO as oiio  # noqa: N813  # the name all its users know it by
-
 from usdface.assets import References, Take
 from usdface.errors import InputError
 from usdface.media.color import ByteImage
 from usdface.media.image_sequence import ImageSequence, open_video
 from usdface.media.jpeg import encode_jpeg
+from usdface.media.picture import read_picture
 from usdface.media.video import VideoReader
 from usdface.usdio.take import TakeReader
 from usdface.usdio.tuning import PairNotes
-
-MOST_VALUES = 1 << 29
-"""Of one picture, all channels: 16,384 by 8,192 pixels of four."""
 
 KEPT = 64
 """Encoded pictures that are kept: going back and forth decodes nothing."""
@@ -86,7 +81,7 @@ class PairPictures:
     def _find(self, pair: int) -> ByteImage:
         image = self._notes[pair].image
         if image is not None:
-            return _read_picture(image)
+            return read_picture(image)
         reason = self.reason_without(pair)
         if reason:
             raise InputError(reason)
@@ -116,20 +111,3 @@ class PairPictures:
                 name = path.name.split(".")[0]
                 self._faults[name] = str(error)
         return found
-
-
-def _read_picture(path: Path) -> ByteImage:
-    buffer = oiio.ImageBuf(str(path))
-    if buffer.has_error:
-        raise InputError(f"{path}: cannot be read as a picture ({buffer.geterror()})")
-    size = buffer.spec()
-    if size.width * size.height * size.nchannels > MOST_VALUES:
-        raise InputError(
-            f"{path}: {size.width} × {size.height} with {size.nchannels} channels is too large for "
-            "the page; write it smaller"
-        )
-    pixels = buffer.get_pixels("uint8")
-    if pixels is None or pixels.ndim != 3:
-        raise InputError(f"{path}: cannot be read as a picture")
-    channels = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
-    return np.ascontiguousarray(channels)

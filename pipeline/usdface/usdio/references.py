@@ -6,6 +6,7 @@ code. So the tuned layer, once it exists, holds weights of *every* pair, and say
 renewed with them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -39,6 +40,7 @@ TUNED = ROOT.AppendProperty("face:reference:tuned")
 DONE = ROOT.AppendProperty("face:reference:done")
 VISEME = ROOT.AppendProperty("face:reference:viseme")
 EMOTION = ROOT.AppendProperty("face:reference:emotion")
+IMAGE = ROOT.AppendProperty("face:reference:image")
 
 NEUTRAL = "face:markers:neutral"
 PAIRS_PER_SECOND = 24
@@ -66,6 +68,7 @@ def write_references(
     *,
     tuned_path: Path,
     proposed_path: Path,
+    images: Sequence[Path | None] = (),
     provenance: Provenance | None = None,
 ) -> None:
     """Write a references asset and its proposals; what people tuned stays.
@@ -77,6 +80,8 @@ def write_references(
         are; they must be among `references`, at the time codes they have.
     references : References
     rig : Rig
+    images : sequence of Path or None, optional
+        The picture of each pair; named as seen from `path`, so that the folder can move.
     provenance : Provenance, optional
     """
     _write_weights(proposed_path, references, references.weights, provenance)
@@ -87,6 +92,7 @@ def write_references(
         _author_header(layer, references)
         layer.subLayerPaths = [relative_path(each, path) for each in (tuned_path, proposed_path)]
         _author_pairs(layer, references)
+        _author_images(layer, images, path)
         animation = define_prim(layer, WEIGHTS, "SkelAnimation")
         names = list(references.shape_names)
         author_uniform(animation, "blendShapes", Sdf.ValueTypeNames.TokenArray, names)
@@ -246,6 +252,15 @@ def _author_pairs(layer: Sdf.Layer, references: References) -> None:
             Sdf.AttributeSpec(root, path.name, Sdf.ValueTypeNames.Token)
             for pair, label in enumerate(labels):
                 layer.SetTimeSample(path, pair + 1, label)
+
+
+def _author_images(layer: Sdf.Layer, images: Sequence[Path | None], path: Path) -> None:
+    if not any(images):
+        return
+    Sdf.AttributeSpec(layer.GetPrimAtPath(ROOT), IMAGE.name, Sdf.ValueTypeNames.Asset)
+    for pair, image in enumerate(images):
+        named = "" if image is None else relative_path(image, path)
+        layer.SetTimeSample(IMAGE, pair + 1, Sdf.AssetPath(named))
 
 
 def _author_motion(root: Sdf.PrimSpec, motion: MotionSpace) -> None:

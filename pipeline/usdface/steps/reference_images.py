@@ -1,0 +1,110 @@
+"""The video frame of each pair, kept as a picture beside the references."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from usdface.assets import References, Take
+from usdface.errors import InputError
+from usdface.media.image import write_image
+from usdface.media.image_sequence import open_video
+from usdface.progress import Progress, silent
+
+
+@dataclass(frozen=True)
+class PairImages:
+    """Pictures of pairs.
+
+    Attributes
+    ----------
+    files : tuple of Path or None
+        One a pair; None where there is none.
+    notes : tuple of str
+        Why there is none, once for each take.
+    """
+
+    files: tuple[Path | None, ...]
+    notes: tuple[str, ...]
+
+
+def images_folder(references: Path) -> Path:
+    """Return the folder that holds the pictures of a references asset."""
+    return references.with_name(f"{references.stem}.images")
+
+
+def write_pair_images(
+    path: Path,
+    references: References,
+    sources: tuple[Take, ...],
+    *,
+    metadata: Mapping[str, object],
+    progress: Progress = silent,
+) -> PairImages:
+    """Write a picture for every pair whose take has a video that shows it.
+
+    A picture lasts where a video moves or is archived: whoever tunes still sees what was captured.
+
+    Parameters
+    ----------
+    path : Path
+        The references asset; pictures lie in `images_folder` of it, named by take and frame.
+    references : References
+    sources : tuple of Take
+        Need no samples.
+    metadata : mapping
+        Kept in each picture.
+    progress : callable
+    """
+    files: list[Path | None] = [None] * len(references.frames)
+    notes = []
+    for number, take in enumerate(sources):
+        progress(number / len(sources), f"pictures of {take.name}")
+        pairs = [i for i, name in enumerate(references.takes) if name == take.name]
+        if take.video is None or not pairs:
+            continue
+        try:
+            shown = _write_take(images_folder(path), references, take, pairs, metadata)
+        except (InputError, OSError) as error:
+            notes.append(f"the pairs of {take.name} have no pictures: {error}")
+            continue
+        for pair, file in shown.items():
+            files[pair] = file
+        if len(shown) < len(pairs):
+            unseen = len(pairs) - len(shown)
+            notes.append(f"the video of {take.name} does not show {unseen} of {len(pairs)} pairs")
+    return PairImages(tuple(files), tuple(notes))
+
+
+def _write_take(
+    folder: Path,
+    references: References,
+    take: Take,
+    pairs: list[int],
+    metadata: Mapping[str, object],
+) -> dict[int, Path]:
+    """Write the pictures of one take's pairs, in the order of the video; return those there are."""
+    if take.video is None:
+        return {}
+    folder.mkdir(exist_ok=True)
+    shown = {}
+    name = re.sub(r"[^\w.-]", "_", take.name)
+    with open_video(take.video.file, take.video.rate) as video:
+        for pair in sorted(pairs, key=lambda each: int(references.frames[each])):
+            frame = int(references.frames[pair])
+            seconds = (frame - take.first_frame) / float(take.rate)
+            at = (seconds - take.video.offset) / (1.0 + take.video.drift * 1e-6)
+            picture = video.frame_at(at)
+            if picture is not None:
+                shown[pair] = folder / f"{name}.{frame}.jpg"
+                write_image(shown[pair], picture, metadata=metadata)
+    return shown
+
+
+def remove_unused_images(path: Path, files: tuple[Path | None, ...]) -> None:
+    """Remove pictures of earlier selections from the folder that holds nothing else."""
+    used = {file.name for file in files if file is not None}
+    folder = images_folder(path)
+    for file in folder.glob("*.jpg") if folder.is_dir() else ():
+        if file.name not in used:
+            file.unlink(missing_ok=True)
