@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 
+import array_api_strict
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ from usdface.model.surface_regression import (
     fit_surface_regression,
     surface_distances,
 )
+from usdface.numerics.array_namespace import ArrayDevice
 from usdface.numerics.registration.surface_places import SurfacePlaces, places_at_points
 
 ROWS, COLUMNS, STEP = 31, 31, 4.0
@@ -260,3 +262,29 @@ def test_displacements_and_settings_that_cannot_be_are_refused(
         fitting[:] = np.nan
     with pytest.raises(InputError, match=message):
         fit_surface_regression(mouth.distances(), fitting, **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("sampler", ["hmc", "map", "shared"])
+def test_every_device_moves_the_mesh_alike(mouth: Mouth, sampler: str) -> None:
+    """array_api_strict refuses whatever torch or cupy need not have."""
+    moved = mouth.markers(noise=0.5)[:6]
+    options = {"sampler": sampler, "length_scale": 40.0, "samples": 20, "precision": "double"}
+    here = fit_surface_regression(mouth.distances(), moved, **options)  # type: ignore[arg-type]
+    strict = ArrayDevice("strict", array_api_strict, array_api_strict.Device("CPU_DEVICE"))
+    assert here.fields is not None
+    basis, squares, reading = (
+        strict.put(each) for each in (here.fields.basis, here.fields.squares, here.fields.reading)
+    )
+    there = replace(
+        here,
+        device=strict,
+        fields=replace(here.fields, basis=basis, squares=squares, reading=reading, device=strict),
+    )
+    one, other = here.deform(moved, of_axes=True), there.deform(moved, of_axes=True)
+    for name in ("mean", "sd", "sd_of_axes"):
+        assert np.abs(getattr(one, name) - getattr(other, name)).max() < 1e-6
+
+
+def test_a_device_that_is_not_there_is_refused_before_anything_is_fitted(mouth: Mouth) -> None:
+    with pytest.raises(InputError, match="there are cpu, cuda, cuda:NUMBER and torch"):
+        fit_surface_regression(mouth.distances(), mouth.markers(), device="quantum")

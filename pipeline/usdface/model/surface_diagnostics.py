@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.assets import FloatArray
+from usdface.numerics.array_namespace import CPU, ArrayDevice
 from usdface.numerics.manifold.chain_diagnostics import effective_sample_size, split_rhat
 from usdface.numerics.manifold.hyper_sampling import sample_hyperparameters
-from usdface.numerics.manifold.tabulated_energy import SharedTable
+from usdface.numerics.manifold.tabulated_energy import Precision, SharedTable
 
 
 @dataclass(frozen=True)
@@ -37,11 +38,19 @@ class SurfaceDiagnostics:
 
 
 def sample_twice(
-    rng: np.random.Generator, table: SharedTable, rows: FloatArray, *, keep: int
+    rng: np.random.Generator,
+    table: SharedTable,
+    rows: FloatArray,
+    *,
+    keep: int,
+    device: ArrayDevice = CPU,
+    dtype: Precision = "float32",
 ) -> tuple[FloatArray, dict[str, float]]:
     """Two chains for each row, the first of which is returned, and how well they agree."""
-    first, modes = sample_hyperparameters(rng, table, rows, keep=keep)
-    second, _ = sample_hyperparameters(rng, table, rows, keep=keep, modes=modes)
+    first, modes = sample_hyperparameters(rng, table, rows, keep=keep, device=device, dtype=dtype)
+    second, _ = sample_hyperparameters(
+        rng, table, rows, keep=keep, modes=modes, device=device, dtype=dtype
+    )
     both = np.stack([first.theta, second.theta], axis=1)
     return first.theta, {
         "acceptance": float(np.mean(first.acceptance)),

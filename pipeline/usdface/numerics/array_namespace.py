@@ -59,6 +59,10 @@ class ArrayDevice:
         # readers may hand out read-only views, which torch warns of
         return self.namespace.asarray(np.array(found), dtype=kind, device=self.device)
 
+    def empty(self, shape: tuple[int, ...], *, dtype: str) -> Any:
+        """Reserve memory there."""
+        return self.namespace.empty(shape, dtype=getattr(self.namespace, dtype), device=self.device)
+
     def fetch(self, values: Any) -> NDArray[Any]:
         """Copy an array back to numpy's memory."""
         if isinstance(values, np.ndarray):

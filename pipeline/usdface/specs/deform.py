@@ -5,6 +5,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from usdface.specs.base import (
+    Device,
     FilePath,
     Frames,
     ImageOut,
@@ -55,6 +56,12 @@ class SurfaceSpec(Spec):
     """Points further than this from every marker stay where they are, in millimetres along the
     surface; motion fades from half of it on. Four times the markers' spacing by default."""
 
+    device: Device = "cpu"
+    """Where frames are sampled and predicted: `cpu`, a graphics card as `cuda` or `cuda:1` (by
+    torch or cupy, where installed), or `torch`, which is torch on the processor."""
+    precision: Literal["single", "double"] = "single"
+    """Of sampling and prediction. Single is faster; in double every device gives the same result to
+    a millionth of a millimetre."""
     quality: Literal["draft", "final"] = "final"
     """Draft leaves soft shadows and occlusion out of the picture."""
 

@@ -150,6 +150,8 @@ def plan_surface(
         sampler=spec.sampler,
         blend=None if spec.choose_blend else spec.blend,
         length_scale=spec.length_scale,
+        device=spec.device,
+        precision=spec.precision,
     )
     fade = _fade(distances, spec.reach)
     progress(1.0, "ready")

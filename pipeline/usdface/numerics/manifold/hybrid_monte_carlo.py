@@ -195,7 +195,9 @@ def sample_chains(
     return ChainSamples(xp.stack(rows, axis=1), accepted / keep, angle)
 
 
-def _accept(before: ChainState, after: ChainState, gained: Any, uniform: Any) -> Any:
+def _accept(
+    before: ChainState, after: ChainState, gained: Any, uniform: Any
+) -> tuple[ChainState, Any]:
     xp = namespace_of(gained)
     gained = xp.where(xp.isfinite(gained), gained, xp.full_like(gained, -50.0))
     acceptance = xp.exp(xp.clip(gained, -50.0, 0.0))

@@ -9,15 +9,19 @@ So what is averaged over the samples are its weights (*dual weights*), never fie
     Sigma   = mean(Y'Y) + cov(gamma) - diag(mean(v0 rho R), 0)
     Y       = sqrt(v1) chol(G)^-1 [-rho P'R | I]
 
-The variance is that of the surface, not of a marker measured there: v1 is left out.
+The variance is that of the surface, not of a marker measured there: v1 is left out. What is done
+for every frame follows the array API, on the device that the fields are put on.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
 from usdface.numerics.manifold.hyper_posterior import PAIRS, MarkerSpectrum
+from usdface.numerics.manifold.tabulated_energy import Precision
 
 Array = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
@@ -32,19 +36,24 @@ class DualMoments:
 
     Attributes
     ----------
-    mean : (chains, N + 4) float32 array
-    covariance : (chains, N + 4, N + 4) float32 array
-    constant : (chains,) float32 array
+    mean : (chains, N + 4) array
+    covariance : (chains, N + 4, N + 4) array
+    constant : (chains,) array
         v0, averaged over samples.
     """
 
-    mean: Float32Array
-    covariance: Float32Array
-    constant: Float32Array
+    mean: Any
+    covariance: Any
+    constant: Any
 
 
 def average_dual_weights(
-    spectrum: MarkerSpectrum, displacements: Array, theta: Array
+    spectrum: MarkerSpectrum,
+    displacements: Array,
+    theta: Array,
+    *,
+    device: ArrayDevice = CPU,
+    dtype: Precision = "float32",
 ) -> DualMoments:
     """Average over samples.
 
@@ -54,81 +63,94 @@ def average_dual_weights(
     displacements : (chains, N) float array
         [mm]
     theta : (samples, 4, chains) float array
+    device : ArrayDevice
+        Where the moments are wanted.
+    dtype : {'float32', 'float64'}
     """
-    rotated = (displacements @ spectrum.vectors).astype(np.float32)
-    P = spectrum.trend.astype(np.float32)
-    count, chains, samples = len(P), len(rotated), len(theta)
-    products = np.stack([P[:, i] * P[:, j] for i, j in PAIRS], axis=1)
+    xp = device.namespace
+    rotated = device.put(displacements @ spectrum.vectors, dtype=dtype)
+    P = device.put(spectrum.trend, dtype=dtype)
+    values = device.put(spectrum.values, dtype=dtype)
+    count, chains, samples = P.shape[0], rotated.shape[0], len(theta)
+    products = xp.stack([P[:, i] * P[:, j] for i, j in PAIRS], axis=1)
     within = np.clip(np.moveaxis(theta, 2, 0), -_FARTHEST, _FARTHEST)  # chains, samples, 4
-    scales = np.exp(within).astype(np.float32)
-    v0, v1 = scales[..., 0], scales[..., 1]
-    ratio = (v0 / v1)[..., None]
-    R = 1.0 / (1.0 + ratio * spectrum.values.astype(np.float32))
-    M = (R.reshape(-1, count) @ products).reshape(chains, samples, 10)
-    b = ((R * rotated[:, None]).reshape(-1, count) @ P).reshape(chains, samples, 4)
-    M[..., 0] += v1 / scales[..., 2]
+    scales = xp.exp(device.put(np.ascontiguousarray(within), dtype=dtype))
+    v0, v1, a0, a1 = (scales[:, :, k] for k in range(4))
+    ratio = (v0 / v1)[:, :, None]
+    R = 1.0 / (1.0 + ratio * values)
+    M = xp.reshape(xp.reshape(R, (-1, count)) @ products, (chains, samples, 10))
+    weighted = xp.reshape(R * rotated[:, None, :], (-1, count)) @ P
+    b = xp.reshape(weighted, (chains, samples, 4))
+    M[:, :, 0] += v1 / a0
     for k in (4, 7, 9):
-        M[..., k] += v1 / scales[..., 3]
+        M[:, :, k] += v1 / a1
     inverse_root = _inverse_roots(M)
-    w = np.einsum("bsji,bsjk,bsk->bsi", inverse_root, inverse_root, b, optimize=True)
+    w = (xp.matrix_transpose(inverse_root) @ (inverse_root @ b[:, :, :, None]))[:, :, :, 0]
     R *= ratio  # rho R from here on
-    weights = np.empty((chains, samples, count + 4), np.float32)
-    np.matmul(
-        w.reshape(-1, 4), P.T, out=(fitted := np.empty((chains * samples, count), np.float32))
-    )
-    weights[..., :count] = R * (rotated[:, None] - fitted.reshape(chains, samples, count))
-    weights[..., count:] = w
-    mean = weights.mean(axis=1)
-    weights -= mean[:, None]
-    scaled = np.sqrt(v1)[..., None, None] * inverse_root
-    spread = np.empty((chains, samples, 4, count + 4), np.float32)
-    np.matmul(scaled, P.T, out=spread[..., :count])
-    spread[..., :count] *= -R[:, :, None]
-    spread[..., count:] = scaled
-    rows = spread.reshape(chains, samples * 4, count + 4)
-    covariance = np.matmul(rows.transpose(0, 2, 1), rows)
-    covariance += np.matmul(weights.transpose(0, 2, 1), weights)
-    diagonal = np.arange(count)
-    covariance[:, diagonal, diagonal] -= (v0[..., None] * R).sum(axis=1)
+    fitted = xp.reshape(xp.reshape(w, (-1, 4)) @ P.T, (chains, samples, count))
+    weights = device.empty((chains, samples, count + 4), dtype=dtype)
+    weights[:, :, :count] = R * (rotated[:, None, :] - fitted)
+    weights[:, :, count:] = w
+    mean = xp.mean(weights, axis=1)
+    weights -= mean[:, None, :]
+    scaled = xp.sqrt(v1)[:, :, None, None] * inverse_root
+    spread = device.empty((chains, samples, 4, count + 4), dtype=dtype)
+    spread[:, :, :, :count] = scaled @ P.T
+    spread[:, :, :, :count] *= -R[:, :, None, :]
+    spread[:, :, :, count:] = scaled
+    rows = xp.reshape(spread, (chains, samples * 4, count + 4))
+    covariance = xp.matrix_transpose(rows) @ rows
+    covariance += xp.matrix_transpose(weights) @ weights
+    prior = xp.sum(v0[:, :, None] * R, axis=1)
+    covariance[:, :count, :count] -= prior[:, :, None] * device.put(np.eye(count), dtype=dtype)
     covariance /= samples
-    return DualMoments(mean, covariance, v0.mean(axis=1))
+    return DualMoments(mean, covariance, xp.mean(v0, axis=1))
 
 
-def _inverse_roots(G: Float32Array) -> Float32Array:
+def _inverse_roots(G: Any) -> Any:
     """Invert the Cholesky factors of symmetric matrices of four, all at once.
 
     Parameters
     ----------
-    G : (..., 10) float32 array
+    G : (..., 10) array
         Entries in the order of `PAIRS`.
 
     Returns
     -------
-    (..., 4, 4) float32 array
+    (..., 4, 4) array
         Lower triangular; its transpose times it is the inverse of G.
     """
-    entry = {pair: np.float64(G[..., k]) for k, pair in enumerate(PAIRS)}
-    root: dict[tuple[int, int], Array] = {}
+    xp = namespace_of(G)
+    exact = xp.astype(G, xp.float64)
+    entry = {pair: exact[..., k] for k, pair in enumerate(PAIRS)}
+    root: dict[tuple[int, int], Any] = {}
     for j in range(4):
         for i in range(j, 4):
-            left = entry[j, i] - sum(root[i, k] * root[j, k] for k in range(j))
-            root[i, j] = np.sqrt(left) if i == j else left / root[j, j]
-    out = np.zeros((*G.shape[:-1], 4, 4), np.float32)
-    inverse: dict[tuple[int, int], Array] = {}
+            left = entry[j, i]
+            for k in range(j):
+                left = left - root[i, k] * root[j, k]
+            root[i, j] = xp.sqrt(left) if i == j else left / root[j, j]
+    zero = xp.zeros_like(root[0, 0])
+    inverse = {(i, j): zero for i in range(4) for j in range(4)}
     for j in range(4):
         for i in range(j, 4):
-            rest = sum(root[i, k] * inverse[k, j] for k in range(j, i))
-            inverse[i, j] = (float(i == j) - rest) / root[i, i]
-            out[..., i, j] = inverse[i, j]
-    return out
+            rest = zero + float(i == j)
+            for k in range(j, i):
+                rest = rest - root[i, k] * inverse[k, j]
+            inverse[i, j] = rest / root[i, i]
+    out = xp.stack(
+        [xp.stack([inverse[i, j] for j in range(4)], axis=-1) for i in range(4)], axis=-2
+    )
+    return xp.astype(out, G.dtype)
 
 
 def join_moments(parts: list[DualMoments]) -> DualMoments:
     """Put the chains of several batches after each other."""
+    xp = namespace_of(parts[0].mean)
     return DualMoments(
-        np.concatenate([part.mean for part in parts]),
-        np.concatenate([part.covariance for part in parts]),
-        np.concatenate([part.constant for part in parts]),
+        xp.concat([part.mean for part in parts]),
+        xp.concat([part.covariance for part in parts]),
+        xp.concat([part.constant for part in parts]),
     )
 
 
@@ -138,17 +160,20 @@ class SurfaceFields:
 
     Attributes
     ----------
-    basis : (points, N + 4) float32 array
+    basis : (points, N + 4) array
         h
-    squares : (points, rank) float32 array
-    reading : (rank, (N + 4)(N + 5) / 2) float32 array
+    squares : (points, rank) array
+    reading : (rank, (N + 4)(N + 5) / 2) array
         ``squares @ reading`` are, nearly, the products ``h_i h_j`` of `numpy.triu_indices`'s
         order, those with i < j twice.
+    device : ArrayDevice
+        Where they are.
     """
 
-    basis: Float32Array
-    squares: Float32Array
-    reading: Float32Array
+    basis: Any
+    squares: Any
+    reading: Any
+    device: ArrayDevice = CPU
 
 
 def make_fields(
@@ -158,6 +183,8 @@ def make_fields(
     *,
     rank: int = 128,
     rng: np.random.Generator,
+    device: ArrayDevice = CPU,
+    dtype: Precision = "float32",
 ) -> SurfaceFields:
     """Prepare a mesh.
 
@@ -172,6 +199,9 @@ def make_fields(
         Of the variances; the mean is exact. The basis comes from a sample of points.
     rng : numpy.random.Generator
         Chooses the sample.
+    device : ArrayDevice
+        Where fields will be predicted.
+    dtype : {'float32', 'float64'}
     """
     ones = np.ones((len(cross), 1), np.float32)
     rotated = cross @ spectrum.vectors.astype(np.float32)
@@ -184,24 +214,32 @@ def make_fields(
     for start in range(0, len(basis), block):
         part = slice(start, start + block)
         np.matmul(_products(basis[part]), directions.T, out=squares[part])
-    return SurfaceFields(basis, squares, directions)
+    return SurfaceFields(
+        device.put(basis, dtype=dtype),
+        device.put(squares, dtype=dtype),
+        device.put(directions, dtype=dtype),
+        device,
+    )
 
 
 def predict_mean(fields: SurfaceFields, moments: DualMoments, *, group: int = 3) -> Float32Array:
     """Return displacements: (groups, points, group) float32 array [mm]."""
-    flat = fields.basis @ moments.mean.T
+    flat = fields.device.fetch(fields.basis @ moments.mean.T)
     out = flat.reshape(len(flat), -1, group).transpose(1, 0, 2)
-    return np.ascontiguousarray(out)
+    return np.ascontiguousarray(out, np.float32)
 
 
 def predict_variance(fields: SurfaceFields, moments: DualMoments) -> Float32Array:
     """Return variances: (chains, points) float32 array [mm^2]."""
-    upper = np.triu_indices(moments.covariance.shape[1])
-    entries = moments.covariance[:, upper[0], upper[1]]
-    read = entries @ fields.reading.T
-    out = (read @ fields.squares.T).astype(np.float32, copy=False)
-    np.add(out, moments.constant[:, None], out=out)
-    return np.maximum(out, 0.0, out=out)
+    xp = namespace_of(moments.covariance)
+    chains, size = moments.covariance.shape[:2]
+    upper = np.triu_indices(size)
+    places = fields.device.put(upper[0] * size + upper[1])
+    entries = xp.take(xp.reshape(moments.covariance, (chains, size * size)), places, axis=1)
+    out = (entries @ fields.reading.T) @ fields.squares.T
+    out += moments.constant[:, None]
+    found = fields.device.fetch(out).astype(np.float32, copy=False)
+    return np.maximum(found, 0.0, out=found if found.flags.writeable else None)
 
 
 def mix_variances(moments: DualMoments, shares: Array) -> DualMoments:
@@ -213,13 +251,14 @@ def mix_variances(moments: DualMoments, shares: Array) -> DualMoments:
     shares : (group,) float array
         Of each of the chains that are added up: the axes of a frame.
     """
-    parts = np.float32(shares)
-    size = moments.covariance.shape[1]
-    covariance = moments.covariance.reshape(-1, len(shares), size * size)
+    xp = namespace_of(moments.mean)
+    size, count = moments.covariance.shape[1], len(shares)
+    covariance = xp.reshape(moments.covariance, (-1, count, size, size))
+    constant = xp.reshape(moments.constant, (-1, count))
     return DualMoments(
         moments.mean,
-        np.tensordot(covariance, parts, axes=(1, 0)).reshape(-1, size, size),
-        moments.constant.reshape(-1, len(shares)) @ parts,
+        sum(covariance[:, k, :, :] * float(share) for k, share in enumerate(shares)),
+        sum(constant[:, k] * float(share) for k, share in enumerate(shares)),
     )
 
 
