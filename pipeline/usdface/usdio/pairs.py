@@ -6,7 +6,6 @@ target's own prims. What this package proposes lies in a layer of its own beneat
 so that what people key above it stays when pairs are proposed again.
 """
 
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -27,14 +26,12 @@ from usdface.usdio.controls import (
     set_weight_samples,
 )
 from usdface.usdio.layers import (
-    author_timing,
-    author_units,
     new_layer,
     open_layer,
     open_stage,
     relative_path,
 )
-from usdface.usdio.references import PAIRS_PER_SECOND
+from usdface.usdio.pair_layers import author_pair_header, open_pair_stage
 from usdface.usdio.rig_reference import define_reference, point_skeletons_at, rig_of
 
 ROOT = Sdf.Path("/Pairs")
@@ -72,7 +69,7 @@ def write_pairs(
     with new_layer(path, provenance) as layer:
         if path.is_file():
             layer.TransferContent(open_layer(path))
-        _author_header(layer, len(pairs))
+        author_pair_header(layer, ROOT, len(pairs))
         asset = relative_path(samples_path(path), path)
         if asset not in list(layer.subLayerPaths):
             layer.subLayerPaths.append(asset)
@@ -89,13 +86,10 @@ def read_pairs(path: Path) -> ExpressionPairs:
     InputError
         If the file is no pairs asset, a pair lacks a side, or a control is not there.
     """
-    stage = open_stage(path)
+    stage = open_pair_stage(
+        path, ROOT, api="FacePairsAPI", kind="pairs", command="usdface pairs propose"
+    )
     root = stage.GetPrimAtPath(ROOT)
-    if not root or not root.HasAPI("FacePairsAPI"):
-        raise InputError(
-            f"{path}: not a pairs asset: no </Pairs> with FacePairsAPI; make one with "
-            "`usdface pairs propose`"
-        )
     source, target = (stage.GetPrimAtPath(place) for place in (SOURCE_WEIGHTS, TARGET_CONTROLS))
     for place, prim in ((SOURCE_WEIGHTS, source), (TARGET_CONTROLS, target)):
         if not prim or not prim.IsA(UsdSkel.Animation):
@@ -120,12 +114,6 @@ def read_pairs(path: Path) -> ExpressionPairs:
     )
 
 
-def _author_header(layer: Sdf.Layer, count: int) -> None:
-    author_units(layer)
-    author_timing(layer, rate=Fraction(PAIRS_PER_SECOND), first=1, last=count)
-    layer.defaultPrim = ROOT.name
-
-
 def _write_samples(
     path: Path,
     pairs: ExpressionPairs,
@@ -136,7 +124,7 @@ def _write_samples(
     tokens = Sdf.ValueTypeNames.TokenArray
     target = pairs.target
     with new_layer(path, provenance) as layer:
-        _author_header(layer, len(pairs))
+        author_pair_header(layer, ROOT, len(pairs))
         root = Sdf.CreatePrimInLayer(layer, ROOT)
         Sdf.AttributeSpec(root, NAME.name, Sdf.ValueTypeNames.String)
         for time, name in enumerate(pairs.names, start=1):

@@ -8,7 +8,6 @@ renewed with them.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +19,11 @@ from usdface.provenance import Provenance
 from usdface.usdio.authoring import apply_api, author_uniform, define_prim, doubles
 from usdface.usdio.layers import (
     MM_PER_STAGE_UNIT,
-    author_timing,
-    author_units,
     new_layer,
     open_layer,
-    open_stage,
     relative_path,
 )
+from usdface.usdio.pair_layers import author_pair_header, open_pair_stage
 from usdface.usdio.rig_reference import define_reference, point_skeletons_at, rig_of
 
 ROOT = Sdf.Path("/References")
@@ -43,8 +40,6 @@ EMOTION = ROOT.AppendProperty("face:reference:emotion")
 IMAGE = ROOT.AppendProperty("face:reference:image")
 
 NEUTRAL = "face:markers:neutral"
-PAIRS_PER_SECOND = 24
-"""Only a viewer's playback speed: pairs have no time of their own."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +84,7 @@ def write_references(
     if kept or not tuned_path.is_file():
         write_tuned_layer(references, kept, tuned_path=tuned_path)
     with new_layer(path, provenance) as layer:
-        _author_header(layer, references)
+        author_pair_header(layer, ROOT, len(references.frames))
         layer.subLayerPaths = [relative_path(each, path) for each in (tuned_path, proposed_path)]
         _author_pairs(layer, references)
         _author_images(layer, images, path)
@@ -169,7 +164,7 @@ def write_tuned_layer(
     """
     if not pairs:
         with new_layer(tuned_path, provenance) as layer:
-            _author_header(layer, references)
+            author_pair_header(layer, ROOT, len(references.frames))
         return
     weights = references.weights.copy()
     column = {name: index for index, name in enumerate(references.shape_names)}
@@ -200,21 +195,13 @@ def _write_weights(
 
 
 def _author_weights(layer: Sdf.Layer, references: References, weights: FloatArray) -> None:
-    _author_header(layer, references)
+    author_pair_header(layer, ROOT, len(references.frames))
     over = Sdf.CreatePrimInLayer(layer, WEIGHTS)
     names = list(references.shape_names)
     author_uniform(over, "blendShapes", Sdf.ValueTypeNames.TokenArray, names)
     Sdf.AttributeSpec(over, WEIGHTS_ATTRIBUTE.name, Sdf.ValueTypeNames.FloatArray)
     for pair, row in enumerate(np.ascontiguousarray(weights, dtype=np.float32)):
         layer.SetTimeSample(WEIGHTS_ATTRIBUTE, pair + 1, Vt.FloatArray.FromNumpy(row))
-
-
-def _author_header(layer: Sdf.Layer, references: References) -> None:
-    author_units(layer)
-    author_timing(
-        layer, rate=Fraction(PAIRS_PER_SECOND), first=1, last=max(len(references.frames), 1)
-    )
-    layer.defaultPrim = ROOT.name
 
 
 def _author_pairs(layer: Sdf.Layer, references: References) -> None:
@@ -284,13 +271,10 @@ def read_references(path: Path) -> References:
     InputError
         If the file is no references asset, or its parts do not fit together.
     """
-    stage = open_stage(path)
+    stage = open_pair_stage(
+        path, ROOT, api="FaceReferencesAPI", kind="references", command="usdface select"
+    )
     root = stage.GetPrimAtPath(ROOT)
-    if not root or not root.HasAPI("FaceReferencesAPI"):
-        raise InputError(
-            f"{path}: not a references asset: no </References> with FaceReferencesAPI; "
-            "make one with `usdface select`"
-        )
     points = UsdGeom.Points(stage.GetPrimAtPath(MARKERS))
     animation = UsdSkel.Animation(stage.GetPrimAtPath(WEIGHTS))
     if not points or not animation:
