@@ -1,8 +1,10 @@
 """The report in a real browser: opened from disk, it shows exactly what was solved."""
 
 import html
+import json
 import re
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -137,6 +139,63 @@ def test_the_page_is_worked_by_keyboard_and_by_address(shot: Shot) -> None:
         assert filled > 50, "the face is not on paper"
         page.close()
     assert not faults
+
+
+def test_the_page_prints_without_one_thing_over_another(shot: Shot) -> None:
+    execute(spec_of(shot, worst=12))
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": 794, "height": 1123})  # A4 at 96 dots an inch
+        page.goto((shot / "shot.html").as_uri())
+        page.wait_for_selector("body[data-ready=true]", timeout=60_000)
+        page.emulate_media(media="print")
+        page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        boxes = page.evaluate(BOXES)
+        links = page.evaluate(
+            "(() => { const box = document.querySelector('aside').getBoundingClientRect();"
+            "return [...document.querySelectorAll('#worst a')].filter((a) => "
+            "a.getBoundingClientRect().bottom <= box.bottom + 1).length; })()"
+        )
+        page.close()
+    for (_, bottom), (top, _) in pairwise(boxes):
+        assert bottom <= top + 1
+    assert links == 12, "frames to look at first are cut off"
+
+
+BOXES = """[...document.querySelectorAll("main > *")].map((part) => {
+  const inner = [part, ...part.querySelectorAll("figure, aside, .strip, .curve, table, img")];
+  const boxes = inner.map((each) => each.getBoundingClientRect()).filter((box) => box.height);
+  return [Math.min(...boxes.map((b) => b.top)), Math.max(...boxes.map((b) => b.bottom))];
+}).filter(([top, bottom]) => Number.isFinite(top))"""
+
+
+def test_the_page_tells_what_the_mappings_references_cover(shot: Shot) -> None:
+    report = execute(spec_of(shot, worst=6))
+    text = (shot / "shot.html").read_text(encoding="utf-8")
+    data = json.loads(re.search(r'id="data">(.*?)</script>', text)[1])
+    strip = next(each for each in data["strips"] if each["name"] == "covered")
+    values = np.array(strip["values"])
+    assert ((values >= 0) & (values <= 1)).all()
+    assert "<h2>Covered by hero.references.usda</h2>" in text
+    table = text.split("<h2>Tune these next</h2>")[1].split("</table>")[0]
+    frames = [int(frame) for frame in re.findall(r'href="#(\d+)"', table)]
+    # What to tune next is covered worse than most.
+    shown = np.array(data["frames"])
+    at = [int(np.abs(shown - frame).argmin()) for frame in frames]
+    assert values[at].mean() < np.median(values)
+    assert 'alt="Coverage by hero.references.usda"' in text
+    assert "<h2>Markers that were repaired</h2>" in text
+    assert len(report.figures["worst_frames"]) == 6
+    doubts = [w["reason"] for w in data["worst"] if w["reason"].startswith("confidence")]
+    assert all(float(reason.split()[1]) < review_page.SURE for reason in doubts)
+
+
+def test_references_that_are_gone_leave_the_coverage_out(shot: Shot) -> None:
+    (shot / "hero.references.usda").rename(shot / "elsewhere.usda")
+    report = execute(spec_of(shot))
+    assert not any("coverage" in note for note in report.notes)
+    assert "Covered by" not in (shot / "shot.html").read_text(encoding="utf-8")
+    with pytest.raises(InputError, match="no such file"):
+        execute(spec_of(shot, references=shot / "hero.references.usda"), overwrite=True)
 
 
 def polled(page: Any, expression: str) -> int:

@@ -64,6 +64,26 @@ class Listing:
 
 
 @dataclass(frozen=True)
+class PagePicture:
+    """A picture below the player.
+
+    Attributes
+    ----------
+    title : str
+    alt : str
+        What it shows, for those who do not see it.
+    data : bytes
+    kind : str
+        Such as ``'image/png'``.
+    """
+
+    title: str
+    alt: str
+    data: bytes
+    kind: str
+
+
+@dataclass(frozen=True)
 class ReviewPage:
     """All that is in a page.
 
@@ -92,9 +112,8 @@ class ReviewPage:
         Video, one picture each; empty without.
     movie_type : str
         Such as ``'video/mp4'``.
-    sheet : bytes
-        A contact sheet; empty without.
-    sheet_type : str
+    pictures : tuple of PagePicture
+        Such as a contact sheet.
     """
 
     title: str
@@ -111,21 +130,13 @@ class ReviewPage:
     face: FacePayload
     movie: bytes = b""
     movie_type: str = "video/mp4"
-    sheet: bytes = b""
-    sheet_type: str = "image/jpeg"
+    pictures: tuple[PagePicture, ...] = ()
 
 
 def build_page(page: ReviewPage) -> str:
     """Return the page as HTML."""
     style = read_web_file("report.css").decode("utf-8")
     script = f"{viewer_source()}\n{read_web_file('report.js').decode('utf-8')}"
-    sheet = ""
-    if page.sheet:
-        source = f"data:{page.sheet_type};base64,{_base64(page.sheet)}"
-        sheet = (
-            f'<section id="sheet"><h2>Contact sheet</h2><img alt="Contact sheet" src="{source}">'
-            "</section>"
-        )
     parts = {
         "@TITLE@": html.escape(page.title),
         "@FACTS@": "".join(f"<li>{html.escape(fact)}</li>" for fact in page.facts),
@@ -136,7 +147,7 @@ def build_page(page: ReviewPage) -> str:
         "@FACE@": page.face.data_base64(),
         "@CURVES@": "".join(_curves(each) for each in page.curves),
         "@MOVIE@": _base64(page.movie),
-        "@SHEET@": sheet,
+        "@PICTURES@": "".join(_picture(each) for each in page.pictures),
         "@LISTINGS@": "".join(_listing(each) for each in page.listings),
         "@SCRIPT@": script,
     }
@@ -179,6 +190,14 @@ def _curves(curve: WeightCurves) -> str:
     steps[np.isnan(curve.values.T)] = np.iinfo(np.int16).min
     packed = _base64(zlib.compress(np.ascontiguousarray(steps).tobytes(), 9))
     return f'<script type="text/plain" id="curve-{html.escape(curve.name)}">{packed}</script>\n'
+
+
+def _picture(picture: PagePicture) -> str:
+    source = f"data:{picture.kind};base64,{_base64(picture.data)}"
+    return (
+        f'<section class="picture"><h2>{html.escape(picture.title)}</h2>'
+        f'<img alt="{html.escape(picture.alt)}" src="{source}"></section>'
+    )
 
 
 def _listing(listing: Listing) -> str:

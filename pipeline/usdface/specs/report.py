@@ -41,6 +41,9 @@ class ReportSpec(Spec):
     """What the weights should have been (.csv, .json or .usd): the page tells the errors."""
     sheet: ReadPath | None = None
     """A contact sheet to put into the page (.jpg or .png)."""
+    references: ReadPath | None = None
+    """References to tell the coverage of; those that the mapping was trained on by default, where
+    they are still there."""
     baseline: bool = True
     """Draw the equation-solving baseline's curves too."""
     camera: CameraName = "auto"

@@ -6,13 +6,20 @@ import numpy as np
 
 from usdface.assets import FloatArray, IntArray, References, Rig
 from usdface.errors import InputError
+from usdface.media.color import ByteImage
 from usdface.media.image import write_image
 from usdface.numerics.rigid.rigid_alignment import align_rigid_robust, remove_motion
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
 from usdface.specs.references_coverage import ReferencesCoverageSpec
 from usdface.steps.cleaned_takes import FEWEST_RIGID, CleanedTakes, read_cleaned_takes
-from usdface.steps.coverage_report import cover, coverage_figures, coverage_picture, holes_of
+from usdface.steps.coverage_report import (
+    Covered,
+    cover,
+    coverage_figures,
+    coverage_picture,
+    holes_of,
+)
 from usdface.steps.kept_pairs import find_rows
 from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
@@ -37,6 +44,78 @@ def run(
     progress: Progress = silent,
 ) -> Report:
     """Measure what the pairs cover of the takes, and draw it."""
+    measured = measure(spec, progress=progress)
+    covered, takes, pairs = measured.covered, measured.takes, measured.pairs
+    progress(0.9, f"writing {spec.out.name}")
+    metadata = {} if provenance is None else provenance_metadata(provenance)
+    write_image(spec.out, measured.picture(spec.references.stem), metadata=metadata)
+    progress(1.0, "done")
+    coverage = covered.coverage
+    notes = []
+    if len(measured.rows) < len(pairs):
+        notes.append(
+            f"{len(pairs) - len(measured.rows)} of {len(pairs)} pairs are of other takes; they "
+            "count by their markers"
+        )
+    notes += [
+        f"frame {hole.frame} of {hole.take} next: {hole.share:.1%} would be covered"
+        for hole in holes_of(covered, takes)[:MOST_TOLD]
+    ]
+    return Report(
+        (spec.out,),
+        f"{len(pairs)} pairs cover {coverage.share:.1%} of the motion of {len(takes.frames)} "
+        f"frames; {coverage.hole_share:.1%} of the frames are holes",
+        tuple(notes),
+        {
+            "pairs": [pair + 1 for pair in pairs.tolist()],
+            "of_other_takes": len(pairs) - len(measured.rows),
+            **coverage_figures(covered, takes),
+        },
+    )
+
+
+@dataclass(frozen=True)
+class MeasuredCoverage:
+    """What pairs cover of takes, and which they are.
+
+    Attributes
+    ----------
+    covered : Covered
+    takes : CleanedTakes
+    pairs : (pairs,) int array
+        Those that count, from 0.
+    rows : (n,) int array
+        Rows of the takes that are pairs.
+    tuned : (m,) int array
+        Those of `rows` that a person has tuned.
+    """
+
+    covered: Covered
+    takes: CleanedTakes
+    pairs: IntArray
+    rows: IntArray
+    tuned: IntArray
+
+    def picture(self, title: str) -> ByteImage:
+        """Draw it."""
+        return coverage_picture(
+            self.covered,
+            self.takes,
+            self.rows,
+            tuned=self.tuned,
+            title=title,
+            pairs=len(self.pairs),
+        )
+
+
+def measure(spec: ReferencesCoverageSpec, *, progress: Progress) -> MeasuredCoverage:
+    """Measure what the pairs cover of the takes; nothing is written.
+
+    Raises
+    ------
+    InputError
+        If references and takes do not go together, or no pair counts.
+    """
     progress(0.0, "reading the takes")
     references = read_references(spec.references)
     pairs = _counted(spec, references)
@@ -52,38 +131,8 @@ def run(
         candidates=candidate_frames(takes, None),
         pair_features=placed.features,
     )
-    progress(0.9, f"writing {spec.out.name}")
     tuned = placed.rows[references.tuned[pairs][placed.is_here]]
-    write_image(
-        spec.out,
-        coverage_picture(
-            covered, takes, placed.rows, tuned=tuned, title=spec.references.stem, pairs=len(pairs)
-        ),
-        metadata={} if provenance is None else provenance_metadata(provenance),
-    )
-    progress(1.0, "done")
-    coverage = covered.coverage
-    notes = []
-    if len(placed.rows) < len(pairs):
-        notes.append(
-            f"{len(pairs) - len(placed.rows)} of {len(pairs)} pairs are of other takes; they "
-            "count by their markers"
-        )
-    notes += [
-        f"frame {hole.frame} of {hole.take} next: {hole.share:.1%} would be covered"
-        for hole in holes_of(covered, takes)[:MOST_TOLD]
-    ]
-    return Report(
-        (spec.out,),
-        f"{len(pairs)} pairs cover {coverage.share:.1%} of the motion of {len(takes.frames)} "
-        f"frames; {coverage.hole_share:.1%} of the frames are holes",
-        tuple(notes),
-        {
-            "pairs": [pair + 1 for pair in pairs.tolist()],
-            "of_other_takes": len(pairs) - len(placed.rows),
-            **coverage_figures(covered, takes),
-        },
-    )
+    return MeasuredCoverage(covered, takes, pairs, placed.rows, tuned)
 
 
 @dataclass(frozen=True)

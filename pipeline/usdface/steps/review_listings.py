@@ -1,7 +1,5 @@
 """What a report tells in tables: errors, repairs, edits, and where everything came from."""
 
-import json
-
 import numpy as np
 
 from usdface.assets import FloatArray
@@ -12,6 +10,7 @@ from usdface.provenance import Provenance
 from usdface.steps.edited import find_edited_ranges
 from usdface.steps.evaluation_report import evaluation_figures
 from usdface.steps.outputs import provenance_of
+from usdface.steps.provenance_paths import spec_of
 from usdface.steps.shot_pictures import Shot
 from usdface.usdio.performance_reader import PerformanceReader
 
@@ -130,7 +129,7 @@ def _provenance(shot: Shot, page: Provenance) -> Listing:
             rows.append((name, "not written by usdface", ""))
             continue
         options = ", ".join(
-            f"{key} {value}" for key, value in sorted(_spec(each).items()) if key != "step"
+            f"{key} {value}" for key, value in sorted(spec_of(each).items()) if key != "step"
         )
         rows.append((name, f"usdface {each.version} {each.step}", options))
         rows += [
@@ -138,11 +137,3 @@ def _provenance(shot: Shot, page: Provenance) -> Listing:
             for path, digest in sorted(each.inputs.items())
         ]
     return Listing("Where it came from", ("file", "made by", "with"), tuple(rows))
-
-
-def _spec(provenance: Provenance) -> dict[str, object]:
-    try:
-        said = json.loads(provenance.spec or "{}")
-    except (ValueError, RecursionError):
-        return {}
-    return said if isinstance(said, dict) else {}

@@ -13,7 +13,13 @@ from usdface.media.color import ByteImage
 from usdface.media.face_payload import pack_face
 from usdface.media.image_sequence import open_video
 from usdface.media.movie import video_encoder, write_movie
-from usdface.media.report_page import ReviewPage, Strip, WeightCurves, build_page
+from usdface.media.report_page import (
+    PagePicture,
+    ReviewPage,
+    Strip,
+    WeightCurves,
+    build_page,
+)
 from usdface.media.sheet import round_range
 from usdface.media.tiles import empty_tile, fit_picture
 from usdface.numerics.measure.face_regions import region_of_shape
@@ -22,10 +28,12 @@ from usdface.provenance import Provenance
 from usdface.replacing import replacing
 from usdface.specs.camera import AUTO
 from usdface.specs.report import ReportSpec
-from usdface.steps.frame_choice import choose_frames
+from usdface.specs.sheet import FramePick
+from usdface.steps.frame_choice import ChosenFrame, choose_frames
 from usdface.steps.movie_clock import MovieClock, movie_rate
 from usdface.steps.outputs import make_provenance
 from usdface.steps.report import Report
+from usdface.steps.report_coverage import show_coverage
 from usdface.steps.review_listings import evaluate_shown, listings
 from usdface.steps.sheet import place_markers, read_truth
 from usdface.steps.shot_camera import ShotCamera
@@ -35,6 +43,9 @@ from usdface.usdio.performance_reader import PerformanceReader
 
 LONGEST_PICTURES = 36_000
 """Ten minutes at 60 pictures per second: a longer page would not open."""
+
+SURE = 0.95
+"""Confidence from which a frame is not worth a look for its lack."""
 
 LARGEST_SHEET_BYTES = 64 << 20
 SHEET_TYPES = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}
@@ -76,9 +87,16 @@ def run(
     )
     notes += [*view.notes(clock.first_frame), *undrawn(shot.rig)]
     face = pack_face(shot.rig, camera=None if spec.camera == AUTO else view.at(clock.first_frame))
-    movie = _movie(spec, shot, clock, notes, part(progress, 0.25, 0.95))
+    movie = _movie(spec, shot, clock, notes, part(progress, 0.25, 0.93))
     frames = shot.frames[rows]
-    sheet, sheet_type = _sheet(spec)
+    pictures = _sheet(spec)
+    strips = _strips(shot, residual, rows)
+    tables = listings(shot, evaluation, provenance or make_provenance(spec))
+    coverage = show_coverage(spec, shot, rows, notes, part(progress, 0.93, 0.97))
+    if coverage is not None:
+        strips = (*strips, coverage.strip)
+        tables = (*tables[:-1], *coverage.listings, tables[-1])  # where it came from is last
+        pictures = (*pictures, coverage.picture)
     page = ReviewPage(
         title=f"{take.name} on {shot.rig.file.stem}",
         facts=_facts(shot),
@@ -90,14 +108,13 @@ def run(
         shapes=shot.rig.shapes,
         regions=tuple(region_of_shape(name) or "other" for name in shot.rig.shapes),
         curves=_curves(shot, rows, truth, baseline),
-        strips=_strips(shot, residual, rows),
+        strips=strips,
         worst=_worst(spec, shot, residual, clock),
-        listings=listings(shot, evaluation, provenance or make_provenance(spec)),
+        listings=tables,
         face=face,
         movie=movie,
         movie_type=_movie_kind()[1],
-        sheet=sheet,
-        sheet_type=sheet_type,
+        pictures=pictures,
     )
     progress(0.97, f"writing {spec.out.name}")
     text = build_page(page)
@@ -153,27 +170,26 @@ def _strips(shot: Shot, residual: FloatArray, rows: FloatArray) -> tuple[Strip, 
 def _worst(
     spec: ReportSpec, shot: Shot, residual: FloatArray, clock: MovieClock
 ) -> tuple[tuple[int, str], ...]:
-    """Return pictures to look at first: half by residual, half by confidence, by time."""
+    """Return pictures to look at first: by residual, up to half by what is doubted; by time."""
     confidence = shot.performance.confidence
     if confidence is not None:
         confidence = confidence[shot.frames - shot.performance.weights.first_frame]
-    half = max(spec.worst // 2, 1)
     zero = np.zeros(len(shot.frames))
-    reasons: dict[int, str] = {}
-    for pick, count in (("residual", half), ("confidence", spec.worst - half)):
-        if not count or (pick == "confidence" and confidence is None):
-            continue
-        chosen = choose_frames(
-            "confidence" if pick == "confidence" else "residual",
-            count,
-            strength=zero,
-            error_mm=residual,
-            confidence=confidence,
-            jump_mm=zero,
+
+    def pick(by: FramePick, count: int) -> list[ChosenFrame]:
+        return choose_frames(
+            by, count, strength=zero, error_mm=residual, confidence=confidence, jump_mm=zero
         )
-        for frame in chosen:
-            picture = min(round(frame.row * clock.rate / clock.take_rate), clock.picture_count - 1)
-            reasons.setdefault(picture, frame.reason.replace("error", "unexplained"))
+
+    doubtful: list[ChosenFrame] = []
+    if confidence is not None and spec.worst > 1:
+        doubtful = [
+            frame for frame in pick("confidence", spec.worst // 2) if confidence[frame.row] < SURE
+        ]
+    reasons: dict[int, str] = {}
+    for frame in (*pick("residual", spec.worst - len(doubtful)), *doubtful):
+        picture = min(round(frame.row * clock.rate / clock.take_rate), clock.picture_count - 1)
+        reasons.setdefault(picture, frame.reason.replace("error", "unexplained"))
     return tuple(sorted(reasons.items()))
 
 
@@ -251,12 +267,12 @@ def _camera_pictures(
                 yield fit_picture(pixels, width=width, height=spec.height)
 
 
-def _sheet(spec: ReportSpec) -> tuple[bytes, str]:
+def _sheet(spec: ReportSpec) -> tuple[PagePicture, ...]:
     if spec.sheet is None:
-        return b"", ""
+        return ()
     kind = SHEET_TYPES.get(spec.sheet.suffix.lower())
     if kind is None:
         raise InputError(f"{spec.sheet}: browsers show {', '.join(SHEET_TYPES)}; make the sheet so")
     if spec.sheet.stat().st_size > LARGEST_SHEET_BYTES:
         raise InputError(f"{spec.sheet}: is larger than 64 MB; make it with fewer rows")
-    return spec.sheet.read_bytes(), kind
+    return (PagePicture("Contact sheet", "Contact sheet", spec.sheet.read_bytes(), kind),)
