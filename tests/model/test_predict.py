@@ -1,3 +1,4 @@
+import array_api_strict
 import numpy as np
 import pytest
 
@@ -7,9 +8,10 @@ from usdface.errors import InputError
 from usdface.model import predict_weights, train_mapping
 from usdface.model.coordinates import marker_coordinates
 from usdface.model.head_space import MINIMUM_SHARE
-from usdface.model.methods import find_method
+from usdface.model.methods import AUTO, find_method
+from usdface.model.predict import WeightPredictor
 from usdface.model.train import motion_of
-from usdface.numerics.array_namespace import CPU
+from usdface.numerics.array_namespace import CPU, ArrayDevice
 
 
 def trained(face: SyntheticFace, method: str = "ridge") -> Mapping:
@@ -125,12 +127,24 @@ def test_takes_in_single_precision_are_told_as_in_double(method: str) -> None:
     np.testing.assert_allclose(found.residual_mm, wanted.residual_mm, atol=1e-4)
 
 
-def test_mapping_many_frames_agrees_with_what_the_method_was_judged_by() -> None:
+ANYWHERE = ("ridge", "rbf", "d06", "ensemble", "regional")
+STRICT = ArrayDevice("strict", array_api_strict, array_api_strict.Device("CPU_DEVICE"))
+
+
+@pytest.mark.parametrize("name", ANYWHERE)
+def test_many_frames_on_any_device_agree_with_what_the_method_was_judged_by(name: str) -> None:
     face = synthetic_face(bend=0.5)
-    for name in ("ensemble", "regional"):
-        mapping = trained(face, name)
-        z = marker_coordinates(motion_of(mapping), face.positions).values
-        method = find_method(name)
-        exact = method.predict(mapping.arrays, mapping.settings, z)
-        quick = method.predictor(mapping.arrays, mapping.settings, CPU)(z)
-        np.testing.assert_allclose(quick, exact, atol=1e-6)
+    mapping = trained(face, name)
+    z = marker_coordinates(motion_of(mapping), face.positions).values
+    exact = find_method(name).predict(mapping.arrays, mapping.settings, z)
+    exact = np.clip(exact, mapping.ranges[:, 0], mapping.ranges[:, 1])
+    for device in (CPU, STRICT):
+        found = WeightPredictor(mapping, device=device).predict(face.positions)
+        np.testing.assert_allclose(found.weights, exact, atol=1e-6)
+
+
+def test_what_auto_tries_runs_on_any_device_and_others_say_that_they_do_not() -> None:
+    assert set(AUTO) <= set(ANYWHERE)
+    mapping = trained(synthetic_face(), "multiquadric")
+    with pytest.raises(InputError, match="multiquadric runs on the processor alone, not on 'stri"):
+        WeightPredictor(mapping, device=STRICT)

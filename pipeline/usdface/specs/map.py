@@ -5,6 +5,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from usdface.specs.base import (
+    Device,
     FilePath,
     Frames,
     LayerOut,
@@ -61,3 +62,6 @@ class MapSpec(Spec):
     bands: Annotated[int, Field(ge=1, le=4)] = 1
     """Octaves, from half the rate downwards, that `--temporal bands` leaves out; at 60 frames per
     second a second one costs blinks."""
+    device: Device = "cpu"
+    """Where weights are predicted: `cpu`, a graphics card as `cuda` or `cuda:1` (by torch or cupy,
+    where installed), or `torch`, which is torch on the processor. Weights agree to a millionth."""

@@ -26,9 +26,10 @@ class SubmitSpec(Spec):
     out: Path | None = None
     """The bundle's folder; beside the job by default, with the hash of what it holds in its
     name."""
-    chunk: Annotated[int, Field(ge=100, le=10_000_000)] = 122_880
-    """Frames that one task maps, where a take's frames are known: 17 minutes at 120 frames per
-    second. A retry finds the same frames: they are fixed here."""
+    chunk: Annotated[int, Field(ge=100, le=10_000_000)] = 614_400
+    """Frames that one task maps, where a take's frames are known: 85 minutes at 120 frames per
+    second, of which the start of a process is a twentieth. A retry finds the same frames: they are
+    fixed here."""
     clips: Literal["auto", "always", "never"] = "auto"
     """Whether chunks stay where they are and are played as value clips, or are merged into one
     layer; `auto` merges up to 1 GB."""

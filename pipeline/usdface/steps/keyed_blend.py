@@ -11,6 +11,7 @@ from usdface.assets import Mapping
 from usdface.errors import InputError
 from usdface.model.head_space import MappedMarkers
 from usdface.model.predict import Prediction
+from usdface.numerics.array_namespace import CPU, ArrayDevice
 from usdface.steps.alpha_curve import read_alpha
 from usdface.steps.solving import solve_ahead
 
@@ -31,7 +32,12 @@ def check_blend(path: Path, mapping: Mapping) -> None:
 
 
 def solve_blended(
-    mapping: Mapping, placed: Iterator[MappedMarkers], alpha: Path, blocks: list[range]
+    mapping: Mapping,
+    placed: Iterator[MappedMarkers],
+    alpha: Path,
+    blocks: list[range],
+    *,
+    device: ArrayDevice = CPU,
 ) -> Iterator[Prediction]:
     """Yield the answer to each block, blended as `alpha` says at each of its frames.
 
@@ -39,7 +45,9 @@ def solve_blended(
     """
     keyed = [read_alpha(alpha, np.arange(block.start, block.stop)) for block in blocks]
     parts = [
-        solve_ahead(replace(mapping, settings=mapping.settings | {"alpha": share}), own)
+        solve_ahead(
+            replace(mapping, settings=mapping.settings | {"alpha": share}), own, device=device
+        )
         for share, own in zip((1.0, 0.0), tee(placed), strict=True)
     ]
     for share, network, regression in zip(keyed, *parts, strict=True):

@@ -10,6 +10,7 @@ from usdface.model.head_space import MINIMUM_SHARE, HeadSpace
 from usdface.model.predict import regions_of
 from usdface.model.rig_identity import check_same_rig
 from usdface.model.temporal import TemporalSolve, smooth_weights
+from usdface.numerics.array_namespace import ArrayDevice, open_device
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
 from usdface.specs.base import frame_range
@@ -40,6 +41,7 @@ def run(
     spec: MapSpec, *, provenance: Provenance | None = None, progress: Progress = silent
 ) -> Report:
     """Map every frame of a take and write the performance as it goes."""
+    device = _open_device(spec)
     mapping = read_mapping(spec.mapping)
     rig = read_rig(spec.rig, prim=spec.rig_prim)
     changes = _check_rig(spec, mapping, rig)
@@ -70,9 +72,9 @@ def run(
         windows = [_window(take, block, solve.margin) for block in blocks]
         placed = (space.place(read_markers(take, each.start, each.stop - 1)) for each in windows)
         answers = (
-            solve_ahead(mapping, placed)
+            solve_ahead(mapping, placed, device=device)
             if spec.alpha is None
-            else solve_blended(mapping, placed, spec.alpha, windows)
+            else solve_blended(mapping, placed, spec.alpha, windows, device=device)
         )
         for block, window, solved in zip(blocks, windows, answers, strict=True):
             weights = smooth_weights(
@@ -102,6 +104,13 @@ def run(
         *edit_notes(spec.out),
     ]
     return _report(spec, first, np.concatenate(confidence), np.concatenate(residual), notes)
+
+
+def _open_device(spec: MapSpec) -> ArrayDevice:
+    try:
+        return open_device(spec.device)
+    except ValueError as error:
+        raise InputError(f"map --device: {error}") from error
 
 
 def _check_frames(spec: MapSpec, take: TakeReader, first: int, last: int) -> None:

@@ -19,7 +19,7 @@ def parts(*, shared: bool = False) -> dict[str, Any]:
     return {
         "projection": rng.normal(size=(*many, GIVEN, KEPT)),
         "centres": 3 * rng.normal(size=(*many, PAIRS, KEPT)),
-        "exponent": -rng.uniform(0.01, 0.1, size=1 if shared else OUTPUTS),
+        "exponent": -rng.uniform(0.01, 0.1, size=(1, PAIRS) if shared else (OUTPUTS, 1)),
         "dual": dual,
     }
 
@@ -38,7 +38,7 @@ def direct(
         own = j if projection.ndim == 3 else ...
         rows = points @ projection[own]
         away = ((rows[:, None] - centres[own][None]) ** 2).sum(axis=2)
-        out[:, j] = np.exp(exponent[j if len(exponent) > 1 else 0] * away) @ dual[:, j]
+        out[:, j] = np.exp(exponent[0 if projection.ndim == 2 else j] * away) @ dual[:, j]
     return out
 
 

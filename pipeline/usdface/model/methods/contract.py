@@ -2,10 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from usdface.assets import FloatArray, IntArray, MotionSpace
-from usdface.numerics.array_namespace import ArrayDevice
+from usdface.errors import InputError
+from usdface.numerics.array_namespace import CPU, ArrayDevice
 
 Settings = dict[str, float | int | str | bool]
 
@@ -80,8 +82,7 @@ class Method:
         yet limited to ranges. In double precision: what a method is judged and chosen by.
     prepare : callable, optional
         ``(arrays, settings, device) -> Predictor``, where there is work to do once for many frames;
-        agrees with `predict` to 1e-6. By default that is `predict` itself on the device, which
-        therefore keeps to the array API.
+        agrees with `predict` to 1e-6. Without it a method runs on the processor alone.
     """
 
     name: str
@@ -94,11 +95,21 @@ class Method:
     def predictor(
         self, arrays: dict[str, FloatArray], settings: Settings, device: ArrayDevice
     ) -> Predictor:
-        """Make a fit ready to predict many frames on a device."""
+        """Make a fit ready to predict many frames on a device.
+
+        Raises
+        ------
+        InputError
+            If the method runs on the processor alone, and that is not the device.
+        """
         if self.prepare is not None:
             return self.prepare(arrays, settings, device)
-        there = {name: device.put(values) for name, values in arrays.items()}
-        return lambda coordinates: self.predict(there, settings, coordinates)
+        if device is not CPU:
+            raise InputError(
+                f"a mapping by {self.name} runs on the processor alone, not on {device.name!r}; "
+                "leave the device out, or train by another method"
+            )
+        return partial(self.predict, arrays, settings)
 
 
 def dimension_choices(pairs: Pairs, fixed: int | None, usual: tuple[int, ...]) -> tuple[int, ...]:

@@ -4,8 +4,21 @@ Deng, Chiang, Fox and Neumann (2006), *Animating Blendshape Faces by Cross-Mappi
 Data*, sections 5 and 6.
 """
 
+from typing import Any
+
+import numpy as np
+
 from usdface.assets import FloatArray
-from usdface.model.methods.contract import Fitted, Method, Pairs, Settings, dimension_choices
+from usdface.model.methods.contract import (
+    Fitted,
+    Method,
+    Pairs,
+    Predictor,
+    Settings,
+    dimension_choices,
+)
+from usdface.numerics.array_namespace import ArrayDevice
+from usdface.numerics.regression.local_sums import LocalSums
 from usdface.numerics.regression.rbf_ridge import (
     RBFRidge,
     centre_widths,
@@ -51,6 +64,20 @@ def _predict(
     return predict_rbf_ridge(model, coordinates[:, : int(settings["dimensions"])])
 
 
+def prepare(arrays: dict[str, FloatArray], settings: Settings, device: ArrayDevice) -> Predictor:
+    """Put the network on a device."""
+    kept = int(settings["dimensions"])
+    exponent = -0.5 / arrays["widths"] ** 2
+    sums = LocalSums(
+        np.eye(kept), arrays["centres"], exponent[None], arrays["coefficients"], device=device
+    )
+
+    def predict(coordinates: Any) -> Any:
+        return sums(coordinates[:, :kept])
+
+    return predict
+
+
 def rbf_arrays(model: RBFRidge) -> dict[str, FloatArray]:
     """Name a network's parts for a mapping."""
     return {
@@ -81,4 +108,5 @@ METHOD = Method(
     candidates=_candidates,
     fit=_fit,
     predict=_predict,
+    prepare=prepare,
 )

@@ -1,10 +1,21 @@
 """Gaussian RBF on as many components as the pairs carry, one wide width, a straight tail."""
 
+from typing import Any
+
 import numpy as np
 
 from usdface.assets import FloatArray
-from usdface.model.methods.contract import Fitted, Method, Pairs, Settings, dimension_choices
+from usdface.model.methods import d06, linear
+from usdface.model.methods.contract import (
+    Fitted,
+    Method,
+    Pairs,
+    Predictor,
+    Settings,
+    dimension_choices,
+)
 from usdface.model.methods.d06 import rbf_arrays, rbf_from_arrays
+from usdface.numerics.array_namespace import ArrayDevice
 from usdface.numerics.regression.linear_ridge import (
     LinearRidge,
     fit_linear_ridge,
@@ -51,10 +62,21 @@ def _predict(
     )
 
 
+def _prepare(arrays: dict[str, FloatArray], settings: Settings, device: ArrayDevice) -> Predictor:
+    line = linear.prepare(arrays, settings, device)
+    network = d06.prepare(arrays, settings, device)
+
+    def predict(coordinates: Any) -> Any:
+        return line(coordinates) + network(coordinates)
+
+    return predict
+
+
 METHOD = Method(
     name="rbf",
     summary="Gaussian RBF over a straight line, components and width by cross-validation",
     candidates=_candidates,
     fit=_fit,
     predict=_predict,
+    prepare=_prepare,
 )

@@ -1,9 +1,19 @@
 """A straight line with a ridge chosen by leave-one-out: the baseline that others must beat."""
 
+from typing import Any
+
 import numpy as np
 
 from usdface.assets import FloatArray
-from usdface.model.methods.contract import Fitted, Method, Pairs, Settings, dimension_choices
+from usdface.model.methods.contract import (
+    Fitted,
+    Method,
+    Pairs,
+    Predictor,
+    Settings,
+    dimension_choices,
+)
+from usdface.numerics.array_namespace import ArrayDevice
 from usdface.numerics.regression.linear_ridge import (
     LinearRidge,
     fit_linear_ridge,
@@ -38,10 +48,23 @@ def _predict(
     return predict_linear_ridge(line, coordinates[:, : int(settings["dimensions"])])
 
 
+def prepare(arrays: dict[str, FloatArray], settings: Settings, device: ArrayDevice) -> Predictor:
+    """Put the line on a device."""
+    kept = int(settings["dimensions"])
+    slope = device.put(arrays["slope"])
+    offset = device.put(arrays["intercept"] - arrays["mean"] @ arrays["slope"])
+
+    def predict(coordinates: Any) -> Any:
+        return coordinates[:, :kept] @ slope + offset
+
+    return predict
+
+
 METHOD = Method(
     name="ridge",
     summary="linear ridge regression, a ridge per shape by leave-one-out",
     candidates=_candidates,
     fit=_fit,
     predict=_predict,
+    prepare=prepare,
 )

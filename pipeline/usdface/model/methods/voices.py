@@ -244,6 +244,11 @@ def local_sums(
     device: ArrayDevice = CPU,
 ) -> LocalSums:
     """Make the local corrections ready that a mapping's arrays hold under a prefix."""
-    names = ("projection", "centres", "exponent", "dual")
-    parts = (arrays[prefix + name] for name in names)
-    return LocalSums(*parts, single=single, device=device)
+    return LocalSums(
+        arrays[f"{prefix}projection"],
+        arrays[f"{prefix}centres"],
+        arrays[f"{prefix}exponent"][:, None],
+        arrays[f"{prefix}dual"],
+        single=single,
+        device=device,
+    )

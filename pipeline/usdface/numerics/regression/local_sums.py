@@ -54,15 +54,15 @@ class _Lot:
 
 
 class LocalSums:
-    """``sum_i dual[i, j] exp(exponent[j] |x projection[j] - centres[j, i]|^2)`` for each output j.
+    """``sum_i dual[i, j] exp(exponent[j, i] |x projection[j] - centres[j, i]|^2)`` for each j.
 
     Parameters
     ----------
     projection : (D, d) or (s, D, d) float array
         From coordinates to the features of all outputs, or of each.
     centres : (n, d) or (s, n, d) float array
-    exponent : (1,) or (s,) float array
-        Negative.
+    exponent : (1, 1), (s, 1) or (1, n) float array
+        Negative; of all kernels, of each output's, or of each centre's.
     dual : (n, s) float array
     single : bool
         Evaluate in single precision where `SINGLE_NORM` allows it.
@@ -87,7 +87,7 @@ class LocalSums:
             duals = dual.T[:, :, None]
         squares = np.einsum("knd,knd->kn", centres, centres)[:, :, None]
         operand = np.concatenate([-2.0 * centres, np.ones_like(squares), squares], axis=2)
-        operand *= exponent[:, None, None]
+        operand *= exponent[:, :, None]
         columns = np.eye(outputs).reshape(len(duals), -1, outputs)
         norms = np.linalg.norm(duals, axis=1).max(axis=1)
         rounded = (norms <= SINGLE_NORM) & single
