@@ -25,7 +25,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from usdface.numerics.regression.rbf_ridge import gaussian_design
+from usdface.numerics.regression.rbf_ridge import BLOCK_ROWS, evaluate_network, gaussian_design
 
 Array = NDArray[np.float64]
 
@@ -204,16 +204,15 @@ def predict_expansion(
     operator: Array,
     intercept: Array,
     *,
-    block_rows: int = 4096,
+    block_rows: int = BLOCK_ROWS,
 ) -> Array:
     """Evaluate what a regression comes to, in blocks: memory beside the result stays bounded.
 
     The parameters are those of `KernelCCA`; a mapping on disk keeps no more.
     """
-    out = np.empty((len(points), operator.shape[1]))
-    for start in range(0, len(points), block_rows):
-        part = slice(start, start + block_rows)
-        np.matmul(_kernel(points[part], centres, width), operator, out=out[part])
+    out = evaluate_network(
+        lambda some: _kernel(some, centres, width), operator, points, block_rows=block_rows
+    )
     out += intercept
     return out
 

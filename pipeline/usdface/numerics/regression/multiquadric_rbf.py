@@ -9,7 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from usdface.numerics.regression.rbf_ridge import choose_ridge, nearest_distances, rotate
+from usdface.numerics.regression.rbf_ridge import (
+    BLOCK_ROWS,
+    choose_ridge,
+    evaluate_network,
+    nearest_distances,
+    rotate,
+)
 
 Array = NDArray[np.float64]
 
@@ -111,25 +117,16 @@ def fit_multiquadric(
     return Multiquadric(C, s, rotated.right.T @ (gain * rotated.outputs), ridge)
 
 
-def predict_multiquadric(model: Multiquadric, points: Array, *, block_rows: int = 4096) -> Array:
-    """Evaluate the network (eq. 4) in blocks: memory beside the result stays bounded.
-
-    Parameters
-    ----------
-    model : Multiquadric
-    points : (f, d) float array
-    block_rows : int
-
-    Returns
-    -------
-    (f, s) float array
-    """
-    out = np.empty((len(points), model.coefficients.shape[1]))
-    for start in range(0, len(points), block_rows):
-        part = slice(start, start + block_rows)
-        design = multiquadric_design(points[part], model.centres, model.softness)
-        np.matmul(design, model.coefficients, out=out[part])
-    return out
+def predict_multiquadric(
+    model: Multiquadric, points: Array, *, block_rows: int = BLOCK_ROWS
+) -> Array:
+    """Evaluate the network (eq. 4) at points (f, d); see `evaluate_network`."""
+    return evaluate_network(
+        lambda some: multiquadric_design(some, model.centres, model.softness),
+        model.coefficients,
+        points,
+        block_rows=block_rows,
+    )
 
 
 def _check_distinct(centres: Array) -> None:

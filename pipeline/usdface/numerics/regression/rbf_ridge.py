@@ -5,6 +5,7 @@ score of every output at every ridge. Weight decay, ``(H'H + rI)^-1 H'W``, is no
 ``(K + rI)^-1 W``: the same ridge means another amount of smoothing.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+BLOCK_ROWS = 4096
 RIDGES_PER_DECADE = 8
 FREEDOM_LIMIT = 0.8
 """Most of the pairs that a fit may use up, as a share. GCV of wide Gaussians has several minima,
@@ -293,12 +295,30 @@ def fit_rbf_ridge(
     )
 
 
-def predict_rbf_ridge(model: RBFRidge, points: Array, *, block_rows: int = 4096) -> Array:
-    """Evaluate the network (eq. 4) in blocks: memory beside the result stays bounded.
+def predict_rbf_ridge(model: RBFRidge, points: Array, *, block_rows: int = BLOCK_ROWS) -> Array:
+    """Evaluate the network (eq. 4) at points (f, d); see `evaluate_network`."""
+    return evaluate_network(
+        lambda some: gaussian_design(some, model.centres, model.widths),
+        model.coefficients,
+        points,
+        block_rows=block_rows,
+    )
+
+
+def evaluate_network(
+    design: Callable[[Array], Array],
+    coefficients: Array,
+    points: Array,
+    *,
+    block_rows: int = BLOCK_ROWS,
+) -> Array:
+    """Evaluate a network of any basis functions in blocks: memory beside the result is bounded.
 
     Parameters
     ----------
-    model : RBFRidge
+    design : callable
+        Points (m, d) to every basis function at them, (m, n).
+    coefficients : (n, s) float array
     points : (f, d) float array
     block_rows : int
 
@@ -306,9 +326,8 @@ def predict_rbf_ridge(model: RBFRidge, points: Array, *, block_rows: int = 4096)
     -------
     (f, s) float array
     """
-    out = np.empty((len(points), model.coefficients.shape[1]))
+    out = np.empty((len(points), coefficients.shape[1]))
     for start in range(0, len(points), block_rows):
         part = slice(start, start + block_rows)
-        design = gaussian_design(points[part], model.centres, model.widths)
-        np.matmul(design, model.coefficients, out=out[part])
+        np.matmul(design(points[part]), coefficients, out=out[part])
     return out
