@@ -13,12 +13,14 @@ from usdface.assets import Take, WeightsClip
 from usdface.errors import InputError
 from usdface.media.sound import read_audio
 from usdface.specs.phones import PhonesSpec
+from usdface.speech.coverage_of_sound import share_outside
 from usdface.speech.phone_track import PhoneTrack, Span
 from usdface.speech.track_files import read_phone_track
 from usdface.speech.visemes import arpabet_of, viseme_of
 from usdface.steps.execute import execute
 from usdface.steps.outputs import make_provenance, provenance_of
 from usdface.steps.phones import _on_clock
+from usdface.steps.report import Report
 from usdface.usdio.take_write import write_take
 
 pytest.importorskip("pocketsphinx")
@@ -174,3 +176,30 @@ def test_phones_know_what_made_them_so_that_a_job_need_not_make_them_again(
     assert made is not None
     assert made.matches(make_provenance(spec))
     assert said(read_phone_track(spec.out))
+
+
+def test_a_transcript_that_lacks_most_of_what_is_said_is_noticed(
+    speech: Path, tmp_path: Path
+) -> None:
+    words = (speech / "lab" / "acoustic_corpus.lab").read_text("utf-8").split()
+
+    def aligned(text: str) -> Report:
+        spec = PhonesSpec(
+            audio=speech / "wav" / "acoustic_corpus.wav", text=text, out=tmp_path / "x.json"
+        )
+        return execute(spec, overwrite=True)
+
+    whole, half = aligned(" ".join(words)), aligned(" ".join(words[: len(words) // 2]))
+    assert not any("lacks much of what is said" in note for note in whole.notes)
+    assert any("lacks much of what is said" in note for note in half.notes)
+    assert whole.figures["sound_outside_words"] < 0.35 < 0.5 < half.figures["sound_outside_words"]
+
+
+def test_sound_outside_words_is_measured_over_what_is_loud() -> None:
+    seconds = np.arange(16000 * 4) / 16000
+    loud = (seconds < 1) | (seconds >= 2)  # three seconds of sound, one of pause
+    samples = np.where(loud, np.sin(2 * np.pi * 200 * seconds), 0.0).astype(np.float32)
+    assert share_outside(samples, [], rate=16000) == 1.0
+    assert share_outside(samples, [Span(0.0, 4.0, "all")], rate=16000) == 0.0
+    one = share_outside(samples, [Span(0.0, 2.0, "one")], rate=16000)
+    assert one == pytest.approx(2 / 3)

@@ -9,6 +9,7 @@ from usdface.progress import Progress, part, silent
 from usdface.provenance import Provenance
 from usdface.specs.base import LAYER_SUFFIXES
 from usdface.specs.phones import PhonesSpec
+from usdface.speech.coverage_of_sound import INCOMPLETE_SHARE, share_outside
 from usdface.speech.dictionary import read_dictionary, read_text
 from usdface.speech.forced_alignment import DOUBTFUL_SCORE, RATE, Alignment, align_phones
 from usdface.speech.phone_track import PhoneTrack, Span
@@ -32,7 +33,7 @@ def run(
     text = spec.text
     if spec.transcript is not None:
         text = read_text(spec.transcript, LARGEST_TRANSCRIPT_BYTES)
-    words = spoken_words(text or "")
+    words = _words(spec, text or "")
     own = {} if spec.dictionary is None else read_dictionary(spec.dictionary)
     progress(0.0, "reading the sound")
     take = read_take(spec.audio) if spec.audio.suffix in (*LAYER_SUFFIXES, ".usdz") else None
@@ -43,6 +44,7 @@ def run(
     else:
         samples, clock = _video_sound(spec, take)
     found = align_phones(samples, words, pronunciations=own, progress=part(progress, 0.1, 0.95))
+    outside = share_outside(samples, found.track.words, rate=RATE)
     track = _on_clock(found.track, *clock)
     origin = None if provenance is None else provenance_metadata(provenance)
     write_phone_track(spec.out, track, origin=origin)
@@ -53,9 +55,10 @@ def run(
         (spec.out,),
         f"{len(said)} phones of {len(track.words)} words in {track.duration:.1f} s, "
         f"{len(visemes)} of the 14 visemes of speech",
-        tuple(_notes(found)),
+        tuple(_notes(found, outside)),
         {
             "phones": len(said),
+            "sound_outside_words": round(outside, 3),
             "words": len(track.words),
             "visemes": visemes,
             "score": round(found.score, 2),
@@ -67,6 +70,13 @@ def run(
             ],
         },
     )
+
+
+def _words(spec: PhonesSpec, text: str) -> tuple[str, ...]:
+    try:
+        return spoken_words(text)
+    except InputError as error:
+        raise InputError(f"{spec.transcript}: {error}" if spec.transcript else str(error)) from None
 
 
 def _video_sound(spec: PhonesSpec, take: Take) -> tuple[np.ndarray, tuple[float, float]]:
@@ -97,8 +107,13 @@ def _on_clock(track: PhoneTrack, offset: float, speed: float) -> PhoneTrack:
     )
 
 
-def _notes(found: Alignment) -> list[str]:
+def _notes(found: Alignment, outside: float) -> list[str]:
     notes = []
+    if outside > INCOMPLETE_SHARE:
+        notes.append(
+            f"{outside:.0%} of the sound lies outside the words: the transcript lacks much of what "
+            "is said, or is of something else; write down every word"
+        )
     if found.guessed:
         shown = [f"{word} ({' '.join(said)})" for word, said in found.guessed.items()]
         notes.append(
