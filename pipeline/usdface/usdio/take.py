@@ -1,5 +1,6 @@
 """Read a take that follows our contract, whole or by ranges of frames."""
 
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -62,7 +63,7 @@ class TakeReader:
         """The take's name; the file's, where the take has none."""
         return str(self._value("face:take") or self.path.name.split(".")[0])
 
-    @property
+    @functools.cached_property
     def marker_names(self) -> tuple[str, ...]:
         """Names of the markers; empty where the take has none."""
         prim = self._prims[MARKERS.name]
