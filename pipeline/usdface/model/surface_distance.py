@@ -8,6 +8,7 @@ from usdface.assets import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.errors import InputError
 from usdface.numerics.surface.geodesic import Metric, euclidean_distances, geodesic_distances
 from usdface.numerics.surface.surface_graph import MeshFaults
+from usdface.progress import Progress, silent
 
 BLEND = 0.39
 """Share of the geodesic distance that W06 found best (section 5, Fig. 6)."""
@@ -115,6 +116,7 @@ def surface_distances(
     *,
     marker_corners: IntArray | None = None,
     metric: Metric = "dijkstra",
+    progress: Progress = silent,
 ) -> SurfaceDistances:
     """Measure from every marker to every point (W06, "Geodesic manifold distances").
 
@@ -132,6 +134,7 @@ def surface_distances(
         Points that the shares belong to; by default the first three corners of the polygon.
     metric : {'dijkstra', 'dijkstra-diagonals', 'heat'}
         The paper's, on edges; the same over polygons' diagonals too; the heat method.
+    progress : callable
 
     Raises
     ------
@@ -159,6 +162,7 @@ def surface_distances(
             corners=np.asarray(corners, np.int64),
             weights=shares,
             metric=metric,
+            progress=progress,
         )
     except ValueError as error:
         raise InputError(str(error)) from error

@@ -166,7 +166,7 @@ def fit_surface_regression(
             rng, table, rows, keep=samples, device=there, dtype=DTYPES[precision]
         )
     thin = max(1, len(theta) // _THINNED)
-    left_out = leave_markers_out(spectrum, rows, theta[::thin])
+    left_out = leave_markers_out(spectrum, rows, theta[::thin], with_nearest=True)
     return SurfaceRegression(
         method=method,
         sampler=sampler,

@@ -27,7 +27,7 @@ from usdface.numerics.registration.marker_binding import (
 )
 from usdface.numerics.registration.surface_places import SurfacePlaces
 from usdface.numerics.surface.surface_graph import MeshFaults
-from usdface.progress import Progress
+from usdface.progress import Progress, part
 from usdface.provenance import hash_text
 from usdface.specs.deform import SurfaceSpec
 from usdface.steps.bound_take import TakeSample, bind_take, landmark_places, sample_take
@@ -139,7 +139,7 @@ def plan_surface(
     except ValueError as error:
         raise InputError(f"{spec.take} does not lie on {spec.mesh}: {error}") from error
     progress(0.3, "measuring distances over the mesh")
-    distances = _distances(spec, face, places, out)
+    distances = _distances(spec, face, places, out, part(progress, 0.3, 0.6))
     notes.extend(distances.unreached.describe())
     progress(0.6, "fitting the regression")
     moved = sample.positions[:, columns] - sample.neutral[columns]
@@ -197,7 +197,7 @@ def distances_path(out: Path, face: FaceMesh) -> Path:
 
 
 def _distances(
-    spec: SurfaceSpec, face: FaceMesh, places: SurfacePlaces, out: Path
+    spec: SurfaceSpec, face: FaceMesh, places: SurfacePlaces, out: Path, progress: Progress
 ) -> SurfaceDistances:
     mesh = face.mesh
     numbers = (places.faces.tolist(), places.corners.tolist(), places.weights.round(7).tolist())
@@ -214,6 +214,7 @@ def _distances(
         places.weights,
         marker_corners=places.corners,
         metric=spec.metric,
+        progress=progress,
     )
     write_distances(path, _to_cache(found), key=key)
     return found

@@ -102,6 +102,22 @@ def test_left_out_errors_are_those_of_fits_without_the_marker() -> None:
         assert found.expected[0, marker] ** 2 == pytest.approx(variance)
 
 
+def test_a_marker_left_out_with_its_nearest_is_predicted_from_the_rest() -> None:
+    rng = np.random.default_rng(0)
+    spectrum = small_spectrum(12)
+    row = draw_rows(spectrum, rng, 1)
+    theta = np.log([4.0, 0.05, 1.0, 1.0])
+    found = leave_markers_out(spectrum, row, theta[None, :, None], with_nearest=True)
+    whole, alike = dense_covariance(spectrum, theta), dense_parts(spectrum)[0].copy()
+    np.fill_diagonal(alike, -1.0)
+    for marker in range(12):
+        others = ~np.isin(np.arange(12), [marker, alike[marker].argmax()])
+        weights = np.linalg.solve(whole[np.ix_(others, others)], whole[others, marker])
+        assert found.errors[0, marker] == pytest.approx(row[0, marker] - weights @ row[0, others])
+        variance = whole[marker, marker] - weights @ whole[others, marker]
+        assert found.expected[0, marker] ** 2 == pytest.approx(variance)
+
+
 def test_intervals_widen_where_and_along_which_axis_markers_surprise() -> None:
     rng = np.random.default_rng(0)
     places = rng.uniform(-100, 100, (60, 3))

@@ -1,7 +1,9 @@
 """How far the process is wrong at markers it is not told, and how far it expects to be.
 
 A Gaussian process says too little or too much where a face is less, or more, smooth than on the
-whole. What it is surprised by at left-out markers, near each, says by how much.
+whole. What it is surprised by at left-out markers, near each, says by how much. Markers come in
+rows, along lids and lips: one that is left out is told by its neighbour in the row, and points off
+the row are not. So for that question its nearest neighbour is left out with it.
 """
 
 from dataclasses import dataclass
@@ -52,7 +54,9 @@ class Widening:
     of_points: Float32Array
 
 
-def leave_markers_out(spectrum: MarkerSpectrum, displacements: Array, theta: Array) -> LeftOut:
+def leave_markers_out(
+    spectrum: MarkerSpectrum, displacements: Array, theta: Array, *, with_nearest: bool = False
+) -> LeftOut:
     """Predict every marker from the others, in closed form (Rasmussen and Williams, eq. 5.12).
 
     Parameters
@@ -62,6 +66,8 @@ def leave_markers_out(spectrum: MarkerSpectrum, displacements: Array, theta: Arr
         [mm]
     theta : (samples, 4, chains or 1) float array
         Predictions are averaged over the samples; one theta may serve all chains.
+    with_nearest : bool
+        Whether the marker that is most alike is left out too: from all but these two.
     """
     Q = spectrum.vectors
     covariance = (Q * spectrum.values) @ Q.T
@@ -70,6 +76,8 @@ def leave_markers_out(spectrum: MarkerSpectrum, displacements: Array, theta: Arr
     errors, squares = np.empty_like(displacements), np.empty_like(displacements)
     scales = np.exp(np.clip(theta, -30.0, 30.0))  # a take at rest has none
     together = theta.shape[2] == 1
+    others = covariance - 2.0 * np.diag(np.diagonal(covariance))
+    markers, nearest = np.arange(len(Q)), others.argmax(axis=1)
     for chain in range(theta.shape[2]):
         rows = slice(None) if together else slice(chain, chain + 1)
         v0, v1, a0, a1 = (scales[:, k, chain][:, None, None] for k in range(4))
@@ -77,9 +85,15 @@ def leave_markers_out(spectrum: MarkerSpectrum, displacements: Array, theta: Arr
         whole += _JITTER * np.trace(whole, axis1=1, axis2=2)[:, None, None] * np.eye(len(Q))
         inverse = np.linalg.inv(whole)
         own = np.diagonal(inverse, axis1=1, axis2=2)[:, None]
-        each = (displacements[rows] @ inverse) / own
+        told = displacements[rows] @ inverse
+        each, expected = told / own, 1.0 / own
+        if with_nearest:
+            across = inverse[:, None, markers, nearest]
+            determinant = own * own[..., nearest] - across**2
+            each = (own[..., nearest] * told - across * told[..., nearest]) / determinant
+            expected = own[..., nearest] / determinant
         errors[rows] = each.mean(axis=0)
-        squares[rows] = (1.0 / own).mean(axis=0) + each.var(axis=0)
+        squares[rows] = expected.mean(axis=0) + each.var(axis=0)
     return LeftOut(errors, np.sqrt(squares))
 
 

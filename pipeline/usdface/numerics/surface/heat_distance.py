@@ -10,6 +10,7 @@ import potpourri3d
 from numpy.typing import NDArray
 
 from usdface.numerics.registration.triangulation import triangulate
+from usdface.progress import Progress, silent
 
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
@@ -24,6 +25,7 @@ def heat_distances(
     islands: IntArray,
     corners: IntArray,
     weights: FloatArray,
+    progress: Progress = silent,
 ) -> Float32Array:
     """Measure from places to points by the heat method.
 
@@ -36,6 +38,7 @@ def heat_distances(
         Connected piece of each point.
     corners : (places, 3) int array
     weights : (places, 3) float array
+    progress : callable
 
     Returns
     -------
@@ -51,6 +54,7 @@ def heat_distances(
     triangles = triangles[_areas(points, triangles) > 0]
     out = np.full((len(corners), len(points)), np.inf, np.float32)
     island_of_place = islands[corners[:, 0]]
+    done, wanted = 0, int(np.count_nonzero(weights))
     for island in np.unique(island_of_place).tolist():
         places = np.flatnonzero(island_of_place == island)
         own = triangles[islands[triangles[:, 0]] == island]
@@ -68,9 +72,11 @@ def heat_distances(
         np.add.at(share, (np.arange(len(places))[:, None], which.reshape(-1, 3)), weights[places])
         for column in np.flatnonzero(share.any(axis=0)).tolist():
             distance = np.asarray(solver.compute_distance(int(local[starts[column]])))
-            rows[share[:, column] != 0] += np.outer(
-                share[share[:, column] != 0, column], distance - distance.min()
-            )
+            distance -= distance.min()
+            for each in np.flatnonzero(share[:, column]).tolist():
+                rows[each] += share[each, column] * distance
+            done += 1
+            progress(min(done / wanted, 1.0), "measuring distances by heat")
         for place, row in zip(places, rows, strict=True):
             out[place, inside] = row
     return out

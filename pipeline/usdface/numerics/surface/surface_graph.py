@@ -95,13 +95,21 @@ def surface_segments(
     if diagonals and (face_counts > _MOST_CORNERS).any():
         triangles, _ = triangulate(face_counts, face_indices)
         crossings.append(triangles[:, [0, 2]])
-    along = np.sort(np.concatenate(edges or [np.zeros((0, 2), np.int64)]), axis=1)
-    along, times = np.unique(along[along[:, 0] != along[:, 1]], axis=0, return_counts=True)
+    points = int(face_indices.max(initial=0)) + 1
+    along, times = _distinct(np.concatenate(edges or [np.zeros((0, 2), np.int64)]), points)
     segments = along
     if crossings:
-        across = np.sort(np.concatenate(crossings), axis=1)
-        segments = np.unique(np.concatenate([along, across[across[:, 0] != across[:, 1]]]), axis=0)
+        segments, _ = _distinct(np.concatenate([along, *crossings]), points)
     return segments, MeshFaults(int((times > 2).sum()), degenerate, 0)
+
+
+def _distinct(pairs: IntArray, points: int) -> tuple[IntArray, IntArray]:
+    """Return pairs of two points once each, the lower first, in order, and how often they came."""
+    low, high = pairs.min(axis=1), pairs.max(axis=1)
+    joined = low != high
+    # a number for each pair: sorting those takes a tenth of what sorting rows takes
+    keys, times = np.unique(low[joined] * points + high[joined], return_counts=True)
+    return np.stack([keys // points, keys % points], axis=1), times
 
 
 def surface_graph(
