@@ -1,6 +1,9 @@
 """Every layout of a sheet, on a shot that has been solved."""
 
+import json
 import shutil
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
@@ -12,7 +15,9 @@ from usdface.errors import InputError
 from usdface.media.color import bytes_from_linear
 from usdface.media.display_view import display_view
 from usdface.media.image import read_image_metadata
+from usdface.media.sheet import Tile
 from usdface.specs.sheet import SheetSpec
+from usdface.speech.visemes import viseme_label, viseme_of
 from usdface.steps import sheet as sheet_step
 from usdface.steps.execute import execute
 
@@ -135,3 +140,35 @@ def test_a_camera_of_the_shot_gives_the_picture_its_width_and_its_view(shot, mon
     assert near[20:44, 30:66].std() > 10
     with pytest.raises(InputError, match=r"no prim </none>; its cameras are </near>, </far>"):
         execute(spec_of(shot, camera="/none", camera_stage=shot / "cut 1.usda"), overwrite=True)
+
+
+def write_phones(path: Path, spans: list[tuple[float, float, str]]) -> Path:
+    rows = [{"start": a, "end": b, "label": label} for a, b, label in spans]
+    path.write_text(json.dumps({"phones": rows}), encoding="utf-8")
+    return path
+
+
+def test_rows_tell_what_is_said_where_phones_are_known(shot: Shot, monkeypatch) -> None:
+    pages = []
+    compose = sheet_step.compose_sheet
+    monkeypatch.setattr(
+        sheet_step, "compose_sheet", lambda page: (pages.append(page), compose(page))[1]
+    )
+    phones = write_phones(shot / "x.json", [(0.0, 1.0, "sil"), (1.0, 2.0, "M"), (2.0, 3.0, "AA1")])
+    execute(spec_of(shot, layout="strip", pick="even", rows=5, phones=phones, out=shot / "a.png"))
+    # frames 1, 121, 241, 360 and 480 at 120 per second
+    assert [row.said for row in pages[0].rows] == [
+        "silent",
+        "M  /b/ /p/ /m/",
+        "AA  " + viseme_label(viseme_of("aa") or ""),
+        "AA  " + viseme_label(viseme_of("aa") or ""),
+        "",
+    ]
+    assert "phone and viseme" in " ".join(pages[0].notes)
+    row = replace(pages[0].rows[1], tiles=(Tile(np.zeros((320, 560, 3), np.uint8)),))
+    wide = replace(pages[0], rows=(row,), tile_height=320)
+    mute = replace(wide, rows=(replace(row, said=""),))
+    assert np.any(compose(wide) != compose(mute)), "the label is drawn"
+    late = write_phones(shot / "y.json", [(0.0, 100.0, "M")])
+    with pytest.raises(InputError, match=r"lasts 100.0 s and take .* 4.0 s"):
+        execute(spec_of(shot, phones=late), overwrite=True)

@@ -112,7 +112,7 @@ def draw_coverage(page: CoveragePage) -> ByteImage:
         "share of a face's motion that the references do not determine",
         "white marks: references",
     )
-    draw_legend(picture, notes, x=MARGIN, y=y, width=inner, high=WORST, unit="%")
+    draw_legend(picture, ("   ·   ".join(notes),), x=MARGIN, y=y, width=inner, high=WORST, unit="%")
     y += LEGEND
     first = page.first_frame if len(page.takes) == 1 else 0
     lanes_top = y + takes - 20  # the strip leaves room for numbers above, which marks have none of

@@ -114,6 +114,8 @@ class ReviewPage:
         Such as ``'video/mp4'``.
     pictures : tuple of PagePicture
         Such as a contact sheet.
+    said : sequence of str
+        What is said in each picture; or none.
     """
 
     title: str
@@ -131,6 +133,7 @@ class ReviewPage:
     movie: bytes = b""
     movie_type: str = "video/mp4"
     pictures: tuple[PagePicture, ...] = ()
+    said: Sequence[str] = ()
 
 
 def build_page(page: ReviewPage) -> str:
@@ -157,7 +160,11 @@ def build_page(page: ReviewPage) -> str:
 
 
 def _data(page: ReviewPage) -> Mapping[str, Any]:
+    labels = list(dict.fromkeys(page.said))
+    place = {label: index for index, label in enumerate(labels)}
     return {
+        "labels": labels,
+        "said": [place[label] for label in page.said],
         "rate": page.rate,
         "frames": [int(frame) for frame in page.frames],
         "timecodes": list(page.timecodes),

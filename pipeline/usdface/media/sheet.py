@@ -19,6 +19,7 @@ from usdface.media.sheet_layout import (
     FACTS,
     GROUP_GAP,
     GUTTER,
+    LEGEND_LINE,
     MARGIN,
     TITLE,
     Layout,
@@ -29,6 +30,7 @@ from usdface.media.sheet_layout import (
     check_sheet,
     has_legend,
     lay_out,
+    legend_lines,
 )
 from usdface.media.text import TextStyle, draw_text, text_width
 from usdface.media.tiles import empty_tile, fit_picture
@@ -93,7 +95,9 @@ def compose_sheet(spec: SheetPage) -> ByteImage:
         )
         y += strip_height(len(spec.curves))
     if has_legend(spec):
-        draw_legend(page, spec.notes, x=MARGIN, y=y, width=inner, high=high, unit=spec.unit)
+        draw_legend(
+            page, legend_lines(spec.notes), x=MARGIN, y=y, width=inner, high=high, unit=spec.unit
+        )
     for group in range(layout.groups):
         first = group * layout.rows_per_group
         rows = spec.rows[first : first + layout.rows_per_group]
@@ -138,14 +142,16 @@ def draw_legend(
     high: float,
     unit: str,
 ) -> None:
-    """Draw the ramp with its ends, and notes beside it."""
+    """Draw the ramp with its ends, and notes beside it, each on a line of its own."""
     bar = min(240, width // 4)
     ramp = bytes_from_linear(heat_ramp(np.linspace(0, 1, bar)))
     start = x + draw_text(page, "0", x=x, y=y, style=_TEXT) + 8
     page[y + 5 : y + 20, start : start + bar] = ramp
     end = start + bar + 8
     end += draw_text(page, f"{high:g} {unit}", x=end, y=y, style=_TEXT) + 28
-    draw_text(page, "   ·   ".join(notes), x=end, y=y, style=_DIM, max_width=x + width - end)
+    for number, line in enumerate(notes):
+        below = y + number * LEGEND_LINE
+        draw_text(page, line, x=end, y=below, style=_DIM, max_width=x + width - end)
 
 
 def _draw_group(
@@ -187,7 +193,13 @@ def _draw_row(
     fill_box(page, x, y + 2, wide, 24, _RULE)
     draw_text(page, badge, x=x + wide // 2, y=y + 3, style=_CODE, anchor="middle")
     at, right = x + wide + 12, x + layout.group_width
-    for label, style in ((f"frame {row.frame}", _CODE), (row.timecode, _CODE), (row.note, _DIM)):
+    labels = (
+        (f"frame {row.frame}", _CODE),
+        (row.timecode, _CODE),
+        (row.said, _TEXT),
+        (row.note, _DIM),
+    )
+    for label, style in labels:
         if label:
             room = max(right - at, 0)
             at += draw_text(page, label, x=at, y=y + 3, style=style, max_width=room) + 20

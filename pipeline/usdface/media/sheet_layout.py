@@ -20,6 +20,8 @@ ROW_GAP = 14
 CAPTION = 30
 COLUMN_HEAD = 36
 LEGEND = 42
+LEGEND_LINE = 24
+LEGEND_LETTERS = 90  # of one line of notes; more go to lines of their own
 LEAST_WIDTH = 800  # for the title and the strip above a few small tiles
 TITLE = 60
 FACTS = 34
@@ -57,12 +59,15 @@ class SheetRow:
         One for each column.
     note : str
         Why this frame is shown, if there is a reason.
+    said : str
+        What is said there: phone, viseme, emotion; empty when unknown.
     """
 
     frame: int
     timecode: str
     tiles: tuple[Tile, ...]
     note: str = ""
+    said: str = ""
 
 
 @dataclass(frozen=True)
@@ -172,11 +177,24 @@ def has_legend(spec: SheetPage) -> bool:
     return bool(spec.notes or len(all_errors(spec)))
 
 
+def legend_lines(notes: Sequence[str]) -> tuple[str, ...]:
+    """Return notes on as many lines as they need to be read; at least one."""
+    lines = [""]
+    for note in notes:
+        longer = f"{lines[-1]}   ·   {note}" if lines[-1] else note
+        if lines[-1] and len(longer) > LEGEND_LETTERS:
+            lines.append(note)
+        else:
+            lines[-1] = longer
+    return tuple(lines)
+
+
 def lay_out(spec: SheetPage) -> Layout:
     """Find the sizes; of all ways to stand rows side by side, the one nearest `BEST_ASPECT`."""
     head = MARGIN - 8 + TITLE + (FACTS if spec.facts else 0) + 18
     head += strip_height(len(spec.curves)) if spec.curves else 0
-    head += LEGEND if has_legend(spec) else 0
+    if has_legend(spec):
+        head += LEGEND + LEGEND_LINE * (len(legend_lines(spec.notes)) - 1)
     widths = tuple(
         round(_column_aspect(spec.rows, column) * spec.tile_height)
         for column in range(len(spec.columns))

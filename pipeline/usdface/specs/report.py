@@ -39,6 +39,8 @@ class ReportSpec(Spec):
     """Show these frames only, as FIRST-LAST."""
     against: ReadPath | None = None
     """What the weights should have been (.csv, .json or .usd): the page tells the errors."""
+    phones: ReadPath | None = None
+    """What is said when in this take (`usdface phones`): the page tells phone and viseme."""
     sheet: ReadPath | None = None
     """A contact sheet to put into the page (.jpg or .png)."""
     references: ReadPath | None = None

@@ -53,6 +53,8 @@ class SheetSpec(Spec):
     """Choose from these frames only, as FIRST-LAST."""
     against: ReadPath | None = None
     """What the weights should have been (.csv, .json or .usd): errors are measured against it."""
+    phones: ReadPath | None = None
+    """What is said when (`usdface phones`): rows are labelled with phone and viseme."""
     tile: Annotated[int, Field(ge=64, le=2048)] | None = None
     """Height of a picture in pixels: 320, for a strip 192."""
     quality: Literal["draft", "final"] = "final"

@@ -37,6 +37,7 @@ from usdface.steps.report_coverage import show_coverage
 from usdface.steps.review_listings import evaluate_shown, listings
 from usdface.steps.sheet import place_markers, read_truth
 from usdface.steps.shot_camera import ShotCamera
+from usdface.steps.shot_phones import said_at
 from usdface.steps.shot_pictures import Shot, open_shot, undrawn
 from usdface.steps.take_sound import SAMPLE_RATE, take_sound
 from usdface.usdio.performance_reader import PerformanceReader
@@ -115,6 +116,7 @@ def run(
         movie=movie,
         movie_type=_movie_kind()[1],
         pictures=pictures,
+        said=said_at(spec.phones, take, frames) if spec.phones else (),
     )
     progress(0.97, f"writing {spec.out.name}")
     text = build_page(page)

@@ -22,6 +22,7 @@ from usdface.steps.frame_choice import ChosenFrame, choose_frames
 from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
 from usdface.steps.shot_camera import ShotCamera
+from usdface.steps.shot_phones import said_at
 from usdface.steps.shot_pictures import (
     EXAGGERATION,
     Shot,
@@ -85,6 +86,7 @@ def run(
         label = other.performance_file.stem.split(".usd")[0]
         judged.append(_judge(label, other, other.weights, None, equation))
     chosen = _choose(spec, shot, next(each for each in judged if each.label == "usdface"))
+    said = said_at(spec.phones, shot.take, shot.frames[[frame.row for frame in chosen]])
     high = round_range(np.concatenate([each.error_mm for each in judged]))
     tile = spec.tile or (STRIP_TILE if spec.layout == "strip" else OTHER_TILE)
     show = display_view(spec.view)
@@ -106,6 +108,7 @@ def run(
                     timecode=shot.timecode(int(shot.frames[frame.row])),
                     tiles=tuple(column.draw(frame.row) for column in columns),
                     note=frame.reason,
+                    said=said[number],
                 )
             )
         eyes = any(each.stand_in_eyes for each in pictures)
@@ -122,6 +125,7 @@ def run(
             stand_in_eyes=eyes,
             doubted=shot.performance.confidence is not None,
             plain=any(undrawn(each.rig) for each in shots),
+            spoken=any(said),
         ),
         tile_height=tile,
         high=high,
@@ -342,7 +346,13 @@ def _facts(spec: SheetSpec, shot: Shot) -> tuple[str, ...]:
 
 
 def _notes(
-    truth_known: bool, judged: list[_Judged], *, stand_in_eyes: bool, doubted: bool, plain: bool
+    truth_known: bool,
+    judged: list[_Judged],
+    *,
+    stand_in_eyes: bool,
+    doubted: bool,
+    plain: bool,
+    spoken: bool,
 ) -> tuple[str, ...]:
     what = (
         "error: RMS distance of the surface from what was keyed"
@@ -352,9 +362,10 @@ def _notes(
     means = ", ".join(f"{each.label} {np.nanmean(each.error_mm):.2f} mm" for each in judged)
     eyes = ("the rig has no eyes: stand-ins are drawn",) if stand_in_eyes else ()
     doubt = ("doubt: 1 less the confidence",) if doubted else ()
+    phones = ("beside frames: phone and viseme",) if spoken else ()
     textures = ("textures are not drawn",) if plain else ()
     lines = f"lines at markers: what is left unexplained, {EXAGGERATION:g} times as long"
-    return (what, f"mean: {means}", lines, *doubt, *eyes, *textures)
+    return (what, f"mean: {means}", lines, *doubt, *phones, *eyes, *textures)
 
 
 def _report(

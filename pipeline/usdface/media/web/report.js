@@ -74,6 +74,7 @@ class Report {
     document.documentElement.style.setProperty("--at", count > 1 ? at / (count - 1) : 0);
     const frame = data.frames[at], code = data.timecodes[at] ?? "";
     byId("clock").textContent = `${code}  ${frame}`.trim();
+    byId("said").textContent = data.labels[data.said[at]] ?? "";
     const scrub = byId("scrub");
     scrub.value = at;
     scrub.setAttribute("aria-valuetext", `frame ${frame}${code ? `, ${code}` : ""}`);
