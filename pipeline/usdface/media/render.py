@@ -68,6 +68,7 @@ class FaceRenderer:
         quality: Quality = "final",
         values: ArrayLike | None = None,
         value_range: tuple[float, float] = (0.0, 1.0),
+        sculpted: FloatArray | None = None,
     ) -> ByteImage:
         """Draw one pose.
 
@@ -84,6 +85,8 @@ class FaceRenderer:
             Painted in place of colours, as a heat map.
         value_range : tuple of float
             Values drawn in the ramp's first and last colour.
+        sculpted : (points, 3) array, optional
+            Added to the surface's unit normals, see `SculptedNormals`.
 
         Returns
         -------
@@ -105,6 +108,10 @@ class FaceRenderer:
             fine_values = np.asarray(surface.matrix @ given)
             low, high = value_range
             colors = heat_ramp(fine_values, low=low, high=high).astype(np.float32)
+        normals = surface.normals_at(fine.astype(np.float32))
+        if sculpted is not None:
+            normals = normals + surface.matrix @ sculpted
+            normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
         view = View(
             surface=surface,
             camera=camera,
@@ -112,7 +119,7 @@ class FaceRenderer:
             height=height,
             effort=EFFORT[quality],
             tracer=Tracer(fine.astype(np.float32), surface.triangles),
-            normals=surface.normals_at(fine.astype(np.float32)).astype(np.float32),
+            normals=normals.astype(np.float32),
             colors=colors,
             heat=values is not None,
         )

@@ -16,6 +16,7 @@ from usdface.media.markers_view import draw_markers, frame_markers
 from usdface.media.picture import read_picture
 from usdface.media.reference_sheet import ReferenceRow, compose_reference_sheet
 from usdface.media.render import FaceRenderer
+from usdface.media.sculpted_normals import SculptedNormals
 from usdface.media.video import VideoReader
 from usdface.model.equation import set_up_equation
 from usdface.progress import Progress, silent
@@ -57,6 +58,7 @@ def run(
     takes = _takes(spec.takes, references)
     pairs = _pairs(spec, references)
     deformer, renderer = Deformer(rig), FaceRenderer(rig.meshes)
+    normals = SculptedNormals(rig, deformer)
     weights = np.zeros((len(references.weights), len(rig.shapes)))
     weights[:, columns] = references.weights
     equation = set_up_equation(
@@ -86,6 +88,7 @@ def run(
                 width=spec.tile,
                 height=spec.tile,
                 quality=spec.quality,
+                sculpted=normals.at(weights[pair]),
             )
             rows.append(
                 ReferenceRow(

@@ -16,6 +16,7 @@ from usdface.media.display_view import DisplayView
 from usdface.media.image_sequence import ImageSequence, open_video
 from usdface.media.markers_view import draw_markers, frame_markers
 from usdface.media.render import FaceRenderer
+from usdface.media.sculpted_normals import SculptedNormals
 from usdface.media.sheet import Tile
 from usdface.media.video import VideoReader
 from usdface.specs.base import frame_range
@@ -173,6 +174,7 @@ class ShotPictures:
         self._height = height
         self._quality: Literal["draft", "final"] = quality
         self._renderer = FaceRenderer(shot.rig.meshes, display=display)
+        self._normals = SculptedNormals(shot.rig, shot.deformer)
         self._camera = camera or ShotCamera(shot.performance_file, shot.performance, shot.rig)
         self._width = self._camera.width(height, int(shot.frames[0]))
         self._cloud = frame_markers(_spread(shot.take))
@@ -250,6 +252,7 @@ class ShotPictures:
             width=self._width,
             height=self._height,
             quality=self._quality,
+            sculpted=self._normals.at(weights),
         )
 
     def difference(

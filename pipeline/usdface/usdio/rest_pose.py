@@ -33,6 +33,23 @@ class PlacedMesh:
             return np.asarray(offsets @ self.linear.T)
         return np.asarray(np.einsum("nij,nj->ni", self.linear[points], offsets))
 
+    def normals(self, normals: FloatArray, points: NDArray[np.int64] | None = None) -> FloatArray:
+        """Turn normals, or what is added to them, into our space; unit ones stay unit.
+
+        Of the points given; of all by default.
+        """
+        linear = self.linear
+        if linear.ndim == 3 and points is not None:
+            linear = linear[points]
+        volume = np.abs(np.linalg.det(linear))
+        if not np.all(volume > 0):
+            return normals  # a mesh that is flattened has no other
+        # The inverse transpose keeps normals upright where a scale is not the same all ways.
+        turn = np.linalg.inv(linear) * np.cbrt(volume)[..., None, None]
+        if turn.ndim == 2:
+            return np.asarray(normals @ turn)
+        return np.asarray(np.einsum("nji,nj->ni", turn, normals))
+
 
 class RestPose:
     """The skeletons of a SkelRoot at rest, resolved once for all its meshes."""

@@ -12,7 +12,7 @@ from usdface.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.errors import InputError
 from usdface.usdio.layers import open_stage
 from usdface.usdio.materials import read_look
-from usdface.usdio.rest_pose import RestPose
+from usdface.usdio.rest_pose import PlacedMesh, RestPose
 from usdface.usdio.space import stage_to_ours
 
 FloatArray = NDArray[np.float64]
@@ -127,7 +127,7 @@ def _read_mesh(prim: Usd.Prim, rest: RestPose, path: Path) -> RigMesh:
         face_counts=counts,
         face_indices=indices,
         colors=_read_colors(mesh, len(local), indices),
-        normals=_read_normals(mesh, len(local)),
+        normals=_read_normals(mesh, placed),
         subdivision=str(mesh.GetSubdivisionSchemeAttr().Get()),
         visible=mesh.ComputeVisibility() != UsdGeom.Tokens.invisible
         and mesh.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render),
@@ -152,7 +152,7 @@ def _read_mesh(prim: Usd.Prim, rest: RestPose, path: Path) -> RigMesh:
                 weight=weight,
                 points=points,
                 offsets=placed.offsets(points, offsets),
-                normal_offsets=normals,
+                normal_offsets=None if normals is None else placed.normals(normals, points),
             )
             for weight, points, offsets, normals in _shape_keys(shape, len(local), path)
         )
@@ -245,8 +245,16 @@ def _read_colors(
     return None
 
 
-def _read_normals(mesh: UsdGeom.Mesh, point_count: int) -> FloatArray | None:
-    values = mesh.GetNormalsAttr().Get()
-    if values is None or len(values) != point_count:
+def _read_normals(mesh: UsdGeom.Mesh, placed: PlacedMesh) -> FloatArray | None:
+    """Return a unit normal of each point, where they are given so; ``primvars:normals`` first."""
+    primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")
+    values = primvar.ComputeFlattened() if primvar and primvar.HasAuthoredValue() else None
+    if values is None:
+        values = mesh.GetNormalsAttr().Get()
+    if values is None or len(values) != len(placed.points):
         return None
-    return np.array(values, dtype=np.float64)
+    normals = np.array(values, dtype=np.float64).reshape(-1, 3)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    if not np.isfinite(normals).all() or not (length > 0).all():
+        return None
+    return placed.normals(normals / length)
