@@ -1,6 +1,7 @@
 """Ways to solve and to regress that users may name, held to what they are said to be."""
 
 import numpy as np
+import pytest
 from scipy.optimize import lsq_linear, nnls
 
 from tests.model.synthetic import references_of, synthetic_face
@@ -98,3 +99,15 @@ def test_each_centre_may_have_a_width_of_its_own() -> None:
     own = [each for each in method.candidates(pairs, 8) if each["widths"] == "per centre"]
     fitted = method.fit(pairs, own[0])
     assert len(np.unique(fitted.arrays["widths"])) > 10
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_head_placed_a_hair_aside_has_the_same_face(name: str) -> None:
+    """Cleaned takes have components that hardly move: what moves there is never the face."""
+    face = synthetic_face(bend=0.2, noise=5e-4)
+    mapping = train_mapping(
+        references_of(face, CHOSEN), ranges=face.ranges, gram=face.gram, method=name
+    )
+    before = predict_weights(mapping, face.positions[:200]).weights
+    after = predict_weights(mapping, face.positions[:200] + 0.02).weights
+    np.testing.assert_allclose(after, before, atol=0.03)

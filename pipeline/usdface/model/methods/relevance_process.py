@@ -10,13 +10,21 @@ from usdface.numerics.regression.ard_process import (
     predict_ard_process,
 )
 
+LEAST_DEVIATION_MM = 0.25
+"""Of a component: a head placed by a hundredth of a millimetre otherwise moves components by a
+tenth, and one that hardly moved among the references must not become another face by it."""
+
 
 def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
     return tuple({"dimensions": d} for d in dimension_choices(pairs, dimensions, (8, 16, 24)))
 
 
 def _fit(pairs: Pairs, settings: Settings) -> Fitted:
-    model = fit_ard_process(pairs.coordinates[:, : int(settings["dimensions"])], pairs.weights)
+    model = fit_ard_process(
+        pairs.coordinates[:, : int(settings["dimensions"])],
+        pairs.weights,
+        least_deviation=LEAST_DEVIATION_MM,
+    )
     arrays = {
         "centres": model.centres,
         "lengths": model.lengths,

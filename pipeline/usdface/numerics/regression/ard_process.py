@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _STEPS = 100
-_LOG_LENGTH = (-3.0, 6.0)  # around 1: features are scaled to unit deviation first
+_LOG_LENGTH = (-1.0, 6.0)  # around 1: features are scaled to unit deviation first
 _LOG_AMPLITUDE = (-3.0, 6.0)
 _LOG_NOISE = (-11.0, 1.0)
 
@@ -49,13 +49,16 @@ class ARDProcess:
     evidence: float
 
 
-def fit_ard_process(features: Array, outputs: Array) -> ARDProcess:
+def fit_ard_process(features: Array, outputs: Array, *, least_deviation: float = 0.0) -> ARDProcess:
     """Fit lengths, amplitude and noise by maximum evidence, from one length for all.
 
     Parameters
     ----------
     features : (n, d) float array
     outputs : (n, s) float array
+    least_deviation : float, optional
+        What a feature is taken to deviate at least: smaller differences are not looked at as if
+        they were large, because in use they are noise.
 
     Raises
     ------
@@ -69,7 +72,7 @@ def fit_ard_process(features: Array, outputs: Array) -> ARDProcess:
     if not (np.isfinite(features).all() and np.isfinite(outputs).all()):
         raise ValueError("features or outputs hold values that are not finite")
     count, dimensions = features.shape
-    unit = np.maximum(features.std(axis=0), 1e-12)
+    unit = np.maximum(features.std(axis=0), max(least_deviation, 1e-12))
     from scipy.linalg import cho_factor, cho_solve  # only when wanted: it takes half a second
     from scipy.optimize import minimize
 
