@@ -106,7 +106,11 @@ def test_a_head_placed_a_hair_aside_has_the_same_face(name: str) -> None:
     """Cleaned takes have components that hardly move: what moves there is never the face."""
     face = synthetic_face(bend=0.2, noise=5e-4)
     mapping = train_mapping(
-        references_of(face, CHOSEN), ranges=face.ranges, gram=face.gram, method=name
+        references_of(face, CHOSEN),
+        ranges=face.ranges,
+        gram=face.gram,
+        method=name,
+        dimensions=20,
     )
     before = predict_weights(mapping, face.positions[:200]).weights
     after = predict_weights(mapping, face.positions[:200] + 0.02).weights
