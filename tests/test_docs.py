@@ -99,8 +99,26 @@ def test_examples_in_the_help_are_understood(tmp_path: Path, monkeypatch) -> Non
         assert run(f"{spec.example} --save-spec {spec.model_fields['step'].default}.yaml") == 0
 
 
+CUT = """#usda 1.0
+(
+    metersPerUnit = 0.01
+    subLayers = [@shot.hero.usda@]
+)
+def Scope "Cut"
+{
+    def Camera "main"
+    {
+        double3 xformOp:translate = (0, 3, 70)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+}
+"""
+"""A cut whose camera looks at the character."""
+
+
 def test_the_review_page_runs(shot, monkeypatch, capsys) -> None:
     monkeypatch.chdir(shot.folder)
+    (shot / "cut010.usda").write_text(CUT, encoding="utf-8")
     for line in commands(REPOSITORY / "docs" / "review.md"):
         command = line.split()[1]
         small = {"sheet": " --tile 64", "movie": " --height 64 --rate 12"}.get(command, "")

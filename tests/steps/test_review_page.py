@@ -36,10 +36,10 @@ def spec_of(shot: Shot, **options: object) -> ReportSpec:
     )
 
 
-def give_video(shot: Shot) -> None:
+def give_video(shot: Shot, *, pictures: int = 120) -> None:
     """Give the take a movie whose pictures carry their numbers, begun a little before it."""
     rate = Fraction(25)
-    write_numbered(shot / "camera.mp4", list(range(120)), base=1 / rate, rate=rate)
+    write_numbered(shot / "camera.mp4", list(range(pictures)), base=1 / rate, rate=rate)
     layer = Sdf.Layer.FindOrOpen(str(shot / "shot.clean.take.usda"))
     prim = layer.GetPrimAtPath("/Take")
     video = Sdf.AttributeSpec(prim, "face:video:file", Sdf.ValueTypeNames.Asset)

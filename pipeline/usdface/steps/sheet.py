@@ -99,39 +99,38 @@ def run(
         for each in pictures:
             open_files.enter_context(each)
         columns = _columns(spec, shots, pictures, judged, equations[0], truth, chosen, high)
-        rows = []
-        for number, frame in enumerate(chosen):
-            progress(0.2 + 0.75 * number / len(chosen), f"drawing frame {shot.frames[frame.row]}")
-            rows.append(
-                SheetRow(
-                    frame=int(shot.frames[frame.row]),
-                    timecode=shot.timecode(int(shot.frames[frame.row])),
-                    tiles=tuple(column.draw(frame.row) for column in columns),
-                    note=frame.reason,
-                    said=said[number],
-                )
+        page = SheetPage(
+            title=f"{shot.take.name} on {', '.join(dict.fromkeys(s.rig.file.stem for s in shots))}",
+            facts=_facts(spec, shot),
+            columns=tuple(column.head for column in columns),
+            rows=(),
+            curves=(*(ErrorCurve(each.label, each.error_mm) for each in judged), *_doubt(shot)),
+            first_frame=int(shot.frames[0]),
+            notes=_notes(
+                truth is not None,
+                judged,
+                stand_in_eyes=any(each.stand_in_eyes for each in pictures),
+                doubted=shot.performance.confidence is not None,
+                plain=any(undrawn(each.rig) for each in shots),
+                spoken=any(said),
+            ),
+            tile_height=tile,
+            high=high,
+        )
+
+        def draw(number: int) -> SheetRow:
+            frame = chosen[number]
+            at = int(shot.frames[frame.row])
+            progress(0.2 + 0.75 * number / len(chosen), f"drawing frame {at}")
+            return SheetRow(
+                frame=at,
+                timecode=shot.timecode(at),
+                tiles=tuple(column.draw(frame.row) for column in columns),
+                note=frame.reason,
+                said=said[number],
             )
-        eyes = any(each.stand_in_eyes for each in pictures)
-    page = SheetPage(
-        title=f"{shot.take.name} on {', '.join(dict.fromkeys(s.rig.file.stem for s in shots))}",
-        facts=_facts(spec, shot),
-        columns=tuple(column.head for column in columns),
-        rows=tuple(rows),
-        curves=(*(ErrorCurve(each.label, each.error_mm) for each in judged), *_doubt(shot)),
-        first_frame=int(shot.frames[0]),
-        notes=_notes(
-            truth is not None,
-            judged,
-            stand_in_eyes=eyes,
-            doubted=shot.performance.confidence is not None,
-            plain=any(undrawn(each.rig) for each in shots),
-            spoken=any(said),
-        ),
-        tile_height=tile,
-        high=high,
-    )
-    progress(0.95, f"writing {spec.out.name}")
-    written = _write_pages(spec, page, shot, provenance)
+
+        written = _write_pages(spec, page, len(chosen), draw, shot, provenance)
     progress(1.0, "done")
     told = dict.fromkeys(note for each in cameras for note in each.notes(int(shot.frames[0])))
     told |= dict.fromkeys(note for each in shots for note in undrawn(each.rig))
@@ -312,14 +311,23 @@ def _compared(judged: list[_Judged], truth: FloatArray | None) -> tuple[str, Flo
 
 
 def _write_pages(
-    spec: SheetSpec, page: SheetPage, shot: Shot, provenance: Provenance | None
+    spec: SheetSpec,
+    page: SheetPage,
+    count: int,
+    draw: Callable[[int], SheetRow],
+    shot: Shot,
+    provenance: Provenance | None,
 ) -> tuple[Path, ...]:
-    """Write as many pages as the rows need; the first carries the name that was asked for."""
-    count = -(-len(page.rows) // spec.page_rows)
+    """Draw and write page by page, so that thousands of tiles are not held at once.
+
+    The first page carries the name that was asked for.
+    """
+    pages = -(-count // spec.page_rows)
     written = []
-    for number in range(count):
-        rows = page.rows[number * spec.page_rows : (number + 1) * spec.page_rows]
-        title = page.title if count == 1 else f"{page.title}, page {number + 1} of {count}"
+    for number in range(pages):
+        first = number * spec.page_rows
+        rows = tuple(draw(row) for row in range(first, min(first + spec.page_rows, count)))
+        title = page.title if pages == 1 else f"{page.title}, page {number + 1} of {pages}"
         file = spec.out
         if number:
             file = spec.out.with_name(f"{spec.out.stem}.{number + 1}{spec.out.suffix}")
