@@ -17,8 +17,6 @@ from usdface.usdio.performance import PerformanceReader, header_of, writing_top
 from usdface.usdio.rig import read_rig
 from usdface.usdio.weights_layer import WeightsHeader, writing_weights
 
-BLOCK_FRAMES = 4096
-
 
 def run(
     spec: JoinSpec, *, provenance: Provenance | None = None, progress: Progress = silent
@@ -33,6 +31,10 @@ def run(
     size = 4 * whole.frame_count * len(whole.shape_names)
     clips = spec.clips == "always" or (spec.clips == "auto" and size > LARGEST_LAYER_BYTES)
     target = weights_path(spec.out)
+
+    def told(last: int) -> None:
+        progress((last - whole.first_frame + 1) / whole.frame_count, f"joined to frame {last}")
+
     with writing_top(spec.out, whole, rig, provenance=provenance):
         if clips:
             parts = [_part(reader) for reader in readers]
@@ -40,11 +42,9 @@ def run(
         else:
             with writing_weights(target, whole, rig, provenance=provenance) as writer:
                 for reader in readers:
-                    for first in range(reader.first_frame, reader.last_frame + 1, BLOCK_FRAMES):
-                        last = min(first + BLOCK_FRAMES - 1, reader.last_frame)
-                        writer.copy(reader.animation, first, last)
-                        done = (last - whole.first_frame + 1) / whole.frame_count
-                        progress(done, f"joined to frame {last}")
+                    writer.copy(
+                        reader.animation, reader.first_frame, reader.last_frame, copied_to=told
+                    )
     notes = edit_notes(spec.out)
     notes += [
         f"{reader.path}: its edits of {', '.join(sorted(reader.edits)[:5])} stay there; edits "

@@ -1,13 +1,13 @@
 """One layer of weights over time: a SkelAnimation, and overs that make a rig's skeletons follow."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, Vt
+from pxr import Sdf, Usd, Vt
 
 from usdface.assets import Float32Array, FloatArray, IntArray, Rig
 from usdface.errors import InputError
@@ -30,6 +30,9 @@ ANIMATION = "FaceSolve"
 WEIGHTS = "blendShapeWeights"
 CONFIDENCE = "face:confidence"
 RESIDUAL = "face:residual"
+
+COPIED_TOGETHER = 4096
+"""Frames whose samples are in memory at once when they are copied."""
 
 CONFIDENCE_WITHIN = 0.005
 RESIDUAL_WITHIN_MM = 0.01
@@ -145,8 +148,23 @@ class WeightsWriter:
                     write(self._residual, first + index, array(residual[index]))
         self._count(len(rows))
 
-    def copy(self, animation: Usd.Prim, first: int, last: int) -> None:
+    def copy(
+        self,
+        animation: Usd.Prim,
+        first: int,
+        last: int,
+        *,
+        copied_to: Callable[[int], None] = lambda frame: None,
+    ) -> None:
         """Append frames of an animation of the same shapes, sample by sample, as they are.
+
+        Parameters
+        ----------
+        animation : Usd.Prim
+        first, last : int
+            Inclusive.
+        copied_to : callable
+            Is told the last frame of every lot.
 
         Raises
         ------
@@ -157,20 +175,25 @@ class WeightsWriter:
         """
         if first != self.next_frame:
             raise ValueError(f"frame {self.next_frame} comes next, not {first}")
-        write = self._layer.SetTimeSample
-        for start in range(first, last + 1, self._lot):
-            stop = min(start + self._lot, last + 1)
-            part = Gf.Interval(start, stop, True, False)
+        write, lot = self._layer.SetTimeSample, min(self._lot, COPIED_TOGETHER)
+        copied = []
+        for path in (self._weights, self._confidence, self._residual):
+            attribute = animation.GetAttribute(path.name)
+            if attribute:  # times are asked for once: USD looks through all for any interval
+                times = np.array(attribute.GetTimeSamples())
+                copied.append((path, Usd.AttributeQuery(attribute), times))
+        for start in range(first, last + 1, lot):
+            stop = min(start + lot, last + 1)
             with Sdf.ChangeBlock():
-                for path in (self._weights, self._confidence, self._residual):
-                    attribute = animation.GetAttribute(path.name)
-                    times = attribute.GetTimeSamplesInInterval(part) if attribute else []
-                    values = [attribute.Get(time) for time in times]
+                for path, query, sampled in copied:
+                    own = sampled[slice(*np.searchsorted(sampled, (start, stop)))].tolist()
+                    values = [query.Get(time) for time in own]
                     if path == self._weights:
                         self._check_samples(animation, values, stop - start)
-                    for time, value in zip(times, values, strict=True):
+                    for time, value in zip(own, values, strict=True):
                         write(path, time, value)
             self._count(stop - start)
+            copied_to(stop - 1)
 
     def _check_samples(self, animation: Usd.Prim, values: list[Vt.FloatArray], frames: int) -> None:
         sizes = set(map(len, values))
