@@ -29,7 +29,7 @@ from tests.faults.commands import (
     limited,
     start,
 )
-from tests.faults.world import RECORDING, World, build_world, copy_of
+from tests.faults.world import RECORDING, World, copy_of
 
 pytestmark = pytest.mark.faults
 
@@ -65,12 +65,6 @@ class Settled:
 
     def copy(self, target: Path) -> Path:
         return copy_of(self.folder, target / "Schuss 1 ü")  # a name as users give them
-
-
-@pytest.fixture(scope="module")
-def world(tmp_path_factory: pytest.TempPathFactory) -> World:
-    """Every file that any step makes."""
-    return build_world(tmp_path_factory.mktemp("world"))
 
 
 @pytest.fixture(scope="module", params=ALL_STEPS)
@@ -115,9 +109,9 @@ def test_every_step_of_a_job_has_a_command_here() -> None:
 def test_killed(settled: Settled, tmp_path: Path) -> None:
     folder = settled.copy(tmp_path)
     rng = np.random.default_rng(0)
-    for number in range(6):
+    for number in range(4):
         kind = (signal.SIGKILL, signal.SIGTERM)[number % 2]
-        fresh = settled.made if number >= 3 and settled.step not in NEVER_FRESH else frozenset()
+        fresh = settled.made if number >= 2 and settled.step not in NEVER_FRESH else frozenset()
         for name in fresh:
             (folder / name).unlink(missing_ok=True)
         process = start(folder, settled.words)
@@ -133,7 +127,7 @@ def test_a_file_may_not_grow(settled: Settled, tmp_path: Path) -> None:
     folder = settled.copy(tmp_path)
     written = [len(data) for name, data in settled.whole.items() if name in settled.made]
     largest = max(written, default=1000)
-    for share in (0.01, 0.4, 0.9):
+    for share in (0.01, 0.6):
         process = start(folder, settled.words, first=limited(max(1, int(share * largest))))
         _, told = process.communicate()
         assert "Traceback" not in told
@@ -177,12 +171,10 @@ def test_the_disk_is_full(settled: Settled, small_disk: Path) -> None:
 
 
 MEMORY = [
-    (resource.RLIMIT_AS, 600),
     (resource.RLIMIT_AS, 1500),
-    (resource.RLIMIT_DATA, 60),
     (resource.RLIMIT_DATA, 160),
 ]
-"""Address space and data [MB]: too little to start with, and too little to finish."""
+"""Address space and data [MB]: enough to start with, and too little to finish."""
 
 
 def test_memory_is_short(settled: Settled, tmp_path: Path) -> None:

@@ -4,10 +4,12 @@ from pathlib import Path
 
 from usdface.errors import InputError
 from usdface.usdio.layers import open_stage
+from usdface.usdio.wrong_types import refusing_wrong_types
 
 ATTRIBUTE = "face:mapping:alpha"
 
 
+@refusing_wrong_types
 def read_alpha_keys(path: Path) -> list[tuple[float, float]]:
     """Return (time code, alpha) for every key; one key for a value that does not change.
 

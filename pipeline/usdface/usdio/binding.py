@@ -34,6 +34,7 @@ from usdface.usdio.layers import (
 )
 from usdface.usdio.mesh import FaceMesh
 from usdface.usdio.space import stage_to_ours
+from usdface.usdio.wrong_types import refusing_wrong_types
 
 ROOT = Sdf.Path("/Binding")
 MARKERS = ROOT.AppendChild("Markers")
@@ -107,6 +108,7 @@ def write_binding(
         _show_mesh(layer, face, stage, path)
 
 
+@refusing_wrong_types
 def read_binding(path: Path, face: FaceMesh) -> ReadBinding:
     """Read a binding as it composes, corrections over proposals.
 

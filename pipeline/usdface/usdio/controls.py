@@ -16,6 +16,7 @@ from usdface.usdio.authoring import author_uniform
 from usdface.usdio.control_attributes import control_attribute
 from usdface.usdio.performance_reader import PerformanceReader
 from usdface.usdio.weights_layer import ANIMATION
+from usdface.usdio.wrong_types import refusing_wrong_types
 
 NAMES = "face:controls:attributes"
 """On an animation: the attributes that are driven beside it, as ``PRIM.ATTRIBUTE``."""
@@ -39,6 +40,7 @@ class ReadControls:
     timecode_start: str
 
 
+@refusing_wrong_types
 def read_control_clip(
     path: Path, *, attributes: Sequence[str] | None = None, frames: tuple[int, int] | None = None
 ) -> ReadControls:

@@ -14,6 +14,7 @@ from usdface.errors import InputError
 from usdface.provenance import Provenance
 from usdface.usdio.authoring import author_uniform, define_prim, doubles
 from usdface.usdio.layers import author_units, new_layer, open_stage
+from usdface.usdio.wrong_types import refusing_wrong_types
 
 ROOT = Sdf.Path("/Mapping")
 ARRAY = "face:array:"
@@ -52,6 +53,7 @@ def write_mapping(path: Path, mapping: Mapping, *, provenance: Provenance | None
             author_uniform(prim, f"{ARRAY}{name}:shape", Sdf.ValueTypeNames.IntArray, shape)
 
 
+@refusing_wrong_types
 def read_mapping(path: Path) -> Mapping:
     """Read a mapping.
 

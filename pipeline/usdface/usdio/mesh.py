@@ -13,6 +13,7 @@ from usdface.errors import InputError
 from usdface.usdio.layers import open_stage
 from usdface.usdio.rest_pose import RestPose
 from usdface.usdio.space import column_matrix, stage_to_ours, transform_points
+from usdface.usdio.wrong_types import refusing_wrong_types
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,7 @@ class FaceMesh:
         return np.asarray(np.einsum("nij,...nj->...ni", inverse, moved_mm))
 
 
+@refusing_wrong_types
 def read_face_mesh(path: Path, *, prim: str | None = None) -> FaceMesh:
     """Read the mesh that is to be deformed.
 

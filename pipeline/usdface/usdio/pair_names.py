@@ -7,6 +7,7 @@ from pxr import Usd
 
 from usdface.errors import InputError
 from usdface.usdio.layers import open_stage
+from usdface.usdio.wrong_types import refusing_wrong_types
 
 
 @dataclass(frozen=True)
@@ -19,6 +20,7 @@ class PairName:
     emotion: str
 
 
+@refusing_wrong_types
 def read_pair_names(path: Path) -> tuple[PairName, ...]:
     """Read the names of a references asset's pairs, in order.
 

@@ -33,6 +33,7 @@ from usdface.usdio.layers import (
 )
 from usdface.usdio.pair_layers import author_pair_header, open_pair_stage
 from usdface.usdio.rig_reference import define_reference, point_skeletons_at, rig_of
+from usdface.usdio.wrong_types import refusing_wrong_types
 
 ROOT = Sdf.Path("/Pairs")
 SOURCE = ROOT.AppendChild("Source")
@@ -78,6 +79,7 @@ def write_pairs(
         apply_api(root, "FacePairsAPI")
 
 
+@refusing_wrong_types
 def read_pairs(path: Path) -> ExpressionPairs:
     """Read pairs as they compose.
 

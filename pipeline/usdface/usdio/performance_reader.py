@@ -14,6 +14,7 @@ from usdface.rates import exact_rate
 from usdface.usdio.edits import ShapeEdit, edited_weights, read_edits
 from usdface.usdio.layers import open_stage
 from usdface.usdio.rig_reference import rig_of
+from usdface.usdio.wrong_types import refusing_wrong_types
 
 
 class PerformanceReader:
@@ -75,6 +76,7 @@ class PerformanceReader:
         """Return the file and the SkelRoot of the rig that the performance drives."""
         return rig_of(self.stage, self.animation)
 
+    @refusing_wrong_types
     def solved(self, first: int | None = None, last: int | None = None) -> Float32Array:
         """Return the weights as they were solved, (frames, shapes) float32.
 
@@ -107,6 +109,7 @@ class PerformanceReader:
         edits = {name: edit.during(part) for name, edit in self.edits.items()}
         return edited_weights(self.names, values, edits).astype(np.float32)
 
+    @refusing_wrong_types
     def series(self, name: str, first: int, last: int) -> FloatArray | None:
         """Return an attribute of the animation at frames; None where it has no samples."""
         attribute = self.animation.GetAttribute(name)

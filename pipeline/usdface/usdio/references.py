@@ -25,6 +25,7 @@ from usdface.usdio.layers import (
 )
 from usdface.usdio.pair_layers import author_pair_header, open_pair_stage
 from usdface.usdio.rig_reference import define_reference, point_skeletons_at, rig_of
+from usdface.usdio.wrong_types import refusing_wrong_types
 
 ROOT = Sdf.Path("/References")
 MARKERS = ROOT.AppendChild("Markers")
@@ -263,6 +264,7 @@ def _author_motion(root: Sdf.PrimSpec, motion: MotionSpace) -> None:
     total.default = motion.total_variance / MM_PER_STAGE_UNIT**2
 
 
+@refusing_wrong_types
 def read_references(path: Path) -> References:
     """Read a references asset as it composes: tuned weights where there are any, else proposals.
 

@@ -14,6 +14,7 @@ from usdface.errors import InputError
 from usdface.provenance import Provenance
 from usdface.usdio.authoring import author_uniform, define_prim, doubles
 from usdface.usdio.layers import author_units, new_layer, open_stage, relative_path
+from usdface.usdio.wrong_types import refusing_wrong_types
 
 ROOT = Sdf.Path("/Retargeting")
 TYPE = "FaceRetargeting"
@@ -61,6 +62,7 @@ def is_retargeting(path: Path) -> bool:
     return bool(prim) and prim.GetTypeName() == TYPE
 
 
+@refusing_wrong_types
 def read_retargeting(path: Path) -> Retargeting:
     """Read a retargeting.
 

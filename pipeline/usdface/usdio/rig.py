@@ -14,6 +14,7 @@ from usdface.usdio.layers import open_stage
 from usdface.usdio.materials import read_look
 from usdface.usdio.rest_pose import PlacedMesh, RestPose
 from usdface.usdio.space import stage_to_ours
+from usdface.usdio.wrong_types import refusing_wrong_types
 
 FloatArray = NDArray[np.float64]
 
@@ -21,6 +22,7 @@ RANGE_ATTRIBUTE = "face:range"
 """Optional double2 on a BlendShape prim: lowest and highest weight an animator may give."""
 
 
+@refusing_wrong_types
 def read_rig(path: Path, *, prim: str | None = None) -> Rig:
     """Read a character's face.
 

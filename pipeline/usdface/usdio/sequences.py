@@ -23,6 +23,7 @@ from usdface.usdio.layers import (
     open_stage,
     relative_path,
 )
+from usdface.usdio.wrong_types import refusing_wrong_types
 
 ROOT = Sdf.Path("/Sequence")
 SOURCE = ROOT.AppendChild("Source")
@@ -74,6 +75,7 @@ def write_sequence(
             layer.SetTimeSample(KEY_WEIGHT, time, weight)
 
 
+@refusing_wrong_types
 def read_sequence(path: Path) -> EmotionalSequence:
     """Read a sequence.
 
@@ -140,6 +142,7 @@ def write_matches(
                 author_uniform(prim, f"face:match:{name}", kind, value)
 
 
+@refusing_wrong_types
 def read_matches(path: Path) -> tuple[SequenceMatch, ...]:
     """Read the places that are active.
 

@@ -13,6 +13,7 @@ from usdface.timecode import shift_timecode
 from usdface.usdio.layers import open_stage
 from usdface.usdio.space import column_matrix, stage_to_ours
 from usdface.usdio.take_write import AUDIO, CONFIDENCE, HEAD_MOTION, MARKERS, SOURCE, VISIBLE
+from usdface.usdio.wrong_types import refusing_wrong_types
 
 
 def is_take(path: Path) -> bool:
@@ -20,6 +21,12 @@ def is_take(path: Path) -> bool:
     stage = open_stage(path)  # a prim does not keep its stage alive
     root = stage.GetDefaultPrim()
     return bool(root) and root.HasAPI("FaceTakeAPI")
+
+
+MOST_FRAMES = 10_000_000
+"""23 hours at 120 frames per second: more is a mistake, and would ask for memory nobody has."""
+FARTHEST_FRAME = 1e12
+"""Clocks of stages that count frames from their own midnight stay far below it."""
 
 
 class TakeReader:
@@ -49,8 +56,18 @@ class TakeReader:
         if not rate > 0:
             raise InputError(f"{path}: timeCodesPerSecond is {rate:g}; a take needs a rate above 0")
         self.rate = exact_rate(rate, where=f"{path}: timeCodesPerSecond")
-        self.first_frame = round(self._stage.GetStartTimeCode())
-        self.last_frame = round(self._stage.GetEndTimeCode())
+        start, end = self._stage.GetStartTimeCode(), self._stage.GetEndTimeCode()
+        if not (abs(start) < FARTHEST_FRAME and abs(end) < FARTHEST_FRAME):  # also catches NaN
+            raise InputError(
+                f"{path}: startTimeCode {start:g} and endTimeCode {end:g} are no range of frames; "
+                "correct them, or ingest the capture again"
+            )
+        self.first_frame, self.last_frame = round(start), round(end)
+        if self.last_frame - self.first_frame >= MOST_FRAMES:
+            raise InputError(
+                f"{path}: startTimeCode {start:g} to endTimeCode {end:g} are more than "
+                f"{MOST_FRAMES} frames; correct them, or cut the take"
+            )
         self._ours = stage_to_ours(self._stage)
         self._prims = {
             place.name: self._stage.GetPrimAtPath(root.GetPath().AppendChild(place.name))
@@ -75,6 +92,7 @@ class TakeReader:
         start = str(self._value("face:timecode:start") or "")
         return shift_timecode(start, frame - self.first_frame, self.rate)
 
+    @refusing_wrong_types
     def read(
         self, first: int | None = None, last: int | None = None, *, head_motion: bool = True
     ) -> Take:
@@ -287,6 +305,7 @@ def _between(times: np.ndarray, told: np.ndarray, frames: np.ndarray) -> np.ndar
     return out
 
 
+@refusing_wrong_types
 def read_take(
     path: Path,
     *,

@@ -7,6 +7,7 @@ from typing import Literal
 from pxr import UsdValidation
 
 from usdface.usdio.layers import open_stage, usd_errors_as_input_errors
+from usdface.usdio.wrong_types import refusing_wrong_types
 
 Severity = Literal["error", "warning"]
 
@@ -34,6 +35,7 @@ class Finding:
     message: str
 
 
+@refusing_wrong_types
 def validate(path: Path) -> list[Finding]:
     """Check a USD file as it composes; an empty list means that nothing was found.
 
