@@ -12,6 +12,7 @@ from tests.browser import chromium
 from tests.usdio.small_rig import small_rig
 from usdface.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.deformer import Deformer
+from usdface.media.camera import Camera
 from usdface.media.face_payload import FacePayload, pack_face, viewer_source
 from usdface.media.surface import build_surface
 from usdface.usdio.rig import read_rig
@@ -109,9 +110,9 @@ def test_the_viewer_as_one_module_imports_nothing() -> None:
     assert source.count("class FaceViewer") == 1
 
 
-def embed(folder: Path, rig: Rig) -> Path:
+def embed(folder: Path, rig: Rig, *, camera: Camera | None = None) -> Path:
     """A page that carries everything inside, as a report does."""
-    payload = pack_face(rig)
+    payload = pack_face(rig, camera=camera)
     page = folder / "face.html"
     page.write_text(
         "<!doctype html><meta charset='utf-8'>"
@@ -156,6 +157,24 @@ def test_a_browser_poses_the_face_as_the_deformer_does(tmp_path: Path, shared_ri
     assert np.abs(away).max() < 0.02  # rounding of every key in play, and single precision
     assert shown
     assert again
+
+
+def test_a_page_first_sees_the_face_from_where_the_camera_stands(tmp_path: Path) -> None:
+    camera = Camera(eye=(90.0, 60.0, 200.0), target=(15.0, 10.0, 0.0), fov_degrees=30.0)
+    flat = Camera(eye=(0.0, 0.0, 100.0), target=(0.0, 0.0, 0.0), span_mm=80.0)
+    home = pack_face(small_rig(), camera=flat).header["camera"]
+    assert 2 * home["distance"] * np.tan(np.radians(home["fov"] / 2)) == pytest.approx(80.0)
+    with chromium() as browser:
+        page = browser.new_page()
+        page.goto(embed(tmp_path, small_rig(), camera=camera).as_uri())
+        page.wait_for_function("window.viewer")
+        view = np.reshape(page.evaluate("[...viewer.camera.view()]"), (4, 4)).T
+        page.evaluate("viewer.draw()")
+        column, row, away = page.evaluate("viewer.project(15, 10, 0)")
+    eye = -view[:3, :3].T @ view[:3, 3]
+    np.testing.assert_allclose(eye, camera.eye, atol=0.05)
+    assert (column, row) == pytest.approx((150, 150), abs=0.1)
+    assert away == pytest.approx(np.linalg.norm(np.subtract(camera.eye, camera.target)), abs=0.05)
 
 
 @pytest.fixture(params=["small", "recorded"])
