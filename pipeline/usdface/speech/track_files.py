@@ -204,8 +204,7 @@ def _from_textgrid(path: Path) -> PhoneTrack:
     except Exception as error:  # praatio lets whatever its parser stumbles over through
         reason = " ".join(str(error).split())[:120]
         raise InputError(
-            f"{path}: is no TextGrid that can be read: {type(error).__name__} {reason}; save it "
-            "again from Praat"
+            f"{path}: is no TextGrid that can be read ({reason}); save it again from Praat"
         ) from error
     found = {kind: _tier(grid, names) for kind, names in _TIERS.items()}
     if not found["phones"]:

@@ -86,7 +86,6 @@ def _write_take(
     """Write the pictures of one take's pairs, in the order of the video; return those there are."""
     if take.video is None:
         return {}
-    folder.mkdir(exist_ok=True)
     shown = {}
     name = re.sub(r"[^\w.-]", "_", take.name)
     with open_video(take.video.file, take.video.rate) as video:
@@ -96,6 +95,7 @@ def _write_take(
             at = (seconds - take.video.offset) / (1.0 + take.video.drift * 1e-6)
             picture = video.frame_at(at)
             if picture is not None:
+                folder.mkdir(exist_ok=True)
                 shown[pair] = folder / f"{name}.{frame}.jpg"
                 write_image(shown[pair], picture, metadata=metadata)
     return shown
@@ -108,3 +108,5 @@ def remove_unused_images(path: Path, files: tuple[Path | None, ...]) -> None:
     for file in folder.glob("*.jpg") if folder.is_dir() else ():
         if file.name not in used:
             file.unlink(missing_ok=True)
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
