@@ -29,7 +29,8 @@ def run() -> None:
         name: spoken_words((source / "lab" / f"{name}.lab").read_text("utf-8")) for name in NAMES
     }
     print(
-        "| recording | phones compared | median [ms] | 90 % [ms] | score | processor seconds for one |"
+        "| recording | phones compared | median [ms] | 90 % [ms] | score "
+        "| processor seconds for one |"
     )
     print("|---|---|---|---|---|---|")
     pooled = []
