@@ -1,6 +1,7 @@
 """Edits, as an animator meets them: set, kept through another mapping, baked, learned from."""
 
 import csv
+import os
 from pathlib import Path
 
 import numpy as np
@@ -224,6 +225,10 @@ def test_a_package_needs_nothing_beside_it(shot: Shot, tmp_path: Path) -> None:
     path = shot / "shot.hero.usda"
     edit(path, override=0.8, frames="100-102")
     run(PackageSpec(performance=path, out=shot / "review.usdz"))
+    made = (shot / "review.usdz").read_bytes()
+    os.utime(shot / "hero.usdc", (1e9, 1e9))
+    run(PackageSpec(performance=path, out=shot / "review.usdz"))
+    assert (shot / "review.usdz").read_bytes() == made  # whenever it is made, and of whatever age
     alone = tmp_path / "elsewhere" / "review.usdz"
     alone.parent.mkdir()
     (shot / "review.usdz").rename(alone)

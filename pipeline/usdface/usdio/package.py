@@ -1,5 +1,7 @@
 """One .usdz with a rig, its textures and the weights that move it."""
 
+import struct
+import zipfile
 from pathlib import Path
 
 from pxr import Sdf, UsdUtils
@@ -52,3 +54,23 @@ def write_package(target: Path, reader: PerformanceReader, weights: Path) -> Non
         made = UsdUtils.CreateNewUsdzPackage(str(top_file), str(target))
     if not made:
         raise InputError(f"{target}: USD could not write the package; is the disk full?")
+    _forget_times(target)
+
+
+_NO_TIME = struct.pack("<HH", 0, 0x0021)
+"""As zip has it, the first day of 1980."""
+
+
+def _forget_times(target: Path) -> None:
+    """Take out when files were made: the same performance gives the same bytes."""
+    with zipfile.ZipFile(target) as package:
+        entries = package.infolist()
+        directory = package.start_dir
+    with target.open("r+b") as stream:
+        for entry in entries:
+            stream.seek(entry.header_offset + 10)
+            stream.write(_NO_TIME)
+            stream.seek(directory + 12)
+            stream.write(_NO_TIME)
+            stream.seek(directory + 28)
+            directory += 46 + sum(struct.unpack("<HHH", stream.read(6)))
