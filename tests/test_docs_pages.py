@@ -72,7 +72,7 @@ OTHERS = {
     "--project --shot --status --task --sequence": "the Kitsu hook",
     "--install": "rez",
     "--require-hashes": "pip",
-    "--out --quick": "poe bench",
+    "--out --quick --full": "poe bench",
 }
 """Options of other programs that pages speak of."""
 

@@ -23,6 +23,7 @@ def main() -> int:
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"one of {', '.join(names())}")
     parser.add_argument("--out", type=Path, help="keep the tables in this folder, as .md and .json")
     parser.add_argument("--quick", action="store_true", help="less, where a benchmark has less")
+    parser.add_argument("--full", action="store_true", help="more, where a benchmark has more")
     asked = parser.parse_args()
     unknown = [name for name in asked.names if name not in names()]
     if unknown:
@@ -34,7 +35,9 @@ def main() -> int:
         start = time.perf_counter()
         with kept_output() as kept:
             run = import_module(f"tests.benchmarks.{name}").run
-            run(quick=True) if asked.quick and "quick" in signature(run).parameters else run()
+            known = signature(run).parameters
+            wanted = {"quick": asked.quick, "full": asked.full}
+            run(**{name: True for name, said in wanted.items() if said and name in known})
         print()
         if asked.out is not None:
             seconds = time.perf_counter() - start

@@ -12,6 +12,8 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
+from tests.benchmarks._index import write_index
+
 PACKAGES = ("numpy", "scipy", "usd-core", "OpenImageIO", "embreex", "av", "usdface")
 
 
@@ -95,12 +97,7 @@ def write_report(folder: Path, results: list[Measured]) -> None:
             f"{about['python']}, NumPy {about['numpy']}, USD {about['usd-core']}.\n"
         )
         (folder / f"{each.name}.md").write_text(page, encoding="utf-8")
-    names = sorted(path.stem for path in folder.glob("*.json"))
-    index = (
-        "# Measured\n\nOne page a benchmark; `poe bench NAME --out docs/measured` renews it.\n\n"
-    )
-    index += "".join(f"- [{name}]({name}.md)\n" for name in names)
-    (folder / "README.md").write_text(index, encoding="utf-8")
+    write_index(folder)
 
 
 def read_tables(text: str) -> list[list[dict[str, str]]]:
