@@ -59,7 +59,7 @@ class C3dFile:
         Counts, rates, parameters.
     point_labels : tuple of str
         As written, subject prefixes included; shorter than the points when some have no label.
-    analog_labels, analog_units : tuple of str
+    analog_labels : tuple of str
     units, x_screen, y_screen : str
         Empty where the file does not say.
     """
@@ -68,7 +68,6 @@ class C3dFile:
     layout: C3dLayout
     point_labels: tuple[str, ...]
     analog_labels: tuple[str, ...]
-    analog_units: tuple[str, ...]
     units: str
     x_screen: str
     y_screen: str
@@ -215,7 +214,6 @@ def open_c3d(path: Path) -> C3dFile:
         layout=layout,
         point_labels=parameters.texts("POINT:LABELS")[: layout.point_count],
         analog_labels=parameters.texts("ANALOG:LABELS")[: layout.analog_count],
-        analog_units=parameters.texts("ANALOG:UNITS")[: layout.analog_count],
         units=parameters.text("POINT:UNITS"),
         x_screen=parameters.text("POINT:X_SCREEN"),
         y_screen=parameters.text("POINT:Y_SCREEN"),
