@@ -39,18 +39,21 @@ MOST_DIMENSIONS = 50
 LEAST_VARIANCE_MM2 = 1e-4
 """Variance of a component below which there is no motion, only rounding."""
 
-FORGIVEN = 2.0
+FORGIVEN = 1.5
 """How many times the squared error of the examples geometry may have to be heard as they are."""
 
 SEEN_SHARE = 0.3
 """How far markers, against the examples, say where weights go that a limit pushes aside: with
 more, noise of the markers shows as jitter."""
 
-REACH = 1.2
+REACH = 1.4
 UNSEEN = 2.0
 MOST_DOUBT = 0.15
 """How far, in usual errors, weights near the upper limit are drawn to it; how much larger errors
 are on a take than on the chosen pairs; and the largest error that counts as usual."""
+
+BELOW = 0.25
+"""How far below the lower limit, in usual errors, a weight may be without others moving for it."""
 
 _AT_LIMIT = 0.005  # weights this near to 0 or 1 may have wanted to go beyond
 _BEYOND = 0.25  # and how far at most
@@ -139,7 +142,8 @@ def _prepare(
         bent = z @ slope + intercept
         for sums in locals_:
             bent += sums(z)
-        return low + span * within(_reach_limit(unbend(bent, curve), doubt))
+        free = _reach_limit(unbend(bent, curve), doubt)
+        return low + span * within(_only_told(free, doubt))
 
     return predict
 
@@ -223,7 +227,7 @@ def _example_voices(
 def _geometry_share(geometry: FloatArray, examples: FloatArray) -> FloatArray:
     """How far geometry is heard for each shape, by leave-one-out residuals of both."""
     ratio = (geometry**2).mean(axis=0) / np.maximum((examples**2).mean(axis=0), 1e-7)
-    share: FloatArray = 1 / (1 + np.sqrt(ratio / FORGIVEN))
+    share: FloatArray = 1 / (1 + ratio / FORGIVEN)
     return share
 
 
@@ -235,8 +239,8 @@ def _uncensor(tuned: FloatArray, predicted: FloatArray) -> FloatArray:
 
 
 def _say(errors: FloatArray) -> FloatArray:
-    """Share of each voice for each shape, by the squared inverse of its squared error."""
-    weight = (errors + 1e-7) ** -2.0
+    """Share of each voice for each shape, by the inverse of its squared error."""
+    weight = 1 / (errors + 1e-7)
     share: FloatArray = weight / weight.sum(axis=0)
     return share
 
@@ -254,6 +258,17 @@ def _reach_limit(weights: Any, doubt: Any) -> Any:
     """
     near = namespace_of(weights).clip((weights - 1) / doubt + 2, 0.0, 1.0)
     return weights + REACH * doubt * near
+
+
+def _only_told(weights: Any, doubt: Any) -> Any:
+    """Leave beyond the limits only what says that other weights are to move.
+
+    Above the upper limit is what was drawn there, and what the limit cut off when it was tuned;
+    just below the lower one is noise, which would become noise of the others.
+    """
+    xp = namespace_of(weights)
+    slack = BELOW / UNSEEN * doubt
+    return xp.clip(weights, max=1.0) - xp.clip(xp.maximum(weights, -slack), max=0.0)
 
 
 def _metric(geometry: LinearPosterior, residuals: FloatArray) -> FloatArray:
