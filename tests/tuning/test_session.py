@@ -10,6 +10,7 @@ import pytest
 from tests.tuning.small_asset import change, put, small_references, write_asset
 from usdface.errors import InputError
 from usdface.specs.references import tuned_path
+from usdface.tuning import session as session_module
 from usdface.tuning.journal import Change
 from usdface.tuning.session import StaleRevisionError, TuningSession
 from usdface.usdio.references import (
@@ -77,7 +78,7 @@ def test_a_crash_between_writing_the_layer_and_clearing_the_journal_does_no_harm
 ) -> None:
     put(session, 1, smile=0.75)
     with monkeypatch.context() as patched:
-        patched.setattr("usdface.tuning.session.flush_folder", lambda folder: 1 / 0)
+        patched.setattr(session_module, "flush_folder", lambda folder: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             session.save()
     crash(session)
