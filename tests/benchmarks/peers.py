@@ -71,17 +71,19 @@ def _peers(x: np.ndarray, y: np.ndarray) -> Iterator[tuple[str, Predict]]:
     from sklearn.cross_decomposition import CCA, PLSRegression
     from sklearn.ensemble import ExtraTreesRegressor
     from sklearn.gaussian_process import GaussianProcessRegressor
-    from sklearn.gaussian_process.kernels import RBF, WhiteKernel
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
     from sklearn.kernel_ridge import KernelRidge
     from sklearn.linear_model import RidgeCV
     from sklearn.model_selection import GridSearchCV
 
     penalties = np.logspace(-5, 1, 13)
     grid = {"alpha": penalties[::2], "gamma": np.logspace(-3, 0, 7)}
-    process = RBF(3.0) + WhiteKernel(1e-3, (1e-8, 1.0))
+    process = ConstantKernel(10.0) * RBF(5.0, (0.3, 300.0)) + WhiteKernel(1e-3, (1e-6, 0.1))
     models = {
         "scikit-learn RidgeCV": RidgeCV(penalties),
-        "scikit-learn KernelRidge, Gaussian": GridSearchCV(KernelRidge(kernel="rbf"), grid, cv=5),
+        "scikit-learn KernelRidge, Gaussian": GridSearchCV(
+            KernelRidge(kernel="rbf"), grid, cv=5, scoring="neg_mean_squared_error"
+        ),
         "scikit-learn GaussianProcessRegressor": GaussianProcessRegressor(
             process, normalize_y=True, random_state=0
         ),
