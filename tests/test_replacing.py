@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from usdface.errors import InputError
-from usdface.replacing import replacing
+from usdface.replacing import replacing, replacing_together
 
 HOLD = """
 import sys
@@ -89,3 +89,18 @@ def test_a_folder_that_goes_away_meanwhile_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="see that the folder is still there"):
         remove()
     assert not target.parent.exists()
+
+
+def test_files_that_belong_together_are_all_whole_before_one_is_renamed(tmp_path: Path) -> None:
+    first, second = tmp_path / "a.txt", tmp_path / "b.txt"
+    first.write_text("old")
+
+    def fail() -> None:
+        with replacing_together([first, second]) as temporaries:
+            temporaries[0].write_text("new")
+            temporaries[1].unlink()
+
+    with pytest.raises(InputError, match=r"b\.txt: cannot be replaced"):
+        fail()
+    assert first.read_text() == "old"
+    assert [each.name for each in tmp_path.iterdir()] == ["a.txt"]

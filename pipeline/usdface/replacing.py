@@ -11,7 +11,7 @@ import os
 import re
 import socket
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -46,6 +46,46 @@ def replacing(path: Path) -> Iterator[Path]:
         If the folder is missing, `path` is a folder, either cannot be written, or another process
         is writing the same file. The old file, if there is one, is as it was.
     """
+    with replacing_together([path]) as (temporary,):
+        yield temporary
+
+
+@contextmanager
+def replacing_together(paths: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
+    """Give temporary names for files that belong together; all are whole before one is renamed.
+
+    A disk that fills leaves every old file. The renames follow each other in the order given, so a
+    file that refers to others comes last.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        The files to make or to replace; no two are the same.
+
+    Yields
+    ------
+    tuple of Path
+        To write to, in the same order.
+
+    Raises
+    ------
+    InputError
+        As `replacing` does.
+    """
+    with contextlib.ExitStack() as stack:
+        temporaries = tuple(stack.enter_context(_temporary(path)) for path in paths)
+        yield temporaries
+        for path, temporary in zip(paths, temporaries, strict=True):
+            with _as_input_error(path), temporary.open("rb+") as written:
+                os.fsync(written.fileno())
+        for path, temporary in zip(paths, temporaries, strict=True):
+            with _as_input_error(path):
+                temporary.replace(path)
+
+
+@contextmanager
+def _temporary(path: Path) -> Iterator[Path]:
+    """Give a temporary name for a file that nobody else may write; it is gone afterwards."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file to write")
     if not path.parent.is_dir():
@@ -57,17 +97,19 @@ def replacing(path: Path) -> Iterator[Path]:
         try:
             _touch(temporary, target=path)
             yield temporary
-            try:
-                with temporary.open("rb+") as written:
-                    os.fsync(written.fileno())
-                temporary.replace(path)
-            except OSError as error:
-                raise InputError(
-                    f"{path}: cannot be replaced ({error.strerror}); free the disk or the file, "
-                    "and see that the folder is still there"
-                ) from error
         finally:
             temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _as_input_error(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be replaced ({error.strerror}); free the disk or the file, "
+            "and see that the folder is still there"
+        ) from error
 
 
 def _touch(temporary: Path, *, target: Path) -> None:

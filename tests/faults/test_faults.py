@@ -36,10 +36,6 @@ pytestmark = pytest.mark.faults
 NEVER_FRESH = ("select", "align", "references-import")
 """What they make is filled by a later step, or was there before: nothing to begin anew."""
 
-RENAMED_ONE_BY_ONE = "references-from-edits"
-"""Writes its tuned layer before its main one: a disk that fills between them leaves the asset with
-the corrections not yet taken over. Nothing tuned is lost, and running again mends it."""
-
 DAY = 86_400
 
 
@@ -136,8 +132,7 @@ def test_a_file_may_not_grow(settled: Settled, tmp_path: Path) -> None:
         _, told = process.communicate()
         assert "Traceback" not in told
         assert process.returncode in (0, 2), told  # 0: what it writes is smaller than the limit
-        if settled.step != RENAMED_ONE_BY_ONE:
-            check_old_or_new(folder, settled, may_lack=frozenset())
+        check_old_or_new(folder, settled, may_lack=frozenset())
     mend(folder, settled)
 
 
@@ -172,8 +167,7 @@ def test_the_disk_is_full(settled: Settled, small_disk: Path) -> None:
     _, told = process.communicate()
     assert "Traceback" not in told
     assert process.returncode == 2, told
-    if settled.step != RENAMED_ONE_BY_ONE:
-        check_old_or_new(small_disk, settled, may_lack=frozenset())
+    check_old_or_new(small_disk, settled, may_lack=frozenset())
 
 
 MEMORY = [

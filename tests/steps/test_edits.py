@@ -221,6 +221,40 @@ def test_corrected_frames_become_tuned_pairs_and_fades_do_not(shot: Shot) -> Non
     run(TrainSpec(references=out, out=shot / "v2.mapping.usdc", method="ridge"))
 
 
+def test_corrections_taken_in_place_twice_are_the_same_as_once(shot: Shot) -> None:
+    path, out = shot / "shot.hero.usda", shot / "hero.references.usda"
+    edit(path, override=0.8, frames="100-102", fade=10)
+    first = run(ReferencesFromEditsSpec(performances=(path,), references=out, out=out, count=3))
+    once = read_references(out)
+    again = run(ReferencesFromEditsSpec(performances=(path,), references=out, out=out, count=3))
+    twice = read_references(out)
+    assert first.figures["added"] > again.figures["added"] == 0
+    np.testing.assert_array_equal(twice.weights, once.weights)
+    np.testing.assert_array_equal(twice.tuned, once.tuned)
+
+
+def test_fewer_corrections_than_before_replace_them_and_say_so(shot: Shot) -> None:
+    path, out = shot / "shot.hero.usda", shot / "v2.references.usda"
+    edit(path, override=0.8, frames="100-160", fade=3)
+    count = len(read_references(shot / "hero.references.usda").frames)
+    reports = [
+        run(
+            ReferencesFromEditsSpec(
+                performances=(path,),
+                references=shot / "hero.references.usda",
+                out=out,
+                count=most,
+            )
+        )
+        for most in (6, 2)
+    ]
+    gone = set(reports[0].figures["frames"]) - set(reports[1].figures["frames"])
+    assert any(f"{len(gone)} pairs tuned there before" in note for note in reports[1].notes)
+    after = read_references(out)
+    assert list(after.frames[count:]) == reports[1].figures["frames"]
+    assert after.tuned[count:].all()
+
+
 def test_a_package_needs_nothing_beside_it(shot: Shot, tmp_path: Path) -> None:
     path = shot / "shot.hero.usda"
     edit(path, override=0.8, frames="100-102")

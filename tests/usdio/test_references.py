@@ -1,5 +1,8 @@
 """References: pairs on a timeline, and tuning that no proposal can touch."""
 
+import contextlib
+import errno
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -133,6 +136,82 @@ def test_tuning_more_keeps_what_was_tuned_before(tmp_path: Path) -> None:
     tune(tmp_path, references, {2: 1.0})
     tuned = read_tuned_pairs(tmp_path / "hero.references.tuned.usda")
     assert [(each.pair, each.weights["smile"]) for each in tuned] == [(1, 0.25), (2, 1.0)]
+
+
+def grown(references: References, more: int) -> References:
+    """The same pairs and some more."""
+    other = small_references(references.rig_file.parent, more, seed=1)
+    return replace(
+        references,
+        markers=np.concatenate([references.markers, other.markers]),
+        weights=np.concatenate([references.weights, other.weights]),
+        frames=np.concatenate([references.frames, other.frames]),
+        takes=references.takes + other.takes,
+        tuned=np.concatenate([references.tuned, np.ones(more, dtype=bool)]),
+    )
+
+
+@pytest.mark.parametrize("call", ["fsync", "replace"])
+@pytest.mark.parametrize("before", [True, False], ids=["over an old one", "where none was"])
+def test_wherever_writing_stops_the_asset_is_old_or_new_or_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str, before: bool
+) -> None:
+    old = small_references(tmp_path)
+    new = grown(old, 2)
+    tuned = [
+        TunedPair(pair, new.takes[pair], int(new.frames[pair]), {"smile": 0.5}) for pair in (5, 6)
+    ]
+    seen = []
+    for stop in range(4):
+        folder = tmp_path / str(stop)
+        folder.mkdir()
+        path = folder / "hero.references.usda"
+        write_rig(folder / "rig.usda", small_rig())
+        if before:
+            write(folder, old)
+            tune(folder, old, {1: 0.25})
+        with monkeypatch.context() as patched, contextlib.suppress(InputError):
+            stop_at(patched, call, stop)
+            write_references(
+                path,
+                new,
+                read_rig(folder / "rig.usda"),
+                tuned_path=folder / "hero.references.tuned.usda",
+                proposed_path=folder / "hero.references.proposed.usda",
+                tuned=tuned,
+            )
+        seen.append(state(path, new))
+    nothing = "old" if before else "none"
+    assert seen[0] == nothing
+    assert seen[-1] == "new"
+    assert set(seen[1:-1]) == {nothing} if call == "fsync" else {nothing, "refused"}
+
+
+def stop_at(patched: pytest.MonkeyPatch, call: str, count: int) -> None:
+    """Let a call through so often, and no more."""
+    owner = os if call == "fsync" else Path
+    whole, left = getattr(owner, call), iter(range(count))
+
+    def until(*arguments: object) -> object:
+        if next(left, None) is None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return whole(*arguments)
+
+    patched.setattr(owner, call, until)
+
+
+def state(path: Path, new: References) -> str:
+    if not path.exists():
+        return "none"
+    try:
+        back = read_references(path)
+    except InputError as error:
+        assert "has no pair there" in str(error)  # noqa: PT017 - a refusal is one of three
+        return "refused"
+    count = len(back.frames)
+    assert list(back.frames) == list(new.frames[:count])
+    np.testing.assert_array_equal(back.tuned[5:], True)
+    return "new" if count == len(new.frames) else "old"
 
 
 def test_written_references_pass_every_validator(tmp_path: Path) -> None:

@@ -23,8 +23,8 @@ from usdface.usdio.performance import PerformanceReader
 from usdface.usdio.references import (
     TunedPair,
     read_references,
+    read_tuned_pairs,
     write_references,
-    write_tuned_weights,
 )
 from usdface.usdio.rig import read_rig
 from usdface.usdio.take import TakeReader
@@ -52,7 +52,7 @@ def run(
         progress(0.8 * (index + 1) / len(spec.performances), f"looked at {performance.name}")
     references = _together(old, lessons, notes)
     added = len(references.frames) - len(old.frames)
-    if not added:
+    if not any(len(each.frames) for each in lessons):
         raise InputError(
             f"{', '.join(map(str, spec.performances))}: no frame was corrected by more than "
             f"{LEAST_CHANGE:g} with its markers seen; edit the performance first"
@@ -70,17 +70,16 @@ def run(
     images = [note.image for note in read_pair_notes(spec.references, len(old.frames))]
     images += [None] * (len(references.frames) - len(images))
     with nobody_tunes(spec.out):
+        notes += _left_out(spec.out, references)
         write_references(
             spec.out,
             references,
             rig,
             tuned_path=tuned_path(spec.out),
             proposed_path=proposed_path(spec.out),
+            tuned=tuned,
             images=images,
             provenance=provenance,
-        )
-        write_tuned_weights(
-            references, tuned, tuned_path=tuned_path(spec.out), provenance=provenance
         )
     progress(1.0, "written")
     return Report(
@@ -197,6 +196,21 @@ def _markers_at(
         positions[index] = placed.positions[0, order]
         seen[index] = placed.visible[0, order].all()
     return positions, seen
+
+
+def _left_out(out: Path, references: References) -> list[str]:
+    """Name what was tuned in the asset that is replaced and is no pair of the new one."""
+    here = set(zip(references.takes, references.frames.tolist(), strict=True))
+    lost = [
+        each for each in read_tuned_pairs(tuned_path(out)) if (each.take, each.frame) not in here
+    ]
+    if not lost:
+        return []
+    frames = ", ".join(str(each.frame) for each in lost[:5])
+    return [
+        f"{out}: {len(lost)} pairs tuned there before are none of these, and are gone: "
+        f"frames {frames}"
+    ]
 
 
 def _together(old: References, lessons: list[_Lessons], notes: list[str]) -> References:

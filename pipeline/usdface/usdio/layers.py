@@ -2,7 +2,7 @@
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from fractions import Fraction
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
 
 from usdface.errors import InputError
 from usdface.provenance import Provenance
-from usdface.replacing import replacing
+from usdface.replacing import replacing_together
 from usdface.usdio.plugin import SCHEMA_VERSION
 
 CENTIMETRES = 0.01
@@ -124,20 +124,43 @@ def check_layer_name(path: Path) -> None:
 @contextlib.contextmanager
 def new_layer(path: Path, provenance: Provenance | None = None) -> Iterator[Sdf.Layer]:
     """Yield an empty layer that replaces the file at `path` once the block ends without error."""
-    check_layer_name(path)
-    with replacing(path) as temporary, usd_errors_as_input_errors(path, "writing it"):
-        layer = Sdf.Layer.CreateNew(str(temporary))
+    with new_layers({path: provenance}) as (layer,):
         yield layer
-        if provenance is not None:
-            # What other tools keep there stays.
-            layer.customLayerData = dict(layer.customLayerData) | {
-                "usdface": provenance_data(provenance)
-            }
-        save_layer(layer, path)
-        del layer
-    stale = Sdf.Layer.Find(str(path))
-    if stale is not None:
-        stale.Reload(force=True)
+
+
+@contextlib.contextmanager
+def new_layers(made: Mapping[Path, Provenance | None]) -> Iterator[tuple[Sdf.Layer, ...]]:
+    """Yield empty layers that replace files together, once the block ends without error.
+
+    All are saved before the first takes its place, so a disk that fills leaves every old one.
+
+    Parameters
+    ----------
+    made : mapping of Path to Provenance or None
+        What to write, and what each layer says of its making; one that refers to others comes
+        last.
+    """
+    paths = list(made)
+    for path in paths:
+        check_layer_name(path)
+    with (
+        replacing_together(paths) as temporaries,
+        usd_errors_as_input_errors(paths[-1], "writing it"),
+    ):
+        layers = tuple(Sdf.Layer.CreateNew(str(temporary)) for temporary in temporaries)
+        yield layers
+        for layer, (path, provenance) in zip(layers, made.items(), strict=True):
+            if provenance is not None:
+                # What other tools keep there stays.
+                layer.customLayerData = dict(layer.customLayerData) | {
+                    "usdface": provenance_data(provenance)
+                }
+            save_layer(layer, path)
+        del layer, layers
+    for path in paths:
+        stale = Sdf.Layer.Find(str(path))
+        if stale is not None:
+            stale.Reload(force=True)
 
 
 def save_layer(layer: Sdf.Layer, path: Path) -> None:

@@ -20,6 +20,7 @@ from usdface.usdio.authoring import apply_api, author_uniform, define_prim, doub
 from usdface.usdio.layers import (
     MM_PER_STAGE_UNIT,
     new_layer,
+    new_layers,
     open_layer,
     relative_path,
 )
@@ -64,27 +65,41 @@ def write_references(
     *,
     tuned_path: Path,
     proposed_path: Path,
+    tuned: Sequence[TunedPair] = (),
     images: Sequence[Path | None] = (),
     provenance: Provenance | None = None,
 ) -> None:
     """Write a references asset and its proposals; what people tuned stays.
 
+    The layers are all whole before the first of them takes its place; the asset itself is last.
+
     Parameters
     ----------
     path, tuned_path, proposed_path : Path
         The layer to open, and the two beneath it. The tuned layer's tuned pairs are kept as they
-        are; they must be among `references`, at the time codes they have.
+        are where they are among `references`, at the time codes they have.
     references : References
     rig : Rig
+    tuned : sequence of TunedPair, optional
+        Pairs that are tuned from now on, besides those kept.
     images : sequence of Path or None, optional
         The picture of each pair; named as seen from `path`, so that the folder can move.
     provenance : Provenance, optional
     """
-    _write_weights(proposed_path, references, references.weights, provenance)
-    kept = read_tuned_pairs(tuned_path)
-    if kept or not tuned_path.is_file():
-        write_tuned_layer(references, kept, tuned_path=tuned_path)
-    with new_layer(path, provenance) as layer:
+    here = list(zip(references.takes, references.frames.tolist(), strict=True))
+    pairs = [
+        each
+        for each in _tuned_before_and_now(tuned_path, tuned)
+        if here[each.pair : each.pair + 1] == [(each.take, each.frame)]
+    ]
+    made = {proposed_path: provenance, path: provenance}
+    if pairs or not tuned_path.is_file():
+        made = {tuned_path: provenance if tuned else None} | made
+    with new_layers(made) as layers:
+        *beneath, proposed, layer = layers
+        for each in beneath:
+            _author_tuned_layer(each, references, pairs)
+        _author_weights(proposed, references, references.weights)
         author_pair_header(layer, ROOT, len(references.frames))
         layer.subLayerPaths = [relative_path(each, path) for each in (tuned_path, proposed_path)]
         _author_pairs(layer, references)
@@ -136,14 +151,17 @@ def write_tuned_weights(
     provenance: Provenance | None = None,
 ) -> None:
     """Add tuned pairs to the tuned layer; pairs tuned before stay unless they are given again."""
-    kept = {each.pair: each for each in read_tuned_pairs(tuned_path)}
-    kept.update({each.pair: each for each in pairs})
     write_tuned_layer(
         references,
-        [kept[pair] for pair in sorted(kept)],
+        _tuned_before_and_now(tuned_path, pairs),
         tuned_path=tuned_path,
         provenance=provenance,
     )
+
+
+def _tuned_before_and_now(tuned_path: Path, pairs: Sequence[TunedPair]) -> list[TunedPair]:
+    together = {each.pair: each for each in (*read_tuned_pairs(tuned_path), *pairs)}
+    return [together[pair] for pair in sorted(together)]
 
 
 def write_tuned_layer(
@@ -163,9 +181,13 @@ def write_tuned_layer(
     tuned_path : Path
     provenance : Provenance, optional
     """
+    with new_layer(tuned_path, provenance) as layer:
+        _author_tuned_layer(layer, references, pairs)
+
+
+def _author_tuned_layer(layer: Sdf.Layer, references: References, pairs: list[TunedPair]) -> None:
     if not pairs:
-        with new_layer(tuned_path, provenance) as layer:
-            author_pair_header(layer, ROOT, len(references.frames))
+        author_pair_header(layer, ROOT, len(references.frames))
         return
     weights = references.weights.copy()
     column = {name: index for index, name in enumerate(references.shape_names)}
@@ -173,26 +195,18 @@ def write_tuned_layer(
         for name, value in each.weights.items():
             if name in column:
                 weights[each.pair, column[name]] = value
-    with new_layer(tuned_path, provenance) as layer:
-        _author_weights(layer, references, weights)
-        done = {each.pair: each.done for each in pairs}
-        over = Sdf.CreatePrimInLayer(layer, ROOT)
-        Sdf.AttributeSpec(over, FRAME.name, Sdf.ValueTypeNames.Int)
-        Sdf.AttributeSpec(over, TAKE.name, Sdf.ValueTypeNames.Token)
-        Sdf.AttributeSpec(over, TUNED.name, Sdf.ValueTypeNames.Bool)
-        Sdf.AttributeSpec(over, DONE.name, Sdf.ValueTypeNames.Bool)
-        for pair in range(len(references.frames)):
-            layer.SetTimeSample(FRAME, pair + 1, int(references.frames[pair]))
-            layer.SetTimeSample(TAKE, pair + 1, references.takes[pair])
-            layer.SetTimeSample(TUNED, pair + 1, pair in done)
-            layer.SetTimeSample(DONE, pair + 1, done.get(pair, False))
-
-
-def _write_weights(
-    path: Path, references: References, weights: FloatArray, provenance: Provenance | None
-) -> None:
-    with new_layer(path, provenance) as layer:
-        _author_weights(layer, references, weights)
+    _author_weights(layer, references, weights)
+    done = {each.pair: each.done for each in pairs}
+    over = Sdf.CreatePrimInLayer(layer, ROOT)
+    Sdf.AttributeSpec(over, FRAME.name, Sdf.ValueTypeNames.Int)
+    Sdf.AttributeSpec(over, TAKE.name, Sdf.ValueTypeNames.Token)
+    Sdf.AttributeSpec(over, TUNED.name, Sdf.ValueTypeNames.Bool)
+    Sdf.AttributeSpec(over, DONE.name, Sdf.ValueTypeNames.Bool)
+    for pair in range(len(references.frames)):
+        layer.SetTimeSample(FRAME, pair + 1, int(references.frames[pair]))
+        layer.SetTimeSample(TAKE, pair + 1, references.takes[pair])
+        layer.SetTimeSample(TUNED, pair + 1, pair in done)
+        layer.SetTimeSample(DONE, pair + 1, done.get(pair, False))
 
 
 def _author_weights(layer: Sdf.Layer, references: References, weights: FloatArray) -> None:
