@@ -102,24 +102,6 @@ def propose_binding(
         raise InputError(f"the markers cannot be placed on <{mesh.path}>: {error}") from error
 
 
-def judge_binding(
-    mesh: RigMesh, binding: MarkerBinding, *, neutral: FloatArray, positions: FloatArray
-) -> MarkerBinding:
-    """Return a binding with confidence and distances found anew, for a take or after corrections.
-
-    Parameters
-    ----------
-    mesh : RigMesh
-    binding : MarkerBinding
-    neutral : (markers, 3) float array
-        In the binding's order [mm].
-    positions : (frames, markers, 3) float array
-    """
-    pins = {i: np.zeros(3) for i, source in enumerate(binding.sources) if source != "proposed"}
-    sources = {i: binding.sources[i] for i in pins}
-    return _judge(mesh, binding.places, binding.names, neutral, positions, pins, sources)
-
-
 def _by_shapes(
     mesh: RigMesh,
     neutral: FloatArray,

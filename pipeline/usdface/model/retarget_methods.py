@@ -31,8 +31,7 @@ SHRINKS = (1e-8, 1e-4, 1e-2)
 """Ridges of the straight line beneath the network, as shares of its largest eigenvalue."""
 
 ALPHAS = (0.25, 0.5, 0.75)
-ALPHA = 0.5
-"""Share of the multiquadric in the hybrid where nobody says and nothing was compared."""
+"""Shares of the multiquadric in the hybrid that are tried."""
 
 
 @dataclass(frozen=True)

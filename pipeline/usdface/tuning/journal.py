@@ -48,7 +48,6 @@ class Journal:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.line_count = 0
 
     def replay(self) -> list[Change]:
         """Return the changes on disk, and cut off a last line that was not written to its end.
@@ -78,7 +77,6 @@ class Journal:
             with self.path.open("rb+") as stream:
                 stream.truncate(whole)
                 os.fsync(stream.fileno())
-        self.line_count = len(changes)
         return changes
 
     def append(self, changes: Iterable[Change]) -> None:
@@ -107,12 +105,10 @@ class Journal:
             raise InputError(
                 f"{self.path}: the change cannot be saved ({error.strerror}); free the disk"
             ) from error
-        self.line_count += len(lines)
 
     def clear(self) -> None:
         """Forget all changes: they are in the layer."""
         self.path.unlink(missing_ok=True)
-        self.line_count = 0
 
 
 def flush_folder(folder: Path) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pxr import Gf, Sdf, Usd, Vt
+from pxr import Gf, Sdf, Vt
 
 from usdface.assets import Float32Array, FloatArray, Rig
 from usdface.errors import InputError
@@ -229,8 +229,3 @@ def _copy_sample(layer: Sdf.Layer, header: WeightsHeader, part: Part, frame: int
             layer.SetTimeSample(header.animation.AppendProperty(name), frame, value)
         elif name == WEIGHTS:
             raise InputError(f"{part.file} frame {frame}: has no weights; map that part again")
-
-
-def plays_clips(prim: Usd.Prim) -> bool:
-    """Whether the weights of an animation come from value clips."""
-    return bool(Usd.ClipsAPI(prim).GetClips())

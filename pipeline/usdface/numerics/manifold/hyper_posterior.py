@@ -33,8 +33,6 @@ from usdface.numerics.array_namespace import namespace_of
 
 Array = NDArray[np.float64]
 
-PARAMETERS = ("v0", "v1", "a0", "a1")
-
 PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3))
 """The order in which the ten entries of a symmetric matrix of four are stored."""
 
