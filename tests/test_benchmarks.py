@@ -1,12 +1,19 @@
 """The benchmarks' runner: what is printed is what is kept."""
 
 import json
+import math
+import sys
 from pathlib import Path
+from types import SimpleNamespace
+from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from tests.benchmarks import __main__ as runner
 from tests.benchmarks._index import is_met
+from tests.benchmarks._log_plot import Line, log_plot
+from tests.benchmarks._power_law import fit_power_law
 from tests.benchmarks._report import Measured, machine, read_tables, write_report
 
 TEXT = "On a head.\n\n| measure | value |\n|---|---|\n| speed | 3× |\n| size | 2 MB |\n\nDone.\n"
@@ -72,3 +79,61 @@ def test_the_index_says_which_claims_are_met(tmp_path: Path) -> None:
     assert [claim["met"] for claim in report["claims"]] == [False]
     write_report(tmp_path, [Measured("speed", table, 1.0, 0.0)])
     assert json.loads((tmp_path / "report.json").read_text(encoding="utf-8")) == report
+
+
+def test_a_power_law_is_found_again_and_noise_is_in_its_spread() -> None:
+    sizes = np.array([10.0, 20.0, 40.0, 80.0, 160.0])
+    exact = fit_power_law(sizes, 3e-4 * sizes**1.7)
+    assert exact.exponent == pytest.approx(1.7)
+    assert exact.last == pytest.approx(1.7)
+    assert exact.factor == pytest.approx(3e-4)
+    assert exact.spread == pytest.approx(0.0, abs=1e-9)
+    noise = np.exp(np.random.default_rng(0).normal(0, 0.1, (2000, len(sizes))))
+    found = [fit_power_law(sizes, 3e-4 * sizes**1.7 * each) for each in noise]
+    true = np.std([each.exponent for each in found])
+    assert np.sqrt(np.mean([each.spread**2 for each in found])) == pytest.approx(true, rel=0.05)
+
+
+def test_what_is_paid_once_flattens_the_law_and_least_at_its_end() -> None:
+    sizes = [100.0, 200.0, 400.0, 800.0]
+    law = fit_power_law(sizes, [1.0 + 0.01 * size for size in sizes])
+    assert law.exponent < law.last < 1.0
+
+
+def test_two_sizes_have_no_spread_and_one_has_no_law() -> None:
+    assert math.isnan(fit_power_law([1, 2], [1, 2]).spread)
+    with pytest.raises(ValueError, match="two or more positive"):
+        fit_power_law([1], [1])
+    with pytest.raises(ValueError, match="two or more positive"):
+        fit_power_law([1, 2], [0.0, 1])
+
+
+def test_a_plot_names_every_line_and_keeps_the_names_apart() -> None:
+    names = [f"call <{number}>" for number in range(7)]
+    lines = [Line(name, [10, 100], [0.1, 1.0], (0.1, 1.0)) for name in names]
+    picture = ElementTree.fromstring(log_plot("Time", "frames", lines))
+    told = {each.text: float(each.get("y", "nan")) for each in picture.iter() if each.text}
+    assert set(names) <= set(told)
+    heights = sorted(told[name] for name in names)
+    assert min(np.diff(heights)) >= 14
+    assert heights[-1] < float(picture.get("height", "nan"))
+    dots = [each for each in picture.iter() if each.tag.endswith("circle")]
+    # A decade of time to a decade of size: both dots of a line lie on the law.
+    assert float(dots[0].get("cy", "nan")) > float(dots[1].get("cy", "nan"))
+
+
+def test_a_benchmark_with_pictures_leaves_them_beside_its_table(tmp_path, monkeypatch) -> None:
+    def run(*, pictures: Path | None = None) -> None:
+        sys.stdout.write("| a | b |\n|---|---|\n| 1 | 2 |\n")
+        if pictures is not None:
+            (pictures / "drawn.svg").write_text("<svg/>", encoding="utf-8")
+            sys.stdout.write("\n![drawn](drawn.svg)\n")
+
+    monkeypatch.setattr(runner, "import_module", lambda name: SimpleNamespace(run=run))
+    out = tmp_path / "kept"
+    monkeypatch.setattr("sys.argv", ["benchmarks", "scaling", "--out", str(out)])
+    assert runner.main() == 0
+    assert (out / "drawn.svg").is_file()
+    assert "![drawn](drawn.svg)" in (out / "scaling.md").read_text(encoding="utf-8")
+    monkeypatch.setattr("sys.argv", ["benchmarks", "scaling"])
+    assert runner.main() == 0

@@ -21,7 +21,7 @@ def main() -> int:
     """Run the benchmarks named, or all."""
     parser = argparse.ArgumentParser(description="Run benchmarks and print their tables.")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"one of {', '.join(names())}")
-    parser.add_argument("--out", type=Path, help="keep the tables in this folder, as .md and .json")
+    parser.add_argument("--out", type=Path, help="keep tables and plots in this folder")
     parser.add_argument("--quick", action="store_true", help="less, where a benchmark has less")
     parser.add_argument("--full", action="store_true", help="more, where a benchmark has more")
     asked = parser.parse_args()
@@ -29,6 +29,8 @@ def main() -> int:
     if unknown:
         print(f"no benchmark {', '.join(unknown)}; there are {', '.join(names())}", file=sys.stderr)
         return 2
+    if asked.out is not None:
+        asked.out.mkdir(parents=True, exist_ok=True)
     for name in asked.names or names():
         print(f"## {name}\n", flush=True)
         load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
@@ -36,8 +38,8 @@ def main() -> int:
         with kept_output() as kept:
             run = import_module(f"tests.benchmarks.{name}").run
             known = signature(run).parameters
-            wanted = {"quick": asked.quick, "full": asked.full}
-            run(**{name: True for name, said in wanted.items() if said and name in known})
+            wanted = {"quick": asked.quick, "full": asked.full, "pictures": asked.out}
+            run(**{name: said for name, said in wanted.items() if said and name in known})
         print()
         if asked.out is not None:
             seconds = time.perf_counter() - start
