@@ -30,12 +30,12 @@ from usdface.specs.camera import AUTO
 from usdface.specs.report import ReportSpec
 from usdface.specs.sheet import FramePick
 from usdface.steps.frame_choice import ChosenFrame, choose_frames
+from usdface.steps.judged_weights import place_markers, read_truth
 from usdface.steps.movie_clock import MovieClock, movie_rate
 from usdface.steps.outputs import make_provenance
 from usdface.steps.report import Report
 from usdface.steps.report_coverage import show_coverage
 from usdface.steps.review_listings import evaluate_shown, listings
-from usdface.steps.sheet import place_markers, read_truth
 from usdface.steps.shot_camera import ShotCamera
 from usdface.steps.shot_phones import said_at
 from usdface.steps.shot_pictures import Shot, open_shot, undrawn
