@@ -110,7 +110,7 @@ def test_two_sizes_have_no_spread_and_one_has_no_law() -> None:
 
 def test_a_plot_names_every_line_and_keeps_the_names_apart() -> None:
     names = [f"call <{number}>" for number in range(7)]
-    lines = [Line(name, [10, 100], [0.1, 1.0], (0.1, 1.0)) for name in names]
+    lines = [Line(name, "#000000", [10, 100], [0.1, 1.0], (0.1, 1.0)) for name in names]
     picture = ElementTree.fromstring(log_plot("Time", "frames", lines))
     told = {each.text: float(each.get("y", "nan")) for each in picture.iter() if each.text}
     assert set(names) <= set(told)

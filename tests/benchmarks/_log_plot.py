@@ -8,7 +8,7 @@ from xml.sax.saxutils import escape
 WIDTH, HEIGHT = 860, 520
 LEFT, RIGHT, TOP, BOTTOM = 80, 270, 56, 64
 LABEL_PIXELS = 19
-COLORS = ("#0072b2", "#d55e00", "#009e73", "#9b4f96", "#b8860b", "#4d4d4d", "#c2185b")
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#9b4f96", "#b8860b", "#4d4d4d", "#c2185b", "#2e8bc0")
 """Told apart by most who see colours otherwise; labels name every line all the same."""
 
 
@@ -17,6 +17,7 @@ class Line:
     """Measured dots, and two ends of the law through them."""
 
     label: str
+    color: str
     sizes: Sequence[float]
     seconds: Sequence[float]
     fitted: tuple[float, float]
@@ -53,8 +54,8 @@ def log_plot(title: str, across: str, lines: Sequence[Line]) -> str:
         *_slope_one(axes),
     ]
     places = _apart([axes.y(line.fitted[1]) for line in lines])
-    for number, (line, place) in enumerate(zip(lines, places, strict=True)):
-        parts += _curve(axes, line, COLORS[number % len(COLORS)], place)
+    for line, place in zip(lines, places, strict=True):
+        parts += _curve(axes, line, place)
     return "\n".join([*parts, "</svg>", ""])
 
 
@@ -83,9 +84,12 @@ def _grid(axes: _Axes) -> list[str]:
             if told:
                 parts.append(_text(x, bottom + 20, f"{value:,.0f}", anchor="middle"))
     for decade in range(int(axes.low_y), int(axes.high_y) + 1):
-        y = axes.y(10.0**decade)
-        parts.append(_rule(LEFT, y, right, y, "#dddddd"))
-        parts.append(_text(LEFT - 8, y + 5, f"{10.0**decade:g}", anchor="end"))
+        for value in (digit * 10.0**decade for digit in (1, 2, 5)):
+            told = value == 10.0**decade or axes.high_y - axes.low_y < 2
+            if told and math.log10(value) <= axes.high_y:
+                y = axes.y(value)
+                parts.append(_rule(LEFT, y, right, y, "#dddddd"))
+                parts.append(_text(LEFT - 8, y + 5, f"{value:g}", anchor="end"))
     parts.append(
         f'<rect x="{LEFT}" y="{TOP}" width="{right - LEFT}" height="{bottom - TOP}" fill="none" '
         'stroke="#888888"/>'
@@ -98,14 +102,17 @@ def _slope_one(axes: _Axes) -> list[str]:
     rise = min(axes.high_x - axes.low_x, axes.high_y - axes.low_y)
     start_x, start_y = 10.0**axes.low_x, 10.0**axes.low_y
     end_x, end_y = axes.x(start_x * 10**rise), axes.y(start_y * 10**rise)
+    third = start_x * 10 ** (rise / 3), start_y * 10 ** (rise / 3)
     return [
         f'<line x1="{axes.x(start_x):.1f}" y1="{axes.y(start_y):.1f}" x2="{end_x:.1f}" '
         f'y2="{end_y:.1f}" stroke="#999999" stroke-dasharray="3 5"/>',
-        _text(end_x - 6, end_y - 6, "linear", color="#777777", anchor="end"),
+        # Below it there is rarely anything: few calls beat the smallest at the smallest size.
+        _text(axes.x(third[0]) + 8, axes.y(third[1]) + 16, "linear", color="#777777"),
     ]
 
 
-def _curve(axes: _Axes, line: Line, color: str, place: float) -> list[str]:
+def _curve(axes: _Axes, line: Line, place: float) -> list[str]:
+    color = line.color
     first, last = axes.x(line.sizes[0]), axes.x(line.sizes[-1])
     start, end = (axes.y(each) for each in line.fitted)
     right = WIDTH - RIGHT

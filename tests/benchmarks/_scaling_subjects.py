@@ -290,7 +290,7 @@ def _geodesic(size: int, folder: Path) -> Work:
 
 FRAMES = (4_096, 8_192, 16_384, 32_768)
 REFERENCES = {"ridge": (50, 100, 200, 400, 800), "ensemble": (13, 25, 50, 100)}
-RIG_SHAPES = {"ridge": (46, 92, 184, 368, 736), "ensemble": (12, 23, 46, 92)}
+RIG_SHAPES = {"ridge": (46, 92, 184, 368, 736), "ensemble": (23, 46, 92, 184)}
 
 
 def _of_method(method: str) -> tuple[Subject, ...]:

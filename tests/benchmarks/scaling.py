@@ -14,7 +14,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
-from tests.benchmarks._log_plot import Line, log_plot
+from tests.benchmarks._log_plot import COLORS, Line, log_plot
 from tests.benchmarks._power_law import PowerLaw, fit_power_law
 from tests.benchmarks._scaling_subjects import SUBJECTS, Subject
 
@@ -33,13 +33,15 @@ def run(*, quick: bool = False, pictures: Path | None = None) -> None:
     )
     print("| call, in | measured | wanted | at the end | sizes | seconds | fixed |")
     print("|---|---|---|---|---|---|---|")
+    calls = list(dict.fromkeys(subject.call for subject in SUBJECTS))
     lines: dict[str, list[Line]] = defaultdict(list)
     for subject, sizes, seconds in _measured(quick=quick):
         law = fit_power_law(sizes, seconds)
         print(_row(subject, sizes, seconds, law), flush=True)
         label = f"{subject.call}: {law.exponent:.2f}"
         ends = law.seconds(sizes[0]), law.seconds(sizes[-1])
-        lines[subject.within].append(Line(label, sizes, seconds, ends))
+        color = COLORS[calls.index(subject.call) % len(COLORS)]  # the same in every plot
+        lines[subject.within].append(Line(label, color, sizes, seconds, ends))
     if pictures is None:
         return
     print()
