@@ -2,7 +2,8 @@
 
 The demo's actor, again and again, as two takes of different length. Each step is the installed
 command in a process of its own; times are of the processor. A straight line through both lengths
-is the cost model of `docs/scale.md`; what it says of longer takes is extrapolated.
+is the cost model of `docs/scale.md`; what it says of longer takes is extrapolated. Whether a line
+is what to draw, and how each call grows in markers, references, shapes and points, `scaling` says.
 """
 
 import os
