@@ -7,7 +7,7 @@ import os
 import platform
 import secrets
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -15,6 +15,12 @@ from usdface.errors import InputError
 
 STALE_SECONDS = 60.0
 """A lock that nobody has renewed for this long belongs to a machine that is gone."""
+
+LONGEST_LOCK = 4096
+"""Characters of a lock file that are read: ours have some two hundred."""
+
+LARGEST_PROCESS = 2**31 - 1
+"""Numbers of processes are 32 bits, signed; 0 and below would mean whole groups of them."""
 
 TAKE_OVER = (
     "wait until that page is closed, or take over with --take-over: what was saved there is kept"
@@ -103,9 +109,9 @@ class TuningLock:
     def holder(self) -> Holder | None:
         """Return who holds the lock; None if nobody does, or the file says nothing."""
         try:
-            data = json.loads(self.path.read_text(encoding="utf-8"))
-            return Holder(**data)
-        except (OSError, ValueError, TypeError):
+            with self.path.open(encoding="utf-8") as stream:
+                return _holder(json.loads(stream.read(LONGEST_LOCK)))
+        except (OSError, ValueError, RecursionError):
             return None
 
     def renew(self) -> None:
@@ -158,6 +164,19 @@ class TuningLock:
             f"{self.path.name.removesuffix('.lock')}: {holder.user} on {holder.host} has been "
             f"tuning it since {holder.since} (process {holder.process}); {remedy}"
         )
+
+
+def _holder(data: object) -> Holder | None:
+    """Return what a lock file says, which anybody may have written; None if it makes no sense."""
+    if not isinstance(data, dict) or data.keys() != {each.name for each in fields(Holder)}:
+        return None
+    process = data["process"]
+    texts = [value for name, value in data.items() if name != "process"]
+    if type(process) is not int or not 0 < process <= LARGEST_PROCESS:
+        return None
+    if not all(isinstance(text, str) for text in texts):
+        return None
+    return Holder(**data)
 
 
 def _runs(process: int) -> bool:

@@ -80,6 +80,54 @@ def test_a_lock_file_that_says_nothing_goes_stale_too(path: Path) -> None:
     lock.check()
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"process": "12"},
+        {"process": 1.0},
+        {"process": True},
+        {"process": 0},
+        {"process": -1},
+        {"process": 1 << 80},
+        {"user": None},
+        {"host": ["here"]},
+        {"since": {"of": "old"}},
+        {"more": "than ours"},
+    ],
+    ids=str,
+)
+def test_a_lock_that_none_of_ours_wrote_holds_nobody_off(
+    path: Path, change: dict[str, object]
+) -> None:
+    first = TuningLock(path)
+    first.acquire()
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    assert first.holder() is None
+    assert not first.is_own()
+    TuningLock(path).acquire()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 100_000,
+        "7",
+        "null",
+        '["user"]',
+        "{}",
+        '"' + "x" * 10_000_000 + '"',
+        '{"process": ' + "9" * 3000 + "}",
+    ],
+    ids=range(7),
+)
+def test_a_lock_file_of_something_else_holds_nobody_off(path: Path, text: str) -> None:
+    path.write_text(text)
+    lock = TuningLock(path)
+    assert lock.holder() is None
+    lock.acquire()
+    lock.check()
+
+
 def test_a_removed_lock_stops_the_page(path: Path) -> None:
     lock = TuningLock(path)
     lock.acquire()
