@@ -1,12 +1,10 @@
 """What `usdface cyclic` is told."""
 
-from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import AfterValidator, Field, field_validator
+from pydantic import Field
 
 from usdface.specs.base import (
-    IMAGE_SUFFIXES,
     FilePath,
     Frames,
     Name,
@@ -14,19 +12,10 @@ from usdface.specs.base import (
     ReadPath,
     Reads,
     Spec,
-    Writes,
 )
+from usdface.specs.measured import MeasuredOut
 
 METHODS = ("auto", "rbf", "kernel_cca", "hybrid", "ridge", "positions")
-
-
-def _told(paths: tuple[Path, ...]) -> tuple[Path, ...]:
-    for path in paths:
-        if path.suffix.lower() not in (".json", *IMAGE_SUFFIXES):
-            raise ValueError(
-                f"{path}: figures are written as .json, curves as {', '.join(IMAGE_SUFFIXES)}"
-            )
-    return paths
 
 
 class CyclicSpec(Spec):
@@ -46,7 +35,7 @@ class CyclicSpec(Spec):
     """The pairs asset."""
     source: ReadPath
     """Source weights: a take that carries them (Live Link), or a performance."""
-    out: Annotated[tuple[FilePath, ...], AfterValidator(_told), Writes()] = ()
+    out: MeasuredOut = ()
     """Where to write: .json for the figures, .png or .jpg for the curves; may be given twice."""
     methods: tuple[Name, ...] = METHODS
     """What to compare."""
@@ -57,8 +46,3 @@ class CyclicSpec(Spec):
     """Measure these frames only, as FIRST-LAST."""
     every: Annotated[int, Field(ge=1)] = 1
     """Measure every n-th frame."""
-
-    @field_validator("out", mode="before")
-    @classmethod
-    def _one_or_several(cls, given: Any) -> Any:
-        return (given,) if isinstance(given, str | Path) else given

@@ -1,12 +1,10 @@
 """What `usdface evaluate` is told."""
 
-from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import AfterValidator, Field, field_validator
+from pydantic import Field
 
 from usdface.specs.base import (
-    IMAGE_SUFFIXES,
     FilePath,
     Frames,
     Name,
@@ -14,18 +12,8 @@ from usdface.specs.base import (
     ReadPath,
     Reads,
     Spec,
-    Writes,
 )
-
-
-def _told(paths: tuple[Path, ...]) -> tuple[Path, ...]:
-    for path in paths:
-        if path.suffix.lower() not in (".json", *IMAGE_SUFFIXES):
-            raise ValueError(
-                f"{path}: figures are written as .json, curves as {', '.join(IMAGE_SUFFIXES)}"
-            )
-    return paths
-
+from usdface.specs.measured import MeasuredOut
 
 Limit = Annotated[float, Field(ge=0.0)]
 
@@ -49,7 +37,7 @@ class EvaluateSpec(Spec):
     against: ReadPath
     """The truth, or another performance: .csv or .json (a `frame` column, then one per shape), or
     .usd with an animation."""
-    out: Annotated[tuple[FilePath, ...], AfterValidator(_told), Writes()] = ()
+    out: MeasuredOut = ()
     """Where to write: .json for the figures, .png or .jpg for the curves; may be given twice."""
     frames: Frames | None = None
     """Measure these frames only, as FIRST-LAST."""
@@ -67,8 +55,3 @@ class EvaluateSpec(Spec):
     """Most that blinks may be off at their peaks, either way."""
     max_jitter: Limit | None = None
     """Most roughness; 1 is that of the truth."""
-
-    @field_validator("out", mode="before")
-    @classmethod
-    def _one_or_several(cls, given: Any) -> Any:
-        return (given,) if isinstance(given, str | Path) else given
