@@ -112,6 +112,20 @@ class Method:
         return partial(self.predict, arrays, settings)
 
 
+def in_double_precision(
+    prepare: Callable[..., Predictor],
+) -> Callable[[dict[str, FloatArray], Settings, FloatArray], FloatArray]:
+    """Return a method's `predict` from its `prepare`, which takes ``single``."""
+
+    def predict(
+        arrays: dict[str, FloatArray], settings: Settings, coordinates: FloatArray
+    ) -> FloatArray:
+        predicted: FloatArray = prepare(arrays, settings, single=False)(coordinates)
+        return predicted
+
+    return predict
+
+
 def dimension_choices(pairs: Pairs, fixed: int | None, usual: tuple[int, ...]) -> tuple[int, ...]:
     """Dimensions worth trying: the usual ones that the pairs and the motion space can carry."""
     if fixed is not None:

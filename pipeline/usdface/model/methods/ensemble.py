@@ -14,7 +14,14 @@ from typing import Any
 import numpy as np
 
 from usdface.assets import FloatArray
-from usdface.model.methods.contract import Fitted, Method, Pairs, Predictor, Settings
+from usdface.model.methods.contract import (
+    Fitted,
+    Method,
+    Pairs,
+    Predictor,
+    Settings,
+    in_double_precision,
+)
 from usdface.model.methods.target_curve import CURVES, bend, choose_curves, unbend
 from usdface.model.methods.voices import (
     FEWEST_CORRELATED,
@@ -104,13 +111,6 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
             arrays[f"local{k}_dual"] = voice.locals["dual"] * part
     chosen: Settings = {"curve": float(curve.mean()), "geometry": geometry is not None}
     return Fitted(arrays, settings | chosen)
-
-
-def _predict(
-    arrays: dict[str, FloatArray], settings: Settings, coordinates: FloatArray
-) -> FloatArray:
-    predicted: FloatArray = _prepare(arrays, settings, single=False)(coordinates)
-    return predicted
 
 
 def _prepare(
@@ -284,6 +284,6 @@ METHOD = Method(
     summary="examples and the rig's geometry together: processes over face and regions",
     candidates=_candidates,
     fit=_fit,
-    predict=_predict,
+    predict=in_double_precision(_prepare),
     prepare=_prepare,
 )

@@ -12,6 +12,7 @@ from usdface.model.methods.contract import (
     Predictor,
     Settings,
     dimension_choices,
+    in_double_precision,
 )
 from usdface.model.methods.voices import (
     GLOBAL_LINES,
@@ -58,13 +59,6 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     return Fitted(arrays | voice.locals, settings)
 
 
-def _predict(
-    arrays: dict[str, FloatArray], settings: Settings, coordinates: FloatArray
-) -> FloatArray:
-    predicted: FloatArray = _prepare(arrays, settings, single=False)(coordinates)
-    return predicted
-
-
 def _prepare(
     arrays: dict[str, FloatArray],
     settings: Settings,
@@ -89,6 +83,6 @@ METHOD = Method(
     summary="a Gaussian process for each shape over the markers it moves",
     candidates=_candidates,
     fit=_fit,
-    predict=_predict,
+    predict=in_double_precision(_prepare),
     prepare=_prepare,
 )
