@@ -6,13 +6,13 @@ import numpy as np
 
 from usdface.media.canvas import Color, draw_line, fill_box, new_picture
 from usdface.media.color import ByteImage
+from usdface.media.palette import PAGE
 from usdface.media.plot import Plot
 from usdface.media.text import TextStyle, draw_text, text_width
 from usdface.numerics.timing.audio_alignment import LEAST_AGREEMENT, LEAST_PEAK, SoundAlignment
 
 _WIDTH = 1280
 _MARGIN, _AXIS = 34, 74
-_PAGE: Color = (22, 23, 26)
 _CURVE: Color = (126, 184, 236)
 _GOOD: Color = (129, 199, 132)
 _BAD: Color = (240, 160, 80)
@@ -87,7 +87,7 @@ def draw_alignment(page: AlignmentPage) -> ByteImage:
     lines += [(line, _FACT) for fact in page.facts for line in _wrapped(fact, _FACT)]
     head = 72 + _LINE * len(lines) + 16
     heard = page.sound is not None and page.sound.correlation is not None
-    picture = new_picture(_WIDTH, head + (600 if heard else 40), _PAGE)
+    picture = new_picture(_WIDTH, head + (600 if heard else 40), PAGE)
     fill_box(picture, 0, 0, 8, picture.shape[0], color)
     draw_text(picture, page.title, x=_MARGIN, y=24, style=_TITLE, max_width=_WIDTH - 2 * _MARGIN)
     for index, (line, style) in enumerate(lines):

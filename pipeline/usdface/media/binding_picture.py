@@ -13,6 +13,7 @@ from usdface.errors import InputError
 from usdface.media.camera import Camera, frame_face
 from usdface.media.canvas import Color, draw_dot, draw_line, fill_box, new_picture
 from usdface.media.color import ByteImage
+from usdface.media.palette import PAGE
 from usdface.media.render import FaceRenderer, Quality
 from usdface.media.sheet import draw_header
 from usdface.media.text import TextStyle, draw_text, text_width
@@ -22,7 +23,6 @@ HEAD = 124
 NAMES = 250
 """Width of the list of names on either side of a face [pixels]."""
 
-_PAGE: Color = (22, 23, 26)
 _SURE: Color = (120, 200, 255)
 _PLACED: Color = (140, 226, 140)
 _DOUBT: Color = (255, 128, 72)
@@ -98,7 +98,7 @@ def draw_binding(
         for side in (-_SIDE_DEGREES, 0.0, _SIDE_DEGREES)
     ]
     width = sum(panel.shape[1] for panel in panels) + 2 * MARGIN
-    page = new_picture(width, HEAD + height + MARGIN, _PAGE)
+    page = new_picture(width, HEAD + height + MARGIN, PAGE)
     y = draw_header(page, title, facts, x=MARGIN, y=MARGIN - 8, width=width - 2 * MARGIN)
     x = MARGIN
     for panel in panels:
@@ -173,7 +173,7 @@ def _draw_names(panel: ByteImage, markers: BoundMarkers, at: FloatArray, seen: B
             long = min(text_width(text, style), NAMES - 50)
             start = x - long - 3 if left else x - 3
             # A wide head reaches under the names.
-            fill_box(panel, start, round(row) - 9, long + 6, 19, _PAGE, cover=0.55)
+            fill_box(panel, start, round(row) - 9, long + 6, 19, PAGE, cover=0.55)
             draw_text(
                 panel,
                 text,

@@ -10,6 +10,7 @@ from usdface.errors import InputError
 from usdface.media.canvas import Color, draw_line, fill_box, new_picture
 from usdface.media.color import ByteImage
 from usdface.media.error_strip import ErrorCurve, draw_error_strip, strip_height
+from usdface.media.palette import FIRST, PAGE, SECOND
 from usdface.media.plot import Plot
 from usdface.media.sheet import draw_header, draw_legend
 from usdface.media.text import TextStyle, draw_text
@@ -25,10 +26,7 @@ ROW = 26
 WORST = 50.0
 """[%] At the top of a lane: with half a face a guess, nothing is known of it."""
 
-_PAGE: Color = (22, 23, 26)
 _BOUND: Color = (132, 137, 146)
-_PAIRS: Color = (120, 200, 255)
-_FURTHER: Color = (255, 178, 92)
 _HEAD = TextStyle(size=18, color=(222, 224, 228), weight="bold")
 _TEXT = TextStyle(size=16, color=(196, 200, 206))
 _CODE = TextStyle(size=16, color=(222, 225, 230), weight="mono")
@@ -105,7 +103,7 @@ def draw_coverage(page: CoveragePage) -> ByteImage:
     strips = strip_height(len(page.lanes))
     body = max(PLOT_HEIGHT + 70, 60 + ROW * len(page.holes))
     takes = TAKES if len(page.takes) > 1 else 0
-    picture = new_picture(WIDTH, HEAD + LEGEND + takes + strips + body + MARGIN, _PAGE)
+    picture = new_picture(WIDTH, HEAD + LEGEND + takes + strips + body + MARGIN, PAGE)
     inner = WIDTH - 2 * MARGIN
     y = draw_header(picture, page.title, page.facts, x=MARGIN, y=MARGIN - 8, width=inner)
     notes = (
@@ -158,15 +156,15 @@ def _draw_growth(picture: ByteImage, page: CoveragePage, *, x: int, y: int, widt
         picture, x, y, width, PLOT_HEIGHT, 0.0, float(pairs + len(page.holes) + 1), low, 101.0
     )
     plot.draw_axes("Coverage", across="references", up="% of the motion, mean over the takes")
-    plot.draw_curve(np.arange(pairs + 1.0), 100 * page.growth, _PAIRS)
+    plot.draw_curve(np.arange(pairs + 1.0), 100 * page.growth, FIRST)
     if page.holes:
         numbers = pairs + np.arange(len(further), dtype=float)
-        plot.draw_curve(numbers, 100 * further, _FURTHER)
-        plot.draw_points(numbers[1:], 100 * further[1:], _FURTHER, hollow=True)
-    plot.draw_points(np.array([float(pairs)]), 100 * page.growth[-1:], _PAIRS)
+        plot.draw_curve(numbers, 100 * further, SECOND)
+        plot.draw_points(numbers[1:], 100 * further[1:], SECOND, hollow=True)
+    plot.draw_points(np.array([float(pairs)]), 100 * page.growth[-1:], FIRST)
     now = f"{page.growth[-1]:.1%} with {pairs}"
     column, row = plot.column(pairs), plot.row(100 * float(page.growth[-1]))
-    style = TextStyle(size=16, color=_PAIRS, weight="bold")
+    style = TextStyle(size=16, color=FIRST, weight="bold")
     draw_text(picture, now, x=round(column) - 12, y=round(row) + 14, style=style, anchor="right")
 
 

@@ -10,6 +10,7 @@ from usdface.errors import InputError
 from usdface.media.canvas import Color, fill_box, new_picture
 from usdface.media.color import ByteImage, bytes_from_linear, heat_ramp
 from usdface.media.error_strip import ErrorCurve, draw_error_strip, strip_height
+from usdface.media.palette import FIRST, PAGE, SECOND
 from usdface.media.plot import Plot
 from usdface.media.sheet import draw_header, draw_legend, round_range
 from usdface.media.text import TextStyle, draw_text
@@ -23,10 +24,7 @@ ROW = 24
 COLUMNS = 3
 MOST_SHAPES = 90
 
-_PAGE: Color = (22, 23, 26)
 _LANE: Color = (33, 35, 39)
-_TRUTH: Color = (120, 200, 255)
-_SOLVED: Color = (255, 178, 92)
 _BIAS: Color = (244, 245, 247)
 _HEAD = TextStyle(size=18, color=(222, 224, 228), weight="bold")
 _NAME = TextStyle(size=14, color=(196, 200, 206))
@@ -98,7 +96,7 @@ def draw_evaluation(page: EvaluationPage) -> ByteImage:
     lips = page.lips_truth is not None and page.lips_solved is not None
     height = HEAD + strip_height(len(page.curves)) + LEGEND + MARGIN
     height += (LIPS_HEIGHT + 100 if lips else 0) + (rows * ROW + 70 if rows else 0)
-    picture = new_picture(WIDTH, height, _PAGE)
+    picture = new_picture(WIDTH, height, PAGE)
     inner = WIDTH - 2 * MARGIN
     high = round_range(np.concatenate([curve.values for curve in page.curves]))
     y = draw_header(picture, page.title, page.facts, x=MARGIN, y=MARGIN - 8, width=inner)
@@ -144,10 +142,10 @@ def _draw_lips(
         top + 0.05 * (top - low),
     )
     plot.draw_axes("distance of the lips", across="frame", up="mm")
-    plot.draw_curve(frames, truth, _TRUTH)
-    plot.draw_curve(frames, solved, _SOLVED)
+    plot.draw_curve(frames, truth, FIRST)
+    plot.draw_curve(frames, solved, SECOND)
     x = plot.x + 330
-    for label, color in (("as it should be", _TRUTH), ("this performance", _SOLVED)):
+    for label, color in (("as it should be", FIRST), ("this performance", SECOND)):
         fill_box(picture, x, y + 10, 18, 4, color)
         x += 26 + draw_text(picture, label, x=x + 26, y=y + 2, style=_NOTE) + 28
 

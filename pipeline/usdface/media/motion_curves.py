@@ -9,6 +9,7 @@ from usdface.assets import FloatArray
 from usdface.errors import InputError
 from usdface.media.canvas import Color, fill_box, new_picture
 from usdface.media.color import ByteImage
+from usdface.media.palette import FIRST, PAGE, SECOND
 from usdface.media.plot import Plot
 from usdface.media.sheet import draw_header
 from usdface.media.text import TextStyle, draw_text
@@ -23,9 +24,6 @@ MOST_WINDOWS = 4
 ALIKE = 0.995
 """Correlation of their changes beyond which two controls, left and right, are drawn once."""
 
-_PAGE: Color = (22, 23, 26)
-_BEFORE: Color = (120, 200, 255)
-_AFTER: Color = (255, 178, 92)
 _SPAN: Color = (58, 66, 84)
 _NOTE = TextStyle(size=15, color=(152, 157, 166))
 _SPAN_LABEL = TextStyle(size=14, color=(160, 178, 212))
@@ -114,8 +112,8 @@ def before_and_after(
             names[index],
             "",
             (
-                Curve("before", before[:, index], _BEFORE),
-                Curve("after", after[:, index], _AFTER),
+                Curve("before", before[:, index], FIRST),
+                Curve("after", after[:, index], SECOND),
             ),
         )
         for index in chosen
@@ -170,7 +168,7 @@ def draw_motion_curves(
     frames = first_frame + step * np.arange(count, dtype=np.float64)
     shown = tuple(windows) or ((first_frame, int(frames[-1])),)
     height = HEAD + len(panels) * (PANEL_HEIGHT + PANEL_GAP) + MARGIN
-    picture = new_picture(WIDTH, height, _PAGE)
+    picture = new_picture(WIDTH, height, PAGE)
     y = draw_header(picture, title, facts, x=MARGIN, y=MARGIN - 8, width=WIDTH - 2 * MARGIN)
     _draw_legend(picture, panels[0].curves, y=y - 6)
     pitch = (WIDTH - 2 * MARGIN) // len(shown)

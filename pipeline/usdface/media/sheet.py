@@ -13,6 +13,7 @@ from usdface.errors import InputError
 from usdface.media.canvas import Color, fill_box, new_picture, outline_box
 from usdface.media.color import ByteImage, bytes_from_linear, heat_ramp
 from usdface.media.error_strip import ErrorCurve, draw_error_strip, strip_height
+from usdface.media.palette import PAGE
 from usdface.media.sheet_layout import (
     CAPTION,
     COLUMN_HEAD,
@@ -39,7 +40,6 @@ __all__ = ["ErrorCurve", "SheetPage", "SheetRow", "Tile", "compose_sheet"]
 
 MAX_PIXELS = 400_000_000
 
-_PAGE: Color = (22, 23, 26)
 _RULE: Color = (58, 61, 67)
 _FRAME: Color = (64, 67, 74)
 
@@ -78,7 +78,7 @@ def compose_sheet(spec: SheetPage) -> ByteImage:
             "or smaller tiles"
         )
     high = spec.high if spec.high is not None else round_range(all_errors(spec))
-    page = new_picture(layout.width, layout.height, _PAGE)
+    page = new_picture(layout.width, layout.height, PAGE)
     inner = layout.width - 2 * MARGIN
     y = draw_header(page, spec.title, spec.facts, x=MARGIN, y=MARGIN - 8, width=inner)
     if spec.curves:
