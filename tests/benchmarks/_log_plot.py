@@ -60,13 +60,16 @@ def log_plot(title: str, across: str, lines: Sequence[Line]) -> str:
 
 
 def _axes(lines: Sequence[Line]) -> _Axes:
-    """Span all that is drawn: across with a little air, upwards whole decades."""
+    """Span all that is drawn: across with a little air, upwards whole decades where they fit."""
     sizes = [size for line in lines for size in line.sizes]
     times = [time for line in lines for time in (*line.seconds, *line.fitted)]
+    low = float(math.floor(math.log10(min(times))))
+    if math.log10(min(times)) - low < 0.15:
+        low -= 0.3  # no dot on the frame
     return _Axes(
         math.log10(min(sizes)) - 0.06,
         math.log10(max(sizes)) + 0.06,
-        math.floor(math.log10(min(times))),
+        low,
         math.ceil(math.log10(max(times))),
     )
 
@@ -83,10 +86,10 @@ def _grid(axes: _Axes) -> list[str]:
             parts.append(_rule(x, TOP, x, bottom, "#dddddd" if told else "#f0f0f0"))
             if told:
                 parts.append(_text(x, bottom + 20, f"{value:,.0f}", anchor="middle"))
-    for decade in range(int(axes.low_y), int(axes.high_y) + 1):
+    for decade in range(math.floor(axes.low_y), int(axes.high_y) + 1):
         for value in (digit * 10.0**decade for digit in (1, 2, 5)):
             told = value == 10.0**decade or axes.high_y - axes.low_y < 2
-            if told and math.log10(value) <= axes.high_y:
+            if told and axes.low_y <= math.log10(value) <= axes.high_y:
                 y = axes.y(value)
                 parts.append(_rule(LEFT, y, right, y, "#dddddd"))
                 parts.append(_text(LEFT - 8, y + 5, f"{value:g}", anchor="end"))
@@ -102,12 +105,12 @@ def _slope_one(axes: _Axes) -> list[str]:
     rise = min(axes.high_x - axes.low_x, axes.high_y - axes.low_y)
     start_x, start_y = 10.0**axes.low_x, 10.0**axes.low_y
     end_x, end_y = axes.x(start_x * 10**rise), axes.y(start_y * 10**rise)
-    third = start_x * 10 ** (rise / 3), start_y * 10 ** (rise / 3)
+    early = start_x * 10 ** (0.15 * rise), start_y * 10 ** (0.15 * rise)
     return [
         f'<line x1="{axes.x(start_x):.1f}" y1="{axes.y(start_y):.1f}" x2="{end_x:.1f}" '
         f'y2="{end_y:.1f}" stroke="#999999" stroke-dasharray="3 5"/>',
         # Below it there is rarely anything: few calls beat the smallest at the smallest size.
-        _text(axes.x(third[0]) + 8, axes.y(third[1]) + 16, "linear", color="#777777"),
+        _text(axes.x(early[0]) + 10, axes.y(early[1]) + 13, "linear", color="#777777"),
     ]
 
 
