@@ -257,6 +257,9 @@ _READY: dict[int, FaceRenderer] = {}
 
 def _make_ready(size: int, folder: Path) -> Work:
     meshes = _head(HEADS.index(size))
+    points = sum(len(mesh.points) for mesh in meshes)
+    if points != size:
+        raise SystemExit(f"the demo's head has {points:,} points, not {size:,}: correct HEADS")
 
     def work() -> None:
         _READY[size] = FaceRenderer(meshes)
