@@ -87,8 +87,7 @@ class TuningLock:
         text = json.dumps(asdict(own)) + "\n"
         for _ in range(3):
             try:
-                with self.path.open("x", encoding="utf-8") as stream:
-                    stream.write(text)
+                self._make(text)
             except FileExistsError:
                 holder = self.holder()
                 if holder is not None and not take_over and not self._is_stale(holder):
@@ -98,13 +97,23 @@ class TuningLock:
                     self.path.unlink()
             except OSError as error:
                 raise InputError(
-                    f"{self.path}: cannot be written ({error.strerror}); tuning needs the right "
-                    "to write beside the references"
+                    f"{self.path}: cannot be written ({error.strerror}); tuning needs room, and "
+                    "the right to write, beside the references"
                 ) from error
             else:
                 self._own = own
                 return
         raise InputError(f"{self.path}: someone else takes it at this moment; try again")
+
+    def _make(self, text: str) -> None:
+        """Make the lock file, whole or not at all: a full disk may not leave one that is empty."""
+        with self.path.open("x", encoding="utf-8") as stream:
+            try:
+                stream.write(text)
+                stream.flush()
+            except OSError:
+                self.path.unlink(missing_ok=True)
+                raise
 
     def holder(self) -> Holder | None:
         """Return who holds the lock; None if nobody does, or the file says nothing."""

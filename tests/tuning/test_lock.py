@@ -139,3 +139,25 @@ def test_a_removed_lock_stops_the_page(path: Path) -> None:
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be written"):
         TuningLock(tmp_path / "missing" / "x.lock").acquire()
+
+
+FULL = """
+import resource, sys
+from pathlib import Path
+from usdface.errors import InputError
+from usdface.tuning_lock import TuningLock
+resource.setrlimit(resource.RLIMIT_FSIZE, (16, 16))
+try:
+    TuningLock(Path(sys.argv[1])).acquire()
+except InputError as error:
+    print(error)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits the size of files")
+def test_a_disk_that_is_full_leaves_no_half_lock(path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", FULL, str(path)], capture_output=True, text=True, check=True
+    )
+    assert "cannot be written (File too large)" in done.stdout
+    assert not path.exists()
