@@ -49,7 +49,7 @@ def run(
     if not (SHARED_DATA / "crosstake").is_dir():
         print(f"skipped: no crosstake in {SHARED_DATA}")
         return
-    ruler = _ruler()
+    ruler = read_ruler()
     rig_file = SHARED_DATA / "rigs" / "facecap_head.usdc"
     if quick:
         counts, methods = (50,), methods or ("auto", "kernel_cca", "ridge")
@@ -58,23 +58,23 @@ def run(
         truth = np.load(SHARED_DATA / "crosstake" / "truth.npz")
         for kind, folder in folders.items():
             folder.mkdir()
-            _prepare(folder, kind, truth)
+            prepare(folder, kind, truth)
         for count in counts:
             references = {
-                kind: _references(folder, rig_file, count) for kind, folder in folders.items()
+                kind: choose_references(folder, rig_file, count) for kind, folder in folders.items()
             }
             print(f"### {count} references from the first half, scored on the second\n")
             print(f"| method | {' | '.join(COLUMNS)} |")
             print(f"|---|{'---|' * len(COLUMNS)}")
             for label, weights in _equation(folders[DAMAGES[0]], rig_file).items():
-                _row(label, _score(ruler, weights, truth, rig_file))
+                print_row(label, score(ruler, weights, truth, rig_file))
             spoiled: dict[str, list[dict[str, float]]] = {}
             for method in methods or ("auto", *METHODS):
                 spoiled[method] = [
-                    _score(ruler, _map(references[kind], rig_file, method), truth, rig_file)
+                    score(ruler, map_take(references[kind], rig_file, method), truth, rig_file)
                     for kind in DAMAGES
                 ]
-                _row(method, spoiled[method][0])
+                print_row(method, spoiled[method][0])
             print(f"\n{count} references, spoiled captures: vertex RMS [mm], blink bias, jitter\n")
             print(f"| method | {' | '.join(DAMAGES)} |")
             print(f"|---|{'---|' * len(DAMAGES)}")
@@ -87,7 +87,7 @@ def run(
             print()
 
 
-def _ruler() -> ModuleType:
+def read_ruler() -> ModuleType:
     path = SHARED_DATA.parent / "tools" / "score.py"
     spec = importlib.util.spec_from_file_location("score", path)
     if spec is None or spec.loader is None:
@@ -97,7 +97,7 @@ def _ruler() -> ModuleType:
     return module
 
 
-def _prepare(folder: Path, kind: str, truth: Any) -> None:
+def prepare(folder: Path, kind: str, truth: Any) -> None:
     """Spoil, ingest and clean the capture; write the keys."""
     source = SHARED_DATA / "crosstake"
     said = json.loads((source / "take.json").read_text())
@@ -141,7 +141,7 @@ def _equation(folder: Path, rig_file: Path) -> dict[str, tuple[tuple[str, ...], 
     }
 
 
-def _references(folder: Path, rig_file: Path, count: int) -> Path:
+def choose_references(folder: Path, rig_file: Path, count: int) -> Path:
     references = folder / f"{count}.references.usda"
     execute(
         SelectSpec(
@@ -156,7 +156,7 @@ def _references(folder: Path, rig_file: Path, count: int) -> Path:
     return references
 
 
-def _map(references: Path, rig_file: Path, method: str) -> tuple[tuple[str, ...], np.ndarray]:
+def map_take(references: Path, rig_file: Path, method: str) -> tuple[tuple[str, ...], np.ndarray]:
     folder = references.parent
     mapping, out = folder / "x.mapping.usdc", folder / "x.hero.usda"
     execute(TrainSpec(references=references, out=mapping, method=method), overwrite=True)
@@ -168,7 +168,7 @@ def _map(references: Path, rig_file: Path, method: str) -> tuple[tuple[str, ...]
     return clip.names, clip.values.astype(float)
 
 
-def _score(
+def score(
     ruler: ModuleType, solved: tuple[tuple[str, ...], np.ndarray], truth: Any, rig_file: Path
 ) -> dict[str, float]:
     names, weights = solved
@@ -186,5 +186,5 @@ def _score(
     return figures
 
 
-def _row(label: str, figures: dict[str, float]) -> None:
+def print_row(label: str, figures: dict[str, float]) -> None:
     print(f"| {label} | {' | '.join(f'{figures[name]:.3f}' for name in COLUMNS)} |", flush=True)

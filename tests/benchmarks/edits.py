@@ -10,7 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.benchmarks.crosstake import COLUMNS, DAMAGES, HALF, _prepare, _references, _ruler
+from tests.benchmarks.crosstake import (
+    COLUMNS,
+    DAMAGES,
+    HALF,
+    choose_references,
+    prepare,
+    read_ruler,
+)
 from tests.conftest import SHARED_DATA
 from usdface.deformer import Deformer
 from usdface.specs.edit import EditsImportSpec
@@ -31,13 +38,13 @@ def run(counts: tuple[int, ...] = (25, 50)) -> None:
     if not (SHARED_DATA / "crosstake").is_dir():
         print(f"skipped: no crosstake in {SHARED_DATA}")
         return
-    ruler = _ruler()
+    ruler = read_ruler()
     rig_file = SHARED_DATA / "rigs" / "facecap_head.usdc"
     shapes_of = ruler.rig_shapes(str(rig_file))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         truth = np.load(SHARED_DATA / "crosstake" / "truth.npz")
-        _prepare(folder, DAMAGES[0], truth)
+        prepare(folder, DAMAGES[0], truth)
         shapes = [str(each) for each in truth["shapes"]]
         wanted = truth["weights"].astype(float)
         seen = np.array([not each.lower().startswith("eyelook") for each in shapes])
@@ -45,7 +52,7 @@ def run(counts: tuple[int, ...] = (25, 50)) -> None:
         print(f"| references | {' | '.join(COLUMNS)} |")
         print(f"|---|{'---|' * len(COLUMNS)}")
         for count in counts:
-            references = _references(folder, rig_file, count)
+            references = choose_references(folder, rig_file, count)
             out = folder / f"{count}.hero.usda"
             first = _map(folder, references, rig_file, out, shapes)
             frames = _worst(first, wanted, rig_file, shapes)

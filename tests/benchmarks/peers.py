@@ -14,12 +14,12 @@ import numpy as np
 from tests.benchmarks._damage import DAMAGES
 from tests.benchmarks.crosstake import (
     COLUMNS,
-    _map,
-    _prepare,
-    _references,
-    _row,
-    _ruler,
-    _score,
+    choose_references,
+    map_take,
+    prepare,
+    print_row,
+    read_ruler,
+    score,
 )
 from tests.conftest import SHARED_DATA
 from usdface.usdio.references import read_references
@@ -43,10 +43,10 @@ def run() -> None:
         return
     rig_file = SHARED_DATA / "rigs" / "facecap_head.usdc"
     with tempfile.TemporaryDirectory() as name:
-        folder, ruler = Path(name), _ruler()
+        folder, ruler = Path(name), read_ruler()
         truth = np.load(SHARED_DATA / "crosstake" / "truth.npz")
-        _prepare(folder, DAMAGES[0], truth)
-        file = _references(folder, rig_file, COUNT)
+        prepare(folder, DAMAGES[0], truth)
+        file = choose_references(folder, rig_file, COUNT)
         references = read_references(file)
         take = read_take(folder / "x.clean.take.usda")
         positions = take.markers.positions.reshape(len(take.markers.positions), -1).astype(float)
@@ -60,9 +60,11 @@ def run() -> None:
         print(f"|---|{'---|' * len(COLUMNS)}")
         for label, predict in _peers(every[pairs], references.weights):
             weights = np.clip(predict(every), 0, 1)
-            _row(label, _score(ruler, (references.shape_names, weights), truth, rig_file))
+            print_row(label, score(ruler, (references.shape_names, weights), truth, rig_file))
         for method in OURS:
-            _row(f"ours: {method}", _score(ruler, _map(file, rig_file, method), truth, rig_file))
+            print_row(
+                f"ours: {method}", score(ruler, map_take(file, rig_file, method), truth, rig_file)
+            )
 
 
 def _peers(x: np.ndarray, y: np.ndarray) -> Iterator[tuple[str, Predict]]:

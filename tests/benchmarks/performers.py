@@ -9,6 +9,7 @@ as cleaning leaves them: noise of 0.15 mm, smoothed along the directions of the 
 Tuned on other performers than crosstake's, the default mapping is checked here against the rest.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,11 +49,18 @@ class Shapes:
     gram: np.ndarray
 
 
-def run(counts: tuple[int, ...] = COUNTS, methods: tuple[str, ...] = ()) -> None:
-    """Print vertex RMS [mm] and blink bias of each method on seen and unseen performances."""
+def run(
+    counts: tuple[int, ...] = COUNTS, methods: tuple[str, ...] = (), *, quick: bool = False
+) -> None:
+    """Print vertex RMS [mm] and blink bias of each method on seen and unseen performances.
+
+    Quick runs one number and the methods that matter most.
+    """
     if not (SHARED_DATA / "rigs").is_dir():
         print(f"skipped: no rigs in {SHARED_DATA}")
         return
+    if quick:
+        counts, methods = (50,), methods or ("auto", "kernel_cca", "regional", "ridge")
     for count in counts:
         print(f"{count} references: vertex RMS [mm] and blink bias, mean over performers\n")
         print("| method | second half | other performance | other combinations |")
@@ -63,8 +71,18 @@ def run(counts: tuple[int, ...] = COUNTS, methods: tuple[str, ...] = ()) -> None
                 rows[method].append(figures)
         for method, figures in rows.items():
             mean = np.mean(figures, axis=0)
-            print(f"| {method} | {' | '.join(f'{e:.3f}, {b:+.3f}' for e, b in mean)} |", flush=True)
+            print(f"| {method} | {_cells(mean)} |", flush=True)
+        first, each = next(iter(rows.items()))
+        print(f"\nof these {first}, by performer\n")
+        print("| performer | lid markers | second half | other performance | other combinations |")
+        print("|---|---|---|---|---|")
+        for (rig, seed, lids, _), figures in zip(PERFORMERS, each, strict=True):
+            print(f"| {rig}, {seed} | {lids} | {_cells(figures)} |", flush=True)
         print()
+
+
+def _cells(figures: Iterable[Iterable[float]]) -> str:
+    return " | ".join(f"{error:.3f}, {blink:+.3f}" for error, blink in figures)
 
 
 def _score_performer(
