@@ -1,6 +1,7 @@
 """Open stages and write layers so that a reader sees the old file or the new one, never half."""
 
 import contextlib
+import math
 import os
 from collections.abc import Iterator, Mapping
 from fractions import Fraction
@@ -76,6 +77,16 @@ def _check_schema(layer: Sdf.Layer, path: Path) -> None:
         )
 
 
+def _check_rate(layer: Sdf.Layer, path: Path) -> None:
+    """Refuse rates by which USD could not place a layer's samples: it would search without end."""
+    rate = layer.timeCodesPerSecond
+    if not 0 < rate < math.inf:
+        raise InputError(
+            f"{path}: has {rate:g} time codes per second; restore the layer, or set the rate it "
+            "was written with"
+        )
+
+
 def open_stage(path: Path) -> Usd.Stage:
     """Open a stage from a file as it is on disk now.
 
@@ -91,6 +102,8 @@ def open_stage(path: Path) -> Usd.Stage:
             if not used.anonymous:
                 used.Reload()
                 _check_schema(used, Path(used.realPath))
+                if used != layer:  # readers have their own words for that one
+                    _check_rate(used, Path(used.realPath))
         missing = sorted(
             asset
             for asset in layer.subLayerPaths
