@@ -114,11 +114,12 @@ def finish(folder: Path, words: str, *, python_path: Path | None = None) -> None
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every file that is not hidden, as it is."""
+    """Every file that is not hidden, itself or by its folder, as it is."""
+    found = {each.relative_to(folder): each for each in folder.rglob("*") if each.is_file()}
     return {
-        each.relative_to(folder).as_posix(): each.read_bytes()
-        for each in folder.rglob("*")
-        if each.is_file() and not each.name.startswith(".")
+        name.as_posix(): each.read_bytes()
+        for name, each in found.items()
+        if not any(part.startswith(".") for part in name.parts)
     }
 
 
