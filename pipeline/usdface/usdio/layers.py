@@ -82,8 +82,8 @@ def _check_rate(layer: Sdf.Layer, path: Path) -> None:
     rate = layer.timeCodesPerSecond
     if not 0 < rate < math.inf:
         raise InputError(
-            f"{path}: has {rate:g} time codes per second; restore the layer, or set the rate it "
-            "was written with"
+            f"{path}: timeCodesPerSecond is {rate:g}; a take needs a rate above 0, and so does "
+            "every other layer: restore it, or set the rate it was written with"
         )
 
 
@@ -102,8 +102,7 @@ def open_stage(path: Path) -> Usd.Stage:
             if not used.anonymous:
                 used.Reload()
                 _check_schema(used, Path(used.realPath))
-                if used != layer:  # readers have their own words for that one
-                    _check_rate(used, Path(used.realPath))
+                _check_rate(used, Path(used.realPath))
         missing = sorted(
             asset
             for asset in layer.subLayerPaths
