@@ -33,10 +33,17 @@ def usd_errors_as_input_errors(path: Path, doing: str) -> Iterator[None]:
     try:
         yield
     except Tf.ErrorException as error:
-        reason = str(error).strip().splitlines()[-1].strip()
-        raise InputError(f"{path}: USD failed while {doing}: {reason}") from error
+        raise InputError(f"{path}: USD failed while {doing}: {_reason(error)}") from error
     finally:
         delegate.TakeUncoalescedDiagnostics()
+
+
+def _reason(error: Tf.ErrorException) -> str:
+    """Return the last line of what USD says, which may quote a broken file's bytes."""
+    try:
+        return str(error).strip().splitlines()[-1].strip()
+    except UnicodeDecodeError:
+        return "it holds bytes that are no text"
 
 
 def is_layer_name(path: Path) -> bool:

@@ -1,4 +1,4 @@
-"""A layer whose rate is none is refused at once, not searched without end."""
+"""Layers that cannot be: refused at once, by name."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import pytest
 from pxr import Sdf
 
 from usdface.errors import InputError
-from usdface.usdio.layers import open_stage
+from usdface.usdio.layers import open_layer, open_stage
 
 
 @pytest.mark.parametrize("rate", [0.0, -24.0, float("nan"), float("inf")])
@@ -22,3 +22,10 @@ def test_a_sublayer_with_a_rate_that_is_none_is_refused_by_name(
     above.Save()
     with pytest.raises(InputError, match=r"samples\.usda: timeCodesPerSecond is"):
         open_stage(tmp_path / "take.usda")
+
+
+def test_bytes_that_are_no_text_are_refused_though_usd_quotes_them(tmp_path: Path) -> None:
+    path = tmp_path / "x.usda"
+    path.write_bytes(b'#usda 1.0\ndef Xform "a" {\n double x = "\xff\n}\n')
+    with pytest.raises(InputError, match=r"x\.usda: USD failed while opening it: .* no text"):
+        open_layer(path)
