@@ -23,7 +23,6 @@ from usdface.specs.movie import MovieSpec, Panel
 from usdface.steps.movie_clock import MovieClock, movie_rate
 from usdface.steps.outputs import make_provenance, provenance_metadata
 from usdface.steps.report import Report
-from usdface.steps.shot_camera import ShotCamera
 from usdface.steps.shot_pictures import Shot, ShotPictures, open_shot, undrawn
 from usdface.steps.take_sound import SAMPLE_RATE, take_sound
 
@@ -75,7 +74,10 @@ def run(
     if len(waiting) < len(stretches):
         notes.append(f"{len(stretches) - len(waiting)} of {len(stretches)} stretches were there")
     if "performance" in panels:
-        notes += [*_camera(spec, shot).notes(clock.first_frame), *undrawn(shot.rig)]
+        notes += [
+            *shot.camera(spec.camera, spec.camera_stage).notes(clock.first_frame),
+            *undrawn(shot.rig),
+        ]
     _draw_all(_Plan(spec, panels, clock), waiting, shot, progress)
     progress(0.97, "joining the stretches")
     sound = take_sound(take, clock, notes) if spec.sound else None
@@ -196,23 +198,13 @@ def _work(stretch: _Stretch) -> None:
     _draw_stretch(*_shared, stretch)
 
 
-def _camera(spec: MovieSpec, shot: Shot) -> ShotCamera:
-    return ShotCamera(
-        shot.performance_file,
-        shot.performance,
-        shot.rig,
-        name=spec.camera,
-        stage=spec.camera_stage,
-    )
-
-
 def _draw_stretch(plan: _Plan, shot: Shot, stretch: _Stretch) -> None:
     with ExitStack() as open_files:
         pictures = ShotPictures(
             shot,
             height=plan.spec.height,
             quality=plan.spec.quality,
-            camera=_camera(plan.spec, shot),
+            camera=shot.camera(plan.spec.camera, plan.spec.camera_stage),
         )
         open_files.enter_context(pictures)
         write_movie(stretch.file, _pictures(plan, shot, pictures, stretch), rate=plan.clock.rate)

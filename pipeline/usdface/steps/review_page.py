@@ -36,7 +36,6 @@ from usdface.steps.outputs import make_provenance
 from usdface.steps.report import Report
 from usdface.steps.report_coverage import show_coverage
 from usdface.steps.review_listings import evaluate_shown, listings
-from usdface.steps.shot_camera import ShotCamera
 from usdface.steps.shot_phones import said_at
 from usdface.steps.shot_pictures import Shot, open_shot, undrawn
 from usdface.steps.take_sound import SAMPLE_RATE, take_sound
@@ -79,13 +78,7 @@ def run(
     baseline = equation.solve_published(shot.positions) if spec.baseline else None
     evaluation = evaluate_shown(shot, truth)
     progress(0.2, "packing the face")
-    view = ShotCamera(
-        shot.performance_file,
-        shot.performance,
-        shot.rig,
-        name=spec.camera,
-        stage=spec.camera_stage,
-    )
+    view = shot.camera(spec.camera, spec.camera_stage)
     notes += [*view.notes(clock.first_frame), *undrawn(shot.rig)]
     face = pack_face(shot.rig, camera=None if spec.camera == AUTO else view.at(clock.first_frame))
     movie = _movie(spec, shot, clock, notes, part(progress, 0.25, 0.93))

@@ -29,7 +29,6 @@ from usdface.steps.judged_weights import (
 from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
 from usdface.steps.sheet_columns import sheet_columns
-from usdface.steps.shot_camera import ShotCamera
 from usdface.steps.shot_phones import said_at
 from usdface.steps.shot_pictures import (
     EXAGGERATION,
@@ -71,7 +70,7 @@ def run(
     high = round_range(np.concatenate([each.error_mm for each in judged]))
     tile = spec.tile or (STRIP_TILE if spec.layout == "strip" else OTHER_TILE)
     show = display_view(spec.view)
-    cameras = [_camera(spec, each) for each in shots]
+    cameras = [each.camera(spec.camera, spec.camera_stage) for each in shots]
     with ExitStack() as open_files:
         pictures = [
             ShotPictures(s, height=tile, quality=spec.quality, display=show, camera=camera)
@@ -134,16 +133,6 @@ def _open_shots(spec: SheetSpec) -> list[Shot]:
         )
         for shot in shots
     ]
-
-
-def _camera(spec: SheetSpec, shot: Shot) -> ShotCamera:
-    return ShotCamera(
-        shot.performance_file,
-        shot.performance,
-        shot.rig,
-        name=spec.camera,
-        stage=spec.camera_stage,
-    )
 
 
 def _choose(spec: SheetSpec, shot: Shot, judged: Judged) -> list[ChosenFrame]:

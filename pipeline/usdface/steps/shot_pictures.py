@@ -20,6 +20,7 @@ from usdface.media.sculpted_normals import SculptedNormals
 from usdface.media.sheet import Tile
 from usdface.media.video import VideoReader
 from usdface.specs.base import frame_range
+from usdface.specs.camera import AUTO
 from usdface.steps.cleaned_takes import read_cleaned
 from usdface.steps.shot_camera import ShotCamera
 from usdface.timecode import shift_timecode
@@ -59,6 +60,10 @@ class Shot:
     deformer: Deformer
     frames: IntArray
     weights: FloatArray
+
+    def camera(self, name: str = AUTO, stage: Path | None = None) -> ShotCamera:
+        """Return where its pictures are taken from; see `ShotCamera`."""
+        return ShotCamera(self.performance_file, self.performance, self.rig, name=name, stage=stage)
 
     @property
     def positions(self) -> FloatArray:
@@ -175,7 +180,7 @@ class ShotPictures:
         self._quality: Literal["draft", "final"] = quality
         self._renderer = FaceRenderer(shot.rig.meshes, display=display)
         self._normals = SculptedNormals(shot.rig, shot.deformer)
-        self._camera = camera or ShotCamera(shot.performance_file, shot.performance, shot.rig)
+        self._camera = camera or shot.camera()
         self._width = self._camera.width(height, int(shot.frames[0]))
         self._cloud = frame_markers(_spread(shot.take))
         self._open = ExitStack()
