@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdSkel
+from pxr import Sdf, Usd, UsdSkel
 
 from tests.usdio.small_rig import small_rig
 from usdface.assets import MotionSpace, References
@@ -225,3 +225,12 @@ def test_a_take_is_no_references_asset(tmp_path: Path) -> None:
     write_rig(tmp_path / "rig.usda", small_rig())
     with pytest.raises(InputError, match=r"not a references asset.*usdface select"):
         read_references(tmp_path / "rig.usda")
+
+
+def test_an_end_beyond_the_pairs_is_refused_at_once(tmp_path: Path) -> None:
+    path = write(tmp_path, small_references(tmp_path))
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    layer.endTimeCode = 1e9
+    layer.Save()
+    with pytest.raises(InputError, match=r"says 1000000000 pairs, and .* holds 5"):
+        read_references(path)

@@ -353,6 +353,12 @@ def _check_tuning(stage: Usd.Stage, takes: tuple[str, ...], frames: IntArray) ->
 
 
 def _stack(path: Path, attribute: Usd.Attribute, pairs: range, count: int, what: str) -> FloatArray:
+    held = attribute.GetNumTimeSamples()
+    if len(pairs) > held:  # a damaged end would else be counted up to, pair by pair
+        raise InputError(
+            f"{path}: its end time code says {len(pairs)} pairs, and <{attribute.GetPath()}> holds "
+            f"{held}; restore the layer or select again"
+        )
     rows = []
     for pair in pairs:
         value = attribute.Get(pair)
