@@ -20,6 +20,7 @@ from usdface.specs.base import frame_range
 from usdface.specs.edit import EditSpec
 from usdface.steps.report import Report
 from usdface.usdio.edits import ShapeEdit, edited_frames, read_edits, write_edits
+from usdface.usdio.frame_span import check_span
 from usdface.usdio.performance import PerformanceReader
 
 
@@ -67,6 +68,8 @@ def all_frames(reader: PerformanceReader) -> IntArray:
     beyond = edited_frames(reader.animation)
     if beyond is not None:
         first, last = min(first, beyond[0]), max(last, beyond[1])
+        solved = reader.last_frame - reader.first_frame + 1
+        check_span(f"{reader.path} and its edits", first, last, samples=solved)
     return np.arange(first, last + 1, dtype=np.int64)
 
 

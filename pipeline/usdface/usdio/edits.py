@@ -19,6 +19,7 @@ from usdface.layer_names import edits_path
 from usdface.numerics.curves.edit_curve import EditCurve, apply_edit, needed_samples, no_edit
 from usdface.numerics.curves.key_reduction import reduce_keys
 from usdface.provenance import Provenance
+from usdface.usdio.frame_span import check_span
 from usdface.usdio.layers import author_timing, author_units, new_layer, open_layer, relative_path
 
 OFFSET = "face:edit:"
@@ -132,14 +133,23 @@ def _where(attribute: Usd.Attribute) -> str:
 
 
 def edited_frames(animation: Usd.Prim) -> tuple[int, int] | None:
-    """Return the first and the last frame that any edit has a sample at; None without edits."""
+    """Return the first and the last frame that any edit has a sample at; None without edits.
+
+    Raises
+    ------
+    InputError
+        If they are no range of frames.
+    """
     times = [
         time
         for attribute in animation.GetAuthoredPropertiesInNamespace("face")
         if attribute.GetName().startswith(PREFIXES)
         for time in attribute.GetTimeSamples()
     ]
-    return (int(np.floor(min(times))), int(np.ceil(max(times)))) if times else None
+    if not times:
+        return None
+    check_span(f"<{animation.GetPath()}> edits", min(times), max(times), samples=None)
+    return int(np.floor(min(times))), int(np.ceil(max(times)))
 
 
 def edits_elsewhere(performance: Path, animation: Usd.Prim) -> list[str]:

@@ -13,8 +13,10 @@ from pxr import Usd, UsdGeom, UsdSkel
 from usdface.assets import WeightsClip
 from usdface.errors import InputError
 from usdface.rates import exact_rate
+from usdface.usdio.frame_span import check_span
 from usdface.usdio.layers import open_stage
 from usdface.usdio.space import column_matrix, stage_to_ours, transform_points
+from usdface.usdio.wrong_types import refusing_wrong_types
 
 NAME_ATTRIBUTES = (
     "face:markers:names",
@@ -55,6 +57,7 @@ class ForeignTake:
     source: WeightsClip | None
 
 
+@refusing_wrong_types
 def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
     """Read markers and weights from a USD file that does not follow the take contract.
 
@@ -132,6 +135,7 @@ def _frame_grid(stage: Usd.Stage, times: list[float], path: Path) -> _Grid:
     at = np.array(sorted(times))
     if len(at) < 2:
         raise InputError(f"{path}: {len(at)} time samples; a take needs at least two frames")
+    check_span(f"{path}: time samples", times[0], times[-1], samples=None)
     spacing = float(np.median(np.diff(at)))
     per_second = stage.GetTimeCodesPerSecond()
     if not (per_second > 0 and spacing > 0):
@@ -139,6 +143,8 @@ def _frame_grid(stage: Usd.Stage, times: list[float], path: Path) -> _Grid:
             f"{path}: timeCodesPerSecond {per_second:g} and a sample every {spacing:g} time codes "
             "give no rate; author timeCodesPerSecond"
         )
+    first, last = (float(end) / spacing for end in (at[0], at[-1]))
+    check_span(f"{path}: time samples", first, last, samples=len(at))
     steps = np.round((at - at[0]) / spacing).astype(np.int64)
     if np.abs(at - at[0] - steps * spacing).max() > 0.25 * spacing:
         raise InputError(

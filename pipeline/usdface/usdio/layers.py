@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator, Mapping
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
 
@@ -17,6 +18,8 @@ from usdface.usdio.plugin import SCHEMA_VERSION
 CENTIMETRES = 0.01
 MM_PER_STAGE_UNIT = 10.0
 """Layers that this package writes are in centimetres, as most film rigs are."""
+SMALLEST_UNIT, LARGEST_UNIT = 1e-9, 1e6
+"""[m] Nanometres, and more than any scene is measured in."""
 
 FRAMES_IN_MEMORY = 1 << 15
 VALUES_IN_MEMORY = 1 << 23
@@ -76,12 +79,18 @@ def open_layer(path: Path) -> Sdf.Layer:
 
 
 def _check_schema(layer: Sdf.Layer, path: Path) -> None:
-    schema = dict(layer.customLayerData.get("usdface", {})).get("schema", 0)
+    schema = _said_by_us(layer).get("schema", 0)
     if isinstance(schema, int) and schema > SCHEMA_VERSION:
         raise InputError(
             f"{path}: written with usdface schema {schema}, this version knows {SCHEMA_VERSION}; "
             "update usdface"
         )
+
+
+def _said_by_us(layer: Sdf.Layer) -> dict[str, Any]:
+    """Return what a layer keeps under our name; nothing, where that is no dictionary."""
+    said = layer.customLayerData.get("usdface")
+    return dict(said) if isinstance(said, dict) else {}
 
 
 def _check_rate(layer: Sdf.Layer, path: Path) -> None:
@@ -123,8 +132,20 @@ def open_stage(path: Path) -> Usd.Stage:
 
 
 def millimetres(stage: Usd.Stage) -> float:
-    """Return how many millimetres one unit of a stage is."""
-    return float(UsdGeom.GetStageMetersPerUnit(stage)) * 1000.0
+    """Return how many millimetres one unit of a stage is.
+
+    Raises
+    ------
+    InputError
+        If the stage's unit is no length.
+    """
+    metres = float(UsdGeom.GetStageMetersPerUnit(stage))
+    if not SMALLEST_UNIT <= metres <= LARGEST_UNIT:  # also catches NaN
+        raise InputError(
+            f"{stage.GetRootLayer().realPath}: metersPerUnit is {metres:g}, no length that a face "
+            "is measured in; correct it: 0.01 is centimetres"
+        )
+    return metres * 1000.0
 
 
 def is_z_up(stage: Usd.Stage) -> bool:
@@ -213,19 +234,16 @@ def provenance_data(provenance: Provenance) -> dict[str, object]:
 
 def read_provenance(path: Path) -> Provenance | None:
     """Return what a layer says of its making, or None if this package did not write it."""
-    data = dict(open_layer(path).customLayerData.get("usdface", {}))
+    data = _said_by_us(open_layer(path))
     if "version" not in data:
         return None
+    inputs = [data.get(key, ()) for key in ("inputs", "inputHashes")]
+    if not all(isinstance(each, Vt.StringArray) for each in inputs):
+        inputs = [(), ()]
     return Provenance(
         step=str(data.get("step", "")),
         spec=str(data.get("spec", "")),
-        inputs=dict(
-            zip(
-                map(str, data.get("inputs", ())),
-                map(str, data.get("inputHashes", ())),
-                strict=False,
-            )
-        ),
+        inputs=dict(zip(*inputs, strict=False)),
         version=str(data["version"]),
     )
 

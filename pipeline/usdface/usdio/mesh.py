@@ -192,7 +192,8 @@ def _check_surface(local: FloatArray, counts: IntArray, indices: IntArray, where
             f"{where}: has {len(local)} points and no faces; distances on a surface need one: "
             "mesh the points first"
         )
-    if counts.sum() != len(indices) or indices.min() < 0 or indices.max() >= len(local):
+    fits = counts.min() >= 0 and counts.sum() == len(indices)
+    if not fits or indices.min() < 0 or indices.max() >= len(local):
         raise InputError(f"{where}: its faces name points that are not there; repair the mesh")
     bad = np.flatnonzero(~np.isfinite(local).all(axis=1))
     if len(bad):

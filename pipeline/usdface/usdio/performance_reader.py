@@ -12,6 +12,7 @@ from usdface.assets import Float32Array, FloatArray, IntArray, Performance, Weig
 from usdface.errors import InputError
 from usdface.rates import exact_rate
 from usdface.usdio.edits import ShapeEdit, edited_weights, read_edits
+from usdface.usdio.frame_span import span_of_samples
 from usdface.usdio.layers import open_stage
 from usdface.usdio.rig_reference import rig_of
 from usdface.usdio.wrong_types import refusing_wrong_types
@@ -38,8 +39,9 @@ class PerformanceReader:
         animation = UsdSkel.Animation(self.animation)
         self.names = tuple(map(str, animation.GetBlendShapesAttr().Get() or ()))
         self._weights = animation.GetBlendShapeWeightsAttr()
-        times = self._weights.GetTimeSamples()
-        self.first_frame, self.last_frame = round(times[0]), round(times[-1])
+        self.first_frame, self.last_frame = span_of_samples(
+            f"{path} <{self._weights.GetPath()}>", self._weights.GetTimeSamples()
+        )
 
     @property
     def rate(self) -> Fraction:

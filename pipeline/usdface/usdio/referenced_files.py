@@ -4,6 +4,7 @@ from pathlib import Path
 
 from pxr import UsdUtils
 
+from usdface.usdio.frame_span import check_span
 from usdface.usdio.layers import open_layer, usd_errors_as_input_errors
 
 
@@ -29,10 +30,12 @@ def frame_range_of(path: Path) -> tuple[int, int] | None:
     Raises
     ------
     InputError
-        If the file cannot be opened.
+        If the file cannot be opened, or its range is none.
     """
     layer = open_layer(path)
     if not (layer.HasStartTimeCode() and layer.HasEndTimeCode()):
         return None
-    first, last = round(layer.startTimeCode), round(layer.endTimeCode)
+    start, end = layer.startTimeCode, layer.endTimeCode
+    check_span(f"{path}: startTimeCode to endTimeCode", start, end, samples=None)
+    first, last = round(start), round(end)
     return (first, last) if last >= first else None

@@ -115,9 +115,8 @@ def _read_mesh(prim: Usd.Prim, rest: RestPose, path: Path) -> RigMesh:
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=np.int64)
     indices = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=np.int64)
     where = f"{path} <{prim.GetPath()}>"
-    if counts.sum() != len(indices) or (
-        len(indices) and (indices.min() < 0 or indices.max() >= len(local))
-    ):
+    fits = counts.min(initial=0) >= 0 and counts.sum() == len(indices)
+    if not fits or indices.min(initial=0) < 0 or indices.max(initial=-1) >= len(local):
         raise InputError(f"{where}: its faces name points that are not there; repair the mesh")
     if not np.isfinite(local).all():
         raise InputError(f"{where}: points hold NaN or infinity; repair the mesh")

@@ -16,6 +16,7 @@ from usdface.usdio.controls import (
     set_joint_samples,
     set_weight_samples,
 )
+from usdface.usdio.frame_span import span_of_samples
 from usdface.usdio.layers import (
     author_timing,
     author_units,
@@ -115,7 +116,8 @@ def _read_side(stage: Usd.Stage, place: Sdf.Path, path: Path) -> tuple[Controls,
     times = UsdSkel.Animation(prim).GetBlendShapeWeightsAttr().GetTimeSamples() if prim else []
     if len(times) < 2:
         raise InputError(f"{path} <{place}>: needs at least 2 time codes, has {len(times)}")
-    span = range(round(times[0]), round(times[-1]) + 1)
+    first, last = span_of_samples(f"{path} <{place}>", times)
+    span = range(first, last + 1)
     return controls_at(prim, None, (), span, path), span
 
 
@@ -166,13 +168,18 @@ def read_matches(path: Path) -> tuple[SequenceMatch, ...]:
         absent = [name for name, value in values.items() if value is None]
         if absent:
             raise InputError(f"{path} <{prim.GetPath()}>: face:match:{absent[0]} has no value")
-        asset = values["sequence"]
+        asset, first, last = values["sequence"], int(values["firstFrame"]), int(values["lastFrame"])
+        if not isinstance(asset, Sdf.AssetPath) or last < first:
+            raise InputError(
+                f"{path} <{prim.GetPath()}>: frames {first}-{last} of {asset!s} are no match of a "
+                "sequence; correct it, or find sequences again"
+            )
         found.append(
             SequenceMatch(
                 sequence=path.parent / asset.path,
                 label=str(prim.GetAttribute("face:match:label").Get() or ""),
-                first_frame=int(values["firstFrame"]),
-                last_frame=int(values["lastFrame"]),
+                first_frame=first,
+                last_frame=last,
                 distance=float(prim.GetAttribute("face:match:distance").Get() or 0.0),
             )
         )

@@ -10,6 +10,7 @@ from usdface.assets import Event, Markers, Take, Video, WeightsClip
 from usdface.errors import InputError
 from usdface.rates import exact_rate
 from usdface.timecode import shift_timecode
+from usdface.usdio.frame_span import check_span
 from usdface.usdio.layers import open_stage
 from usdface.usdio.space import column_matrix, stage_to_ours
 from usdface.usdio.take_write import AUDIO, CONFIDENCE, HEAD_MOTION, MARKERS, SOURCE, VISIBLE
@@ -21,12 +22,6 @@ def is_take(path: Path) -> bool:
     stage = open_stage(path)  # a prim does not keep its stage alive
     root = stage.GetDefaultPrim()
     return bool(root) and root.HasAPI("FaceTakeAPI")
-
-
-MOST_FRAMES = 10_000_000
-"""23 hours at 120 frames per second: more is a mistake, and would ask for memory nobody has."""
-FARTHEST_FRAME = 1e12
-"""Clocks of stages that count frames from their own midnight stay far below it."""
 
 
 class TakeReader:
@@ -57,23 +52,29 @@ class TakeReader:
             raise InputError(f"{path}: timeCodesPerSecond is {rate:g}; a take needs a rate above 0")
         self.rate = exact_rate(rate, where=f"{path}: timeCodesPerSecond")
         start, end = self._stage.GetStartTimeCode(), self._stage.GetEndTimeCode()
-        if not (abs(start) < FARTHEST_FRAME and abs(end) < FARTHEST_FRAME):  # also catches NaN
-            raise InputError(
-                f"{path}: startTimeCode {start:g} and endTimeCode {end:g} are no range of frames; "
-                "correct them, or ingest the capture again"
-            )
-        self.first_frame, self.last_frame = round(start), round(end)
-        if self.last_frame - self.first_frame >= MOST_FRAMES:
-            raise InputError(
-                f"{path}: startTimeCode {start:g} to endTimeCode {end:g} are more than "
-                f"{MOST_FRAMES} frames; correct them, or cut the take"
-            )
         self._ours = stage_to_ours(self._stage)
         self._prims = {
             place.name: self._stage.GetPrimAtPath(root.GetPath().AppendChild(place.name))
             for place in (MARKERS, HEAD_MOTION, SOURCE, AUDIO)
         }
         self._times: dict[str, np.ndarray] = {}
+        check_span(f"{path}: startTimeCode to endTimeCode", start, end, samples=self._samples())
+        self.first_frame, self.last_frame = round(start), round(end)
+
+    def _samples(self) -> int | None:
+        """Return how many samples what is read frame by frame has; None without any such."""
+        markers, head, source = (
+            self._prims[place.name] for place in (MARKERS, HEAD_MOTION, SOURCE)
+        )
+        counts = []
+        if markers:
+            counts.append(UsdGeom.Points(markers).GetPointsAttr().GetNumTimeSamples())
+        if head:
+            counts.append(len(UsdGeom.Xformable(head).GetTimeSamples()))
+        if source:
+            weights = UsdSkel.Animation(source).GetBlendShapeWeightsAttr()
+            counts.append(weights.GetNumTimeSamples())
+        return max(counts) if counts else None
 
     @property
     def name(self) -> str:
