@@ -49,6 +49,22 @@ class Shapes:
     gram: np.ndarray
 
 
+@dataclass(frozen=True)
+class Acted:
+    """References of a performer, and takes of theirs that the references were not chosen from.
+
+    Attributes
+    ----------
+    references : References
+    shapes : Shapes
+    takes : tuple of (name, markers, true weights)
+    """
+
+    references: References
+    shapes: Shapes
+    takes: tuple[tuple[str, np.ndarray, np.ndarray], ...]
+
+
 def run(
     counts: tuple[int, ...] = COUNTS, methods: tuple[str, ...] = (), *, quick: bool = False
 ) -> None:
@@ -88,6 +104,18 @@ def _cells(figures: Iterable[Iterable[float]]) -> str:
 def _score_performer(
     performer: tuple[str, int, int, float], count: int, methods: tuple[str, ...]
 ) -> dict[str, list[tuple[float, float]]]:
+    acted = act(performer, count)
+    return {
+        method: [
+            _figures(acted.references, acted.shapes, method, markers, truth)
+            for _, markers, truth in acted.takes
+        ]
+        for method in methods
+    }
+
+
+def act(performer: tuple[str, int, int, float], count: int) -> Acted:
+    """Make a performer, let them act, and choose references from the first half."""
     rig, seed, lids, limit = performer
     weights, names = _performance("livelink_alex/alex_rom_3.csv", 30)
     other, _ = _performance("livelink_jmtechart/MySlate_3_Jason_Millers_iPhone.csv", 60)
@@ -99,7 +127,6 @@ def _score_performer(
     rng = np.random.default_rng(seed)
     half = len(weights) // 2
     takes = [_capture(places, basis, w, limit, rng) for w in (weights, other, mixed)]
-    tests = [(takes[0][half:], weights[half:]), (takes[1], other), (takes[2], mixed)]
     motion = fit_motion_space([takes[0][:half].astype(np.float32)])
     kept = DESIGN_DIMENSIONS
     rows = (takes[0][:half].reshape(half, -1) - motion.mean) @ motion.components[:kept].T
@@ -118,10 +145,15 @@ def _score_performer(
         rig_prim="/",
         motion=motion,
     )
-    return {
-        method: [_figures(references, shapes, method, *test) for test in tests]
-        for method in methods
-    }
+    return Acted(
+        references,
+        shapes,
+        (
+            ("second half", takes[0][half:], weights[half:]),
+            ("other performance", takes[1], other),
+            ("other combinations", takes[2], mixed),
+        ),
+    )
 
 
 def _figures(
