@@ -7,13 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from usdface.numerics.repair.gaps import GapFill, fill_gaps
-from usdface.numerics.repair.low_rank import (
-    LowRankModel,
-    choose_rank,
-    fill_missing,
-    fit_low_rank,
-    predict_from_others,
-)
+from usdface.numerics.repair.learning import choose_rank, fit_low_rank
+from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
 from usdface.numerics.repair.noise import marker_noise, measurement_noise
 from usdface.numerics.repair.relabeling import Swap, apply_swaps, find_swaps
 from usdface.numerics.repair.smoothing import significant_detail, smooth_tracks
@@ -124,22 +119,25 @@ def clean_markers(
     _check(captured, seen, neutral, max_gap)
     progress(0.0, "head motion")
     still = _stabilize(captured, seen, rigid, neutral)
-    rank = choose_rank(still.positions, seen)
+    progress(0.05, "how markers move together")
+    widest = fit_low_rank(still.positions, seen)
+    rank = choose_rank(still.positions, seen, start=widest)
+    model = fit_low_rank(still.positions, seen, rank_limit=rank, start=widest)
     swaps: tuple[Swap, ...] = ()
     if relabel:
-        swaps = _relabel(still, rank, progress)
+        swaps, model = _relabel(still, model, rank, progress)
         if {column for swap in swaps for column in (swap.first, swap.second)} & set(rigid):
             apply_swaps(captured, swaps)
             still = _stabilize(captured, seen, rigid, neutral)
+            model = fit_low_rank(still.positions, seen, rank_limit=rank, start=model)
     progress(0.45, "strays")
-    model = fit_low_rank(still.positions, seen, rank_limit=rank)
     strays = find_strays(still.positions, seen, model=model)
     good = seen & ~strays
     progress(0.6, "head motion, from all markers")
     still = _refine_pose(still, good, model)
     noise = measurement_noise(still.positions, good)
     progress(0.7, "gaps")
-    model = fit_low_rank(still.positions, good, rank_limit=rank)
+    model = fit_low_rank(still.positions, good, rank_limit=rank, start=model)
     complete = fill_missing(model, still.positions, good)
     expected = predict_from_others(model, complete)
     gaps = fill_gaps(still.positions, good, max_gap=max_gap, prediction=expected, noise=noise)
@@ -194,12 +192,13 @@ def _stabilize(
     return _Still(positions, seen, motion, first.pose_confidence)
 
 
-def _relabel(still: _Still, rank: int, progress: Progress) -> tuple[Swap, ...]:
+def _relabel(
+    still: _Still, model: LowRankModel, rank: int, progress: Progress
+) -> tuple[tuple[Swap, ...], LowRankModel]:
     """Put labels back in place in rounds: each round's model is learned with fewer swaps."""
     found: list[Swap] = []
     for number in range(_RELABEL_ROUNDS):
         progress(0.1 + 0.35 * number / _RELABEL_ROUNDS, "labels")
-        model = fit_low_rank(still.positions, still.visible, rank_limit=rank)
         complete = fill_missing(model, still.positions, still.visible)
         swaps = find_swaps(complete, still.visible, model=model)
         if not swaps:
@@ -207,7 +206,8 @@ def _relabel(still: _Still, rank: int, progress: Progress) -> tuple[Swap, ...]:
         apply_swaps(still.positions, swaps)
         apply_swaps(still.visible, swaps)
         found += swaps
-    return tuple(found)
+        model = fit_low_rank(still.positions, still.visible, rank_limit=rank, start=model)
+    return tuple(found), model
 
 
 def _refine_pose(still: _Still, good: NDArray[np.bool_], model: LowRankModel) -> _Still:

@@ -28,14 +28,17 @@ def marker_noise(positions: ArrayLike, visible: ArrayLike) -> NDArray[np.float64
     noise = np.zeros(points.shape[1])
     start = max(0, (len(points) - _SAMPLE_FRAMES) // 2)
     stretch = slice(start, start + _SAMPLE_FRAMES)
-    for marker in range(points.shape[1]):
-        track, good = points[stretch, marker].astype(np.float64), seen[stretch, marker]
-        if len(track) < 4:
-            continue
+    tracks, shown = points[stretch], np.ascontiguousarray(seen[stretch].T)
+    if len(tracks) < 4:
+        return noise
+    for marker, good in enumerate(shown):
+        track = np.ascontiguousarray(tracks[:, marker].T, np.float64)
         whole = good[3:] & good[2:-1] & good[1:-2] & good[:-3]
-        differences = np.diff(track, 3, axis=0)[whole]
+        differences = np.abs(np.diff(track, 3))
+        if not whole.all():
+            differences = differences[:, whole]
         if differences.size:
-            middle = np.median(np.abs(differences))
+            middle = np.median(differences)
             noise[marker] = _MAD_TO_DEVIATION * middle / _THIRD_DIFFERENCE_GAIN
     return noise
 

@@ -1,0 +1,78 @@
+"""The Gaussian's conditionals against their textbook form, and learning against itself."""
+
+import numpy as np
+import pytest
+
+from tests.numerics.simulated_face import simulate_face
+from usdface.numerics.repair.learning import fit_low_rank, with_rank
+from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
+
+MARKERS = 12
+
+
+@pytest.fixture
+def model() -> LowRankModel:
+    rng = np.random.default_rng(0)
+    components = np.linalg.qr(rng.standard_normal((3 * MARKERS, 10)))[0].T
+    return LowRankModel(
+        mean=rng.normal(0, 50, 3 * MARKERS),
+        components=components,
+        variances=np.geomspace(400, 0.1, 10),
+        noise=rng.uniform(0.05, 0.4, MARKERS),
+    )
+
+
+def covariance(model: LowRankModel) -> np.ndarray:
+    spread = (model.components.T * model.variances) @ model.components
+    return spread + np.diag(np.repeat(model.noise**2, 3))
+
+
+def conditional(model: LowRankModel, row: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """Return E[hidden | seen] from blocks of the covariance."""
+    full, seen = covariance(model), ~hidden
+    solved = np.linalg.solve(full[np.ix_(seen, seen)], (row - model.mean)[seen])
+    return model.mean[hidden] + full[np.ix_(hidden, seen)] @ solved
+
+
+def test_the_precision_inverts_the_covariance(model):
+    np.testing.assert_allclose(model.precision @ covariance(model), np.eye(3 * MARKERS), atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 3, 4, 7, MARKERS])
+def test_any_number_of_missing_markers_gets_its_conditional_mean(model, count):
+    rng = np.random.default_rng(count)
+    rows = rng.multivariate_normal(model.mean, covariance(model), 20).reshape(20, MARKERS, 3)
+    good = np.ones((20, MARKERS), bool)
+    for row in good:
+        row[rng.choice(MARKERS, count, replace=False)] = False
+    filled = fill_missing(model, np.where(good[..., None], rows, 1e6), good)
+    for row, seen, found in zip(rows, good, filled, strict=True):
+        hidden = np.repeat(~seen, 3)
+        expected = conditional(model, row.ravel(), hidden)
+        np.testing.assert_allclose(found.ravel()[hidden], expected, atol=1e-8)
+        np.testing.assert_array_equal(found[seen], row[seen])
+
+
+def test_single_precision_predicts_within_a_ten_thousandth_of_a_millimetre(model):
+    rng = np.random.default_rng(0)
+    rows = rng.multivariate_normal(model.mean, covariance(model), 500).reshape(500, MARKERS, 3)
+    rough = predict_from_others(model, rows.astype(np.float32))
+    assert rough.dtype == np.float32
+    exact = predict_from_others(model, rows.astype(np.float32).astype(np.float64))
+    np.testing.assert_allclose(rough, exact, atol=1e-4)
+
+
+def test_learning_that_starts_from_a_model_ends_where_learning_from_nothing_does():
+    face = simulate_face(frames=2400, noise=0.15, dropout_share=0.05, stray_count=30)
+    good = face.visible
+    cold = fit_low_rank(face.truth, good, rank_limit=20)
+    warm = fit_low_rank(face.truth, good, rank_limit=20, start=fit_low_rank(face.truth, good))
+    one, other = (predict_from_others(m, fill_missing(m, face.truth, good)) for m in (cold, warm))
+    assert np.sqrt(np.mean((one - other) ** 2)) < 0.01  # of noise of 0.15
+    np.testing.assert_allclose(warm.noise, cold.noise, rtol=0.02)
+
+
+def test_directions_that_are_left_out_count_as_noise(model):
+    fewer = with_rank(model, 6)
+    assert len(fewer.variances) == 6
+    assert np.trace(covariance(fewer)) == pytest.approx(np.trace(covariance(model)))
