@@ -15,7 +15,7 @@ from tests.model.synthetic import (
 )
 from usdface.assets import Mapping
 from usdface.errors import InputError
-from usdface.model import predict_weights, sample_skin, train_mapping
+from usdface.model import Prediction, predict_weights, sample_skin, train_mapping
 
 CHOSEN = np.arange(0, 1200, 30)
 NAMES = ("browUp", "browDown", "eyeBlink", "eyeSquint", "mouthSmile", "mouthOpen")
@@ -35,6 +35,12 @@ def face_in_parts(seed: int = 0, noise: float = 0.3) -> SyntheticFace:
     return replace(face, shapes=shapes, positions=positions, gram=gram)
 
 
+def face_errors(face: SyntheticFace, found: Prediction) -> np.ndarray:
+    error = found.weights - face.weights
+    whole: np.ndarray = np.sqrt(np.einsum("fs,st,ft->f", error, face.gram, error))
+    return whole
+
+
 def trained(face: SyntheticFace) -> Mapping:
     return train_mapping(
         replace(references_of(face, CHOSEN), shape_names=NAMES),
@@ -47,12 +53,25 @@ def trained(face: SyntheticFace) -> Mapping:
 
 @pytest.mark.parametrize("noise", [0.3, 1.0])
 def test_nine_of_ten_errors_are_within_what_is_said(noise: float) -> None:
-    face, new = face_in_parts(noise=noise), face_in_parts(3, noise)
-    found = predict_weights(trained(face), new.positions)
-    assert found.regions[0] == "face"
-    error = found.weights - new.weights
-    whole = np.sqrt(np.einsum("fs,st,ft->f", error, face.gram, error))
-    assert 0.8 < (whole < found.region_error[:, 0]).mean() < 0.99
+    held = []
+    for seed in range(4):  # one performance holds more, another less: `tests/benchmarks` has more
+        face = face_in_parts(seed, noise)
+        mapping = trained(face)
+        for shown in (face, face_in_parts(seed + 4, noise)):
+            found = predict_weights(mapping, shown.positions)
+            assert found.regions[0] == "face"
+            held.append((face_errors(shown, found) < found.region_error[:, 0]).mean())
+    assert 0.75 < np.mean(held) < 0.97
+
+
+def test_noise_errs_where_references_are_near_too() -> None:
+    face = face_in_parts(noise=1.0)
+    mapping = trained(face)
+    rng = np.random.default_rng(0)
+    again = face.positions[CHOSEN] + rng.normal(size=(len(CHOSEN), MARKERS, 3))
+    found = predict_weights(mapping, again)
+    error = face_errors(replace(face, weights=face.weights[CHOSEN]), found)
+    assert (error < 2 * found.region_error[:, 0]).mean() > 0.8
 
 
 def test_a_marker_that_jumps_shows_in_its_own_part() -> None:
@@ -71,9 +90,7 @@ def test_a_marker_that_jumps_shows_in_its_own_part() -> None:
 def test_confidence_is_the_probability_of_an_error_below_the_tolerance() -> None:
     face, new = face_in_parts(noise=1.5), face_in_parts(3, 1.5)
     found = predict_weights(trained(face), new.positions)
-    error = found.weights - new.weights
-    whole = np.sqrt(np.einsum("fs,st,ft->f", error, face.gram, error))
-    assert abs((whole < 1.0).mean() - found.confidence.mean()) < 0.15
+    assert abs((face_errors(new, found) < 1.0).mean() - found.confidence.mean()) < 0.15
 
 
 def test_a_part_without_a_marker_seen_has_no_residual() -> None:

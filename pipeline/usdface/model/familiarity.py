@@ -1,9 +1,10 @@
 """How large the error of a frame is likely to be, in each part of the face.
 
 A frame far from what the references showed is a guess: the variance that a Gaussian process has
-left there says how far. How errors grow with it is learned from references that were predicted
-without themselves: their errors over the square root of that variance have a distribution, and
-with it a frame's variance becomes the probability of an error that nobody sees.
+left there says how far, and noise of the markers leaves an error even where references are near.
+How errors grow with both is learned from references that were predicted without themselves: their
+errors over the square root of that variance have a distribution, and with it a frame's variance
+becomes the probability of an error that nobody sees.
 """
 
 import math
@@ -31,9 +32,15 @@ LEAST_SPREAD = 0.35
 UNKNOWN_SPREAD = 0.7
 """The same where references were too few to compare."""
 
-EXCESS = 1.1
-"""Errors on takes over those on pairs left out, on the performers of `tests/benchmarks`: pairs are
-chosen, a take does as it likes."""
+FLOOR = 0.02
+"""Variance that every frame has besides: where references are near, noise errs all the same."""
+
+EXCESS = 1.05
+FEW_PAIRS = 14.0
+LEAST_PAIRS = 25
+"""Errors on takes over those on pairs left out: the first over 1 + (second / pairs)², for a fold
+leaves out a fifth, and of few pairs that is much; below the last nobody has looked. As the floor,
+they were chosen on performers like those of `tests/benchmarks`, of other faces and noise."""
 
 CONFIDENT = 0.9
 
@@ -82,12 +89,12 @@ def fit_familiarity(
     for fold in folds:
         unseen[fold.test] = _unseen_variance(covariance, fold)
     if len(error_over_tolerance) == len(rows):
-        logs = np.log(np.maximum(error_over_tolerance, 1e-3)) - 0.5 * np.log(unseen)[:, None]
-        middle, spread = logs.mean(axis=0), np.maximum(logs.std(axis=0), LEAST_SPREAD)
+        logs = np.log(np.maximum(error_over_tolerance, 1e-3)) - np.log(_growth(unseen))[:, None]
+        middle = logs.mean(axis=0) + np.log(_excess(len(rows)))
+        spread = np.maximum(logs.std(axis=0), LEAST_SPREAD)
     else:
-        middle = np.log(error_over_tolerance[0]) - 0.5 * np.log(unseen.mean())
+        middle = np.log(error_over_tolerance[0]) - np.log(_growth(unseen.mean()))
         spread = np.full(len(middle), UNKNOWN_SPREAD)
-    middle = middle + np.log(EXCESS)
     return {
         "familiar_rows": rows,
         "familiar_scale": scale,
@@ -141,7 +148,7 @@ def confidence_of(arrays: dict[str, FloatArray], left: FloatArray) -> FloatArray
         [0-1]
     """
     middle, spread = arrays["familiar_error"]
-    deviations = -(middle + 0.5 * np.log(left)[:, None]) / spread
+    deviations = -(middle + np.log(_growth(left))[:, None]) / spread
     below: FloatArray = np.interp(deviations, _DEVIATIONS, _BELOW)
     return below
 
@@ -157,9 +164,19 @@ def likely_error(
     """
     middle, spread = arrays["familiar_error"]
     error: FloatArray = (
-        np.exp(middle + spread * NormalDist().inv_cdf(probability)) * np.sqrt(left)[:, None]
+        np.exp(middle + spread * NormalDist().inv_cdf(probability)) * _growth(left)[:, None]
     )
     return error
+
+
+def _excess(pairs: int) -> float:
+    return EXCESS / (1.0 + (FEW_PAIRS / max(pairs, LEAST_PAIRS)) ** 2)
+
+
+def _growth(left: FloatArray) -> FloatArray:
+    """Return what errors are proportional to."""
+    grown: FloatArray = np.sqrt(left + FLOOR)
+    return grown
 
 
 def _unseen_variance(covariance: FloatArray, fold: Fold) -> FloatArray:
