@@ -199,8 +199,7 @@ def _relabel(
     found: list[Swap] = []
     for number in range(_RELABEL_ROUNDS):
         progress(0.1 + 0.35 * number / _RELABEL_ROUNDS, "labels")
-        complete = fill_missing(model, still.positions, still.visible)
-        swaps = find_swaps(complete, still.visible, model=model)
+        swaps = find_swaps(still.positions, still.visible, model=model)
         if not swaps:
             break
         apply_swaps(still.positions, swaps)

@@ -1,12 +1,11 @@
 """Labels that have changed places between two neighbouring markers, found and put back.
 
 A swap is a state that lasts: it begins and ends with a jump and in between both markers lie where
-the other should be. Three evidences are weighed for every pair of neighbours, and the likeliest
-course of states over the whole take is found by the Viterbi algorithm. All three are needed: the
-prediction from the other markers alone is too weak between close neighbours, direction alone
-mistakes a grimace for a swap, jumps alone mistake noise beside a gap for one.
+the other should be. The evidence (see `swap_evidence`) is weighed for every pair of neighbours,
+and the likeliest course of states over the whole take is found by the Viterbi algorithm.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,27 +14,29 @@ from numpy.typing import NDArray
 from usdface.numerics.repair.gaps import runs
 from usdface.numerics.repair.low_rank import LowRankModel
 from usdface.numerics.repair.noise import measurement_noise
+from usdface.numerics.repair.swap_evidence import (
+    JUMP_LIMITS,
+    TOGGLE_COST,
+    Pair,
+    doubtful_pairs,
+    neighbor_pairs,
+    open_window,
+    weigh_swap,
+)
 
-_NEIGHBORS = 8
-_CHUNK_FRAMES = 4096
-_TOGGLE_COST = 12.0
-"""[nats] A change of state without any jump: once in 160,000 frames by chance."""
-_PLACE_LIMIT = 5.0
-"""[nats] Most that one frame's places can say: residuals have heavy tails."""
-_DIRECTION_WEIGHT = 8.0
-"""[nats] What one frame's direction says when it is fully the other way round."""
-_JUMP_LIMITS = (-80.0, 60.0)
+_CHUNK_FRAMES = 2048
 _JUMP_STEPS = 6.0
 """Usual steps between frames that make a jump."""
-_ALONE_STRICTNESS = 4.0
-"""A marker seen alone must lie twice as near to the other's place as to its own."""
-_PLACE_HINT = 4.0
-_JUMP_HINT = -20.0
+_STEP_SAMPLE_FRAMES = 8192
 _HINTS_NEEDED = 2
 _LONGEST_SHARE = 0.5
 """Labels swapped for more than half of the take would be the labels."""
 _LEAST_GAIN = 20.0
 """[nats] Evidence a single swap must gather over all its frames."""
+_DULL_GAIN = -1.0
+"""[nats] Frames that speak this much against a swap, or more, are dull."""
+_DULL_FRAMES = 1 + int(2.0 * (TOGGLE_COST + JUMP_LIMITS[1]) / -_DULL_GAIN)
+"""So many dull frames in a row end every swap: it would cost more than both of its changes."""
 
 FloatArray = NDArray[np.floating]
 
@@ -58,25 +59,6 @@ class Swap:
     stop: int
 
 
-@dataclass(frozen=True)
-class _Pair:
-    """What tells a pair's swaps: fixed over the take."""
-
-    first: int
-    second: int
-    direction: NDArray[np.float64]
-    place_variance: float
-
-
-@dataclass(frozen=True)
-class _Evidence:
-    """One pair over some frames: gain of being swapped, cost of changing state, in nats."""
-
-    gain: NDArray[np.float64]
-    toggle: NDArray[np.float64]
-    hints: int
-
-
 def find_swaps(
     positions: FloatArray, visible: NDArray[np.bool_], *, model: LowRankModel
 ) -> tuple[Swap, ...]:
@@ -85,9 +67,9 @@ def find_swaps(
     Parameters
     ----------
     positions : (frames, markers, 3) float array
-        [mm] Without head motion and complete: gaps filled from the model.
+        [mm] Without head motion; anything where not visible.
     visible : (frames, markers) bool array
-        What was measured; filled samples are no evidence.
+        What was measured; samples filled from the model are no evidence.
     model : LowRankModel
         Learned from the same take, swaps in it.
 
@@ -98,26 +80,20 @@ def find_swaps(
     """
     noise = measurement_noise(positions, visible)
     step_scale = _jump_scale(positions, visible, noise)
-    pairs = _neighbor_pairs(positions, model, noise)
+    pairs = neighbor_pairs(positions, visible, model, noise)
     hints = np.zeros(len(pairs), np.int64)
     for chunk in _chunks(len(positions)):
-        hints += [e.hints for e in _gather(pairs, positions, visible, model, chunk, step_scale)]
+        before = slice(max(chunk.start - 1, 0), chunk.stop)
+        window = open_window(positions[before], visible[before], model)
+        for index, count in doubtful_pairs(pairs, window, step_scale=step_scale):
+            hints[index] += count
     suspects = [pair for pair, count in zip(pairs, hints, strict=True) if count >= _HINTS_NEEDED]
-    gains = np.empty((len(suspects), len(positions)), np.float32)
-    toggles = np.empty_like(gains)
-    for chunk in _chunks(len(positions)):
-        found = _gather(suspects, positions, visible, model, chunk, step_scale)
-        for row, evidence in enumerate(found):
-            gains[row, chunk], toggles[row, chunk] = evidence.gain, evidence.toggle
+    weighed = _telling_frames(suspects, positions, visible, model, step_scale)
     candidates: list[tuple[float, Swap]] = []
-    for pair, gain, toggle in zip(suspects, gains, toggles, strict=True):
-        states = likeliest_states(gain, toggle)
-        if states.mean() > _LONGEST_SHARE:
-            continue
-        for start, stop in runs(states):
-            worth = float(gain[start:stop].sum(dtype=np.float64)) - float(toggle[start])
-            if worth >= _LEAST_GAIN:
-                candidates.append((worth, Swap(pair.first, pair.second, start, stop)))
+    for pair, found in zip(suspects, weighed, strict=True):
+        swaps = [*_swaps_of(pair, found)]
+        if sum(swap.stop - swap.start for _, swap in swaps) <= _LONGEST_SHARE * len(positions):
+            candidates += [(worth, swap) for worth, swap in swaps if worth >= _LEAST_GAIN]
     return _without_conflicts(candidates)
 
 
@@ -175,131 +151,62 @@ def likeliest_states(gain: NDArray[np.floating], toggle: NDArray[np.floating]) -
     return states
 
 
-def _neighbor_pairs(positions: FloatArray, model: LowRankModel, noise: float) -> list[_Pair]:
-    """Return every pair of near neighbours, with how well the other markers predict it."""
-    rest = model.mean.reshape(-1, 3)
-    distances = np.linalg.norm(rest[:, None] - rest[None], axis=2)
-    nearest = np.argsort(distances, axis=1)[:, 1 : _NEIGHBORS + 1]
-    chosen = sorted({(min(a, b), max(a, b)) for a, row in enumerate(nearest.tolist()) for b in row})
-    sample = positions[np.unique(np.linspace(0, len(positions) - 1, _CHUNK_FRAMES).astype(int))]
-    pull = _pull(model, sample)
-    pairs = []
-    for first, second in chosen:
-        away = _pair_offsets(model, pull, first, second)
-        # The median of squares of a normal variable is 0.455 of its variance.
-        variance = max(float(np.median(away**2)) / 0.455, 2.0 * noise**2, 1e-4)
-        pairs.append(_Pair(first, second, rest[second] - rest[first], variance))
-    return pairs
+@dataclass(frozen=True)
+class _Telling:
+    """Frames of a pair near those that may be swapped, with gains and costs of changes there."""
+
+    frames: NDArray[np.int64]
+    gain: NDArray[np.float32]
+    toggle: NDArray[np.float32]
 
 
-def _gather(
-    pairs: list[_Pair],
+def _telling_frames(
+    suspects: list[Pair],
     positions: FloatArray,
     visible: NDArray[np.bool_],
     model: LowRankModel,
-    chunk: slice,
     step_scale: float,
-) -> list[_Evidence]:
-    """Return the evidence of every pair over one chunk of frames."""
-    before = max(chunk.start - 1, 0)
-    lead = chunk.start - before
-    window = positions[before : chunk.stop].astype(np.float64)
-    seen = visible[before : chunk.stop]
-    pull = _pull(model, window)
-    evidence = []
-    for pair in pairs:
-        x, y = window[:, pair.first], window[:, pair.second]
-        x_seen, y_seen = seen[:, pair.first], seen[:, pair.second]
-        away = _pair_offsets(model, pull, pair.first, pair.second)
-        x_away, y_away = away[:, :3], away[:, 3:]
-        between = y - x
-        apart = between + x_away - y_away  # between the places where the two should be
-        place = (
-            _weigh(
-                np.minimum(
-                    _square(x_away) - _square(x_away + between),
-                    _square(y_away) - _square(y_away - between),
-                ),
-                _square(x_away) - _ALONE_STRICTNESS * _square(x_away - apart),
-                _square(y_away) - _ALONE_STRICTNESS * _square(y_away + apart),
-                x_seen,
-                y_seen,
-            )
-            / pair.place_variance
-        )
-        direction = pair.direction / max(float(pair.direction @ pair.direction), 1e-12)
-        along = _weigh(  # 1 when each lies on its own side, -1 when on the other's
-            between @ direction,
-            1.0 - 2.0 * x_away @ direction,
-            1.0 + 2.0 * y_away @ direction,
-            x_seen,
-            y_seen,
-        )
-        gain = np.clip(place, -_PLACE_LIMIT, _PLACE_LIMIT)
-        gain -= _DIRECTION_WEIGHT * np.clip(along, -1.0, 1.0)
-        jump = np.zeros(len(window))
-        jump[1:] = (
-            _weigh(
-                np.maximum(_jump_evidence(x, y), _jump_evidence(y, x)),
-                _jump_alone(x, apart),
-                _jump_alone(y, apart),
-                x_seen[1:] & x_seen[:-1],
-                y_seen[1:] & y_seen[:-1],
-            )
-            / step_scale**2
-        )
-        toggle = _TOGGLE_COST + np.clip(jump, *_JUMP_LIMITS)
-        hints = int((place[lead:] > _PLACE_HINT).sum()) + int((jump[lead:] < _JUMP_HINT).sum())
-        evidence.append(_Evidence(gain[lead:], toggle[lead:], hints))
-    return evidence
+) -> list[_Telling]:
+    """Return what tells of each suspect: among enough dull frames, it is not swapped."""
+    kept: list[list[_Telling]] = [[] for _ in suspects]
+    for chunk in _chunks(len(positions)) if suspects else ():
+        start = max(chunk.start - _DULL_FRAMES - 1, 0)
+        around = slice(start, chunk.stop + _DULL_FRAMES)
+        window = open_window(positions[around], visible[around], model)
+        inner = np.arange(chunk.start, chunk.stop) - start
+        for pair, parts in zip(suspects, kept, strict=True):
+            gain, toggle = weigh_swap(pair, window, step_scale=step_scale)
+            telling = np.concatenate([[0], np.cumsum((gain > _DULL_GAIN) | (toggle < 0))])
+            low = np.maximum(inner - _DULL_FRAMES, min(start, 1))
+            high = np.minimum(inner + _DULL_FRAMES, len(gain) - 1)
+            near = inner[telling[high + 1] > telling[low]]
+            parts.append(_Telling(near + start, gain[near], toggle[near]))
+    return [
+        _Telling(*(np.concatenate(arrays) for arrays in zip(*map(_arrays, parts), strict=True)))
+        for parts in kept
+    ]
 
 
-def _weigh(
-    together: NDArray[np.float64],
-    x_alone: NDArray[np.float64],
-    y_alone: NDArray[np.float64],
-    x_seen: NDArray[np.bool_],
-    y_seen: NDArray[np.bool_],
-) -> NDArray[np.float64]:
-    """Choose what is known: both markers, one against where the other should be, or nothing."""
-    alone = np.where(x_seen, x_alone, np.where(y_seen, y_alone, 0.0))
-    return np.asarray(np.where(x_seen & y_seen, together, alone))
+def _arrays(part: _Telling) -> tuple[NDArray[np.generic], ...]:
+    return part.frames, part.gain, part.toggle
 
 
-def _square(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.einsum("fi,fi->f", vectors, vectors))
-
-
-def _jump_evidence(track: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return by how much a step is shorter when it began at the other marker; negative then."""
-    return _square(track[1:] - other[:-1]) - _square(np.diff(track, axis=0))
-
-
-def _jump_alone(track: NDArray[np.float64], apart: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the same where the other marker is hidden and only its place is known."""
-    step = np.diff(track, axis=0)
-    one_way, other_way = _square(step - apart[1:]), _square(step + apart[1:])
-    return np.minimum(one_way, other_way) - _square(step)
-
-
-def _pull(model: LowRankModel, frames: FloatArray) -> NDArray[np.float64]:
-    flat = frames.reshape(len(frames), -1).astype(np.float64)
-    return np.asarray((flat - model.mean) @ model.precision)
-
-
-def _pair_offsets(
-    model: LowRankModel, pull: NDArray[np.float64], first: int, second: int
-) -> NDArray[np.float64]:
-    """Return how far a pair lies from where all other markers put it, (frames, 6)."""
-    entries = np.r_[3 * first : 3 * first + 3, 3 * second : 3 * second + 3]
-    own = np.linalg.inv(model.precision[np.ix_(entries, entries)])
-    return np.asarray(pull[:, entries] @ own)  # x - E[x | others], from the precision matrix
+def _swaps_of(pair: Pair, found: _Telling) -> Iterator[tuple[float, Swap]]:
+    """Yield the pair's likeliest swaps, each with the evidence it gathers [nats]."""
+    breaks = np.flatnonzero(np.diff(found.frames) > 1) + 1
+    for part in np.split(np.arange(len(found.frames)), breaks):
+        gain, toggle = found.gain[part], found.toggle[part]
+        for start, stop in runs(likeliest_states(gain, toggle)):
+            worth = float(gain[start:stop].sum(dtype=np.float64)) - float(toggle[start])
+            first = int(found.frames[part[start]])
+            yield worth, Swap(pair.first, pair.second, first, first + stop - start)
 
 
 def _jump_scale(positions: FloatArray, visible: NDArray[np.bool_], noise: float) -> float:
     """Return the size of a step between frames, per coordinate, that begins to be a jump."""
     middle = len(positions) // 2
-    stretch = slice(max(0, middle - 4 * _CHUNK_FRAMES), middle + 4 * _CHUNK_FRAMES)
+    half = _STEP_SAMPLE_FRAMES // 2
+    stretch = slice(max(0, middle - half), middle + half)
     both = visible[stretch][1:] & visible[stretch][:-1]
     steps = np.abs(np.diff(positions[stretch], axis=0))[both]
     usual = float(np.median(steps)) if steps.size else 0.0

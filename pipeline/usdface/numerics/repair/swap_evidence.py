@@ -1,0 +1,258 @@
+"""What tells that two neighbouring markers carry each other's label, frame by frame.
+
+Three evidences, all needed: the prediction from the other markers alone is too weak between close
+neighbours, direction alone mistakes a grimace for a swap, jumps alone mistake noise beside a gap
+for one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
+
+_NEIGHBORS = 8
+_SAMPLE_FRAMES = 4096
+_BLOCK_FRAMES = 64
+"""What a block's extremes rule out needs no look at its frames."""
+TOGGLE_COST = 12.0
+"""[nats] A change of state without any jump: once in 160,000 frames by chance."""
+_PLACE_LIMIT = 5.0
+"""[nats] Most that one frame's places can say: residuals have heavy tails."""
+_DIRECTION_WEIGHT = 8.0
+"""[nats] What one frame's direction says when it is fully the other way round."""
+JUMP_LIMITS = (-80.0, 60.0)
+_ALONE_STRICTNESS = 4.0
+"""A marker seen alone must lie twice as near to the other's place as to its own."""
+_PLACE_HINT = 4.0
+_JUMP_HINT = -20.0
+
+FloatArray = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two neighbouring markers, and what is fixed of them over the take.
+
+    Attributes
+    ----------
+    first, second : int
+        Columns, ascending.
+    direction : (3,) float array
+        From the first to the second at rest, over its square.
+    place_variance : float
+        Of a coordinate about what all other markers say of it [mm^2].
+    mixing : (6, 6) float array
+        Carries how far each of the two lies from where all others put it to how far both lie from
+        where all others but the two put them.
+    """
+
+    first: int
+    second: int
+    direction: NDArray[np.float32]
+    place_variance: float
+    mixing: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Window:
+    """Frames in a row, what all pairs share; each coordinate of a marker lies in a row.
+
+    Attributes
+    ----------
+    places : (markers, 3, frames) float array
+        [mm] Complete: gaps filled from the model.
+    offsets : (markers, 3, frames) float array
+        From where all other markers put each [mm].
+    seen : (markers, frames) bool array
+    """
+
+    places: FloatArray
+    offsets: FloatArray
+    seen: NDArray[np.bool_]
+
+
+def open_window(positions: FloatArray, visible: NDArray[np.bool_], model: LowRankModel) -> Window:
+    """Lay out frames for pairs to be looked at."""
+    complete = fill_missing(model, positions, visible)
+    offsets = complete - predict_from_others(model, complete)
+    return Window(
+        np.ascontiguousarray(complete.transpose(1, 2, 0)),
+        np.ascontiguousarray(offsets.transpose(1, 2, 0)),
+        np.ascontiguousarray(visible.T),
+    )
+
+
+def neighbor_pairs(
+    positions: FloatArray, visible: NDArray[np.bool_], model: LowRankModel, noise: float
+) -> list[Pair]:
+    """Return every pair of near neighbours, with how well the other markers predict it."""
+    rest = model.mean.reshape(-1, 3)
+    distances = np.linalg.norm(rest[:, None] - rest[None], axis=2)
+    nearest = np.argsort(distances, axis=1)[:, 1 : _NEIGHBORS + 1]
+    chosen = sorted({(min(a, b), max(a, b)) for a, row in enumerate(nearest.tolist()) for b in row})
+    rows = np.unique(np.linspace(0, len(positions) - 1, _SAMPLE_FRAMES).astype(int))
+    window = open_window(positions[rows], visible[rows], model)
+    pairs = []
+    for first, second in chosen:
+        mixing = _mixing(model, first, second)
+        away = mixing @ window.offsets[[first, second]].reshape(6, -1)
+        # The median of squares of a normal variable is 0.455 of its variance.
+        variance = max(float(np.median(away**2)) / 0.455, 2.0 * noise**2, 1e-4)
+        apart = rest[second] - rest[first]
+        direction = apart / max(float(apart @ apart), 1e-12)
+        pairs.append(Pair(first, second, direction.astype(np.float32), variance, mixing))
+    return pairs
+
+
+def doubtful_pairs(
+    pairs: list[Pair], window: Window, *, step_scale: float
+) -> list[tuple[int, int]]:
+    """Count the frames that hint at a swap, of the pairs that have any: (index, frames).
+
+    Most pairs need no look: to lie where the other should be, a marker must be off by half of
+    their distance; to jump there, it must jump.
+    """
+    starts = np.arange(0, window.seen.shape[1], _BLOCK_FRAMES)
+    high = np.maximum.reduceat(window.places, starts, axis=2)
+    low = np.minimum.reduceat(window.places, starts, axis=2)
+    middle, radius = (high + low) / 2, _length((high - low) / 2)
+    off = np.maximum.reduceat(_length(window.offsets), starts, axis=1)
+    steps = _steps(window).max(axis=1, initial=0.0)
+    first = np.array([pair.first for pair in pairs])
+    second = np.array([pair.second for pair in pairs])
+    blocks = np.stack([pair.mixing for pair in pairs]).reshape(-1, 2, 3, 2, 3).swapaxes(2, 3)
+    reach = np.sqrt(np.square(blocks).sum(axis=(3, 4)))[..., None]  # bounds the spectral norm
+    away = np.maximum(
+        reach[:, 0, 0] * off[first] + reach[:, 0, 1] * off[second],
+        reach[:, 1, 0] * off[first] + reach[:, 1, 1] * off[second],
+    )
+    between = _length(middle[second] - middle[first]) - radius[first] - radius[second]
+    displaced = (2.0 * away >= between).any(axis=1)
+    jumped = np.maximum(steps[first], steps[second]) > -_JUMP_HINT * step_scale**2
+    doubtful = []
+    for index in np.flatnonzero(displaced | jumped).tolist():
+        pair = pairs[index]
+        hints = 0
+        if displaced[index]:
+            hints += int(np.count_nonzero(_place(pair, _views(pair, window)) > _PLACE_HINT))
+        if jumped[index]:
+            jump = _jump(_views(pair, window), step_scale)
+            hints += int(np.count_nonzero(jump < _JUMP_HINT))
+        if hints:
+            doubtful.append((index, hints))
+    return doubtful
+
+
+def weigh_swap(
+    pair: Pair, window: Window, *, step_scale: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return for each frame the gain of being swapped and the cost of a change there [nats]."""
+    views = _views(pair, window)
+    gain: FloatArray = np.clip(_place(pair, views), -_PLACE_LIMIT, _PLACE_LIMIT)
+    gain -= _DIRECTION_WEIGHT * np.clip(_along(pair, views), -1.0, 1.0)
+    toggle = TOGGLE_COST + np.clip(_jump(views, step_scale), *JUMP_LIMITS)
+    return gain.astype(np.float32, copy=False), toggle.astype(np.float32, copy=False)
+
+
+@dataclass(frozen=True)
+class _Views:
+    """A pair in a window: where both are, and how far from where all others put them."""
+
+    x: FloatArray
+    y: FloatArray
+    between: FloatArray
+    x_away: FloatArray
+    y_away: FloatArray
+    x_seen: NDArray[np.bool_]
+    y_seen: NDArray[np.bool_]
+
+
+def _views(pair: Pair, window: Window) -> _Views:
+    x, y = window.places[pair.first], window.places[pair.second]
+    away = pair.mixing @ window.offsets[[pair.first, pair.second]].reshape(6, -1)
+    seen = window.seen
+    return _Views(x, y, y - x, away[:3], away[3:], seen[pair.first], seen[pair.second])
+
+
+def _place(pair: Pair, views: _Views) -> FloatArray:
+    """Return how much nearer each lies to the other's place than to its own, over the variance."""
+    square = _dot(views.between, views.between)
+    x_along, y_along = _dot(views.x_away, views.between), _dot(views.y_away, views.between)
+    # |x_away|^2 - |x_away + between|^2, and the same of y
+    place: FloatArray = 2.0 * np.minimum(-x_along, y_along) - square
+    if not (views.x_seen.all() and views.y_seen.all()):
+        x_square, y_square = _dot(views.x_away, views.x_away), _dot(views.y_away, views.y_away)
+        x_alone = x_square - _ALONE_STRICTNESS * (y_square - 2.0 * y_along + square)
+        y_alone = y_square - _ALONE_STRICTNESS * (x_square + 2.0 * x_along + square)
+        place = _weigh(place, x_alone, y_alone, views.x_seen, views.y_seen)
+    return np.asarray(place / np.float32(pair.place_variance))
+
+
+def _along(pair: Pair, views: _Views) -> FloatArray:
+    """Return 1 where each lies on its own side, -1 where on the other's."""
+    return _weigh(
+        pair.direction @ views.between,
+        1.0 - 2.0 * (pair.direction @ views.x_away),
+        1.0 + 2.0 * (pair.direction @ views.y_away),
+        views.x_seen,
+        views.y_seen,
+    )
+
+
+def _jump(views: _Views, step_scale: float) -> FloatArray:
+    """Return by how much steps are shorter when they began at the other marker; negative then."""
+    x, y, x_seen, y_seen = views.x, views.y, views.x_seen, views.y_seen
+    x_step, y_step = np.diff(x), np.diff(y)
+    x_square, y_square = _dot(x_step, x_step), _dot(y_step, y_step)
+    x_from_y, y_from_x = x[:, 1:] - y[:, :-1], y[:, 1:] - x[:, :-1]
+    together = np.maximum(_dot(x_from_y, x_from_y) - x_square, _dot(y_from_x, y_from_x) - y_square)
+    # Where one is hidden, only the way between the places of the two is known.
+    apart = (views.between + views.x_away - views.y_away)[:, 1:]
+    length = _dot(apart, apart)
+    x_alone = length - 2.0 * np.abs(_dot(x_step, apart))
+    y_alone = length - 2.0 * np.abs(_dot(y_step, apart))
+    jump = np.zeros(x.shape[1], x.dtype)
+    jump[1:] = _weigh(
+        together, x_alone, y_alone, x_seen[1:] & x_seen[:-1], y_seen[1:] & y_seen[:-1]
+    )
+    return np.asarray(jump / np.float32(step_scale**2))
+
+
+def _weigh(
+    together: FloatArray,
+    x_alone: FloatArray,
+    y_alone: FloatArray,
+    x_seen: NDArray[np.bool_],
+    y_seen: NDArray[np.bool_],
+) -> FloatArray:
+    """Choose what is known: both markers, one against where the other should be, or nothing."""
+    alone = np.where(x_seen, x_alone, np.where(y_seen, y_alone, np.float32(0.0)))
+    return np.asarray(np.where(x_seen & y_seen, together, alone))
+
+
+def _mixing(model: LowRankModel, first: int, second: int) -> NDArray[np.float32]:
+    # x - E[x | others but the pair] from the precision matrix, whose pulls are those of the
+    # offsets of each from all others.
+    entries = np.r_[3 * first : 3 * first + 3, 3 * second : 3 * second + 3]
+    own = model.precision[np.ix_(entries, entries)]
+    apart = np.zeros((6, 6))
+    apart[:3, :3], apart[3:, 3:] = own[:3, :3], own[3:, 3:]
+    return np.linalg.solve(own, apart).astype(np.float32)
+
+
+def _steps(window: Window) -> FloatArray:
+    """Return the squared step of each marker from the frame before where both saw it."""
+    steps = np.diff(window.places, axis=2)
+    squares = np.einsum("mif,mif->mf", steps, steps)
+    return np.asarray(squares * (window.seen[:, 1:] & window.seen[:, :-1]))
+
+
+def _length(vectors: FloatArray) -> FloatArray:
+    """Return lengths over the second axis."""
+    return np.asarray(np.sqrt(np.einsum("mif,mif->mf", vectors, vectors)))
+
+
+def _dot(one: FloatArray, other: FloatArray) -> FloatArray:
+    return np.asarray(one[0] * other[0] + one[1] * other[1] + one[2] * other[2])

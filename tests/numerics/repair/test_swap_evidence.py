@@ -1,0 +1,92 @@
+"""The evidence of swaps against its definition, and the sparse search against the whole one."""
+
+import numpy as np
+import pytest
+
+from tests.numerics.simulated_face import simulate_face
+from usdface.numerics.repair import relabeling
+from usdface.numerics.repair.learning import fit_low_rank
+from usdface.numerics.repair.low_rank import fill_missing
+from usdface.numerics.repair.relabeling import find_swaps, likeliest_states
+from usdface.numerics.repair.swap_evidence import (
+    doubtful_pairs,
+    neighbor_pairs,
+    open_window,
+    weigh_swap,
+)
+from usdface.numerics.rigid.stabilization import stabilize
+
+STEP_SCALE = 0.9
+
+
+@pytest.fixture(scope="module")
+def swapped():
+    face = simulate_face(frames=1500, noise=0.15, swapped_share=0.2, dropout_share=0.02)
+    neutral = int(np.argmax(face.visible[:, list(face.rigid)].sum(axis=1)))
+    still = stabilize(face.captured, face.visible, rigid=face.rigid, neutral=neutral).positions
+    model = fit_low_rank(still, face.visible)
+    return still, face.visible, model
+
+
+def square(vectors):
+    return (vectors**2).sum(axis=-1)
+
+
+def test_a_pair_lies_as_far_off_as_hiding_both_says(swapped):
+    still, visible, model = swapped
+    window = open_window(still, visible, model)
+    complete = fill_missing(model, still, visible)
+    for pair in neighbor_pairs(still, visible, model, 0.15)[::40]:
+        both = [pair.first, pair.second]
+        good = np.ones_like(visible)
+        good[:, both] = False
+        expected = complete - fill_missing(model, complete, good)
+        away = (pair.mixing @ window.offsets[both].reshape(6, -1)).reshape(2, 3, -1)
+        np.testing.assert_allclose(away.transpose(2, 0, 1), expected[:, both], atol=2e-4)
+
+
+def test_pairs_that_are_passed_over_hold_no_hint(swapped):
+    still, visible, model = swapped
+    seen = np.ones_like(visible)
+    complete = fill_missing(model, still, visible)
+    window = open_window(complete, seen, model)
+    pairs = neighbor_pairs(complete, seen, model, 0.15)
+    found = dict(doubtful_pairs(pairs, window, step_scale=STEP_SCALE))
+    counted = {}
+    for index, pair in enumerate(pairs):
+        a, b = pair.first, pair.second
+        x, y = complete[:, a], complete[:, b]
+        away = (pair.mixing @ window.offsets[[a, b]].reshape(6, -1)).reshape(2, 3, -1)
+        x_away, y_away = away.transpose(0, 2, 1)
+        x_place = square(x_away) - square(x_away + y - x)
+        y_place = square(y_away) - square(y_away + x - y)
+        place = np.minimum(x_place, y_place) / pair.place_variance
+        x_jump = square(x[1:] - y[:-1]) - square(np.diff(x, axis=0))
+        y_jump = square(y[1:] - x[:-1]) - square(np.diff(y, axis=0))
+        jump = np.maximum(x_jump, y_jump) / STEP_SCALE**2
+        counted[index] = int((place > 4).sum() + (jump < -20).sum())
+    assert found == {index: count for index, count in counted.items() if count}
+    assert 0 < len(found) < len(pairs) / 2
+
+
+@pytest.mark.parametrize("frames", [97, 700])
+def test_swaps_do_not_depend_on_how_many_frames_are_looked_at_at_once(swapped, monkeypatch, frames):
+    still, visible, model = swapped
+    whole = find_swaps(still, visible, model=model)
+    monkeypatch.setattr(relabeling, "_CHUNK_FRAMES", frames)
+    assert whole
+    assert find_swaps(still, visible, model=model) == whole
+
+
+def test_a_search_of_telling_frames_alone_finds_what_the_whole_take_does(swapped):
+    still, visible, model = swapped
+    window = open_window(still, visible, model)
+    noise = 0.15
+    found = find_swaps(still, visible, model=model)
+    scale = relabeling._jump_scale(still, visible, noise)
+    of_whole = set()
+    for pair in neighbor_pairs(still, visible, model, noise):
+        gain, toggle = weigh_swap(pair, window, step_scale=scale)
+        for start, stop in relabeling.runs(likeliest_states(gain, toggle)):
+            of_whole.add((pair.first, pair.second, start, stop))
+    assert {(s.first, s.second, s.start, s.stop) for s in found} <= of_whole
