@@ -222,3 +222,19 @@ def test_a_span_may_be_as_long_as_its_samples_bear_out() -> None:
     check_span("x", 1, 432_000, samples=None)
     with pytest.raises(InputError, match=r"x: 2 samples on 100001 frames"):
         check_span("x", 1, UNSAMPLED_FRAMES + 1, samples=2)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("drift", -1e6), ("drift", float("nan")), ("offset", float("inf"))]
+)
+def test_a_video_that_would_stand_still_or_be_nowhere(
+    tmp_path: Path, name: str, value: float
+) -> None:
+    write_take(tmp_path / "x.take.usda", small_take())
+
+    def how(layer: Sdf.Layer) -> None:
+        layer.GetAttributeAtPath(f"/Take.face:video:{name}").default = value
+
+    change(tmp_path / "x.take.usda", how)
+    with pytest.raises(InputError, match=r"face:video:offset .* are no place in time"):
+        read_take(tmp_path / "x.take.usda")

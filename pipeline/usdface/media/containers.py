@@ -8,6 +8,9 @@ import av.error
 
 from usdface.errors import InputError
 
+MAX_PIXELS = 8192 * 8192
+"""Of one picture of a movie."""
+
 # Playlists and scripts (hls, concat, …) name other files and hosts: none of them is here, and no
 # protocol but plain files is allowed.
 _FORMATS = (
@@ -36,10 +39,14 @@ def open_media(path: Path) -> Any:
         raise InputError(f"{path}: no such file; check the path")
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the file is empty; copy or export it again")
-    options = {"protocol_whitelist": "file", "format_whitelist": _FORMATS}
+    options = {
+        "protocol_whitelist": "file",
+        "format_whitelist": _FORMATS,
+        "max_pixels": str(MAX_PIXELS),  # to open a file, FFmpeg unpacks some of its pictures
+    }
     try:
         # Absolute, so that no name is taken for a protocol.
-        return av.open(str(path.absolute()), options=options)
+        return av.open(str(path.absolute()), options=options, metadata_errors="replace")
     except (av.error.FFmpegError, OSError, ValueError) as error:
         raise unreadable(path, error) from error
 

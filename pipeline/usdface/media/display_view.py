@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from usdface.errors import InputError
 from usdface.media.color import ByteImage, bytes_from_linear
+from usdface.media.picture import reason_of
 
 BUILT_IN = "ocio://default"
 _RENDERED = "lin_rec709"
@@ -40,7 +41,7 @@ def display_view(name: str | None) -> DisplayView:
         return lambda light: bytes_from_linear(np.asarray(light, np.float32))
     where = os.environ.get("OCIO") or BUILT_IN
     config = OpenImageIO.ColorConfig(where)
-    problem = config.geterror()
+    problem = reason_of(config)
     if problem or not config.getDisplayNames():
         raise InputError(f"{where}: no usable OpenColorIO configuration: {problem or 'no display'}")
     display, _, view = name.rpartition("/")
@@ -61,7 +62,7 @@ def display_view(name: str | None) -> DisplayView:
             source, display, view, _RENDERED, "", True, False, "", "", where
         )
         if shown.has_error:
-            raise InputError(f"{where}: cannot show linear Rec.709 by {view!r}: {shown.geterror()}")
+            raise InputError(f"{where}: cannot show linear Rec.709 by {view!r}: {reason_of(shown)}")
         pixels = np.asarray(shown.get_pixels(OpenImageIO.FLOAT), np.float32)
         return np.asarray(np.clip(pixels * 255 + 0.5, 0, 255), np.uint8)
 

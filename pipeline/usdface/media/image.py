@@ -13,6 +13,7 @@ import OpenImageIO as oiio  # noqa: N813  # the name all its users know it by
 
 from usdface.errors import InputError
 from usdface.media.color import ByteImage, linear_from_srgb
+from usdface.media.picture import reason_of
 from usdface.media.smpte import pack_timecode, unpack_timecode
 from usdface.replacing import replacing
 from usdface.version import __version__
@@ -108,11 +109,14 @@ def read_image_metadata(path: Path | str) -> dict[str, Any]:
         raise InputError(f"{file}: no such file; check the path")
     source = oiio.ImageInput.open(str(file.absolute()))
     if source is None:
-        raise InputError(f"{file}: cannot be read as a picture ({oiio.geterror()}); write it again")
+        raise InputError(f"{file}: cannot be read as a picture ({reason_of(oiio)}); write it again")
     try:
         spec = source.spec()
-        description = str(spec.getattribute("ImageDescription") or "")
+        said = spec.getattribute("ImageDescription")  # in a damaged header of any type
+        description = said if isinstance(said, str) else ""
         packed = spec.getattribute("smpte:TimeCode")
+    except UnicodeDecodeError:  # a caption in another tool's letters
+        description, packed = "", None
     finally:
         source.close()
     found: dict[str, Any] = {}

@@ -12,10 +12,10 @@ import OpenImageIO as oiio  # noqa: N813
 from usdface.assets import FloatArray
 from usdface.errors import InputError
 from usdface.media.color import ByteImage, bytes_from_linear
+from usdface.media.picture import MOST_VALUES, reason_of
 from usdface.media.video import VideoReader
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".dpx")
-MAX_PIXELS = 1 << 27
 _NUMBERED = re.compile(r"^(.*?)(\d+)(\.[^.]+)$")
 
 
@@ -87,15 +87,19 @@ class ImageSequence:
     def _read(self, path: Path) -> ByteImage:
         picture = oiio.ImageInput.open(str(path))
         if picture is None:
-            raise InputError(f"{path}: no picture that can be read ({oiio.geterror()})")
+            raise InputError(f"{path}: no picture that can be read ({reason_of(oiio)})")
         spec = picture.spec()
-        if spec.width * spec.height > MAX_PIXELS:
-            raise InputError(f"{path}: {spec.width} × {spec.height} pixels are too many")
+        if spec.width * spec.height * spec.nchannels > MOST_VALUES:
+            raise InputError(
+                f"{path}: {spec.width} × {spec.height} with {spec.nchannels} channels is too large "
+                "to be shown; write it smaller"
+            )
         linear = path.suffix.lower() == ".exr"
         pixels = picture.read_image(format="float" if linear else "uint8")
+        reason = reason_of(picture)
         picture.close()
         if pixels is None:
-            raise InputError(f"{path}: damaged: {picture.geterror()}")
+            raise InputError(f"{path}: damaged: {reason}; copy or write it again")
         pixels = pixels[..., [0, 0, 0] if pixels.shape[2] < 3 else [0, 1, 2]]
         return bytes_from_linear(pixels) if linear else np.ascontiguousarray(pixels)
 

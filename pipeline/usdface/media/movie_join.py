@@ -96,8 +96,11 @@ def join_movies(
                                 sound.encode_until(Fraction(count) / rate)
                 if sound is not None:
                     sound.finish()
-        except (av.error.FFmpegError, OSError) as error:
-            raise InputError(f"{path}: the parts cannot be joined ({error})") from error
+        except (av.error.FFmpegError, OSError, ValueError) as error:
+            told = f"{parts[0]} and those after it" if len(parts) > 1 else str(parts[0])
+            raise InputError(
+                f"{path}: {told} cannot be joined ({error}); make them anew"
+            ) from error
     return count
 
 
@@ -108,8 +111,9 @@ def _kind(part: Path, source: Any) -> tuple[str, int, int, Fraction, bytes]:
     stream = source.streams.video[0]
     context = stream.codec_context
     rate = stream.average_rate
-    if rate is None:
-        raise unreadable(part, ValueError("it states no rate"))
+    if context is None or not rate:
+        told = "its pictures are packed in an unknown way" if context is None else "it has no rate"
+        raise unreadable(part, ValueError(told))
     extra = bytes(context.extradata or b"")
     return str(context.name), int(context.width), int(context.height), Fraction(rate), extra
 

@@ -1,6 +1,7 @@
 """One picture from disk."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813  # the name all its users know it by
@@ -18,11 +19,11 @@ def read_picture(path: Path) -> ByteImage:
     Raises
     ------
     InputError
-        If it cannot be read, or is too large to be shown.
+        If it cannot be read, is damaged, or is too large to be shown.
     """
     buffer = oiio.ImageBuf(str(path))
     if buffer.has_error:
-        raise InputError(f"{path}: cannot be read as a picture ({buffer.geterror()})")
+        raise InputError(f"{path}: cannot be read as a picture ({reason_of(buffer)})")
     size = buffer.spec()
     if size.width * size.height * size.nchannels > MOST_VALUES:
         raise InputError(
@@ -30,7 +31,22 @@ def read_picture(path: Path) -> ByteImage:
             "be shown; write it smaller"
         )
     pixels = buffer.get_pixels("uint8")
-    if pixels is None or pixels.ndim != 3:
-        raise InputError(f"{path}: cannot be read as a picture")
+    if buffer.has_error or pixels is None or pixels.ndim != 3:  # what is missing would be black
+        raise InputError(
+            f"{path}: cannot be read as a picture ({reason_of(buffer)}): it may be cut short or "
+            "damaged; copy or write it again"
+        )
     channels = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
     return np.ascontiguousarray(channels)
+
+
+def reason_of(source: Any) -> str:
+    """Return why OpenImageIO failed, which may quote a broken file's bytes.
+
+    Asking is also what keeps the library from printing it.
+    """
+    try:
+        said = str(source.geterror())
+    except UnicodeDecodeError:
+        return "its header holds bytes that are no text"
+    return " ".join("".join(each if each.isprintable() else " " for each in said).split())

@@ -12,6 +12,9 @@ from usdface.media.containers import open_media, start_seconds, unreadable
 
 MAX_HOURS = 4
 _MAX_GAP = 0.02  # seconds by which sound may stray from its time stamps before silence is put in
+_MAX_SILENCE = 600.0  # seconds: a jump beyond is a damaged time stamp, not a pause
+_RATES = range(1000, 768_001)
+"""[Hz] Fewer samples a second hold no speech, and a few of them would become hours."""
 
 
 def read_audio(path: Path | str, *, rate: int = 16000) -> Float32Array:
@@ -42,6 +45,12 @@ def read_audio(path: Path | str, *, rate: int = 16000) -> Float32Array:
         if not container.streams.audio:
             raise InputError(f"{file}: holds no sound; give the sound file of the take")
         stream = container.streams.audio[0]
+        context = stream.codec_context
+        if context is None or context.sample_rate not in _RATES:
+            told = "an unknown packing" if context is None else f"{context.sample_rate} Hz"
+            raise InputError(
+                f"{file}: its sound is of {told}, which is not read; export WAV at 48000 Hz"
+            )
         start = start_seconds(container)
         resampler = av.AudioResampler("fltp", "mono", rate)
         blocks, count = list[Float32Array](), 0
@@ -49,6 +58,12 @@ def read_audio(path: Path | str, *, rate: int = 16000) -> Float32Array:
             for frame in container.decode(stream):
                 if frame.time is not None:
                     gap = round((frame.time - start) * rate) - count
+                    if gap > _MAX_SILENCE * rate:
+                        raise InputError(
+                            f"{file}: after {count / rate:.3f} s its sound jumps to "
+                            f"{frame.time - start:.0f} s; its time stamps are damaged: export it "
+                            "again, or cut it to the take"
+                        )
                     if gap > _MAX_GAP * rate and count + gap <= MAX_HOURS * 3600 * rate:
                         blocks.append(np.zeros(gap, np.float32))
                         count += gap

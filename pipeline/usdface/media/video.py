@@ -18,13 +18,12 @@ import numpy as np
 from usdface.assets import FloatArray, IntArray
 from usdface.errors import InputError
 from usdface.media.color import ByteImage
-from usdface.media.containers import open_media, start_seconds, unreadable
+from usdface.media.containers import MAX_PIXELS, open_media, start_seconds, unreadable
 from usdface.media.movie import write_movie
 from usdface.media.sound import read_audio
 
 __all__ = ["MAX_FRAMES", "MAX_PIXELS", "VideoReader", "read_audio", "write_movie"]
 
-MAX_PIXELS = 8192 * 8192
 MAX_FRAMES = 5_000_000
 """23 hours at 60 frames a second: more is a broken index, not a take."""
 
@@ -82,6 +81,11 @@ class VideoReader:
             raise InputError(f"{self.path}: holds no picture; give the movie, not its sound")
         stream = streams[0]
         self._stream = stream
+        if stream.codec_context is None:
+            raise InputError(
+                f"{self.path}: its pictures are packed in a way that nothing here unpacks; export "
+                "H.264 or ProRes"
+            )
         width, height = stream.codec_context.width, stream.codec_context.height
         if not 0 < width * height <= MAX_PIXELS:
             raise InputError(
@@ -89,6 +93,8 @@ class VideoReader:
                 "are read: export a smaller movie"
             )
         stream.thread_type = "AUTO"
+        # A picture says its size again, and may say another than the header.
+        stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
         self._index = _table_of_contents(stream, self.path) or _read_index(
             self._container, stream, self.path
         )
@@ -160,8 +166,12 @@ class VideoReader:
         if not 0 <= index < len(self.times):
             raise InputError(f"{self.path}: has {len(self.times)} frames, there is no {index}")
         if self._shown is None or self._shown[0] != index:
-            decoded = self._decode(int(self._index.stamps[index]), float(self.times[index]))
-            self._shown = (index, _upright(decoded))
+            seconds = float(self.times[index])
+            decoded = self._decode(int(self._index.stamps[index]), seconds)
+            try:
+                self._shown = (index, _upright(decoded))
+            except (av.error.FFmpegError, OSError, ValueError) as error:
+                raise unreadable(self.path, error, where=f" at {seconds:.3f} s") from error
         return self._shown[1]
 
     def _decode(self, stamp: int, seconds: float) -> Any:

@@ -150,7 +150,8 @@ def _takes(files: tuple[Path, ...], references: References) -> dict[str, Take]:
 
 def _pairs(spec: ReferenceSheetSpec, references: References) -> list[int]:
     limits = frame_range(spec.pairs) or (1, len(references.frames))
-    pairs = [p - 1 for p in range(limits[0], limits[1] + 1) if 1 <= p <= len(references.frames)]
+    last = min(limits[1], len(references.frames))
+    pairs = [pair - 1 for pair in range(max(limits[0], 1), last + 1)]
     if not pairs:
         raise InputError(
             f"{spec.references}: has pairs 1-{len(references.frames)}, none of {spec.pairs}"

@@ -24,6 +24,11 @@ def is_take(path: Path) -> bool:
     return bool(root) and root.HasAPI("FaceTakeAPI")
 
 
+FARTHEST_SECONDS = 1e9
+LARGEST_DRIFT = 990_000.0
+"""[ppm] By minus a million a video would stand still."""
+
+
 class TakeReader:
     """A take on disk: its header at once, its frames when asked for.
 
@@ -272,11 +277,19 @@ class TakeReader:
             return None
         rate = self._value("face:video:rate")
         where = f"{self.path}: face:video:rate"
+        offset, drift = (
+            float(str(self._value(f"face:video:{name}") or 0)) for name in ("offset", "drift")
+        )
+        if not (abs(offset) < FARTHEST_SECONDS and abs(drift) < LARGEST_DRIFT):  # also catches NaN
+            raise InputError(
+                f"{self.path}: face:video:offset {offset:g} s and face:video:drift {drift:g} ppm "
+                "are no place in time; align the video again"
+            )
         return Video(
             file=self._resolve(asset),
             rate=exact_rate(rate, where=where) if isinstance(rate, float) and rate > 0 else None,
-            offset=float(str(self._value("face:video:offset") or 0)),
-            drift=float(str(self._value("face:video:drift") or 0)),
+            offset=offset,
+            drift=drift,
         )
 
     def _read_audio(self) -> Path | None:
