@@ -3,7 +3,7 @@
 Examples speak through three voices (processes over the region of each shape, near and wide, and
 kernel CCA over the whole face), weighed shape by shape by their leave-one-out errors. Geometry
 speaks through a linear face calibrated on the pairs. How far it is heard depends on the errors of
-both, geometry's being forgiven some: leave-one-out on chosen references flatters the examples,
+both and on how far the voices disagree: leave-one-out on chosen references flatters the examples,
 which know nothing of combinations that no reference shows. What comes out is brought within the
 shapes' ranges at the least cost to the face.
 """
@@ -37,6 +37,7 @@ from usdface.model.methods.voices import (
     regional_voice,
 )
 from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
+from usdface.numerics.regression.convex_blend import blend_shares
 from usdface.numerics.regression.linear_posterior import LinearPosterior, fit_linear_posterior
 from usdface.numerics.regression.marker_regions import marker_relevance, regional_features
 from usdface.numerics.regression.skin_prior import expect_marker_motion
@@ -46,8 +47,16 @@ MOST_DIMENSIONS = 50
 LEAST_VARIANCE_MM2 = 1e-4
 """Variance of a component below which there is no motion, only rounding."""
 
-FORGIVEN = 1.5
-"""How many times the squared error of the examples geometry may have to be heard as they are."""
+TRUSTED = 0.75
+FEW_PAIRS = 25
+"""How far it is believed that voices err together as their residuals do: the first times the share
+of the pairs beyond the second. At these and below, voices count as independent."""
+
+DISAGREED = 1.5
+OWN_DISAGREEMENT = 0.25
+"""By how many times their squared disagreement the examples' squared error counts as larger; and
+how far disagreement over a shape is that shape's own, the rest being the whole face's. Noise leads
+all voices astray alike, geometry too; where no reference shows the way, each goes its own."""
 
 SEEN_SHARE = 0.3
 """How far markers, against the examples, say where weights go that a limit pushes aside: with
@@ -86,13 +95,15 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     targets = bend(weights, curve)
     importance = np.diag(gram) + 1e-3 * float(np.diag(gram).mean())
     examples, targets = _example_voices(pairs, z, targets, importance)
-    say = _say(np.stack([(voice.residuals**2).mean(axis=0) for voice in examples]))
+    residuals = np.stack([voice.residuals for voice in examples])
+    say = _say(residuals)
     voices = list(zip(examples, say, strict=True))
     metric = gram + 1e-3 * float(np.diag(gram).mean()) * np.eye(len(gram))
     if geometry is not None:
         together = _together(voices, weights.shape)
         metric = _metric(geometry, together)
-        share = _geometry_share(geometry.residuals, together)
+        disagreement = _disagreement(residuals, together, importance)
+        share = _geometry_share(geometry.residuals, together, disagreement)
         line = Voice(geometry.slope, geometry.intercept, {}, geometry.residuals)
         voices = [(voice, part * (1 - share)) for voice, part in voices] + [(line, share)]
     usual = np.sqrt((_together(voices, weights.shape) ** 2).mean(axis=0))
@@ -224,11 +235,28 @@ def _example_voices(
     return voices, targets
 
 
-def _geometry_share(geometry: FloatArray, examples: FloatArray) -> FloatArray:
+def _geometry_share(
+    geometry: FloatArray, examples: FloatArray, disagreement: FloatArray
+) -> FloatArray:
     """How far geometry is heard for each shape, by leave-one-out residuals of both."""
-    ratio = (geometry**2).mean(axis=0) / np.maximum((examples**2).mean(axis=0), 1e-7)
-    share: FloatArray = 1 / (1 + ratio / FORGIVEN)
+    likely = np.maximum((examples**2).mean(axis=0) + DISAGREED * disagreement, 1e-7)
+    share: FloatArray = 1 / (1 + (geometry**2).mean(axis=0) / likely)
     return share
+
+
+def _disagreement(
+    residuals: FloatArray, together: FloatArray, importance: FloatArray
+) -> FloatArray:
+    """Mean squared difference of the voices from their blend, for each shape.
+
+    Few pairs tell it badly for a shape alone: most of it is what it is, as a share of the squared
+    error, over the whole face.
+    """
+    own = ((residuals - together) ** 2).mean(axis=(0, 1))
+    squared = (together**2).mean(axis=0)
+    whole = float(importance @ own) / max(float(importance @ squared), 1e-12)
+    found: FloatArray = OWN_DISAGREEMENT * own + (1 - OWN_DISAGREEMENT) * whole * squared
+    return found
 
 
 def _uncensor(tuned: FloatArray, predicted: FloatArray) -> FloatArray:
@@ -238,11 +266,13 @@ def _uncensor(tuned: FloatArray, predicted: FloatArray) -> FloatArray:
     return below
 
 
-def _say(errors: FloatArray) -> FloatArray:
-    """Share of each voice for each shape, by the inverse of its squared error."""
-    weight = 1 / (errors + 1e-7)
-    share: FloatArray = weight / weight.sum(axis=0)
-    return share
+def _say(residuals: FloatArray) -> FloatArray:
+    """Share of each voice for each shape, by what its errors and theirs together are."""
+    covariance = np.einsum("vns,wns->svw", residuals, residuals) / residuals.shape[1]
+    alone = np.einsum("svv->sv", covariance) + 1e-7
+    covariance *= TRUSTED * max(0.0, 1 - FEW_PAIRS / residuals.shape[1])
+    np.einsum("svv->sv", covariance)[:] = alone
+    return blend_shares(covariance)
 
 
 def _together(voices: list[tuple[Voice, FloatArray]], shape: tuple[int, ...]) -> FloatArray:
