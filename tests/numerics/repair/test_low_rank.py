@@ -63,7 +63,7 @@ def test_single_precision_predicts_within_a_ten_thousandth_of_a_millimetre(model
 
 
 def test_learning_that_starts_from_a_model_ends_where_learning_from_nothing_does():
-    face = simulate_face(frames=2400, noise=0.15, dropout_share=0.05, stray_count=30)
+    face = simulate_face(frames=1500, noise=0.15, dropout_share=0.05, stray_count=30)
     good = face.visible
     cold = fit_low_rank(face.truth, good, rank_limit=20)
     warm = fit_low_rank(face.truth, good, rank_limit=20, start=fit_low_rank(face.truth, good))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.numerics.simulated_face import simulate_face
-from usdface.numerics.repair import relabeling
+from usdface.numerics.repair import frame_blocks, relabeling
 from usdface.numerics.repair.learning import fit_low_rank
 from usdface.numerics.repair.low_rank import fill_missing
 from usdface.numerics.repair.relabeling import find_swaps, likeliest_states
@@ -72,17 +72,17 @@ def test_pairs_that_are_passed_over_hold_no_hint(swapped):
 @pytest.mark.parametrize("frames", [97, 700])
 def test_swaps_do_not_depend_on_how_many_frames_are_looked_at_at_once(swapped, monkeypatch, frames):
     still, visible, model = swapped
-    whole = find_swaps(still, visible, model=model)
-    monkeypatch.setattr(relabeling, "_CHUNK_FRAMES", frames)
+    whole = find_swaps(still, visible, model=model, noise=0.15)
+    monkeypatch.setattr(frame_blocks, "BLOCK_FRAMES", frames)
     assert whole
-    assert find_swaps(still, visible, model=model) == whole
+    assert find_swaps(still, visible, model=model, noise=0.15) == whole
 
 
 def test_a_search_of_telling_frames_alone_finds_what_the_whole_take_does(swapped):
     still, visible, model = swapped
     window = open_window(still, visible, model)
     noise = 0.15
-    found = find_swaps(still, visible, model=model)
+    found = find_swaps(still, visible, model=model, noise=0.15)
     scale = relabeling._jump_scale(still, visible, noise)
     of_whole = set()
     for pair in neighbor_pairs(still, visible, model, noise):

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from usdface.numerics.repair.gaps import GapFill, fill_gaps
+from usdface.numerics.repair.completing import complete_take
+from usdface.numerics.repair.frame_blocks import frame_blocks, sample_frames
 from usdface.numerics.repair.learning import choose_rank, fit_low_rank
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
-from usdface.numerics.repair.noise import marker_noise, measurement_noise
+from usdface.numerics.repair.noise import marker_noise
 from usdface.numerics.repair.relabeling import Swap, apply_swaps, find_swaps
-from usdface.numerics.repair.smoothing import significant_detail, smooth_tracks
 from usdface.numerics.repair.strays import find_strays
+from usdface.numerics.repair.take_smoothing import smooth_take
 from usdface.numerics.rigid.pose_smoothing import smooth_poses
 from usdface.numerics.rigid.rigid_alignment import align_frames, alignment_of, remove_motion
 from usdface.numerics.rigid.stabilization import stabilize
@@ -23,7 +24,7 @@ _POSE_ROUNDS = 2
 _RELABELLED_CONFIDENCE = 0.9
 _POSE_INLIER_DEVIATIONS = 3.0
 _MAD_TO_DEVIATION = 1.4826
-_SAMPLE_FRAMES = 20_000
+_SAMPLE_FRAMES = 8192
 
 FloatArray = NDArray[np.floating]
 
@@ -68,9 +69,9 @@ class CleanedMarkers:
 
 @dataclass(frozen=True)
 class _Still:
-    """A take in the head's space on its way through the chain."""
+    """A take in the head's space on its way through the chain, which changes it in place."""
 
-    positions: FloatArray
+    positions: NDArray[np.float32]
     visible: NDArray[np.bool_]
     head_motion: NDArray[np.float64]
     pose_confidence: NDArray[np.float64]
@@ -114,50 +115,51 @@ def clean_markers(
         If the shapes differ, the rigid markers do not determine a pose, a marker is never seen, or
         `max_gap` is negative.
     """
-    captured = np.array(positions, np.float32)
+    captured = np.asarray(positions, np.float32)
     seen = np.array(visible, bool)
     _check(captured, seen, neutral, max_gap)
     progress(0.0, "head motion")
     still = _stabilize(captured, seen, rigid, neutral)
+    noise = marker_noise(still.positions, seen)
     progress(0.05, "how markers move together")
-    widest = fit_low_rank(still.positions, seen)
-    rank = choose_rank(still.positions, seen, start=widest)
-    model = fit_low_rank(still.positions, seen, rank_limit=rank, start=widest)
+    model = fit_low_rank(still.positions, seen, noise=noise)
+    rank = choose_rank(still.positions, seen, start=model, noise=noise)
+    model = fit_low_rank(still.positions, seen, rank_limit=rank, start=model, noise=noise)
     swaps: tuple[Swap, ...] = ()
     if relabel:
-        swaps, model = _relabel(still, model, rank, progress)
+        swaps, model = _relabel(still, model, rank, noise, progress)
         if {column for swap in swaps for column in (swap.first, swap.second)} & set(rigid):
+            del still  # before its successor: on long takes one more copy is much
+            captured = np.array(captured)
             apply_swaps(captured, swaps)
-            still = _stabilize(captured, seen, rigid, neutral)
-            model = fit_low_rank(still.positions, seen, rank_limit=rank, start=model)
+            still = _stabilize(captured, seen, rigid, neutral, out=captured)
+            model = fit_low_rank(still.positions, seen, rank_limit=rank, start=model, noise=noise)
     progress(0.45, "strays")
-    strays = find_strays(still.positions, seen, model=model)
+    strays = find_strays(still.positions, seen, model=model, noise=noise)
     good = seen & ~strays
     progress(0.6, "head motion, from all markers")
-    still = _refine_pose(still, good, model)
-    noise = measurement_noise(still.positions, good)
+    _refine_pose(still, good, model)
+    noise = marker_noise(still.positions, good)
     progress(0.7, "gaps")
-    model = fit_low_rank(still.positions, good, rank_limit=rank, start=model)
-    complete = fill_missing(model, still.positions, good)
-    expected = predict_from_others(model, complete)
-    gaps = fill_gaps(still.positions, good, max_gap=max_gap, prediction=expected, noise=noise)
-    clean = np.where((good | gaps.filled)[..., None], gaps.positions, complete)
+    model = fit_low_rank(still.positions, good, rank_limit=rank, start=model, noise=noise)
+    sensor_noise = float(np.median(noise))
+    gaps = complete_take(still.positions, good, model=model, max_gap=max_gap, noise=sensor_noise)
     if smooth:
         progress(0.8, "noise")
-        clean = _smooth(clean, model, marker_noise(still.positions, good))
+        smooth_take(still.positions, model, noise=noise)
     known = good | gaps.filled
-    _hold(clean, known)
+    _hold(still.positions, known)
     progress(1.0, "clean")
     return CleanedMarkers(
-        positions=clean.astype(np.float32, copy=False),
+        positions=still.positions,
         visible=known,
-        confidence=_confidence(gaps, swaps, still.pose_confidence),
+        confidence=_weighed(gaps.confidence, swaps, still.pose_confidence),
         head_motion=still.head_motion,
         swaps=swaps,
         strays=strays,
         filled=gaps.filled,
         pose_confidence=still.pose_confidence,
-        noise_mm=noise,
+        noise_mm=sensor_noise,
     )
 
 
@@ -179,64 +181,77 @@ def _check(
 
 
 def _stabilize(
-    captured: NDArray[np.float32], seen: NDArray[np.bool_], rigid: Sequence[int], neutral: int
+    captured: NDArray[np.float32],
+    seen: NDArray[np.bool_],
+    rigid: Sequence[int],
+    neutral: int,
+    *,
+    out: NDArray[np.float32] | None = None,
 ) -> _Still:
     """Take out a smooth head motion.
 
     What jitters in the pose jitters in all markers alike, and would be learned as a way in which
     the face moves; quick head motion comes back when the pose is refined.
     """
-    first = stabilize(captured, seen, rigid=rigid, neutral=neutral)
-    motion = smooth_poses(first.head_motion, center=first.reference.mean(axis=0))
-    positions = remove_motion(captured, alignment_of(motion))
-    return _Still(positions, seen, motion, first.pose_confidence)
+    columns = list(rigid)
+    body = stabilize(
+        captured[:, columns], seen[:, columns], rigid=range(len(columns)), neutral=neutral
+    )
+    motion = smooth_poses(body.head_motion, center=body.reference.mean(axis=0))
+    positions = remove_motion(captured, alignment_of(motion), out=out)
+    return _Still(np.asarray(positions, np.float32), seen, motion, body.pose_confidence)
 
 
 def _relabel(
-    still: _Still, model: LowRankModel, rank: int, progress: Progress
+    still: _Still,
+    model: LowRankModel,
+    rank: int,
+    noise: NDArray[np.float64],
+    progress: Progress,
 ) -> tuple[tuple[Swap, ...], LowRankModel]:
     """Put labels back in place in rounds: each round's model is learned with fewer swaps."""
     found: list[Swap] = []
     for number in range(_RELABEL_ROUNDS):
         progress(0.1 + 0.35 * number / _RELABEL_ROUNDS, "labels")
-        swaps = find_swaps(still.positions, still.visible, model=model)
+        swaps = find_swaps(
+            still.positions, still.visible, model=model, noise=float(np.median(noise))
+        )
         if not swaps:
             break
         apply_swaps(still.positions, swaps)
         apply_swaps(still.visible, swaps)
         found += swaps
-        model = fit_low_rank(still.positions, still.visible, rank_limit=rank, start=model)
+        model = fit_low_rank(
+            still.positions, still.visible, rank_limit=rank, start=model, noise=noise
+        )
     return tuple(found), model
 
 
-def _refine_pose(still: _Still, good: NDArray[np.bool_], model: LowRankModel) -> _Still:
-    """Move each frame rigidly to where its markers predict one another best."""
+def _refine_pose(still: _Still, good: NDArray[np.bool_], model: LowRankModel) -> None:
+    """Move each frame rigidly to where its markers predict one another best, in place."""
     positions, motion = still.positions, still.head_motion
-    step = max(1, len(positions) // _SAMPLE_FRAMES)
+    sample = sample_frames(len(positions), _SAMPLE_FRAMES)
     for _ in range(_POSE_ROUNDS):
-        complete = fill_missing(model, positions, good)
-        predicted = predict_from_others(model, complete)
+        complete, predicted = _told(positions[sample], good[sample], model)
         distance = np.linalg.norm(complete - predicted, axis=2)
-        usual = np.array([_median(distance[::step, m][ok[::step]]) for m, ok in enumerate(good.T)])
+        usual = np.array([_median(distance[ok, m]) for m, ok in enumerate(good[sample].T)])
         deviation = np.maximum(_MAD_TO_DEVIATION * usual, model.noise)
-        weights = good / (1.0 + (distance / (_POSE_INLIER_DEVIATIONS * deviation)) ** 2)
-        weights /= deviation**2
-        turn = align_frames(complete, predicted, weights=weights)
-        positions = remove_motion(positions, turn)
-        motion = motion @ turn.matrices()
-    return _Still(positions, still.visible, motion, still.pose_confidence)
+        for block in frame_blocks(len(positions)):
+            complete, predicted = _told(positions[block], good[block], model)
+            distance = np.linalg.norm(complete - predicted, axis=2)
+            weights = good[block] / (1.0 + (distance / (_POSE_INLIER_DEVIATIONS * deviation)) ** 2)
+            weights /= deviation**2
+            turn = align_frames(complete, predicted, weights=weights)
+            remove_motion(positions[block], turn, out=positions[block])
+            motion[block] = motion[block] @ turn.matrices()
 
 
-def _smooth(clean: FloatArray, model: LowRankModel, noise: NDArray[np.float64]) -> FloatArray:
-    """Smooth along the face's own directions of motion, slow ones more than quick ones.
-
-    Blinks, which coordinates of single markers would lose in their noise, are few directions.
-    """
-    flat = clean.reshape(len(clean), -1)
-    scores = (flat - model.mean.astype(flat.dtype)) @ model.components.T.astype(flat.dtype)
-    smooth = smooth_tracks(scores).values
-    tracks = (smooth @ model.components + model.mean).astype(flat.dtype).reshape(clean.shape)
-    return tracks + significant_detail(clean - tracks, noise=noise)
+def _told(
+    positions: FloatArray, good: NDArray[np.bool_], model: LowRankModel
+) -> tuple[FloatArray, FloatArray]:
+    """Return frames without gaps, and where the others put each of their markers."""
+    complete = fill_missing(model, positions, good)
+    return complete, predict_from_others(model, complete)
 
 
 def _hold(positions: FloatArray, known: NDArray[np.bool_]) -> None:
@@ -249,13 +264,15 @@ def _hold(positions: FloatArray, known: NDArray[np.bool_]) -> None:
         positions[~ok, marker] = positions[latest[~ok], marker]
 
 
-def _confidence(
-    gaps: GapFill, swaps: tuple[Swap, ...], pose_confidence: NDArray[np.float64]
+def _weighed(
+    confidence: NDArray[np.float32],
+    swaps: tuple[Swap, ...],
+    pose_confidence: NDArray[np.float64],
 ) -> NDArray[np.float32]:
-    confidence = gaps.confidence.copy()
     for swap in swaps:
         confidence[swap.start : swap.stop, [swap.first, swap.second]] *= _RELABELLED_CONFIDENCE
-    return np.asarray(confidence * pose_confidence[:, None], np.float32)
+    confidence *= pose_confidence[:, None].astype(np.float32)
+    return confidence
 
 
 def _median(values: FloatArray) -> float:

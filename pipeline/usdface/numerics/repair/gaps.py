@@ -8,6 +8,7 @@ samples that are known.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +23,8 @@ _INFORMED_SHARE = 0.3
 _END_SAMPLES = 5
 """Samples beside a gap whose mean tells the prediction's error: one alone carries its noise."""
 _SPLINE_SUPPORT = 4
+GAP_REACH = 3 * _SPLINE_SUPPORT
+"""[frames] What lies farther from a gap does not count in its filling."""
 _FADE_FRAMES = 30.0
 """[frames] At the ends of a take nothing holds the prediction's error; it is let go this slowly."""
 _LEAST_CONFIDENCE = 0.1
@@ -54,6 +57,9 @@ def fill_gaps(
     max_gap: int,
     prediction: ArrayLike | None = None,
     noise: float = 0.0,
+    spline_limit: int | None = None,
+    open_start: bool = False,
+    open_stop: bool = False,
 ) -> GapFill:
     """Fill every gap of at most `max_gap` frames.
 
@@ -71,6 +77,11 @@ def fill_gaps(
     noise : float
         Standard deviation of a measured coordinate [mm]: what the prediction leaves beside a gap
         is believed only as far as it rises above it.
+    spline_limit : int, optional
+        Longest gap to fill with a spline where there is a prediction [frames]; by default
+        `choose_spline_limit` tells it.
+    open_start, open_stop : bool
+        The take goes on there: gaps that reach that end are left, as their other end is unknown.
 
     Raises
     ------
@@ -89,14 +100,15 @@ def fill_gaps(
     confidence = seen.astype(np.float32)
     filled = np.zeros_like(seen)
     informed = seen.mean(axis=1) >= _INFORMED_SHARE
-    limit = SPLINE_LIMIT
-    if expected is not None and not seen.all():
+    limit = SPLINE_LIMIT if spline_limit is None else spline_limit
+    if spline_limit is None and expected is not None and not seen.all():
         limit = choose_spline_limit(points, seen, expected, noise=noise)
     for marker in np.flatnonzero(~seen.all(axis=0) & seen.any(axis=0)):
         track, ok = points[:, marker].copy(), seen[:, marker]
         base = None if expected is None else expected[:, marker]
         for start, stop in runs(~ok):
-            if stop - start > max_gap:
+            cut = (open_start and start == 0) or (open_stop and stop == len(ok))
+            if cut or stop - start > max_gap:
                 continue
             inner = 0 < start and stop < len(ok)
             reach = limit if informed[start:stop].all() else max(limit, 2 * SPLINE_LIMIT)
@@ -165,15 +177,20 @@ def _spline(
     track: NDArray[np.floating], ok: NDArray[np.bool_], start: int, stop: int
 ) -> NDArray[np.floating]:
     """Cubic spline through the nearest seen samples on both sides."""
-    low, high = max(0, start - 3 * _SPLINE_SUPPORT), stop + 3 * _SPLINE_SUPPORT
+    low, high = max(0, start - GAP_REACH), stop + GAP_REACH
     near = np.flatnonzero(ok[low:high]) + low
     before, after = near[near < start][-_SPLINE_SUPPORT:], near[near >= stop][:_SPLINE_SUPPORT]
     knots = np.concatenate([before, after])
-    curve = CubicSpline(knots, track[knots]) if len(knots) > 2 else None
-    frames = np.arange(start, stop)
-    if curve is None:
-        return np.stack([np.interp(frames, knots, track[knots, axis]) for axis in range(3)], axis=1)
-    return np.asarray(curve(frames))
+    return np.asarray(_curve_weights(tuple((knots - start).tolist()), stop - start) @ track[knots])
+
+
+@lru_cache(maxsize=4096)
+def _curve_weights(knots: tuple[int, ...], length: int) -> NDArray[np.float64]:
+    """Return what each knot counts in each frame of a gap, (length, knots): curves are linear."""
+    frames, each = np.arange(length), np.eye(len(knots))
+    if len(knots) > 2:
+        return np.asarray(CubicSpline(knots, each)(frames))
+    return np.stack([np.interp(frames, knots, one) for one in each], axis=1)
 
 
 def _blend_offsets(

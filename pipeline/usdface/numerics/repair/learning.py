@@ -12,12 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdface.numerics.repair.excursions import find_excursions
+from usdface.numerics.repair.frame_blocks import frame_blocks, sample_frames
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
 from usdface.numerics.repair.noise import marker_noise
 
 _CHUNK_FRAMES = 2048
 _SAMPLE_FRAMES = 16_000
 """A model of a hundred directions needs no more."""
+_USUAL_FRAMES = 4096
+"""Tell the median distance of a marker from its prediction to two hundredths."""
 _ROUNDS = 8
 _SETTLED = 0.02
 """Of the noise: what is filled in moves by less, root mean square, in the last round."""
@@ -41,6 +44,7 @@ def fit_low_rank(
     *,
     rank_limit: int = 60,
     start: LowRankModel | None = None,
+    noise: NDArray[np.float64] | None = None,
 ) -> LowRankModel:
     """Learn how the markers of a take move together.
 
@@ -54,18 +58,21 @@ def fit_low_rank(
         Most directions to keep. Directions below the measurement noise are never kept.
     start : LowRankModel, optional
         Learned from nearly the same samples: to begin with, instead of with medians.
+    noise : (markers,) float array, optional
+        The samples' `marker_noise`, where it is known.
 
     Raises
     ------
     ValueError
         If a marker has no good sample at all.
     """
-    rows = np.unique(np.linspace(0, len(positions) - 1, _SAMPLE_FRAMES).astype(np.int64))
+    rows = sample_frames(len(positions), _SAMPLE_FRAMES)
     sample, usable = positions[rows], good[rows]
     if not usable.any(axis=0).all():
         missing = np.flatnonzero(~usable.any(axis=0)).tolist()
         raise ValueError(f"markers {missing} have no good sample to learn from; leave them out")
-    sensor_noise = np.maximum(marker_noise(positions, good), _LEAST_NOISE)
+    noise = marker_noise(positions, good) if noise is None else noise
+    sensor_noise = np.maximum(noise, _LEAST_NOISE)
     settled = _SETTLED * float(np.median(sensor_noise))
     if start is None:
         middle = np.stack([np.median(sample[ok, m], axis=0) for m, ok in enumerate(usable.T)])
@@ -91,7 +98,11 @@ def fit_low_rank(
 
 
 def choose_rank(
-    positions: FloatArray, good: NDArray[np.bool_], *, start: LowRankModel | None = None
+    positions: FloatArray,
+    good: NDArray[np.bool_],
+    *,
+    start: LowRankModel | None = None,
+    noise: NDArray[np.float64] | None = None,
 ) -> int:
     """Return how many directions predict hidden markers best in parts of the take not learned from.
 
@@ -105,12 +116,15 @@ def choose_rank(
     good : (frames, markers) bool array
     start : LowRankModel, optional
         What `fit_low_rank` makes of the same samples.
+    noise : (markers,) float array, optional
+        The samples' `marker_noise`, where it is known.
     """
-    rows = np.unique(np.linspace(0, len(positions) - 1, _CHOICE_FRAMES).astype(np.int64))
-    start = fit_low_rank(positions, good) if start is None else start
+    rows = sample_frames(len(positions), _CHOICE_FRAMES)
+    noise = marker_noise(positions, good) if noise is None else noise
+    start = fit_low_rank(positions, good, noise=noise) if start is None else start
     seen = good[rows]
     filled = fill_missing(start, positions[rows], seen)
-    sensor_noise = np.maximum(marker_noise(positions, good), _LEAST_NOISE)
+    sensor_noise = np.maximum(noise, _LEAST_NOISE)
     fold = np.arange(len(rows)) * _STRETCHES // len(rows) % _FOLDS
     candidates = [rank for rank in _RANKS if rank < len(start.variances)]
     candidates.append(len(start.variances))
@@ -155,8 +169,8 @@ class _Moments:
 
     def add(self, flat: FloatArray, sign: float = 1.0) -> None:
         """Add frames, or take them away."""
-        for start in range(0, len(flat), _CHUNK_FRAMES):
-            centered = flat[start : start + _CHUNK_FRAMES].astype(np.float64) - self.center
+        for block in frame_blocks(len(flat), frames=_CHUNK_FRAMES):
+            centered = flat[block].astype(np.float64) - self.center
             self.total += sign * centered.sum(axis=0)
             self.products += sign * (centered.T @ centered)
 
@@ -217,8 +231,8 @@ def _model(
     left = np.diag(scatter) - freedom * (values[:rank] @ components**2)
     square = left.reshape(markers, 3).sum(axis=1)
     rows = np.flatnonzero(~believed.all(axis=1))
-    for start in range(0, len(rows), _CHUNK_FRAMES):
-        some = rows[start : start + _CHUNK_FRAMES]
+    for block in frame_blocks(len(rows), frames=_CHUNK_FRAMES):
+        some = rows[block]
         centered = filled[some].reshape(len(some), -1).astype(np.float64) - mean
         rest = (centered - (centered @ components.T) @ components).reshape(len(some), markers, 3)
         square -= np.where(believed[some], 0.0, np.einsum("fki,fki->fk", rest, rest)).sum(axis=0)
@@ -242,8 +256,9 @@ def _contradicted(
 ) -> NDArray[np.bool_]:
     """Return which samples lie farther from their prediction than the marker usually does."""
     limit = np.empty(distance.shape[1], distance.dtype)
-    tracks, seen = np.ascontiguousarray(distance.T), np.ascontiguousarray(usable.T)
-    for marker, (track, ok) in enumerate(zip(tracks, seen, strict=True)):
-        usual = _MAD_TO_DEVIATION * float(np.median(track[ok]))
+    for marker, ok in enumerate(usable.T):
+        rows = np.flatnonzero(ok)
+        some = distance[rows[:: max(1, len(rows) // _USUAL_FRAMES)], marker]
+        usual = _MAD_TO_DEVIATION * float(np.median(some))
         limit[marker] = _STRAY_DEVIATIONS * max(usual, float(sensor_noise[marker]))
     return np.asarray(distance > limit)

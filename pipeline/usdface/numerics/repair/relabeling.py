@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from usdface.numerics.repair.frame_blocks import frame_blocks, widened
 from usdface.numerics.repair.gaps import runs
 from usdface.numerics.repair.low_rank import LowRankModel
-from usdface.numerics.repair.noise import measurement_noise
 from usdface.numerics.repair.swap_evidence import (
     JUMP_LIMITS,
     TOGGLE_COST,
@@ -24,7 +24,6 @@ from usdface.numerics.repair.swap_evidence import (
     weigh_swap,
 )
 
-_CHUNK_FRAMES = 2048
 _JUMP_STEPS = 6.0
 """Usual steps between frames that make a jump."""
 _STEP_SAMPLE_FRAMES = 8192
@@ -60,7 +59,7 @@ class Swap:
 
 
 def find_swaps(
-    positions: FloatArray, visible: NDArray[np.bool_], *, model: LowRankModel
+    positions: FloatArray, visible: NDArray[np.bool_], *, model: LowRankModel, noise: float
 ) -> tuple[Swap, ...]:
     """Find the stretches in which two neighbouring markers carry each other's label.
 
@@ -72,18 +71,19 @@ def find_swaps(
         What was measured; samples filled from the model are no evidence.
     model : LowRankModel
         Learned from the same take, swaps in it.
+    noise : float
+        Standard deviation of a measured coordinate [mm].
 
     Returns
     -------
     tuple of Swap
         By start; no marker is in two at once.
     """
-    noise = measurement_noise(positions, visible)
     step_scale = _jump_scale(positions, visible, noise)
     pairs = neighbor_pairs(positions, visible, model, noise)
     hints = np.zeros(len(pairs), np.int64)
-    for chunk in _chunks(len(positions)):
-        before = slice(max(chunk.start - 1, 0), chunk.stop)
+    for block in frame_blocks(len(positions)):
+        before = slice(max(block.start - 1, 0), block.stop)
         window = open_window(positions[before], visible[before], model)
         for index, count in doubtful_pairs(pairs, window, step_scale=step_scale):
             hints[index] += count
@@ -169,11 +169,11 @@ def _telling_frames(
 ) -> list[_Telling]:
     """Return what tells of each suspect: among enough dull frames, it is not swapped."""
     kept: list[list[_Telling]] = [[] for _ in suspects]
-    for chunk in _chunks(len(positions)) if suspects else ():
-        start = max(chunk.start - _DULL_FRAMES - 1, 0)
-        around = slice(start, chunk.stop + _DULL_FRAMES)
+    for block in frame_blocks(len(positions)) if suspects else ():
+        around = widened(block, _DULL_FRAMES + 1, len(positions))
+        start = around.start
         window = open_window(positions[around], visible[around], model)
-        inner = np.arange(chunk.start, chunk.stop) - start
+        inner = np.arange(block.start, block.stop) - start
         for pair, parts in zip(suspects, kept, strict=True):
             gain, toggle = weigh_swap(pair, window, step_scale=step_scale)
             telling = np.concatenate([[0], np.cumsum((gain > _DULL_GAIN) | (toggle < 0))])
@@ -211,10 +211,6 @@ def _jump_scale(positions: FloatArray, visible: NDArray[np.bool_], noise: float)
     steps = np.abs(np.diff(positions[stretch], axis=0))[both]
     usual = float(np.median(steps)) if steps.size else 0.0
     return max(_JUMP_STEPS * usual, 3.0 * noise, 1e-3)
-
-
-def _chunks(count: int) -> list[slice]:
-    return [slice(at, min(at + _CHUNK_FRAMES, count)) for at in range(0, count, _CHUNK_FRAMES)]
 
 
 def _without_conflicts(candidates: list[tuple[float, Swap]]) -> tuple[Swap, ...]:

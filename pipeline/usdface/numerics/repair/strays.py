@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from usdface.numerics.repair.frame_blocks import frame_blocks, sample_frames, widened
 from usdface.numerics.repair.gaps import runs
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
-from usdface.numerics.repair.noise import marker_noise
 
 _USUAL_DISTANCES = 4.5
 """Medians of the distance from the prediction; one in 10^8 of normal samples is farther."""
@@ -18,12 +18,18 @@ _PLAIN_LIMITS = 2.0
 """So many limits away, one jump or a gap beside it is enough."""
 _LONGEST_SHARE = 0.2
 """A marker that is off for longer has moved on the skin."""
-_SAMPLE_FRAMES = 20_000
+_SAMPLE_FRAMES = 8192
+_BESIDE = 2
+"""Frames beside a step that tell a leap."""
 _MOST_PER_FRAME = 8
 
 
 def find_strays(
-    positions: NDArray[np.floating], visible: NDArray[np.bool_], *, model: LowRankModel
+    positions: NDArray[np.floating],
+    visible: NDArray[np.bool_],
+    *,
+    model: LowRankModel,
+    noise: NDArray[np.float64],
 ) -> NDArray[np.bool_]:
     """Find samples that all other markers contradict and that came or went by a jump.
 
@@ -37,19 +43,53 @@ def find_strays(
     visible : (frames, markers) bool array
     model : LowRankModel
         Learned from the same take.
+    noise : (markers,) float array
+        Standard deviation of the measurement noise per coordinate [mm].
 
     Returns
     -------
     (frames, markers) bool array
     """
-    complete = fill_missing(model, positions, visible)
-    predicted = predict_from_others(model, complete)
-    first_offsets = complete - predicted
-    limits = _limits(first_offsets, visible, marker_noise(positions, visible))
-    believed = visible.copy()
-    active = np.arange(len(positions))
+    count = len(positions)
+    limits = _limits(positions, visible, model, noise)
+    doubted, far, leaps = (np.zeros(visible.shape, bool) for _ in range(3))
+    for block in frame_blocks(count):
+        around = widened(block, _BESIDE, count)
+        inner = slice(block.start - around.start, block.stop - around.start)
+        points, seen = positions[around], visible[around]
+        complete = fill_missing(model, points, seen)
+        predicted = predict_from_others(model, complete)
+        offsets = complete - predicted
+        doubts = _doubted(points, seen, predicted, model, limits)
+        doubted[block] = doubts[inner]
+        for marker in np.flatnonzero(doubts.any(axis=0)):
+            limit = limits[marker]
+            distance = np.linalg.norm(points[:, marker] - predicted[:, marker], axis=1)
+            far[block, marker] = distance[inner] > _PLAIN_LIMITS * limit
+            leap = np.minimum(_leaps(points[:, marker]), _leaps(offsets[:, marker]))
+            steps = slice(inner.start, min(inner.stop, len(leap)))
+            found = leap[steps] > _JUMP_SHARE * limit
+            leaps[block.start : block.start + len(found), marker] = found
+    strays = np.zeros_like(doubted)
+    for marker in np.flatnonzero(doubted.any(axis=0)):
+        strays[:, marker] = _that_leap(
+            doubted[:, marker], far[:, marker], leaps[:, marker], visible[:, marker]
+        )
+    return strays
+
+
+def _doubted(
+    points: NDArray[np.floating],
+    seen: NDArray[np.bool_],
+    predicted: NDArray[np.floating],
+    model: LowRankModel,
+    limits: NDArray[np.float64],
+) -> NDArray[np.bool_]:
+    """Return which samples are too far off; `predicted` becomes what all others say."""
+    believed = seen.copy()
+    active = np.arange(len(points))
     for _ in range(_MOST_PER_FRAME):
-        excess = np.linalg.norm(positions[active] - predicted[active], axis=2) / limits
+        excess = np.linalg.norm(points[active] - predicted[active], axis=2) / limits
         excess[~believed[active]] = 0.0
         worst = excess.argmax(axis=1)
         doubtful = excess[np.arange(len(active)), worst] > 1.0
@@ -57,44 +97,35 @@ def find_strays(
         if not active.size:
             break
         believed[active, worst[doubtful]] = False
-        filled = fill_missing(model, positions[active], believed[active])
+        filled = fill_missing(model, points[active], believed[active])
         predicted[active] = predict_from_others(model, filled)
-    doubted = visible & ~believed
-    distance = np.linalg.norm(positions - predicted, axis=2)
-    strays = np.zeros_like(doubted)
-    for marker in np.flatnonzero(doubted.any(axis=0)):
-        leaps = np.minimum(_leaps(positions[:, marker]), _leaps(first_offsets[:, marker]))
-        strays[:, marker] = _that_leap(
-            doubted[:, marker],
-            distance[:, marker],
-            leaps > _JUMP_SHARE * limits[marker],
-            visible[:, marker],
-            limit=float(limits[marker]),
-        )
-    return strays
+    return np.asarray(seen & ~believed)
 
 
 def _limits(
-    offsets: NDArray[np.floating], visible: NDArray[np.bool_], noise: NDArray[np.float64]
+    positions: NDArray[np.floating],
+    visible: NDArray[np.bool_],
+    model: LowRankModel,
+    noise: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return how far from its prediction each marker may lie [mm]."""
-    step = max(1, len(offsets) // _SAMPLE_FRAMES)
-    distance = np.linalg.norm(offsets[::step], axis=2)
+    rows = sample_frames(len(positions), _SAMPLE_FRAMES)
+    seen = visible[rows]
+    complete = fill_missing(model, positions[rows], seen)
+    distance = np.linalg.norm(complete - predict_from_others(model, complete), axis=2)
     limits = np.maximum(_NOISE_DEVIATIONS * noise, _LEAST_LIMIT)
-    for marker, seen in enumerate(visible[::step].T):
-        if seen.any():
-            usual = float(np.median(distance[seen, marker]))
+    for marker, ok in enumerate(seen.T):
+        if ok.any():
+            usual = float(np.median(distance[ok, marker]))
             limits[marker] = max(limits[marker], _USUAL_DISTANCES * usual)
     return limits
 
 
 def _that_leap(
     doubted: NDArray[np.bool_],
-    distance: NDArray[np.floating],
+    far: NDArray[np.bool_],
     leaps: NDArray[np.bool_],
     seen: NDArray[np.bool_],
-    *,
-    limit: float,
 ) -> NDArray[np.bool_]:
     """Keep a marker's doubted stretches that begin and end with a leap: skin does not leap."""
     strays = np.zeros_like(doubted)
@@ -105,8 +136,7 @@ def _that_leap(
         ends = [edge - 1 for edge in (start, stop) if 0 < edge < len(seen)]
         both_leap = len(ends) == 2 and all(leaps[edge] and tracked[edge] for edge in ends)
         one_leaps = any(leaps[edge] or not tracked[edge] for edge in ends)
-        far = distance[start:stop].max() > _PLAIN_LIMITS * limit
-        strays[start:stop] = both_leap or (far and one_leaps)
+        strays[start:stop] = both_leap or (far[start:stop].any() and one_leaps)
     return strays
 
 

@@ -1,0 +1,77 @@
+"""Long takes are cleaned a block of frames at a time: that must not show, and must save memory."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from tests.numerics.simulated_face import SimulatedFace, simulate_face
+from usdface.numerics.repair import frame_blocks
+from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
+from usdface.numerics.repair.smoothing import DETAIL_REACH, significant_detail
+
+
+def clean(face: SimulatedFace) -> CleanedMarkers:
+    neutral = int(np.argmax(face.visible[:, list(face.rigid)].sum(axis=1)))
+    captured = face.captured.astype(np.float32)
+    return clean_markers(captured, face.visible, rigid=face.rigid, neutral=neutral, max_gap=60)
+
+
+@pytest.fixture(scope="module")
+def damaged() -> tuple[SimulatedFace, CleanedMarkers]:
+    face = simulate_face(
+        frames=1500, markers=40, swapped_share=0.1, dropout_share=0.05, stray_count=30
+    )
+    face.visible[700:850, 20] = False  # a gap that is left, across borders of blocks
+    face.visible[990:1010, 5:9] = False
+    return face, clean(face)
+
+
+@pytest.mark.parametrize("frames", [64, 500])
+def test_a_clean_take_does_not_depend_on_the_size_of_blocks(damaged, monkeypatch, frames):
+    face, whole = damaged
+    monkeypatch.setattr(frame_blocks, "BLOCK_FRAMES", frames)
+    in_blocks = clean(face)
+    np.testing.assert_allclose(in_blocks.positions, whole.positions, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(in_blocks.head_motion, whole.head_motion, rtol=0, atol=1e-9)
+    for name in ("visible", "confidence", "strays", "filled"):
+        np.testing.assert_array_equal(getattr(in_blocks, name), getattr(whole, name))
+    assert in_blocks.swaps == whole.swaps
+    assert whole.swaps
+    assert whole.strays.any()
+    assert not whole.visible[700:850, 20].any()
+
+
+def test_detail_farther_away_than_its_reach_does_not_count():
+    rest = np.random.default_rng(0).standard_normal((1000, 3, 3))
+    rest[480:500] += 3.0
+    noise = np.ones(3)
+    whole = significant_detail(rest, noise=noise)
+    part = significant_detail(rest[400 - DETAIL_REACH : 600 + DETAIL_REACH], noise=noise)
+    np.testing.assert_allclose(part[DETAIL_REACH:-DETAIL_REACH], whole[400:600], atol=1e-12)
+    assert whole[400:600].any()
+
+
+def test_a_captured_take_is_not_changed(damaged):
+    face, _ = damaged
+    captured, visible = face.captured.astype(np.float32), face.visible.copy()
+    before = captured.copy()
+    clean_markers(captured, visible, rigid=face.rigid, neutral=0)
+    np.testing.assert_array_equal(captured, before)
+    np.testing.assert_array_equal(visible, face.visible)
+
+
+@pytest.mark.slow
+def test_memory_grows_by_little_more_than_the_clean_take_itself():
+    def peak(times: int) -> tuple[int, int]:
+        positions, visible = np.tile(captured, (times, 1, 1)), np.tile(face.visible, (times, 1))
+        tracemalloc.start()
+        clean_markers(positions, visible, rigid=face.rigid, neutral=0)
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return most, positions.nbytes
+
+    face = simulate_face(frames=6_000, dropout_share=0.02)
+    captured = face.captured.astype(np.float32)
+    (few, small), (many, large) = peak(4), peak(8)  # beyond what models are learned from
+    assert (many - few) / (large - small) < 3
