@@ -10,7 +10,7 @@ three takes of each of the performers of `performers`. The constants behind them
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -75,7 +75,7 @@ def run(counts: tuple[int, ...] = COUNTS, *, quick: bool = False) -> None:
     print("| references | performer | take | face | parts | worst part | told for the face [mm] |")
     print("|---|---|---|---|---|---|---|")
     found = []
-    for each in (*_crosstake(counts), *_performers(counts)):
+    for each in chain(_crosstake(counts), _performers(counts)):
         parts = each.held[1:]
         print(
             f"| {each.count} | {each.group} | {each.take} | {_percent(each.held[0])} | "
