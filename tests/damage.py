@@ -1,6 +1,6 @@
 """Ways to spoil a file, for tests that only our own error may leave a reader."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from hypothesis import strategies as st
 
@@ -20,7 +20,7 @@ TOKENS = [
 DEEP = [b"[" * 20_000, b'{"a":' * 20_000, b"(" * 20_000]
 
 
-def damage() -> st.SearchStrategy[Spoil]:
+def damage(deep: Sequence[bytes] = DEEP) -> st.SearchStrategy[Spoil]:
     """Cuts at random places, flipped bytes, stretches moved elsewhere, and odd values put in."""
     place = st.floats(0, 1, exclude_max=True)
     printable = st.sampled_from(list(b'0123456789.,-e;\t\n"|#NnaIi: \x00\xff'))
@@ -29,7 +29,7 @@ def damage() -> st.SearchStrategy[Spoil]:
         place.map(_cut)
         | st.lists(changes, min_size=1, max_size=8).map(_flip)
         | st.tuples(place, place, place).map(_move)
-        | st.tuples(place, st.sampled_from(TOKENS + DEEP), st.integers(0, 12)).map(_put)
+        | st.tuples(place, st.sampled_from([*TOKENS, *deep]), st.integers(0, 12)).map(_put)
     )
 
 

@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from tests.damage import Spoil, damage
+from tests.faults.conftest import together
 from tests.faults.media_reader import MediaReader
 from tests.faults.media_samples import EVERY, has_encoder, readers_of, write_sample
 
@@ -40,7 +41,7 @@ def reader() -> Iterator[MediaReader]:
         yield process
 
 
-@pytest.fixture(scope="module", params=EVERY)
+@pytest.fixture(scope="module", params=together(EVERY))
 def sample(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, bytes]:

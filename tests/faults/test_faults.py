@@ -1,7 +1,8 @@
 """Whatever befalls a step, its outputs are old or new, and never half; run again, they are new.
 
-`poe faults` runs these; they take half an hour. Every step of a job has its command in
-`commands.COMMANDS`, so a new one is put through all of this or fails the first test.
+`poe faults` runs these, a step on each core; docs/development.md says how long. Every step of a job
+has its command in `commands.COMMANDS`, so a new one is put through all of this or fails the first
+test.
 """
 
 import contextlib
@@ -29,6 +30,7 @@ from tests.faults.commands import (
     limited,
     start,
 )
+from tests.faults.conftest import together
 from tests.faults.world import RECORDING, World, copy_of
 
 pytestmark = pytest.mark.faults
@@ -67,7 +69,7 @@ class Settled:
         return copy_of(self.folder, target / "Schuss 1 ü")  # a name as users give them
 
 
-@pytest.fixture(scope="module", params=ALL_STEPS)
+@pytest.fixture(scope="module", params=together(ALL_STEPS))
 def settled(
     request: pytest.FixtureRequest, world: World, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Settled]:

@@ -16,6 +16,7 @@ from tests.usdio.test_take import small_take
 from usdface.controls import EmotionalSequence, SequenceMatch
 from usdface.errors import InputError
 from usdface.steps.edit import all_frames
+from usdface.steps.weight_tables import read_weight_table
 from usdface.usdio.foreign_take import read_foreign_take
 from usdface.usdio.frame_span import FRAMES_BETWEEN_KEYS, UNSAMPLED_FRAMES, check_span
 from usdface.usdio.layers import open_stage, read_provenance
@@ -238,3 +239,10 @@ def test_a_video_that_would_stand_still_or_be_nowhere(
     change(tmp_path / "x.take.usda", how)
     with pytest.raises(InputError, match=r"face:video:offset .* are no place in time"):
         read_take(tmp_path / "x.take.usda")
+
+
+@pytest.mark.parametrize("frame", ["1e300", "-1e18", "9" * 30])
+def test_a_row_of_weights_at_a_frame_that_is_none(tmp_path: Path, frame: str) -> None:
+    (tmp_path / "keys.csv").write_text(f"frame,jawOpen\n1,0.5\n{frame},0.2\n")
+    with pytest.raises(InputError, match=r"keys\.csv line 3: .* is no frame"):
+        read_weight_table(tmp_path / "keys.csv")

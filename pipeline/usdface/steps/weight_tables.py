@@ -12,6 +12,7 @@ import numpy as np
 
 from usdface.assets import FloatArray
 from usdface.errors import InputError
+from usdface.usdio.frame_span import FARTHEST_FRAME
 from usdface.usdio.layers import LAYER_SUFFIXES
 from usdface.usdio.performance import read_weights
 
@@ -67,12 +68,15 @@ def read_weight_table(path: Path) -> WeightTable:
     frames: list[int] = []
     weights = np.zeros((len(rows), len(names)))
     for index, (where, row) in enumerate(rows):
-        frames.append(round(_number(path, where, "frame", row.get("frame"))))
+        frame = _number(path, where, "frame", row.get("frame"))
+        if abs(frame) >= FARTHEST_FRAME:
+            raise InputError(f"{path} {where}: {frame:g} is no frame; correct it")
+        frames.append(round(frame))
         for column, name in enumerate(names):
             weights[index, column] = _number(path, where, name, row.get(name))
-    frame, count = Counter(frames).most_common(1)[0]
+    twice, count = Counter(frames).most_common(1)[0]
     if count > 1:
-        raise InputError(f"{path}: frame {frame} is there {count} times; keep one row")
+        raise InputError(f"{path}: frame {twice} is there {count} times; keep one row")
     return WeightTable(names, tuple(frames), weights)
 
 
