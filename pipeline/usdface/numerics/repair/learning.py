@@ -22,6 +22,8 @@ _SAMPLE_FRAMES = 16_000
 _USUAL_FRAMES = 4096
 """Tell the median distance of a marker from its prediction to two hundredths."""
 _ROUNDS = 8
+_ROUNDS_AGAIN = 2
+"""Where learning starts from a model: it goes on where that one's learning ended."""
 _SETTLED = 0.02
 """Of the noise: what is filled in moves by less, root mean square, in the last round."""
 _LEAST_NOISE = 0.02
@@ -82,7 +84,7 @@ def fit_low_rank(
         believed, filled = usable, fill_missing(start, sample, usable)
     moments = _Moments.of(filled)
     model = start
-    for number in range(_ROUNDS):
+    for number in range(_ROUNDS if start is None else _ROUNDS_AGAIN):
         if number or model is None:
             model = _model(moments, filled, believed, sensor_noise, rank_limit)
         incomplete = np.asarray(~believed.all(axis=1))
@@ -92,7 +94,8 @@ def fit_low_rank(
         before, believed = believed, usable & ~_contradicted(distance, usable, sensor_noise)
         changed = (believed != before).any(axis=1)
         _refill(moments, filled, sample, believed, model, changed)
-        if not changed.any() and moved < settled:
+        told_anew = number > 0 or start is None
+        if told_anew and not changed.any() and moved < settled:
             break
     return _model(moments, filled, believed, sensor_noise, rank_limit)
 
