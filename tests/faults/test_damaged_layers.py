@@ -204,7 +204,9 @@ def spoil_layer(layer: Sdf.Layer, at: float, kind: int, choice: int) -> None:
         times = layer.ListTimeSamplesForPath(spec.path)
         if times and kind < 7:
             time = times[int(at * 997) % len(times)]
-            layer.SetTimeSample(spec.path, time, change(layer.QueryTimeSample(spec.path, time)))
+            value = change(layer.QueryTimeSample(spec.path, time))
+            with contextlib.suppress(Tf.ErrorException):  # what USD refuses no layer can hold
+                layer.SetTimeSample(spec.path, time, value)
         elif times and kind == 9:
             value = layer.QueryTimeSample(spec.path, times[0])
             layer.SetTimeSample(spec.path, FAR_OFF[choice % len(FAR_OFF)], value)

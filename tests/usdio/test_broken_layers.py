@@ -3,10 +3,11 @@
 from pathlib import Path
 
 import pytest
-from pxr import Sdf
+from pxr import Sdf, Usd, UsdGeom
 
 from usdface.errors import InputError
 from usdface.usdio.layers import open_layer, open_stage
+from usdface.usdio.mesh import read_face_mesh
 
 
 @pytest.mark.parametrize("rate", [0.0, -24.0, float("nan"), float("inf")])
@@ -29,3 +30,19 @@ def test_bytes_that_are_no_text_are_refused_though_usd_quotes_them(tmp_path: Pat
     path.write_bytes(b'#usda 1.0\ndef Xform "a" {\n double x = "\xff\n}\n')
     with pytest.raises(InputError, match=r"x\.usda: USD failed while opening it: .* no text"):
         open_layer(path)
+
+
+def test_a_place_that_is_told_in_words_is_refused_though_usd_itself_says_so(
+    tmp_path: Path,
+) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "mesh.usda"))
+    mesh = UsdGeom.Mesh.Define(stage, "/mesh")
+    mesh.GetPointsAttr().Set([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+    mesh.GetFaceVertexCountsAttr().Set([3])
+    mesh.GetFaceVertexIndicesAttr().Set([0, 1, 2])
+    prim = mesh.GetPrim()
+    prim.CreateAttribute("xformOp:translate", Sdf.ValueTypeNames.String).Set("up there")
+    prim.CreateAttribute("xformOpOrder", Sdf.ValueTypeNames.TokenArray).Set(["xformOp:translate"])
+    stage.Save()
+    with pytest.raises(InputError, match=r"mesh\.usda: a value is not of the type"):
+        read_face_mesh(tmp_path / "mesh.usda")

@@ -36,12 +36,12 @@ def usd_errors_as_input_errors(path: Path, doing: str) -> Iterator[None]:
     try:
         yield
     except Tf.ErrorException as error:
-        raise InputError(f"{path}: USD failed while {doing}: {_reason(error)}") from error
+        raise InputError(f"{path}: USD failed while {doing}: {usd_reason(error)}") from error
     finally:
         delegate.TakeUncoalescedDiagnostics()
 
 
-def _reason(error: Tf.ErrorException) -> str:
+def usd_reason(error: Tf.ErrorException) -> str:
     """Return the last line of what USD says, which may quote a broken file's bytes."""
     try:
         return str(error).strip().splitlines()[-1].strip()

@@ -32,6 +32,7 @@ class PerformanceReader:
         If there is no such animation, or more than one.
     """
 
+    @refusing_wrong_types
     def __init__(self, path: Path) -> None:
         self.path = path
         self.stage = open_stage(path)

@@ -11,6 +11,7 @@ from usdface.usdio.layers import open_stage
 from usdface.usdio.performance_reader import PerformanceReader
 from usdface.usdio.rig import find_face, read_rig
 from usdface.usdio.space import column_matrix, stage_to_ours, transform_points
+from usdface.usdio.wrong_types import refusing_wrong_types
 
 
 class PosedRig:
@@ -27,6 +28,7 @@ class PosedRig:
         If the file is no performance, or its rig is gone.
     """
 
+    @refusing_wrong_types
     def __init__(self, path: Path) -> None:
         self.path = path
         self.reader = PerformanceReader(path)
@@ -52,6 +54,7 @@ class PosedRig:
         ]:
             raise InputError(f"{path}: its meshes are not those of {file}; map or retarget again")
 
+    @refusing_wrong_types
     def points(self, frame: int) -> FloatArray:
         """Return every mesh's points at a frame, one mesh after the other [mm], Y up."""
         transforms = UsdGeom.XformCache(frame)

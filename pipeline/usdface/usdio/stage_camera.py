@@ -15,6 +15,7 @@ from usdface.assets import FloatArray
 from usdface.errors import InputError
 from usdface.usdio.layers import millimetres, open_stage
 from usdface.usdio.space import column_matrix, stage_to_ours
+from usdface.usdio.wrong_types import refusing_wrong_types
 
 CAMERAS_TOLD = 6
 _TENTHS = 0.1  # apertures and focal lengths count tenths of a scene unit
@@ -66,6 +67,7 @@ class StageCamera:
 
     Attributes
     ----------
+    path : Path
     holds_character : bool
         False where the stage has no such character: it stands at the stage's origin then.
 
@@ -75,10 +77,11 @@ class StageCamera:
         If there is no such camera, or the character is there more than once.
     """
 
+    @refusing_wrong_types
     def __init__(
         self, path: Path, prim: str, *, rig_file: Path, rig_prim: str, rate: Fraction
     ) -> None:
-        self._path = path
+        self.path = path
         self._stage = open_stage(path)
         self._camera = UsdGeom.Camera(_camera(self._stage, path, prim))
         self._time_codes = self._stage.GetTimeCodesPerSecond() / float(rate)
@@ -92,6 +95,7 @@ class StageCamera:
         self._millimetres = millimetres(unit)
         self._home = UsdGeom.XformCache().GetLocalToWorldTransform(home)
 
+    @refusing_wrong_types
     def at(self, frame: int) -> StageView:
         """Return what the camera sees at a frame.
 
@@ -105,7 +109,7 @@ class StageCamera:
         placed = self._into_rig(camera.transform, time)
         up, back = placed[:3, 1], placed[:3, 2]
         scale = float(np.linalg.norm(up))
-        where = f"{self._path} <{self._camera.GetPath()}> frame {frame}"
+        where = f"{self.path} <{self._camera.GetPath()}> frame {frame}"
         if not np.isfinite(placed).all() or abs(np.linalg.det(placed[:3, :3])) < 1e-18:
             raise InputError(f"{where}: its transform has no inverse; repair the camera's place")
         wide, high, focal = camera.horizontalAperture, camera.verticalAperture, camera.focalLength
@@ -135,7 +139,7 @@ class StageCamera:
         world = UsdGeom.XformCache(time).GetLocalToWorldTransform(self._root)
         if abs(world.GetDeterminant()) < 1e-18:
             raise InputError(
-                f"{self._path} <{self._root.GetPath()}> time code {time.GetValue():g}: its "
+                f"{self.path} <{self._root.GetPath()}> time code {time.GetValue():g}: its "
                 "transform has no inverse; repair the character's place, or use --camera auto"
             )
         return column_matrix(transform * world.GetInverse() * self._home)

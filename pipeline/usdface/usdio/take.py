@@ -42,6 +42,7 @@ class TakeReader:
         If the file is no take, or its contract is broken.
     """
 
+    @refusing_wrong_types
     def __init__(self, path: Path) -> None:
         self.path = path
         self._stage = open_stage(path)
