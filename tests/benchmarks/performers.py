@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tests.conftest import SHARED_DATA
-from usdface.assets import References
+from usdface.assets import Mapping, References
 from usdface.capture.sniff import read_capture
 from usdface.deformer import Deformer
 from usdface.model import fit_motion_space, predict_weights, sample_skin, train_mapping
@@ -105,13 +105,19 @@ def _score_performer(
     performer: tuple[str, int, int, float], count: int, methods: tuple[str, ...]
 ) -> dict[str, list[tuple[float, float]]]:
     acted = act(performer, count)
-    return {
-        method: [
-            _figures(acted.references, acted.shapes, method, markers, truth)
-            for _, markers, truth in acted.takes
+    found = {}
+    for method in methods:
+        mapping = train_mapping(
+            acted.references,
+            ranges=np.tile([0.0, 1.0], (len(acted.shapes.names), 1)),
+            gram=acted.shapes.gram,
+            skin=acted.shapes.skin,
+            method=method,
+        )
+        found[method] = [
+            _figures(mapping, acted.shapes, markers, truth) for _, markers, truth in acted.takes
         ]
-        for method in methods
-    }
+    return found
 
 
 def act(performer: tuple[str, int, int, float], count: int) -> Acted:
@@ -157,15 +163,8 @@ def act(performer: tuple[str, int, int, float], count: int) -> Acted:
 
 
 def _figures(
-    references: References, shapes: Shapes, method: str, markers: np.ndarray, truth: np.ndarray
+    mapping: Mapping, shapes: Shapes, markers: np.ndarray, truth: np.ndarray
 ) -> tuple[float, float]:
-    mapping = train_mapping(
-        references,
-        ranges=np.tile([0.0, 1.0], (len(shapes.names), 1)),
-        gram=shapes.gram,
-        skin=shapes.skin,
-        method=method,
-    )
     error = predict_weights(mapping, markers).weights - truth
     blinks = [i for i, name in enumerate(shapes.names) if name.startswith("eyeblink")]
     peaks = truth[:, blinks] > np.quantile(truth[:, blinks], 0.97, axis=0)

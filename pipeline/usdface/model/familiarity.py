@@ -40,8 +40,8 @@ FEW_PAIRS = 12.0
 LEAST_PAIRS = 25
 """Errors on takes over those on pairs left out: the first over 1 + (second / pairs)², for a fold
 leaves out a fifth, and of few pairs that is much; below the last nobody has looked. As the floor,
-they were chosen on performers like those of `tests/benchmarks`, of other faces and noise, so that
-what is told of parts of the face holds nine times in ten there; of the whole it holds more often."""
+they were chosen on performers like those of `tests/benchmarks`, of other faces and noise: what is
+told of parts of the face holds nine times in ten there, and of the whole more often."""
 
 CONFIDENT = 0.9
 
