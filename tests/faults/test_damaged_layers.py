@@ -37,7 +37,7 @@ from usdface.usdio.pairs import read_pairs
 from usdface.usdio.performance import PerformanceReader, read_performance
 from usdface.usdio.posed_points import PosedRig
 from usdface.usdio.referenced_files import frame_range_of, referenced_files
-from usdface.usdio.references import read_references
+from usdface.usdio.references import read_references, read_tuned_pairs
 from usdface.usdio.retargeting import read_retargeting
 from usdface.usdio.rig import read_rig
 from usdface.usdio.sequences import read_matches, read_sequence
@@ -93,6 +93,11 @@ READERS: dict[str, tuple[str, str, Read]] = {
         lambda path: read_proposals(
             path.with_name("hero.references.proposed.usda"), read_references(path)
         ),
+    ),
+    "tuned pairs": (
+        "hero.references.usda",
+        "hero.references.tuned.usda",
+        lambda path: read_tuned_pairs(path.with_name("hero.references.tuned.usda")),
     ),
     "edited frames": (
         "edited.hero.usda",

@@ -111,6 +111,7 @@ def write_references(
         point_skeletons_at(layer, str(RIG), rig, WEIGHTS)
 
 
+@refusing_wrong_types
 def read_tuned_pairs(tuned_path: Path) -> list[TunedPair]:
     """Return what people tuned, as the tuned layer alone says it; empty without the layer."""
     if not tuned_path.is_file():

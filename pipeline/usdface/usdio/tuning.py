@@ -10,6 +10,7 @@ from usdface.assets import FloatArray, References
 from usdface.errors import InputError
 from usdface.usdio.layers import open_layer, open_stage, read_provenance
 from usdface.usdio.references import FRAME, ROOT, TAKE, WEIGHTS, WEIGHTS_ATTRIBUTE
+from usdface.usdio.wrong_types import refusing_wrong_types
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,7 @@ class PairNotes:
     image: Path | None = None
 
 
+@refusing_wrong_types
 def read_proposals(proposed_path: Path, references: References) -> FloatArray:
     """Return the proposed weights alone, in the order of a references asset's shapes.
 
@@ -68,6 +70,7 @@ def read_proposals(proposed_path: Path, references: References) -> FloatArray:
     return rows[:, order]
 
 
+@refusing_wrong_types
 def check_tuned_layer(tuned_path: Path, references: References) -> None:
     """Refuse a tuned layer that belongs to another selection or another rig.
 
@@ -106,6 +109,7 @@ def check_tuned_layer(tuned_path: Path, references: References) -> None:
             )
 
 
+@refusing_wrong_types
 def read_pair_notes(path: Path, count: int) -> list[PairNotes]:
     """Return what a references asset says of each pair's viseme, emotion and picture."""
     stage = open_stage(path)
