@@ -42,6 +42,21 @@ def test_a_clean_take_does_not_depend_on_the_size_of_blocks(damaged, monkeypatch
     assert not whole.visible[700:850, 20].any()
 
 
+def test_a_gap_of_any_length_may_be_filled_whatever_the_size_of_blocks(damaged, monkeypatch):
+    face, _ = damaged
+    neutral = int(np.argmax(face.visible[:, list(face.rigid)].sum(axis=1)))
+    results = []
+    for frames, max_gap in ((64, 400), (2048, 400), (64, 10**6)):
+        monkeypatch.setattr(frame_blocks, "BLOCK_FRAMES", frames)
+        cleaned = clean_markers(
+            face.captured, face.visible, rigid=face.rigid, neutral=neutral, max_gap=max_gap
+        )
+        assert cleaned.visible.all()
+        results.append(cleaned.positions)
+    np.testing.assert_allclose(results[0], results[1], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(results[0], results[2], rtol=0, atol=1e-6)
+
+
 def test_detail_farther_away_than_its_reach_does_not_count():
     rest = np.random.default_rng(0).standard_normal((1000, 3, 3))
     rest[480:500] += 3.0

@@ -60,7 +60,8 @@ def complete_take(
         return Completed(filled, confidence)
     middle = max(0, (count - _TRIAL_FRAMES) // 2)
     limit = _spline_limit(positions, good, model, slice(middle, middle + _TRIAL_FRAMES), noise)
-    for block in frame_blocks(count):
+    # Blocks of at least one gap: each is looked at with a gap's length around it.
+    for block in frame_blocks(count, at_least=max_gap):
         if good[block].all():
             continue
         around = widened(block, max_gap + GAP_REACH, count)
