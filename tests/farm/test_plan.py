@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from usdface.errors import InputError
 from usdface.farm.chunks import ChunkSizes, in_chunks, parts_folder
 from usdface.farm.plan import FarmStep, Plan, plan_job
 from usdface.specs.align import AlignSpec
@@ -167,3 +168,8 @@ def test_a_movie_is_drawn_in_pieces_of_the_frames_that_will_be_mapped() -> None:
 @pytest.mark.parametrize("step", [mapped("1-1000"), mapped("1-3")])
 def test_a_take_of_one_chunk_stays_whole(step: MapSpec) -> None:
     assert shape(plan(step)) == {"map": (1, ())}
+
+
+def test_frames_that_slipped_are_refused_and_not_cut_into_millions_of_tasks() -> None:
+    with pytest.raises(InputError, match=r"frames 1-1000000000000 are 1000000000 chunks of 1000"):
+        in_chunks(mapped(), SIZES, (1, 10**12))

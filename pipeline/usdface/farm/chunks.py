@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from usdface.errors import InputError
 from usdface.specs.base import Spec, frame_range
 from usdface.specs.join import JoinSpec
 from usdface.specs.map import MapSpec
@@ -12,6 +13,9 @@ from usdface.specs.movie import MovieJoinSpec, MovieSpec
 
 FrameRange = tuple[int, int]
 """First and last frame, inclusive."""
+
+MOST_CHUNKS = 10_000
+"""Of one step; a season of takes has fewer, and a frame number that slipped would have millions."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,12 @@ def in_chunks(step: Spec, sizes: ChunkSizes, frames: FrameRange | None) -> list[
 
 def _chunks(frames: FrameRange, size: int) -> list[str]:
     first, last = frames
+    count = -(-(last - first + 1) // size)
+    if count > MOST_CHUNKS:
+        raise InputError(
+            f"frames {first}-{last} are {count} chunks of {size}, more than {MOST_CHUNKS}: no farm "
+            "takes so many tasks; correct the frames, or make the chunks larger"
+        )
     return [f"{start}-{min(start + size - 1, last)}" for start in range(first, last + 1, size)]
 
 
