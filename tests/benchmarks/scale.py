@@ -6,6 +6,7 @@ is the cost model of `docs/scale.md`; what it says of longer takes is extrapolat
 is what to draw, and how each call grows in markers, references, shapes and points, `scaling` says.
 """
 
+import json
 import os
 import subprocess
 import sys
@@ -112,15 +113,28 @@ def _prepare(folder: Path, lengths: tuple[int, ...]) -> None:
         )
 
 
+_LAUNCH = """
+import json, os, subprocess, sys
+process = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL)
+_, status, used = os.wait4(process.pid, 0)
+process.returncode = os.waitstatus_to_exitcode(status)
+print(json.dumps([process.returncode, used.ru_utime + used.ru_stime, used.ru_maxrss]))
+"""
+"""A small process in between: Linux counts the parent's memory at the start as the child's peak."""
+
+
 def _cost(folder: Path, words: str, made: str, frames: int) -> Cost:
     command = [sys.executable, "-m", "usdface", *words.format(n=frames).split()]
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    process = subprocess.Popen(
-        command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=sys.stderr
+    told = subprocess.run(
+        [sys.executable, "-c", _LAUNCH, *command],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        check=True,
     )
-    _, status, used = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise SystemExit(f"{' '.join(command)} ended with {process.returncode}")
+    code, seconds, peak_kb = json.loads(told.stdout)
+    if code:
+        raise SystemExit(f"{' '.join(command)} ended with {code}")
     size = sum(path.stat().st_size for path in folder.glob(made.format(n=frames)))
-    return Cost(used.ru_utime + used.ru_stime, used.ru_maxrss / 1e3, size / 1e6)
+    return Cost(seconds, peak_kb / 1e3, size / 1e6)

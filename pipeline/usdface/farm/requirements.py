@@ -21,7 +21,7 @@ LIGHT = HostRequirements(1, 2048)
 """Steps that stream over frames: memory does not grow with the take."""
 
 _BY_STEP = {
-    "clean": HostRequirements(2, 8192),
+    "clean": HostRequirements(2, 4096),
     "align": HostRequirements(1, 4096),
     "select": HostRequirements(2, 8192),
     "train": HostRequirements(2, 8192),
