@@ -50,7 +50,7 @@ def test_validate_passes_a_sound_layer_and_names_what_is_wrong(
     monkeypatch.chdir(tmp_path)
     write_rig(tmp_path / "rig.usda", small_rig())
     assert run("validate", "rig.usda") == 0
-    assert "1 layers: 0 errors, 0 warnings" in capsys.readouterr().out
+    assert "1 layer: 0 errors, 0 warnings" in capsys.readouterr().out
     layer = Sdf.Layer.FindOrOpen("rig.usda")
     prim = Sdf.CreatePrimInLayer(layer, "/Hero/anim")
     prim.specifier, prim.typeName = Sdf.SpecifierDef, "SkelAnimation"
@@ -66,7 +66,7 @@ def test_validate_passes_a_sound_layer_and_names_what_is_wrong(
     assert "1 weights for 2 shapes" in told
     assert "1 shapes are on no mesh: grin" in told
     assert "timeCodesPerSecond is not authored" in told
-    assert "errors in 1 layers" in captured.err
+    assert "errors in 1 layer" in captured.err
 
 
 def test_json_is_the_only_thing_on_standard_output(tmp_path, monkeypatch, capsys) -> None:

@@ -83,7 +83,7 @@ def test_mapping_again_keeps_every_edit_and_says_where_the_solve_changed(shot: S
     before = edits_path(path).read_bytes()
     notes = remap(shot, method="d06").notes
     assert edits_path(path).read_bytes() == before
-    assert any("edits of 2 shapes were kept" in note for note in notes)
+    assert any("kept the edits of 2 shapes" in note for note in notes)
     reader = PerformanceReader(path)
     jaw = reader.names.index("jawOpen")
     np.testing.assert_allclose(

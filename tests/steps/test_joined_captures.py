@@ -41,7 +41,7 @@ def test_timecode_lays_the_weights_where_they_belong() -> None:
     np.testing.assert_allclose(source.values[inside, 0], seconds[inside], atol=1e-6)
     np.testing.assert_allclose(source.values[~inside, 0], 0.5)
     assert any("+0.500 s" in note for note in joined.notes)
-    assert any("60 frames lie outside" in note for note in joined.notes)
+    assert any("holding its ends: 60 frames" in note for note in joined.notes)
 
 
 def test_without_timecode_they_start_together_and_that_is_said() -> None:

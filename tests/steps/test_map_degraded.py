@@ -90,7 +90,7 @@ def test_frames_that_lack_too_many_markers_are_counted_and_not_trusted(shot: Sho
     hide(shot, range(101, 104), MINIMUM_SHARE - 0.05)
     hide(shot, range(201, 203), MINIMUM_SHARE + 0.05)
     (note,) = [note for note in mapped(shot).notes if "fewer than" in note]
-    assert note.startswith("3 frames see fewer than 50% of the mapping's markers (101, 102, 103)")
+    assert note.startswith("fewer than 50% of the mapping's markers in 3 frames (101, 102, 103)")
     performance = read_performance(shot / "new.hero.usda")
     confidence = performance.confidence
     assert confidence is not None

@@ -27,6 +27,7 @@ from usdface.usdio.references import read_references
 from usdface.usdio.take import read_take
 from usdface.usdio.take_write import write_take
 from usdface.usdio.tuning import read_pair_notes
+from usdface.wording import counted
 
 __all__ = ["registered_once"]  # a fixture that every test here uses
 
@@ -149,7 +150,7 @@ def test_a_video_that_is_gone_costs_its_pictures_and_nothing_else(shot: Shot) ->
         )
     )
     pairs_without = sum(n.image is None for n in read_pair_notes(shot / "new.references.usda", 12))
-    said = f"{pairs_without} pairs have no video frame"
+    said = f"no video frame for {counted(pairs_without, 'pair')}"
     assert any(said in note for note in sheet.notes) == bool(pairs_without)
     report = execute(spec(shot, takes=(take,)), overwrite=True)
     assert any("the pairs of shot have no pictures: " in note for note in report.notes)

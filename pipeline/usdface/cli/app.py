@@ -33,6 +33,7 @@ from usdface.specs.path_mapping import read_path_rules
 from usdface.specs.reading import read_job, spec_text
 from usdface.specs.submit import SubmitSpec
 from usdface.version import __version__
+from usdface.wording import counted
 
 EPILOG = "Exit codes: 0 done, 1 a check failed, 2 bad input, 3 interrupted."
 
@@ -259,7 +260,7 @@ def _submit(
     ]
     tasks = {step.name: len(step.tasks) for step in done.plan.steps}
     verb = "written" if spec.write_only else "done" if spec.farm == "openjd" else "submitted"
-    summary = f"{done.job}: {sum(tasks.values())} tasks in {len(tasks)} steps, {verb}"
+    summary = f"{done.job}: {counted(sum(tasks.values()), 'task')}, {verb}"
     report = Report(
         (done.bundle,), summary, tuple(notes), {"job": done.job, "tasks": tasks}, describe(done)
     )

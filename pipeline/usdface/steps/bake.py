@@ -13,6 +13,7 @@ from usdface.usdio.edits import edited_weights
 from usdface.usdio.performance import PerformanceReader, header_of
 from usdface.usdio.rig import read_rig
 from usdface.usdio.weights_layer import writing_weights
+from usdface.wording import counted
 
 BLOCK_FRAMES = 4096
 """Frames that are composed at once; their ends are keys, so that memory stays bounded."""
@@ -46,7 +47,7 @@ def run(
     if unknown:
         notes.append(f"edits of {', '.join(unknown[:5])} find no such shape and were left out")
     edited = len(set(reader.edits) & set(reader.names))
-    summary = f"{header.frame_count} frames, {edited} shapes edited"
+    summary = f"{header.frame_count} frames, {counted(edited, 'shape')} edited"
     if spec.tolerance:
         summary += f", {kept} keys within {spec.tolerance:g} {spec.unit}"
     return Report(

@@ -16,6 +16,7 @@ from usdface.steps.report import Report
 from usdface.usdio.binding import has_binding, read_binding, write_binding
 from usdface.usdio.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.take import TakeReader
+from usdface.wording import counted
 
 
 def run(
@@ -105,11 +106,13 @@ def _report(
     notes = []
     if doubtful:
         notes.append(
-            f"{len(doubtful)} markers are doubtful: {', '.join(doubtful[:8])}; look at them and "
-            f"correct them in {corrected_path(spec.out).name}"
+            f"doubtful: {counted(len(doubtful), 'marker')}, {', '.join(doubtful[:8])}; look at "
+            f"them and correct them in {corrected_path(spec.out).name}"
         )
     if left_out:
-        notes.append(f"{len(left_out)} markers stay left out: {', '.join(left_out[:8])}")
+        notes.append(
+            f"still left out: {counted(len(left_out), 'marker')}, {', '.join(left_out[:8])}"
+        )
     if face.others:
         notes.append(f"{len(face.others)} other meshes of {spec.mesh.name} carry no marker")
     outputs = (spec.out, proposed_path(spec.out), corrected_path(spec.out))

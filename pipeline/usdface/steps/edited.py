@@ -11,6 +11,7 @@ from usdface.steps.confined_inputs import confine
 from usdface.steps.report import Report
 from usdface.usdio.edits import edits_elsewhere
 from usdface.usdio.performance import PerformanceReader
+from usdface.wording import counted
 
 CHANGED = 0.1
 """Change of the solved weight beneath an edit that an animator should look at: a tenth of a shape's
@@ -76,7 +77,11 @@ def edit_notes(performance: Path) -> list[str]:
     reader = PerformanceReader(performance)
     ranges = find_edited_ranges(reader)
     shapes = {each.shape for each in ranges}
-    notes = [f"edits of {len(shapes)} shapes were kept: {_some(sorted(shapes))}"] if shapes else []
+    notes = (
+        [f"kept the edits of {counted(len(shapes), 'shape')}: {_some(sorted(shapes))}"]
+        if shapes
+        else []
+    )
     notes += [
         f"{each.shape} {each.first}-{each.last}: the solve beneath the edit changed by up to "
         f"{each.solve_change:+.2f} at frame {each.solve_frame}; look at the edit again"
@@ -113,7 +118,8 @@ def list_edits(performance: Path) -> Report:
         for each in ranges
     )
     changed = sum(abs(each.solve_change) > CHANGED for each in ranges)
-    summary = f"{len(ranges)} edited ranges of {len({each.shape for each in ranges})} shapes"
+    shapes = {each.shape for each in ranges}
+    summary = f"{counted(len(ranges), 'edited range')} of {counted(len(shapes), 'shape')}"
     if changed:
         summary += f", {changed} over a solve that changed much since"
     figures = [

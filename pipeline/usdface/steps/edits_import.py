@@ -13,6 +13,7 @@ from usdface.steps.report import Report
 from usdface.steps.weight_tables import WeightTable, read_weight_table
 from usdface.usdio.edits import ShapeEdit, read_edits, write_edits
 from usdface.usdio.performance import PerformanceReader
+from usdface.wording import counted
 
 
 def run(
@@ -102,10 +103,10 @@ def _notes(reader: PerformanceReader, table: WeightTable) -> tuple[str, ...]:
     unknown = [name for name in table.names if name not in reader.names]
     if unknown:
         notes.append(
-            f"{len(unknown)} shapes of the file are not in the performance and were left out: "
+            f"left out {counted(len(unknown), 'shape')} that the performance does not have: "
             f"{', '.join(unknown[:5])}"
         )
     outside = sum(not reader.first_frame <= f <= reader.last_frame for f in table.frames)
     if outside:
-        notes.append(f"{outside} frames of the file are outside the performance and were left out")
+        notes.append(f"left out {counted(outside, 'frame')} outside the performance")
     return tuple(notes)

@@ -28,6 +28,7 @@ from usdface.steps.report import Report
 from usdface.steps.weight_tables import WeightTable, read_weight_table
 from usdface.usdio.performance import read_performance
 from usdface.usdio.rig import read_rig
+from usdface.wording import counted
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,7 @@ def _notes(
     unknown = [name for name in truth if name not in rig.shapes]
     if unknown:
         notes.append(
-            f"{len(unknown)} shapes of {spec.against} are not on the rig and were left out: "
+            f"left out {counted(len(unknown), 'shape')} of {spec.against}, not on the rig: "
             f"{', '.join(unknown[:5])}"
         )
     for label, these, those in (
@@ -136,7 +137,8 @@ def _notes(
         lacking = [name for name in these if name not in those and name in rig.shapes]
         if lacking:
             notes.append(
-                f"{label} lacks {len(lacking)} shapes, taken as 0: {', '.join(lacking[:5])}"
+                f"{label} lacks {counted(len(lacking), 'shape')}, taken as 0: "
+                f"{', '.join(lacking[:5])}"
             )
     return tuple(notes)
 

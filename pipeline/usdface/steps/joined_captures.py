@@ -8,6 +8,7 @@ import numpy as np
 from usdface.assets import FloatArray, Take, WeightsClip
 from usdface.errors import InputError
 from usdface.timecode import frames_of
+from usdface.wording import counted
 
 DAY_SECONDS = 86_400.0
 
@@ -60,7 +61,9 @@ def join_captures(takes: list[Take], sources: tuple[Path, ...]) -> Joined:
         )
     notes = [note, f"weights were resampled from {float(other.source.rate):g} frames per second"]
     if outside:
-        notes.append(f"{outside} frames lie outside the weights' recording and hold its ends")
+        notes.append(
+            f"outside the weights' recording, and holding its ends: {counted(outside, 'frame')}"
+        )
     joined = replace(
         take, source=resampled, timecode_start=take.timecode_start or other.timecode_start
     )

@@ -24,6 +24,7 @@ from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance import weights_path, writing_performance
 from usdface.usdio.rig import read_rig
 from usdface.usdio.take import TakeReader
+from usdface.wording import counted
 
 BLOCK_FRAMES = 1024
 """Frames are solved in blocks counted from the take's first frame, whichever of them are asked for:
@@ -167,7 +168,7 @@ def _notes(space: HeadSpace) -> list[str]:
         )
     if space.extra:
         notes.append(
-            f"{len(space.extra)} markers of the take are unknown to the mapping and are ignored: "
+            f"unknown to the mapping, and not heard: {counted(len(space.extra), 'marker')}, "
             f"{', '.join(space.extra[:5])}"
         )
     return notes
@@ -179,9 +180,9 @@ def _lacking_notes(first: int, lacking: np.ndarray) -> list[str]:
         return []
     some = ", ".join(map(str, frames[:5])) + (", ..." if len(frames) > 5 else "")
     return [
-        f"{len(frames)} frames see fewer than {MINIMUM_SHARE:.0%} of the mapping's markers "
-        f"({some}): their weights are a guess, with confidence 0; mend them in the take, or key "
-        "them as edits"
+        f"fewer than {MINIMUM_SHARE:.0%} of the mapping's markers in "
+        f"{counted(len(frames), 'frame')} ({some}): their weights are a guess, with confidence 0; "
+        "mend them in the take, or key them as edits"
     ]
 
 
@@ -192,8 +193,8 @@ def _report(
     if len(low):
         worst = first + int(confidence.argmin())
         notes.append(
-            f"{len(low)} frames have a confidence below {DOUBTFUL:g}, the lowest at frame {worst}: "
-            "the references show nothing like them"
+            f"confidence below {DOUBTFUL:g} in {counted(len(low), 'frame')}, lowest at frame "
+            f"{worst}: the references show nothing like them"
         )
     count = len(confidence)
     return Report(

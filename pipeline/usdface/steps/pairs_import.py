@@ -16,6 +16,7 @@ from usdface.usdio.controls import read_control_clip
 from usdface.usdio.layers import LAYER_SUFFIXES
 from usdface.usdio.pairs import samples_path, write_pairs
 from usdface.usdio.rig import read_rig
+from usdface.wording import counted
 
 
 def run(
@@ -53,7 +54,7 @@ def run(
     notes = []
     if unknown:
         notes.append(
-            f"{len(unknown)} columns are no shapes of {spec.source_rig} and were left out: "
+            f"left out {counted(len(unknown), 'column')}, of no shape of {spec.source_rig}: "
             f"{', '.join(unknown[:5])}"
         )
     unused = unused_shapes(pairs)

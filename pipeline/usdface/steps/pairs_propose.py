@@ -15,6 +15,7 @@ from usdface.steps.report import Report
 from usdface.usdio.pairs import merge_pairs, read_pairs, samples_path, write_pairs
 from usdface.usdio.rest_controls import rest_controls
 from usdface.usdio.rig import read_rig
+from usdface.wording import counted
 
 REST = "rest"
 
@@ -51,7 +52,7 @@ def run(
             "key expressions that use them"
         )
     if kept:
-        notes.append(f"{kept} pairs were there and keep their time codes")
+        notes.append(f"kept {counted(kept, 'pair')} at the time codes they had")
     return Report(
         (spec.out, samples_path(spec.out)),
         f"{len(pairs)} pairs of {len(source.shapes)} source shapes and {pairs.target.summary}; "
@@ -66,7 +67,7 @@ def _match(
 ) -> tuple[list[NameMatch], list[str]]:
     progress(0.1, "matching names")
     named = [] if spec.match == "deformation" else list(match_names(source.shapes, target.shapes))
-    notes = [f"{len(named)} shapes match by name"] if named else []
+    notes = [f"matched {counted(len(named), 'shape')} by name"] if named else []
     if spec.match != "name":
         progress(0.2, "laying one face onto the other")
         alike = _alike(spec, source, target, named, notes)

@@ -19,6 +19,7 @@ from usdface.speech.visemes import viseme_of
 from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
 from usdface.usdio.take import read_take
+from usdface.wording import counted
 
 LARGEST_TRANSCRIPT_BYTES = 1 << 20
 """A day of speech."""
@@ -117,7 +118,7 @@ def _notes(found: Alignment, outside: float) -> list[str]:
     if found.guessed:
         shown = [f"{word} ({' '.join(said)})" for word, said in found.guessed.items()]
         notes.append(
-            f"{len(shown)} words are in no dictionary and were guessed from their letters: "
+            f"in no dictionary, and guessed from the letters: {counted(len(shown), 'word')}, "
             f"{', '.join(shown[:NAMED_WORDS])}; say it better with --dictionary"
         )
     if found.score < DOUBTFUL_SCORE:
@@ -132,5 +133,7 @@ def _notes(found: Alignment, outside: float) -> list[str]:
         )
     if found.doubtful_words:
         shown = [f"{span.label} ({span.start:.1f} s)" for span in found.doubtful_words]
-        notes.append(f"{len(shown)} words fit their place badly: {', '.join(shown[:NAMED_WORDS])}")
+        notes.append(
+            f"at a bad fit: {counted(len(shown), 'word')}, {', '.join(shown[:NAMED_WORDS])}"
+        )
     return notes

@@ -11,6 +11,7 @@ from usdface.steps.conflict_notes import tuned_conflicts
 from usdface.steps.report import Report
 from usdface.steps.weight_tables import WeightTable, read_weight_table
 from usdface.usdio.references import TunedPair, read_references, write_tuned_weights
+from usdface.wording import counted
 
 
 def run(
@@ -44,23 +45,24 @@ def run(
     unknown = [name for name in table.names if name not in references.shape_names]
     if unknown:
         notes.append(
-            f"{len(unknown)} columns are no shapes of the rig and were left out: "
+            f"left out {counted(len(unknown), 'column')}, of no shape of the rig: "
             f"{', '.join(unknown[:5])}"
         )
     missing = [name for name in references.shape_names if name not in table.names]
     if missing:
         notes.append(
-            f"{len(missing)} shapes are not in the file and keep their weight: "
+            f"not in the file, with the weights they had: {counted(len(missing), 'shape')}, "
             f"{', '.join(missing[:5])}"
         )
     rest = len(references.frames) - len(pairs)
     if rest:
-        notes.append(f"{rest} pairs are not in the file and stay as they were")
+        notes.append(f"not in the file, and as before: {counted(rest, 'pair')}")
     texts, conflicts = tuned_conflicts(spec.references)
     notes += texts
     return Report(
         (tuned_path(spec.references),),
-        f"{len(pairs)} of {len(references.frames)} pairs tuned, {len(known)} shapes each",
+        f"{len(pairs)} of {len(references.frames)} pairs tuned, "
+        f"{counted(len(known), 'shape')} each",
         tuple(notes),
         {"pairs": len(pairs), "shapes": len(known), "conflicts": conflicts},
     )

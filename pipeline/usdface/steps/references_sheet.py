@@ -32,6 +32,7 @@ from usdface.usdio.references import read_references
 from usdface.usdio.rig import read_rig
 from usdface.usdio.take import read_take
 from usdface.usdio.tuning import read_pair_notes
+from usdface.wording import counted
 
 YAW_DEGREES = 12.0
 """A little from the side, where lips and lids show their depth."""
@@ -128,7 +129,7 @@ def run(
     write_image(spec.out, page, metadata=metadata)
     progress(1.0, "done")
     blind = sum(row.video is None for row in rows)
-    notes = (*((f"{blind} pairs have no video frame",) if blind else ()), *plain)
+    notes = (*((f"no video frame for {counted(blind, 'pair')}",) if blind else ()), *plain)
     return Report(
         (spec.out,),
         f"{len(rows)} pairs drawn, {int(references.tuned[pairs].sum())} of them tuned",

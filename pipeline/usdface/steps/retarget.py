@@ -19,6 +19,7 @@ from usdface.usdio.control_performance import controls_path, writing_control_per
 from usdface.usdio.performance import weights_path
 from usdface.usdio.retargeting import read_retargeting
 from usdface.usdio.rig import read_rig
+from usdface.wording import counted
 
 CHUNK_FRAMES = 8192
 
@@ -48,7 +49,7 @@ def run(
     count = len(motion.weights)
     return Report(
         tuple(outputs),
-        f"{count} frames on {len(targets)} target{'s' if len(targets) > 1 else ''}",
+        f"{count} frames on {counted(len(targets), 'target')}",
         tuple(notes),
         {
             "frames": count,

@@ -37,6 +37,7 @@ from usdface.steps.tuning_in_progress import check_nobody_tunes, nobody_tunes
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.references import read_tuned_pairs, write_references
 from usdface.usdio.rig import read_rig
+from usdface.wording import counted
 
 FEWEST_TUNED = 2
 """Tuned pairs from which one can learn where a mapping errs."""
@@ -294,7 +295,7 @@ def _notes(asked: _Selection, choice: Choice, mapping: Mapping | None) -> list[s
     notes, dropped = list(asked.spoken.notes), asked.scene.takes.dropped
     if dropped:
         notes.append(
-            f"{len(dropped)} markers are not in every take and were left out: "
+            f"left out {counted(len(dropped), 'marker')}, not in every take: "
             f"{', '.join(dropped[:5])}"
         )
     if asked.kept:
@@ -307,7 +308,8 @@ def _notes(asked: _Selection, choice: Choice, mapping: Mapping | None) -> list[s
     if asked.spec.method == "viseme" and choice.design:
         spoken = len(choice.rows) - len([r for r in choice.rows if int(r) not in choice.visemes])
         notes.append(
-            f"{spoken} frames are of visemes; the rest of {asked.spec.count} was chosen by design"
+            f"chosen by viseme: {counted(spoken, 'frame')}; the rest of {asked.spec.count} by "
+            "design"
         )
     if asked.spec.method == "both" and not asked.spec.phones:
         notes.append(

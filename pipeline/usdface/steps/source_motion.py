@@ -11,6 +11,7 @@ from usdface.errors import InputError
 from usdface.model.shape_names import match_names
 from usdface.usdio.performance_reader import PerformanceReader
 from usdface.usdio.take import TakeReader, is_take
+from usdface.wording import counted
 
 MOVES = 0.02
 """Weight beyond which a shape counts as used by a performance."""
@@ -107,7 +108,7 @@ def source_columns(
     if meant:
         example = meant[0]
         notes.append(
-            f"{len(meant)} shapes were matched by what their names mean, such as {example.name} "
+            f"matched by what names mean: {counted(len(meant), 'shape')}, such as {example.name} "
             f"to {example.target[0][0]}"
         )
     if moving:

@@ -35,6 +35,7 @@ from usdface.usdio.binding import read_binding
 from usdface.usdio.distance_cache import CachedDistances, read_distances, write_distances
 from usdface.usdio.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.take import TakeReader
+from usdface.wording import counted
 
 REACH = 4.0
 """How far markers reach by default, in the median distance from one to its nearest."""
@@ -173,7 +174,7 @@ def _bind(spec: SurfaceSpec, sample: TakeSample, face: FaceMesh) -> tuple[Marker
         notes.append("the markers were bound anew; `usdface bind` shows where, to be corrected")
     doubtful = int((binding.confidence < DOUBTFUL).sum())
     if doubtful:
-        notes.append(f"{doubtful} markers sit at doubtful places; look at them with `usdface bind`")
+        notes.append(f"at doubtful places: {counted(doubtful, 'marker')}; look with `usdface bind`")
     if face.others:
         notes.append(f"{len(face.others)} other meshes of {spec.mesh.name} stay as they are")
     return binding, notes

@@ -17,6 +17,7 @@ from usdface.steps.report import Report
 from usdface.usdio.mapping import write_mapping
 from usdface.usdio.references import read_references
 from usdface.usdio.rig import read_rig
+from usdface.wording import counted
 
 
 def run(
@@ -98,7 +99,9 @@ def _mended(mapping: Mapping, references: References) -> list[str]:
         )
     repeated = len(references.frames) - int(mapping.settings["pairs"])
     if repeated:
-        notes.append(f"{repeated} pairs repeat others, markers and weights alike: left out")
+        notes.append(
+            f"left out {counted(repeated, 'pair')} that others repeat, markers and weights alike"
+        )
     return notes
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from usdface.steps.confined_inputs import confine
 from usdface.steps.report import Report
 from usdface.usdio.validation import validate
+from usdface.wording import counted
 
 
 def validate_layers(layers: tuple[Path, ...]) -> Report:
@@ -21,10 +22,11 @@ def validate_layers(layers: tuple[Path, ...]) -> Report:
     findings = [finding for each in found.values() for finding in each]
     errors = [finding for finding in findings if finding.severity == "error"]
     warnings = len(findings) - len(errors)
+    told, wrong = counted(len(layers), "layer"), counted(len(errors), "error")
     return Report(
         (),
-        f"{len(layers)} layers: {len(errors)} errors, {warnings} warnings",
+        f"{told}: {wrong}, {counted(warnings, 'warning')}",
         table=tuple(f"{f.severity}: {f.where}: {f.message} [{f.check}]" for f in findings),
         figures={name: [asdict(finding) for finding in each] for name, each in found.items()},
-        failures=(f"{len(errors)} errors in {len(layers)} layers",) if errors else (),
+        failures=(f"{wrong} in {told}",) if errors else (),
     )
