@@ -27,12 +27,12 @@ from usdface.usdio.take import read_take
 
 COUNT = 50
 DIMENSIONS = 20
-OURS = ("ridge", "d06")
+OURS = ("auto", "ridge", "d06")
 Predict = Callable[[np.ndarray], np.ndarray]
 
 
 def run() -> None:
-    """Print a row per peer, and two of ours to compare; `crosstake` has all of ours."""
+    """Print a row per peer, and three of ours to compare; `crosstake` has all of ours."""
     try:
         import sklearn
     except ImportError:
