@@ -37,7 +37,7 @@ def bake(performance: Path, out: Path) -> None:
 
 
 def test_a_path_that_climbs_out_is_refused(root: Path) -> None:
-    with pytest.raises(InputError, match=r"bake: .*secret.usda: lies outside .*, at .*secret"):
+    with pytest.raises(InputError, match=r"bake: .*secret.usda: lies outside \S+root, at .*secret"):
         bake(root / ".." / "secret.usda", root / "b.usda")
 
 

@@ -59,7 +59,8 @@ def check_paths_confined(paths: Sequence[tuple[str, Path]], root: Path) -> None:
     for what, path in paths:
         real = path.resolve()
         if not real.is_relative_to(top):
-            by = " (by a link)" if path.absolute().is_relative_to(top) else ""
+            plainly = Path(os.path.normpath(path.absolute()))  # a folder up is no link
+            by = " (by a link)" if plainly.is_relative_to(top) else ""
             faults.append(f"{what}: {path}: lies outside {root}{by}, at {real}")
     if faults:
         raise InputError("\n".join(faults) + "\nmove the files below it, or ask for another root")
