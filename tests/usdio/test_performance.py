@@ -12,7 +12,12 @@ from usdface.deformer import Deformer
 from usdface.errors import InputError
 from usdface.provenance import Provenance
 from usdface.usdio import weights_layer
-from usdface.usdio.performance import read_performance, weights_path, writing_performance
+from usdface.usdio.performance import (
+    PerformanceReader,
+    read_performance,
+    weights_path,
+    writing_performance,
+)
 from usdface.usdio.rig import read_rig
 from usdface.usdio.rig_write import write_rig
 from usdface.usdio.validation import validate
@@ -145,3 +150,13 @@ def test_a_rig_inside_an_instance_is_refused_with_the_way_out(tmp_path: Path) ->
     stage.Save()
     with pytest.raises(InputError, match="instanceable = false"):
         write(tmp_path)
+
+
+def test_regions_that_are_no_names_are_refused_by_the_files_name(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    animation = Sdf.CreatePrimInLayer(layer, str(PerformanceReader(path).animation.GetPath()))
+    Sdf.AttributeSpec(animation, "face:residual:regions", Sdf.ValueTypeNames.Int).default = 3
+    layer.Save()
+    with pytest.raises(InputError, match=r"shot\.hero\.usda: a value is not of the type"):
+        read_performance(path)

@@ -61,6 +61,7 @@ class PerformanceReader:
         return np.arange(self.first_frame, self.last_frame + 1, dtype=np.int64)
 
     @property
+    @refusing_wrong_types
     def regions(self) -> tuple[str, ...]:
         """Names of the residual's regions."""
         return tuple(map(str, self._get("face:residual:regions") or ()))
@@ -71,6 +72,7 @@ class PerformanceReader:
         return str(self._get("face:timecode:start") or "")
 
     @cached_property
+    @refusing_wrong_types
     def edits(self) -> dict[str, ShapeEdit]:
         """What was edited, by shape, over all frames of the performance."""
         return read_edits(self.animation, self.frames)
