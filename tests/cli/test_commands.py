@@ -84,6 +84,18 @@ def test_farm_progress_is_spoken_in_the_farms_language(tmp_path, capsys) -> None
     assert capsys.readouterr().out == "openjd_progress: 25.0\nopenjd_status: mapping\n"
 
 
+def test_a_farm_is_not_told_of_every_block_but_of_the_end(monkeypatch, capsys) -> None:
+    from usdface.cli import console
+
+    monkeypatch.setattr(console.time, "monotonic", lambda: 0.0)  # all within a second
+    with console.listening("openjd") as progress:
+        for frame in range(10_001):
+            progress(frame / 10_000, f"mapped to frame {frame}")
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 2 * 101
+    assert lines[-2:] == ["openjd_progress: 100.0", "openjd_status: mapped to frame 10000"]
+
+
 def test_unknown_options_and_missing_ones_are_bad_input(capsys) -> None:
     assert run("clean", "x.usda", "--out", "y.usda", "--polish") == 2
     assert run("clean", "x.usda") == 2

@@ -3,10 +3,12 @@
 import contextlib
 import json
 import logging
+import math
 import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from types import FrameType
 from typing import Any, Literal
@@ -27,6 +29,10 @@ RETRY_SECONDS = 0.05
 LONGEST_FARM_MESSAGE = 1000
 """Farms cut or refuse longer lines."""
 
+LEAST_FARM_PROGRESS = 0.01
+LEAST_FARM_SECONDS = 1.0
+"""What is nearer than both to what was said last is left out."""
+
 out = Console(highlight=False, soft_wrap=True)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
 
@@ -36,7 +42,7 @@ def listening(style: ProgressStyle) -> Iterator[Listener]:
     """Yield a listener that draws a bar on a terminal or speaks a farm's language."""
     if style == "openjd":
         try:
-            yield _openjd
+            yield _FarmProgress()
         except UsdfaceError as error:
             _say_to_farm("fail", str(error))
             raise
@@ -53,9 +59,22 @@ def listening(style: ProgressStyle) -> Iterator[Listener]:
         yield silent
 
 
-def _openjd(fraction: float, message: str) -> None:
-    _say_to_farm("progress", f"{100 * min(max(fraction, 0.0), 1.0):.1f}")
-    _say_to_farm("status", message)
+class _FarmProgress:
+    """Speaks Open Job Description, which reads and keeps every line: so, not of every block."""
+
+    def __init__(self) -> None:
+        self._fraction = -math.inf
+        self._when = -math.inf
+
+    def __call__(self, fraction: float, message: str) -> None:
+        fraction = min(max(fraction, 0.0), 1.0)
+        now = time.monotonic()
+        little = abs(fraction - self._fraction) < LEAST_FARM_PROGRESS
+        if little and now - self._when < LEAST_FARM_SECONDS and fraction < 1.0:
+            return
+        self._fraction, self._when = fraction, now
+        _say_to_farm("progress", f"{100 * fraction:.1f}")
+        _say_to_farm("status", message)
 
 
 def _say_to_farm(what: str, message: str) -> None:
