@@ -20,8 +20,8 @@ SINGLE_NORM = 1.5
 at most 2.6e-7 times that norm on mappings of 50 and 100 pairs, 4e-7 of a weight."""
 
 BLOCK_VALUES = 1 << 17
-"""Kernel values at once: enough that calls are cheap. Four times as large, arrays come fresh from
-the system each time, at twice the time."""
+"""Kernel values at once: enough that calls are cheap. Larger, arrays come fresh from the system
+each time, which costs more than it saves."""
 
 
 @dataclass(frozen=True)

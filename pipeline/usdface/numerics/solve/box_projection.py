@@ -76,7 +76,7 @@ class BoxProjection:
         moved = xp.clip(xp.zeros_like(low), low, high)
         ahead, momentum = moved, 1.0
         for _ in range(self._steps):
-            # clip would be one call, at four times the time
+            # clip would be one call, and a slow one where its bounds are arrays
             following = xp.minimum(xp.maximum(xp.matmul(ahead, self._descent), low), high)
             gained = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
             ahead = following - moved
