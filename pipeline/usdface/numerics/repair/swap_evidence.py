@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from usdface.numerics.repair.frame_blocks import sample_frames
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
 
 _NEIGHBORS = 8
@@ -92,7 +93,7 @@ def neighbor_pairs(
     distances = np.linalg.norm(rest[:, None] - rest[None], axis=2)
     nearest = np.argsort(distances, axis=1)[:, 1 : _NEIGHBORS + 1]
     chosen = sorted({(min(a, b), max(a, b)) for a, row in enumerate(nearest.tolist()) for b in row})
-    rows = np.unique(np.linspace(0, len(positions) - 1, _SAMPLE_FRAMES).astype(int))
+    rows = sample_frames(len(positions), _SAMPLE_FRAMES)
     window = open_window(positions[rows], visible[rows], model)
     pairs = []
     for first, second in chosen:
