@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from tests.model.synthetic import RIGID, SyntheticFace, references_of, synthetic_face
 from usdface.assets import Mapping
 from usdface.errors import InputError
-from usdface.model import predict_weights, sample_skin, train_mapping
+from usdface.model import fit_motion_space, predict_weights, sample_skin, train_mapping
+from usdface.model.methods import corrections
 from usdface.model.methods.target_curve import bend, unbend
 from usdface.model.methods.voices import REGION_WIDE, affordable_choices
 
@@ -120,6 +121,24 @@ def test_ranges_of_any_width_give_the_same_face(low: float) -> None:
     new = synthetic_face(bend=0.2, seed=3).positions[:200]
     expected = 2 * predict_weights(first, new).weights + low
     np.testing.assert_allclose(predict_weights(second, new).weights, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_corrections_come_to_the_same_condensed(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    monkeypatch.setattr(corrections, "FEW_KERNELS", 0)
+    face = synthetic_face(bend=0.3, frames=6000)
+    pairs = replace(
+        references_of(face, np.arange(0, 6000, 60)), motion=fit_motion_space([face.positions])
+    )
+    mapping = train_mapping(pairs, ranges=face.ranges, gram=face.gram, method="ensemble")
+    dear = {name: value for name, value in mapping.arrays.items() if "condensed" not in name}
+    assert len(dear) < len(mapping.arrays)
+    new = synthetic_face(bend=0.3, seed=seed)
+    found = predict_weights(mapping, new.positions).weights
+    wanted = predict_weights(replace(mapping, arrays=dear), new.positions).weights
+    away = np.abs(found - wanted)
+    assert 0 < away.max() < 0.01
+    assert np.sqrt((away**2).mean()) < 0.1 * rms(mapping, seed=seed, bent=0.3)
 
 
 def test_skin_of_other_shapes_is_refused() -> None:

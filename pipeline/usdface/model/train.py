@@ -118,6 +118,8 @@ def train_mapping(
     best = scored[0][1] if scored else candidates[0]
     progress(0.9, f"fitting {best.method.name}")
     fitted = best.method.fit(pairs, best.settings)
+    if best.method.quicken is not None:
+        fitted = best.method.quicken(pairs, fitted)
     progress(1.0, f"trained {best.method.name}")
     space = {
         "motion_mean": motion.mean,

@@ -83,6 +83,9 @@ class Method:
     prepare : callable, optional
         ``(arrays, settings, device) -> Predictor``, where there is work to do once for many frames;
         agrees with `predict` to 1e-6. Without it a method runs on the processor alone.
+    quicken : callable, optional
+        ``(pairs, Fitted) -> Fitted``: what can be done once, for the fit that was chosen, so that
+        many frames take less time.
     """
 
     name: str
@@ -91,6 +94,7 @@ class Method:
     fit: Callable[[Pairs, Settings], Fitted]
     predict: Callable[[dict[str, FloatArray], Settings, FloatArray], FloatArray]
     prepare: Callable[[dict[str, FloatArray], Settings, ArrayDevice], Predictor] | None = None
+    quicken: Callable[[Pairs, Fitted], Fitted] | None = None
 
     def predictor(
         self, arrays: dict[str, FloatArray], settings: Settings, device: ArrayDevice

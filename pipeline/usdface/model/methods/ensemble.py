@@ -8,12 +8,14 @@ which know nothing of combinations that no reference shows. What comes out is br
 shapes' ranges at the least cost to the face.
 """
 
+import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from usdface.assets import FloatArray
+from usdface.model.coordinates import noise_variance
 from usdface.model.methods.contract import (
     Fitted,
     Method,
@@ -21,6 +23,11 @@ from usdface.model.methods.contract import (
     Predictor,
     Settings,
     in_double_precision,
+)
+from usdface.model.methods.corrections import (
+    condense_corrections,
+    prepare_corrections,
+    stack_corrections,
 )
 from usdface.model.methods.target_curve import CURVES, bend, choose_curves, unbend
 from usdface.model.methods.voices import (
@@ -33,7 +40,6 @@ from usdface.model.methods.voices import (
     Voice,
     correlation_voice,
     global_voice,
-    local_sums,
     regional_voice,
 )
 from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
@@ -116,10 +122,7 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
         "low": low,
         "span": span,
     }
-    for k, (voice, part) in enumerate(voices):
-        if voice.locals and (voice.locals["dual"] * part).any():
-            arrays |= {f"local{k}_{name}": value for name, value in voice.locals.items()}
-            arrays[f"local{k}_dual"] = voice.locals["dual"] * part
+    arrays |= stack_corrections(voices)
     chosen: Settings = {"curve": float(curve.mean()), "geometry": geometry is not None}
     return Fitted(arrays, settings | chosen)
 
@@ -136,10 +139,7 @@ def _prepare(
     slope, intercept, curve, doubt, low, span = (
         device.put(arrays[name]) for name in ("slope", "intercept", "curve", "doubt", "low", "span")
     )
-    names = sorted(name.partition("_")[0] for name in arrays if name.endswith("_projection"))
-    locals_ = [
-        local_sums(arrays, prefix=f"{name}_", single=single, device=device) for name in names
-    ]
+    corrections = prepare_corrections(arrays, single=single, device=device)
     within = BoxProjection(
         arrays["metric"],
         lower=np.zeros(len(arrays["span"])),
@@ -150,13 +150,22 @@ def _prepare(
 
     def predict(coordinates: Any) -> Any:
         z = coordinates[:, :kept]
-        bent = z @ slope + intercept
-        for sums in locals_:
-            bent += sums(z)
+        bent = z @ slope + intercept + corrections(z)
         free = _reach_limit(unbend(bent, curve), doubt)
         return low + span * within(_only_told(free, doubt))
 
     return predict
+
+
+def _quicken(pairs: Pairs, fitted: Fitted) -> Fitted:
+    """Condense the examples' corrections, on frames of the takes."""
+    kept = int(fitted.settings["dimensions"])
+    condensed = condense_corrections(
+        fitted.arrays,
+        pairs.motion.sample[:, :kept],
+        noise=math.sqrt(noise_variance(pairs.motion)),
+    )
+    return replace(fitted, arrays=fitted.arrays | condensed)
 
 
 def _calibrated(
@@ -316,4 +325,5 @@ METHOD = Method(
     fit=_fit,
     predict=in_double_precision(_prepare),
     prepare=_prepare,
+    quicken=_quicken,
 )
