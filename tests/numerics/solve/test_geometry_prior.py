@@ -179,6 +179,18 @@ def test_projection_in_single_precision_or_on_a_device_is_the_same() -> None:
     np.testing.assert_allclose(device.fetch(there), found, atol=1e-12)
 
 
+def test_a_metric_given_by_its_factor_is_the_same_metric() -> None:
+    rng = np.random.default_rng(0)
+    factor, diagonal = rng.normal(size=(40, 5)), rng.uniform(0.5, 2, 40)
+    low, high = np.zeros(40), np.ones(40)
+    wanted = rng.uniform(-0.4, 1.4, size=(30, 40))
+    whole = project_to_box(wanted, np.diag(diagonal) + factor @ factor.T, lower=low, upper=high)
+    for single, tolerance in ((False, 1e-12), (True, 1e-6)):
+        thin = BoxProjection(diagonal, factor=factor, lower=low, upper=high, single=single)
+        np.testing.assert_allclose(thin(wanted), whole, atol=tolerance)
+    assert np.abs(whole - np.clip(wanted, 0, 1)).max() > 0.01
+
+
 def test_rows_within_their_limits_are_left_alone_and_a_diagonal_metric_only_cuts() -> None:
     rng = np.random.default_rng(0)
     inside = rng.uniform(0.1, 0.9, size=(5, 3))

@@ -104,7 +104,7 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     residuals = np.stack([voice.residuals for voice in examples])
     say = _say(residuals)
     voices = list(zip(examples, say, strict=True))
-    metric = gram + 1e-3 * float(np.diag(gram).mean()) * np.eye(len(gram))
+    metric = {"metric": gram + 1e-3 * float(np.diag(gram).mean()) * np.eye(len(gram))}
     if geometry is not None:
         together = _together(voices, weights.shape)
         metric = _metric(geometry, together)
@@ -116,13 +116,12 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     arrays = {
         "slope": sum((part * voice.slope for voice, part in voices), np.zeros((kept, len(span)))),
         "intercept": sum((part * voice.intercept for voice, part in voices), np.zeros(len(span))),
-        "metric": metric,
         "doubt": np.clip(UNSEEN * usual, 1e-6, MOST_DOUBT),
         "curve": curve,
         "low": low,
         "span": span,
     }
-    arrays |= stack_corrections(voices)
+    arrays |= metric | stack_corrections(voices)
     chosen: Settings = {"curve": float(curve.mean()), "geometry": geometry is not None}
     return Fitted(arrays, settings | chosen)
 
@@ -142,6 +141,7 @@ def _prepare(
     corrections = prepare_corrections(arrays, single=single, device=device)
     within = BoxProjection(
         arrays["metric"],
+        factor=arrays.get("metric_factor"),
         lower=np.zeros(len(arrays["span"])),
         upper=np.ones(len(arrays["span"])),
         single=single,
@@ -310,12 +310,14 @@ def _only_told(weights: Any, doubt: Any) -> Any:
     return xp.clip(weights, max=1.0) - xp.clip(xp.maximum(weights, -slack), max=0.0)
 
 
-def _metric(geometry: LinearPosterior, residuals: FloatArray) -> FloatArray:
+def _metric(geometry: LinearPosterior, residuals: FloatArray) -> dict[str, FloatArray]:
     """How strongly each frame determines its weights: markers, and the examples beside them."""
-    seen = geometry.forward @ np.linalg.solve(geometry.noise, geometry.forward.T)
+    root = np.linalg.cholesky(geometry.noise)
+    seen = math.sqrt(SEEN_SHARE) * np.linalg.solve(root, geometry.forward.T).T
     heard = 1 / np.maximum((residuals**2).mean(axis=0), 1e-3)
-    metric: FloatArray = SEEN_SHARE / 2 * (seen + seen.T) + np.diag(heard)
-    return metric
+    if 2 * seen.shape[1] < len(heard):  # two thin products take less than a square one
+        return {"metric": heard, "metric_factor": seen}
+    return {"metric": np.diag(heard) + seen @ seen.T}
 
 
 METHOD = Method(

@@ -39,15 +39,12 @@ class _Lot:
         Sums squares, as a product: quicker than a sum along rows so short.
     dual : (k, n, m) float array
         Of the m outputs of each kernel.
-    place : (k * m, s) float array
-        1 where a kernel's output is an output of all.
     """
 
     projection: Any
     operand: Any
     ones: Any
     dual: Any
-    place: Any
 
     def sums(self, points: Any, some: slice) -> Any:
         """Evaluate some of the kernels: (kernels, f, m) float array."""
@@ -98,12 +95,12 @@ class LocalSums:
         widened = np.zeros((len(projection), inputs + 1, features + 2))
         widened[:, :-1, :-2] = projection
         widened[:, -1, -1] = 1.0
-        columns = np.eye(outputs).reshape(len(duals), -1, outputs)
         norms = np.linalg.norm(duals, axis=1).max(axis=1)
         rounded = (norms <= SINGLE_NORM) & single
-        self._outputs = outputs
         self._device = device
         self._lots: list[_Lot] = []
+        columns = np.arange(outputs).reshape(len(duals), -1)
+        told: list[int] = []
         for kind, chosen in (("float32", rounded), ("float64", ~rounded)):
             own = np.flatnonzero(chosen & (norms > 0))
             if len(own):
@@ -112,11 +109,15 @@ class LocalSums:
                     operand[own].transpose(0, 2, 1),
                     np.ones((features + 2, 1)),
                     duals[own],
-                    columns[own].reshape(-1, outputs),
                 )
+                told += columns[own].ravel().tolist()
                 self._lots.append(
                     _Lot(*(device.put(np.ascontiguousarray(each), dtype=kind) for each in parts))
                 )
+        # Where each output stands among those of the lots; those of no kernel share a zero.
+        place = np.full(outputs, len(told))
+        place[told] = np.arange(len(told))
+        self._place = device.put(place)
 
     def __call__(self, points: Any) -> Any:
         """Evaluate the sums.
@@ -131,21 +132,22 @@ class LocalSums:
         (f, s) float array
         """
         xp = namespace_of(points)
-        count = points.shape[0]
-        shape = (count, self._outputs)
-        out = xp.zeros(shape, dtype=points.dtype, device=self._device.device)
-        one = xp.ones((count, 1), dtype=points.dtype, device=self._device.device)
+        count, kind = points.shape[0], points.dtype
+        device = self._device.device
+        one = xp.ones((count, 1), dtype=kind, device=device)
         points = xp.concat([points, one], axis=1)
+        found = []
         for lot in self._lots:
             own = xp.astype(points, lot.dual.dtype)[None, :, :]
-            kernels, pairs, _ = lot.dual.shape
+            kernels, pairs, outputs = lot.dual.shape
             together = max(BLOCK_VALUES // max(count * pairs, 1), 1)
-            sums = [
-                lot.sums(own, slice(start, min(start + together, kernels)))
-                for start in range(0, kernels, together)
-            ]
-            flat = xp.reshape(
-                xp.permute_dims(xp.concat(sums), (1, 0, 2)), (count, lot.place.shape[0])
+            sums = xp.concat(
+                [
+                    lot.sums(own, slice(start, min(start + together, kernels)))
+                    for start in range(0, kernels, together)
+                ]
             )
-            out += xp.astype(xp.matmul(flat, lot.place), points.dtype)
-        return out
+            flat = xp.permute_dims(sums, (1, 0, 2))
+            found.append(xp.astype(xp.reshape(flat, (count, kernels * outputs)), kind))
+        found.append(xp.zeros((count, 1), dtype=kind, device=device))
+        return xp.take(xp.concat(found, axis=1), self._place, axis=1)

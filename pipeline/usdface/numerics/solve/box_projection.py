@@ -30,8 +30,10 @@ class BoxProjection:
     Parameters
     ----------
     metric : (s, s) float array
-        Symmetric, positive definite.
+        Symmetric, positive definite; with `factor` (s,), the diagonal to which it adds.
     lower, upper : (s,) float arrays
+    factor : (s, r) float array, optional
+        The metric is then ``diag(metric) + factor @ factor.T``, which is quicker where r is small.
     steps : int
     single : bool
         Take the steps in single precision.
@@ -49,15 +51,22 @@ class BoxProjection:
         *,
         lower: Array,
         upper: Array,
+        factor: Array | None = None,
         steps: int = STEPS,
         single: bool = False,
         device: ArrayDevice = CPU,
     ) -> None:
-        unit = 1 / np.sqrt(np.diag(metric))
-        scaled = metric * unit[:, None] * unit
-        step = 1 / float(np.linalg.eigvalsh(scaled)[-1])
-        descent = (np.eye(len(metric)) - step * scaled) / unit[:, None] * unit
-        self._descent = device.put(descent, dtype="float32" if single else "float64")
+        whole = metric if factor is None else np.diag(metric) + factor @ factor.T
+        squared = 1 / np.diag(whole)
+        step = 1 / float(np.linalg.eigvalsh(whole * np.sqrt(np.outer(squared, squared)))[-1])
+        # in the weights' own units, a step is one product: x - step M diag(squared) x
+        parts = (
+            (np.eye(len(whole)) - step * whole * squared,)
+            if factor is None
+            else (1 - step * metric * squared, -step * factor, (factor * squared[:, None]).T)
+        )
+        kind = "float32" if single else "float64"
+        self._descent = tuple(device.put(np.ascontiguousarray(each), dtype=kind) for each in parts)
         self._lower, self._upper = device.put(lower), device.put(upper)
         self._steps = steps
 
@@ -70,20 +79,28 @@ class BoxProjection:
             On the device, in double precision.
         """
         xp = namespace_of(weights)
-        kind = self._descent.dtype
+        kind = self._descent[0].dtype
         low = xp.astype(self._lower - weights, kind)
         high = xp.astype(self._upper - weights, kind)
         moved = xp.clip(xp.zeros_like(low), low, high)
         ahead, momentum = moved, 1.0
         for _ in range(self._steps):
             # clip would be one call, and a slow one where its bounds are arrays
-            following = xp.minimum(xp.maximum(xp.matmul(ahead, self._descent), low), high)
+            following = xp.minimum(xp.maximum(self._descend(ahead), low), high)
             gained = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
             ahead = following - moved
             ahead *= (momentum - 1) / gained
             ahead += following
             moved, momentum = following, gained
         return xp.clip(weights + xp.astype(moved, weights.dtype), self._lower, self._upper)
+
+    def _descend(self, ahead: Any) -> Any:
+        """Take one step of the gradient."""
+        xp = namespace_of(ahead)
+        if len(self._descent) == 1:
+            return xp.matmul(ahead, self._descent[0])
+        kept, left, right = self._descent
+        return ahead * kept + xp.matmul(xp.matmul(ahead, left), right)
 
 
 def project_to_box(
