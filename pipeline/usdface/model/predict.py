@@ -14,7 +14,7 @@ from usdface.model.methods import find_method
 from usdface.model.train import motion_of
 from usdface.numerics.array_namespace import CPU, ArrayDevice
 
-BLOCK_FRAMES = 512
+BLOCK_FRAMES = 1024
 """What is worked on stays near the processor: a quarter quicker than in large blocks."""
 
 

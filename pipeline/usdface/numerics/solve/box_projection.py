@@ -15,16 +15,19 @@ from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
 
 Array = NDArray[np.float64]
 
-STEPS = 30
-"""Of accelerated projected gradient: weights have settled to a thousandth."""
+MOST_STEPS = 30
+SETTLED = 1e-3
+"""Steps of accelerated projected gradient: as many as a metric needs for that share of the way to
+be left, at most those."""
 
 
 class BoxProjection:
     """Approaches the points of a box that are nearest under a quadratic metric.
 
     Minimises ``(x - w)' M (x - w)`` with ``lower <= x <= upper`` for every row, from the row cut
-    off at its limits, by a fixed number of accelerated projected gradient steps; rows already
-    within their limits stay as they are. The metric is scaled to a unit diagonal first. Steps
+    off at its limits, by accelerated projected gradient; rows already within their limits stay as
+    they are. The metric is scaled to a unit diagonal first. The number of steps depends on it
+    alone: the square root of its condition times a logarithm. Steps
     are taken in ``x - w``, which is small: single precision then rounds ``x`` by less than 1e-6.
 
     Parameters
@@ -34,7 +37,8 @@ class BoxProjection:
     lower, upper : (s,) float arrays
     factor : (s, r) float array, optional
         The metric is then ``diag(metric) + factor @ factor.T``, which is quicker where r is small.
-    steps : int
+    steps : int, optional
+        By default as many as the metric needs, at most `MOST_STEPS`.
     single : bool
         Take the steps in single precision.
     device : ArrayDevice
@@ -52,13 +56,16 @@ class BoxProjection:
         lower: Array,
         upper: Array,
         factor: Array | None = None,
-        steps: int = STEPS,
+        steps: int | None = None,
         single: bool = False,
         device: ArrayDevice = CPU,
     ) -> None:
         whole = metric if factor is None else np.diag(metric) + factor @ factor.T
         squared = 1 / np.diag(whole)
-        step = 1 / float(np.linalg.eigvalsh(whole * np.sqrt(np.outer(squared, squared)))[-1])
+        curvature = np.linalg.eigvalsh(whole * np.sqrt(np.outer(squared, squared)))
+        least, largest = float(curvature[0]), float(curvature[-1])
+        step = 1 / largest
+        needed = -math.log(SETTLED) * math.sqrt(largest / max(least, 1e-12 * largest))
         # in the weights' own units, a step is one product: x - step M diag(squared) x
         parts = (
             (np.eye(len(whole)) - step * whole * squared,)
@@ -68,7 +75,7 @@ class BoxProjection:
         kind = "float32" if single else "float64"
         self._descent = tuple(device.put(np.ascontiguousarray(each), dtype=kind) for each in parts)
         self._lower, self._upper = device.put(lower), device.put(upper)
-        self._steps = steps
+        self._steps = min(MOST_STEPS, math.ceil(needed)) if steps is None else steps
 
     def __call__(self, weights: Any) -> Any:
         """Project rows.
@@ -104,7 +111,7 @@ class BoxProjection:
 
 
 def project_to_box(
-    weights: Array, metric: Array, *, lower: Array, upper: Array, steps: int = STEPS
+    weights: Array, metric: Array, *, lower: Array, upper: Array, steps: int | None = None
 ) -> Array:
     """Project rows once; see `BoxProjection`.
 
