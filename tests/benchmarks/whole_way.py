@@ -179,7 +179,7 @@ def _prepare(folder: Path, lengths: tuple[int, ...]) -> None:
 def _train(folder: Path, shapes: int, markers: object, clip: object) -> None:
     from usdface.assets import Markers, References, WeightsClip
     from usdface.deformer import Deformer
-    from usdface.model import fit_motion_space
+    from usdface.model import fit_motion_space, sample_skin
     from usdface.model.train import train_mapping
     from usdface.usdio.mapping import write_mapping
     from usdface.usdio.rig import read_rig
@@ -192,6 +192,7 @@ def _train(folder: Path, shapes: int, markers: object, clip: object) -> None:
     rig = read_rig(folder / f"{shapes}.rig.usdc")
     clouds = markers.positions.astype(np.float64)
     picks = np.linspace(0, min(len(clouds), len(weights)) - 1, PAIRS).astype(int)
+    moved = Deformer(rig).shapes
     mapping = train_mapping(
         References(
             marker_names=markers.names,
@@ -208,7 +209,8 @@ def _train(folder: Path, shapes: int, markers: object, clip: object) -> None:
             motion=fit_motion_space([markers.positions]),
         ),
         ranges=rig.ranges,
-        gram=Deformer(rig).shapes.gram(),
+        gram=moved.gram(),
+        skin=sample_skin(moved.target_offsets()),
         method=METHOD,
     )
     write_mapping(folder / f"{shapes}.mapping.usdc", mapping)
