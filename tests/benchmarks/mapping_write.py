@@ -220,6 +220,7 @@ def _mapped(folder: Path, frames: int, method: str) -> dict[str, float]:
         ),
         ranges=np.tile([0.0, 1.0], (SHAPES, 1)),
         gram=np.einsum("smc,tmc->st", moves, moves) / MARKERS,
+        skin=moves,
         method="ensemble" if method == "strange" else method,
     )
     clouds, _ = markers(0, 10 * BLOCK)
