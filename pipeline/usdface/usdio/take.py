@@ -75,8 +75,9 @@ class TakeReader:
         counts = []
         if markers:
             counts.append(UsdGeom.Points(markers).GetPointsAttr().GetNumTimeSamples())
-        if head:
-            counts.append(len(UsdGeom.Xformable(head).GetTimeSamples()))
+        if head:  # its operations one by one: the union of their times is as long as the take
+            operations = UsdGeom.Xformable(head).GetOrderedXformOps()
+            counts += [operation.GetNumTimeSamples() for operation in operations]
         if source:
             weights = UsdSkel.Animation(source).GetBlendShapeWeightsAttr()
             counts.append(weights.GetNumTimeSamples())
