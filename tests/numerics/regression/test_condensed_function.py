@@ -97,6 +97,10 @@ def test_nothing_is_condensed_from_few_points_or_where_most_is_rough() -> None:
     assert condense(lambda points: np.sin(25 * points), sample(), noise=0.05) is None
 
 
+def test_points_that_are_all_the_same_are_no_sample() -> None:
+    assert condense(smooth, np.tile(sample(1), (1000, 1)), noise=0.05) is None
+
+
 def test_no_points_are_no_points() -> None:
     arrays = condense(smooth, sample(), noise=0.05)
     assert arrays is not None

@@ -72,8 +72,10 @@ def condense(
     scale = np.maximum(taught.var(axis=0), 1e-12) ** -_WHITENING
     chosen = random.permutation(len(taught))[: 2 * count].reshape(2, count)
     centres = (taught * scale)[chosen]
-    apart = ((centres[0] - centres[1]) ** 2).sum(axis=1)
-    exponent = np.array([-1 / (_WIDTH * float(np.median(apart)))])
+    apart = float(np.median(((centres[0] - centres[1]) ** 2).sum(axis=1)))
+    if apart == 0.0:  # a face that does not move
+        return None
+    exponent = np.array([-1 / (_WIDTH * apart)])
     values = function(points)
     fits = [_fit(points, values, scale, half, float(exponent[0])) for half in centres]
     arrays = {
