@@ -13,6 +13,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
 from usdface.errors import InputError
 from usdface.provenance import Provenance
 from usdface.replacing import replacing_together
+from usdface.usdio.crate_structure import check_crate
 from usdface.usdio.plugin import SCHEMA_VERSION
 
 CENTIMETRES = 0.01
@@ -37,6 +38,8 @@ def usd_errors_as_input_errors(path: Path, doing: str) -> Iterator[None]:
         yield
     except Tf.ErrorException as error:
         raise InputError(f"{path}: USD failed while {doing}: {usd_reason(error)}") from error
+    except UnicodeDecodeError as error:  # damage turned a name into bytes that Python cannot take
+        raise InputError(f"{path}: a value that is needed for {doing} is no text") from error
     finally:
         delegate.TakeUncoalescedDiagnostics()
 
@@ -68,14 +71,61 @@ def open_layer(path: Path) -> Sdf.Layer:
         raise InputError(
             f"{path}: not a USD file by its name; expected .usd, .usda, .usdc or .usdz"
         )
+    check_crate(path)
     with usd_errors_as_input_errors(path, "opening it"):
         layer = Sdf.Layer.FindOrOpen(str(path))
         if layer is not None:
             layer.Reload()
+            _check_schema(layer, path)
     if layer is None:
         raise InputError(f"{path}: not a readable USD layer; is it complete, and really USD?")
-    _check_schema(layer, path)
     return layer
+
+
+def check_crates_below(layer: Sdf.Layer) -> None:
+    """Look at a layer, and at every binary one it is composed from before USD opens that.
+
+    Raises
+    ------
+    InputError
+        Naming the first that does not hold together.
+    """
+    waiting, seen = [layer], {layer.identifier}
+    while waiting:
+        above = waiting.pop()
+        _check_tree(above)
+        for asset in above.GetCompositionAssetDependencies():
+            identifier = above.ComputeAbsolutePath(asset)
+            if identifier in seen or not Path(identifier).is_file():
+                continue  # what lies elsewhere is for USD, and for its resolver
+            seen.add(identifier)
+            check_crate(Path(identifier))
+            below = Sdf.Layer.FindOrOpen(identifier)
+            if below is not None:
+                waiting.append(below)
+
+
+def _check_tree(layer: Sdf.Layer) -> None:
+    """Refuse a layer that lists prims or properties which it has not: USD ends the process there.
+
+    Text cannot say so; a binary layer whose list of specs is damaged can.
+    """
+    if layer.GetFileFormat().formatId == "usda":
+        return
+    listed: list[Sdf.Path] = []
+    layer.Traverse(Sdf.Path.absoluteRootPath, listed.append)
+    for path in listed:
+        if path.IsPrimPath():
+            there = bool(layer.GetPrimAtPath(path))
+        elif path.IsPrimPropertyPath():
+            there = bool(layer.GetPropertyAtPath(path))
+        else:
+            there = not path.isEmpty  # as it is where a name is none
+        if not there:
+            raise InputError(
+                f"{layer.identifier}: a damaged binary layer: <{path}> is listed and not there; "
+                "copy it again from where it came from, or write it again"
+            )
 
 
 def _check_schema(layer: Sdf.Layer, path: Path) -> None:
@@ -113,6 +163,7 @@ def open_stage(path: Path) -> Usd.Stage:
     """
     layer = open_layer(path)
     with usd_errors_as_input_errors(path, "composing it"):
+        check_crates_below(layer)
         stage = Usd.Stage.Open(layer)
         for used in stage.GetUsedLayers():
             if not used.anonymous:
@@ -234,24 +285,27 @@ def provenance_data(provenance: Provenance) -> dict[str, object]:
 
 def read_provenance(path: Path) -> Provenance | None:
     """Return what a layer says of its making, or None if this package did not write it."""
-    data = _said_by_us(open_layer(path))
-    if "version" not in data:
-        return None
-    inputs = [data.get(key, ()) for key in ("inputs", "inputHashes")]
-    if not all(isinstance(each, Vt.StringArray) for each in inputs):
-        inputs = [(), ()]
-    return Provenance(
-        step=str(data.get("step", "")),
-        spec=str(data.get("spec", "")),
-        inputs=dict(zip(*inputs, strict=False)),
-        version=str(data["version"]),
-    )
+    layer = open_layer(path)
+    with usd_errors_as_input_errors(path, "reading what it says of its making"):
+        data = _said_by_us(layer)
+        if "version" not in data:
+            return None
+        inputs = [data.get(key, ()) for key in ("inputs", "inputHashes")]
+        if not all(isinstance(each, Vt.StringArray) for each in inputs):
+            inputs = [(), ()]
+        return Provenance(
+            step=str(data.get("step", "")),
+            spec=str(data.get("spec", "")),
+            inputs=dict(zip(*inputs, strict=False)),
+            version=str(data["version"]),
+        )
 
 
 def dependencies(path: Path) -> list[Path]:
     """Return every layer a USD file is built from, itself first; textures and movies are not."""
     layer = open_layer(path)
     with usd_errors_as_input_errors(path, "finding what it is built from"):
+        check_crates_below(layer)
         layers, _, _ = UsdUtils.ComputeAllDependencies(layer.identifier)
     found = [Path(each.realPath) for each in layers if each.realPath]
     return [path, *(each for each in found if each.resolve() != path.resolve())]
@@ -261,6 +315,7 @@ def all_files(path: Path) -> list[Path]:
     """Return every file that a USD file refers to, movies, sound and textures included."""
     layer = open_layer(path)
     with usd_errors_as_input_errors(path, "finding what it refers to"):
+        check_crates_below(layer)
         layers, assets, missing = UsdUtils.ComputeAllDependencies(layer.identifier)
     named = [each.realPath for each in layers] + [str(each) for each in (*assets, *missing)]
     return [Path(each) for each in named if each]

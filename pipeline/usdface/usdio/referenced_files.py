@@ -5,7 +5,11 @@ from pathlib import Path
 from pxr import UsdUtils
 
 from usdface.usdio.frame_span import check_span
-from usdface.usdio.layers import open_layer, usd_errors_as_input_errors
+from usdface.usdio.layers import (
+    check_crates_below,
+    open_layer,
+    usd_errors_as_input_errors,
+)
 
 
 def referenced_files(path: Path) -> list[Path]:
@@ -18,6 +22,7 @@ def referenced_files(path: Path) -> list[Path]:
     """
     layer = open_layer(path)
     with usd_errors_as_input_errors(path, "finding what it refers to"):
+        check_crates_below(layer)
         layers, assets, _ = UsdUtils.ComputeAllDependencies(layer.identifier)
     found = {Path(each.realPath) for each in layers if each.realPath}
     found |= {Path(asset) for asset in assets if Path(asset).is_file()}
@@ -33,9 +38,10 @@ def frame_range_of(path: Path) -> tuple[int, int] | None:
         If the file cannot be opened, or its range is none.
     """
     layer = open_layer(path)
-    if not (layer.HasStartTimeCode() and layer.HasEndTimeCode()):
-        return None
-    start, end = layer.startTimeCode, layer.endTimeCode
+    with usd_errors_as_input_errors(path, "reading its range"):
+        if not (layer.HasStartTimeCode() and layer.HasEndTimeCode()):
+            return None
+        start, end = layer.startTimeCode, layer.endTimeCode
     check_span(f"{path}: startTimeCode to endTimeCode", start, end, samples=None)
     first, last = round(start), round(end)
     return (first, last) if last >= first else None

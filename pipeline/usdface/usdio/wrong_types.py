@@ -24,7 +24,7 @@ def refusing_wrong_types(read: Callable[P, R]) -> Callable[P, R]:
     def reading(*given: P.args, **named: P.kwargs) -> R:
         try:
             return read(*given, **named)
-        except (TypeError, ValueError, OverflowError, Tf.ErrorException) as error:
+        except (TypeError, ValueError, IndexError, OverflowError, Tf.ErrorException) as error:
             file = getattr(given[0], "path", given[0])
             said = usd_reason(error) if isinstance(error, Tf.ErrorException) else str(error)
             raise InputError(
