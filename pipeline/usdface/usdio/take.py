@@ -98,7 +98,10 @@ class TakeReader:
     def timecode_at(self, frame: int) -> str:
         """Return the SMPTE timecode of a frame; empty where the take has none."""
         start = str(self._value("face:timecode:start") or "")
-        return shift_timecode(start, frame - self.first_frame, self.rate)
+        try:
+            return shift_timecode(start, frame - self.first_frame, self.rate)
+        except InputError as error:
+            raise InputError(f"{self.path}: face:timecode:start: {error}") from error
 
     @refusing_wrong_types
     def read(
