@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import array_api_strict
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,7 +15,10 @@ from usdface.model import fit_motion_space, predict_weights, sample_skin, train_
 from usdface.model.methods import corrections
 from usdface.model.methods.target_curve import bend, unbend
 from usdface.model.methods.voices import REGION_WIDE, affordable_choices
+from usdface.model.predict import WeightPredictor
+from usdface.numerics.array_namespace import ArrayDevice
 
+STRICT = ArrayDevice("strict", array_api_strict, array_api_strict.Device("CPU_DEVICE"))
 CHOSEN = np.arange(0, 1200, 30)
 
 
@@ -135,6 +139,8 @@ def test_corrections_come_to_the_same_condensed(monkeypatch: pytest.MonkeyPatch,
     assert len(dear) < len(mapping.arrays)
     new = synthetic_face(bend=0.3, seed=seed)
     found = predict_weights(mapping, new.positions).weights
+    there = WeightPredictor(mapping, device=STRICT).predict(new.positions).weights
+    np.testing.assert_allclose(there, found, atol=1e-6)
     wanted = predict_weights(replace(mapping, arrays=dear), new.positions).weights
     away = np.abs(found - wanted)
     assert 0 < away.max() < 0.01

@@ -11,7 +11,7 @@ from usdface.model.head_space import MINIMUM_SHARE
 from usdface.model.methods import AUTO, find_method
 from usdface.model.predict import WeightPredictor
 from usdface.model.train import motion_of
-from usdface.numerics.array_namespace import CPU, ArrayDevice
+from usdface.numerics.array_namespace import CPU, ArrayDevice, open_device
 
 
 def trained(face: SyntheticFace, method: str = "ridge") -> Mapping:
@@ -141,6 +141,16 @@ def test_many_frames_on_any_device_agree_with_what_the_method_was_judged_by(name
     for device in (CPU, STRICT):
         found = WeightPredictor(mapping, device=device).predict(face.positions)
         np.testing.assert_allclose(found.weights, exact, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ANYWHERE)
+def test_torch_maps_as_numpy_does(name: str) -> None:
+    pytest.importorskip("torch", reason="torch is not installed; nothing here requires it")
+    face = synthetic_face(bend=0.5)
+    mapping = trained(face, name)
+    here = WeightPredictor(mapping).predict(face.positions).weights
+    there = WeightPredictor(mapping, device=open_device("torch")).predict(face.positions).weights
+    np.testing.assert_allclose(there, here, atol=1e-6)
 
 
 def test_what_auto_tries_runs_on_any_device_and_others_say_that_they_do_not() -> None:
