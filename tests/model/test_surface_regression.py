@@ -285,6 +285,24 @@ def test_every_device_moves_the_mesh_alike(mouth: Mouth, sampler: str) -> None:
         assert np.abs(getattr(one, name) - getattr(other, name)).max() < 1e-6
 
 
+@pytest.mark.parametrize("sampler", ["hmc", "map", "shared"])
+def test_torch_moves_the_mesh_as_numpy_does(mouth: Mouth, sampler: str) -> None:
+    pytest.importorskip("torch", reason="torch is not installed; nothing here requires it")
+    moved = mouth.markers(noise=0.5)[:6]
+    options = {"sampler": sampler, "length_scale": 40.0, "samples": 20, "precision": "double"}
+    one, other = (
+        fit_surface_regression(
+            mouth.distances(),
+            moved,
+            device=device,
+            **options,  # type: ignore[arg-type]
+        ).deform(moved)
+        for device in ("cpu", "torch")
+    )
+    assert np.abs(one.mean - other.mean).max() < 1e-6
+    assert np.abs(one.sd - other.sd).max() < 1e-6
+
+
 def test_a_device_that_is_not_there_is_refused_before_anything_is_fitted(mouth: Mouth) -> None:
     with pytest.raises(InputError, match="there are cpu, cuda, cuda:NUMBER and torch"):
         fit_surface_regression(mouth.distances(), mouth.markers(), device="quantum")
