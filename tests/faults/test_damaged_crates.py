@@ -5,6 +5,8 @@ C++, which may end it. That it seldom does is held here; that nothing but our ow
 usdface, and that nothing hangs, is held without exception.
 """
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,11 +14,13 @@ import pytest
 from pxr import UsdUtils
 
 from tests.faults.crate_damage import CRATE_DAMAGES, PACKAGE_DAMAGES, Damage
+from tests.faults.crate_file import sections
 from tests.faults.crate_survey import PACKAGES, Subject, Tally, lay_out, survey
 from tests.faults.layer_reader import LayerReader
 from tests.faults.world import World
 from tests.small_scan import small_scan, small_scan_take, write_scan
 from tests.usdio.small_rig import small_rig
+from usdface.errors import InputError
 from usdface.usdio.rig_write import write_rig
 from usdface.usdio.take_write import write_take
 
@@ -74,6 +78,21 @@ def test_some_hundred_damaged_layers_and_packages_are_read_or_refused(
     for tallies in (found, packages):
         refused = sum(tally.ends["refused"] for tally in tallies.values())
         assert refused > 0.2 * sum(tally.ends.total() for tally in tallies.values())
+
+
+def test_the_command_says_so_and_ends_with_2(tmp_path: Path) -> None:
+    path = tmp_path / "hero.usdc"
+    write_rig(path, small_rig())
+    content = bytearray(path.read_bytes())
+    specs = next(each for each in sections(bytes(content)) if each.name == "SPECS")
+    content[specs.start + 4] = 1  # four thousand million more
+    path.write_bytes(content)
+    done = subprocess.run(
+        [sys.executable, "-m", "usdface", "validate", str(path)], capture_output=True, text=True
+    )
+    assert done.returncode == InputError.exit_code
+    assert "hero.usdc: a damaged binary layer: part SPECS" in done.stderr
+    assert "a fault in usdface" not in done.stderr
 
 
 def test_what_ends_the_process_is_seen(reader: LayerReader, tmp_path: Path) -> None:

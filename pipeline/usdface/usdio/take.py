@@ -17,6 +17,7 @@ from usdface.usdio.take_write import AUDIO, CONFIDENCE, HEAD_MOTION, MARKERS, SO
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 
+@refusing_wrong_types
 def is_take(path: Path) -> bool:
     """Whether a USD file follows the take contract."""
     stage = open_stage(path)  # a prim does not keep its stage alive
