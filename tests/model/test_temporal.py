@@ -1,9 +1,12 @@
+import array_api_strict
 import numpy as np
 import pytest
 
 from usdface.errors import InputError
 from usdface.model.temporal import TemporalSolve, smooth_weights
+from usdface.numerics.array_namespace import CPU, ArrayDevice
 
+STRICT = ArrayDevice("strict", array_api_strict, array_api_strict.Device("CPU_DEVICE"))
 RATE = 60.0
 RANGES = np.array([[0.0, 1.0], [0.0, 1.0]])
 
@@ -50,6 +53,23 @@ def test_windows_with_a_margin_are_the_whole_take(mode: str) -> None:
     whole = smoothed(shaky, solve)
     window = smoothed(shaky[300 - solve.margin : 400 + solve.margin], solve)
     np.testing.assert_allclose(window[solve.margin : -solve.margin], whole[300:400], atol=1e-9)
+
+
+@pytest.mark.parametrize("cutoff", [20.0, 1.0])
+def test_a_whole_take_is_smoothed_alike_on_any_device(cutoff: float) -> None:
+    """At 1 Hz too many steps would be needed, and the processor does it."""
+    _, shaky = shaky_blinks(300)
+    solve = TemporalSolve("whole", cutoff_hz=cutoff)
+    confidence = np.linspace(0.0, 1.0, len(shaky))
+    here, there = (
+        smooth_weights(
+            shaky, confidence=confidence, ranges=RANGES, rate=RATE, solve=solve, device=device
+        )
+        for device in (CPU, STRICT)
+    )
+    np.testing.assert_allclose(there, here, atol=1e-6)
+    assert there.min() >= 0.0
+    assert there.max() <= 1.0
 
 
 def test_the_causal_mode_knows_no_more_than_its_lag() -> None:

@@ -6,16 +6,23 @@ neighbours. Ranges are part of the problem, not cut off afterwards.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from usdface.assets import FloatArray
 from usdface.errors import InputError
+from usdface.numerics.array_namespace import CPU, ArrayDevice
 from usdface.numerics.solve.banded_smoothing import (
     FixedLagSmoother,
     cutoff_penalty,
     smooth_within_bounds,
+)
+from usdface.numerics.solve.descended_smoothing import (
+    MOST_STEPS,
+    smooth_on_device,
+    steps_needed,
 )
 from usdface.numerics.solve.filter_bank import apply_filter_bank
 
@@ -71,6 +78,7 @@ def smooth_weights(
     ranges: FloatArray,
     rate: float,
     solve: TemporalSolve,
+    device: ArrayDevice = CPU,
 ) -> FloatArray:
     """Smooth consecutive frames of a performance.
 
@@ -86,6 +94,8 @@ def smooth_weights(
     rate : float
         Frames per second.
     solve : TemporalSolve
+    device : ArrayDevice
+        Where whole takes are smoothed; the other modes go from frame to frame, on the processor.
 
     Returns
     -------
@@ -107,9 +117,10 @@ def smooth_weights(
             return np.clip(banded, lower, upper, out=banded)
         penalty = cutoff_penalty(solve.cutoff_hz, rate)
         if solve.mode == "whole":
-            return smooth_within_bounds(
-                weights, penalty=penalty, trust=trust, lower=lower, upper=upper
-            )
+            quick = len(trust) > 0 and steps_needed(penalty, trust) <= MOST_STEPS
+            here = device is CPU or not quick
+            smooth = smooth_within_bounds if here else partial(smooth_on_device, device=device)
+            return smooth(weights, penalty=penalty, trust=trust, lower=lower, upper=upper)
         smoother = FixedLagSmoother(weights.shape[1], penalty=penalty, lag=solve.lag)
     except ValueError as error:
         raise InputError(f"weights cannot be smoothed: {error}") from error

@@ -63,5 +63,6 @@ class MapSpec(Spec):
     """Octaves, from half the rate downwards, that `--temporal bands` leaves out; at 60 frames per
     second a second one costs blinks."""
     device: Device = "cpu"
-    """Where weights are predicted: `cpu`, a graphics card as `cuda` or `cuda:1` (by torch or cupy,
-    where installed), or `torch`, which is torch on the processor. Weights agree to a millionth."""
+    """Where weights are predicted, and smoothed by `--temporal whole`: `cpu`, a graphics card as
+    `cuda` or `cuda:1` (by torch or cupy, where installed), or `torch`, which is torch on the
+    processor. Weights agree to a millionth."""

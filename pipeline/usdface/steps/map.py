@@ -84,6 +84,7 @@ def run(
                 ranges=mapping.ranges,
                 rate=float(take.rate),
                 solve=solve,
+                device=device,
             )
             asked = slice(
                 max(first, block.start) - window.start, min(last + 1, block.stop) - window.start

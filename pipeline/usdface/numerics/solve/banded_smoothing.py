@@ -65,12 +65,7 @@ def smooth_within_bounds(
     ValueError
         If a value is not finite, a trust not positive or the penalty negative.
     """
-    if not np.isfinite(tracks).all():
-        raise ValueError("tracks hold values that are not finite")
-    if trust.shape != (len(tracks),) or not (trust > 0).all():
-        raise ValueError(f"trust must be {len(tracks)} positive numbers")
-    if not penalty >= 0:
-        raise ValueError(f"penalty must not be negative, got {penalty}")
+    check_smoothing(tracks, penalty=penalty, trust=trust)
     if len(tracks) < 3 or penalty == 0:
         clipped: Array = np.clip(tracks, lower, upper)
         return clipped
@@ -83,6 +78,22 @@ def smooth_within_bounds(
             bands, right[:, column], out[:, column], float(lower[column]), float(upper[column])
         )
     return out
+
+
+def check_smoothing(tracks: Array, *, penalty: float, trust: Array) -> None:
+    """Refuse what cannot be smoothed.
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite, a trust not positive or the penalty negative.
+    """
+    if not np.isfinite(tracks).all():
+        raise ValueError("tracks hold values that are not finite")
+    if trust.shape != (len(tracks),) or not (trust > 0).all():
+        raise ValueError(f"trust must be {len(tracks)} positive numbers")
+    if not penalty >= 0:
+        raise ValueError(f"penalty must not be negative, got {penalty}")
 
 
 def _solve(bands: Array, right: Array) -> Array:
