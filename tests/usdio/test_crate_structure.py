@@ -113,6 +113,16 @@ def test_a_layer_below_is_looked_at_before_usd_opens_it(crate: Path, tmp_path: P
             read(top)
 
 
+def test_text_that_is_none_in_a_variant_that_is_not_chosen_is_no_matter(tmp_path: Path) -> None:
+    (tmp_path / "broken.usda").write_text("#usda 1.0\ndef def")
+    layer = Sdf.Layer.CreateNew(str(tmp_path / "face.usda"))
+    sets = Sdf.VariantSetSpec(Sdf.CreatePrimInLayer(layer, "/face"), "look")
+    prim = Sdf.VariantSpec(sets, "old").primSpec
+    prim.referenceList.prependedItems = [Sdf.Reference("./broken.usda", "/face")]
+    layer.Save()
+    assert open_stage(tmp_path / "face.usda").GetPrimAtPath("/face")
+
+
 def test_a_layer_within_a_package_is_looked_at(crate: Path, tmp_path: Path) -> None:
     package = tmp_path / "face.usdz"
     assert UsdUtils.CreateNewUsdzPackage(str(crate), str(package))

@@ -100,7 +100,9 @@ def check_crates_below(layer: Sdf.Layer) -> None:
                 continue  # what lies elsewhere is for USD, and for its resolver
             seen.add(identifier)
             check_crate(Path(identifier))
-            below = Sdf.Layer.FindOrOpen(identifier)
+            below = None
+            with contextlib.suppress(Tf.ErrorException):  # USD says so again if it needs it
+                below = Sdf.Layer.FindOrOpen(identifier)
             if below is not None:
                 waiting.append(below)
 
