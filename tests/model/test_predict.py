@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import array_api_strict
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from usdface.errors import InputError
 from usdface.model import predict_weights, train_mapping
 from usdface.model.coordinates import marker_coordinates
 from usdface.model.head_space import MINIMUM_SHARE
-from usdface.model.methods import AUTO, find_method
+from usdface.model.methods import AUTO, METHODS, find_method
 from usdface.model.predict import WeightPredictor
 from usdface.model.train import motion_of
 from usdface.numerics.array_namespace import CPU, ArrayDevice, open_device
@@ -129,6 +131,22 @@ def test_takes_in_single_precision_are_told_as_in_double(method: str) -> None:
 
 ANYWHERE = ("ridge", "rbf", "d06", "ensemble", "regional")
 STRICT = ArrayDevice("strict", array_api_strict, array_api_strict.Device("CPU_DEVICE"))
+
+
+@pytest.mark.parametrize("name", sorted(METHODS))
+def test_a_mapping_whose_arrays_do_not_fit_is_refused_or_read(name: str) -> None:
+    """Each array missing, one row short, and empty: nothing but InputError may escape."""
+    face = synthetic_face(frames=300)
+    mapping = trained(face, name)
+    refused = 0
+    for array, value in mapping.arrays.items():
+        left = {other: each for other, each in mapping.arrays.items() if other != array}
+        for arrays in (left, left | {array: value[1:]}, left | {array: np.zeros((0,))}):
+            try:
+                predict_weights(replace(mapping, arrays=arrays), face.positions[:4])
+            except InputError:
+                refused += 1
+    assert refused > len(mapping.arrays)
 
 
 @pytest.mark.parametrize("name", ANYWHERE)

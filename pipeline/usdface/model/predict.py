@@ -64,16 +64,34 @@ class WeightPredictor:
     mapping : Mapping
     device : ArrayDevice
         Where the method is evaluated; what goes in and comes out is numpy's.
+
+    Raises
+    ------
+    InputError
+        If arrays are missing or do not fit each other: one frame is tried.
     """
 
     def __init__(self, mapping: Mapping, *, device: ArrayDevice = CPU) -> None:
         self._mapping = mapping
         self._device = device
-        self._motion = motion_of(mapping)
-        self._regions = regions_of(mapping)
-        self._predict = find_method(mapping.method).predictor(
-            mapping.arrays, mapping.settings, device
-        )
+        try:
+            self._motion = motion_of(mapping)
+            self._regions = regions_of(mapping)
+            with np.errstate(all="ignore"):  # what is not finite is refused below
+                self._predict = find_method(mapping.method).predictor(
+                    mapping.arrays, mapping.settings, device
+                )
+                tried = self.predict(mapping.neutral[None])
+        except (KeyError, ValueError, IndexError, TypeError) as error:
+            raise InputError(
+                f"the mapping's arrays do not fit its method, {mapping.method}: "
+                f"{type(error).__name__}: {error}; train it again"
+            ) from error
+        if not all(np.isfinite(each).all() for each in (tried.weights, tried.region_error)):
+            raise InputError(
+                f"the mapping says nothing finite of its own neutral face, by {mapping.method}; "
+                "its arrays are damaged: train it again"
+            )
 
     def predict(
         self,
