@@ -106,6 +106,23 @@ def test_alpha_one_is_the_network_and_zero_the_correlation() -> None:
     assert inside.mean() > 0.9  # the rest touches a limit
 
 
+@pytest.mark.parametrize("method", list(RETARGET_METHODS))
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_a_retargeting_whose_arrays_do_not_fit_is_refused_or_read(method: str) -> None:
+    """Each array missing, one row short, and empty: nothing but InputError may escape."""
+    trained = train_retargeting(creature_pairs(), method=method)
+    source = creature_pairs().source[:3]
+    refused = 0
+    for array, value in trained.arrays.items():
+        left = {other: each for other, each in trained.arrays.items() if other != array}
+        for arrays in (left, left | {array: value[1:]}, left | {array: np.zeros((0,))}):
+            try:
+                retarget(replace(trained, arrays=arrays), source)
+            except InputError:
+                refused += 1
+    assert refused >= len(trained.arrays)
+
+
 def test_alpha_is_refused_by_what_is_no_hybrid() -> None:
     trained = train_retargeting(creature_pairs(), method="rbf")
     with pytest.raises(InputError, match="train with --method hybrid"):

@@ -149,7 +149,8 @@ def retarget(
     Raises
     ------
     InputError
-        If `alpha` is given and the method is no hybrid.
+        If `alpha` is given and the method is no hybrid, or the retargeting's arrays are missing or
+        do not fit each other.
     """
     if alpha is not None and trained.method != "hybrid":
         raise InputError(
@@ -157,11 +158,17 @@ def retarget(
             "train with --method hybrid"
         )
     method = find_retarget_method(trained.method)
-    inputs = source - trained.arrays["source_rest"]
-    moved = method.predict(trained.arrays, trained.settings, inputs, alpha)
-    moved += trained.rest
-    np.clip(moved, trained.ranges[:, 0], trained.ranges[:, 1], out=moved)
-    return space_of(trained).decode(moved)
+    try:
+        inputs = source - trained.arrays["source_rest"]
+        moved = method.predict(trained.arrays, trained.settings, inputs, alpha)
+        moved += trained.rest
+        np.clip(moved, trained.ranges[:, 0], trained.ranges[:, 1], out=moved)
+        return space_of(trained).decode(moved)
+    except (KeyError, ValueError, IndexError, TypeError) as error:
+        raise InputError(
+            f"the retargeting's arrays do not fit its method, {trained.method}, or the source: "
+            f"{type(error).__name__}: {error}; train it again"
+        ) from error
 
 
 def space_of(trained: Retargeting) -> ControlSpace:
