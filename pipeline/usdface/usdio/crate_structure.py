@@ -1,9 +1,9 @@
 """Does a binary layer hold together? Looked at before USD opens it.
 
 USD sets aside memory for as many specs, paths and tokens as a binary layer (a crate) says it has,
-before it reads one: a flipped bit in a count makes gigabytes and minutes of a file of a few
-kilobytes. What is looked at here is where the parts lie and how many things each says it holds,
-some 300 bytes in all. Values are not looked at: that would be reading the file.
+before it reads one: a damaged byte of a count makes gigabytes of a file of a few kilobytes. What
+is looked at here is where the parts lie and how many things each says it holds, some 300 bytes in
+all. Values are not looked at: that would be reading the file.
 """
 
 import itertools
