@@ -113,6 +113,15 @@ def test_a_layer_below_is_looked_at_before_usd_opens_it(crate: Path, tmp_path: P
             read(top)
 
 
+@pytest.mark.parametrize("name", ["a" * 5000, "a/" * 3000, "é\\n", "gone"])
+def test_a_name_that_no_file_has_is_no_matter(tmp_path: Path, name: str) -> None:
+    layer = Sdf.Layer.CreateNew(str(tmp_path / "face.usda"))
+    prim = Sdf.CreatePrimInLayer(layer, "/face")
+    prim.referenceList.prependedItems = [Sdf.Reference(f"./{name}.usdc", "/face")]
+    layer.Save()
+    assert open_stage(tmp_path / "face.usda").GetPrimAtPath("/face")
+
+
 def test_text_that_is_none_in_a_variant_that_is_not_chosen_is_no_matter(tmp_path: Path) -> None:
     (tmp_path / "broken.usda").write_text("#usda 1.0\ndef def")
     layer = Sdf.Layer.CreateNew(str(tmp_path / "face.usda"))

@@ -96,7 +96,7 @@ def check_crates_below(layer: Sdf.Layer) -> None:
         _check_tree(above)
         for asset in above.GetCompositionAssetDependencies():
             identifier = above.ComputeAbsolutePath(asset)
-            if identifier in seen or not Path(identifier).is_file():
+            if identifier in seen or not _is_file(identifier):
                 continue  # what lies elsewhere is for USD, and for its resolver
             seen.add(identifier)
             check_crate(Path(identifier))
@@ -105,6 +105,13 @@ def check_crates_below(layer: Sdf.Layer) -> None:
                 below = Sdf.Layer.FindOrOpen(identifier)
             if below is not None:
                 waiting.append(below)
+
+
+def _is_file(identifier: str) -> bool:
+    try:
+        return Path(identifier).is_file()
+    except OSError:  # a name that is too long, a folder that may not be looked into
+        return False
 
 
 def _check_tree(layer: Sdf.Layer) -> None:
