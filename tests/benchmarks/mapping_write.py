@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
+from statistics import median
 
 import numpy as np
 
@@ -27,31 +28,30 @@ BLOCK = 4096
 METHODS = ("ridge", "rbf", "ensemble")
 EXPRESSIONS, KEY_SECONDS = 24, 0.4
 
+ROUNDS = 3
 MOST_TIME = 1.8
 MOST_MEMORY = 0.2
 
 
 def run(frames: int = FRAMES) -> None:
     """Print times as ratios to the bare write, and peaks of memory as ratios to the raw array."""
-    bare = _route("bare", frames)
-    print(f"{frames:,} frames x {SHAPES} weights; times as ratios to the bare write\n")
+    targets = {"bare": "", "weights": "", "performance": ""}
+    targets |= dict.fromkeys(METHODS, str(MOST_TIME)) | {"strange": ""}
+    rounds = [{name: _route(name, frames) for name in targets} for _ in range(ROUNDS)]
+    print(
+        f"{frames:,} frames x {SHAPES} weights; ratios to the bare write of the same round, "
+        f"medians of {ROUNDS}\n"
+    )
     print("| route | elapsed s | ratio | target | processor s | ratio |")
     print("|---|---|---|---|---|---|")
-    print(f"| bare write | {bare['elapsed']:.1f} | 1.00 | | {bare['seconds']:.1f} | 1.00 |")
-    for name, target in (
-        ("weights", ""),
-        ("performance", ""),
-        *((method, MOST_TIME) for method in METHODS),
-        ("strange", ""),
-    ):
-        told = _route(name, frames)
-        ratios = [told[key] / bare[key] for key in ("elapsed", "seconds")]
+    for name, target in targets.items():
+        cells = []
+        for key in ("elapsed", "seconds"):
+            spent = [each[name][key] for each in rounds]
+            ratios = [each[name][key] / each["bare"][key] for each in rounds]
+            cells += [f"{median(spent):.1f}", f"{median(ratios):.2f}"]
         label = _LABELS.get(name, f"mapped ({name}) and written")
-        print(
-            f"| {label} | {told['elapsed']:.1f} | {ratios[0]:.2f} | {target} | "
-            f"{told['seconds']:.1f} | {ratios[1]:.2f} |",
-            flush=True,
-        )
+        print(f"| {label} | {cells[0]} | {cells[1]} | {target} | {cells[2]} | {cells[3]} |")
     raw = frames * MANY * 4 / 1e6
     print(f"\n{frames:,} frames x {MANY} weights, {raw:.0f} MB raw; peaks beyond the start\n")
     print("| route | peak MB | ratio | target |")
@@ -63,6 +63,7 @@ def run(frames: int = FRAMES) -> None:
 
 
 _LABELS = {
+    "bare": "bare write",
     "weights": "our writer, weights alone",
     "performance": "our writer, with confidence and residual",
     "strange": "mapped (ensemble) and written, faces that never come back",
