@@ -42,7 +42,7 @@ def run(frames: int = FRAMES) -> None:
         f"{frames:,} frames x {SHAPES} weights; ratios to the bare write of the same round, "
         f"medians of {ROUNDS}\n"
     )
-    print("| route | elapsed s | ratio | target | processor s | ratio |")
+    print("| route | elapsed s | ratio | target | processor s | its ratio |")
     print("|---|---|---|---|---|---|")
     for name, target in targets.items():
         cells = []
