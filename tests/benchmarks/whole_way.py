@@ -1,7 +1,9 @@
 """The whole way: ingest, clean, map, written, against the bare USD write of the same weights.
 
 Every stage is the installed command in a process of its own; the floor is a process that does
-nothing but hand rows of weights to USD and save them. The demo's actor again and again, with noise;
+nothing but hand rows of weights to USD and save them. Beside it stands what the same costs for the
+markers, once: the whole way writes them twice, as captured and as cleaned, and reads them three
+times. The demo's actor again and again, with noise;
 rigs of 46 and of 946 shapes. `--full` runs the hour, 432,000 frames; otherwise two short takes,
 and the line through both says what an hour would cost.
 """
@@ -25,6 +27,8 @@ METHOD = "ensemble"
 LEARNED_FRAMES = 1_500
 WANTED = 1.8
 NOISE_MM = 0.1
+MARKERS = 102
+BARE_MARKERS = f"bare write of {MARKERS} markers, once"
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,7 @@ def _table(stages: dict[str, Cost]) -> None:
         elapsed = sum(stages[stage].elapsed for stage in names)
         for label, cost, target in (
             (f"bare write, {shapes} shapes", bare, ""),
+            (BARE_MARKERS, stages[BARE_MARKERS], ""),
             ("ingest", stages["ingest"], ""),
             ("clean", stages["clean"], ""),
             (names[2], stages[names[2]], f"≤ {WANTED}"),
@@ -91,6 +96,7 @@ def _elapsed(cost: Cost) -> str:
 def _way(folder: Path, frames: int) -> dict[str, Cost]:
     clean = f"{frames}.clean.take.usda"
     costs = {
+        BARE_MARKERS: _bare(folder, frames, MARKERS, size=3),
         "ingest": _usdface(folder, f"ingest {frames}.c3d --out {frames}.take.usda --neutral 31"),
         "clean": _usdface(folder, f"clean {frames}.take.usda --out {clean}"),
     }
@@ -108,20 +114,26 @@ _BARE = """
 import sys
 import numpy as np
 from pxr import Sdf, Vt
-frames, shapes = map(int, sys.argv[1:])
-waves = np.random.default_rng(0).random((4096, shapes), dtype=np.float32)
-layer = Sdf.Layer.CreateNew(f"{frames}.{shapes}.bare.usdc")
-prim = Sdf.CreatePrimInLayer(layer, "/Anim")
-path = Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray).path
+frames, count, size = map(int, sys.argv[1:])
+kind, array = {
+    1: (Sdf.ValueTypeNames.FloatArray, Vt.FloatArray),
+    3: (Sdf.ValueTypeNames.Point3fArray, Vt.Vec3fArray),
+}[size]
+shape = (4096, count) if size == 1 else (4096, count, size)
+waves = np.random.default_rng(0).random(shape, dtype=np.float32)
+layer = Sdf.Layer.CreateNew(f"{frames}.{count}.{size}.bare.usdc")
+prim = Sdf.CreatePrimInLayer(layer, "/Bare")
+path = Sdf.AttributeSpec(prim, "values", kind).path
 for frame in range(frames):
     row = waves[frame % 4096] * np.float32(1 - 0.5 * frame / frames)
-    layer.SetTimeSample(path, frame, Vt.FloatArray.FromNumpy(row))
+    layer.SetTimeSample(path, frame, array.FromNumpy(row))
 layer.Save()
 """
 
 
-def _bare(folder: Path, frames: int, shapes: int) -> Cost:
-    return _process(folder, [sys.executable, "-c", _BARE, str(frames), str(shapes)])
+def _bare(folder: Path, frames: int, count: int, *, size: int = 1) -> Cost:
+    words = map(str, (frames, count, size))
+    return _process(folder, [sys.executable, "-c", _BARE, *words])
 
 
 def _usdface(folder: Path, words: str) -> Cost:
