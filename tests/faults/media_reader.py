@@ -6,89 +6,24 @@ memory than a machine has, and both must be seen by a test that goes on.
 `python -m tests.faults.media_reader` answers each path that it is told with one line.
 """
 
-import faulthandler
 import json
 import os
-import resource
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
-from queue import Empty, SimpleQueue
-from threading import Thread
-from types import TracebackType
-from typing import Self
 
-ROOM = 2 << 30
-"""What reading one small file may ask for beyond what the libraries themselves take [bytes]."""
-LONGEST_SECONDS = 30.0
+from tests.faults.child_reader import ChildReader, bound_memory, escaped
+
 MOST_FRAMES_SHOWN = 4
 
 
-class MediaReader:
-    """A process that reads what it is told, and is started anew when a file ended it."""
+class MediaReader(ChildReader):
+    """Asks this module, run as a process."""
 
     def __init__(self) -> None:
-        self._process: subprocess.Popen[str] | None = None
-        self._answers: SimpleQueue[str] = SimpleQueue()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._end()
-
-    def ask(self, reader: str, path: Path) -> str:
-        """Return ``read``, ``refused: …`` or, for what must not be, how reading ended."""
-        process = self._process or self._start()
-        assert process.stdin is not None
-        process.stdin.write(json.dumps([reader, str(path)]) + "\n")
-        process.stdin.flush()
-        try:
-            answer = self._answers.get(timeout=LONGEST_SECONDS)
-        except Empty:
-            self._end()
-            return f"hung: no answer in {LONGEST_SECONDS:g} s"
-        if answer:
-            return answer
-        code = process.wait()
-        self._end()
-        return f"ended: the process ended with {code}"
-
-    def _start(self) -> subprocess.Popen[str]:
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.faults.media_reader"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-            cwd=Path(__file__).resolve().parents[2],
-            env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-        )
-        self._answers = SimpleQueue()
-        Thread(target=_listen, args=(self._process, self._answers), daemon=True).start()
-        return self._process
-
-    def _end(self) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.communicate()
-        self._process = None
-
-
-def _listen(process: subprocess.Popen[str], answers: "SimpleQueue[str]") -> None:
-    """Pass lines on; an empty one tells that the process has ended."""
-    assert process.stdout is not None
-    for line in process.stdout:
-        answers.put(line.strip())
-    answers.put("")
+        super().__init__("tests.faults.media_reader", seconds=30.0)
 
 
 def read_movie(path: Path) -> None:
@@ -161,10 +96,7 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "w")
     said = tempfile.TemporaryFile()
     os.dup2(said.fileno(), 1)
-    faulthandler.enable()
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + ROOM, used + ROOM))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    bound_memory()
     for line in sys.stdin:
         reader, name = json.loads(line)
         try:
@@ -174,11 +106,7 @@ def main() -> None:
             answer = "refused" if Path(name).name in str(error) else "unnamed"
             answer += f": {error}"
         except Exception as error:  # this is what a test looks for
-            where = error.__traceback__
-            while where is not None and where.tb_next is not None:
-                where = where.tb_next
-            at = "" if where is None else f"{where.tb_frame.f_code.co_filename}:{where.tb_lineno}"
-            answer = f"escaped: {type(error).__name__}: {error} ({at})"
+            answer = escaped(error)
         if said.seek(0, os.SEEK_END):  # `--json` belongs to scripts
             said.seek(0)
             answer = f"noisy: {said.read()!r} on standard output, then {answer}"
