@@ -15,7 +15,7 @@ from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
 
 Array = NDArray[np.float64]
 
-MOST_STEPS = 30
+MOST_STEPS = 10
 SETTLED = 1e-3
 """Steps of accelerated projected gradient: as many as a metric needs for that share of the way to
 be left, at most those."""
