@@ -198,7 +198,7 @@ def test_a_row_without_a_face_is_interpolated_and_counted(put):
     lines[4] = lines[4].split(",")[0] + ",0," + "," * 5
     capture = read_capture(put("\n".join(lines)))
     assert capture.take.frame_count == samples.FRAMES
-    assert noted(capture, "1 rows have no face")
+    assert noted(capture, "1 row without a face")
 
 
 def test_a_recording_through_midnight_goes_on(put):

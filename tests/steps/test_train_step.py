@@ -39,6 +39,6 @@ def test_weights_beyond_the_range_and_pairs_that_repeat_are_told(
     )
     monkeypatch.setattr("usdface.steps.train.read_references", lambda path: changed)
     notes = execute(TrainSpec(references=given, out=out, method="ridge")).notes
-    assert any(note.startswith("1 weights of the pairs are beyond") for note in notes)
+    assert any(note.startswith("1 weight of the pairs beyond") for note in notes)
     assert any(note.startswith("left out 1 pair that others repeat") for note in notes)
     assert read_mapping(out).settings["limited_weights"] == 1

@@ -32,6 +32,13 @@ def test_bytes_that_are_no_text_are_refused_though_usd_quotes_them(tmp_path: Pat
         open_layer(path)
 
 
+def test_text_that_is_no_usd_is_refused_with_the_line_and_what_stands_there(tmp_path: Path) -> None:
+    path = tmp_path / "x.usda"
+    path.write_text('#usda 1.0\ndef Xform "a"\n{\n    double x = "wide"\n}\n', encoding="utf-8")
+    with pytest.raises(InputError, match=r'x\.usda:4:\d+: .*"wide".* in </a\.x>$'):
+        open_layer(path)
+
+
 def test_a_place_that_is_told_in_words_is_refused_though_usd_itself_says_so(
     tmp_path: Path,
 ) -> None:

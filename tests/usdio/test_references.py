@@ -227,6 +227,14 @@ def test_a_take_is_no_references_asset(tmp_path: Path) -> None:
         read_references(tmp_path / "rig.usda")
 
 
+def test_a_layer_of_references_given_alone_is_refused_with_what_to_give(tmp_path: Path) -> None:
+    references = small_references(tmp_path)
+    path = write(tmp_path, references)
+    tune(tmp_path, references, {1: 0.25})
+    with pytest.raises(InputError, match=f"only a layer .* give the asset itself: {path}"):
+        read_references(tmp_path / "hero.references.tuned.usda")
+
+
 def test_an_end_beyond_the_pairs_is_refused_at_once(tmp_path: Path) -> None:
     path = write(tmp_path, small_references(tmp_path))
     layer = Sdf.Layer.FindOrOpen(str(path))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd
+from pxr import Sdf, Usd, Vt
 
 from tests.usdio.small_rig import small_rig
 from usdface.assets import MeshShape, ShapeKey
@@ -152,13 +152,17 @@ def curves(**edits: tuple[slice, object]) -> np.ndarray:
     [
         (curves(jawOpen=(slice(50, 60), 1.2)), "jawOpen is 1.20, its range is 0 to 1"),
         (curves(jawOpen=(slice(700, 701), 1.0)), "time code 70[12]: jawOpen jumps by"),
-        (curves(eyeBlink=(slice(None), 0.0)), "1 shapes never move: eyeBlink"),
+        (curves(eyeBlink=(slice(None), 0.0)), "1 shape without any motion: eyeBlink"),
         (
             np.concatenate([WEIGHTS[:300], np.tile(WEIGHTS[300], (100, 1)), WEIGHTS[300:]]),
             "time codes 301 to 401: the face is frozen for 0.8 s",
         ),
+        (
+            curves(jawOpen=(slice(300, 600), 0.37)),
+            "time codes 301 to 600: jawOpen stays at 0.37 for 2.5 s while the face moves",
+        ),
     ],
-    ids=["range", "jump", "dead", "frozen"],
+    ids=["range", "jump", "dead", "frozen", "stuck"],
 )
 def test_curves_that_no_face_makes_are_named(
     tmp_path: Path, weights: np.ndarray, told: str
@@ -167,6 +171,30 @@ def test_curves_that_no_face_makes_are_named(
     findings = [each for each in validate(path) if each.check == "usdface:Curves"]
     assert any(re.search(told, each.message) for each in findings), findings
     assert {each.severity for each in findings} == {"warning"}
+
+
+def test_a_shape_held_at_an_end_of_its_range_is_not_stuck(tmp_path: Path) -> None:
+    path = write(tmp_path, curves(jawOpen=(slice(300, 600), 0.0), eyeBlink=(slice(0, 300), 1.0)))
+    assert not [each for each in validate(path) if "stays at" in each.message]
+
+
+@pytest.mark.parametrize(
+    ("sample", "told"), [([0.5], "1 weights for 3 shapes"), ([0.5, float("nan"), 0], "not finite")]
+)
+def test_a_weights_layer_alone_is_looked_at_too(
+    tmp_path: Path, sample: list[float], told: str
+) -> None:
+    layer = weights_path(write(tmp_path))
+    assert validate(layer) == []
+    change(layer, lambda each: each.SetTimeSample(ATTRIBUTE, 700, Vt.FloatArray(sample)))
+    assert told in only(layer, "Weights").message
+
+
+def test_curves_of_a_layer_alone_are_held_to_no_range_but_to_motion(tmp_path: Path) -> None:
+    layer = weights_path(write(tmp_path, curves(smile=(slice(300, 600), 1.3))))
+    told = [each.message for each in validate(layer) if each.check == "usdface:Curves"]
+    assert len(told) == 1
+    assert "smile jumps" in told[0]
 
 
 def test_a_range_that_the_rig_states_is_the_range(tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ from usdface.capture.text_table import (
 )
 from usdface.errors import InputError
 from usdface.timecode import timecode_of
+from usdface.wording import counted
 
 _TIMECODE = re.compile(r"(\d\d):(\d\d):(\d\d):(\d{1,3}(?:\.\d{1,9})?)", re.ASCII)
 _TITLES = ("timecode", "blendshapecount")
@@ -89,7 +90,7 @@ def read_live_link_csv(path: Path, options: CaptureOptions) -> Capture:
     rows = _read_rows(path, lines, titles, delimiter)
     notes = []
     if rows.lost:
-        notes.append(f"{rows.lost} rows have no face and are interpolated")
+        notes.append(f"{counted(rows.lost, 'row')} without a face, interpolated")
     where = f"{path} Timecode in seconds"
     base = _settle_base(rows, notes, where)
     seconds = _unwrap(rows, base)

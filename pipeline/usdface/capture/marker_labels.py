@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from usdface.errors import InputError
+from usdface.wording import counted
 
 _UNLABELLED = re.compile(r"\*.*|u_?\d+|(?:unlabell?ed|unnamed|uname)\W*\d*", re.IGNORECASE)
 _SHOWN = 6
@@ -61,9 +62,11 @@ def settle_labels(labels: Sequence[str], *, where: str) -> MarkerLabels:
     doubled = [name for name, count in Counter(names).items() if count > 1]
     faults = []
     if empty:
-        faults.append(f"{len(empty)} markers have an empty label ({list_some(empty)})")
+        faults.append(f"{counted(len(empty), 'marker')} with an empty label ({list_some(empty)})")
     if doubled:
-        faults.append(f"{len(doubled)} labels appear more than once ({list_some(doubled)})")
+        faults.append(
+            f"{counted(len(doubled), 'label')} given more than once ({list_some(doubled)})"
+        )
     if faults:
         several = (
             f"; the file holds the subjects {list_some(list(subjects))}"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from usdface.assets import Markers, Take
 from usdface.capture.marker_labels import list_some, match_names
 from usdface.errors import InputError
+from usdface.wording import counted
 
 _CHUNK_FRAMES = 8192
 FARTHEST_MM = 1e5
@@ -106,7 +107,7 @@ def build_marker_take(
         )
     if not ever_seen.all():
         never = [name for name, seen in zip(names, ever_seen, strict=True) if not seen]
-        found.append(f"{len(never)} markers are never seen and were left out: {list_some(never)}")
+        found.append(f"{counted(len(never), 'marker')} never seen, left out: {list_some(never)}")
         positions, visible = positions[:, ever_seen], visible[:, ever_seen]
         names = [name for name, seen in zip(names, ever_seen, strict=True) if seen]
     if not visible.all():
@@ -172,7 +173,7 @@ def _hide_impossible(positions: NDArray[np.float32], visible: NDArray[np.bool_])
         seen &= ~(broken | origin | far)
     reasons = ("not numbers", "exactly at the origin", f"more than {FARTHEST_MM / 1000:g} m away")
     return [
-        f"{count} samples were {reason} and count as gaps"
+        f"{counted(count, 'sample')} {reason}, counted as gaps"
         for count, reason in zip(counts.tolist(), reasons, strict=True)
         if count
     ]

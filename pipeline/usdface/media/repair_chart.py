@@ -12,6 +12,7 @@ from usdface.media.color import ByteImage
 from usdface.media.error_strip import draw_frame_axis
 from usdface.media.sheet import draw_header
 from usdface.media.text import TextStyle, draw_text, text_width
+from usdface.wording import counted
 
 WIDTH = 1600
 MARGIN = 28
@@ -107,7 +108,13 @@ def draw_repairs(
     draw_frame_axis(page, left, bottom, width, first_frame=first_frame, count=frames)
     hidden = int((counts > 0).sum()) - len(order)
     if hidden:
-        draw_text(page, f"and {hidden} markers with fewer", x=MARGIN, y=bottom + 22, style=_NOTE)
+        draw_text(
+            page,
+            f"and {counted(hidden, 'marker')} with fewer",
+            x=MARGIN,
+            y=bottom + 22,
+            style=_NOTE,
+        )
     return page
 
 
@@ -115,6 +122,6 @@ def _draw_key(page: ByteImage, kinds: Sequence[RepairKind], *, y: int) -> None:
     x = MARGIN
     for kind in kinds:
         fill_box(page, x, y + 4, 12, 12, kind.color)
-        label = f"{kind.label}: {int(kind.where.sum())} samples"
+        label = f"{kind.label}: {counted(int(kind.where.sum()), 'sample')}"
         draw_text(page, label, x=x + 18, y=y, style=_NOTE)
         x += 18 + text_width(label, _NOTE) + 28

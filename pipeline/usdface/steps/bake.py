@@ -47,9 +47,9 @@ def run(
     if unknown:
         notes.append(f"edits of {', '.join(unknown[:5])} find no such shape and were left out")
     edited = len(set(reader.edits) & set(reader.names))
-    summary = f"{header.frame_count} frames, {counted(edited, 'shape')} edited"
+    summary = f"{counted(header.frame_count, 'frame')}, {counted(edited, 'shape')} edited"
     if spec.tolerance:
-        summary += f", {kept} keys within {spec.tolerance:g} {spec.unit}"
+        summary += f", {counted(kept, 'key')} within {spec.tolerance:g} {spec.unit}"
     return Report(
         (spec.out,),
         summary,

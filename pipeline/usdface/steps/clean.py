@@ -16,6 +16,7 @@ from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
 from usdface.usdio.take import read_take
 from usdface.usdio.take_write import samples_path, write_take
+from usdface.wording import counted
 
 LONGEST_GAP_SECONDS = 2.0
 """What is filled by default: beyond, the other markers hardly tell what one did."""
@@ -134,14 +135,14 @@ def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]
     if left.any():
         names = [markers.names[i] for i in np.flatnonzero(left.any(axis=0))[:5]]
         notes.append(
-            f"{int(left.sum())} samples lie in gaps too long to fill ({', '.join(names)}); they "
-            "have confidence 0: raise --max-gap to fill them all the same"
+            f"{counted(int(left.sum()), 'sample')} in gaps too long to fill, with confidence 0 "
+            f"({', '.join(names)}): raise --max-gap to fill them all the same"
         )
     doubtful = np.flatnonzero(cleaned.pose_confidence < 1.0)
     if len(doubtful):
         notes.append(
-            f"{len(doubtful)} frames, the first {take.first_frame + int(doubtful[0])}, saw too few "
-            "rigid markers; the head's pose is interpolated there"
+            f"{counted(len(doubtful), 'frame')}, the first {take.first_frame + int(doubtful[0])}, "
+            "saw too few rigid markers; the head's pose is interpolated there"
         )
     return notes
 
@@ -175,8 +176,9 @@ def _picture(cleaned: CleanedMarkers, markers: Markers, take: Take) -> ByteImage
 
 def _summary(cleaned: CleanedMarkers, take: Take) -> str:
     return (
-        f"{take.name}: head motion out, {len(cleaned.swaps)} swaps, {int(cleaned.strays.sum())} "
-        f"strays and {int(cleaned.filled.sum())} missing samples mended, noise "
+        f"{take.name}: head motion out, {counted(len(cleaned.swaps), 'swap')}, "
+        f"{counted(int(cleaned.strays.sum()), 'stray')} and "
+        f"{counted(int(cleaned.filled.sum()), 'missing sample')} mended, noise "
         f"{cleaned.noise_mm:.2f} mm"
     )
 

@@ -22,6 +22,7 @@ from usdface.steps.report import Report
 from usdface.usdio.edits import ShapeEdit, edited_frames, read_edits, write_edits
 from usdface.usdio.frame_span import check_span
 from usdface.usdio.performance import PerformanceReader
+from usdface.wording import counted
 
 
 def run(
@@ -56,7 +57,7 @@ def run(
     what = "cleared" if spec.clear else ("added to" if spec.add is not None else "overridden")
     return Report(
         (path,),
-        f"{', '.join(spec.shape)} {what} over {int(inside.sum())} frames",
+        f"{', '.join(spec.shape)} {what} over {counted(int(inside.sum()), 'frame')}",
         tuple(_range_notes(spec, reader)),
         {"frames": int(inside.sum()), "shapes": list(spec.shape)},
     )
@@ -101,7 +102,8 @@ def _check_shapes(spec: EditSpec, reader: PerformanceReader) -> None:
     for shape in spec.shape:
         if shape not in reader.names and not (spec.clear and shape in reader.edits):
             near = difflib.get_close_matches(shape, reader.names, n=3, cutoff=0.5)
-            hint = f"did you mean {' or '.join(near)}?" if near else "see `usdface describe`"
+            some = ", ".join(reader.names[:3])
+            hint = f"did you mean {' or '.join(near)}?" if near else f"they are {some}, ..."
             raise InputError(
                 f"{spec.performance}: has no shape {shape!r} among its {len(reader.names)}; {hint}"
             )
@@ -122,7 +124,7 @@ def _range_notes(spec: EditSpec, reader: PerformanceReader) -> list[str]:
         if beyond.any():
             low, high = values[beyond].min(), values[beyond].max()
             notes.append(
-                f"{shape} is outside 0 to 1 at {int(beyond.sum())} frames ({low:.2f} to "
+                f"{shape} is outside 0 to 1 at {counted(int(beyond.sum()), 'frame')} ({low:.2f} to "
                 f"{high:.2f}); `usdface bake --limit` keeps it within the rig's range"
             )
     return notes

@@ -18,6 +18,7 @@ from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
 from usdface.timecode import shift_timecode
 from usdface.usdio.posed_points import PosedRig
+from usdface.wording import counted
 
 MOVES_MM = 2.0
 """Points that go further than this between the frames belong in the picture."""
@@ -55,7 +56,7 @@ def run(
     write_image(spec.out, compose_sheet(page), metadata=made)
     return Report(
         (spec.out,),
-        f"{len(actors)} faces at {len(chosen)} frames",
+        f"{counted(len(actors), 'face')} at {counted(len(chosen), 'frame')}",
         (),
         {"frames": chosen.tolist(), "performances": [str(path) for path in spec.performances]},
     )

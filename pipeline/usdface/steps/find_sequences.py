@@ -15,6 +15,7 @@ from usdface.specs.sequences import FindSequencesSpec
 from usdface.steps.report import Report
 from usdface.steps.source_motion import SourceMotion, read_source_motion, source_columns
 from usdface.usdio.sequences import read_sequence, write_matches
+from usdface.wording import counted
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,8 @@ def run(
     write_matches(spec.out, kept, provenance=provenance)
     return Report(
         (spec.out,),
-        f"{len(kept)} places in {len(motion.weights)} frames hold {len(asked)} sequences",
+        f"{counted(len(asked), 'sequence')} at {counted(len(kept), 'place')} in "
+        f"{len(motion.weights)} frames",
         tuple(notes),
         {
             "matches": [

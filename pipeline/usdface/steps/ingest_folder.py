@@ -10,6 +10,7 @@ from usdface.specs.base import LAYER_SUFFIXES
 from usdface.specs.ingest import IngestSpec
 from usdface.steps.execute import execute
 from usdface.steps.report import Report
+from usdface.wording import counted
 
 VIDEO_SUFFIXES = (".mov", ".mp4", ".mxf", ".mkv", ".avi", ".webm", ".m4v")
 AUDIO_SUFFIXES = (".wav", ".flac", ".aif", ".aiff", ".mp3", ".m4a")
@@ -113,11 +114,12 @@ def ingest_folder(
     if failed:
         told = "\n".join(f"  {message}" for message in failed)
         raise CheckFailedError(
-            f"{len(done)} takes of {folder} ingested, {len(failed)} could not be:\n{told}"
+            f"{counted(len(done), 'take')} of {folder} ingested, "
+            f"{len(failed)} could not be:\n{told}"
         )
     return Report(
         tuple(path for report in done for path in report.outputs),
-        f"{len(done)} takes of {folder}",
+        f"{counted(len(done), 'take')} of {folder}",
         tuple(line for report in done for line in (report.summary, *report.notes)),
         {"takes": [report.as_data() for report in done]},
     )

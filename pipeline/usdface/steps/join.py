@@ -16,6 +16,7 @@ from usdface.usdio.clips import Part, write_clips
 from usdface.usdio.performance import PerformanceReader, header_of, writing_top
 from usdface.usdio.rig import read_rig
 from usdface.usdio.weights_layer import WeightsHeader, writing_weights
+from usdface.wording import counted
 
 
 def run(
@@ -55,7 +56,7 @@ def run(
     how = "played as value clips" if clips else "merged"
     return Report(
         (spec.out, target),
-        f"{len(readers)} parts {how}: frames {whole.first_frame}-{whole.last_frame}",
+        f"{counted(len(readers), 'part')} {how}: frames {whole.first_frame}-{whole.last_frame}",
         tuple(notes),
         {"frames": whole.frame_count, "parts": len(readers), "clips": clips},
     )

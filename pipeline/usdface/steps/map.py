@@ -200,7 +200,7 @@ def _report(
     count = len(confidence)
     return Report(
         (spec.out, weights_path(spec.out)),
-        f"{count} frames, mean confidence {confidence.mean():.2f}, markers explained to "
+        f"{counted(count, 'frame')}, mean confidence {confidence.mean():.2f}, markers explained to "
         f"{np.sqrt((residual**2).mean()):.2f} mm",
         tuple(notes),
         {

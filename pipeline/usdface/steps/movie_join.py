@@ -14,6 +14,7 @@ from usdface.steps.outputs import make_provenance, provenance_metadata
 from usdface.steps.report import Report
 from usdface.steps.take_sound import SAMPLE_RATE, take_sound
 from usdface.usdio.take import TakeReader
+from usdface.wording import counted
 
 
 def run(
@@ -62,7 +63,8 @@ def run(
     progress(1.0, "done")
     return Report(
         (spec.out,),
-        f"{len(spec.parts)} parts, {count} pictures at {float(rate):g} per second",
+        f"{counted(len(spec.parts), 'part')}, {counted(count, 'picture')} at "
+        f"{float(rate):g} per second",
         tuple(notes),
         {"pictures": count, "rate": float(rate), "sound": sound is not None},
     )

@@ -132,7 +132,7 @@ def run(
     notes = (*((f"no video frame for {counted(blind, 'pair')}",) if blind else ()), *plain)
     return Report(
         (spec.out,),
-        f"{len(rows)} pairs drawn, {int(references.tuned[pairs].sum())} of them tuned",
+        f"{counted(len(rows), 'pair')} drawn, {int(references.tuned[pairs].sum())} of them tuned",
         notes,
         {"pairs": [pair + 1 for pair in pairs], "width": page.shape[1], "height": page.shape[0]},
     )

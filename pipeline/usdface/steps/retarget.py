@@ -49,7 +49,7 @@ def run(
     count = len(motion.weights)
     return Report(
         tuple(outputs),
-        f"{count} frames on {counted(len(targets), 'target')}",
+        f"{counted(count, 'frame')} on {counted(len(targets), 'target')}",
         tuple(notes),
         {
             "frames": count,

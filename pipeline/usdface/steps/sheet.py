@@ -37,6 +37,7 @@ from usdface.steps.shot_pictures import (
     open_shot,
     undrawn,
 )
+from usdface.wording import counted
 
 PICKS: dict[SheetLayout, FramePick] = {
     "comparison": "expression",
@@ -229,7 +230,7 @@ def _report(
     what = "surface error against the truth" if truth_known else "marker residual"
     return Report(
         written,
-        f"{len(chosen)} rows; mean {what}: {told}",
+        f"{counted(len(chosen), 'row')}; mean {what}: {told}",
         notes,
         {
             "frames": [int(frames[frame.row]) for frame in chosen],

@@ -94,7 +94,7 @@ def _mended(mapping: Mapping, references: References) -> list[str]:
     limited = int(mapping.settings.get("limited_weights", 0))
     if limited:
         notes.append(
-            f"{limited} weights of the pairs are beyond their shape's range on the rig and were "
+            f"{counted(limited, 'weight')} of the pairs beyond the shape's range on the rig, "
             "limited to it; tune them again if that is not meant"
         )
     repeated = len(references.frames) - int(mapping.settings["pairs"])

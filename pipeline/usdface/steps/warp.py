@@ -31,6 +31,7 @@ from usdface.usdio.performance import weights_path
 from usdface.usdio.performance_reader import PerformanceReader
 from usdface.usdio.rig import read_rig
 from usdface.usdio.sequences import read_matches, read_sequence
+from usdface.wording import counted
 
 PUBLISHED_KEEP = 1.0
 CHUNK_FRAMES = 8192
@@ -81,7 +82,8 @@ def run(
         outputs.append(controls_path(spec.out))
     return Report(
         (*outputs, *([spec.curves] if spec.curves else [])),
-        f"{len(placements)} sequences in {len(before)} frames; {changed} frames changed, the "
+        f"{counted(len(placements), 'sequence')} in {len(before)} frames; "
+        f"{counted(changed, 'frame')} changed, the "
         f"others are as they were",
         (),
         {

@@ -45,9 +45,10 @@ def usd_errors_as_input_errors(path: Path, doing: str) -> Iterator[None]:
 
 
 def usd_reason(error: Tf.ErrorException) -> str:
-    """Return the last line of what USD says, which may quote a broken file's bytes."""
+    """Return the last of what USD says, in one line; it may quote a broken file's bytes."""
     try:
-        return str(error).strip().splitlines()[-1].strip()
+        said = [each.commentary if isinstance(each, Tf.Error) else str(each) for each in error.args]
+        return " ".join(said[-1].split())
     except UnicodeDecodeError:
         return "it holds bytes that are no text"
 

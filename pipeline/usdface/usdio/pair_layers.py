@@ -42,6 +42,11 @@ def open_pair_stage(path: Path, root: Sdf.Path, *, api: str, kind: str, command:
     stage = open_stage(path)
     prim = stage.GetPrimAtPath(root)
     if not prim or not prim.HasAPI(api):
+        whole = path.with_name(f"{Path(path.stem).stem}.usda")
+        if prim and whole != path and whole.is_file():
+            raise InputError(
+                f"{path}: only a layer of a {kind} asset; give the asset itself: {whole}"
+            )
         raise InputError(
             f"{path}: not a {kind} asset: no <{root}> with {api}; make one with `{command}`"
         )

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from pxr import UsdValidation
+from pxr import Usd, UsdSkel, UsdValidation
 
 from usdface.usdio.layers import open_stage, usd_errors_as_input_errors
 from usdface.usdio.wrong_types import refusing_wrong_types
@@ -12,6 +12,9 @@ from usdface.usdio.wrong_types import refusing_wrong_types
 Severity = Literal["error", "warning"]
 
 PLUGIN = "usdface.usdio.checks"
+
+_OF_A_LAYER_ALONE = tuple(f"{PLUGIN}:{name}" for name in ("Weights", "Curves", "Edits"))
+"""What can be asked of an animation whose rig is elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,9 @@ class Finding:
 def validate(path: Path) -> list[Finding]:
     """Check a USD file as it composes; an empty list means that nothing was found.
 
+    A weights layer given alone, which says all it says over a rig that is not there, is looked at
+    for what its samples tell.
+
     Raises
     ------
     InputError
@@ -47,10 +53,18 @@ def validate(path: Path) -> list[Finding]:
     stage = open_stage(path)
     registry = UsdValidation.ValidationRegistry()
     context = UsdValidation.ValidationContext(registry.GetOrLoadAllValidators())
+    loose = [prim for prim in stage.TraverseAll() if _is_loose_animation(prim)]
     with usd_errors_as_input_errors(path, "validating it"):
-        errors = context.Validate(stage)
+        errors = list(context.Validate(stage))
+        if loose:  # USD itself passes over what is not defined
+            own = registry.GetOrLoadValidatorsByName(list(_OF_A_LAYER_ALONE))
+            errors += UsdValidation.ValidationContext(own).Validate(loose)
     found = [_finding(error, path) for error in errors]
     return sorted((each for each in found if each), key=lambda each: each.severity)
+
+
+def _is_loose_animation(prim: Usd.Prim) -> bool:
+    return prim.IsA(UsdSkel.Animation) and prim.IsActive() and not prim.IsDefined()
 
 
 def _finding(error: UsdValidation.ValidationError, path: Path) -> Finding | None:

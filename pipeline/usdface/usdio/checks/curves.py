@@ -1,10 +1,12 @@
 """Weights over time: in range, and moving as faces do."""
 
 import numpy as np
+from numpy.typing import NDArray
 from pxr import Usd, UsdSkel
 
 from usdface.assets import FloatArray
 from usdface.usdio.checks.fault import Fault, Samples, is_recorded, is_solved, read_samples, some
+from usdface.wording import counted
 
 BEYOND = 0.02
 """How far outside its range a weight is let pass: rounding and smoothing overshoot a little."""
@@ -15,6 +17,9 @@ FASTEST_SECONDS = 0.033
 FROZEN_SECONDS = 0.5
 FROZEN_CHANGE = 1e-6
 """A face held by an actor still trembles; one that does not move at all for so long is not held."""
+
+STUCK_SECONDS = 2.0
+"""How long one shape may stay at one value, not at an end of its range, while the face moves."""
 
 DEAD_SECONDS = 10.0
 """Only of a take this long can be said that a shape which never moved should have."""
@@ -29,9 +34,11 @@ def check_curves(prim: Usd.Prim) -> list[Fault]:
     samples = read_samples(prim)
     if samples is None:
         return []
-    found = _out_of_range(prim, samples)
+    ranges = _ranges(prim, samples)
+    found = _out_of_range(samples, ranges)
     if len(samples.times) > 2:
-        found += [*_jumps(samples), *_frozen(samples), *_dead(samples), *_exchanged(samples)]
+        found += [*_jumps(samples), *_frozen(samples), *_stuck(samples, ranges)]
+        found += [*_dead(samples), *_exchanged(samples)]
     return found
 
 
@@ -48,8 +55,14 @@ def pair_sides(names: tuple[str, ...]) -> list[tuple[int, int]]:
     return pairs
 
 
-def _ranges(prim: Usd.Prim, names: tuple[str, ...]) -> FloatArray:
-    """Return what each shape's BlendShape prim allows; 0 to 1 where it says nothing."""
+def _ranges(prim: Usd.Prim, samples: Samples) -> FloatArray:
+    """Return what each shape's BlendShape prim allows; 0 to 1 where it says nothing.
+
+    Where the rig is elsewhere, its ranges are taken to be those of the samples.
+    """
+    names = samples.names
+    if not prim.IsDefined():
+        return np.stack([samples.values.min(axis=0), samples.values.max(axis=0)], axis=1)
     ranges = np.tile([0.0, 1.0], (len(names), 1))
     place = {name: index for index, name in enumerate(names)}
     for mesh in prim.GetStage().Traverse():
@@ -64,18 +77,18 @@ def _ranges(prim: Usd.Prim, names: tuple[str, ...]) -> FloatArray:
     return ranges
 
 
-def _out_of_range(prim: Usd.Prim, samples: Samples) -> list[Fault]:
-    ranges = _ranges(prim, samples.names)
+def _out_of_range(samples: Samples, ranges: FloatArray) -> list[Fault]:
     below = ranges[:, 0] - samples.values
     beyond = np.maximum(below, samples.values - ranges[:, 1])
     columns = np.flatnonzero(beyond.max(axis=0) > BEYOND)
+    counts = (beyond > BEYOND).sum(axis=0)
     return [
         Fault(
             "warning",
             samples.path,
             f"time code {samples.times[row]:g}: {samples.names[column]} is "
             f"{samples.values[row, column]:.2f}, its range is {ranges[column, 0]:g} to "
-            f"{ranges[column, 1]:g} ({int((beyond[:, column] > BEYOND).sum())} samples); bake with "
+            f"{ranges[column, 1]:g} ({counted(int(counts[column]), 'sample')}); bake with "
             "--limit, or author face:range on the BlendShape",
         )
         for column in columns
@@ -99,31 +112,63 @@ def _jumps(samples: Samples) -> list[Fault]:
                 samples.path,
                 f"time code {samples.times[row + 1]:g}: {samples.names[column]} jumps by "
                 f"{change:+.2f} in {1000 * seconds[row]:.0f} ms "
-                f"({int(too_fast[:, column].sum())} jumps); look at the markers there, or fade the "
-                "edit",
+                f"({counted(int(too_fast[:, column].sum()), 'jump')}); look at the "
+                "markers there, or fade the edit",
             )
         )
     return found
 
 
 def _frozen(samples: Samples) -> list[Fault]:
-    still = (np.abs(np.diff(samples.values, axis=0)) <= FROZEN_CHANGE).all(axis=1)
-    if still.all() or not still.any():
-        return []  # a pose, not a performance; or nothing is frozen
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
+    still = np.all(np.abs(np.diff(samples.values, axis=0)) <= FROZEN_CHANGE, axis=1)
+    if still.all():
+        return []  # a pose, not a performance
+    return [
+        Fault(
+            "warning",
+            samples.path,
+            f"time codes {first:g} to {last:g}: the face is frozen for {seconds:.1f} s; was the "
+            "capture lost there? Clean the take again or cut",
+        )
+        for first, last, seconds in _stretches(samples, still, FROZEN_SECONDS)
+    ]
+
+
+def _stuck(samples: Samples, ranges: FloatArray) -> list[Fault]:
+    """Find shapes that stay at a value of their own while others move; the longest of each."""
+    still = np.abs(np.diff(samples.values, axis=0)) <= FROZEN_CHANGE
+    moving = ~still.all(axis=1)
+    inside = np.minimum(samples.values - ranges[:, 0], ranges[:, 1] - samples.values)
     found = []
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
-        seconds = (samples.times[stop] - samples.times[start]) / samples.rate
-        if seconds >= FROZEN_SECONDS and stop - start > 2:
+    for column in np.flatnonzero(still.any(axis=0)):
+        held: NDArray[np.bool_] = still[:, column] & moving & (inside[1:, column] > FROZEN_CHANGE)
+        stretches = _stretches(samples, held, STUCK_SECONDS)
+        if stretches:
+            first, last, seconds = max(stretches, key=lambda each: each[2])
+            value = samples.values[np.searchsorted(samples.times, last), column]
             found.append(
                 Fault(
                     "warning",
                     samples.path,
-                    f"time codes {samples.times[start]:g} to {samples.times[stop]:g}: the face is "
-                    f"frozen for {seconds:.1f} s; was the capture lost there? Clean the take again "
-                    "or cut",
+                    f"time codes {first:g} to {last:g}: {samples.names[column]} stays at "
+                    f"{value:.2f} for {seconds:.1f} s while the face moves; if no edit holds it, "
+                    "map again",
                 )
             )
+    return found
+
+
+def _stretches(
+    samples: Samples, still: NDArray[np.bool_], least_seconds: float
+) -> list[tuple[float, float, float]]:
+    """Return first and last time code, and seconds, of stretches that are long enough."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
+    found = []
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        first, last = samples.times[start], samples.times[stop]
+        seconds = (last - first) / samples.rate
+        if seconds >= least_seconds and stop - start > 2:
+            found.append((float(first), float(last), float(seconds)))
     return found
 
 
@@ -137,8 +182,8 @@ def _dead(samples: Samples) -> list[Fault]:
         Fault(
             "warning",
             samples.path,
-            f"{len(dead)} shapes never move: {some(dead)}; tune references that show them, or "
-            "leave them out of the mapping",
+            f"{counted(len(dead), 'shape')} without any motion: {some(dead)}; tune references that "
+            "show movement there, or leave such shapes out of the mapping",
         )
     ]
 
