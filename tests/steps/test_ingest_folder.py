@@ -52,7 +52,7 @@ def test_one_broken_capture_does_not_stop_the_others(captures, shot: Shot) -> No
     data = (captures / "b.c3d").read_bytes()
     (captures / "b.c3d").write_bytes(data[:4000])
     with pytest.raises(
-        CheckFailedError, match=r"1 takes of .* ingested, 1 could not be.*\n.*b\.c3d"
+        CheckFailedError, match=r"1 take of .* ingested, 1 could not be.*\n.*b\.c3d"
     ):
         ingest_folder(captures, shot / "takes", options(shot))
     assert read_take(shot / "takes" / "a 01.take.usda").frame_count == 480
