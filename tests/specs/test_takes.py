@@ -151,3 +151,14 @@ def test_a_list_that_holds_itself_is_refused(tmp_path: Path) -> None:
     file.write_text("job: loop\ntakes: [a]\nsteps: &a [*a]\n")
     with pytest.raises(InputError, match="more than 1000000 values"):
         read_job(file)
+
+
+def test_what_is_wrong_in_a_loop_is_named_once_where_it_stands(tmp_path: Path) -> None:
+    loop = {**LOOP, "steps": [LOOP["steps"][0], {"step": "clean", "out": "{take}.clean.take.usda"}]}
+    path = tmp_path / "day.job.yaml"
+    path.write_text(yaml.safe_dump(job(steps=[loop, {**SELECT, "count": -1}])), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_job(path)
+    first, second = str(refused.value).splitlines()[1:]
+    assert first == "  steps[0] -> steps[1] -> clean -> take: Field required"
+    assert second.startswith("  steps[1] -> select -> count: ")

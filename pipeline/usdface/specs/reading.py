@@ -1,6 +1,7 @@
 """Read specs from YAML or JSON and write them back, with messages that name the field."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from usdface.errors import InputError
 from usdface.specs.base import Spec
 from usdface.specs.job import AnyStep, JobSpec
 from usdface.specs.path_mapping import PathRules, map_path
+from usdface.specs.takes import step_places
 
 LARGEST_SPEC_BYTES = 16 << 20
 """A job of thousands of steps is far below this; more is not a spec."""
@@ -48,7 +50,9 @@ def read_job(path: Path, *, path_rules: PathRules = ()) -> JobSpec:
     try:
         job = JobSpec.model_validate(data)
     except ValidationError as error:
-        raise InputError(f"{path}: {describe_faults(error)}") from error
+        written_out = "takes" in data and any(fault["loc"] for fault in error.errors())
+        told = describe_faults(error, places=step_places(data) if written_out else ())
+        raise InputError(f"{path}: {told}") from error
 
     def here(given: Path) -> Path:
         return path.parent / map_path(given, path_rules)
@@ -71,17 +75,27 @@ def _as_written(spec: Spec) -> dict[str, Any]:
     return {"step": spec.step, **spec.model_dump(mode="json", exclude_defaults=True)}
 
 
-def describe_faults(error: ValidationError) -> str:
-    """Return every fault of a spec as ``field -> sub[2]: reason``, one a line."""
+def describe_faults(error: ValidationError, *, places: Sequence[str] = ()) -> str:
+    """Return every fault of a spec as ``field -> sub[2]: reason``, one a line.
+
+    Parameters
+    ----------
+    error : ValidationError
+    places : sequence of str
+        Where each step stands in the file, if not in the order of `steps`.
+    """
     lines = []
     for fault in error.errors():
-        place = ""
-        for part in fault["loc"]:
+        place, parts = "", fault["loc"]
+        if places and len(parts) > 1 and parts[0] == "steps" and isinstance(parts[1], int):
+            place, parts = places[parts[1]], parts[2:]
+        for part in parts:
             place += f"[{part}]" if isinstance(part, int) else f"{' -> ' if place else ''}{part}"
         reason = fault["msg"].removeprefix("Value error, ")
         given = fault.get("input")
         shown = "" if isinstance(given, dict | list | tuple) else f" (got {given!r})"
         lines.append(f"{place}: {reason}{shown}" if place else reason)
+    lines = list(dict.fromkeys(lines))  # what is said once for many takes is wrong once
     if len(lines) == 1:
         return lines[0]
     return f"{len(lines)} faults\n" + "\n".join(f"  {line}" for line in lines)

@@ -111,6 +111,23 @@ def write_out(job: Mapping[str, Any]) -> dict[str, Any]:
     return written
 
 
+def step_places(job: Mapping[str, Any]) -> list[str]:
+    """Return where in the file each step of the job, written out, was said.
+
+    Parameters
+    ----------
+    job : mapping
+        One that `write_out` has written out.
+    """
+    places: list[str] = []
+    takes, steps = job.get("takes") or (), job.get("steps") or ()
+    for index, step in enumerate(steps):
+        inner = step["steps"] if _is_loop(step) else ()
+        each = [f"steps[{index}] -> steps[{number}]" for number in range(len(inner))]
+        places += each * len(takes) if inner else [f"steps[{index}]"]
+    return places
+
+
 def _check_size(steps: Sequence[Any]) -> None:
     waiting: list[Any] = [steps]
     count = 0
