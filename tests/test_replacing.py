@@ -60,6 +60,21 @@ def test_a_killed_writer_holds_no_lock_and_its_leftovers_are_cleared(tmp_path: P
     assert sorted(each.name for each in tmp_path.iterdir()) == [".ab.12345678.txt", "a.txt"]
 
 
+def test_what_usd_left_beside_a_temporary_file_is_cleared_and_nothing_of_a_like_name(
+    tmp_path: Path,
+) -> None:
+    target, other = tmp_path / "a.usdc", tmp_path / "a.usda"
+    with replacing(target) as temporary:
+        left = temporary.with_name(f"{temporary.stem}.lOgtAO")  # as USD names what it saves to
+    with replacing(other) as busy:
+        left.write_text("half")
+        with replacing(target) as temporary:
+            temporary.write_text("whole")
+        assert not left.exists()
+        assert busy.exists()
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["a.usda", "a.usdc"]
+
+
 def test_an_error_leaves_the_old_file(tmp_path: Path) -> None:
     target = tmp_path / "a.txt"
     target.write_text("old")

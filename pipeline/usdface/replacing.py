@@ -11,6 +11,7 @@ import os
 import re
 import socket
 import uuid
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -92,7 +93,7 @@ def _temporary(path: Path) -> Iterator[Path]:
         raise InputError(f"{path}: the folder {path.parent} does not exist; make it first")
     with _alone(path):
         _clear_leftovers(path)
-        name = f".{path.stem[:LONGEST_STEM]}.{uuid.uuid4().hex[:8]}{path.suffix}"
+        name = f".{path.stem[:LONGEST_STEM]}.{_mark(path)}{uuid.uuid4().hex[:8]}{path.suffix}"
         temporary = path.with_name(name)
         try:
             _touch(temporary, target=path)
@@ -167,11 +168,17 @@ def _owner(lock: Path) -> str:
         return ""
 
 
+def _mark(path: Path) -> str:
+    """Tell a file's temporary names from those of files that differ only in how they end."""
+    return f"{zlib.crc32(path.name.encode(errors='surrogatepass')) & 0xFFFF:04x}"
+
+
 def _clear_leftovers(path: Path) -> None:
     """Remove what a killed process left; nobody else can be writing, as the lock is ours."""
     if len(path.stem) > LONGEST_STEM:
         return  # another file's temporaries could have the same name
-    ours = re.compile(rf"\.{re.escape(path.stem)}\.[0-9a-f]{{8}}(\.\w+)?{re.escape(path.suffix)}")
+    # While USD saves, its own temporary file lies beside ours, with other letters at its end.
+    ours = re.compile(rf"\.{re.escape(path.stem)}\.{_mark(path)}[0-9a-f]{{8}}(\.\w+)*")
     for each in path.parent.iterdir():
         if ours.fullmatch(each.name):
             each.unlink(missing_ok=True)

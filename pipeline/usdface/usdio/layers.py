@@ -45,10 +45,14 @@ def usd_errors_as_input_errors(path: Path, doing: str) -> Iterator[None]:
 
 
 def usd_reason(error: Tf.ErrorException) -> str:
-    """Return the last of what USD says, in one line; it may quote a broken file's bytes."""
+    """Return in one line what USD says first, which the others follow from.
+
+    It may quote a broken file's bytes. What says the same at the end with its place is better.
+    """
     try:
         said = [each.commentary if isinstance(each, Tf.Error) else str(each) for each in error.args]
-        return " ".join(said[-1].split())
+        first, last = (" ".join(each.split()) for each in (said[0], said[-1]))
+        return last if first in last else first
     except UnicodeDecodeError:
         return "it holds bytes that are no text"
 
