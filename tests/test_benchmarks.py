@@ -137,3 +137,19 @@ def test_a_benchmark_with_pictures_leaves_them_beside_its_table(tmp_path, monkey
     assert "![drawn](drawn.svg)" in (out / "scaling.md").read_text(encoding="utf-8")
     monkeypatch.setattr("sys.argv", ["benchmarks", "scaling"])
     assert runner.main() == 0
+
+
+def test_a_benchmark_that_fails_does_not_stop_the_others(tmp_path, monkeypatch, capsys) -> None:
+    def fail() -> None:
+        raise RuntimeError("no such machine")
+
+    ran = {"first": SimpleNamespace(run=fail), "second": SimpleNamespace(run=lambda: print(TEXT))}
+    monkeypatch.setattr(runner, "names", lambda: ["first", "second"])
+    monkeypatch.setattr(runner, "import_module", lambda name: ran[name.rpartition(".")[2]])
+    monkeypatch.setattr(sys, "argv", ["benchmarks", "--out", str(tmp_path)])
+    assert runner.main() == 1
+    told = capsys.readouterr().err
+    assert "no such machine" in told
+    assert told.endswith("failed: first\n")
+    assert (tmp_path / "second.md").is_file()
+    assert not (tmp_path / "first.md").exists()

@@ -4,6 +4,7 @@ import argparse
 import os
 import sys
 import time
+import traceback
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
@@ -31,20 +32,28 @@ def main() -> int:
         return 2
     if asked.out is not None:
         asked.out.mkdir(parents=True, exist_ok=True)
+    failed = []
     for name in asked.names or names():
         print(f"## {name}\n", flush=True)
         load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
         start = time.perf_counter()
-        with kept_output() as kept:
-            run = import_module(f"tests.benchmarks.{name}").run
-            known = signature(run).parameters
-            wanted = {"quick": asked.quick, "full": asked.full, "pictures": asked.out}
-            run(**{name: said for name, said in wanted.items() if said and name in known})
+        try:
+            with kept_output() as kept:
+                run = import_module(f"tests.benchmarks.{name}").run
+                known = signature(run).parameters
+                wanted = {"quick": asked.quick, "full": asked.full, "pictures": asked.out}
+                run(**{name: said for name, said in wanted.items() if said and name in known})
+        except Exception:  # the others, perhaps hours of them, are run all the same
+            traceback.print_exc()
+            failed.append(name)
+            continue
         print()
         if asked.out is not None:
             seconds = time.perf_counter() - start
             write_report(asked.out, [Measured(name, kept.text, seconds, load)])
-    return 0
+    if failed:
+        print(f"failed: {', '.join(failed)}", file=sys.stderr)
+    return 1 if failed else 0
 
 
 if __name__ == "__main__":
