@@ -13,17 +13,23 @@ import re
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from usdface.assets import FloatArray
+from usdface.errors import InputError
 from usdface.media.face_payload import FacePayload, read_web_file, viewer_source
 
 WEIGHT_STEPS = 5000
 """Weights are told in steps of 0.0002: a shape of 30 mm then moves in steps of 6 micrometres."""
 _LARGEST = 32767 / WEIGHT_STEPS
 _PLACE = re.compile("@[A-Z]+@")
+
+_ORIGIN = re.compile('<meta name="usdface" content="([^"]*)">')
+_HEAD_CHARACTERS = 1 << 20
+"""Where what made a page is looked for: it stands before everything else."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +122,8 @@ class ReviewPage:
         Such as a contact sheet.
     said : sequence of str
         What is said in each picture; or none.
+    origin : mapping, optional
+        What made it, for those who make it again.
     """
 
     title: str
@@ -134,6 +142,23 @@ class ReviewPage:
     movie_type: str = "video/mp4"
     pictures: tuple[PagePicture, ...] = ()
     said: Sequence[str] = ()
+    origin: Mapping[str, object] | None = None
+
+
+def read_page_origin(path: Path) -> str:
+    """Return what a page says of its making, as JSON; empty where it says nothing.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or is no text.
+    """
+    try:
+        with path.open(encoding="utf-8") as stream:
+            found = _ORIGIN.search(stream.read(_HEAD_CHARACTERS))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: is no page that can be read: {error}") from error
+    return html.unescape(found[1]) if found else ""
 
 
 def build_page(page: ReviewPage) -> str:
@@ -144,6 +169,7 @@ def build_page(page: ReviewPage) -> str:
         "@TITLE@": html.escape(page.title),
         "@FACTS@": "".join(f"<li>{html.escape(fact)}</li>" for fact in page.facts),
         "@POLICY@": _policy(script, style),
+        "@ORIGIN@": html.escape(json.dumps(page.origin, ensure_ascii=False) if page.origin else ""),
         "@STYLE@": style,
         "@DATA@": _in_script(_data(page)),
         "@FACEHEADER@": page.face.header_json(),

@@ -1,5 +1,6 @@
 """Phones from and to files: Praat's TextGrid, HTK's labels, JSON."""
 
+import hashlib
 import json
 import re
 from collections.abc import Mapping
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
 from usdface.errors import InputError
-from usdface.replacing import replacing
+from usdface.replacing import replacing, replacing_together
 from usdface.speech.dictionary import read_text
 from usdface.speech.phone_track import PhoneTrack, Span
 from usdface.speech.visemes import viseme_of
@@ -74,18 +75,35 @@ def write_phone_track(
     track : PhoneTrack
     origin : mapping, optional
         What made it. A TextGrid carries it as the label of a tier of its own, JSON as a key; HTK's
-        labels have no room for it.
+        labels have no room for it, so a file beside them does, `origin_path`.
     """
     suffix = path.suffix.lower()
+    if suffix == ".lab":
+        _write_htk(path, _htk_text(track).encode(), origin)
+        return
     with replacing(path) as temporary:
-        if suffix == ".lab":
-            temporary.write_text(_htk_text(track), encoding="utf-8")
-        elif suffix == ".json":
+        if suffix == ".json":
             temporary.write_text(_json_text(track, origin), encoding="utf-8")
         else:
             _textgrid(track, origin).save(
                 str(temporary), "long_textgrid", includeBlankSpaces=True, reportingMode="silence"
             )
+
+
+def origin_path(labels: Path) -> Path:
+    """Return the file that says what made HTK labels, which have no room for it."""
+    return labels.with_name(f"{labels.name}.origin.json")
+
+
+def _write_htk(path: Path, text: bytes, origin: Mapping[str, object] | None) -> None:
+    if origin is None:
+        with replacing(path) as temporary:
+            temporary.write_bytes(text)
+        return
+    said = {"sha256": hashlib.sha256(text).hexdigest(), "provenance": dict(origin)}
+    with replacing_together([path, origin_path(path)]) as (temporary, beside):
+        temporary.write_bytes(text)
+        beside.write_text(json.dumps(said, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def _check_track(path: Path, track: PhoneTrack) -> None:
@@ -255,6 +273,19 @@ def read_origin(path: Path) -> dict[str, object] | None:
     except (ValueError, RecursionError):
         return None
     return data if isinstance(data, dict) else None
+
+
+def read_origin_beside(path: Path) -> dict[str, object] | None:
+    """Return what HTK labels are said to be made from; None if they have been changed since."""
+    if not origin_path(path).is_file():
+        return None
+    try:
+        data = json.loads(read_text(origin_path(path), LARGEST_TRACK_BYTES))
+        same = data["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+        origin = data["provenance"] if same else None
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return None
+    return origin if isinstance(origin, dict) else None
 
 
 def _praatio() -> Any:

@@ -9,6 +9,7 @@ from usdface.provenance import Provenance, canonical_json, hash_files
 from usdface.specs.base import IMAGE_SUFFIXES, LAYER_SUFFIXES, Reads, Spec, Writes
 from usdface.specs.confinement import confinement_root
 from usdface.specs.movie import MOVIE_SUFFIXES
+from usdface.specs.report import PAGE_SUFFIXES
 from usdface.steps.confined_inputs import check_confined_inputs
 from usdface.usdio.layers import dependencies, is_layer_name, read_provenance
 
@@ -72,7 +73,7 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
 def provenance_of(path: Path) -> Provenance | None:
     """Return what a file says of its making; None where it says nothing or cannot be read."""
     try:
-        if path.suffix in LAYER_SUFFIXES:
+        if path.suffix in (*LAYER_SUFFIXES, ".usdz"):
             return read_provenance(path)
         if path.suffix.lower() in IMAGE_SUFFIXES:
             from usdface.media.image import read_image_metadata  # media only when there are any
@@ -82,8 +83,16 @@ def provenance_of(path: Path) -> Provenance | None:
             from usdface.media.movie import read_movie_comment
 
             return _from_text(read_movie_comment(path))
+        if path.suffix.lower() in PAGE_SUFFIXES:
+            from usdface.media.report_page import read_page_origin
+
+            return _from_text(read_page_origin(path))
         if path.suffix.lower() == ".json":
             return _from_json(path)
+        if path.suffix.lower() == ".lab":
+            from usdface.speech.track_files import read_origin_beside
+
+            return _from_metadata(read_origin_beside(path) or {})
         if path.suffix.lower() == ".textgrid":
             from usdface.speech.track_files import read_origin
 

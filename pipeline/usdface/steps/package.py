@@ -26,7 +26,7 @@ def run(
             provenance=provenance,
             progress=part(progress, 0.0, 0.7),
         )
-        write_package(temporary, reader, baked)
+        write_package(temporary, reader, baked, provenance=provenance)
     progress(1.0, "packed")
     size = spec.out.stat().st_size / 1e6
     return Report(

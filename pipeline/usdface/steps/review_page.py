@@ -32,7 +32,7 @@ from usdface.specs.sheet import FramePick
 from usdface.steps.frame_choice import ChosenFrame, choose_frames
 from usdface.steps.judged_weights import place_markers, read_truth
 from usdface.steps.movie_clock import MovieClock, movie_rate
-from usdface.steps.outputs import make_provenance
+from usdface.steps.outputs import make_provenance, provenance_metadata
 from usdface.steps.report import Report
 from usdface.steps.report_coverage import show_coverage
 from usdface.steps.review_listings import evaluate_shown, listings
@@ -85,7 +85,8 @@ def run(
     frames = shot.frames[rows]
     pictures = _sheet(spec)
     strips = _strips(shot, residual, rows)
-    tables = listings(shot, evaluation, provenance or make_provenance(spec))
+    made = provenance or make_provenance(spec)
+    tables = listings(shot, evaluation, made)
     coverage = show_coverage(spec, shot, rows, notes, part(progress, 0.93, 0.97))
     if coverage is not None:
         strips = (*strips, coverage.strip)
@@ -110,6 +111,7 @@ def run(
         movie_type=_movie_kind()[1],
         pictures=pictures,
         said=said_at(spec.phones, take, frames) if spec.phones else (),
+        origin=provenance_metadata(made),
     )
     progress(0.97, f"writing {spec.out.name}")
     text = build_page(page)

@@ -7,11 +7,23 @@ from pathlib import Path
 from pxr import Sdf, UsdUtils
 
 from usdface.errors import InputError
-from usdface.usdio.layers import author_timing, author_units, usd_errors_as_input_errors
+from usdface.provenance import Provenance
+from usdface.usdio.layers import (
+    author_timing,
+    author_units,
+    provenance_data,
+    usd_errors_as_input_errors,
+)
 from usdface.usdio.performance_reader import PerformanceReader
 
 
-def write_package(target: Path, reader: PerformanceReader, weights: Path) -> None:
+def write_package(
+    target: Path,
+    reader: PerformanceReader,
+    weights: Path,
+    *,
+    provenance: Provenance | None = None,
+) -> None:
     """Pack a performance with another layer of weights in place of its own.
 
     Parameters
@@ -22,6 +34,8 @@ def write_package(target: Path, reader: PerformanceReader, weights: Path) -> Non
         Whose rig is packed, at the place it has there.
     weights : Path
         Layer that animates it; what is written besides is put into its folder.
+    provenance : Provenance, optional
+        Kept by the package's first layer.
 
     Raises
     ------
@@ -35,6 +49,8 @@ def write_package(target: Path, reader: PerformanceReader, weights: Path) -> Non
     with usd_errors_as_input_errors(target, "packing it"):
         top = Sdf.Layer.CreateNew(str(top_file))
         author_units(top)
+        if provenance is not None:
+            top.customLayerData = {"usdface": provenance_data(provenance)}
         author_timing(top, rate=reader.rate, first=reader.first_frame, last=reader.last_frame)
         top.defaultPrim = place.GetPrefixes()[0].name
         top.subLayerPaths = [f"./{weights.name}"]
