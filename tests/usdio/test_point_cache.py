@@ -132,6 +132,32 @@ def test_a_crash_leaves_what_was_there(
     np.testing.assert_allclose(np.array(mesh.GetPointsAttr().Get(20)), before[9], atol=1e-5)
 
 
+def test_the_same_again_when_interrupted_leaves_the_clips_that_the_asset_plays(
+    tmp_path: Path, face: FaceMesh
+) -> None:
+    before = write(tmp_path / "out.usda", face, CLIPS)
+    files = sorted(path.name for path in tmp_path.iterdir())
+    with (
+        pytest.raises(KeyboardInterrupt),
+        writing_points(
+            tmp_path / "out.usda",
+            face,
+            rate=Fraction(24000, 1001),
+            first_frame=FIRST,
+            last_frame=LAST,
+            format_=CLIPS,
+            method="test",
+            provenance=Provenance(step="deform", spec="0"),
+        ) as writer,
+    ):
+        writer.append(before[:20], uncertainty_mm=np.full(before[:20].shape[:2], 0.5))
+        raise KeyboardInterrupt
+    assert sorted(path.name for path in tmp_path.iterdir()) == files
+    _, mesh = mesh_of(tmp_path / "out.usda")
+    for frame, points in enumerate(before, start=FIRST):
+        np.testing.assert_allclose(np.array(mesh.GetPointsAttr().Get(frame)), points, atol=1e-5)
+
+
 def test_clips_that_nothing_plays_any_more_are_removed(tmp_path: Path, face: FaceMesh) -> None:
     write(tmp_path / "out.usda", face, CLIPS)
     old = set(tmp_path.glob("out.points.*.0*.usdc"))

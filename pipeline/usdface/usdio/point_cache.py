@@ -109,9 +109,15 @@ class _ClipsWriter(PointsWriter):
     """Writes one clip after the other, each closed and renamed when the next begins."""
 
     def __init__(
-        self, face: FaceMesh, place: Sdf.Path, format_: PointsFormat, timing: "_Timing"
+        self,
+        face: FaceMesh,
+        place: Sdf.Path,
+        format_: PointsFormat,
+        timing: "_Timing",
+        played: set[Path],
     ) -> None:
         super().__init__(face, place, format_)
+        self._played = played
         self.files: list[Path] = []
         self.starts: list[int] = []
         self._timing = timing
@@ -148,13 +154,17 @@ class _ClipsWriter(PointsWriter):
         self._open = None
 
     def abandon(self, error: BaseException) -> None:
-        """Leave nothing of a clip that was not finished, nor of those before it."""
+        """Leave nothing of a clip that was not finished, nor of those before it.
+
+        What is made again from the same has the names of what the asset still plays: that stays.
+        """
         self._layer = None
         if self._open is not None:
             with contextlib.suppress(BaseException):
                 self._open.__exit__(type(error), error, error.__traceback__)
         for file in self.files:
-            file.unlink(missing_ok=True)
+            if file not in self._played:
+                file.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True)
@@ -225,7 +235,7 @@ def writing_points(
             max(format_.clip_bytes // frame_bytes, 1),
             points_file.with_name(f"{points_file.stem}.{_key(provenance)}"),
         )
-        writer: PointsWriter = _ClipsWriter(face, at, format_, timing)
+        writer: PointsWriter = _ClipsWriter(face, at, format_, timing, outdated)
     else:
         timing = None
         writer = PointsWriter(face, at, format_)
