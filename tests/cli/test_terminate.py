@@ -1,4 +1,4 @@
-"""SIGTERM, as a farm sends it: once, at any moment."""
+"""SIGTERM, as a farm sends it: once, at any moment; and Ctrl+C, as a person does."""
 
 import importlib
 import os
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from usdface.cli import console
+from usdface.cli import app, console
 from usdface.errors import CancelledError
 
 
@@ -52,3 +52,20 @@ def test_inside_an_import_it_waits_for_the_import_to_end(
     with pytest.raises(CancelledError):
         import_and_wait()
     assert sys.modules.pop("slow_to_import").whole == 1
+
+
+def test_ctrl_c_ends_a_command_as_interrupted_and_says_so(
+    terminable, tmp_path: Path, monkeypatch, capsys
+) -> None:
+    def interrupted(*given: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("usdface.demo.job.run_demo", interrupted)
+    with pytest.raises(SystemExit) as stopped:
+        app.main(["demo", "--out", str(tmp_path)])
+    assert stopped.value.code == 3
+    assert "usdface: stopped on request; nothing half done was left" in capsys.readouterr().err
+    monkeypatch.setattr("usdface.steps.edited.list_edits", interrupted)
+    with pytest.raises(SystemExit) as stopped:  # a command of a group, too
+        app.main(["edits", "list", "shot.usda"])
+    assert stopped.value.code == 3

@@ -1,8 +1,11 @@
-"""How a group lists its commands: by what they are for, each with its whole first sentence."""
+"""How a group lists its commands, by what they are for, and what Ctrl+C does to one."""
 
 from typing import Any
 
 from typer.core import TyperGroup
+
+from usdface.cli.console import STOPPED
+from usdface.errors import CancelledError
 
 SECTIONS = {
     "Capture": ("ingest", "align", "clean", "phones"),
@@ -30,7 +33,17 @@ LONGEST = 500
 class CommandList(TyperGroup):
     """A group whose help is read from top to bottom, in the order in which a shot is made."""
 
-    # The types of both are click's or, by Typer's version, those of its private copy of click.
+    # All types are click's or, by Typer's version, those of its private copy of click.
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; Ctrl+C ends it as a farm's SIGTERM does.
+
+        Typer would end it with 130 and without a word.
+        """
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as interrupt:
+            raise CancelledError(STOPPED) from interrupt
+
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write name and summary of every command, under headings where the group has them."""
         summaries = {

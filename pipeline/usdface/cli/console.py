@@ -23,6 +23,8 @@ from usdface.steps.report import Report
 
 ProgressStyle = Literal["auto", "bar", "openjd", "none"]
 
+STOPPED = "stopped on request; nothing half done was left"
+
 RETRY_SECONDS = 0.05
 """An import is over in a second or two; a farm waits longer before it kills."""
 
@@ -130,7 +132,7 @@ def raise_on_terminate() -> None:
             again.daemon = True
             again.start()
             return
-        raise CancelledError("stopped on request; nothing half done was left")
+        raise CancelledError(STOPPED)
 
     with contextlib.suppress(ValueError):  # only the main thread may set handlers
         signal.signal(signal.SIGTERM, cancel)
