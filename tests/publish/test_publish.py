@@ -3,13 +3,16 @@
 import shutil
 import threading
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.steps.small_shot import FRAMES, Shot
+from tests.usdio.small_rig import small_rig
 from usdface.errors import InputError
+from usdface.provenance import Provenance
 from usdface.publish import (
     Extracted,
     ReviewOptions,
@@ -23,7 +26,11 @@ from usdface.specs.edit import EditSpec
 from usdface.specs.join import JoinSpec
 from usdface.specs.map import MapSpec
 from usdface.steps.execute import execute
-from usdface.usdio.performance import read_performance
+from usdface.usdio.control_performance import controls_path
+from usdface.usdio.layers import new_layer
+from usdface.usdio.performance import read_performance, writing_performance
+from usdface.usdio.rig import read_rig
+from usdface.usdio.rig_write import write_rig
 from usdface.usdio.validation import validate
 
 NO_REVIEW = ReviewOptions(sheet=False)
@@ -43,6 +50,31 @@ def test_a_folder_is_searched_for_performances_and_nothing_else(shot: Shot) -> N
     assert (item.first_frame, item.last_frame) == (1, FRAMES)
     assert item.timecode_start == "01:00:00:00"
     assert validate_performance(item) == ()
+
+
+def test_a_folder_with_weights_in_parts_and_controls_beside_holds_one_performance(
+    tmp_path: Path,
+) -> None:
+    names, frames = ("jawOpen", "smile", "eyeBlink"), 23
+    write_rig(tmp_path / "rig.usda", small_rig())
+    made = Provenance("map", "{}", {})
+    with writing_performance(
+        tmp_path / "hero.usda",
+        read_rig(tmp_path / "rig.usda"),
+        shape_names=names,
+        rate=Fraction(24),
+        first_frame=1,
+        last_frame=frames,
+        part_frames=7,
+        provenance=made,
+    ) as writer:
+        writer.append(np.random.default_rng(0).random((frames, len(names))))
+    with new_layer(controls_path(tmp_path / "hero.usda"), made):
+        pass  # as it lies beside a performance of joints
+    assert len(list(tmp_path.glob("hero.*.usdc"))) == 1 + 4 + 1 + 1  # parts, seams, controls
+    (item,) = collect_performances([tmp_path])
+    assert item.name == "hero"
+    assert item.performance == tmp_path / "hero.usda"
 
 
 def test_a_performance_joined_from_parts_still_knows_its_take(shot: Shot) -> None:

@@ -137,9 +137,9 @@ def test_the_same_again_when_interrupted_leaves_the_clips_that_the_asset_plays(
 ) -> None:
     before = write(tmp_path / "out.usda", face, CLIPS)
     files = sorted(path.name for path in tmp_path.iterdir())
-    with (
-        pytest.raises(KeyboardInterrupt),
-        writing_points(
+
+    def interrupted() -> None:
+        with writing_points(
             tmp_path / "out.usda",
             face,
             rate=Fraction(24000, 1001),
@@ -148,10 +148,12 @@ def test_the_same_again_when_interrupted_leaves_the_clips_that_the_asset_plays(
             format_=CLIPS,
             method="test",
             provenance=Provenance(step="deform", spec="0"),
-        ) as writer,
-    ):
-        writer.append(before[:20], uncertainty_mm=np.full(before[:20].shape[:2], 0.5))
-        raise KeyboardInterrupt
+        ) as writer:
+            writer.append(before[:20], uncertainty_mm=np.full(before[:20].shape[:2], 0.5))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
     assert sorted(path.name for path in tmp_path.iterdir()) == files
     _, mesh = mesh_of(tmp_path / "out.usda")
     for frame, points in enumerate(before, start=FIRST):

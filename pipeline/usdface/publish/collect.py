@@ -7,6 +7,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from usdface.errors import InputError
+from usdface.layer_names import weights_path
 from usdface.specs.base import LAYER_SUFFIXES
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.performance import PerformanceReader
@@ -130,8 +131,11 @@ def _in_folder(folder: Path) -> list[Path]:
 def _is_performance(path: Path) -> bool:
     try:
         made = read_provenance(path)
-        # A weights layer carries the same provenance as the layer to open; it has no rig.
-        return made is not None and made.step in MAKERS and not path.stem.endswith(".weights")
+        if made is None or made.step not in MAKERS:
+            return False
+        # The layers beside it (weights, their parts and seams, controls) carry the same provenance
+        # as the layer to open; none of them has a rig, and only the latter has weights beside it.
+        return not path.stem.endswith(".weights") and weights_path(path).is_file()
     except InputError:
         return False
 
