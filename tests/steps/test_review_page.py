@@ -222,6 +222,7 @@ def test_nothing_in_the_data_becomes_part_of_the_page(shot: Shot) -> None:
             worst=((0, evil),),
             listings=(Listing(evil, (evil,), ((evil,),), (1,)),),
             face=pack_face(read_rig(shot / "hero.usdc")),
+            origin={"usdface": evil, "spec": '">' + evil, "inputs": {evil: evil}},
         )
     )
     assert "<img src=x" not in made

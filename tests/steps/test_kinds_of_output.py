@@ -1,0 +1,94 @@
+"""Whatever a step writes says what made it: else a job with it would be refused the second time."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from tests.steps.small_shot import Shot
+from tests.steps.test_jobs import ran
+from usdface.errors import InputError
+from usdface.media.face_payload import FacePayload
+from usdface.media.report_page import ReviewPage, WeightCurves, build_page, read_page_origin
+from usdface.provenance import Provenance
+from usdface.specs.reading import read_job
+from usdface.speech.phone_track import PhoneTrack, Span
+from usdface.speech.track_files import read_phone_track, write_phone_track
+from usdface.steps.jobs import check_job, run_job
+from usdface.steps.outputs import provenance_metadata, provenance_of
+
+MADE = Provenance(
+    step="phones", spec='{"text":"\\"a\\" & <b>"}', inputs={"voice ü.wav": "0a" * 32}, version="9"
+)
+TRACK = PhoneTrack((Span(0.1, 0.4, "AH"),), (Span(0.1, 0.4, "a"),), (), 0.4)
+
+
+def test_a_job_with_a_report_a_package_and_figures_runs_twice(shot: Shot, monkeypatch) -> None:
+    job = shot / "shot.job.yaml"
+    data = yaml.safe_load(job.read_text(encoding="utf-8"))
+    performance, take = "shot.hero.usda", "shot.clean.take.usda"
+    data["steps"] += [
+        {"step": "report", "performance": performance, "take": take, "out": "shot.html"},
+        {"step": "package", "performance": performance, "out": "shot.usdz"},
+        {
+            "step": "evaluate",
+            "performance": performance,
+            "against": "keys.csv",
+            "out": "shot.json",
+        },
+        {"step": "bake", "performance": performance, "out": "shot.baked.usdc"},
+    ]
+    job.write_text(yaml.safe_dump(data), encoding="utf-8")
+    assert ran(shot, monkeypatch) == ["report", "package", "evaluate", "bake"]
+    assert {state.state for state in check_job(read_job(job))} == {"done"}
+    assert ran(shot, monkeypatch) == []
+    (shot / "shot.html").write_text("<html>mine</html>", encoding="utf-8")
+    with pytest.raises(InputError, match=r"shot\.html: exists and was not written by usdface"):
+        run_job(read_job(job))
+
+
+@pytest.mark.parametrize("name", ["a.lab", "a.json", "a.TextGrid"])
+def test_phones_say_what_made_them_until_someone_changes_them(tmp_path: Path, name: str) -> None:
+    if name.endswith("TextGrid"):
+        pytest.importorskip("praatio")
+    path = tmp_path / name
+    write_phone_track(path, TRACK, origin=provenance_metadata(MADE))
+    assert provenance_of(path) == MADE
+    assert TRACK.phones[0] in read_phone_track(path).phones
+    if name == "a.lab":
+        path.write_text(path.read_text(encoding="utf-8") + "4000000 5000000 b\n", encoding="utf-8")
+        assert provenance_of(path) is None
+
+
+def test_a_page_says_what_made_it_whatever_stands_in_that(tmp_path: Path) -> None:
+    path = tmp_path / "a.html"
+    path.write_text(_page(provenance_metadata(MADE)), encoding="utf-8")
+    assert provenance_of(path) == MADE
+    path.write_text(_page(None), encoding="utf-8")
+    assert provenance_of(path) is None
+    path.write_bytes(b"\xff\xfe<meta")
+    assert provenance_of(path) is None
+    with pytest.raises(InputError, match=re.escape(f"{path}: is no page")):
+        read_page_origin(path)
+
+
+def _page(origin: dict[str, object] | None) -> str:
+    return build_page(
+        ReviewPage(
+            title="a",
+            facts=(),
+            rate=24.0,
+            frames=[1],
+            timecodes=[],
+            shapes=("x",),
+            regions=("brows",),
+            curves=(WeightCurves("solve", np.zeros((1, 1))),),
+            strips=(),
+            worst=(),
+            listings=(),
+            face=FacePayload({}, b""),
+            origin=origin,
+        )
+    )
