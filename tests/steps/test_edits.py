@@ -2,6 +2,8 @@
 
 import csv
 import os
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +27,8 @@ from usdface.steps.report import Report
 from usdface.usdio.performance import PerformanceReader, read_performance, read_weights
 from usdface.usdio.references import read_references
 from usdface.usdio.rig import read_rig
+from usdface.usdio.take import read_take
+from usdface.usdio.take_write import write_take
 from usdface.usdio.validation import validate
 
 
@@ -253,6 +257,28 @@ def test_fewer_corrections_than_before_replace_them_and_say_so(shot: Shot) -> No
     after = read_references(out)
     assert list(after.frames[count:]) == reports[1].figures["frames"]
     assert after.tuned[count:].all()
+
+
+def test_corrections_whose_markers_are_not_seen_teach_nothing_and_stop_no_other(shot: Shot) -> None:
+    path, out = shot / "shot.hero.usda", shot / "v2.references.usda"
+    edit(path, override=0.8, frames="100-102", fade=3)
+    clean = shot / "shot.clean.take.usda"
+    take = read_take(clean)
+    assert take.markers is not None
+    visible, confidence = take.markers.visible.copy(), take.markers.confidence.copy()
+    free = [name not in take.markers.rigid for name in take.markers.names].index(True)
+    visible[90:110, free], confidence[90:110, free] = False, 0.0
+    markers = replace(take.markers, visible=visible, confidence=confidence)
+    write_take(clean, replace(take, markers=markers))
+    given = {"references": shot / "hero.references.usda", "out": out}
+    with pytest.raises(InputError, match=r"no frame was corrected by more than .* markers seen"):
+        run(ReferencesFromEditsSpec(performances=(path,), **given))
+    shutil.copy(path, shot / "other.usda")
+    shutil.copy(edits_path(path), edits_path(shot / "other.usda"))
+    edit(shot / "other.usda", "eyeBlinkLeft", override=1.0, frames="300-300")
+    report = run(ReferencesFromEditsSpec(performances=(path, shot / "other.usda"), **given))
+    assert report.figures["frames"] == [300]
+    assert sum("lack a marker" in note for note in report.notes) == 2
 
 
 def test_a_package_needs_nothing_beside_it(shot: Shot, tmp_path: Path) -> None:

@@ -105,6 +105,9 @@ class _Lessons:
     weights: FloatArray
 
 
+_NO_LESSONS = _Lessons("", np.zeros(0, np.int64), np.zeros((0, 0, 3)), np.zeros((0, 0)))
+
+
 def _learn(
     spec: ReferencesFromEditsSpec, performance: Path, old: References, notes: list[str]
 ) -> _Lessons:
@@ -120,7 +123,7 @@ def _learn(
     rows = np.flatnonzero(meant_frames(reader.edits, len(edited)) & (change > LEAST_CHANGE))
     if not len(rows):
         notes.append(f"{performance}: no frame was corrected; nothing to learn from it")
-        return _Lessons("", np.zeros(0, np.int64), np.zeros((0, 0, 3)), np.zeros((0, 0)))
+        return _NO_LESSONS
     take, mapping = _made_from(performance)
     markers, seen = _markers_at(take, mapping, old, reader.frames[rows])
     rows, markers = rows[seen], markers[seen]
@@ -128,6 +131,8 @@ def _learn(
         notes.append(
             f"{performance}: {int((~seen).sum())} corrected frames lack a marker and were left out"
         )
+    if not len(rows):
+        return _NO_LESSONS
     chosen = spread_out(edited[rows], change[rows], spec.count)
     if len(chosen) < len(rows):
         notes.append(f"{performance}: {len(chosen)} of {len(rows)} corrected frames were taken")
