@@ -86,6 +86,14 @@ def test_two_pairs_are_the_fewest_that_train(method: str) -> None:
     assert np.isfinite(predict_weights(mapping, face.positions[:50]).weights).all()
 
 
+@pytest.mark.parametrize("method", [*sorted(METHODS), "auto"])
+def test_a_few_pairs_of_one_short_moment_train(method: str) -> None:
+    face = synthetic_face()
+    close = references_of(face, np.arange(0, 80, 10))
+    mapping = train_mapping(close, ranges=face.ranges, gram=face.gram, method=method)
+    assert np.isfinite(predict_weights(mapping, face.positions[:50]).weights).all()
+
+
 def test_without_a_motion_space_the_pairs_span_their_own() -> None:
     face = synthetic_face(noise=0.001)
     pairs = replace(references(), motion=None)

@@ -4,6 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from usdface.numerics.regression.cross_validation import (
+    FEWEST_TAUGHT,
     blocked_folds,
     predict_out_of_fold,
     surface_rms_mm,
@@ -25,7 +26,7 @@ def test_every_row_is_tested_once_and_never_trained_on_in_its_own_fold(
     tested = np.concatenate([fold.test for fold in made])
     assert sorted(tested) == list(range(len(frames)))
     for fold in made:
-        assert len(fold.train)
+        assert len(fold.train) >= min(FEWEST_TAUGHT, len(frames) - len(fold.test))
         assert not set(fold.train) & set(fold.test)
 
 
@@ -48,6 +49,11 @@ def test_a_dense_run_is_cut_into_blocks_with_a_gap() -> None:
     frames = np.arange(100)
     for fold in blocked_folds(frames, ["a"] * 100, folds=4, margin=5):
         assert np.abs(frames[fold.train][:, None] - frames[fold.test]).min() > 5
+
+
+def test_where_nearly_all_are_neighbours_all_that_are_not_tested_teach() -> None:
+    for fold in blocked_folds(np.arange(8) * 10, ["a"] * 8, folds=5, margin=30):
+        assert len(fold.train) >= FEWEST_TAUGHT
 
 
 def test_folds_are_nearly_equal_in_size() -> None:

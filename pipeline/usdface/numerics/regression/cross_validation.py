@@ -13,10 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+FEWEST_TAUGHT = 3
+"""Rows below which a fold teaches nothing: then neighbours of tested rows are trained on too."""
+
 
 @dataclass(frozen=True)
 class Fold:
-    """Rows to train on and rows to test on; no row of the one neighbours a row of the other."""
+    """Rows to train on and rows to test on; no row of the one neighbours a row of the other.
+
+    But where fewer than `FEWEST_TAUGHT` would be left to train on, all that are not tested are.
+    """
 
     train: IntArray
     test: IntArray
@@ -130,6 +136,6 @@ def _fold(tested: NDArray[np.bool_], frames: IntArray, codes: IntArray, margin: 
     test = np.flatnonzero(tested)
     near = (np.abs(frames[:, None] - frames[test]) <= margin) & (codes[:, None] == codes[test])
     train = np.flatnonzero(~tested & ~near.any(axis=1))
-    if not len(train):  # every pair neighbours a tested one: a leak is better than no training
+    if len(train) < FEWEST_TAUGHT:  # nearly all neighbour a tested one: better a leak than this
         train = np.flatnonzero(~tested)
     return Fold(train, test)
