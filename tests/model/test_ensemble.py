@@ -46,6 +46,25 @@ def test_geometry_helps_where_pairs_are_few() -> None:
     assert with_skin < 0.8 * without
 
 
+@pytest.mark.parametrize("skin", [False, True])
+def test_more_dimensions_than_the_take_moves_in_do_no_harm(skin: bool) -> None:
+    """Six shapes without noise move in six dimensions; the other components are still."""
+    face = synthetic_face(noise=0.0)
+    pairs = references_of(face, CHOSEN)
+    assert pairs.motion is not None
+    still = np.where(np.arange(len(pairs.motion.variances)) < 6, pairs.motion.variances, 0.0)
+    mapping = train_mapping(
+        replace(pairs, motion=replace(pairs.motion, variances=still)),
+        ranges=face.ranges,
+        gram=face.gram,
+        skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)) if skin else None,
+        method="ensemble",
+        dimensions=20,
+    )
+    error = predict_weights(mapping, face.positions).weights - face.weights
+    assert np.sqrt((error**2).mean()) < 0.02
+
+
 def saturating(seed: int) -> SyntheticFace:
     """Skin that gives way the less the further it has moved."""
     face = synthetic_face(seed=seed)

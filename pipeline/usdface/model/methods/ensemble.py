@@ -53,6 +53,8 @@ MOST_DIMENSIONS = 50
 LEAST_VARIANCE_MM2 = 1e-4
 """Variance of a component below which there is no motion, only rounding."""
 
+_FLOOR_MM2 = 1e-9  # of components asked for that do not move at all
+
 TRUSTED = 0.75
 FEW_PAIRS = 25
 """How far it is believed that voices err together as their residuals do: the first times the share
@@ -201,15 +203,20 @@ def _posterior(
         targets,
         expected=prior.basis.reshape(len(skin), -1) @ components.T,
         components=components,
-        variances=pairs.motion.variances[:kept],
+        variances=_floored_variances(pairs, kept),
         gram=gram,
     )
+
+
+def _floored_variances(pairs: Pairs, kept: int) -> FloatArray:
+    """Variances of the first components, positive: a take may have fewer than are asked for."""
+    return np.maximum(pairs.motion.variances[:kept], _FLOOR_MM2)
 
 
 def _example_voices(
     pairs: Pairs, z: FloatArray, targets: FloatArray, importance: FloatArray
 ) -> tuple[list[Voice], FloatArray]:
-    variances = pairs.motion.variances[: z.shape[1]]
+    variances = _floored_variances(pairs, z.shape[1])
     tuned = targets
     for _ in range(3):
         line = global_voice(
