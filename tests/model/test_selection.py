@@ -188,6 +188,17 @@ def test_extremes_are_of_each_emotion_and_far_out() -> None:
     assert size[chosen].mean() > 1.5 * size.mean()
 
 
+def test_an_emotion_without_a_frame_to_choose_has_no_extremes() -> None:
+    features = np.random.default_rng(0).normal(size=(40, 3))
+    emotion = ["joy"] * 20 + ["anger"] * 20
+    only_joy = np.arange(40) < 20
+    none = np.zeros(0, dtype=np.int64)
+    far = extreme_frames(features, emotion, 5, candidates=only_joy, already=none)
+    assert (len(far["joy"]), far["anger"]) == (5, [])
+    far = extreme_frames(features, emotion, 0, candidates=only_joy, already=none)
+    assert far == {"joy": [], "anger": []}
+
+
 def test_the_papers_count_is_15_visemes_and_10_extremes_an_emotion() -> None:
     rng = np.random.default_rng(0)
     emotions = ("neutral", "joy", "anger", "sadness")

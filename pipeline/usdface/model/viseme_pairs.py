@@ -87,7 +87,7 @@ def extreme_frames(
     emotion_of : sequence of str
         Of each frame.
     count : int
-        Frames an emotion; fewer where the emotion has fewer.
+        Frames an emotion; fewer, or none, where the emotion has no more that may be chosen.
     candidates : (frames,) bool array
     already : (n,) int array
         Frames chosen before, which are not chosen again.
@@ -101,8 +101,9 @@ def extreme_frames(
         before = np.flatnonzero((emotions == emotion) & taken)
         pool = np.concatenate([before, own])
         wanted = min(count, len(own))
-        chosen = design_k_centre(
-            features_at(features, pool), wanted, already=np.arange(len(before), dtype=np.int64)
-        ).chosen
-        found[emotion] = [int(row) for row in pool[chosen]]
+        found[emotion] = []
+        if wanted > 0:
+            known = np.arange(len(before), dtype=np.int64)
+            chosen = design_k_centre(features_at(features, pool), wanted, already=known).chosen
+            found[emotion] = [int(row) for row in pool[chosen]]
     return found
