@@ -22,6 +22,11 @@ def test_every_frame_is_within_the_tolerance(tolerance: float) -> None:
     assert len(keys) < len(FRAMES) * (0.6 if tolerance < 0.01 else 0.25)
 
 
+def test_no_frames_need_no_keys() -> None:
+    assert reduce_keys(np.zeros((0, 3)), 0.1).tolist() == []
+    assert reduce_keys(np.zeros((1, 3)), 0.1).tolist() == [0]
+
+
 def test_straight_lines_are_found_by_their_corners() -> None:
     corners = np.array([0, 31, 64, 200, 399])
     heights = np.random.default_rng(0).random((5, 4))

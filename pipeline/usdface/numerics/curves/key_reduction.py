@@ -33,7 +33,7 @@ def reduce_keys(
     Returns
     -------
     (keys,) int array
-        Rows of `weights`, ascending, the first and the last among them.
+        Rows of `weights`, ascending, the first and the last among them; none of none.
 
     Raises
     ------
@@ -55,7 +55,9 @@ def reduce_keys(
 
     count = len(weights)
     kept = np.zeros(count, dtype=bool)
-    kept[[0, -1]] = count > 0
+    if not count:
+        return np.flatnonzero(kept)
+    kept[[0, -1]] = True
     spans = [(0, count - 1)]
     while spans:
         first, last = spans.pop()
