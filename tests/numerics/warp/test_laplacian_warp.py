@@ -127,6 +127,13 @@ def test_reach_is_where_a_change_is_lost_in_rounding():
     assert np.abs(warped - motion)[110 + 44 :].max() < 1e-12
 
 
+def test_the_reach_of_any_weight_is_known():
+    """However strongly frames are held, a change is divided by at least the weight a frame."""
+    reaches = [reach_frames(10.0**power) for power in range(-3, 309)]
+    assert reaches == sorted(reaches, reverse=True)
+    assert reaches[-1] == 1
+
+
 def test_eased_weights_are_symmetric_and_full_in_the_middle():
     weights = ease_weights(40, 20.0, ease=8)
     np.testing.assert_allclose(weights, weights[::-1])

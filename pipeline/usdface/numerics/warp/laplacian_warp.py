@@ -176,12 +176,13 @@ def reach_frames(keep: float) -> int:
     """Return how many held frames it takes for a change to fade below rounding.
 
     Between held frames ``X[i-1] - (2 + keep) X[i] + X[i+1] = 0``, so X shrinks from frame to frame
-    by the smaller root of that recursion: 0.38 for a weight of 1.
+    by the smaller root of that recursion: 0.38 for a weight of 1. It is one over the larger root,
+    whose terms do not cancel however large the weight.
     """
     if math.isinf(keep):
         return 0
-    shrink = 1 + keep / 2 - math.sqrt(keep + keep**2 / 4)
-    return math.ceil(math.log(_ROUNDING) / math.log(shrink))
+    growth = 1 + keep / 2 + math.sqrt(keep) * math.sqrt(1 + keep / 4)
+    return math.ceil(-math.log(_ROUNDING) / math.log(growth))
 
 
 def ease_weights(count: int, weight: float, *, ease: int) -> Array:
