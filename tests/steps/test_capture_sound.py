@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.capture.text_samples import live_link_csv
 from usdface.capture.c3d_write import write_c3d
 from usdface.errors import InputError
 from usdface.media.sound import read_audio
@@ -56,4 +57,27 @@ def test_a_channel_may_be_named(tmp_path: Path) -> None:
 def test_a_channel_that_is_not_there_is_refused_with_those_that_are(tmp_path: Path) -> None:
     spec = IngestSpec(sources=(write(tmp_path),), out=tmp_path / "a.take.usda", audio_channel="mic")
     with pytest.raises(InputError, match=r"no analog channel 'mic'; there are Force\.Fz, Audio\.1"):
+        execute(spec)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_channel_is_looked_for_in_c3d_files_alone_in_whatever_order(
+    tmp_path: Path, order: int
+) -> None:
+    weights = tmp_path / "face.csv"
+    weights.write_text(live_link_csv(), encoding="utf-8")
+    spec = IngestSpec(
+        sources=(write(tmp_path), weights)[::order],
+        out=tmp_path / "a.take.usda",
+        audio_channel="Audio.1",
+    )
+    report = execute(spec)
+    assert any("analog channel Audio.1" in note for note in report.notes)
+
+
+def test_a_channel_named_where_no_capture_can_carry_one_is_refused(tmp_path: Path) -> None:
+    weights = tmp_path / "face.csv"
+    weights.write_text(live_link_csv(), encoding="utf-8")
+    spec = IngestSpec(sources=(weights,), out=tmp_path / "a.take.usda", audio_channel="Audio.1")
+    with pytest.raises(InputError, match=r"only C3D carries analog channels; leave --audio"):
         execute(spec)

@@ -2,6 +2,7 @@
 
 import re
 import wave
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,13 +28,15 @@ class CaptureSound:
     note: str
 
 
-def extract_sound(source: Path, out: Path, *, channel: str | None = None) -> CaptureSound | None:
+def extract_sound(
+    sources: Sequence[Path], out: Path, *, channel: str | None = None
+) -> CaptureSound | None:
     """Write the analog channel that holds sound as a WAV file.
 
     Parameters
     ----------
-    source : Path
-        A capture; only C3D carries analog channels.
+    sources : sequence of Path
+        The captures of a take, in any order; only C3D carries analog channels.
     out : Path
         The WAV file to write.
     channel : str, optional
@@ -47,26 +50,36 @@ def extract_sound(source: Path, out: Path, *, channel: str | None = None) -> Cap
     Raises
     ------
     InputError
-        If the named channel is not there, or the file cannot be written.
+        If no capture has the named channel, or the file cannot be written.
     """
-    with source.open("rb") as stream:
-        if not is_c3d(stream.read(512)):
-            if channel is None:
-                return None
-            raise InputError(f"{source}: only C3D carries analog channels; leave the channel out")
-    capture = open_c3d(source)
-    names = [label.strip() for label in capture.analog_labels]
-    if channel is not None and channel not in names:
-        told = ", ".join(names) or "none"
-        raise InputError(f"{source}: no analog channel {channel!r}; there are {told}")
-    chosen = channel
-    if chosen is None and capture.analog_rate >= LEAST_RATE:
-        chosen = next((name for name in names if SOUND_NAME.search(name)), None)
-    if chosen is None:
+    told = list[str]()
+    for source in sources:
+        with source.open("rb") as stream:
+            if not is_c3d(stream.read(512)):
+                continue
+        capture = open_c3d(source)
+        names = [label.strip() for label in capture.analog_labels]
+        told.append(
+            f"{source}: no analog channel {channel!r}; there are {', '.join(names) or 'none'}"
+        )
+        if channel in names:
+            chosen = channel
+        elif channel is None and capture.analog_rate >= LEAST_RATE:
+            chosen = next((name for name in names if SOUND_NAME.search(name)), None)
+        else:
+            chosen = None
+        if chosen is not None:
+            _write_wav(out, capture, names.index(chosen))
+            rate = capture.analog_rate
+            return CaptureSound(out, f"sound was taken from analog channel {chosen} ({rate:g} Hz)")
+    if channel is None:
         return None
-    _write_wav(out, capture, names.index(chosen))
-    rate = capture.analog_rate
-    return CaptureSound(out, f"sound was taken from analog channel {chosen} ({rate:g} Hz)")
+    if told:
+        raise InputError("\n".join(told))
+    raise InputError(
+        f"{', '.join(map(str, sources))}: only C3D carries analog channels; leave "
+        "--audio-channel out"
+    )
 
 
 def _write_wav(path: Path, capture: C3dFile, column: int) -> None:

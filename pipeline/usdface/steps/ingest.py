@@ -106,12 +106,7 @@ def _capture_sound(spec: IngestSpec) -> CaptureSound | None:
     if spec.audio is not None:
         return None
     out = spec.out.with_name(f"{spec.out.stem}.sound.wav")
-    for source in spec.sources:
-        if source.suffix not in (*LAYER_SUFFIXES, ".usdz"):
-            sound = extract_sound(source, out, channel=spec.audio_channel)
-            if sound is not None:
-                return sound
-    return None
+    return extract_sound(spec.sources, out, channel=spec.audio_channel)
 
 
 def _open_video(file: Path, spec: IngestSpec) -> Video:
