@@ -48,6 +48,18 @@ def test_every_take_is_ingested_and_named(captures, shot: Shot, monkeypatch, cap
     assert take.video.rate == 24
 
 
+@pytest.mark.parametrize("option", ["--take", "--video", "--audio", "--save-spec"])
+def test_what_is_of_one_take_is_refused_for_a_folder(
+    captures, shot: Shot, monkeypatch, capsys, option: str
+) -> None:
+    monkeypatch.chdir(shot.folder)
+    with pytest.raises(SystemExit) as stopped:
+        main(["ingest", "captures", "--out", "takes", option, "captures/b.mp4"])
+    assert stopped.value.code == 2
+    assert f"captures: {option} " in capsys.readouterr().err
+    assert not (shot / "takes").exists()
+
+
 def test_one_broken_capture_does_not_stop_the_others(captures, shot: Shot) -> None:
     data = (captures / "b.c3d").read_bytes()
     (captures / "b.c3d").write_bytes(data[:4000])

@@ -121,6 +121,11 @@ def _run_step(
     if folder is not None:
         from usdface.steps.ingest_folder import ingest_folder
 
+        if save_spec is not None:
+            raise InputError(
+                f"{folder}: --save-spec writes the spec of one take; name a take's files instead "
+                "of a folder, or leave it out"
+            )
         target = values.pop("out")
         shared = build_spec(IngestSpec, values | {"out": target / "all.take.usda"})
         with listening(progress) as listener:

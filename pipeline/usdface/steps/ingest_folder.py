@@ -15,6 +15,9 @@ from usdface.wording import counted
 VIDEO_SUFFIXES = (".mov", ".mp4", ".mxf", ".mkv", ".avi", ".webm", ".m4v")
 AUDIO_SUFFIXES = (".wav", ".flac", ".aif", ".aiff", ".mp3", ".m4a")
 
+_OWN = ("take", "video", "audio")
+"""What every take of a folder has of its own."""
+
 
 @dataclass(frozen=True)
 class Bundle:
@@ -81,10 +84,17 @@ def ingest_folder(
     Raises
     ------
     InputError
-        If the folder holds no capture, or `out` cannot be made.
+        If `shared` names what each take has of its own, the folder holds no capture, or `out`
+        cannot be made.
     CheckFailedError
         If a take could not be ingested; each is named with its reason.
     """
+    for name in _OWN:
+        if getattr(shared, name) is not None:
+            raise InputError(
+                f"{folder}: --{name} is of one take, and a folder holds several: each is named by "
+                "its files, and video and audio of the same name go with it; leave it out"
+            )
     bundles = find_bundles(folder)
     if not bundles:
         raise InputError(f"{folder}: holds no capture file that is known")
