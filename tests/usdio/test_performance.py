@@ -79,6 +79,56 @@ def test_what_usdskel_bakes_from_the_layer_is_what_we_deform(tmp_path: Path, pla
         np.testing.assert_allclose(ours[index, :12], baked, atol=1e-3)
 
 
+@pytest.mark.parametrize("place", [None, "/shot/cast/hero_01"])
+def test_the_rig_is_the_file_that_is_referenced_not_one_that_it_is_built_from(
+    tmp_path: Path, place: str | None
+) -> None:
+    write_rig(tmp_path / "geo.usda", small_rig())
+    Sdf.Layer.CreateNew(str(tmp_path / "shapes.usda")).Save()
+    rig = Sdf.Layer.CreateNew(str(tmp_path / "rig.usda"))
+    rig.subLayerPaths = ["./shapes.usda", "./geo.usda"]
+    rig.defaultPrim = "Hero"
+    below = Sdf.CreatePrimInLayer(rig, "/Hero")
+    Sdf.AttributeSpec(below, "userProperties:show", Sdf.ValueTypeNames.String).default = "ours"
+    rig.pseudoRoot.SetInfo("metersPerUnit", 0.01)
+    rig.pseudoRoot.SetInfo("upAxis", "Y")
+    rig.Save()
+    path = write(tmp_path, place=place)
+    assert PerformanceReader(path).rig() == (tmp_path / "rig.usda", "/Hero")
+    assert read_rig(tmp_path / "rig.usda", prim="/Hero").shapes == read_performance_rig(path)
+    shot = Sdf.Layer.CreateNew(str(tmp_path / "shot.usda"))  # a shot references the performance
+    prim = Sdf.CreatePrimInLayer(shot, "/World")
+    top = Sdf.Path(place or "/Hero").GetPrefixes()[0]
+    prim.referenceList.prependedItems = [Sdf.Reference(f"./{path.name}", top)]
+    shot.timeCodesPerSecond = shot.framesPerSecond = 30000 / 1001
+    shot.Save()
+    assert PerformanceReader(tmp_path / "shot.usda").rig() == (tmp_path / "rig.usda", "/Hero")
+
+
+def read_performance_rig(path: Path) -> tuple[str, ...]:
+    file, prim = PerformanceReader(path).rig()
+    return read_rig(file, prim=prim).shapes
+
+
+def test_a_rig_follows_an_animation_that_is_said_above_its_skeletons(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    weights = Sdf.Layer.FindOrOpen(str(weights_path(path)))
+
+    def no_longer(at: Sdf.Path) -> None:
+        if at.IsPrimPath():
+            prim = weights.GetPrimAtPath(at)
+            if "skel:animationSource" in prim.relationships:
+                prim.RemoveProperty(prim.relationships["skel:animationSource"])
+
+    weights.Traverse(Sdf.Path.absoluteRootPath, no_longer)
+    root = weights.GetPrimAtPath("/Hero")
+    source = Sdf.RelationshipSpec(root, "skel:animationSource", False)
+    source.targetPathList.explicitItems = [Sdf.Path("/Hero/FaceSolve")]
+    root.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["SkelBindingAPI"]))
+    weights.Save()
+    assert read_performance(path).rig_file.resolve() == (tmp_path / "rig.usda").resolve()
+
+
 def test_written_performance_passes_every_validator(tmp_path: Path) -> None:
     path = write(tmp_path)
     assert validate(path) == []

@@ -53,23 +53,76 @@ def point_skeletons_at(layer: Sdf.Layer, place: str, rig: Rig, animation: Sdf.Pa
 
 
 def rig_of(stage: Usd.Stage, animation: Usd.Prim) -> tuple[Path, str]:
-    """Return the file and SkelRoot of the rig that an animation drives in a composed stage."""
+    """Return the file and SkelRoot of the rig that an animation drives in a composed stage.
+
+    The file is the one that is referenced where the animation meets the rig, not one of those that
+    the rig is built from.
+
+    Raises
+    ------
+    InputError
+        If no skeleton follows the animation.
+    """
     for prim in stage.Traverse():
-        if not prim.IsA(UsdSkel.Skeleton):
-            continue
-        relation = UsdSkel.BindingAPI(prim).GetAnimationSourceRel()
-        if not relation or animation.GetPath() not in relation.GetTargets():
-            continue
-        for spec in reversed(prim.GetPrimStack()):
-            if spec.layer.realPath and spec.specifier == Sdf.SpecifierDef:
-                root = spec.path
-                opened = open_stage(Path(os.path.relpath(spec.layer.realPath)))
-                found = opened.GetPrimAtPath(root)
-                while found and not found.IsA(UsdSkel.Root):
-                    found = found.GetParent()
-                if found:
-                    return Path(spec.layer.realPath), str(found.GetPath())
+        if prim.IsA(UsdSkel.Skeleton) and _follows(prim, animation):
+            found = _referenced_rig(prim, animation) or _defining_rig(prim)
+            if found is not None:
+                return found
     raise InputError(
         f"{stage.GetRootLayer().realPath} <{animation.GetPath()}>: no rig follows this animation; "
         "is the rig's file still where it was?"
     )
+
+
+def _follows(skeleton: Usd.Prim, animation: Usd.Prim) -> bool:
+    binding = UsdSkel.BindingAPI(skeleton)
+    own = binding.GetAnimationSourceRel()
+    if own and own.HasAuthoredTargets():
+        return animation.GetPath() in own.GetTargets()
+    source = binding.GetInheritedAnimationSource()
+    return bool(source) and source.GetPath() == animation.GetPath()
+
+
+def _referenced_rig(skeleton: Usd.Prim, animation: Usd.Prim) -> tuple[Path, str] | None:
+    """Return the outermost file, referenced or a payload, with the skeleton and no animation.
+
+    One that has the animation as well is a performance, which a shot may reference in its turn.
+    """
+    arcs = Usd.PrimCompositionQuery.Filter()
+    arcs.arcTypeFilter = Usd.PrimCompositionQuery.ArcTypeFilter.ReferenceOrPayload
+    arcs.dependencyTypeFilter = Usd.PrimCompositionQuery.DependencyTypeFilter.Direct
+    for place in skeleton.GetPath().GetPrefixes():
+        query = Usd.PrimCompositionQuery(skeleton.GetStage().GetPrimAtPath(place))
+        query.filter = arcs
+        for arc in query.GetCompositionArcs():
+            file = arc.GetTargetLayer().realPath
+            if not file or arc.GetTargetNode().layerStack == arc.GetIntroducingNode().layerStack:
+                continue  # a reference within one file
+            target = arc.GetTargetPrimPath().StripAllVariantSelections()
+            opened = _open(file)
+            if not opened.GetPrimAtPath(animation.GetPath().ReplacePrefix(place, target)):
+                found = _skel_root_above(opened, skeleton.GetPath().ReplacePrefix(place, target))
+                if found:
+                    return Path(file), found
+    return None
+
+
+def _defining_rig(skeleton: Usd.Prim) -> tuple[Path, str] | None:
+    """Return the weakest file that defines a skeleton: where nothing is referenced."""
+    for spec in reversed(skeleton.GetPrimStack()):
+        if spec.layer.realPath and spec.specifier == Sdf.SpecifierDef:
+            found = _skel_root_above(_open(spec.layer.realPath), spec.path)
+            if found:
+                return Path(spec.layer.realPath), found
+    return None
+
+
+def _open(file: str) -> Usd.Stage:
+    return open_stage(Path(os.path.relpath(file)))
+
+
+def _skel_root_above(stage: Usd.Stage, skeleton: Sdf.Path) -> str:
+    prim = stage.GetPrimAtPath(skeleton)
+    while prim and not prim.IsA(UsdSkel.Root):
+        prim = prim.GetParent()
+    return str(prim.GetPath()) if prim else ""
