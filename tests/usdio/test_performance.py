@@ -169,6 +169,35 @@ def test_mapping_again_keeps_what_others_put_into_the_performance(tmp_path: Path
     assert read_performance(path).weights.first_frame == 901
 
 
+def test_mapping_again_keeps_what_else_the_rig_s_prim_references(tmp_path: Path) -> None:
+    path = write(tmp_path)
+
+    def references() -> list[tuple[str, str]]:
+        layer = Sdf.Layer.FindOrOpen(str(path))
+        items = layer.GetPrimAtPath("/Hero").referenceList.prependedItems
+        return [(each.assetPath, str(each.primPath)) for each in items]
+
+    assert references() == [("./rig.usda", "/Hero")]
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    more = [Sdf.Reference(f"./{name}.usda", "/Hero") for name in ("groom", "look")]
+    items = layer.GetPrimAtPath("/Hero").referenceList
+    items.prependedItems = [more[0], *items.prependedItems, more[1]]
+    layer.Save()
+    write(tmp_path)
+    names = ["./groom.usda", "./rig.usda", "./look.usda"]
+    assert [name for name, _ in references()] == names
+    items = layer.GetPrimAtPath("/Hero").referenceList
+    items.prependedItems = list(items.prependedItems)[1:]
+    layer.Save()
+    write_rig(tmp_path / "v002.usda", small_rig())
+    other = read_rig(tmp_path / "v002.usda")
+    with writing_performance(
+        path, other, shape_names=NAMES, rate=Fraction(24), first_frame=1, last_frame=len(WEIGHTS)
+    ) as writer:
+        writer.append(WEIGHTS)
+    assert [name for name, _ in references()] == ["./v002.usda", "./look.usda"]
+
+
 def test_long_takes_saved_in_lots_equal_short_ones(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(weights_layer, "FRAMES_IN_MEMORY", 8)
     np.testing.assert_array_equal(read_performance(write(tmp_path)).weights.values, WEIGHTS)

@@ -18,7 +18,10 @@ def default_place(rig: Rig) -> str:
 
 
 def define_reference(layer: Sdf.Layer, place: str, rig: Rig, layer_path: Path) -> None:
-    """Define a prim that references the rig's top prim; prims above it become Xforms."""
+    """Define a prim that references the rig's top prim; prims above it become Xforms.
+
+    What else the prim references stays, and in its order.
+    """
     source = Sdf.Path(rig.prim).GetPrefixes()[0]
     for above in Sdf.Path(place).GetParentPath().GetPrefixes():
         if not layer.GetPrimAtPath(above):
@@ -26,7 +29,19 @@ def define_reference(layer: Sdf.Layer, place: str, rig: Rig, layer_path: Path) -
     prim = Sdf.CreatePrimInLayer(layer, place)
     prim.specifier = Sdf.SpecifierDef
     reference = Sdf.Reference(relative_path(rig.file, layer_path), source)
-    prim.referenceList.prependedItems = [reference]
+    references = prim.referenceList
+    name = "explicitItems" if references.isExplicit else "prependedItems"
+    there = list(getattr(references, name))
+    ours = _index_of_ours(there, rig.file, layer_path)
+    setattr(references, name, [*there[:ours], reference, *there[ours + 1 :]])
+
+
+def _index_of_ours(there: list[Sdf.Reference], file: Path, layer_path: Path) -> int:
+    """Return which reference was ours: that to the same file, or the first, as we put it there."""
+    for index, each in enumerate(there):
+        if each.assetPath and (layer_path.parent / each.assetPath).resolve() == file.resolve():
+            return index
+    return 0
 
 
 def point_skeletons_at(layer: Sdf.Layer, place: str, rig: Rig, animation: Sdf.Path) -> None:
