@@ -1,5 +1,6 @@
 """Bindings survive the way to disk; every way to correct one is understood."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from tests.small_scan import small_scan, write_scan
 from usdface.errors import InputError
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.numerics.registration.surface_places import nearest_places
+from usdface.replacing import replacing
 from usdface.usdio.binding import read_binding, write_binding
 from usdface.usdio.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.validation import validate
@@ -51,6 +53,17 @@ def correct(path: Path, prim: str, attribute: str, kind: Sdf.ValueTypeName, valu
     stage = Usd.Stage.Open(str(path.with_name("b.corrected.usda")))
     stage.OverridePrim(f"/Binding/Markers/{prim}").CreateAttribute(attribute, kind).Set(value)
     stage.Save()
+
+
+def test_a_proposal_is_not_replaced_where_the_layer_to_open_cannot_be(
+    bound: tuple[Path, MarkerBinding], face: FaceMesh
+) -> None:
+    path, binding = bound
+    before = {each.name: each.read_bytes() for each in path.parent.iterdir()}
+    other = replace(binding, confidence=binding.confidence / 2)
+    with pytest.raises(InputError, match="another process is writing it"), replacing(path):
+        write(path.parent, other, face)
+    assert {each.name: each.read_bytes() for each in path.parent.iterdir()} == before
 
 
 def test_a_binding_is_read_back_as_it_was(

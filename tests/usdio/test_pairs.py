@@ -18,6 +18,7 @@ from usdface.assets import Rig
 from usdface.controls import EmotionalSequence, ExpressionPairs, SequenceMatch
 from usdface.errors import InputError
 from usdface.model.retarget import retarget, train_retargeting
+from usdface.replacing import replacing
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.pairs import merge_pairs, read_pairs, samples_path, write_pairs
 from usdface.usdio.retargeting import is_retargeting, read_retargeting, write_retargeting
@@ -45,6 +46,17 @@ def written(tmp_path: Path) -> tuple[Path, ExpressionPairs]:
     pairs = some_pairs(human, beast)
     write_pairs(tmp_path / "x.pairs.usda", pairs, source_rig=human, target_rig=beast)
     return tmp_path / "x.pairs.usda", pairs
+
+
+def test_samples_are_not_replaced_where_the_layer_to_open_cannot_be(
+    written: tuple[Path, ExpressionPairs],
+) -> None:
+    path, _ = written
+    human, beast = write_human(path.with_name("h.usda")), write_creature(path.with_name("b.usda"))
+    before = {each.name: each.read_bytes() for each in path.parent.iterdir()}
+    with pytest.raises(InputError, match="another process is writing it"), replacing(path):
+        write_pairs(path, some_pairs(human, beast, 5), source_rig=human, target_rig=beast)
+    assert {each.name: each.read_bytes() for each in path.parent.iterdir()} == before
 
 
 def test_pairs_come_back_as_they_were_written(written: tuple[Path, ExpressionPairs]) -> None:

@@ -11,6 +11,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from usdface.assets import Markers, Take, Video, WeightsClip
 from usdface.errors import InputError
 from usdface.provenance import Provenance
+from usdface.replacing import replacing
 from usdface.usdio.foreign_take import read_foreign_take
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.take import TakeReader, read_take
@@ -111,6 +112,16 @@ def test_provenance_travels_in_the_layer(tmp_path: Path) -> None:
     assert read_provenance(tmp_path / "x.take.usdc") == made
 
 
+def test_samples_are_not_replaced_where_the_layer_to_open_cannot_be(tmp_path: Path) -> None:
+    path = tmp_path / "x.take.usda"
+    write_take(path, small_take())
+    before = {each.name: each.read_bytes() for each in tmp_path.iterdir()}
+    with pytest.raises(InputError, match="another process is writing it"), replacing(path):
+        write_take(path, small_take(frames=5))
+    assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == before
+    assert read_take(path).frame_count == 12
+
+
 def test_failed_writing_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / "x.take.usda"
     write_take(path, small_take())
@@ -119,8 +130,7 @@ def test_failed_writing_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> 
     with pytest.raises(Exception, match=r"name|type|string"):
         write_take(path, broken)
     after = {each.name: each.read_bytes() for each in tmp_path.iterdir()}
-    assert after.keys() == before.keys()
-    assert after["x.take.usda"] == before["x.take.usda"]
+    assert after == before
 
 
 def foreign_stage(path: Path, *, rate: float = 60, up: str = "Y", metres: float = 0.001):

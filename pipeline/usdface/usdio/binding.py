@@ -27,7 +27,7 @@ from usdface.usdio.authoring import apply_api, author_uniform, define_prim
 from usdface.usdio.layers import (
     MM_PER_STAGE_UNIT,
     author_units,
-    new_layer,
+    new_layers,
     open_layer,
     open_stage,
     relative_path,
@@ -84,16 +84,19 @@ def write_binding(
     face : FaceMesh
     provenance : Provenance, optional
     """
-    _write_proposed(proposed_path, binding, face, provenance)
-    if not corrected_path.is_file():
-        with new_layer(corrected_path) as layer:
-            author_units(layer)
-            layer.defaultPrim = ROOT.name
-            layer.comment = HOW_TO_CORRECT
-            for place in (ROOT, MARKERS):
-                Sdf.CreatePrimInLayer(layer, place)
     stage = open_stage(face.file)
-    with new_layer(path, provenance) as layer:
+    made = {proposed_path: provenance, path: provenance}
+    if not corrected_path.is_file():
+        made = {corrected_path: None} | made
+    with new_layers(made) as layers:
+        *corrected, proposed, layer = layers
+        for each in corrected:
+            author_units(each)
+            each.defaultPrim = ROOT.name
+            each.comment = HOW_TO_CORRECT
+            for place in (ROOT, MARKERS):
+                Sdf.CreatePrimInLayer(each, place)
+        _author_proposed(proposed, binding, face)
         author_units(layer)
         layer.defaultPrim = ROOT.name
         layer.subLayerPaths = [
@@ -166,41 +169,38 @@ class _MarkerPlace:
     source: str
 
 
-def _write_proposed(
-    path: Path, binding: MarkerBinding, face: FaceMesh, provenance: Provenance | None
-) -> None:
+def _author_proposed(layer: Sdf.Layer, binding: MarkerBinding, face: FaceMesh) -> None:
     mesh = face.mesh
     at = binding.places.positions(mesh.points) / MM_PER_STAGE_UNIT
     shares = polygon_weights(binding.places, mesh.face_counts, mesh.face_indices)
     kinds = Sdf.ValueTypeNames
-    with new_layer(path, provenance) as layer:
-        author_units(layer)
-        layer.defaultPrim = ROOT.name
-        define_prim(layer, ROOT, "Xform")
-        define_prim(layer, MARKERS, "Scope")
-        taken: set[str] = set()
-        for index, name in enumerate(binding.names):
-            prim = define_prim(layer, MARKERS.AppendChild(_prim_name(name, taken)), "Sphere")
-            apply_api(prim, "FaceMarkerBindingAPI")
-            confidence = float(binding.confidence[index])
-            weights = Vt.FloatArray([round(float(w), 6) for w in shares[index]])
-            for key, kind, value in (
-                ("face:binding:marker", kinds.Token, name),
-                ("face:binding:face", kinds.Int, int(binding.places.faces[index])),
-                ("face:binding:weights", kinds.FloatArray, weights),
-                ("face:binding:confidence", kinds.Float, round(confidence, 4)),
-                ("face:binding:distance", kinds.Float, round(float(binding.distance_mm[index]), 3)),
-                ("face:binding:source", kinds.Token, binding.sources[index]),
-                ("xformOpOrder", kinds.TokenArray, Vt.TokenArray([TRANSLATE])),
-            ):
-                author_uniform(prim, key, kind, value)
-            place = Gf.Vec3d(*(round(float(c), 6) for c in at[index]))
-            Sdf.AttributeSpec(prim, TRANSLATE, kinds.Double3).default = place
-            Sdf.AttributeSpec(prim, "radius", kinds.Double).default = BALL_RADIUS
-            extent = [Gf.Vec3f(-BALL_RADIUS), Gf.Vec3f(BALL_RADIUS)]
-            Sdf.AttributeSpec(prim, "extent", kinds.Float3Array).default = extent
-            color = [Gf.Vec3f(0.9 - 0.8 * confidence, 0.15 + 0.6 * confidence, 0.1)]
-            Sdf.AttributeSpec(prim, "primvars:displayColor", kinds.Color3fArray).default = color
+    author_units(layer)
+    layer.defaultPrim = ROOT.name
+    define_prim(layer, ROOT, "Xform")
+    define_prim(layer, MARKERS, "Scope")
+    taken: set[str] = set()
+    for index, name in enumerate(binding.names):
+        prim = define_prim(layer, MARKERS.AppendChild(_prim_name(name, taken)), "Sphere")
+        apply_api(prim, "FaceMarkerBindingAPI")
+        confidence = float(binding.confidence[index])
+        weights = Vt.FloatArray([round(float(w), 6) for w in shares[index]])
+        for key, kind, value in (
+            ("face:binding:marker", kinds.Token, name),
+            ("face:binding:face", kinds.Int, int(binding.places.faces[index])),
+            ("face:binding:weights", kinds.FloatArray, weights),
+            ("face:binding:confidence", kinds.Float, round(confidence, 4)),
+            ("face:binding:distance", kinds.Float, round(float(binding.distance_mm[index]), 3)),
+            ("face:binding:source", kinds.Token, binding.sources[index]),
+            ("xformOpOrder", kinds.TokenArray, Vt.TokenArray([TRANSLATE])),
+        ):
+            author_uniform(prim, key, kind, value)
+        place = Gf.Vec3d(*(round(float(c), 6) for c in at[index]))
+        Sdf.AttributeSpec(prim, TRANSLATE, kinds.Double3).default = place
+        Sdf.AttributeSpec(prim, "radius", kinds.Double).default = BALL_RADIUS
+        extent = [Gf.Vec3f(-BALL_RADIUS), Gf.Vec3f(BALL_RADIUS)]
+        Sdf.AttributeSpec(prim, "extent", kinds.Float3Array).default = extent
+        color = [Gf.Vec3f(0.9 - 0.8 * confidence, 0.15 + 0.6 * confidence, 0.1)]
+        Sdf.AttributeSpec(prim, "primvars:displayColor", kinds.Color3fArray).default = color
 
 
 def _prim_name(name: str, taken: set[str]) -> str:

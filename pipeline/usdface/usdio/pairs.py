@@ -26,7 +26,7 @@ from usdface.usdio.controls import (
     set_weight_samples,
 )
 from usdface.usdio.layers import (
-    new_layer,
+    new_layers,
     open_layer,
     open_stage,
     relative_path,
@@ -66,12 +66,13 @@ def write_pairs(
     source_rig, target_rig : Rig
     provenance : Provenance, optional
     """
-    _write_samples(samples_path(path), pairs, source_rig, target_rig, provenance)
-    with new_layer(path, provenance) as layer:
+    samples = samples_path(path)
+    with new_layers({samples: provenance, path: provenance}) as (below, layer):
+        _author_samples(below, samples, pairs, source_rig, target_rig)
         if path.is_file():
             layer.TransferContent(open_layer(path))
         author_pair_header(layer, ROOT, len(pairs))
-        asset = relative_path(samples_path(path), path)
+        asset = relative_path(samples, path)
         if asset not in list(layer.subLayerPaths):
             layer.subLayerPaths.append(asset)
         root = define_prim(layer, ROOT, "Xform")
@@ -116,43 +117,38 @@ def read_pairs(path: Path) -> ExpressionPairs:
     )
 
 
-def _write_samples(
-    path: Path,
-    pairs: ExpressionPairs,
-    source_rig: Rig,
-    target_rig: Rig,
-    provenance: Provenance | None,
+def _author_samples(
+    layer: Sdf.Layer, path: Path, pairs: ExpressionPairs, source_rig: Rig, target_rig: Rig
 ) -> None:
     tokens = Sdf.ValueTypeNames.TokenArray
     target = pairs.target
-    with new_layer(path, provenance) as layer:
-        author_pair_header(layer, ROOT, len(pairs))
-        root = Sdf.CreatePrimInLayer(layer, ROOT)
-        Sdf.AttributeSpec(root, NAME.name, Sdf.ValueTypeNames.String)
-        for time, name in enumerate(pairs.names, start=1):
-            layer.SetTimeSample(NAME, time, name)
-        for place, rig, animation in (
-            (SOURCE, source_rig, SOURCE_WEIGHTS),
-            (TARGET, target_rig, TARGET_CONTROLS),
-        ):
-            define_reference(layer, str(place), rig, path)
-            point_skeletons_at(layer, str(place), rig, animation)
-        for place, shapes, weights in (
-            (SOURCE_WEIGHTS, pairs.source_shapes, pairs.source),
-            (TARGET_CONTROLS, target.shapes, target.weights),
-        ):
-            prim = define_prim(layer, place, "SkelAnimation")
-            author_uniform(prim, "blendShapes", tokens, list(shapes))
-            Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
-            set_weight_samples(layer, place, weights, 1)
-        if target.joints:
-            author_joints(layer.GetPrimAtPath(TARGET_CONTROLS), target.joints)
-            set_joint_samples(layer, TARGET_CONTROLS, target, 1)
-        if target.attributes:
-            prim = layer.GetPrimAtPath(TARGET_CONTROLS)
-            names = list(target.attributes)
-            author_uniform(prim, NAMES, Sdf.ValueTypeNames.StringArray, names)
-            _author_attributes(layer, pairs, target_rig)
+    author_pair_header(layer, ROOT, len(pairs))
+    root = Sdf.CreatePrimInLayer(layer, ROOT)
+    Sdf.AttributeSpec(root, NAME.name, Sdf.ValueTypeNames.String)
+    for time, name in enumerate(pairs.names, start=1):
+        layer.SetTimeSample(NAME, time, name)
+    for place, rig, animation in (
+        (SOURCE, source_rig, SOURCE_WEIGHTS),
+        (TARGET, target_rig, TARGET_CONTROLS),
+    ):
+        define_reference(layer, str(place), rig, path)
+        point_skeletons_at(layer, str(place), rig, animation)
+    for place, shapes, weights in (
+        (SOURCE_WEIGHTS, pairs.source_shapes, pairs.source),
+        (TARGET_CONTROLS, target.shapes, target.weights),
+    ):
+        prim = define_prim(layer, place, "SkelAnimation")
+        author_uniform(prim, "blendShapes", tokens, list(shapes))
+        Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
+        set_weight_samples(layer, place, weights, 1)
+    if target.joints:
+        author_joints(layer.GetPrimAtPath(TARGET_CONTROLS), target.joints)
+        set_joint_samples(layer, TARGET_CONTROLS, target, 1)
+    if target.attributes:
+        prim = layer.GetPrimAtPath(TARGET_CONTROLS)
+        names = list(target.attributes)
+        author_uniform(prim, NAMES, Sdf.ValueTypeNames.StringArray, names)
+        _author_attributes(layer, pairs, target_rig)
 
 
 def _author_attributes(layer: Sdf.Layer, pairs: ExpressionPairs, rig: Rig) -> None:

@@ -14,7 +14,7 @@ from usdface.usdio.layers import (
     MM_PER_STAGE_UNIT,
     author_timing,
     author_units,
-    new_layer,
+    new_layers,
     relative_path,
 )
 
@@ -57,13 +57,12 @@ def write_take(
     samples = samples_path(path)
     beneath = [] if over is None else [relative_path(over, path)]
     if samples != path:
-        with new_layer(samples, provenance) as layer:
-            _author(layer, take)
         beneath = [relative_path(samples, path), *beneath]
-    with new_layer(path, provenance) as layer:
-        if samples == path:
-            _author(layer, take)
-        else:
+    # Both are whole, and nobody else writes either, before one takes its place.
+    with new_layers(dict.fromkeys((samples, path), provenance)) as layers:
+        below, layer = layers[0], layers[-1]
+        _author(below, take)
+        if samples != path:
             _author_header(layer, take)
         _author_take_api(layer, take, path)
         layer.subLayerPaths = beneath
