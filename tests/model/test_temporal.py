@@ -25,12 +25,14 @@ def roughness(weights: np.ndarray) -> float:
     return float(np.abs(np.diff(weights, 3, axis=0)).mean())
 
 
-def smoothed(weights: np.ndarray, solve: TemporalSolve, sure: float = 1.0) -> np.ndarray:
+def smoothed(
+    weights: np.ndarray, solve: TemporalSolve, sure: float = 1.0, rate: float = RATE
+) -> np.ndarray:
     return smooth_weights(
         weights,
         confidence=np.full(len(weights), sure),
         ranges=RANGES,
-        rate=RATE,
+        rate=rate,
         solve=solve,
     )
 
@@ -46,13 +48,43 @@ def test_jitter_goes_and_blinks_stay(mode: str) -> None:
     assert calm.max() <= 1.0
 
 
+@pytest.mark.parametrize("sure", [1.0, 0.1])
+@pytest.mark.parametrize("cutoff", [None, 4.0, 1.0])
 @pytest.mark.parametrize("mode", ["whole", "causal", "bands"])
-def test_windows_with_a_margin_are_the_whole_take(mode: str) -> None:
+def test_windows_with_a_margin_are_the_whole_take(
+    mode: str, cutoff: float | None, sure: float
+) -> None:
+    _, shaky = shaky_blinks(1500)
+    solve = TemporalSolve(mode, cutoff)  # type: ignore[arg-type]
+    margin = solve.margin_at(RATE)
+    whole = smoothed(shaky, solve, sure)
+    window = smoothed(shaky[700 - margin : 800 + margin], solve, sure)
+    np.testing.assert_allclose(window[margin:-margin], whole[700:800], atol=1e-9)
+
+
+def test_the_margin_is_as_wide_as_the_cutoff_is_low_and_not_less_than_before() -> None:
+    margins = [TemporalSolve("whole", cutoff).margin_at(RATE) for cutoff in (20.0, 8.0, 2.0, 1.0)]
+    assert margins[:2] == [64, 64]
+    assert 2 * margins[2] == pytest.approx(margins[3], rel=0.01)
+    assert TemporalSolve().margin_at(RATE) == 0
+    assert TemporalSolve("bands", bands=7).margin_at(RATE) == 254
+
+
+@pytest.mark.parametrize("mode", ["whole", "causal"])
+@pytest.mark.parametrize("rate", [24.0, 25.0, 30.0])
+def test_films_rates_are_smoothed_without_being_told_a_cutoff(mode: str, rate: float) -> None:
     _, shaky = shaky_blinks()
     solve = TemporalSolve(mode)  # type: ignore[arg-type]
-    whole = smoothed(shaky, solve)
-    window = smoothed(shaky[300 - solve.margin : 400 + solve.margin], solve)
-    np.testing.assert_allclose(window[solve.margin : -solve.margin], whole[300:400], atol=1e-9)
+    calm = smoothed(shaky, solve, rate=rate)
+    assert roughness(calm) < roughness(shaky)
+    told = TemporalSolve(mode, 0.4 * rate)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(calm, smoothed(shaky, told, rate=rate))
+    with pytest.raises(InputError, match="half the rate"):
+        smoothed(shaky, TemporalSolve(mode, 20.0), rate=rate)  # type: ignore[arg-type]
+
+
+def test_ordinary_rates_are_cut_off_at_20_hz() -> None:
+    assert [TemporalSolve().cutoff_at(rate) for rate in (50.0, 60.0, 120.0)] == [20.0] * 3
 
 
 @pytest.mark.parametrize("cutoff", [20.0, 1.0])

@@ -5,6 +5,7 @@ cut-off that leaves blinks standing; frames that the mapping is less sure of are
 neighbours. Ranges are part of the problem, not cut off afterwards.
 """
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -24,10 +25,14 @@ from usdface.numerics.solve.descended_smoothing import (
     smooth_on_device,
     steps_needed,
 )
-from usdface.numerics.solve.filter_bank import apply_filter_bank
+from usdface.numerics.solve.filter_bank import apply_filter_bank, filter_reach
 
 CUTOFF_HZ = 20.0
 """Motion of this frequency is halved. Blinks lose less than .005 at it; at 12 Hz they lose .01."""
+
+CUTOFF_SHARE = 0.4
+"""Most of the rate that the cut-off is unless asked for: at half of it little would be smoothed,
+and beyond there is no such motion."""
 
 LAG_FRAMES = 2
 """How far the causal mode is behind: with two frames nearly as good as the whole take."""
@@ -37,9 +42,10 @@ BANDS = 1
 their peaks, two .06, three .15."""
 
 MARGIN_FRAMES = 64
-"""Frames around a window beyond which nothing that is heard in it happens."""
+"""Fewest frames around a window beyond which nothing that is heard in it happens."""
 
 _LEAST_TRUST = 0.25  # a blink may be the frame that references know least
+_UNHEARD = 1e-10  # share of a change that is rounding
 
 Mode = Literal["none", "whole", "causal", "bands"]
 
@@ -53,7 +59,8 @@ class TemporalSolve:
     mode : {'none', 'whole', 'causal', 'bands'}
         Not at all; every frame by those before and after it; by those before it and `lag` frames
         after; or as published, by a filter bank that knows no confidence and is limited last.
-    cutoff_hz : float
+    cutoff_hz : float or None
+        None for `CUTOFF_HZ`, or `CUTOFF_SHARE` of the rate where that is less.
     lag : int
         Frames of latency of the causal mode.
     bands : int
@@ -61,14 +68,27 @@ class TemporalSolve:
     """
 
     mode: Mode = "none"
-    cutoff_hz: float = CUTOFF_HZ
+    cutoff_hz: float | None = None
     lag: int = LAG_FRAMES
     bands: int = BANDS
 
-    @property
-    def margin(self) -> int:
-        """Frames to solve on either side of those asked for."""
-        return 0 if self.mode == "none" else MARGIN_FRAMES
+    def cutoff_at(self, rate: float) -> float:
+        """Return the cut-off for frames of a rate [Hz]."""
+        return min(CUTOFF_HZ, CUTOFF_SHARE * rate) if self.cutoff_hz is None else self.cutoff_hz
+
+    def margin_at(self, rate: float) -> int:
+        """Return how many frames to solve on either side of those asked for.
+
+        A change fades by exp(-(trust / penalty)^(1/4) / sqrt(2)) a frame: the lower the cut-off,
+        the further it is heard.
+        """
+        if self.mode == "none":
+            return 0
+        if self.mode == "bands":
+            return max(MARGIN_FRAMES, filter_reach(self.bands))
+        penalty = cutoff_penalty(min(self.cutoff_at(rate), rate / 2), rate)
+        reach = -math.log(_UNHEARD) * math.sqrt(2.0 * math.sqrt(penalty / _LEAST_TRUST))
+        return max(MARGIN_FRAMES, math.ceil(reach))
 
 
 def smooth_weights(
@@ -82,7 +102,7 @@ def smooth_weights(
 ) -> FloatArray:
     """Smooth consecutive frames of a performance.
 
-    Time grows with the frames. A long take may be smoothed in windows: with `solve.margin` more
+    Time grows with the frames. A long take may be smoothed in windows: with `solve.margin_at` more
     frames on either side, what comes out between them is the same to rounding.
 
     Parameters
@@ -115,7 +135,7 @@ def smooth_weights(
         if solve.mode == "bands":
             banded = apply_filter_bank(weights, gains=[0.0] * solve.bands)
             return np.clip(banded, lower, upper, out=banded)
-        penalty = cutoff_penalty(solve.cutoff_hz, rate)
+        penalty = cutoff_penalty(solve.cutoff_at(rate), rate)
         if solve.mode == "whole":
             quick = len(trust) > 0 and steps_needed(penalty, trust) <= MOST_STEPS
             here = device is CPU or not quick

@@ -54,9 +54,9 @@ class MapSpec(Spec):
     """Smooth weights over time within their ranges: every frame by those before and after it
     (`whole`), as for streaming by those before it and `--lag` after (`causal`), or as published by
     a filter bank (`bands`)."""
-    cutoff: Annotated[float, Field(gt=0)] = 20.0
+    cutoff: Annotated[float, Field(gt=0)] | None = None
     """Hz: motion of this frequency is halved by `--temporal`; lower is calmer, below 12 blinks
-    lose."""
+    lose. At most half the take's rate; by default 20, or 0.4 of the rate where that is less."""
     lag: Annotated[int, Field(ge=0, le=32)] = 2
     """Frames that the causal mode is behind."""
     bands: Annotated[int, Field(ge=1, le=4)] = 1

@@ -70,7 +70,7 @@ def run(
         provenance=provenance,
     ) as writer:
         blocks = list(_blocks(take, first, last))
-        windows = [_window(take, block, solve.margin) for block in blocks]
+        windows = [_window(take, block, solve.margin_at(float(take.rate))) for block in blocks]
         placed = (space.place(read_markers(take, each.start, each.stop - 1)) for each in windows)
         answers = (
             solve_ahead(mapping, placed, device=device)
