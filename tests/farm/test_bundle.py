@@ -173,3 +173,33 @@ def test_a_job_that_leaves_the_folder_it_is_confined_to_is_not_submitted(
         with pytest.raises(InputError, match="lies outside"):
             submit(SubmitSpec(job=job, write_only=True))
     assert sorted(path.name for path in shows.iterdir()) == ["job.yaml", "link"]
+
+
+def test_nothing_outside_the_folder_of_confinement_is_carried_to_a_farm_nor_written(
+    tmp_path: Path, monkeypatch
+) -> None:
+    shows = tmp_path / "shows"
+    shows.mkdir()
+    monkeypatch.setenv("USDFACE_ROOT", str(shows))
+    (tmp_path / "secret.png").write_bytes(b"texture")
+    take = """#usda 1.0
+def "Take"
+{
+    asset inputs:file = @../secret.png@
+}
+"""
+    (shows / "take.usda").write_text(take)
+    text = yaml.safe_dump({"step": "clean", "take": "take.usda", "out": "out.usda"})
+    (shows / "job.yaml").write_text(text)
+    job = shows / "job.yaml"
+    with pytest.raises(InputError, match=r"refers to: .*secret\.png: lies outside"):
+        submit(SubmitSpec(job=job, write_only=True))
+    (shows / "take.usda").write_text('#usda 1.0\ndef "Take" {}\n')
+    with pytest.raises(InputError, match=r"bundle: lies outside"):
+        submit(SubmitSpec(job=job, write_only=True, out=tmp_path / "my.bundle"))
+    outside = tmp_path / "job.yaml"
+    outside.write_text(text.replace("take.usda", "shows/take.usda").replace("out: ", "out: shows/"))
+    with pytest.raises(InputError, match=r"job\.yaml: lies outside"):
+        submit(SubmitSpec(job=outside, write_only=True, out=shows / "my.bundle"))
+    assert sorted(path.name for path in shows.iterdir()) == ["job.yaml", "take.usda"]
+    assert submit(SubmitSpec(job=job, write_only=True)).bundle.is_dir()

@@ -13,7 +13,11 @@ from usdface.farm.plan import FarmStep, Plan, plan_job
 from usdface.farm.template import check_job_name
 from usdface.replacing import replacing
 from usdface.specs.base import LAYER_SUFFIXES, Reads
-from usdface.specs.confinement import check_confined, confinement_root
+from usdface.specs.confinement import (
+    check_confined,
+    check_paths_confined,
+    confinement_root,
+)
 from usdface.specs.job import JobSpec
 from usdface.specs.reading import read_job
 from usdface.specs.submit import SubmitSpec
@@ -57,16 +61,23 @@ def submit(spec: SubmitSpec, *, overwrite: bool = False, quiet: bool = False) ->
     CheckFailedError
         If the farm refuses the job, or a task of a local run fails.
     """
+    root = confinement_root()
+    if root is not None:
+        check_paths_confined([("submit", spec.job), ("submit", spec.out or spec.job)], root)
     job = _with_absolute_paths(read_job(spec.job))
     check_job_name(job.job)
-    root = confinement_root()
     if root is not None:
         check_confined(tuple(job.steps), root)
     _check_inputs(job)
     sizes = ChunkSizes(map=spec.chunk, movie=spec.movie_chunk, clips=spec.clips)
     plan = plan_job(job, sizes=sizes, frames_of=_frames_of)
-    files = compose_bundle(job.job, plan.steps, carried=_carried(job))
+    carried = _carried(job)
+    if root is not None:  # farms without shared storage upload these
+        check_paths_confined([("submit, what a layer refers to", path) for path in carried], root)
+    files = compose_bundle(job.job, plan.steps, carried=carried)
     bundle = spec.out or spec.job.with_name(f"{spec.job.stem}-{bundle_hash(files)}.bundle")
+    if root is not None:  # its name may be that of a link
+        check_paths_confined([("submit", bundle)], root)
     write_bundle(bundle, files, overwrite=overwrite)
     _hand_over(spec, job.job, plan.steps, bundle, quiet=quiet)
     return Submission(job.job, bundle, plan)
