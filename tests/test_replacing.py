@@ -1,5 +1,6 @@
 """A file appears whole or not at all, and one writer wins."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -73,6 +74,47 @@ def test_what_usd_left_beside_a_temporary_file_is_cleared_and_nothing_of_a_like_
         assert not left.exists()
         assert busy.exists()
     assert sorted(each.name for each in tmp_path.iterdir()) == ["a.usda", "a.usdc"]
+
+
+def test_long_names_that_begin_alike_have_a_lock_each(tmp_path: Path) -> None:
+    stem = "s" * 170
+    together = [tmp_path / f"{stem}.weights.usdc", tmp_path / f"{stem}.usda"]
+    with replacing_together(together) as temporaries:
+        for each in temporaries:
+            each.write_text("whole")
+        with (
+            pytest.raises(InputError, match="another process is writing it"),
+            replacing(together[1]),
+        ):
+            pass
+    assert sorted(tmp_path.iterdir()) == sorted(together)
+
+
+def test_where_there_are_no_locks_nothing_that_another_may_be_writing_is_cleared(
+    tmp_path: Path, monkeypatch
+) -> None:
+    def no_locks(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "no locks available")
+
+    target = tmp_path / "a.txt"
+    monkeypatch.setattr("usdface.replacing.fcntl.flock", no_locks)
+    with replacing(target) as first:
+        first.write_text("first")
+        with replacing(target) as second:
+            second.write_text("second")
+        assert first.read_text() == "first"
+    assert target.read_text() == "first"
+
+
+def test_leftovers_that_cannot_be_cleared_stop_nobody(tmp_path: Path, monkeypatch) -> None:
+    def refused(_: Path) -> None:
+        raise PermissionError(errno.EACCES, "permission denied")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "iterdir", refused)
+        with replacing(tmp_path / "a.txt") as temporary:
+            temporary.write_text("whole")
+    assert (tmp_path / "a.txt").read_text() == "whole"
 
 
 def test_an_error_leaves_the_old_file(tmp_path: Path) -> None:

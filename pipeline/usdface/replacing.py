@@ -25,6 +25,8 @@ except ImportError:  # Windows: files in use cannot be replaced there, which pro
 
 LONGEST_STEM = 80
 """Characters of a file's name that its temporary name repeats: names have an upper limit."""
+LONGEST_NAME = 2 * LONGEST_STEM
+"""Characters of it that its lock's name repeats."""
 
 
 @contextmanager
@@ -91,8 +93,9 @@ def _temporary(path: Path) -> Iterator[Path]:
         raise InputError(f"{path}: is a folder; give the name of a file to write")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist; make it first")
-    with _alone(path):
-        _clear_leftovers(path)
+    with _alone(path) as locked:
+        if locked:
+            _clear_leftovers(path)
         name = f".{path.stem[:LONGEST_STEM]}.{_mark(path)}{uuid.uuid4().hex[:8]}{path.suffix}"
         temporary = path.with_name(name)
         try:
@@ -122,11 +125,17 @@ def _touch(temporary: Path, *, target: Path) -> None:
 
 
 @contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Hold the lock of a file that is written; it is gone afterwards, and with the process."""
-    lock = path.with_name(f".{path.name[: 2 * LONGEST_STEM]}.lock")
+def _alone(path: Path) -> Iterator[bool]:
+    """Hold the lock of a file that is written; it is gone afterwards, and with the process.
+
+    Gives whether it is held: some file systems know no locks.
+    """
+    name = path.name
+    if len(name) > LONGEST_NAME:  # names that begin alike are still of different files
+        name = f"{name[:LONGEST_NAME]}.{_mark(path)}"
+    lock = path.with_name(f".{name}.lock")
     try:
-        handle = _lock(lock)
+        handle, locked = _lock(lock)
     except BlockingIOError as error:
         raise InputError(
             f"{path}: another process is writing it{_owner(lock)}; let that one finish, or write "
@@ -135,7 +144,7 @@ def _alone(path: Path) -> Iterator[None]:
     except OSError as error:
         raise _not_writable(path, error) from error
     try:
-        yield
+        yield locked
     finally:
         # Removed while still held: whoever waits for this very file then sees that it is gone.
         with contextlib.suppress(OSError):
@@ -143,7 +152,8 @@ def _alone(path: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def _lock(lock: Path) -> int:
+def _lock(lock: Path) -> tuple[int, bool]:
+    """Return an open lock file, and whether the system keeps others from it."""
     while True:
         handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         try:
@@ -152,10 +162,13 @@ def _lock(lock: Path) -> int:
             if os.fstat(handle).st_nlink:  # not removed by its last owner in between
                 os.ftruncate(handle, 0)
                 os.write(handle, f"process {os.getpid()} on {socket.gethostname()}".encode())
-                return handle
+                return handle, fcntl is not None
         except OSError as error:
             if error.errno in (errno.ENOLCK, errno.ENOTSUP):
-                return handle  # a file system without locks: work on, as before there were any
+                return (
+                    handle,
+                    False,
+                )  # a file system without locks: work on, as before there were any
             os.close(handle)
             raise
         os.close(handle)
@@ -179,9 +192,10 @@ def _clear_leftovers(path: Path) -> None:
         return  # another file's temporaries could have the same name
     # While USD saves, its own temporary file lies beside ours, with other letters at its end.
     ours = re.compile(rf"\.{re.escape(path.stem)}\.{_mark(path)}[0-9a-f]{{8}}(\.\w+)*")
-    for each in path.parent.iterdir():
-        if ours.fullmatch(each.name):
-            each.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):  # they are only in the way; what is wrong shows on writing
+        for each in path.parent.iterdir():
+            if ours.fullmatch(each.name):
+                each.unlink(missing_ok=True)
 
 
 def _not_writable(path: Path, error: OSError) -> InputError:
