@@ -132,6 +132,14 @@ def test_the_video_frame_of_each_pair_lies_beside_the_references(shot: Shot) -> 
     execute(spec(shot, takes=(take,), count=6, frames="200-400"), overwrite=True)
     kept = {path.name for path in (shot / "new.references.images").iterdir()}
     assert kept == {f"shot.{frame}.jpg" for frame in read_references(out).frames.tolist()}
+    # What is not ours stays: somebody's picture, even one that is named like a pair's.
+    theirs = {shot / "new.references.images" / name for name in ("face.jpg", "plate.0007.jpg")}
+    for path in theirs:
+        write_image(path, np.zeros((8, 8, 3), np.uint8))
+    execute(spec(shot, takes=(take,), count=6, images=False), overwrite=True)
+    assert set((shot / "new.references.images").iterdir()) == theirs
+    for path in theirs:
+        path.unlink()
     execute(spec(shot, takes=(take,), count=6, images=False), overwrite=True)
     assert not (shot / "new.references.images").exists()
 
@@ -139,6 +147,8 @@ def test_the_video_frame_of_each_pair_lies_beside_the_references(shot: Shot) -> 
 def test_a_video_that_is_gone_costs_its_pictures_and_nothing_else(shot: Shot) -> None:
     take = filmed(shot)
     execute(spec(shot, takes=(take,)))
+    folder = shot / "new.references.images"
+    pictures = {path.name: path.read_bytes() for path in folder.iterdir()}
     for path in (shot / "plate").iterdir():
         path.unlink()
     sheet = execute(
@@ -153,6 +163,17 @@ def test_a_video_that_is_gone_costs_its_pictures_and_nothing_else(shot: Shot) ->
     said = f"no video frame for {counted(pairs_without, 'pair')}"
     assert any(said in note for note in sheet.notes) == bool(pairs_without)
     report = execute(spec(shot, takes=(take,)), overwrite=True)
+    # No picture of a pair can be made again, so each is kept and still referred to.
+    assert any("pairs of shot keep the pictures they had, as" in note for note in report.notes)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == pictures
+    named = {note.image for note in read_pair_notes(shot / "new.references.usda", 12)}
+    assert named - {None} == set(folder.iterdir())
+    assert report.figures["images"] == len(pictures)
+    execute(spec(shot, takes=(take,), count=6), overwrite=True)
+    after = read_references(shot / "new.references.usda")
+    shown = {f"shot.{frame}.jpg" for frame in after.frames.tolist()}
+    assert {path.name for path in folder.iterdir()} == shown & pictures.keys()
+    report = execute(spec(shot, takes=(take,), out=shot / "other.references.usda"))
     assert any("the pairs of shot have no pictures: " in note for note in report.notes)
     assert report.figures["images"] == 0
 

@@ -68,7 +68,7 @@ class IngestSpec(Spec):
     emotion: str = ""
     """Emotion of the whole take, where it has one."""
     timecode: Annotated[str, Field(pattern=r"^(\d\d:\d\d:\d\d[:;]\d\d)?$")] = ""
-    """SMPTE timecode of the first frame, where the file has none."""
+    """SMPTE timecode of the first frame; the file's own by default."""
 
     @model_validator(mode="after")
     def _offset_needs_video(self) -> Self:

@@ -81,7 +81,7 @@ class SelectSpec(Spec):
     """Choose from these frames only, as FIRST-LAST."""
     images: bool = True
     """Keep the video frame of each pair as a picture beside the references, where a take has
-    video."""
+    video. Without, those of an earlier selection are removed too."""
     prim: PrimPath | None = None
     """The face in the rig's file, where it holds several."""
 

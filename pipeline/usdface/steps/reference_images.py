@@ -7,9 +7,10 @@ from pathlib import Path
 
 from usdface.assets import References, Take
 from usdface.errors import InputError
-from usdface.media.image import write_image
+from usdface.media.image import read_image_metadata, write_image
 from usdface.media.image_sequence import open_video
 from usdface.progress import Progress, silent
+from usdface.specs.references import SelectSpec
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,8 @@ def write_pair_images(
 ) -> PairImages:
     """Write a picture for every pair whose take has a video that shows it.
 
-    A picture lasts where a video moves or is archived: whoever tunes still sees what was captured.
+    A picture lasts where a video moves or is archived: whoever tunes still sees what was captured,
+    also after another selection.
 
     Parameters
     ----------
@@ -58,22 +60,49 @@ def write_pair_images(
     """
     files: list[Path | None] = [None] * len(references.frames)
     notes = []
+    folder = images_folder(path)
     for number, take in enumerate(sources):
         progress(number / len(sources), f"pictures of {take.name}")
         pairs = [i for i, name in enumerate(references.takes) if name == take.name]
-        if take.video is None or not pairs:
+        if not pairs:
             continue
-        try:
-            shown = _write_take(images_folder(path), references, take, pairs, metadata)
-        except (InputError, OSError) as error:
-            notes.append(f"the pairs of {take.name} have no pictures: {error}")
-            continue
+        shown: dict[int, Path] = {}
+        if take.video is None:
+            shown = _kept(folder, references, take, pairs)
+        else:
+            try:
+                shown = _write_take(folder, references, take, pairs, metadata)
+                if len(shown) < len(pairs):
+                    unseen = len(pairs) - len(shown)
+                    notes.append(
+                        f"the video of {take.name} does not show {unseen} of {len(pairs)} pairs"
+                    )
+            except (InputError, OSError) as error:
+                shown = _kept(folder, references, take, pairs)
+                notes.append(_unread(take, len(shown), len(pairs), error))
         for pair, file in shown.items():
             files[pair] = file
-        if len(shown) < len(pairs):
-            unseen = len(pairs) - len(shown)
-            notes.append(f"the video of {take.name} does not show {unseen} of {len(pairs)} pairs")
     return PairImages(tuple(files), tuple(notes))
+
+
+def _unread(take: Take, kept: int, pairs: int, error: Exception) -> str:
+    if not kept:
+        return f"the pairs of {take.name} have no pictures: {error}"
+    return (
+        f"{kept} of {pairs} pairs of {take.name} keep the pictures they had, as the video cannot "
+        f"be read: {error}"
+    )
+
+
+def _kept(folder: Path, references: References, take: Take, pairs: list[int]) -> dict[int, Path]:
+    """Return the pictures there are of earlier selections, of frames that can be read no more."""
+    there = {pair: folder / _file_name(take, int(references.frames[pair])) for pair in pairs}
+    return {pair: file for pair, file in there.items() if file.is_file()}
+
+
+def _file_name(take: Take, frame: int) -> str:
+    name = re.sub(r"[^\w.-]", "_", take.name)
+    return f"{name}.{frame}.jpg"
 
 
 def _write_take(
@@ -87,7 +116,6 @@ def _write_take(
     if take.video is None:
         return {}
     shown = {}
-    name = re.sub(r"[^\w.-]", "_", take.name)
     with open_video(take.video.file, take.video.rate) as video:
         for pair in sorted(pairs, key=lambda each: int(references.frames[each])):
             frame = int(references.frames[pair])
@@ -96,17 +124,27 @@ def _write_take(
             picture = video.frame_at(at)
             if picture is not None:
                 folder.mkdir(exist_ok=True)
-                shown[pair] = folder / f"{name}.{frame}.jpg"
+                shown[pair] = folder / _file_name(take, frame)
                 write_image(shown[pair], picture, metadata=metadata)
     return shown
 
 
 def remove_unused_images(path: Path, files: tuple[Path | None, ...]) -> None:
-    """Remove pictures of earlier selections from the folder that holds nothing else."""
+    """Remove the pictures of pairs that are gone, and nothing that somebody else put there."""
     used = {file.name for file in files if file is not None}
     folder = images_folder(path)
     for file in folder.glob("*.jpg") if folder.is_dir() else ():
-        if file.name not in used:
+        if file.name not in used and _is_ours(file):
             file.unlink(missing_ok=True)
     if folder.is_dir() and not any(folder.iterdir()):
         folder.rmdir()
+
+
+def _is_ours(file: Path) -> bool:
+    """Say whether a file is named as a pair's picture, and says that a selection wrote it."""
+    if not re.fullmatch(r"[\w.-]+\.-?\d+\.jpg", file.name):
+        return False
+    try:
+        return read_image_metadata(file).get("step") == SelectSpec.model_fields["step"].default
+    except (InputError, OSError):
+        return False
