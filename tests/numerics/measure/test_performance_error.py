@@ -54,6 +54,16 @@ def test_blinks_count_only_at_their_peaks() -> None:
     assert np.isnan(blink_peak_bias(errors, truth, np.array([], dtype=np.int64)))
 
 
+def test_eyes_that_are_shut_for_long_are_at_their_peaks_while_shut() -> None:
+    truth = np.zeros((200, 2))
+    truth[50:70, 1] = 1.0
+    errors = np.where(truth > 0, -0.2, 0.5)
+    assert blink_peak_bias(errors, truth, np.array([1])) == pytest.approx(-0.2)
+    assert blink_peak_bias(errors[60:61], truth[60:61], np.array([1])) == pytest.approx(-0.2)
+    for none in (truth[:40], truth[:1], truth[:0]):
+        assert np.isnan(blink_peak_bias(np.ones_like(none), none, np.array([0, 1])))
+
+
 def test_jitter_is_one_for_the_truth_and_grows_with_noise_not_with_an_offset() -> None:
     truth, frames = acted(), np.arange(400)
     noise = np.random.default_rng(0).normal(size=truth.shape)

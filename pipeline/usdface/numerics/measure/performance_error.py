@@ -20,7 +20,8 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 PEAK_QUANTILE = 0.97
-"""Of a blink's true weights: frames above are its peaks."""
+"""Of a blink's true weights: frames above are its peaks. Where none is, for the eyes are shut so
+long, frames at it are."""
 
 CLOSED_MM = 1.0
 """Lips no further apart than this are meant to be closed."""
@@ -160,7 +161,10 @@ def blink_peak_bias(errors: Array, truth: Array, blinks: IntArray) -> float:
         NaN where there is no blink.
     """
     acted = truth[:, blinks]
-    peaks = acted > np.quantile(acted, PEAK_QUANTILE, axis=0) if len(acted) else acted > 0
+    high = np.quantile(acted, PEAK_QUANTILE, axis=0) if len(acted) else np.zeros(len(blinks))
+    peaks = acted > high
+    if not peaks.any():
+        peaks = (acted >= high) & (acted > 0)
     found = errors[:, blinks][peaks]
     return float(found.mean()) if len(found) else float("nan")
 
