@@ -65,5 +65,15 @@ def test_a_twin_with_the_same_weights_is_no_conflict() -> None:
     assert find_conflicts(with_twin(references, "jawOpen", own)) == []
 
 
+def test_a_conflict_over_a_shape_that_no_other_pair_uses_is_of_a_size() -> None:
+    references = pairs_of_a_face()
+    lid = references.shape_names.index("eyeBlinkLeft")
+    weights = references.weights.copy()
+    weights[:, lid] = 0.0
+    found = find_conflicts(with_twin(replace(references, weights=weights), "eyeBlinkLeft", 1.0))
+    assert (found[0].second, found[0].shape) == (40, "eyeBlinkLeft")
+    assert 1.0 < found[0].times < 1e4
+
+
 def test_few_pairs_tell_nothing() -> None:
     assert find_conflicts(pairs_of_a_face(4)) == []

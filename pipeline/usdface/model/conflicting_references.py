@@ -27,6 +27,8 @@ LEAST_STEP = 0.35
 UNLIKE = 0.6
 """Share of the usual distance between pairs above which weights of a region are unlike."""
 
+_SAME = 1e-6  # share of the largest distance below which a distance is rounding
+
 
 @dataclass(frozen=True)
 class Conflict:
@@ -116,9 +118,13 @@ def conflict_text(references: References, conflict: Conflict) -> str:
 
 
 def _distances(rows: FloatArray, metric: FloatArray) -> FloatArray:
-    """Return distances between all rows under a metric, over the usual one: their median."""
+    """Return distances between all rows under a metric, over the usual one.
+
+    The usual one is the median between rows that differ: few pairs may use a region at all.
+    """
     product = rows @ metric @ rows.T
     own = np.diag(product)
     away = np.sqrt(np.maximum(own[:, None] + own - 2 * product, 0.0))
-    usual = float(np.median(away[np.triu_indices(len(rows), 1)]))
-    return np.asarray(away / max(usual, 1e-300))
+    between = away[np.triu_indices(len(rows), 1)]
+    apart = between[between > _SAME * away.max()]
+    return np.asarray(away / (np.median(apart) if len(apart) else 1.0))
