@@ -8,6 +8,7 @@ from usdface.assets import References
 from usdface.errors import InputError
 from usdface.model import predict_weights, train_mapping
 from usdface.model.methods import METHODS
+from usdface.model.reference_checks import check_references
 from usdface.model.train import observable_shapes
 
 CHOSEN = np.arange(0, 1200, 30)
@@ -126,6 +127,24 @@ def test_a_pair_repeated_whole_changes_nothing() -> None:
     first = train_mapping(pairs, ranges=face.ranges, gram=face.gram, method="ridge")
     second = train_mapping(repeated, ranges=face.ranges, gram=face.gram, method="ridge")
     np.testing.assert_array_equal(first.arrays["slope"], second.arrays["slope"])
+
+
+def test_a_pair_that_is_dropped_takes_its_viseme_and_emotion_with_it() -> None:
+    face, pairs = synthetic_face(), references()
+    twice = np.r_[0, 0, np.arange(1, len(CHOSEN))]
+    names = tuple(str(row) for row in twice)
+    repeated = replace(
+        pairs,
+        markers=pairs.markers[twice],
+        weights=pairs.weights[twice],
+        frames=pairs.frames[twice],
+        takes=("take",) * len(twice),
+        tuned=pairs.tuned[twice],
+        visemes=names,
+        emotions=names,
+    )
+    kept = check_references(repeated, ranges=face.ranges, gram=face.gram).references
+    assert kept.visemes == kept.emotions == tuple(str(row) for row in range(len(CHOSEN)))
 
 
 def broken(fault: str) -> References:

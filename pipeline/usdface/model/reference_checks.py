@@ -188,4 +188,6 @@ def _without_repeats(references: References) -> References:
         frames=references.frames[kept],
         takes=tuple(references.takes[i] for i in kept),
         tuned=references.tuned[kept],
+        visemes=tuple(references.visemes[i] for i in kept) if references.visemes else (),
+        emotions=tuple(references.emotions[i] for i in kept) if references.emotions else (),
     )
