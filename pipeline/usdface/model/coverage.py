@@ -125,7 +125,7 @@ def measure_growth(
     together = np.concatenate([pair_features, features_at(features, rows)])
     known = np.arange(len(pair_features), dtype=np.int64)
     count = min(further, len(rows))
-    chosen = design_gp_variance(together, count, already=known).chosen - len(known)
+    chosen = design_gp_variance(together, count, already=known, noise=NOISE).chosen - len(known)
     sample = features_at(features, _spread(len(features)))
     kernel = DesignKernel.for_rows(sample)
     share = _shares(
