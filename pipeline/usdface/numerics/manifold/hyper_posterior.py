@@ -163,7 +163,7 @@ def energy_of_moments(
     centre, precision : (4, 1) arrays
         Of the prior of theta.
     with_energy : bool
-        Leapfrog steps but the last need the gradient alone.
+        Curvature by differences needs the gradient alone.
 
     Returns
     -------
