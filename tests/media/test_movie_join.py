@@ -3,6 +3,7 @@
 from fractions import Fraction
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 
@@ -35,6 +36,15 @@ def test_every_picture_of_the_parts_is_there_bit_for_bit(tmp_path: Path, suffix:
         for number in range(20):
             assert read_number(movie.frame(number)) == number
             np.testing.assert_array_equal(movie.frame(number), shown[number])
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".webm"])
+def test_every_picture_of_a_movie_is_a_key_frame(tmp_path: Path, suffix: str) -> None:
+    movie = tmp_path / f"review{suffix}"
+    write_movie(movie, (draw_number(n) for n in range(30)), rate=Fraction(24))
+    with av.open(str(movie)) as container:
+        keys = [packet.is_keyframe for packet in container.demux(video=0) if packet.size]
+    assert keys == [True] * 30
 
 
 def test_the_sound_lies_under_the_pictures_it_belongs_to(tmp_path: Path) -> None:

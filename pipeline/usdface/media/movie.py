@@ -22,13 +22,16 @@ _OPTIONS = {
     # A fixed quantiser looks at no neighbour: a picture is the same in whichever part it is made.
     "libx264": {"qp": "19", "preset": "veryfast", "g": "1"},
     "libopenh264": {"g": "1", "b": "20M"},
-    "libvpx-vp9": {"crf": "24", "b": "0", "cpu-used": "6", "row-mt": "1", "g": "12"},
+    "libvpx-vp9": {"crf": "24", "b": "0", "cpu-used": "6", "row-mt": "1", "g": "1"},
+    # What every encoder understands.
+    "other": {"g": "1"},
 }
 MOVIE_FORMATS = {".mp4": "mp4", ".mov": "mov", ".mkv": "matroska", ".webm": "webm"}
 _PROXY_OPTIONS = {
     # No pictures that wait for later ones: a page seeks to exactly the frame it names.
     "libx264": {"crf": "26", "preset": "veryfast", "g": "15", "bf": "0"},
     "libvpx-vp9": {"crf": "34", "b": "0", "cpu-used": "6", "row-mt": "1", "g": "15"},
+    "other": {"g": "15"},
 }
 _BT709 = 1
 
@@ -157,7 +160,7 @@ def _encode(
     options: Mapping[str, dict[str, str]],
 ) -> None:
     encoder = video_encoder(container.format.name)
-    video = container.add_stream(encoder, rate=rate, options=options.get(encoder, {}))
+    video = container.add_stream(encoder, rate=rate, options=options.get(encoder, options["other"]))
     video.height, video.width = size
     video.pix_fmt = "yuv420p"
     context = video.codec_context
