@@ -12,7 +12,8 @@ import pytest
 from tests.steps.small_shot import Shot
 from usdface.assets import Take, Video
 from usdface.errors import InputError
-from usdface.media.movie import read_movie_comment
+from usdface.farm.chunks import ChunkSizes, in_chunks
+from usdface.media.movie import read_movie_comment, write_movie
 from usdface.media.movie_frame import MoviePanel, compose_movie_frame, movie_size
 from usdface.media.video import VideoReader
 from usdface.specs.movie import MovieJoinSpec, MovieSpec
@@ -89,6 +90,47 @@ def test_parts_joined_are_the_whole(shot: Shot) -> None:
     np.testing.assert_array_equal(joined, whole)
     with pytest.raises(InputError, match=r"begins at frame 20, before"):
         execute(join.model_copy(update={"parts": tuple(reversed(parts))}), overwrite=True)
+
+
+def part_of(folder: Path, first: int, last: int, take_rate: int = 120, rate: int = 24) -> Path:
+    """A part of one grey picture after another, with what `usdface movie` says of it."""
+    clock = MovieClock(Fraction(rate), Fraction(take_rate), first, last - first + 1)
+    said = {"rate": str(rate), "first_frame": first, "pictures": clock.picture_count}
+    path = folder / f"{first}-{last}.mp4"
+    pictures = [np.full((16, 16, 3), 99, np.uint8)] * clock.picture_count
+    write_movie(path, pictures, rate=Fraction(rate), comment=json.dumps(said))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("frames", "what"),
+    [
+        (((101, 200), (301, 400)), "ends with frame 200: frames 201-300 would be in no part"),
+        (((101, 240), (200, 300)), "ends with frame 240: frames 200-240 would be in both parts"),
+    ],
+)
+def test_parts_that_leave_frames_out_or_show_them_twice_are_refused(
+    shot: Shot, frames: tuple[tuple[int, int], ...], what: str
+) -> None:
+    parts = tuple(part_of(shot.folder, *each) for each in frames)
+    join = MovieJoinSpec(parts=parts, take=shot / "shot.clean.take.usda", out=shot / "joined.mp4")
+    with pytest.raises(InputError, match=what):
+        execute(join)
+    execute(join.model_copy(update={"take": None}))  # without a rate nobody knows
+
+
+@pytest.mark.parametrize("size", [24, 29, 31])
+def test_parts_as_a_farm_makes_them_are_joined_whatever_their_size(shot: Shot, size: int) -> None:
+    movie = spec_of(shot, "joined.mp4", rate=24)
+    *chunks, join = in_chunks(movie, ChunkSizes(map=size, movie=size), (20, 140))
+    for chunk in chunks:
+        first, last = map(int, str(chunk.frames).split("-"))
+        made = part_of(shot.folder, first, last)
+        chunk.out.parent.mkdir(exist_ok=True)
+        made.rename(chunk.out)
+    execute(join)
+    more = part_of(shot.folder, 141, 200)  # what was joined may be a part again
+    execute(join.model_copy(update={"parts": (join.out, more), "out": shot / "all.mp4"}))
 
 
 def test_two_processes_draw_what_one_draws(shot: Shot) -> None:

@@ -1,7 +1,11 @@
 """Parts of a movie, made on several machines, as one."""
 
 import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from fractions import Fraction
+from pathlib import Path
 
 from usdface.errors import InputError
 from usdface.media.movie import read_movie_comment
@@ -23,34 +27,36 @@ def run(
     """Join the parts' pictures; the sound is put in whole."""
     progress(0.0, "reading")
     said = [_said(path.name, read_movie_comment(path)) for path in spec.parts]
-    rate = said[0][0]
-    for path, (other, first, _), (_, before, _) in zip(
-        spec.parts[1:], said[1:], said[:-1], strict=True
-    ):
-        if other != rate:
-            raise InputError(f"{path}: has {float(other):g} pictures a second, not {float(rate):g}")
-        if first <= before:
+    rate = said[0].rate
+    for path, part, before in zip(spec.parts[1:], said[1:], said[:-1], strict=True):
+        if part.rate != rate:
             raise InputError(
-                f"{path}: begins at frame {first}, before the part that it follows; name the parts "
-                "in order"
+                f"{path}: has {float(part.rate):g} pictures a second, not {float(rate):g}"
             )
-    count = sum(pictures for _, _, pictures in said)
+        if part.first <= before.first:
+            raise InputError(
+                f"{path}: begins at frame {part.first}, before the part that it follows; name the "
+                "parts in order"
+            )
+    count = sum(part.pictures for part in said)
     notes: list[str] = []
     sound, timecode = None, ""
     if spec.take is not None:
         reader = TakeReader(spec.take)
         take = reader.read(reader.first_frame, reader.first_frame)
+        _check_nothing_between(spec.parts, said, take.rate)
         clock = MovieClock(
             rate=rate,
             take_rate=take.rate,
-            first_frame=said[0][1],
+            first_frame=said[0].first,
             frame_count=round(count * take.rate / rate),
         )
         sound = take_sound(take, clock, notes)
         timecode = clock.timecode(reader.timecode_at(reader.first_frame), reader.first_frame)
     progress(0.3, "joining")
     written = provenance_metadata(provenance or make_provenance(spec))
-    written |= {"rate": str(rate), "first_frame": said[0][1], "pictures": count}
+    written |= {"rate": str(rate), "first_frame": said[0].first, "pictures": count}
+    written["movie_parts"] = sum(part.movies for part in said)
     join_movies(
         spec.out,
         spec.parts,
@@ -70,15 +76,48 @@ def run(
     )
 
 
-def _said(name: str, comment: str) -> tuple[Fraction, int, int]:
+@dataclass(frozen=True)
+class _Part:
+    """What a part says of itself; `movies` were joined to make it, each of whole pictures."""
+
+    rate: Fraction
+    first: int
+    pictures: int
+    movies: int
+
+
+def _check_nothing_between(
+    parts: tuple[Path, ...], said: Sequence[_Part], take_rate: Fraction
+) -> None:
+    """Refuse parts that leave frames out or show some twice.
+
+    The last picture of a part may last longer than its frames, so less than one is no fault.
+    """
+    for path, part, before in zip(parts[1:], said[1:], said[:-1], strict=True):
+        shown = part.first - before.first
+        surplus = before.pictures - shown * part.rate / take_rate
+        if -1 < surplus < before.movies:
+            continue
+        end = before.first + math.floor(before.pictures * take_rate / part.rate)
+        low, high = sorted((end, part.first))
+        frames = f"frame {low}" if high - low == 1 else f"frames {low}-{high - 1}"
+        what = "in no part" if surplus < 0 else "in both parts"
+        raise InputError(
+            f"{path}: begins at frame {part.first}, and the part before ends with frame "
+            f"{end - 1}: {frames} would be {what}; give parts that follow one another"
+        )
+
+
+def _said(name: str, comment: str) -> _Part:
     """Return rate, first frame and number of pictures, as `usdface movie` wrote them."""
     try:
         data = json.loads(comment)
         rate, first, count = Fraction(data["rate"]), int(data["first_frame"]), int(data["pictures"])
-        if not 0 < rate <= 1000 or not 0 < count < 1 << 31:
+        movies = int(data.get("movie_parts", 1))
+        if not 0 < rate <= 1000 or not 0 < count < 1 << 31 or not 0 < movies <= count:
             raise ValueError
     except (ValueError, KeyError, TypeError, ArithmeticError, RecursionError) as error:
         raise InputError(
             f"{name}: does not say which frames it shows; give parts that `usdface movie` made"
         ) from error
-    return rate, first, count
+    return _Part(rate, first, count, movies)
