@@ -15,7 +15,6 @@ from usdface.numerics.registration.registration import (
 )
 from usdface.numerics.rigid.stabilization import stabilize
 from usdface.numerics.solve.blendshape_equation import solve_weights
-from usdface.numerics.solve.calibrated_basis import calibrate_deltas, solve_calibrated
 from usdface.usdio.rig import read_rig
 
 
@@ -130,31 +129,6 @@ def test_bounded_proposals_beat_plain_least_squares(crossing):
     after = surface_rms(crossing.face, bounded - crossing.truth)
     assert after < 1.6  # mm; the same head at rest is 5.6 away
     assert after < 0.75 * before
-
-
-def test_ten_tuned_frames_halve_the_error_of_proposals(crossing):
-    trust = crossing.mobile.astype(float)
-    half = len(crossing.truth) // 2
-    whole = np.flatnonzero(crossing.visible[:half].all(axis=1))
-    spread = np.linalg.norm(crossing.motion[whole][:, crossing.mobile], axis=2)
-    pairs = [int(spread.sum(axis=1).argmin())]
-    far = np.full(len(whole), np.inf)
-    while len(pairs) < 10:
-        far = np.minimum(far, ((spread - spread[pairs[-1]]) ** 2).sum(axis=1))
-        pairs.append(int(far.argmax()))
-    frames = whole[pairs]
-    basis = calibrate_deltas(
-        crossing.deltas, crossing.motion[frames], crossing.truth[frames], marker_trust=trust
-    )
-    later = np.flatnonzero(crossing.visible[half:].all(axis=1)) + half
-    before = solve_weights(
-        crossing.deltas, crossing.motion[later], method="bounded", ridge=10, marker_trust=trust
-    ).weights
-    after = solve_calibrated(basis, crossing.motion[later])
-    truth = crossing.truth[later]
-    assert surface_rms(crossing.face, after - truth) < 0.6 * surface_rms(
-        crossing.face, before - truth
-    )
 
 
 @pytest.mark.parametrize("rig", ["ict_face", "facecap_head"])

@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 
-from usdface.numerics.solve.blendshape_equation import (
-    MarkerKeys,
-    measure_proportions,
-    solve_weights,
-)
+from usdface.numerics.solve.blendshape_equation import MarkerKeys, solve_weights
 from usdface.numerics.solve.blendshapes import BlendShapes, Key, Track
 
 
@@ -133,20 +129,6 @@ def test_in_betweens_are_solved_as_they_bend():
 def test_rank_tells_that_shapes_are_alike(deltas):
     twins = np.concatenate([deltas, deltas[:2]])
     assert solve_weights(twins, np.zeros((1, 30, 3))).rank == 12
-
-
-def test_proportions_are_measured_per_axis():
-    cloud = np.random.default_rng(8).normal(size=(40, 3)) * (60, 80, 30)
-    scaled = cloud * (1.2, 0.8, 1.1) + (5, 6, 7)
-    np.testing.assert_allclose(measure_proportions(cloud, scaled), (1.2, 0.8, 1.1))
-    pairs = [(0, 1), (2, 3), (4, 5)]
-    np.testing.assert_allclose(measure_proportions(cloud, scaled, pairs=pairs), (1.2, 0.8, 1.1))
-
-
-def test_proportions_need_landmarks_that_span_every_axis():
-    flat = np.array([[0, 0, 0], [50, 0, 0], [0, 40, 0]], float)
-    with pytest.raises(ValueError, match="add a pair that spans each"):
-        measure_proportions(flat, flat, pairs=[(0, 1), (0, 2)])
 
 
 @pytest.mark.parametrize(

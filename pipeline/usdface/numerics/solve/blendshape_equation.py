@@ -65,47 +65,6 @@ class MarkerKeys:
     key_weights: Callable[[FloatArray], FloatArray]
 
 
-def measure_proportions(
-    performer: ArrayLike, character: ArrayLike, *, pairs: ArrayLike | None = None
-) -> FloatArray:
-    """Return the character's size over the performer's in X, Y and Z.
-
-    Parameters
-    ----------
-    performer, character : (markers, 3) arrays
-        The neutral markers and their virtual markers, in frames that look the same way.
-    pairs : (n, 2) int array, optional
-        Landmark markers whose distance is compared, such as eye corners; an axis uses the pairs
-        in proportion to how far they lie apart along it. Without pairs the middle 80 % of the
-        cloud is compared, as spread about its median.
-
-    Returns
-    -------
-    (3,) float array
-
-    Raises
-    ------
-    ValueError
-        If an axis has no extent to measure.
-
-    References
-    ----------
-    Deng et al. (2006), section 7.
-    """
-    y, x = np.asarray(performer, float), np.asarray(character, float)
-    if pairs is None:
-        a, b = (np.diff(np.quantile(cloud, [0.1, 0.9], axis=0), axis=0)[0] for cloud in (y, x))
-    else:
-        ends = np.asarray(pairs, np.int64)
-        a, b = (np.abs(cloud[ends[:, 0]] - cloud[ends[:, 1]]).sum(axis=0) for cloud in (y, x))
-    if not (a > 1e-3 * a.max()).all():
-        raise ValueError(
-            f"the landmarks span {a.round(3).tolist()} mm along X, Y, Z; add a pair that spans each"
-        )
-    ratio: FloatArray = b / a
-    return ratio
-
-
 def solve_weights(
     deltas: ArrayLike,
     motion: ArrayLike,
