@@ -68,7 +68,8 @@ def connect():
 def publish_to_kitsu(folder, task, *, status, client, comment=""):
     """Post a version to a task: status, comment, previews at the version's number.
 
-    A version that is there already is not posted again, so that a publish can be retried.
+    What is there already is not posted again, so that a publish can be retried: a comment is found
+    by the version that it names, and only the previews that it lacks are added.
 
     Parameters
     ----------
@@ -90,32 +91,75 @@ def publish_to_kitsu(folder, task, *, status, client, comment=""):
     InputError
         If the version, or anything that `task` names, is not there.
     """
-    manifest = read_manifest(folder)
-    version = int(manifest["version"])
+    named, version, said, files = _read_version(folder)
     found = _find_task(task, client)
     new_status = _named(
         gazu.task.get_task_status_by_short_name(status, client=client), "status", status
     )
-    there = gazu.task.all_previews_for_task(found, client=client)
-    if any(preview.get("revision") == version for preview in there):
-        return False
-    text = f"{manifest['name']} v{version:03}: {comment or manifest.get('comment') or 'published'}"
-    files = [
-        folder / manifest["files"][role]["name"] for role in PREVIEWS if role in manifest["files"]
+    start = f"{named} v{version:03}: "
+    posted = _comment_that_starts(start, found, client)
+    is_new = posted is None
+    if is_new:
+        text = start + (comment or said or "published")
+        posted = gazu.task.add_comment(found, new_status, comment=text, client=client)
+    return _add_missing_previews(files, found, posted, version, client) or is_new
+
+
+def _read_version(folder):
+    """Return a version's name, number, comment, and the files to show; all of them are there."""
+    manifest = read_manifest(folder)
+    named, version = manifest.get("name"), manifest.get("version")
+    if not isinstance(named, str) or type(version) is not int:
+        raise InputError(f"{folder}: its publish.json lacks a name or a version; publish again")
+    files = []
+    for role in PREVIEWS:
+        if role in manifest["files"]:
+            entry = manifest["files"][role]
+            name = entry.get("name") if isinstance(entry, dict) else None
+            # A version's files lie in its folder: what else a manifest names is not uploaded.
+            file = folder / Path(name).name if isinstance(name, str) else folder
+            if not file.is_file():
+                raise InputError(f"{folder}: the {role} {name!r} is not in it; publish again")
+            files.append(file)
+    return named, version, str(manifest.get("comment") or ""), files
+
+
+def _comment_that_starts(start, task, client):
+    for comment in gazu.task.all_comments_for_task(task, client=client):
+        if (comment.get("text") or "").startswith(start):
+            return comment
+    return None
+
+
+def _add_missing_previews(files, task, comment, version, client):
+    """Upload what a comment does not show yet; return whether there was anything."""
+    own = {each if isinstance(each, str) else each["id"] for each in comment.get("previews") or ()}
+    there = [
+        each
+        for each in (gazu.task.all_previews_for_task(task, client=client) if own else ())
+        if each["id"] in own
     ]
-    posted = gazu.task.add_comment(found, new_status, comment=text, client=client)
-    main = None
-    for file in files:
-        if main is None:
-            main = gazu.task.add_preview(
-                found, posted, preview_file_path=str(file), revision=version, client=client
+    # Kitsu keeps the name of what was uploaded; a preview without one waits for its file.
+    uploaded = {each.get("original_name") for each in there}
+    waiting = [each for each in there if not each.get("original_name")]
+    main = there[0] if there else None
+    missing = [file for file in files if file.stem not in uploaded]
+    for file in missing:
+        path = str(file)
+        if waiting:
+            made = gazu.task.upload_preview_file(waiting.pop(0), path, client=client)
+        elif main is None:
+            made = gazu.task.add_preview(
+                task, comment, preview_file_path=path, revision=version, client=client
             )
-            gazu.task.set_main_preview(main, client=client)
         else:
-            gazu.task.add_extra_preview(
-                found, posted, main, preview_file_path=str(file), client=client
+            made = gazu.task.add_extra_preview(
+                task, comment, main, preview_file_path=path, client=client
             )
-    return True
+        main = main or made
+        if file == files[0]:
+            gazu.task.set_main_preview(made, client=client)
+    return bool(missing)
 
 
 def _find_task(task, client):

@@ -24,6 +24,7 @@ class Kitsu:
         self.previews: list[dict[str, Any]] = []
         self.uploads: dict[str, bytes] = {}
         self.main = ""
+        self.refused = ""  # what is in the name of a file whose upload fails
         self.tokens: set[str | None] = set()
         kitsu = self
 
@@ -82,6 +83,8 @@ class Kitsu:
             return [{"id": "task"}] if wanted.items() <= asked.items() else []
         if place == "tasks/task/previews":
             return self.previews
+        if place == "tasks/task/comments":
+            return self.comments
         return None
 
     def post(self, path: str, body: bytes) -> Any:
@@ -89,18 +92,31 @@ class Kitsu:
         if place == "auth/login":
             return {"login": True, "access_token": "t", "refresh_token": "r", "user": {}}
         if place == "actions/tasks/task/comment":
-            self.comments.append(json.loads(body))
-            return {"id": f"comment{len(self.comments)}"}
-        if place.endswith("/add-preview"):
-            return self._preview(json.loads(body)["revision"])
-        if extra := re.fullmatch(r"actions/tasks/task/comments/\w+/preview-files/(\w+)", place):
-            (shared,) = [each for each in self.previews if each["id"] == extra[1]]
-            return self._preview(shared["revision"])
+            said = json.loads(body)
+            added = {"id": f"comment{len(self.comments)}", "text": said["comment"], "previews": []}
+            self.comments.append(said | added)
+            return self.comments[-1]
+        if first := re.fullmatch(r"actions/tasks/task/comments/(\w+)/add-preview", place):
+            return self._preview(first[1], json.loads(body)["revision"])
+        if extra := re.fullmatch(r"actions/tasks/task/comments/(\w+)/preview-files/(\w+)", place):
+            (shared,) = [each for each in self.previews if each["id"] == extra[2]]
+            return self._preview(extra[1], shared["revision"])
         if place.startswith("pictures/preview-files/"):
-            self.uploads[place.split("/")[-1]] = body
-            return {"id": place.split("/")[-1]}
+            return self._upload(place.split("/")[-1], body)
         return None
 
-    def _preview(self, revision: int) -> dict[str, Any]:
-        self.previews.append({"id": f"preview{len(self.previews)}", "revision": revision})
-        return self.previews[-1]
+    def _upload(self, preview: str, body: bytes) -> Any:
+        name = re.search(rb'filename="([^"]+)\.\w+"', body)
+        if name is None or (self.refused and self.refused.encode() in name[1]):
+            return None
+        self.uploads[preview] = body
+        (known,) = [each for each in self.previews if each["id"] == preview]
+        known["original_name"] = name[1].decode()
+        return known
+
+    def _preview(self, comment: str, revision: int) -> dict[str, Any]:
+        made = {"id": f"preview{len(self.previews)}", "revision": revision, "original_name": None}
+        self.previews.append(made)
+        (known,) = [each for each in self.comments if each["id"] == comment]
+        known["previews"].append({"id": made["id"]})
+        return made

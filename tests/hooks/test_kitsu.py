@@ -68,6 +68,65 @@ def test_a_version_is_posted_once_however_often_it_is_tried(
     assert capsys.readouterr().out == "posted\nis there already\n"
 
 
+@pytest.mark.parametrize("refused", ["review", "sheet"])
+def test_a_post_that_broke_off_is_completed_by_the_next_try(
+    kitsu: Kitsu, version: Path, capsys, refused: str
+) -> None:
+    kitsu.refused = refused
+    for _ in range(2):
+        with pytest.raises(gazu.exception.RouteNotFoundException):
+            post(version)
+    kitsu.refused = ""
+    assert post(version) == post(version) == 0
+    assert capsys.readouterr().out == "posted\nis there already\n"
+    assert len(kitsu.comments) == 1
+    assert [each["original_name"] for each in kitsu.previews] == ["a.review", "a.sheet"]
+    assert [each["revision"] for each in kitsu.previews] == [3, 3]
+    assert kitsu.main == "preview0"
+
+
+def test_a_version_without_pictures_is_posted_once_too(kitsu: Kitsu, version: Path, capsys) -> None:
+    change(version, files={"performance": {"name": "kitchen.hero.usda"}})
+    assert post(version) == post(version) == 0
+    assert len(kitsu.comments) == 1
+    assert capsys.readouterr().out == "posted\nis there already\n"
+
+
+def test_another_performance_of_the_same_number_is_another_version(
+    kitsu: Kitsu, version: Path
+) -> None:
+    assert post(version) == 0
+    change(version, name="kitchen.villain")
+    assert post(version) == 0
+    assert len(kitsu.comments) == 2
+    assert len(kitsu.uploads) == 4
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"version": None}, "lacks a name or a version"),
+        ({"name": 7}, "lacks a name or a version"),
+        ({"files": {"sheet": "a.sheet.jpg"}}, "the sheet None is not in it"),
+        ({"files": {"sheet": {"name": "gone.jpg"}}}, "the sheet 'gone.jpg' is not in it"),
+        ({"files": {"sheet": {"name": "../../secret.jpg"}}}, "secret.jpg' is not in it"),
+    ],
+)
+def test_a_manifest_that_is_none_posts_nothing(
+    kitsu: Kitsu, version: Path, tmp_path: Path, capsys, more, message: str
+) -> None:
+    (tmp_path / "secret.jpg").write_bytes(b"not of this version")
+    change(version, **more)
+    assert post(version) == 2
+    assert message in capsys.readouterr().err
+    assert kitsu.comments == []
+
+
+def change(version: Path, /, **more: object) -> None:
+    manifest = json.loads((version / "publish.json").read_text())
+    (version / "publish.json").write_text(json.dumps(manifest | more))
+
+
 def test_a_login_by_name_works_too(kitsu: Kitsu, version: Path, monkeypatch) -> None:
     monkeypatch.delenv("KITSU_TOKEN")
     monkeypatch.setenv("KITSU_LOGIN", "td@example.com")
