@@ -10,6 +10,8 @@ from pxr import Usd, UsdSkel
 from tests.usdio.small_rig import small_rig
 from usdface.layer_names import weights_path
 from usdface.provenance import Provenance
+from usdface.specs.join import JoinSpec
+from usdface.steps.join import run
 from usdface.usdio.performance import read_performance, writing_performance
 from usdface.usdio.rig import read_rig
 from usdface.usdio.rig_write import write_rig
@@ -17,9 +19,17 @@ from usdface.usdio.validation import validate
 
 NAMES = ("smile", "jawOpen", "eyeBlink")
 WEIGHTS = np.random.default_rng(0).random((23, 3)).astype(np.float32)
+ALL = slice(0, len(WEIGHTS))
 
 
-def write(folder: Path, name: str, part_frames: int | None, *, spec: str = "a") -> Path:
+def write(
+    folder: Path,
+    name: str,
+    part_frames: int | None,
+    *,
+    spec: str = "a",
+    rows: slice = ALL,
+) -> Path:
     if not (folder / "rig.usda").exists():
         write_rig(folder / "rig.usda", small_rig())
     path = folder / name
@@ -28,15 +38,15 @@ def write(folder: Path, name: str, part_frames: int | None, *, spec: str = "a") 
         read_rig(folder / "rig.usda"),
         shape_names=NAMES,
         rate=Fraction(60),
-        first_frame=-3,
-        last_frame=len(WEIGHTS) - 4,
+        first_frame=rows.start - 3,
+        last_frame=rows.stop - 4,
         regions=("face",),
         timecode_start="01:00:00:00",
         part_frames=part_frames,
         provenance=Provenance("map", spec, {}),
     ) as writer:
-        for start in range(0, len(WEIGHTS), 5):
-            part = WEIGHTS[start : start + 5]
+        for start in range(rows.start, rows.stop, 5):
+            part = WEIGHTS[start : min(start + 5, rows.stop)]
             residual = np.full((len(part), 1), 0.5)
             writer.append(part, confidence=part[:, 0], residual_mm=residual)
     return path
@@ -55,6 +65,27 @@ def test_parts_play_as_one_layer_between_frames_too(tmp_path: Path, part_frames:
     if skeleton:
         query = UsdSkel.Cache().GetSkelQuery(skeleton).GetAnimQuery()
         np.testing.assert_array_equal(query.ComputeBlendShapeWeights(4.0), WEIGHTS[7])
+
+
+def test_parts_that_are_clips_themselves_join_as_one(tmp_path: Path) -> None:
+    whole = write(tmp_path, "whole.usda", None)
+    (tmp_path / "chunks").mkdir()
+    write_rig(tmp_path / "chunks" / "rig.usda", small_rig())
+    halves = (
+        write(tmp_path / "chunks", "a.usda", 4, rows=slice(0, 10)),
+        write(tmp_path / "chunks", "b.usda", None, rows=slice(10, 15)),
+        write(tmp_path / "chunks", "c.usda", 3, rows=slice(15, 23)),
+    )
+    run(JoinSpec(parts=halves[:2], out=tmp_path / "ab.usda", clips="always"))
+    run(
+        JoinSpec(parts=(tmp_path / "ab.usda", halves[2]), out=tmp_path / "abc.usda", clips="always")
+    )
+    np.testing.assert_array_equal(read_performance(tmp_path / "abc.usda").weights.values, WEIGHTS)
+    one, other = (Usd.Stage.Open(str(each)) for each in (whole, tmp_path / "abc.usda"))
+    for name in ("blendShapeWeights", "face:confidence", "face:residual"):
+        single, joined = (s.GetAttributeAtPath(f"/Hero/FaceSolve.{name}") for s in (one, other))
+        for time in np.arange(-5, 22, 0.25):
+            np.testing.assert_array_equal(np.array(joined.Get(time)), np.array(single.Get(time)))
 
 
 def test_a_performance_of_parts_passes_every_validator(tmp_path: Path) -> None:

@@ -190,6 +190,8 @@ def write_clips(
         In order, each following on the one before.
     provenance : Provenance, optional
     """
+    # What a clip plays by clips of its own USD does not see, so those are played in its place.
+    parts = [inner for part in parts for inner in _inner_parts(part)]
     seams = path.with_name(f"{path.stem}.seams.{_making(provenance)}{path.suffix}")
     with new_layer(seams, provenance) as layer:
         author_header(layer, header, rig)
@@ -219,6 +221,20 @@ def write_clips(
                 }
             },
         )
+
+
+def _inner_parts(part: Part) -> list[Part]:
+    """Return the parts that a part plays as clips itself; the part alone where it holds samples."""
+    layer = open_layer(part.file)
+    prim = layer.GetPrimAtPath(part.animation)
+    clips = prim.GetInfo("clips").get(CLIP_SET, {}) if prim and prim.HasInfo("clips") else {}
+    found: list[Part] = []
+    for asset in list(clips.get("assetPaths", ()))[1:]:  # the first has the seams
+        file = part.file.parent / asset.path
+        inner = open_layer(file)
+        first, last = round(inner.startTimeCode), round(inner.endTimeCode)
+        found += _inner_parts(Part(file, first, last, str(clips.get("primPath", ""))))
+    return found or [part]
 
 
 def _copy_sample(layer: Sdf.Layer, header: WeightsHeader, part: Part, frame: int) -> None:
