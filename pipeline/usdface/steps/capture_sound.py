@@ -62,12 +62,9 @@ def extract_sound(
         told.append(
             f"{source}: no analog channel {channel!r}; there are {', '.join(names) or 'none'}"
         )
-        if channel in names:
-            chosen = channel
-        elif channel is None and capture.analog_rate >= LEAST_RATE:
+        chosen = channel if channel in names else None
+        if channel is None and capture.analog_rate >= LEAST_RATE:
             chosen = next((name for name in names if SOUND_NAME.search(name)), None)
-        else:
-            chosen = None
         if chosen is not None:
             _write_wav(out, capture, names.index(chosen))
             rate = capture.analog_rate

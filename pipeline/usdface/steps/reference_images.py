@@ -145,6 +145,8 @@ def _is_ours(file: Path) -> bool:
     if not re.fullmatch(r"[\w.-]+\.-?\d+\.jpg", file.name):
         return False
     try:
-        return read_image_metadata(file).get("step") == SelectSpec.model_fields["step"].default
+        return bool(
+            read_image_metadata(file).get("step") == SelectSpec.model_fields["step"].default
+        )
     except (InputError, OSError):
         return False
