@@ -58,3 +58,16 @@ def test_frames_whose_error_is_unknown_are_not_the_worst() -> None:
     shown = curves()
     shown["error_mm"][:150] = np.nan
     assert all(frame.row >= 150 for frame in choose_frames("residual", 10, **shown))
+
+
+def test_where_few_errors_are_known_the_worst_are_those_and_no_error_is_made_up() -> None:
+    shown = curves()
+    shown["error_mm"][3:] = np.nan
+    worst = choose_frames("residual", 10, **shown)
+    assert [frame.row for frame in worst] == [0, 1, 2]
+    assert all(frame.reason == f"error {shown['error_mm'][frame.row]:.2f} mm" for frame in worst)
+    for frame in choose_frames("expression", 60, **shown):
+        assert frame.reason == "" or frame.row < 3
+    shown["error_mm"][:] = np.nan
+    plain = choose_frames("residual", 10, **shown)
+    assert [frame.reason for frame in plain] == [""] * 10

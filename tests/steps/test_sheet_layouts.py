@@ -51,14 +51,32 @@ def test_worst_frames_come_with_their_reason(shot: Shot, monkeypatch) -> None:
     assert columns == ("markers", "this performance")
 
 
-def test_several_characters_stand_side_by_side(shot: Shot, monkeypatch) -> None:
+def second_performance(shot: Shot) -> Path:
     for name in ("usda", "weights.usdc"):
         shutil.copy(shot / f"shot.hero.{name}", shot / f"other.{name}")
     text = (shot / "other.usda").read_text(encoding="utf-8")
     (shot / "other.usda").write_text(text.replace("shot.hero.weights", "other.weights"))
-    also = (shot / "other.usda",)
+    return shot / "other.usda"
+
+
+def test_several_characters_stand_side_by_side(shot: Shot, monkeypatch) -> None:
+    also = (second_performance(shot),)
     columns = columns_of(shot, monkeypatch, layout="characters", also=also)
     assert columns == ("markers", "this performance", "other")
+
+
+def test_every_performance_of_a_face_is_judged_by_the_truth_and_another_face_says_how(
+    shot: Shot, monkeypatch
+) -> None:
+    given = {"also": (second_performance(shot),), "against": shot / "keys.csv", "rows": 1}
+    told = execute(spec_of(shot, layout="characters", **given))
+    means = told.figures["mean_error_mm"]
+    assert means["other"] == pytest.approx(means["usdface"])
+    assert "left by its markers" not in told.summary
+    monkeypatch.setattr(sheet_step, "_same_face", lambda *_: False)
+    told = execute(spec_of(shot, layout="characters", out=shot / "b.png", **given))
+    assert told.figures["mean_error_mm"]["other"] != pytest.approx(means["usdface"])
+    assert "other (left by its markers) " in told.summary
 
 
 def test_doubt_has_a_strip_of_its_own_scale(shot: Shot, monkeypatch) -> None:

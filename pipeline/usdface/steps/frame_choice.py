@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.assets import FloatArray
+from usdface.assets import BoolArray, FloatArray
 from usdface.specs.sheet import FramePick
 
 WORST_SHARE = 6
@@ -35,7 +35,7 @@ def choose_frames(
     pick : {'expression', 'residual', 'confidence', 'jump', 'even'}
         What makes a frame worth it; ``'expression'`` takes some of the largest errors too.
     count : int
-        Fewer where there are fewer frames.
+        Fewer where there are fewer frames, or fewer whose error is known, of the worst.
     strength : (frames,) float array
         How far the face is from neutral.
     error_mm : (frames,) float array
@@ -48,7 +48,8 @@ def choose_frames(
     frames = len(strength)
     count = min(count, frames)
     apart = max(frames // (3 * count), 1)
-    error = np.nan_to_num(error_mm, nan=-1.0)
+    known = np.isfinite(error_mm)
+    error = np.where(known, error_mm, -1.0)
     if pick == "even":
         spread = np.unique(np.linspace(0, frames - 1, count).round().astype(np.int64))
         return [ChosenFrame(row) for row in spread.tolist()]
@@ -57,7 +58,7 @@ def choose_frames(
         chosen = _strongest(strength, count - worst, apart)
         rows = _largest(error, count, apart, taken=chosen)
         found = [ChosenFrame(row) for row in chosen]
-        found += [ChosenFrame(row, "worst") for row in rows]
+        found += [ChosenFrame(row, "worst" if known[row] else "") for row in rows]
     elif pick == "confidence" and confidence is not None:
         rows = _largest(-confidence, count, apart)
         found = [ChosenFrame(row, f"confidence {confidence[row]:.2f}") for row in rows]
@@ -65,8 +66,10 @@ def choose_frames(
         rows = _largest(jump_mm, count, apart)
         found = [ChosenFrame(row, f"moved {jump_mm[row]:.2f} mm") for row in rows]
     else:
-        rows = _largest(error, count, apart)
-        found = [ChosenFrame(row, f"error {error[row]:.2f} mm") for row in rows]
+        rows = _largest(error, count, apart, among=known if known.any() else None)
+        found = [
+            ChosenFrame(row, f"error {error[row]:.2f} mm" if known[row] else "") for row in rows
+        ]
     return sorted(found, key=lambda frame: frame.row)
 
 
@@ -80,7 +83,12 @@ def _strongest(strength: FloatArray, count: int, apart: int) -> list[int]:
 
 
 def _largest(
-    values: FloatArray, count: int, apart: int, *, taken: list[int] | None = None
+    values: FloatArray,
+    count: int,
+    apart: int,
+    *,
+    taken: list[int] | None = None,
+    among: BoolArray | None = None,
 ) -> list[int]:
     """Return rows by falling value, none near another or one that is taken, up to `count` of both.
 
@@ -93,6 +101,8 @@ def _largest(
     for row in known:
         blocked[max(row - apart + 1, 0) : row + apart] = True
     order = np.argsort(-values, kind="stable")
+    if among is not None:
+        order = order[among[order]]
     for row in order.tolist():
         if len(known) + len(chosen) >= count:
             return chosen

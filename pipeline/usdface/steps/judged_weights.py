@@ -24,11 +24,14 @@ class Judged:
         In the rig's order.
     error_mm : (frames,) float array
         NaN where it is not known.
+    against_truth : bool
+        Whether the error is one of the surface; else it is what markers leave unexplained.
     """
 
     label: str
     weights: FloatArray
     error_mm: FloatArray
+    against_truth: bool = False
 
 
 def place_markers(shot: Shot) -> BlendshapeEquation:
@@ -75,7 +78,7 @@ def judge(
     """Measure weights on the surface where the truth is known, else by the markers."""
     if truth is None:
         return Judged(label, weights, equation.residual_mm(shot.positions, weights))
-    return Judged(label, weights, surface_distance(shot, weights - truth))
+    return Judged(label, weights, surface_distance(shot, weights - truth), against_truth=True)
 
 
 def surface_distance(shot: Shot, difference: FloatArray) -> FloatArray:

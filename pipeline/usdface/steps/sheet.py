@@ -65,7 +65,8 @@ def run(
         judged.insert(0, judge("equation", shot, solved, truth, equations[0]))
     for other, equation in zip(shots[1:], equations[1:], strict=True):
         label = other.performance_file.stem.split(".usd")[0]
-        judged.append(judge(label, other, other.weights, None, equation))
+        known = truth if _same_face(other, shot) else None
+        judged.append(judge(label, other, other.weights, known, equation))
     chosen = _choose(spec, shot, next(each for each in judged if each.label == "usdface"))
     said = said_at(spec.phones, shot.take, shot.frames[[frame.row for frame in chosen]])
     high = round_range(np.concatenate([each.error_mm for each in judged]))
@@ -85,7 +86,10 @@ def run(
             facts=_facts(spec, shot),
             columns=tuple(column.head for column in columns),
             rows=(),
-            curves=(*(ErrorCurve(each.label, each.error_mm) for each in judged), *doubt(shot)),
+            curves=(
+                *(ErrorCurve(_told(each, judged), each.error_mm) for each in judged),
+                *doubt(shot),
+            ),
             first_frame=int(shot.frames[0]),
             notes=_notes(
                 truth is not None,
@@ -134,6 +138,18 @@ def _open_shots(spec: SheetSpec) -> list[Shot]:
         )
         for shot in shots
     ]
+
+
+def _same_face(shot: Shot, other: Shot) -> bool:
+    """Say whether weights of one mean the same on the other."""
+    faces = [(each.rig.file.resolve(), each.rig.prim) for each in (shot, other)]
+    return faces[0] == faces[1]
+
+
+def _told(judged: Judged, beside: list[Judged]) -> str:
+    """Return a label that says so where this one is measured otherwise than those beside it."""
+    by_markers = not judged.against_truth and any(each.against_truth for each in beside)
+    return f"{judged.label} (left by its markers)" if by_markers else judged.label
 
 
 def _choose(spec: SheetSpec, shot: Shot, judged: Judged) -> list[ChosenFrame]:
@@ -208,7 +224,9 @@ def _notes(
         if truth_known
         else "error: RMS distance of the markers from what the weights explain; not the truth"
     )
-    means = ", ".join(f"{each.label} {np.nanmean(each.error_mm):.2f} mm" for each in judged)
+    means = ", ".join(
+        f"{_told(each, judged)} {np.nanmean(each.error_mm):.2f} mm" for each in judged
+    )
     eyes = ("the rig has no eyes: stand-ins are drawn",) if stand_in_eyes else ()
     doubt = ("doubt: 1 less the confidence",) if doubted else ()
     phones = ("beside frames: phone and viseme",) if spoken else ()
@@ -226,7 +244,7 @@ def _report(
     notes: tuple[str, ...],
 ) -> Report:
     means = {each.label: float(np.nanmean(each.error_mm)) for each in judged}
-    told = ", ".join(f"{label} {value:.2f} mm" for label, value in means.items())
+    told = ", ".join(f"{_told(each, judged)} {means[each.label]:.2f} mm" for each in judged)
     what = "surface error against the truth" if truth_known else "marker residual"
     return Report(
         written,
