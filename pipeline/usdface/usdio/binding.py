@@ -85,9 +85,9 @@ def write_binding(
     provenance : Provenance, optional
     """
     stage = open_stage(face.file)
-    made = {proposed_path: provenance, path: provenance}
+    made: dict[Path, Provenance | None] = {proposed_path: provenance, path: provenance}
     if not corrected_path.is_file():
-        made = {corrected_path: None} | made
+        made = {corrected_path: None, **made}
     with new_layers(made) as layers:
         *corrected, proposed, layer = layers
         for each in corrected:
