@@ -1,5 +1,7 @@
 """Weights smoothed over time by the map step."""
 
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -10,18 +12,13 @@ from usdface.errors import InputError
 from usdface.specs.map import MapSpec
 from usdface.steps.execute import execute
 from usdface.usdio.performance import read_performance
+from usdface.usdio.take import read_take
+from usdface.usdio.take_write import write_take
 
 
 def mapped(shot: Shot, out: Path, **options: object) -> np.ndarray:
-    execute(
-        MapSpec(
-            take=shot / "shot.clean.take.usda",
-            mapping=shot / "hero.mapping.usdc",
-            rig=shot / "hero.usdc",
-            out=out,
-            **options,
-        )
-    )
+    told = {"take": shot / "shot.clean.take.usda", "out": out} | options
+    execute(MapSpec(mapping=shot / "hero.mapping.usdc", rig=shot / "hero.usdc", **told))
     return read_performance(out).weights.values
 
 
@@ -37,6 +34,17 @@ def test_temporal_modes_calm_a_shot_and_frames_do_not_depend_on_the_range(
             finished_shot, tmp_path / f"{mode}2.usda", temporal=mode, cutoff=12.0, frames="101-200"
         )
         np.testing.assert_array_equal(part, calm[100:200])
+
+
+def test_a_take_of_24_frames_per_second_is_smoothed_without_being_told_a_cutoff(
+    finished_shot: Shot, tmp_path: Path
+) -> None:
+    slow = tmp_path / "slow.clean.take.usda"
+    take = read_take(finished_shot / "shot.clean.take.usda")
+    write_take(slow, replace(take, rate=Fraction(24), video=None, audio=None))
+    plain = mapped(finished_shot, tmp_path / "plain.usda", take=slow)
+    calm = mapped(finished_shot, tmp_path / "calm.usda", take=slow, temporal="whole")
+    assert np.abs(np.diff(calm, 3, axis=0)).mean() < 0.9 * np.abs(np.diff(plain, 3, axis=0)).mean()
 
 
 def test_residuals_are_told_for_each_part_of_the_face(finished_shot: Shot) -> None:
