@@ -21,6 +21,7 @@ from usdface.specs.map import MapSpec
 from usdface.specs.package import PackageSpec
 from usdface.specs.references import ReferencesFromEditsSpec
 from usdface.specs.train import TrainSpec
+from usdface.steps import bake
 from usdface.steps.edited import list_edits
 from usdface.steps.execute import execute
 from usdface.steps.report import Report
@@ -126,6 +127,14 @@ def test_a_place_that_changed_leaves_edits_behind_and_says_so(shot: Shot) -> Non
     edit(shot / "shot.hero.usda", override=0.7, frames="100-110")
     notes = remap(shot, prim="/shot/hero").notes
     assert any("</character/FaceSolve> find no animation there" in note for note in notes)
+
+
+def test_the_progress_of_a_bake_is_of_all_frames(shot: Shot, monkeypatch) -> None:
+    monkeypatch.setattr(bake, "BLOCK_FRAMES", 120)
+    shares = list[float]()
+    given = BakeSpec(performance=shot / "shot.hero.usda", out=shot / "published.usdc")
+    bake.run(given, progress=lambda share, _: shares.append(share))
+    assert shares == [0.25, 0.5, 0.75, 1.0]
 
 
 def test_what_is_baked_is_what_is_shown_to_any_reader_of_usdskel(shot: Shot) -> None:
@@ -278,7 +287,7 @@ def test_corrections_whose_markers_are_not_seen_teach_nothing_and_stop_no_other(
     edit(shot / "other.usda", "eyeBlinkLeft", override=1.0, frames="300-300")
     report = run(ReferencesFromEditsSpec(performances=(path, shot / "other.usda"), **given))
     assert report.figures["frames"] == [300]
-    assert sum("lack a marker" in note for note in report.notes) == 2
+    assert sum("lacking a marker" in note for note in report.notes) == 2
 
 
 def test_a_package_needs_nothing_beside_it(shot: Shot, tmp_path: Path) -> None:

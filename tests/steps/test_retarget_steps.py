@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd
 
+from tests.steps.small_shot import Shot
 from tests.usdio.small_creature import (
     creature_acts,
     human_moves,
@@ -21,6 +22,7 @@ from tests.usdio.small_creature import (
 from usdface.assets import Rig
 from usdface.cli import main
 from usdface.media.image import read_image_metadata
+from usdface.steps.source_motion import read_source_motion
 from usdface.usdio.controls import read_control_clip
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.pairs import read_pairs, samples_path
@@ -343,7 +345,7 @@ def test_a_source_shape_that_no_pair_uses_is_told_at_training_and_at_work(
     write_creature_performance(stall / "still_t.usda", stall.beast, creature_acts(still))
     assert import_pairs(source="still.usda", target="still_t.usda") == 0
     assert usdface("train-retarget", "x.pairs.usda", "--out", "x.retarget.usdc") == 0
-    assert "in no pair and will move nothing: eyeBlink" in capsys.readouterr().out
+    assert "in no pair and without effect: 1 source shape, eyeBlink" in capsys.readouterr().out
     line = "retarget shot.usda --retargeting x.retarget.usdc --out b.usda"
     assert usdface(*line.split()) == 0
     assert "no pair uses them, so the target does not follow: eyeBlink" in capsys.readouterr().out
@@ -530,3 +532,12 @@ def test_what_users_get_wrong_is_named_and_nothing_is_written(
     assert usdface(*line.split()) == 2
     assert message in capsys.readouterr().err
     assert not list(performed.folder.glob("new*"))
+
+
+def test_a_stretch_of_a_performance_keeps_the_timecode_of_its_first_frame(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    whole = read_source_motion(path)
+    assert whole.timecode_start == "01:00:00:00"
+    assert read_source_motion(path, (whole.first_frame, 50)).timecode_start == "01:00:00:00"
+    assert read_source_motion(path, (121, 240)).timecode_start == "01:00:01:00"
+    assert read_source_motion(path, (125, 240)).timecode_start == "01:00:01:01"

@@ -41,7 +41,8 @@ def run(
             confidence = reader.series("face:confidence", first, last)
             residual = reader.series("face:residual", first, last)
             writer.append(weights, confidence=confidence, residual_mm=residual, keys=keys)
-            progress((last - first + 1) / header.frame_count, f"baked to frame {last}")
+            done = last - reader.first_frame + 1
+            progress(done / header.frame_count, f"baked to frame {last}")
     notes = []
     unknown = sorted(set(reader.edits) - set(reader.names))
     if unknown:

@@ -83,10 +83,6 @@ def _start_difference(take: Take, other: Take) -> tuple[float, str]:
     return float(difference), f"by timecode the weights start {difference:+.3f} s after the markers"
 
 
-def _seconds(take: Take) -> float:
-    return frames_of(take.timecode_start, take.rate) / float(take.rate)
-
-
 def _resample(clip: WeightsClip, take: Take, shift: float) -> tuple[WeightsClip, int]:
     own = np.arange(take.frame_count) / float(take.rate)
     given = np.arange(len(clip.values)) / float(clip.rate) + shift

@@ -60,12 +60,13 @@ def run(
     unused = unused_shapes(pairs)
     if unused:
         notes.append(
-            f"{len(unused)} source shapes are in no pair and will move nothing: "
+            f"in no pair and without effect: {counted(len(unused), 'source shape')}, "
             f"{', '.join(unused[:5])}"
         )
     return Report(
         (spec.out, samples_path(spec.out)),
-        f"{len(pairs)} pairs of {len(source_rig.shapes)} source shapes and {target.summary}",
+        f"{counted(len(pairs), 'pair')} of {counted(len(source_rig.shapes), 'source shape')} "
+        f"and {target.summary}",
         tuple(notes),
         {"pairs": len(pairs), "unused": list(unused)},
     )

@@ -79,7 +79,7 @@ def _match(
     unmatched = [name for name in source.shapes if name not in {match.name for match in named}]
     if unmatched:
         notes.append(
-            f"{len(unmatched)} source shapes are in no pair and will move nothing: "
+            f"in no pair and without effect: {counted(len(unmatched), 'source shape')}, "
             f"{', '.join(unmatched[:5])}"
         )
     return named, notes

@@ -29,6 +29,7 @@ from usdface.usdio.references import (
 from usdface.usdio.rig import read_rig
 from usdface.usdio.take import TakeReader
 from usdface.usdio.tuning import read_pair_notes
+from usdface.wording import counted
 
 LEAST_CHANGE = 0.02
 """A change of every weight below this teaches nothing."""
@@ -84,7 +85,7 @@ def run(
     progress(1.0, "written")
     return Report(
         (spec.out, tuned_path(spec.out), proposed_path(spec.out)),
-        f"{added} corrected frames are pairs now, beside the {len(old.frames)} there were",
+        f"{counted(added, 'corrected frame')} added to {counted(len(old.frames), 'pair')}",
         tuple(notes),
         {
             "added": added,
@@ -129,13 +130,14 @@ def _learn(
     rows, markers = rows[seen], markers[seen]
     if not seen.all():
         notes.append(
-            f"{performance}: {int((~seen).sum())} corrected frames lack a marker and were left out"
+            f"{performance}: left out, lacking a marker: "
+            f"{counted(int((~seen).sum()), 'corrected frame')}"
         )
     if not len(rows):
         return _NO_LESSONS
     chosen = spread_out(edited[rows], change[rows], spec.count)
     if len(chosen) < len(rows):
-        notes.append(f"{performance}: {len(chosen)} of {len(rows)} corrected frames were taken")
+        notes.append(f"{performance}: taken {len(chosen)} of {len(rows)} corrected frames")
     weights = np.zeros((len(chosen), len(old.shape_names)))
     columns = [old.shape_names.index(name) for name in reader.names]
     weights[:, columns] = edited[rows[chosen]]
@@ -213,7 +215,7 @@ def _left_out(out: Path, references: References) -> list[str]:
         return []
     frames = ", ".join(str(each.frame) for each in lost[:5])
     return [
-        f"{out}: {len(lost)} pairs tuned there before are none of these, and are gone: "
+        f"{out}: gone, being none of these: {counted(len(lost), 'pair')} tuned there before, "
         f"frames {frames}"
     ]
 
@@ -233,7 +235,7 @@ def _together(old: References, lessons: list[_Lessons], notes: list[str]) -> Ref
                 weights[pair], tuned[pair] = each.weights[row], True
                 renewed += 1
     if renewed:
-        notes.append(f"{renewed} corrected frames were pairs already; they hold the new weights")
+        notes.append(f"pairs already, with new weights now: {counted(renewed, 'corrected frame')}")
     return replace(
         old,
         markers=np.concatenate([old.markers, *(markers[None] for _, _, markers, _ in new)]),

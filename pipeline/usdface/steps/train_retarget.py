@@ -18,6 +18,7 @@ from usdface.steps.source_motion import read_source_motion, source_columns
 from usdface.usdio.pairs import read_pairs
 from usdface.usdio.retargeting import write_retargeting
 from usdface.usdio.rig import read_rig
+from usdface.wording import counted
 
 SHOWN = 5
 """How many of a kind a note names."""
@@ -96,13 +97,13 @@ def pair_notes(pairs: ExpressionPairs) -> list[str]:
             f"sources are {each.source:.2f} of the usual distance apart, the targets "
             f"{each.target:.2f}; keep one, or make the sources differ"
         )
-    for names, what in (
-        (unused_shapes(pairs), "source shapes are in no pair and will move nothing"),
-        (dead_controls(pairs), "target controls are the same in every pair and will stay so"),
+    for names, noun, what in (
+        (unused_shapes(pairs), "source shape", "in no pair and without effect"),
+        (dead_controls(pairs), "target control", "the same in every pair and in the result"),
     ):
         if names:
             more = ", ..." if len(names) > SHOWN else ""
-            notes.append(f"{len(names)} {what}: {', '.join(names[:SHOWN])}{more}")
+            notes.append(f"{what}: {counted(len(names), noun)}, {', '.join(names[:SHOWN])}{more}")
     return notes
 
 
