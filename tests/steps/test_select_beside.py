@@ -222,7 +222,7 @@ def test_pairs_tuned_while_frames_are_chosen_are_not_moved(
         return chosen(*given)  # type: ignore[arg-type]
 
     monkeypatch.setattr(select, "in_order_of_worth", tuned_meanwhile)
-    with pytest.raises(InputError, match="12 pairs were tuned while frames were chosen"):
+    with pytest.raises(InputError, match="tuned 12 pairs while frames were chosen"):
         execute(spec(shot, count=20), overwrite=True)
     after = read_references(new)
     np.testing.assert_array_equal(after.frames, kept.frames)

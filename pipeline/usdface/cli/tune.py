@@ -12,6 +12,7 @@ from usdface.specs.base import Reads, Spec
 from usdface.specs.confinement import confinement_root
 from usdface.specs.tune import TuneSpec
 from usdface.steps.report import Report
+from usdface.wording import counted
 
 _NEEDED = ("starlette", "uvicorn", "anyio", "h11")
 
@@ -64,10 +65,11 @@ def _tune(spec_type: type[Spec], values: dict[str, Any], *, as_json: bool) -> No
         "done": int(state.done.sum()),
         "recovered": session.recovered,
     }
-    summary = f"{figures['tuned']} of {count} pairs tuned, {figures['done']} done"
+    summary = f"{figures['tuned']} of {counted(count, 'pair')} tuned, {figures['done']} done"
     notes = list[str]()
     if session.recovered:
-        notes.append(f"{session.recovered} changes of a session that crashed were taken up again")
+        changes = counted(session.recovered, "change")
+        notes.append(f"taken up again, of a session that crashed: {changes}")
     if (before := session.lock.taken_from) is not None:
         notes.append(
             f"taken over from {before.user} on {before.host}, who had begun {before.since}"

@@ -128,7 +128,7 @@ def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]
     if cleaned.strays.any():
         worst = int(cleaned.strays.sum(axis=0).argmax())
         notes.append(
-            f"{int(cleaned.strays.sum())} stray samples were replaced, most of them of "
+            f"replaced {counted(int(cleaned.strays.sum()), 'stray sample')}, the most of "
             f"{markers.names[worst]}"
         )
     left = ~cleaned.visible

@@ -17,6 +17,7 @@ from usdface.steps.surface_plan import SurfacePlan, plan_surface
 from usdface.usdio.mesh import FaceMesh
 from usdface.usdio.point_cache import PointsFormat, points_path, writing_points
 from usdface.usdio.take import TakeReader
+from usdface.wording import counted
 
 CHUNK_FRAMES = 2048
 """Frames whose markers are read at once."""
@@ -113,7 +114,10 @@ def _report(
 ) -> Report:
     count, points = last - first + 1, len(plan.face.mesh.points)
     regression = plan.regression
-    told = f"{count} frames of {points} points moved by {len(plan.columns)} markers"
+    told = (
+        f"{counted(count, 'frame')} of {counted(points, 'point')} moved by "
+        f"{counted(len(plan.columns), 'marker')}"
+    )
     if spread:
         told += f", standard deviation {np.median(spread):.2f} mm"
     outputs = [spec.out, points_path(spec.out)]

@@ -11,6 +11,7 @@ from usdface.media.evaluation_chart import EvaluationPage, ShapeBar
 from usdface.model.evaluation import Evaluation
 from usdface.numerics.measure.performance_error import SurfaceError
 from usdface.specs.evaluate import EvaluateSpec
+from usdface.wording import counted
 
 WORST_FRAMES = 8
 WORST_SHAPES = 10
@@ -19,7 +20,8 @@ WORST_SHAPES = 10
 def evaluation_summary(evaluation: Evaluation) -> str:
     """Return one line that says how good the performance is."""
     return (
-        f"{len(evaluation.frames)} frames: {evaluation.surface.rms_mm:.3f} mm on the surface "
+        f"{counted(len(evaluation.frames), 'frame')}: "
+        f"{evaluation.surface.rms_mm:.3f} mm on the surface "
         f"({evaluation.surface.p95_mm:.3f} mm in 95 of 100 frames), "
         f"{_number(evaluation.weight_rmse)} in the weights"
     )

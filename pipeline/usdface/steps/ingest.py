@@ -20,6 +20,7 @@ from usdface.usdio.foreign_take import read_foreign_take
 from usdface.usdio.layers import LAYER_SUFFIXES
 from usdface.usdio.take import is_take, read_take
 from usdface.usdio.take_write import samples_path, write_take
+from usdface.wording import counted
 
 log = logging.getLogger(__name__)
 
@@ -122,7 +123,10 @@ def _report(spec: IngestSpec, take: Take, notes: tuple[str, ...]) -> Report:
         "rate": rate,
         "first_frame": take.first_frame,
     }
-    parts = [f"{take.frame_count} frames at {rate:g} per second ({take.frame_count / rate:.1f} s)"]
+    parts = [
+        f"{counted(take.frame_count, 'frame')} at {rate:g} per second "
+        f"({take.frame_count / rate:.1f} s)"
+    ]
     if take.markers is not None:
         gaps = float(1 - take.markers.visible.mean())
         figures |= {
@@ -131,12 +135,12 @@ def _report(spec: IngestSpec, take: Take, notes: tuple[str, ...]) -> Report:
             "neutral_frame": take.markers.neutral_frame,
             "gap_share": gaps,
         }
-        parts.append(f"{len(take.markers.names)} markers, {100 * gaps:.2f} % gaps")
+        parts.append(f"{counted(len(take.markers.names), 'marker')}, {100 * gaps:.2f} % gaps")
     if take.source is not None:
         figures["channels"] = len(take.source.names)
-        parts.append(f"{len(take.source.names)} weights")
+        parts.append(counted(len(take.source.names), "weight"))
     outputs = tuple(dict.fromkeys((spec.out, samples_path(spec.out))))
     if take.events:
         figures["events"] = [[event.label, event.frame] for event in take.events]
-        parts.append(f"{len(take.events)} events")
+        parts.append(counted(len(take.events), "event"))
     return Report(outputs, f"{take.name}: {', '.join(parts)}", notes, figures)

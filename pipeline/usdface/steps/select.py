@@ -144,8 +144,8 @@ def _check_tuning_is_as_read(spec: SelectSpec, kept: list[KeptPair]) -> None:
     before = {(each.tuned.pair, each.tuned.take, each.tuned.frame) for each in kept}
     if now - before:
         raise InputError(
-            f"{tuned_path(spec.out)}: {len(now - before)} pairs were tuned while frames were "
-            "chosen; nothing was changed. Select again, which keeps them"
+            f"{tuned_path(spec.out)}: somebody tuned {counted(len(now - before), 'pair')} while "
+            "frames were chosen; nothing was changed. Select again, which keeps what is tuned"
         )
 
 
@@ -299,11 +299,11 @@ def _notes(asked: _Selection, choice: Choice, mapping: Mapping | None) -> list[s
             f"{', '.join(dropped[:5])}"
         )
     if asked.kept:
-        notes.append(f"{len(asked.kept)} tuned pairs were kept where they are")
+        notes.append(f"kept in place: {counted(len(asked.kept), 'tuned pair')}")
     if choice.missing:
         shown = [f"{viseme} {emotion}".strip() for emotion, viseme in choice.missing]
         notes.append(
-            f"{len(shown)} visemes are not spoken in every emotion: {', '.join(shown[:8])}"
+            f"not spoken in every emotion: {counted(len(shown), 'viseme')}, {', '.join(shown[:8])}"
         )
     if asked.spec.method == "viseme" and choice.design:
         spoken = len(choice.rows) - len([r for r in choice.rows if int(r) not in choice.visemes])
