@@ -165,10 +165,8 @@ def _lock(lock: Path) -> tuple[int, bool]:
                 return handle, fcntl is not None
         except OSError as error:
             if error.errno in (errno.ENOLCK, errno.ENOTSUP):
-                return (
-                    handle,
-                    False,
-                )  # a file system without locks: work on, as before there were any
+                # A file system without locks: work on, as before there were any.
+                return handle, False
             os.close(handle)
             raise
         os.close(handle)

@@ -13,11 +13,7 @@ from usdface.farm.plan import FarmStep, Plan, plan_job
 from usdface.farm.template import check_job_name
 from usdface.replacing import replacing
 from usdface.specs.base import LAYER_SUFFIXES, Reads
-from usdface.specs.confinement import (
-    check_confined,
-    check_paths_confined,
-    confinement_root,
-)
+from usdface.specs.confinement import check_confined, check_paths_confined, confinement_root
 from usdface.specs.job import JobSpec
 from usdface.specs.reading import read_job
 from usdface.specs.submit import SubmitSpec
