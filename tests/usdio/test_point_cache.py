@@ -1,5 +1,6 @@
 """Moving meshes on disk: one file or clips, timing, normals that are not stale, crashes."""
 
+from contextlib import AbstractContextManager
 from fractions import Fraction
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from tests.small_scan import small_scan, write_scan
 from usdface.errors import InputError
 from usdface.provenance import Provenance
 from usdface.usdio.mesh import FaceMesh, read_face_mesh
-from usdface.usdio.point_cache import PointsFormat, points_path, writing_points
+from usdface.usdio.point_cache import PointsFormat, PointsWriter, points_path, writing_points
 from usdface.usdio.validation import validate
 
 FIRST, LAST = 11, 40
@@ -24,12 +25,10 @@ def face(tmp_path: Path) -> FaceMesh:
     return read_face_mesh(write_scan(tmp_path / "scan.usdc", small_scan()))
 
 
-def write(
+def writing(
     path: Path, face: FaceMesh, format_: PointsFormat, *, seed: int = 0, last: int = LAST
-) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    moved = face.local + rng.normal(0, 1, (last - FIRST + 1, *face.local.shape))
-    with writing_points(
+) -> AbstractContextManager[PointsWriter]:
+    return writing_points(
         path,
         face,
         rate=Fraction(24000, 1001),
@@ -38,7 +37,15 @@ def write(
         format_=format_,
         method="test",
         provenance=Provenance(step="deform", spec=str(seed)),
-    ) as writer:
+    )
+
+
+def write(
+    path: Path, face: FaceMesh, format_: PointsFormat, *, seed: int = 0, last: int = LAST
+) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    moved = face.local + rng.normal(0, 1, (last - FIRST + 1, *face.local.shape))
+    with writing(path, face, format_, seed=seed, last=last) as writer:
         for start in range(0, len(moved), 7):
             part = moved[start : start + 7]
             writer.append(part, uncertainty_mm=np.full(part.shape[:2], 0.5))
@@ -139,16 +146,7 @@ def test_the_same_again_when_interrupted_leaves_the_clips_that_the_asset_plays(
     files = sorted(path.name for path in tmp_path.iterdir())
 
     def interrupted() -> None:
-        with writing_points(
-            tmp_path / "out.usda",
-            face,
-            rate=Fraction(24000, 1001),
-            first_frame=FIRST,
-            last_frame=LAST,
-            format_=CLIPS,
-            method="test",
-            provenance=Provenance(step="deform", spec="0"),
-        ) as writer:
+        with writing(tmp_path / "out.usda", face, CLIPS) as writer:
             writer.append(before[:20], uncertainty_mm=np.full(before[:20].shape[:2], 0.5))
             raise KeyboardInterrupt
 

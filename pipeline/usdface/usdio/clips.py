@@ -13,13 +13,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pxr import Gf, Sdf, Vt
+from pxr import Gf, Sdf, Usd, Vt
 
 from usdface.assets import Float32Array, FloatArray, Rig
 from usdface.errors import InputError
 from usdface.provenance import Provenance, hash_text
 from usdface.timecode import shift_timecode
-from usdface.usdio.layers import new_layer, open_layer, relative_path
+from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
 from usdface.usdio.weights_layer import (
     CONFIDENCE,
     RESIDUAL,
@@ -224,16 +224,18 @@ def write_clips(
 
 
 def _inner_parts(part: Part) -> list[Part]:
-    """Return the parts that a part plays as clips itself; the part alone where it holds samples."""
-    layer = open_layer(part.file)
-    prim = layer.GetPrimAtPath(part.animation)
-    clips = prim.GetInfo("clips").get(CLIP_SET, {}) if prim and prim.HasInfo("clips") else {}
-    found: list[Part] = []
-    for asset in list(clips.get("assetPaths", ()))[1:]:  # the first has the seams
+    """Return the parts that a part plays as clips itself; the part alone where it holds samples.
+
+    One level is all there is: what was written as clips plays none that have clips.
+    """
+    stage = open_stage(part.file)
+    clips = Usd.ClipsAPI(stage.GetPrimAtPath(part.animation))
+    found = []
+    for asset in list(clips.GetClipAssetPaths(CLIP_SET) or ())[1:]:  # the first has the seams
         file = part.file.parent / asset.path
         inner = open_layer(file)
         first, last = round(inner.startTimeCode), round(inner.endTimeCode)
-        found += _inner_parts(Part(file, first, last, str(clips.get("primPath", ""))))
+        found.append(Part(file, first, last, str(clips.GetClipPrimPath(CLIP_SET))))
     return found or [part]
 
 
