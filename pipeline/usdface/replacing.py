@@ -102,7 +102,8 @@ def _temporary(path: Path) -> Iterator[Path]:
             _touch(temporary, target=path)
             yield temporary
         finally:
-            temporary.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # the folder may have gone meanwhile
+                temporary.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -15,7 +15,6 @@ from usdface.assets import Rig
 from usdface.controls import Controls
 from usdface.provenance import Provenance
 from usdface.usdio.authoring import author_uniform
-from usdface.usdio.clips import PartsWriter
 from usdface.usdio.control_attributes import attribute_path, control_attribute
 from usdface.usdio.controls import NAMES, author_joints, set_joint_samples
 from usdface.usdio.layers import (
@@ -29,7 +28,8 @@ from usdface.usdio.layers import (
 )
 from usdface.usdio.performance import writing_performance
 from usdface.usdio.rig_reference import default_place
-from usdface.usdio.weights_layer import ANIMATION, WeightsWriter
+from usdface.usdio.weights_layer import ANIMATION
+from usdface.usdio.weights_process import FrameWriter
 
 _LOT = 1 << 14
 """Frames between two saves: saved samples are read back from disk, so that memory stays bounded."""
@@ -87,7 +87,7 @@ class ControlsWriter:
     """Appends frames; made by `writing_control_performance`."""
 
     def __init__(
-        self, weights: WeightsWriter | PartsWriter, beside: ControlsLayer | None, first_frame: int
+        self, weights: FrameWriter, beside: ControlsLayer | None, first_frame: int
     ) -> None:
         self._weights, self._beside = weights, beside
         self.next_frame = first_frame

@@ -255,17 +255,26 @@ def new_layers(made: Mapping[Path, Provenance | None]) -> Iterator[tuple[Sdf.Lay
         layers = tuple(Sdf.Layer.CreateNew(str(temporary)) for temporary in temporaries)
         yield layers
         for layer, (path, provenance) in zip(layers, made.items(), strict=True):
-            if provenance is not None:
-                # What other tools keep there stays.
-                layer.customLayerData = dict(layer.customLayerData) | {
-                    "usdface": provenance_data(provenance)
-                }
+            author_provenance(layer, provenance)
             save_layer(layer, path)
         del layer, layers
     for path in paths:
-        stale = Sdf.Layer.Find(str(path))
-        if stale is not None:
-            stale.Reload(force=True)
+        read_again(path)
+
+
+def author_provenance(layer: Sdf.Layer, provenance: Provenance | None) -> None:
+    """Let a layer say what made it; what other tools keep there stays."""
+    if provenance is not None:
+        layer.customLayerData = dict(layer.customLayerData) | {
+            "usdface": provenance_data(provenance)
+        }
+
+
+def read_again(path: Path) -> None:
+    """Let this process see a layer that was replaced on disk, if it has it open."""
+    stale = Sdf.Layer.Find(str(path))
+    if stale is not None:
+        stale.Reload(force=True)
 
 
 def save_layer(layer: Sdf.Layer, path: Path) -> None:

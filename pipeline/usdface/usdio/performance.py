@@ -10,7 +10,7 @@ from pxr import Sdf
 from usdface.assets import Rig
 from usdface.layer_names import edits_path, weights_path
 from usdface.provenance import Provenance
-from usdface.usdio.clips import PartsWriter, clear_parts, writing_parts
+from usdface.usdio.clips import clear_parts, writing_parts
 from usdface.usdio.layers import (
     author_timing,
     author_units,
@@ -25,11 +25,8 @@ from usdface.usdio.performance_reader import (
     read_weights,
 )
 from usdface.usdio.rig_reference import default_place, define_reference
-from usdface.usdio.weights_layer import (
-    WeightsHeader,
-    WeightsWriter,
-    writing_weights,
-)
+from usdface.usdio.weights_layer import WeightsHeader
+from usdface.usdio.weights_process import FrameWriter, writing_frames
 
 __all__ = [
     "PerformanceReader",
@@ -57,7 +54,7 @@ def writing_performance(
     timecode_start: str = "",
     part_frames: int | None = None,
     provenance: Provenance | None = None,
-) -> Iterator[WeightsWriter | PartsWriter]:
+) -> Iterator[FrameWriter]:
     """Write a performance frame by frame; the files appear when the block ends without error.
 
     Parameters
@@ -96,7 +93,7 @@ def writing_performance(
     with writing_top(path, header, rig, provenance=provenance):
         weights_file = weights_path(path)
         if part_frames is None:
-            with writing_weights(weights_file, header, rig, provenance=provenance) as writer:
+            with writing_frames(weights_file, header, rig, provenance=provenance) as writer:
                 yield writer
         else:
             with writing_parts(

@@ -17,6 +17,7 @@ from usdface.usdio.authoring import apply_api, author_uniform, define_prim
 from usdface.usdio.layers import (
     FRAMES_IN_MEMORY,
     VALUES_IN_MEMORY,
+    author_provenance,
     author_timing,
     author_units,
     new_layer,
@@ -81,9 +82,23 @@ class WeightsHeader:
 
 
 class WeightsWriter:
-    """Appends solved frames to a weights layer; made by `writing_weights`."""
+    """Appends solved frames to a weights layer; made by `writing_weights`.
 
-    def __init__(self, path: Path, layer: Sdf.Layer, header: WeightsHeader) -> None:
+    Parameters
+    ----------
+    path : Path
+        What messages call the layer, which has a temporary name.
+    layer : Sdf.Layer
+        An empty one.
+    header : WeightsHeader
+    text : str
+        From `without_samples`.
+    """
+
+    def __init__(self, path: Path, layer: Sdf.Layer, header: WeightsHeader, text: str) -> None:
+        start = Sdf.Layer.CreateAnonymous()
+        start.ImportFromString(text)
+        layer.TransferContent(start)
         self._path = path
         self._layer = layer
         self._weights = header.animation.AppendProperty(WEIGHTS)
@@ -98,8 +113,8 @@ class WeightsWriter:
         self,
         weights: FloatArray | Float32Array,
         *,
-        confidence: FloatArray | None = None,
-        residual_mm: FloatArray | None = None,
+        confidence: FloatArray | Float32Array | None = None,
+        residual_mm: FloatArray | Float32Array | None = None,
         keys: IntArray | None = None,
     ) -> None:
         """Append frames.
@@ -130,7 +145,7 @@ class WeightsWriter:
     def _append_lot(
         self,
         rows: Float32Array,
-        confidence: FloatArray | None,
+        confidence: FloatArray | Float32Array | None,
         residual: Float32Array | None,
         keys: IntArray,
     ) -> None:
@@ -231,15 +246,33 @@ def writing_weights(
     ValueError
         If other frames were appended than the header says.
     """
-    with new_layer(path, provenance) as layer:
-        author_header(layer, header, rig)
-        writer = WeightsWriter(path, layer, header)
+    with new_layer(path, None) as layer:
+        writer = WeightsWriter(path, layer, header, without_samples(header, rig, provenance))
         yield writer
-        if writer.next_frame != header.last_frame + 1:
-            raise ValueError(
-                f"{path}: {writer.next_frame - header.first_frame} frames were appended where "
-                f"{header.frame_count} were announced"
-            )
+        check_count(path, header, writer.next_frame)
+
+
+def without_samples(header: WeightsHeader, rig: Rig, provenance: Provenance | None) -> str:
+    """Return a weights layer but for its samples, as text that another process can be given.
+
+    Raises
+    ------
+    InputError
+        If the rig's skeletons cannot be pointed at the animation.
+    """
+    layer = Sdf.Layer.CreateAnonymous()
+    author_header(layer, header, rig)
+    author_provenance(layer, provenance)
+    return str(layer.ExportToString())
+
+
+def check_count(path: Path, header: WeightsHeader, next_frame: int) -> None:
+    """Refuse a layer to which other frames were appended than its header says."""
+    if next_frame != header.last_frame + 1:
+        raise ValueError(
+            f"{path}: {next_frame - header.first_frame} frames were appended where "
+            f"{header.frame_count} were announced"
+        )
 
 
 def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.PrimSpec:
