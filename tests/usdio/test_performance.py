@@ -198,6 +198,28 @@ def test_mapping_again_keeps_what_else_the_rig_s_prim_references(tmp_path: Path)
     assert [name for name, _ in references()] == ["./v002.usda", "./look.usda"]
 
 
+def test_mapping_into_somebody_s_layer_keeps_what_it_references(tmp_path: Path) -> None:
+    path = tmp_path / "shot.hero.usda"
+    path.write_text(
+        '#usda 1.0\ndef Xform "Hero" (prepend references = @./groom.usda@</Groom>)\n{\n}\n',
+        encoding="utf-8",
+    )
+    write(tmp_path)
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    hero = layer.GetPrimAtPath("/Hero").referenceList
+    assert [each.assetPath for each in hero.prependedItems] == ["./rig.usda", "./groom.usda"]
+    hero.prependedItems = list(hero.prependedItems)[::-1]
+    layer.Save()
+    write_rig(tmp_path / "v002.usda", small_rig())
+    other = read_rig(tmp_path / "v002.usda")
+    with writing_performance(
+        path, other, shape_names=NAMES, rate=Fraction(24), first_frame=1, last_frame=len(WEIGHTS)
+    ) as writer:
+        writer.append(WEIGHTS)
+    hero = layer.GetPrimAtPath("/Hero").referenceList
+    assert [each.assetPath for each in hero.prependedItems] == ["./groom.usda", "./v002.usda"]
+
+
 def test_long_takes_saved_in_lots_equal_short_ones(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(weights_layer, "FRAMES_IN_MEMORY", 8)
     np.testing.assert_array_equal(read_performance(write(tmp_path)).weights.values, WEIGHTS)

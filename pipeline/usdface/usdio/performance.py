@@ -117,9 +117,10 @@ def writing_top(
         author_units(layer)
         author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
         layer.defaultPrim = Sdf.Path(header.place).GetPrefixes()[0].name
-        define_reference(layer, header.place, rig, path)
         weights_asset = relative_path(weights_path(path), path)
-        if weights_asset not in list(layer.subLayerPaths):
+        again = weights_asset in list(layer.subLayerPaths)
+        define_reference(layer, header.place, rig, path, again=again)
+        if not again:
             layer.subLayerPaths.append(weights_asset)
         edits_asset = relative_path(edits_path(path), path)
         if edits_path(path).is_file() and edits_asset not in list(layer.subLayerPaths):

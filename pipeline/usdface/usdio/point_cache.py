@@ -265,9 +265,10 @@ def writing_points(
         if path.is_file():
             layer.TransferContent(open_layer(path))
         _author_header(layer, face, at, rate, first_frame, last_frame)
-        define_reference(layer, top, asset, path)
         name = relative_path(points_file, path)
-        if name not in list(layer.subLayerPaths):
+        again = name in list(layer.subLayerPaths)
+        define_reference(layer, top, asset, path, again=again)
+        if not again:
             layer.subLayerPaths.append(name)
     for file in outdated - _clip_files(points_file, at):
         file.unlink(missing_ok=True)

@@ -17,10 +17,23 @@ def default_place(rig: Rig) -> str:
     return str(Sdf.Path(rig.prim).GetPrefixes()[0])
 
 
-def define_reference(layer: Sdf.Layer, place: str, rig: Rig, layer_path: Path) -> None:
+def define_reference(
+    layer: Sdf.Layer, place: str, rig: Rig, layer_path: Path, *, again: bool = False
+) -> None:
     """Define a prim that references the rig's top prim; prims above it become Xforms.
 
     What else the prim references stays, and in its order.
+
+    Parameters
+    ----------
+    layer : Sdf.Layer
+    place : str
+    rig : Rig
+    layer_path : Path
+        Where the layer goes, which may have a temporary name.
+    again : bool
+        Whether this was done to the layer before, perhaps with another rig: that one's reference
+        is then replaced.
     """
     source = Sdf.Path(rig.prim).GetPrefixes()[0]
     for above in Sdf.Path(place).GetParentPath().GetPrefixes():
@@ -32,16 +45,30 @@ def define_reference(layer: Sdf.Layer, place: str, rig: Rig, layer_path: Path) -
     references = prim.referenceList
     name = "explicitItems" if references.isExplicit else "prependedItems"
     there = list(getattr(references, name))
-    ours = _index_of_ours(there, rig.file, layer_path)
-    setattr(references, name, [*there[:ours], reference, *there[ours + 1 :]])
+    ours = _ours_among(there, reference, rig.file, layer_path, again=again)
+    setattr(references, name, [*there[: ours.start], reference, *there[ours.stop :]])
 
 
-def _index_of_ours(there: list[Sdf.Reference], file: Path, layer_path: Path) -> int:
-    """Return which reference was ours: that to the same file, or the first, as we put it there."""
+def _ours_among(
+    there: list[Sdf.Reference],
+    reference: Sdf.Reference,
+    file: Path,
+    layer_path: Path,
+    *,
+    again: bool,
+) -> range:
+    """Return which reference is to be replaced: that to the same file, or that to another rig.
+
+    The other rig's is the first to a prim of this name, or the first of all, as we put it there.
+    """
     for index, each in enumerate(there):
         if each.assetPath and (layer_path.parent / each.assetPath).resolve() == file.resolve():
-            return index
-    return 0
+            return range(index, index + 1)
+    if not again or not there:
+        return range(0)
+    names = [each.primPath for each in there]
+    first = names.index(reference.primPath) if reference.primPath in names else 0
+    return range(first, first + 1)
 
 
 def point_skeletons_at(layer: Sdf.Layer, place: str, rig: Rig, animation: Sdf.Path) -> None:
