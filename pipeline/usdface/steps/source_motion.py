@@ -116,7 +116,8 @@ def source_columns(
         )
     if moving:
         notes.append(
-            f"{len(moving)} shapes of {path.name} move and drive nothing: {', '.join(moving[:5])}"
+            f"{path.name}: nothing is driven by {counted(len(moving), 'moving shape')}: "
+            f"{', '.join(moving[:5])}"
         )
     return out, tuple(notes)
 

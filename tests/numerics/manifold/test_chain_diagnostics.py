@@ -20,6 +20,22 @@ def test_of_an_autoregressive_series_it_is_the_closed_form(rho: float) -> None:
     assert np.median(effective_sample_size(series)) == pytest.approx(exact, rel=0.12)
 
 
+def test_lags_are_paired_from_an_even_one() -> None:
+    # Correlations of 1, .2, -.3, ...: of lags 2 and 3 the sum is negative, and nothing is added.
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal((40002, 1, 8))
+    series = noise[2:] + 0.3 * noise[1:-1] - 0.4 * noise[:-2]
+    first = (0.3 - 0.3 * 0.4) / (1 + 0.3**2 + 0.4**2)
+    assert np.median(effective_sample_size(series)) == pytest.approx(
+        40000 / (1 + 2 * first), rel=0.02
+    )
+
+
+def test_draws_that_alternate_count_no_more_than_there_are() -> None:
+    series = autoregressive(np.random.default_rng(0), -0.5, (2000, 4, 5))
+    assert (effective_sample_size(series) == 8000).all()
+
+
 def test_chains_of_one_distribution_agree_and_of_two_do_not() -> None:
     series = np.random.default_rng(0).standard_normal((500, 4, 20))
     assert np.abs(split_rhat(series) - 1).max() < 0.02

@@ -80,6 +80,24 @@ def test_a_marker_without_trust_has_no_say(deltas, weights):
     np.testing.assert_allclose(solve.weights, weights, atol=1e-7)
 
 
+@pytest.mark.parametrize("method", ["lstsq", "nnls", "bounded"])
+def test_a_frame_that_sees_nothing_is_at_rest(deltas, weights, method):
+    motion = motion_of(weights, deltas)
+    visible = np.ones(motion.shape[:2], bool)
+    visible[1] = False
+    solved = solve_weights(deltas, motion, method=method, visible=visible).weights
+    assert (solved[1] == 0).all()
+    np.testing.assert_allclose(solved[2:], weights[2:], atol=1e-6)
+
+
+def test_markers_without_trust_tell_no_shapes_apart(deltas):
+    trust = np.zeros(deltas.shape[1])
+    trust[:2] = 1
+    solved = solve_weights(deltas, np.zeros((1, *deltas.shape[1:])), marker_trust=trust)
+    assert solved.rank == np.linalg.matrix_rank(deltas[:, :2].reshape(len(deltas), -1))
+    assert solved.rank < len(deltas)
+
+
 def test_sparsity_leaves_fewer_shapes_active(deltas, weights):
     noisy = motion_of(weights, deltas) + np.random.default_rng(3).normal(size=(50, 30, 3)) * 4
     free = solve_weights(deltas, noisy, method="bounded").weights

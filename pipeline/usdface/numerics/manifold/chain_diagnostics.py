@@ -1,7 +1,8 @@
 """Whether chains have mixed: split R-hat and effective sample size.
 
 Gelman et al., *Bayesian Data Analysis* (3rd ed., 2013), section 11.4-11.5; autocorrelations are
-summed in Geyer's initial positive sequence.
+summed in the initial positive sequence of Geyer (1992), in pairs that begin with an even lag: of a
+reversible chain each such sum is positive, so that the first that is not is noise.
 """
 
 import numpy as np
@@ -52,10 +53,10 @@ def effective_sample_size(samples: Array) -> Array:
         total = total + samples.mean(axis=0).var(axis=0, ddof=1)
     total = np.maximum(total, 1e-300)
     correlation = 1.0 - (within - products) / total
-    pairs = correlation[1:-1:2] + correlation[2::2]
+    pairs = correlation[0:-1:2] + correlation[1::2]
     positive = np.logical_and.accumulate(pairs > 0, axis=0)
-    time = 1.0 + 2.0 * np.where(positive, pairs, 0.0).sum(axis=0)
-    return np.asarray(draws * chains / time, np.float64)
+    time = 2.0 * np.where(positive, pairs, 0.0).sum(axis=0) - 1.0
+    return np.asarray(draws * chains / np.maximum(time, 1.0), np.float64)
 
 
 def _halves(samples: Array) -> Array:

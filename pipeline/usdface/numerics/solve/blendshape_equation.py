@@ -36,7 +36,7 @@ class Solve:
     residual_mm : (frames, markers) float array
         Distance between each marker and where the weights put it; NaN where it was not seen.
     rank : int
-        Of the equation, all markers seen. Below the number of shapes, several weights explain the
+        Of the equation, all trusted markers seen. Below the number of shapes, several weights explain the
         same motion: least squares returns the smallest; the bounded methods then keep at least a
         small ridge.
     """
@@ -118,7 +118,8 @@ def solve_weights(
         raise ValueError("l1, smoothness and keys need method 'bounded' or 'nnls'")
     if not min(ridge, l1, smoothness) >= 0:
         raise ValueError("ridge, l1 and smoothness must not be negative")
-    rank = int(np.linalg.matrix_rank(problem.deltas.reshape(problem.shape_count, -1)))
+    heard = problem.deltas[:, problem.share > 0].reshape(problem.shape_count, -1)
+    rank = int(np.linalg.matrix_rank(heard)) if heard.size else 0
     if method != "lstsq" and rank < problem.shape_count:
         energy = float(np.einsum("smc,m,smc->", problem.deltas, problem.share, problem.deltas))
         ridge = max(ridge, _DEPENDENT_RIDGE * energy / problem.shape_count)

@@ -132,7 +132,7 @@ def minimise_bounded_quadratic(
 def _minimise(H: FloatArray, b: FloatArray, lo: FloatArray, hi: FloatArray) -> BoundedSolution:
     n = len(H)
     diagonal = np.diagonal(H)
-    floor = max(float(diagonal.mean()), np.finfo(float).tiny) * 1e-12
+    floor = float(diagonal.mean()) * 1e-12 if diagonal.any() else 1.0  # a frame may tell nothing
     unit = 1 / np.sqrt(np.maximum(diagonal, floor))  # x = unit * z gives z a unit diagonal
     with np.errstate(invalid="ignore"):
         lo_z, hi_z = lo / unit, hi / unit
