@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from usdface.replacing import replacing, replacing_together
 
 HOLD = """
 import sys
+import tempfile
 from pathlib import Path
 from usdface.replacing import replacing
 with replacing(Path(sys.argv[1])) as temporary:
@@ -33,6 +35,18 @@ def holder(path: Path) -> subprocess.Popen[str]:
     assert process.stdout is not None
     assert process.stdout.readline() == "holding\n"
     return process
+
+
+def as_nobody(path: Path) -> subprocess.CompletedProcess[str]:
+    """Write a file as another user than this one, which is root."""
+    program = HOLD.replace("with ", "import os\nos.seteuid(65534)\nwith ")
+    return subprocess.run(
+        [sys.executable, "-c", program, str(path)],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 def test_of_two_writers_one_wins_whole_and_the_other_says_so(tmp_path: Path) -> None:
@@ -59,6 +73,22 @@ def test_a_killed_writer_holds_no_lock_and_its_leftovers_are_cleared(tmp_path: P
         temporary.write_text("second")
     assert target.read_text() == "second"
     assert sorted(each.name for each in tmp_path.iterdir()) == [".ab.12345678.txt", "a.txt"]
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="needs two users")
+def test_a_killed_writers_lock_holds_no_other_user_off_and_a_living_ones_does() -> None:
+    with tempfile.TemporaryDirectory() as name:  # tmp_path is nobody else's to enter
+        folder = Path(name)
+        folder.chmod(0o777)
+        target = folder / "a.txt"
+        with holder(target) as first:
+            living = as_nobody(target)
+            os.kill(first.pid, signal.SIGKILL)
+        assert f"another process is writing it (process {first.pid}" in living.stderr
+        assert not target.exists()
+        assert as_nobody(target).stderr == ""
+        assert target.read_text() == "first"
+        assert [each.name for each in folder.iterdir()] == ["a.txt"]
 
 
 def test_what_usd_left_beside_a_temporary_file_is_cleared_and_nothing_of_a_like_name(

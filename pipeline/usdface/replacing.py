@@ -156,7 +156,13 @@ def _alone(path: Path) -> Iterator[bool]:
 def _lock(lock: Path) -> tuple[int, bool]:
     """Return an open lock file, and whether the system keeps others from it."""
     while True:
-        handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        try:
+            handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        except PermissionError:
+            if not lock.exists():  # it is the folder that may not be written to
+                raise
+            _remove_foreign(lock)
+            continue
         try:
             if fcntl is not None:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -170,6 +176,26 @@ def _lock(lock: Path) -> tuple[int, bool]:
                 return handle, False
             os.close(handle)
             raise
+        os.close(handle)
+
+
+def _remove_foreign(lock: Path) -> None:
+    """Remove the lock that a killed process of another user left; one that is held is an error.
+
+    Raises
+    ------
+    BlockingIOError
+        If that process lives.
+    OSError
+        If it may not be removed.
+    """
+    handle = os.open(lock, os.O_RDONLY | os.O_CLOEXEC)  # which is enough to ask for it
+    try:
+        if fcntl is not None:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.fstat(handle).st_nlink:  # its name is no other file's by now
+            lock.unlink()
+    finally:
         os.close(handle)
 
 

@@ -36,9 +36,9 @@ class Solve:
     residual_mm : (frames, markers) float array
         Distance between each marker and where the weights put it; NaN where it was not seen.
     rank : int
-        Of the equation, all trusted markers seen. Below the number of shapes, several weights explain the
-        same motion: least squares returns the smallest; the bounded methods then keep at least a
-        small ridge.
+        Of the equation, all trusted markers seen. Below the number of shapes, several weights
+        explain the same motion: least squares returns the smallest; the bounded methods then keep
+        at least a small ridge.
     """
 
     weights: FloatArray
