@@ -3,9 +3,11 @@
 import contextlib
 import io
 import json
+import os
 import shutil
 import signal
 import subprocess
+import sys
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -91,13 +93,38 @@ def test_a_short_take_and_another_programs_python_need_none(
     tmp_path: Path, rig: Rig, apart: list[subprocess.Popen[bytes]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "a.weights.usdc"
-    monkeypatch.setattr(weights_process.sys, "executable", "/opt/maya/bin/maya.bin")
-    with writing_frames(path, HEADER, rig) as writer:
-        append_all(writer)
+    # An embedded interpreter names the program, or the Python that is first in PATH.
+    for name, value in (("executable", "/opt/maya/bin/maya.bin"), ("orig_argv", [])):
+        with monkeypatch.context() as changed:
+            changed.setattr(weights_process.sys, name, value)
+            with writing_frames(path, HEADER, rig) as writer:
+                append_all(writer)
     monkeypatch.undo()
     with writing_frames(path, HEADER, rig) as writer:
         append_all(writer)
     assert not apart
+
+
+def test_it_imports_from_where_this_process_does(
+    tmp_path: Path, rig: Rig, apart: list[subprocess.Popen[bytes]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    note = "import pathlib; pathlib.Path('imported').touch()"
+    (tmp_path / "sitecustomize.py").write_text(note, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    # The folder we are in, as a notebook has it; and a path that is no text, which is ignored.
+    monkeypatch.setattr(sys, "path", ["", tmp_path / "other", *sys.path])
+    path = tmp_path / "a.weights.usdc"
+    with writing_frames(path, HEADER, rig) as writer:
+        append_all(writer)
+    assert (tmp_path / "imported").is_file()
+
+
+def test_an_interrupt_from_the_terminal_is_for_the_one_that_solves(
+    tmp_path: Path, rig: Rig, apart: list[subprocess.Popen[bytes]]
+) -> None:
+    with writing_frames(tmp_path / "a.weights.usdc", HEADER, rig) as writer:
+        assert os.getpgid(apart[0].pid) != os.getpgid(0)
+        append_all(writer)
 
 
 def test_what_fails_here_ends_it_and_leaves_the_old_file(

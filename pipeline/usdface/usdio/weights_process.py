@@ -89,8 +89,12 @@ def writing_frames(
 
 
 def _python_is_known() -> bool:
-    """Whether our interpreter can be started again; within another program it is that program."""
-    return Path(sys.executable or "").stem.lower().startswith("python")
+    """Whether our interpreter can be started again.
+
+    Within another program it is that program, or some Python that was found in its stead.
+    """
+    names = (sys.executable or "", *(sys.orig_argv[:1] or [""]))
+    return all(Path(name).stem.lower().startswith("python") for name in names)
 
 
 @contextlib.contextmanager
@@ -120,7 +124,8 @@ def _started(order: dict[str, Any], path: Path, header: WeightsHeader) -> Iterat
         [sys.executable, "-P", "-m", "usdface.usdio.weights_process"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(_import_path())},
+        process_group=0,  # a terminal's Ctrl+C, too, is for the one that solves
     )
     try:
         with ThreadPoolExecutor(1, thread_name_prefix="send") as sender:
@@ -134,6 +139,12 @@ def _started(order: dict[str, Any], path: Path, header: WeightsHeader) -> Iterat
                 raise
     finally:
         _end(process)
+
+
+def _import_path() -> list[str]:
+    """Return where this process imports from; an empty name is the folder it is in."""
+    there: list[object] = list(sys.path)  # what is no text is ignored, but may be there
+    return [str(Path(each).absolute()) for each in there if isinstance(each, str)]
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
@@ -287,7 +298,7 @@ def _received(source: IO[bytes], shape: tuple[int, ...]) -> Float32Array:
 
 def main() -> None:
     """Be the process that writes."""
-    # Who interrupts a command means the one that solves: that one says when to stop.
+    # Where there are no process groups, Ctrl+C comes here too: who solves says when to stop.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     try:
