@@ -99,7 +99,11 @@ class Spec(BaseModel):
     """One unit of work: what to read, what to write, how."""
 
     model_config = ConfigDict(
-        frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False
+        frozen=True,
+        extra="forbid",
+        use_attribute_docstrings=True,
+        allow_inf_nan=False,
+        defer_build=True,  # a command starts with all specs, and validates one
     )
 
     example: ClassVar[str] = ""
