@@ -290,6 +290,46 @@ def test_corrections_whose_markers_are_not_seen_teach_nothing_and_stop_no_other(
     assert sum("lacking a marker" in note for note in report.notes) == 2
 
 
+def test_what_is_said_in_old_pairs_is_not_said_in_new_ones(shot: Shot) -> None:
+    path, asset = shot / "shot.hero.usda", shot / "hero.references.usda"
+    layer = Sdf.Layer.FindOrOpen(str(asset))
+    for name in ("viseme", "emotion"):
+        root = layer.GetPrimAtPath("/References")
+        label = Sdf.AttributeSpec(root, f"face:reference:{name}", Sdf.ValueTypeNames.Token)
+        for time in range(1, 25):
+            layer.SetTimeSample(label.path, time, name)
+    layer.Save()
+    edit(path, override=0.8, frames="301-301")
+    run(ReferencesFromEditsSpec(performances=(path,), references=asset, out=shot / "v2.usda"))
+    after = read_references(shot / "v2.usda")
+    assert after.visemes == ("viseme",) * 24 + ("",)
+    assert after.emotions == ("emotion",) * 24 + ("",)
+
+
+def test_of_a_frame_corrected_twice_the_later_performance_counts(shot: Shot) -> None:
+    path, other, out = shot / "shot.hero.usda", shot / "other.usda", shot / "v2.usda"
+    edit(path, override=0.8, frames="301-301")
+    shutil.copy(path, other)
+    shutil.copy(edits_path(path), edits_path(other))
+    edit(other, override=0.3, frames="301-301")
+    asset = shot / "hero.references.usda"
+    run(ReferencesFromEditsSpec(performances=(path, other), references=asset, out=out))
+    after = read_references(out)
+    assert after.frames[24:].tolist() == [301]
+    assert after.weights[24, after.shape_names.index("jawOpen")] == pytest.approx(0.3)
+
+
+def test_edits_of_a_shape_that_the_solve_has_no_more_can_be_cleared(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, override=0.8, frames="100-120")
+    file = edits_path(path)
+    file.write_text(file.read_text(encoding="utf-8").replace("jawOpen", "gone"), encoding="utf-8")
+    edit(path, "gone", clear=True, frames="100-110")
+    assert PerformanceReader(path).edits["gone"].curve.active.sum() == 10
+    edit(path, "gone", clear=True)
+    assert "gone" not in PerformanceReader(path).edits
+
+
 def test_a_package_needs_nothing_beside_it(shot: Shot, tmp_path: Path) -> None:
     path = shot / "shot.hero.usda"
     edit(path, override=0.8, frames="100-102")

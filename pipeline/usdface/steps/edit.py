@@ -48,9 +48,10 @@ def run(
     changed = {}
     for shape in spec.shape:
         old = edits.get(shape, ShapeEdit(no_edit(len(frames)), np.full(len(frames), np.nan)))
-        changed[shape] = renewed(
-            old, _folded(spec, old.curve, mask), solved[:, reader.names.index(shape)], mask > 0
-        )
+        beneath = np.full(len(frames), np.nan)  # of a shape that the solve does not have any more
+        if shape in reader.names:
+            beneath = solved[:, reader.names.index(shape)]
+        changed[shape] = renewed(old, _folded(spec, old.curve, mask), beneath, mask > 0)
     path = write_edits(spec.performance, reader.animation, changed, frames, provenance=provenance)
     progress(1.0, "written")
     inside = (frames >= reader.first_frame) & (frames <= reader.last_frame) & (mask > 0)
@@ -115,7 +116,7 @@ def _range_notes(spec: EditSpec, reader: PerformanceReader) -> list[str]:
     edited = again.edited()
     notes = []
     for shape in spec.shape:
-        if shape not in again.edits:
+        if shape not in again.edits or shape not in again.names:
             continue
         column = again.names.index(shape)
         values = edited[:, column]

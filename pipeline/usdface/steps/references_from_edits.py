@@ -224,23 +224,27 @@ def _together(old: References, lessons: list[_Lessons], notes: list[str]) -> Ref
     keys = zip(old.takes, old.frames.tolist(), strict=True)
     known = {key: pair for pair, key in enumerate(keys)}
     weights, tuned = old.weights.copy(), old.tuned.copy()
-    new: list[tuple[str, int, FloatArray, FloatArray]] = []
+    new: dict[tuple[str, int], tuple[FloatArray, FloatArray]] = {}
     renewed = 0
     for each in lessons:
         for row, frame in enumerate(each.frames.tolist()):
-            pair = known.get((each.take, frame))
-            if pair is None:
-                new.append((each.take, frame, each.markers[row], each.weights[row]))
+            key = (each.take, frame)
+            pair = known.get(key)
+            if pair is None:  # of a frame corrected in two performances, the later one counts
+                new[key] = (each.markers[row], each.weights[row])
             else:
                 weights[pair], tuned[pair] = each.weights[row], True
                 renewed += 1
     if renewed:
         notes.append(f"pairs already, with new weights now: {counted(renewed, 'corrected frame')}")
+    nothing_said = ("",) * len(new)
     return replace(
         old,
-        markers=np.concatenate([old.markers, *(markers[None] for _, _, markers, _ in new)]),
-        weights=np.concatenate([weights, *(row[None] for *_, row in new)]),
-        frames=np.concatenate([old.frames, np.array([f for _, f, _, _ in new], dtype=np.int64)]),
-        takes=(*old.takes, *(take for take, *_ in new)),
+        markers=np.concatenate([old.markers, *(markers[None] for markers, _ in new.values())]),
+        weights=np.concatenate([weights, *(row[None] for _, row in new.values())]),
+        frames=np.concatenate([old.frames, np.array([f for _, f in new], dtype=np.int64)]),
+        takes=(*old.takes, *(take for take, _ in new)),
         tuned=np.concatenate([tuned, np.ones(len(new), dtype=bool)]),
+        visemes=(*old.visemes, *nothing_said) if old.visemes else (),
+        emotions=(*old.emotions, *nothing_said) if old.emotions else (),
     )
