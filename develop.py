@@ -33,7 +33,9 @@ def main() -> int:
         return 2
     programs = set_up()
     if task == "demo":
-        return run(programs / "usdface", "demo", "--out", "demo")
+        code = run(programs / "usdface", "demo", "--out", "demo")
+        print(f"usdface is {programs / 'usdface'}")
+        return code
     if task == "check":
         return run(programs / "poe", "check")
     print(f"Ready. Use {programs / 'usdface'} --help")

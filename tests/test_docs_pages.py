@@ -1,13 +1,21 @@
 """The pages that guard and the pages per task: what they name is there, what they show runs."""
 
+import inspect
 import re
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.regenerate import REFERENCE, REPOSITORY
 from tests.test_docs import commands, run
+from usdface.demo.build import write_demo_inputs
+from usdface.demo.markers import place_markers
+from usdface.demo.proportions import CHARACTER
+from usdface.demo.rig import demo_rig
+from usdface.demo.shapes import make_head
+from usdface.specs.bind import BindSpec
 
 DOCS = REPOSITORY / "docs"
 
@@ -65,6 +73,28 @@ def test_every_page_is_in_the_index() -> None:
     pages = {page.name for page in DOCS.glob("*.md")} - {"README.md"}
     folders = {page.relative_to(DOCS).as_posix() for page in DOCS.glob("*/README.md")}
     assert pages | folders <= linked
+
+
+def test_landmarks_in_the_example_are_those_points_of_the_demos_character() -> None:
+    shown = commands(DOCS / "howto" / "scan_without_shapes.md")[0]
+    named = re.findall(r"(\w+)=(\d+)", shown)
+    assert named == re.findall(r"(\w+)=(\d+)", BindSpec.example)
+    assert len(named) >= 3
+    head = make_head(CHARACTER)
+    markers = place_markers(head)
+    (skin,) = (mesh for mesh in demo_rig().meshes if mesh.path.endswith("/skin"))
+    for name, point in named:
+        at = head.points[markers.points[markers.names.index(name)]]
+        assert np.linalg.norm(skin.points[int(point)] - at) < 1.0, f"{name} is not point {point}"
+
+
+def test_the_files_that_the_tutorial_takes_from_the_demo_are_made_by_it() -> None:
+    page = (DOCS / "tutorial.md").read_text("utf-8")
+    made = inspect.getsource(write_demo_inputs)
+    taken = dict(re.findall(r"^cp demo/(\S+) (\S+)$", page, flags=re.MULTILINE))
+    assert list(taken.values()) == ["shot.c3d", "hero.usdc", "keys.csv"]
+    for name in taken:
+        assert f'folder / "{name}"' in made, name
 
 
 OTHERS = {

@@ -37,7 +37,7 @@ class BindSpec(Spec):
 
     example: ClassVar[str] = (
         "usdface bind kitchen.clean.take.usda scan.usdc --out scan.binding.usda "
-        "--landmarks nose_tip=3437,chin=60,brow_L3=2266 --picture scan.binding.jpg"
+        "--landmarks nose_tip=3437,chin=60,brow_L3=9445 --picture scan.binding.jpg"
     )
 
     step: Literal["bind"] = "bind"
