@@ -204,6 +204,28 @@ def test_an_animation_changed_in_another_tool_comes_back_as_edits(shot: Shot) ->
     again = run(EditsImportSpec(performance=path, changed=shot / "dcc.csv"))
     np.testing.assert_allclose(read_weights(path).values, wanted, atol=1e-6)
     assert again.figures["frames"] == report.figures["frames"]
+    assert not any("mapped again" in note for note in report.notes)
+
+
+def test_a_file_that_was_baked_from_another_solve_is_suspected_and_listed_in_short(
+    shot: Shot, monkeypatch
+) -> None:
+    path, other = shot / "shot.hero.usda", shot / "other.csv"
+    clip = read_weights(path)
+    with other.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["frame", *clip.names])
+        odd = np.arange(len(clip.values)) % 3 > 0
+        rows = clip.values + 0.01 * odd[:, None]
+        rows[250, clip.names.index("jawOpen")] += 0.5
+        writer.writerows([i + 1, *row] for i, row in enumerate(rows.tolist()))
+    report = run(EditsImportSpec(performance=path, changed=other))
+    assert any("mapped again after this file was baked" in note for note in report.notes)
+    monkeypatch.setattr("usdface.steps.edited.LISTED", 5)
+    listed = list_edits(path)
+    assert len(listed.table) == 6
+    assert any(line.startswith("jawOpen 251-252: +0.51") for line in listed.table)
+    assert listed.table[-1].startswith(f"and {len(listed.figures['edits']) - 5} smaller ones")
 
 
 def test_corrected_frames_become_tuned_pairs_and_fades_do_not(shot: Shot) -> None:

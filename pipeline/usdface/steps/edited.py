@@ -17,6 +17,9 @@ CHANGED = 0.1
 """Change of the solved weight beneath an edit that an animator should look at: a tenth of a shape's
 whole way is seen at once."""
 
+LISTED = 60
+"""Ranges that `edits list` prints; where an import left thousands, nobody reads the small ones."""
+
 
 @dataclass(frozen=True)
 class EditedRange:
@@ -107,6 +110,7 @@ def list_edits(performance: Path) -> Report:
     confine("edits list", reads=[performance])
     reader = PerformanceReader(performance)
     ranges = find_edited_ranges(reader)
+    largest = sorted(ranges, key=_weight, reverse=True)[:LISTED]
     table = tuple(
         f"{each.shape} {each.first}-{each.last}: {each.change:+.2f}"
         + (
@@ -116,7 +120,10 @@ def list_edits(performance: Path) -> Report:
             else ""
         )
         for each in ranges
+        if each in largest
     )
+    if len(ranges) > LISTED:
+        table += (f"and {len(ranges) - LISTED} smaller ones; --json lists them all",)
     changed = sum(abs(each.solve_change) > CHANGED for each in ranges)
     shapes = {each.shape for each in ranges}
     summary = f"{counted(len(ranges), 'edited range')} of {counted(len(shapes), 'shape')}"
@@ -140,6 +147,11 @@ def runs(active: BoolArray) -> list[slice]:
     """Return the runs of True as slices, in order."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], active, [False]]).astype(np.int8)))
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _weight(edited: EditedRange) -> float:
+    """How much there is to see of a range: what was edited, or what the solve did beneath."""
+    return float(np.nanmax(np.abs([edited.change, edited.solve_change])))
 
 
 def _largest(values: FloatArray) -> int:

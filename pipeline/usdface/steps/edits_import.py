@@ -47,13 +47,19 @@ def run(
         return Report(
             (), "nothing differs from the solve; no edits were made", _notes(reader, table)
         )
+    notes = _notes(reader, table)
+    if 2 * int(differing.sum()) > len(rows) > 1:
+        notes += (
+            "most frames differ: if the take was mapped again after this file was baked, what the "
+            "new solve changed is taken for edits, too; bake again, change that and import it",
+        )
     path = write_edits(spec.performance, reader.animation, changed, frames, provenance=provenance)
     progress(1.0, "written")
     return Report(
         (path,),
         f"{int(differing.sum())} of {len(rows)} frames differ from the solve, in {len(changed)} "
         "shapes",
-        _notes(reader, table),
+        notes,
         {"frames": int(differing.sum()), "shapes": sorted(changed)},
     )
 

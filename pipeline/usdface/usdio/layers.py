@@ -191,7 +191,8 @@ def open_stage(path: Path) -> Usd.Stage:
         )
     if missing:
         raise InputError(
-            f"{path}: its sublayer {missing[0]} cannot be read; put it back beside the file"
+            f"{path}: its sublayer {missing[0]} cannot be read; put it back beside the file, "
+            "or take it out of the layer's subLayers"
         )
     return stage
 
