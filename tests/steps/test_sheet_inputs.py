@@ -10,6 +10,8 @@ from tests.steps.test_review_page import give_video
 from usdface.errors import InputError
 from usdface.media.sheet import Tile
 from usdface.media.video import VideoReader
+from usdface.specs.edit import EditSpec
+from usdface.specs.map import MapSpec
 from usdface.specs.sheet import SheetSpec
 from usdface.steps.execute import execute
 from usdface.steps.shot_pictures import ShotPictures, open_shot
@@ -64,3 +66,38 @@ def test_ten_thousand_tiles_are_drawn_page_by_page(shot: Shot, monkeypatch) -> N
     assert len(report.figures["frames"]) == len(made) == 480
     assert len(report.outputs) == 10
     assert most <= 101, "a page and the one before it, not all of them"
+
+
+def test_performances_of_one_name_have_an_error_each(shot: Shot) -> None:
+    (shot / "b").mkdir()
+    for name in ("shot.hero.usda", "b/shot.hero.usda"):
+        execute(
+            MapSpec(
+                take=shot / "shot.clean.take.usda",
+                mapping=shot / "hero.mapping.usdc",
+                rig=shot / "hero.usdc",
+                out=shot / name,
+            ),
+            overwrite=True,
+        )
+    other = shot / "b/shot.hero.usda"
+    execute(EditSpec(performance=other, shape=("jawOpen",), add=0.3))
+    report = execute(
+        SheetSpec(
+            performance=shot / "shot.hero.usda",
+            take=shot / "shot.clean.take.usda",
+            also=(other, shot / "shot.hero.usda", shot / "shot.hero.usda"),
+            out=shot / "all.jpg",
+            rows=1,
+            tile=64,
+            quality="draft",
+            baseline=False,
+        )
+    )
+    means = report.figures["mean_error_mm"]
+    folder = shot.folder.name
+    same = ("usdface", f"{folder}/shot.hero", f"{folder}/shot.hero (2)")
+    assert list(means) == ["usdface", "b/shot.hero", *same[1:]]
+    assert means["b/shot.hero"] > 2 * means["usdface"]
+    assert {means[name] for name in same} == {means["usdface"]}
+    assert f"b/shot.hero {means['b/shot.hero']:.2f} mm" in report.summary

@@ -63,8 +63,8 @@ def run(
     if spec.baseline and spec.layout in ("comparison", "worst"):
         solved = equations[0].solve_published(shot.positions)
         judged.insert(0, judge("equation", shot, solved, truth, equations[0]))
-    for other, equation in zip(shots[1:], equations[1:], strict=True):
-        label = other.performance_file.stem.split(".usd")[0]
+    labels = _labels([each.performance_file for each in shots[1:]])
+    for other, equation, label in zip(shots[1:], equations[1:], labels, strict=True):
         known = truth if _same_face(other, shot) else None
         judged.append(judge(label, other, other.weights, known, equation))
     chosen = _choose(spec, shot, next(each for each in judged if each.label == "usdface"))
@@ -138,6 +138,22 @@ def _open_shots(spec: SheetSpec) -> list[Shot]:
         )
         for shot in shots
     ]
+
+
+def _labels(files: list[Path]) -> list[str]:
+    """Return what each further performance is called: its name, with its folder where need be."""
+    stems = [file.stem.split(".usd")[0] for file in files]
+    taken, found = {"equation", "usdface"}, list[str]()
+    for file, stem in zip(files, stems, strict=True):
+        alone = stems.count(stem) == 1 and stem not in taken
+        label = wanted = stem if alone else f"{file.resolve().parent.name}/{stem}"
+        number = 1
+        while label in taken:
+            number += 1
+            label = f"{wanted} ({number})"
+        taken.add(label)
+        found.append(label)
+    return found
 
 
 def _same_face(shot: Shot, other: Shot) -> bool:
