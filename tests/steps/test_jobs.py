@@ -133,6 +133,21 @@ def test_running_twice_gives_the_same_bytes(shot: Shot, monkeypatch) -> None:
     assert {name: (shot / name).read_bytes() for name in names} == before
 
 
+@pytest.mark.parametrize(
+    ("gone", "step"),
+    [("shot.hero.weights.usdc", "map"), ("shot.take.samples.usdc", "ingest")],
+)
+def test_a_step_is_run_again_when_a_layer_beneath_its_output_is_gone(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch, gone: str, step: str
+) -> None:
+    before = (shot / gone).read_bytes()
+    (shot / gone).unlink()
+    states = {each.spec.step: each for each in check_job(read_job(shot / "shot.job.yaml"))}
+    assert (states[step].state, states[step].reason) == ("missing", f"{gone} is not there")
+    assert step in ran(shot, monkeypatch)
+    assert (shot / gone).read_bytes() == before
+
+
 def test_no_temporary_file_is_left(finished_shot: Shot) -> None:
     assert list(finished_shot.folder.glob(".*")) == []
 

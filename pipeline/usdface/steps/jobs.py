@@ -8,11 +8,12 @@ from typing import Literal
 from usdface.errors import CheckFailedError, InputError
 from usdface.progress import Progress, part, silent
 from usdface.provenance import Provenance
-from usdface.specs.base import Reads, Spec, Writes
+from usdface.specs.base import LAYER_SUFFIXES, Reads, Spec, Writes
 from usdface.specs.job import JobSpec
 from usdface.steps.execute import execute
 from usdface.steps.outputs import check_may_be_read, make_provenance, provenance_of
 from usdface.steps.report import Report
+from usdface.usdio.referenced_files import lost_sublayers
 
 log = logging.getLogger(__name__)
 
@@ -157,6 +158,8 @@ def _state(spec: Spec, provenance: Provenance) -> StepState:
         ]
         if changed:
             return StepState(spec, "stale", f"{changed[0]} has changed since")
+        if path.suffix in LAYER_SUFFIXES and (lost := lost_sublayers(path)):
+            return StepState(spec, "missing", f"{lost[0]} is not there")
     return StepState(spec, "done", "up to date")
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from pxr import UsdUtils
 
+from usdface.layer_names import edits_path
 from usdface.usdio.frame_span import check_span
 from usdface.usdio.layers import (
     check_crates_below,
@@ -45,3 +46,22 @@ def frame_range_of(path: Path) -> tuple[int, int] | None:
     check_span(f"{path}: startTimeCode to endTimeCode", start, end, samples=None)
     first, last = round(start), round(end)
     return (first, last) if last >= first else None
+
+
+def lost_sublayers(path: Path) -> list[str]:
+    """Return the names of layers that were written with a layer, beneath it, and are gone.
+
+    What others put there is theirs to bring back, and so are edits.
+
+    Raises
+    ------
+    InputError
+        If the layer cannot be read.
+    """
+    layer = open_layer(path)
+    beneath = [path.parent / asset for asset in layer.subLayerPaths]
+    return [
+        file.name
+        for file in beneath
+        if file.name.startswith(f"{path.stem}.") and file != edits_path(path) and not file.is_file()
+    ]
