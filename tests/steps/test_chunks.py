@@ -9,8 +9,10 @@ import pytest
 from tests.steps.small_shot import Shot
 from usdface.errors import InputError
 from usdface.specs.base import Spec
+from usdface.specs.edit import EditSpec
 from usdface.specs.join import JoinSpec
 from usdface.specs.map import MapSpec
+from usdface.specs.references import ReferencesFromEditsSpec
 from usdface.steps import map as map_step
 from usdface.steps.execute import execute
 from usdface.steps.report import Report
@@ -124,3 +126,17 @@ def test_parts_that_do_not_fit_are_all_named(shot: Shot) -> None:
 def test_frames_outside_the_take_are_refused(shot: Shot) -> None:
     with pytest.raises(InputError, match=r"frames 400-500 are not all in the take.* 1-480"):
         map_to(shot, "x.usda", frames="400-500")
+
+
+def test_corrections_of_joined_parts_are_learned_from(shot: Shot) -> None:
+    parts = tuple(map_to(shot, f"part.{cut}.usda", frames=cut) for cut in ("1-200", "201-480"))
+    joined = shot / "joined.usda"
+    run(JoinSpec(parts=parts, out=joined))
+    run(EditSpec(performance=joined, shape=("jawOpen",), override=0.8, frames="301-301"))
+    learned = ReferencesFromEditsSpec(
+        performances=(joined,), references=shot / "hero.references.usda", out=shot / "v2.usda"
+    )
+    assert run(learned).figures["frames"] == [301]
+    parts[0].unlink()
+    with pytest.raises(InputError, match=r"joined\.usda: does not say .* with the parts"):
+        run(learned)

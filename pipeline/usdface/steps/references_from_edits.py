@@ -169,19 +169,34 @@ def spread_out(weights: FloatArray, change: FloatArray, count: int) -> IntArray:
 
 
 def _made_from(performance: Path) -> tuple[TakeReader, Mapping]:
-    """Return the take and the mapping that a performance says it was made from."""
-    made = read_provenance(performance)
-    try:
-        spec = json.loads(made.spec) if made is not None and made.step == "map" else {}
-    except (ValueError, RecursionError):
-        spec = {}
-    if not isinstance(spec, dict) or "take" not in spec or "mapping" not in spec:
+    """Return the take and the mapping that a performance, or its parts, say they were made from."""
+    file, spec = performance, _spec_of(performance, "map")
+    seen = set[Path]()
+    while spec is None and file not in seen:
+        seen.add(file)
+        parts = (_spec_of(file, "join") or {}).get("parts")
+        if isinstance(parts, list) and parts:
+            part = file.resolve().parent / str(parts[0])
+            if part.is_file():
+                file, spec = part, _spec_of(part, "map")
+    if spec is None or "take" not in spec or "mapping" not in spec:
         raise InputError(
             f"{performance}: does not say from which take and mapping it was made; give a "
-            "performance that `usdface map` wrote"
+            "performance that `usdface map` wrote, or one joined of such parts, with the parts "
+            "still there"
         )
-    folder = performance.resolve().parent
+    folder = file.resolve().parent
     return TakeReader(folder / str(spec["take"])), read_mapping(folder / str(spec["mapping"]))
+
+
+def _spec_of(file: Path, step: str) -> dict[str, object] | None:
+    """Return the spec that a file was made by; None where another step made it, or nobody says."""
+    made = read_provenance(file)
+    try:
+        spec = json.loads(made.spec) if made is not None and made.step == step else None
+    except (ValueError, RecursionError):
+        return None
+    return spec if isinstance(spec, dict) else None
 
 
 def _markers_at(
