@@ -59,3 +59,9 @@ def test_a_cutoff_that_the_rate_cannot_hold_is_refused(finished_shot: Shot, tmp_
     with pytest.raises(InputError, match="half the rate of 120 frames per second, got 90 Hz"):
         mapped(finished_shot, tmp_path / "x.usda", temporal="whole", cutoff=90.0)
     assert not list(tmp_path.glob("x.*"))
+
+
+def test_a_cutoff_that_leaves_nothing_is_refused(finished_shot: Shot, tmp_path: Path) -> None:
+    for cutoff in (1e-3, 1e-90):
+        with pytest.raises(InputError, match=r"must lie between 0\.012 Hz and half the rate"):
+            mapped(finished_shot, tmp_path / "x.usda", temporal="whole", cutoff=cutoff)

@@ -16,6 +16,7 @@ from usdface.assets import FloatArray
 from usdface.errors import InputError
 from usdface.numerics.array_namespace import CPU, ArrayDevice
 from usdface.numerics.solve.banded_smoothing import (
+    SLOWEST,
     FixedLagSmoother,
     cutoff_penalty,
     smooth_within_bounds,
@@ -86,7 +87,9 @@ class TemporalSolve:
             return 0
         if self.mode == "bands":
             return max(MARGIN_FRAMES, filter_reach(self.bands))
-        penalty = cutoff_penalty(min(self.cutoff_at(rate), rate / 2), rate)
+        # What is out of bounds is refused where it is smoothed.
+        cutoff = min(max(self.cutoff_at(rate), SLOWEST * rate), rate / 2)
+        penalty = cutoff_penalty(cutoff, rate)
         reach = -math.log(_UNHEARD) * math.sqrt(2.0 * math.sqrt(penalty / _LEAST_TRUST))
         return max(MARGIN_FRAMES, math.ceil(reach))
 

@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+SLOWEST = 1e-4
+"""Share of the rate below which a cut-off leaves nothing but a line, and no digits to tell it."""
+
 _ROUNDS = 30
 _PINNED = 1e8  # weight of a sample held at its bound, against 1 of a measured one
 _SLACK = 1e-9
@@ -25,7 +28,7 @@ def cutoff_penalty(cutoff_hz: float, rate: float) -> float:
     Parameters
     ----------
     cutoff_hz : float
-        Below half the rate.
+        From `SLOWEST` of the rate to half of it.
     rate : float
         Frames per second.
 
@@ -34,10 +37,10 @@ def cutoff_penalty(cutoff_hz: float, rate: float) -> float:
     ValueError
         If the frequency cannot be in frames of this rate.
     """
-    if not 0 < cutoff_hz <= rate / 2:
+    if not SLOWEST * rate <= cutoff_hz <= rate / 2:
         raise ValueError(
-            f"a cut-off must lie between 0 and half the rate of {rate:g} frames per second, got "
-            f"{cutoff_hz:g} Hz"
+            f"a cut-off must lie between {SLOWEST * rate:g} Hz and half the rate of {rate:g} "
+            f"frames per second, got {cutoff_hz:g} Hz"
         )
     return float((2 * np.sin(np.pi * cutoff_hz / rate)) ** -4)
 
