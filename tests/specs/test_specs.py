@@ -1,13 +1,16 @@
 """Specs: what is accepted, what is refused, and with which words."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import yaml
 
+import usdface
 from tests.regenerate import JSON_SCHEMAS, json_schemas
 from usdface.errors import InputError
 from usdface.specs.base import Reads, Writes, frame_range
+from usdface.specs.fault_words import PATTERN_WORDS
 from usdface.specs.job import STEP_SPECS, JobSpec
 from usdface.specs.map import MapSpec
 from usdface.specs.reading import read_job, spec_text
@@ -75,7 +78,8 @@ def test_a_saved_job_reads_back_the_same(tmp_path: Path) -> None:
     ("change", "message"),
     [
         (("count: 50", "count: 1"), r"steps\[2\] -> select -> count: .*greater than.*got 1"),
-        (("step: train", "step: teach"), r"steps\[4\]: .*'teach'"),
+        (("step: train", "step: teach"), r"^\S+: steps\[4\]: .*'teach'; steps are ingest, align"),
+        (("step: train", "step: trian"), r"there is no step 'trian'; did you mean train\?$"),
         (("out: kitchen.take.usda", "oot: x"), r"steps\[0\] -> ingest -> oot: Extra inputs"),
         (("sources: [kitchen.c3d]", "sources: []"), r"sources: .*at least 1"),
         (("job: kitchen_talk_v003", "job: ''"), r"job: .*at least 1 character"),
@@ -95,6 +99,25 @@ def test_a_saved_job_reads_back_the_same(tmp_path: Path) -> None:
 def test_a_faulty_job_is_refused_with_the_field_named(tmp_path, change, message) -> None:
     with pytest.raises(InputError, match=message):
         read_job(write(tmp_path, JOB.replace(*change)))
+
+
+def patterns(schema: object) -> Iterator[str]:
+    if isinstance(schema, dict):
+        if isinstance(schema.get("pattern"), str):
+            yield schema["pattern"]
+        schema = list(schema.values())
+    if isinstance(schema, list):
+        for part in schema:
+            yield from patterns(part)
+
+
+def test_every_pattern_of_a_spec_has_words_and_none_is_shown() -> None:
+    schemas = [spec.model_json_schema() for spec in STEP_SPECS]
+    assert {found for schema in schemas for found in patterns(schema)} == set(PATTERN_WORDS)
+    with pytest.raises(InputError, match=r"frames: give the first .* 101-240 \(got '12'\)$"):
+        usdface.run_step("edit", performance="a.usda", shape=["jawOpen"], add=0.1, frames="12")
+    with pytest.raises(InputError, match=r"out: a USD layer .* \(got 'a.txt'\)$"):
+        usdface.run_step("clean", take="a.usda", out="a.txt")
 
 
 def test_every_fault_is_told_at_once(tmp_path: Path) -> None:
@@ -152,3 +175,10 @@ def test_committed_json_schemas_are_those_of_the_models() -> None:
     assert {path.name for path in JSON_SCHEMAS.glob("*.json")} == set(schemas)
     for name, text in schemas.items():
         assert (JSON_SCHEMAS / name).read_text(encoding="utf-8") == text, "run `poe schemas`"
+
+
+def test_a_name_that_no_layer_could_hold_is_refused() -> None:
+    given = {"take": "a.usda", "mapping": "b.usdc", "rig": "hero.usd", "out": "c.usda"}
+    for field in ("take", "out"):
+        with pytest.raises(ValueError, match=r"'\\udcff\.usda' holds bytes that are no text"):
+            MapSpec.model_validate(given | {field: "\udcff.usda"})

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 FRAMES_PATTERN = r"^-?\d+--?\d+$"
 
@@ -109,7 +109,22 @@ class Spec(BaseModel):
     example: ClassVar[str] = ""
     """A command line that shows the common use."""
 
+    in_place: ClassVar[bool] = False
+    """Whether an output may take the place of an input."""
+
     step: str
+
+    @model_validator(mode="after")
+    def _names_are_text(self) -> Self:
+        for path in (*self.paths(Reads), *self.paths(Writes)):
+            try:
+                str(path).encode()
+            except UnicodeEncodeError as error:
+                raise ValueError(
+                    f"{str(path)!a} holds bytes that are no text, and no USD layer can name such "
+                    "a file: rename it"
+                ) from error
+        return self
 
     @classmethod
     def fields_marked(cls, kind: type[Any]) -> dict[str, Any]:
