@@ -191,3 +191,13 @@ def test_files_that_belong_together_are_all_whole_before_one_is_renamed(tmp_path
         fail()
     assert first.read_text() == "old"
     assert [each.name for each in tmp_path.iterdir()] == ["a.txt"]
+
+
+@pytest.mark.parametrize("letter", ["a", "é", "漢", "😀"])
+def test_a_name_as_long_as_a_folder_holds_is_written_in_any_script(
+    tmp_path: Path, letter: str
+) -> None:
+    path = tmp_path / f"{letter * (250 // len(letter.encode()))}.usdc"
+    with replacing(path) as temporary:
+        temporary.write_bytes(b"x")
+    assert [each.name for each in tmp_path.iterdir()] == [path.name]

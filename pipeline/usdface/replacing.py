@@ -24,9 +24,9 @@ except ImportError:  # Windows: files in use cannot be replaced there, which pro
     fcntl = None  # type: ignore[assignment]
 
 LONGEST_STEM = 80
-"""Characters of a file's name that its temporary name repeats: names have an upper limit."""
+"""Bytes of a file's name that its temporary name repeats: names have an upper limit."""
 LONGEST_NAME = 2 * LONGEST_STEM
-"""Characters of it that its lock's name repeats."""
+"""Bytes of it that its lock's name repeats."""
 
 
 @contextmanager
@@ -96,7 +96,7 @@ def _temporary(path: Path) -> Iterator[Path]:
     with _alone(path) as locked:
         if locked:
             _clear_leftovers(path)
-        name = f".{path.stem[:LONGEST_STEM]}.{_mark(path)}{uuid.uuid4().hex[:8]}{path.suffix}"
+        name = f".{_cut(path.stem, LONGEST_STEM)}.{_mark(path)}{uuid.uuid4().hex[:8]}{path.suffix}"
         temporary = path.with_name(name)
         try:
             _touch(temporary, target=path)
@@ -132,8 +132,9 @@ def _alone(path: Path) -> Iterator[bool]:
     Gives whether it is held: some file systems know no locks.
     """
     name = path.name
-    if len(name) > LONGEST_NAME:  # names that begin alike are still of different files
-        name = f"{name[:LONGEST_NAME]}.{_mark(path)}"
+    short = _cut(name, LONGEST_NAME)
+    if short != name:  # names that begin alike are still of different files
+        name = f"{short}.{_mark(path)}"
     lock = path.with_name(f".{name}.lock")
     try:
         handle, locked = _lock(lock)
@@ -206,6 +207,13 @@ def _owner(lock: Path) -> str:
         return ""
 
 
+def _cut(name: str, size: int) -> str:
+    """Return as much of a name as fits into so many bytes, whole characters alone."""
+    if len(name.encode(errors="surrogatepass")) <= size:
+        return name
+    return name.encode(errors="ignore")[:size].decode(errors="ignore")
+
+
 def _mark(path: Path) -> str:
     """Tell a file's temporary names from those of files that differ only in how they end."""
     return f"{zlib.crc32(path.name.encode(errors='surrogatepass')) & 0xFFFF:04x}"
@@ -213,7 +221,7 @@ def _mark(path: Path) -> str:
 
 def _clear_leftovers(path: Path) -> None:
     """Remove what a killed process left; nobody else can be writing, as the lock is ours."""
-    if len(path.stem) > LONGEST_STEM:
+    if _cut(path.stem, LONGEST_STEM) != path.stem:
         return  # another file's temporaries could have the same name
     # While USD saves, its own temporary file lies beside ours, with other letters at its end.
     ours = re.compile(rf"\.{re.escape(path.stem)}\.{_mark(path)}[0-9a-f]{{8}}(\.\w+)*")
