@@ -183,3 +183,8 @@ def test_refuses_arrays_that_do_not_fit(face, actor, change, message):
     }
     with pytest.raises(ValueError, match=message):
         register_markers(**given)
+
+
+def test_a_take_of_one_frame_is_placed_by_its_shape_alone(face, actor):
+    still = register(face, actor, motion=actor.neutral[None])
+    assert np.median(errors(face, actor, still)) < 6

@@ -122,7 +122,7 @@ def align_cloud(
     areas : (samples,) array
         What each sample stands for.
     amplitude : (markers,) array, optional
-        How far each marker moves in the take.
+        How far each marker moves in the take; where none does, as if it were not known.
     start : Alignment, optional
         Refine this one instead of searching from every side.
     proportions : bool, optional
@@ -139,12 +139,12 @@ def align_cloud(
     moving = np.sqrt(np.asarray(activity, float) / np.asarray(activity, float).max())
     area = np.asarray(areas, float)
     size = float(np.sqrt(np.average(((x - x.mean(axis=0)) ** 2).sum(axis=1), weights=area)))
-    if amplitude is None:
-        skin_motion, cloud_motion = np.zeros(len(x)), np.zeros(len(y))
-    else:
-        a = np.asarray(amplitude, float)
+    a = np.zeros(len(y)) if amplitude is None else np.asarray(amplitude, float)
+    usual = float(np.quantile(a, 0.97))
+    skin_motion, cloud_motion = np.zeros(len(x)), np.zeros(len(y))
+    if usual > 0:  # a take of one frame tells nothing of where a face moves
         skin_motion = _MOTION_MM * size / 80 * moving
-        cloud_motion = _MOTION_MM * size / 80 * np.sqrt(np.minimum(a / np.quantile(a, 0.97), 1.2))
+        cloud_motion = _MOTION_MM * size / 80 * np.sqrt(np.minimum(a / usual, 1.2))
     skin4, cloud4 = np.column_stack([x, skin_motion]), np.column_stack([y, cloud_motion])
     need = area * (moving > 0.35)  # parts that a marker set always covers
     coarse = _Skin(skin4, need, _COARSE_SKIN)
