@@ -182,6 +182,11 @@ def output_of_someone_else(shot: Shot) -> list[str]:
     return ["clean", "shot.take.usda", "--out", "mine.usda"]
 
 
+def output_that_is_the_input(shot: Shot) -> list[str]:
+    (shot / "beside").mkdir()
+    return ["clean", "shot.take.usda", "--out", "beside/../shot.take.usda", "--overwrite"]
+
+
 def sheet_of_another_take(shot: Shot) -> list[str]:
     return [
         *("sheet", "shot.hero.usda", "--take", "shot.clean.take.usda"),
@@ -218,6 +223,7 @@ CASES: list[tuple[Callable[[Shot], list[str]], tuple[str, ...]]] = [
     (wrong_extension, ("new.hero.txt", ".usda")),
     (newer_output, ("shot.clean.take.usda", "newer", "--overwrite")),
     (output_of_someone_else, ("mine.usda", "not written by usdface", "--overwrite")),
+    (output_that_is_the_input, ("shot.take.usda", "is read by clean", "--out")),
     (sheet_of_another_take, ("700-800",)),
     (unknown_picture_format, ("new.gif", ".jpg")),
 ]

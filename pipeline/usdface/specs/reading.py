@@ -10,6 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from usdface.errors import InputError
 from usdface.specs.base import Spec
+from usdface.specs.fault_words import fault_words, told_faults
 from usdface.specs.job import AnyStep, JobSpec
 from usdface.specs.path_mapping import PathRules, map_path
 from usdface.specs.takes import step_places
@@ -85,16 +86,14 @@ def describe_faults(error: ValidationError, *, places: Sequence[str] = ()) -> st
         Where each step stands in the file, if not in the order of `steps`.
     """
     lines = []
-    for fault in error.errors():
+    for fault in told_faults(error.errors()):
         place, parts = "", fault["loc"]
         if places and len(parts) > 1 and parts[0] == "steps" and isinstance(parts[1], int):
             place, parts = places[parts[1]], parts[2:]
         for part in parts:
             place += f"[{part}]" if isinstance(part, int) else f"{' -> ' if place else ''}{part}"
-        reason = fault["msg"].removeprefix("Value error, ")
-        given = fault.get("input")
-        shown = "" if isinstance(given, dict | list | tuple) else f" (got {given!r})"
-        lines.append(f"{place}: {reason}{shown}" if place else reason)
+        reason = fault_words(fault)
+        lines.append(f"{place}: {reason}" if place else reason)
     lines = list(dict.fromkeys(lines))  # what is said once for many takes is wrong once
     if len(lines) == 1:
         return lines[0]

@@ -149,6 +149,7 @@ class ReferencesFromEditsSpec(Spec):
         "usdface references from-edits kitchen.hero.usda --references hero.references.usda "
         "--out hero.v2.references.usda"
     )
+    in_place: ClassVar[bool] = True
 
     step: Literal["references-from-edits"] = "references-from-edits"
     performances: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]

@@ -97,7 +97,10 @@ def ingest_folder(
             )
     bundles = find_bundles(folder)
     if not bundles:
-        raise InputError(f"{folder}: holds no capture file that is known")
+        raise InputError(
+            f"{folder}: holds no capture file that is known; name the folder that holds the "
+            "captures, or a file with --format"
+        )
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -48,7 +48,13 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
     """
     inputs = [path for path in spec.paths(Reads) if path.exists()]
     newest_input = max((path.stat().st_mtime_ns for path in inputs), default=0)
+    read = set() if spec.in_place else {path.resolve() for path in inputs}
     for path in spec.paths(Writes):
+        if path.resolve() in read:
+            raise InputError(
+                f"{path}: is read by {spec.step}, and would be lost if it were written; choose "
+                "another --out"
+            )
         folder = path.parent
         if not folder.is_dir():
             raise InputError(f"{path}: folder {folder} does not exist; create it first")

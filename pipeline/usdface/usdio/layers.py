@@ -70,6 +70,8 @@ def open_layer(path: Path) -> Sdf.Layer:
     InputError
         If the file is absent, is no USD layer, or was written by a newer schema than ours.
     """
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file in it")
     if not path.is_file():
         raise InputError(f"{path}: no such file; check the path")
     if not is_layer_name(path):
