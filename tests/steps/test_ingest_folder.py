@@ -48,15 +48,18 @@ def test_every_take_is_ingested_and_named(captures, shot: Shot, monkeypatch, cap
     assert take.video.rate == 24
 
 
-@pytest.mark.parametrize("option", ["--take", "--video", "--audio", "--save-spec"])
+@pytest.mark.parametrize(
+    "option", ["--take", "--video", "--audio", "--save-spec", "--timecode=01:00:00:00"]
+)
 def test_what_is_of_one_take_is_refused_for_a_folder(
     captures, shot: Shot, monkeypatch, capsys, option: str
 ) -> None:
     monkeypatch.chdir(shot.folder)
     with pytest.raises(SystemExit) as stopped:
-        main(["ingest", "captures", "--out", "takes", option, "captures/b.mp4"])
+        value = () if "=" in option else ("captures/b.mp4",)
+        main(["ingest", "captures", "--out", "takes", option, *value])
     assert stopped.value.code == 2
-    assert f"captures: {option} " in capsys.readouterr().err
+    assert f"captures: {option.split('=')[0]} " in capsys.readouterr().err
     assert not (shot / "takes").exists()
 
 

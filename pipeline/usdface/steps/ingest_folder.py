@@ -15,7 +15,7 @@ from usdface.wording import counted
 VIDEO_SUFFIXES = (".mov", ".mp4", ".mxf", ".mkv", ".avi", ".webm", ".m4v")
 AUDIO_SUFFIXES = (".wav", ".flac", ".aif", ".aiff", ".mp3", ".m4a")
 
-_OWN = ("take", "video", "audio")
+_OWN = ("take", "video", "audio", "timecode")
 """What every take of a folder has of its own."""
 
 
@@ -90,10 +90,11 @@ def ingest_folder(
         If a take could not be ingested; each is named with its reason.
     """
     for name in _OWN:
-        if getattr(shared, name) is not None:
+        if getattr(shared, name):
             raise InputError(
                 f"{folder}: --{name} is of one take, and a folder holds several: each is named by "
-                "its files, and video and audio of the same name go with it; leave it out"
+                "its files, which tell its timecode, and video and audio of the same name go with "
+                "it; leave it out"
             )
     bundles = find_bundles(folder)
     if not bundles:
