@@ -55,8 +55,8 @@ def test_what_is_of_one_take_is_refused_for_a_folder(
     captures, shot: Shot, monkeypatch, capsys, option: str
 ) -> None:
     monkeypatch.chdir(shot.folder)
+    value = () if "=" in option else ("captures/b.mp4",)
     with pytest.raises(SystemExit) as stopped:
-        value = () if "=" in option else ("captures/b.mp4",)
         main(["ingest", "captures", "--out", "takes", option, *value])
     assert stopped.value.code == 2
     assert f"captures: {option.split('=')[0]} " in capsys.readouterr().err
