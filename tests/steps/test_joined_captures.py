@@ -10,6 +10,7 @@ import pytest
 from usdface.assets import Markers, Take, WeightsClip
 from usdface.errors import InputError
 from usdface.steps.joined_captures import join_captures
+from usdface.timecode import shift_timecode
 
 FILES = (Path("a.c3d"), Path("b.csv"))
 
@@ -49,6 +50,28 @@ def test_without_timecode_they_start_together_and_that_is_said() -> None:
     assert joined.take.source.values[120, 0] == pytest.approx(1.0)
     assert any("taken to start together" in note for note in joined.notes)
     assert joined.take.timecode_start == "01:00:00:00"
+
+
+@pytest.mark.parametrize(
+    ("rate", "given", "at", "told"),
+    [
+        (Fraction(60), "01:00:00:27", Fraction(100), "01:00:00:22"),
+        (Fraction(60), "01:00:00:27", Fraction(120), "01:00:00:27"),
+        (Fraction(60000, 1001), "01:00:00;10", Fraction(100), "01:00:00:08"),
+        (Fraction(60), "01:00:00:27", Fraction(143), ""),
+        (Fraction(60), "", Fraction(100), ""),
+    ],
+)
+def test_the_timecode_of_the_weights_becomes_one_of_the_markers_rate(
+    rate: Fraction, given: str, at: Fraction, told: str
+) -> None:
+    clip = WeightsClip(("a",), np.zeros((60, 1), np.float32), 1, rate)
+    weights = Take("b", rate, 1, source=clip, timecode_start=given)
+    joined = join_captures([replace(markers_take(""), rate=at), weights], FILES)
+    assert joined.take.timecode_start == told
+    if told:
+        assert shift_timecode(told, 1, at)
+    assert any("was left out" in note for note in joined.notes) == (bool(given) and not told)
 
 
 def test_midnight_between_the_two_starts_is_no_day() -> None:

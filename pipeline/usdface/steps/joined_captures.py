@@ -7,7 +7,7 @@ import numpy as np
 
 from usdface.assets import FloatArray, Take, WeightsClip
 from usdface.errors import InputError
-from usdface.timecode import frames_of
+from usdface.timecode import frames_of, timecode_of
 from usdface.wording import counted
 
 DAY_SECONDS = 86_400.0
@@ -64,10 +64,21 @@ def join_captures(takes: list[Take], sources: tuple[Path, ...]) -> Joined:
         notes.append(
             f"outside the weights' recording, and holding its ends: {counted(outside, 'frame')}"
         )
-    joined = replace(
-        take, source=resampled, timecode_start=take.timecode_start or other.timecode_start
-    )
-    return Joined(joined, tuple(notes))
+    start = take.timecode_start or _start_at(take, other, notes)
+    return Joined(replace(take, source=resampled, timecode_start=start), tuple(notes))
+
+
+def _start_at(take: Take, other: Take, notes: list[str]) -> str:
+    """Return the other's first label as a take of this one's rate has it: labels count frames."""
+    if not other.timecode_start or other.rate == take.rate:
+        return other.timecode_start
+    try:
+        seconds = frames_of(other.timecode_start, other.rate) / other.rate
+        drop = ";" in other.timecode_start and take.rate.denominator == 1001
+        return timecode_of(round(seconds * take.rate), take.rate, drop=drop)
+    except InputError as error:
+        notes.append(f"the timecode {other.timecode_start} was left out: {error}")
+        return ""
 
 
 def _start_difference(take: Take, other: Take) -> tuple[float, str]:
