@@ -1,5 +1,6 @@
 """Single steps, as their users meet them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom, Vt
 
 from tests.steps.small_shot import PAIRS, Shot
+from usdface.errors import InputError
 from usdface.media.image import read_image_metadata
 from usdface.model.head_space import into_head_space
 from usdface.model.predict import predict_weights
@@ -17,6 +19,7 @@ from usdface.specs.map import MapSpec
 from usdface.specs.references import ReferencesImportSpec, SelectSpec
 from usdface.specs.sheet import SheetSpec
 from usdface.specs.train import TrainSpec
+from usdface.steps import ingest
 from usdface.steps.execute import execute
 from usdface.steps.report import Report
 from usdface.usdio.mapping import read_mapping, write_mapping
@@ -65,6 +68,19 @@ def test_a_take_ingested_again_keeps_all_it_knows(shot: Shot) -> None:
     assert again.timecode_start == before.timecode_start
     assert again.markers.rigid == before.markers.rigid
     np.testing.assert_array_equal(again.markers.positions, before.markers.positions)
+
+
+def test_a_timecode_that_the_rate_has_not_is_no_take_s(shot: Shot, monkeypatch) -> None:
+    spec = IngestSpec(sources=(shot / "shot.c3d",), out=shot / "a.take.usda", rigid=shot.rigid)
+    with pytest.raises(InputError, match=r"--timecode: .*:30' does not exist at 30 labels"):
+        run(spec.model_copy(update={"timecode": "01:00:00:30"}))
+    assert not spec.out.exists()
+    whole = ingest.read_capture(shot / "shot.c3d", rigid=shot.rigid)
+    said = replace(whole, take=replace(whole.take, timecode_start="01:00:00;10"))
+    monkeypatch.setattr(ingest, "read_capture", lambda *_, **__: said)
+    report = run(spec)
+    assert any("timecode was left out: 01:00:00;10: drop frame" in note for note in report.notes)
+    assert read_take(spec.out).timecode_start == ""
 
 
 def test_selecting_again_keeps_tuned_pairs_where_they_are(shot: Shot) -> None:

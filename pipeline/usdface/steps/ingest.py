@@ -16,6 +16,7 @@ from usdface.specs.ingest import IngestSpec
 from usdface.steps.capture_sound import CaptureSound, extract_sound
 from usdface.steps.joined_captures import join_captures
 from usdface.steps.report import Report
+from usdface.timecode import frames_of
 from usdface.usdio.foreign_take import read_foreign_take
 from usdface.usdio.layers import LAYER_SUFFIXES
 from usdface.usdio.take import is_take, read_take
@@ -35,20 +36,21 @@ def run(
         captures.append(_read_source(source, spec))
     joined = join_captures([capture.take for capture in captures], spec.sources)
     take = joined.take
+    timecode, doubts = _timecode(spec, take)
     sound = _capture_sound(spec)
     take = replace(
         take,
         name=spec.take or take.name,
         performer=spec.performer or take.performer,
         emotion=spec.emotion or take.emotion,
-        timecode_start=spec.timecode or take.timecode_start,
+        timecode_start=timecode,
         audio=spec.audio or take.audio or (sound.file if sound else None),
         video=take.video if spec.video is None else _open_video(spec.video, spec),
     )
     progress(0.7, f"writing {spec.out.name}")
     write_take(spec.out, take, provenance=provenance)
     progress(1.0, f"wrote {spec.out.name}")
-    notes = (*(note for capture in captures for note in capture.notes), *joined.notes)
+    notes = (*(note for capture in captures for note in capture.notes), *joined.notes, *doubts)
     notes += (sound.note,) if sound else ()
     log.info("%s: %d frames", spec.out, take.frame_count)
     return _report(spec, take, notes)
@@ -101,6 +103,19 @@ def _read_usd(source: Path, spec: IngestSpec) -> Capture:
         format_name="usd",
     )
     return replace(capture, take=replace(capture.take, source=found.source))
+
+
+def _timecode(spec: IngestSpec, take: Take) -> tuple[str, tuple[str, ...]]:
+    """Return the label of the first frame, and a note where a capture's own is none."""
+    start = spec.timecode or take.timecode_start
+    try:
+        if start:
+            frames_of(start, take.rate)
+    except InputError as error:
+        if spec.timecode:
+            raise InputError(f"--timecode: {error}") from error
+        return "", (f"the capture's timecode was left out: {error}; name another with --timecode",)
+    return start, ()
 
 
 def _capture_sound(spec: IngestSpec) -> CaptureSound | None:
