@@ -1,5 +1,6 @@
 """Layers that cannot be: refused at once, by name."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -53,3 +54,13 @@ def test_a_place_that_is_told_in_words_is_refused_though_usd_itself_says_so(
     stage.Save()
     with pytest.raises(InputError, match=r"mesh\.usda: a value is not of the type"):
         read_face_mesh(tmp_path / "mesh.usda")
+
+
+def test_a_name_of_bytes_that_are_no_text_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / os.fsdecode(b"x\xff.usda")
+    try:
+        path.write_text("#usda 1.0\n", encoding="utf-8")
+    except OSError:
+        pytest.skip("this file system takes names of text alone")
+    with pytest.raises(InputError, match=r"x\\udcff\.usda': holds bytes that are no text"):
+        open_layer(path)

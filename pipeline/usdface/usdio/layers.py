@@ -59,7 +59,12 @@ def usd_reason(error: Tf.ErrorException) -> str:
 
 def is_layer_name(path: Path) -> bool:
     """Whether USD would open a file of this name as a layer; a package is one."""
-    return bool(Usd.Stage.IsSupportedFile(str(path)))
+    try:
+        return bool(Usd.Stage.IsSupportedFile(str(path)))
+    except UnicodeEncodeError as error:
+        raise InputError(
+            f"{str(path)!a}: holds bytes that are no text, which USD cannot open; rename it"
+        ) from error
 
 
 def open_layer(path: Path) -> Sdf.Layer:
