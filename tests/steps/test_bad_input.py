@@ -16,6 +16,8 @@ from pxr import Sdf, Vt
 from tests.steps.small_shot import Shot
 from usdface.capture.c3d_write import write_c3d
 from usdface.cli import main
+from usdface.specs.edit import EditSpec
+from usdface.steps.execute import execute
 
 COMMAND = Path(sys.executable).with_name("usdface")
 
@@ -187,6 +189,15 @@ def output_that_is_the_input(shot: Shot) -> list[str]:
     return ["clean", "shot.take.usda", "--out", "beside/../shot.take.usda", "--overwrite"]
 
 
+def output_that_is_beneath_the_input(shot: Shot) -> list[str]:
+    execute(EditSpec(performance=shot / "shot.hero.usda", shape=("jawOpen",), add=0.1))
+    return ["bake", "shot.hero.usda", "--out", "shot.hero.edits.usda", "--overwrite"]
+
+
+def samples_of_the_input(shot: Shot) -> list[str]:
+    return ["clean", "shot.take.usda", "--out", "shot.take.samples.usdc"]
+
+
 def sheet_of_another_take(shot: Shot) -> list[str]:
     return [
         *("sheet", "shot.hero.usda", "--take", "shot.clean.take.usda"),
@@ -224,6 +235,8 @@ CASES: list[tuple[Callable[[Shot], list[str]], tuple[str, ...]]] = [
     (newer_output, ("shot.clean.take.usda", "newer", "--overwrite")),
     (output_of_someone_else, ("mine.usda", "not written by usdface", "--overwrite")),
     (output_that_is_the_input, ("shot.take.usda", "is read by clean", "--out")),
+    (output_that_is_beneath_the_input, ("shot.hero.edits.usda: is a layer of shot.hero", "bake")),
+    (samples_of_the_input, ("shot.take.samples.usdc: is a layer of shot.take.usda", "clean")),
     (sheet_of_another_take, ("700-800",)),
     (unknown_picture_format, ("new.gif", ".jpg")),
 ]

@@ -1,5 +1,6 @@
 """Before a step runs: are its inputs there, and may its outputs be written."""
 
+import contextlib
 import json
 import os
 from pathlib import Path
@@ -55,6 +56,11 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
                 f"{path}: is read by {spec.step}, and would be lost if it were written; choose "
                 "another --out"
             )
+        if whole := _is_layer_of(path, inputs):
+            raise InputError(
+                f"{path}: is a layer of {whole}, which {spec.step} reads, and would be lost if it "
+                "were written; choose another --out"
+            )
         folder = path.parent
         if not folder.is_dir():
             raise InputError(f"{path}: folder {folder} does not exist; create it first")
@@ -74,6 +80,16 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
                 f"{path}: exists and is newer than what it is made from; choose another --out, or "
                 "--overwrite it"
             )
+
+
+def _is_layer_of(path: Path, inputs: list[Path]) -> Path | None:
+    """Return the input that a file was written with: samples of a take, edits of a performance."""
+    for whole in inputs:
+        if path.name.startswith(f"{whole.stem}.") and path.is_file() and is_layer_name(whole):
+            with contextlib.suppress(InputError):  # what cannot be read is told when it is read
+                if path.resolve() in {each.resolve() for each in dependencies(whole)[1:]}:
+                    return whole
+    return None
 
 
 def provenance_of(path: Path) -> Provenance | None:
