@@ -1,14 +1,17 @@
 """A version is whole, numbered, plays the edits, and is never changed again."""
 
+import re
 import shutil
 import threading
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.regenerate import REPOSITORY
 from tests.steps.small_shot import FRAMES, Shot
 from tests.usdio.small_rig import small_rig
 from usdface.errors import InputError
@@ -186,3 +189,15 @@ def test_a_version_that_cannot_be_made_keeps_what_was_extracted(shot: Shot, tmp_
     with pytest.raises(InputError, match="cannot be written"):
         integrate_performance(gone)
     assert extracted.path("weights").is_file()
+
+
+def test_the_script_on_the_page_publishes(shot: Shot, monkeypatch, capsys) -> None:
+    page = REPOSITORY / "docs" / "publish.md"
+    (code,) = re.findall(r"```python\n(.*?)```", page.read_text("utf-8"), flags=re.DOTALL)
+    monkeypatch.chdir(shot.folder)
+    monkeypatch.setattr(
+        "usdface.publish.extract_performance", partial(extract_performance, review=NO_REVIEW)
+    )
+    exec(compile(code, str(page), "exec"), {})
+    assert Path(capsys.readouterr().out.strip()) == Path("publish/shot.hero/v001")
+    assert (shot / "publish" / "shot.hero" / "v001" / "publish.json").is_file()

@@ -268,7 +268,10 @@ def _draw(
     spans = [Span(p.first_frame, p.last_frame, p.sequence.label) for p in placements]
     picture = draw_motion_curves(
         f"{spec.performance.stem}: before and after warping",
-        (f"{len(placements)} sequences: {labels}", f"weight {spec.weight:g}, blend {spec.blend}"),
+        (
+            f"{counted(len(placements), 'sequence')}: {labels}",
+            f"weight {spec.weight:g}, blend {spec.blend}",
+        ),
         before_and_after(space.names, before, after),
         first_frame=read.clip.first_frame,
         windows=windows_around(
