@@ -198,6 +198,12 @@ def samples_of_the_input(shot: Shot) -> list[str]:
     return ["clean", "shot.take.usda", "--out", "shot.take.samples.usdc"]
 
 
+def output_of_another_kind(shot: Shot) -> list[str]:
+    newest = (shot / "shot.hero.usda").stat().st_mtime + 60.0
+    os.utime(shot / "shot.hero.usda", (newest, newest))
+    return ["bake", "shot.hero.usda", "--out", "hero.references.tuned.usda"]
+
+
 def sheet_of_another_take(shot: Shot) -> list[str]:
     return [
         *("sheet", "shot.hero.usda", "--take", "shot.clean.take.usda"),
@@ -237,6 +243,7 @@ CASES: list[tuple[Callable[[Shot], list[str]], tuple[str, ...]]] = [
     (output_that_is_the_input, ("shot.take.usda", "is read by clean", "--out")),
     (output_that_is_beneath_the_input, ("shot.hero.edits.usda: is a layer of shot.hero", "bake")),
     (samples_of_the_input, ("shot.take.samples.usdc: is a layer of shot.take.usda", "clean")),
+    (output_of_another_kind, ("hero.references.tuned.usda: exists", "`references-import`")),
     (sheet_of_another_take, ("700-800",)),
     (unknown_picture_format, ("new.gif", ".jpg")),
 ]

@@ -16,6 +16,16 @@ from usdface.usdio.layers import dependencies, is_layer_name, read_provenance
 
 LARGEST_FIGURES_BYTES = 64 << 20
 
+ALIKE = (
+    {"map", "join", "retarget"},
+    {"select", "references-from-edits", "references-import"},
+    {"pairs-propose", "pairs-import"},
+    {"edit", "edits-import"},
+    {"align", "align refused"},
+    {"movie", "movie-join"},
+)
+"""Steps that make the same kind of file; any other makes one of its own."""
+
 
 def check_inputs(spec: Spec) -> None:
     """Raise InputError naming every file that a spec reads and that is not there."""
@@ -45,7 +55,8 @@ def check_may_be_read(spec: Spec) -> None:
 def check_outputs(spec: Spec, *, overwrite: bool) -> None:
     """Raise InputError if an output cannot be written, or would replace what should be kept.
 
-    A file is replaced without asking only if this package wrote it and an input has changed since.
+    A file is replaced without asking only if this package wrote it, as the same kind of file, and
+    an input has changed since.
     """
     inputs = [path for path in spec.paths(Reads) if path.exists()]
     newest_input = max((path.stat().st_mtime_ns for path in inputs), default=0)
@@ -70,10 +81,16 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
             raise InputError(f"{path}: is a folder; name a file with --out")
         if not path.exists() or overwrite:
             continue
-        if provenance_of(path) is None:
+        made = provenance_of(path)
+        if made is None:
             raise InputError(
                 f"{path}: exists and was not written by usdface; choose another --out, or "
                 "--overwrite it"
+            )
+        if made.step != spec.step and not any({made.step, spec.step} <= each for each in ALIKE):
+            raise InputError(
+                f"{path}: exists and was written by `{made.step}`, which makes something else than "
+                f"{spec.step} does; choose another --out, or --overwrite it"
             )
         if path.stat().st_mtime_ns > newest_input:
             raise InputError(
