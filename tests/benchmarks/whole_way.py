@@ -5,7 +5,8 @@ nothing but hand rows of weights to USD and save them. Beside it stands what the
 markers, once: the whole way writes them twice, as captured and as cleaned, and reads them three
 times. The demo's actor again and again, with noise;
 rigs of 46 and of 946 shapes. `--full` runs the hour, 432,000 frames; otherwise two short takes,
-and the line through both says what an hour would cost.
+and the line through both says what an hour would cost; `--quick` takes two shorter ones, and draws
+no line.
 """
 
 import os
@@ -46,11 +47,12 @@ def run(frames: int = FRAMES, *, full: bool = False, quick: bool = False) -> Non
         folder = Path(name)
         _prepare(folder, lengths)
         costs = {count: _way(folder, count) for count in lengths}
-        bare = {} if full else {f"bare write, {n} shapes": _bare(folder, HOUR, n) for n in SHAPES}
+        measured = () if full or quick else SHAPES
+        bare = {f"bare write, {n} shapes": _bare(folder, HOUR, n) for n in measured}
     for count, stages in costs.items():
         print(f"\n{count:,} frames, 102 markers, `{METHOD}`, {PAIRS} pairs: as measured\n")
         _table(stages)
-    if full:
+    if not bare:  # the hour itself, or takes so short that no line through them tells of it
         return
     few, many = (costs[count] for count in lengths)
     more = (HOUR - lengths[1]) / (lengths[1] - lengths[0])
