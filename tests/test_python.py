@@ -1,5 +1,6 @@
 """`import usdface`: ten names, documented, imported when used."""
 
+import os
 import re
 import subprocess
 import sys
@@ -30,6 +31,16 @@ def test_importing_it_imports_neither_numpy_nor_usd() -> None:
         "usdface.UsdfaceError"
     )
     subprocess.run([sys.executable, "-c", script], check=True)
+
+
+def test_usd_that_starts_after_it_knows_the_schemas(shot: Shot) -> None:
+    script = (
+        "import sys, usdface; from pxr import Usd; stage = Usd.Stage.Open(sys.argv[1]); "
+        "assert stage.GetDefaultPrim().GetAppliedSchemas() == ['FaceTakeAPI']; "
+        "usdface.read_take(sys.argv[1])"
+    )
+    without = {name: value for name, value in os.environ.items() if name != "PXR_PLUGINPATH_NAME"}
+    subprocess.run([sys.executable, "-c", script, shot / "shot.take.usda"], check=True, env=without)
 
 
 def test_a_name_that_is_not_there_is_an_attribute_error() -> None:

@@ -1,12 +1,16 @@
 """Facial capture to BlendShape weights, as a stage of an OpenUSD pipeline.
 
 Ten names are promised to scripts; each is imported when it is first used, so that
-``import usdface`` costs nothing and a machine without USD can still check specs.
+``import usdface`` costs nothing and a machine without USD can still check specs. Where USD finds
+our schemas is said at once: it looks when it starts, which may be in a script's next line.
 """
 
+import contextlib
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from usdface.errors import UsdfaceError as _UsdfaceError
+from usdface.plugin_path import announce_plugins
 from usdface.version import __version__
 
 if TYPE_CHECKING:
@@ -36,6 +40,9 @@ __all__ = [
     "run_step",
     "validate",
 ]
+
+with contextlib.suppress(_UsdfaceError):  # what reads USD says it again, where somebody listens
+    announce_plugins()
 
 
 def __getattr__(name: str) -> Any:

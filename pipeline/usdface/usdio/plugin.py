@@ -1,38 +1,18 @@
 """Register our codeless schemas before USD's schema registry is first used."""
 
 import os
-from pathlib import Path
 
 from usdface.errors import UsdfaceError
+from usdface.plugin_path import announce_plugins, plugin_folders
 
 SCHEMA_VERSION = 1
 """Raised when the meaning of an attribute changes; layers carry it, newer ones are refused."""
 
 
-def schema_folder() -> Path:
-    """Return the folder of plugInfo.json: inside a wheel, or at the root of a checkout."""
-    package = Path(__file__).resolve().parents[1]
-    candidates = (package / "schemas" / "usdface", package.parents[1] / "schemas" / "usdface")
-    for folder in candidates:
-        if (folder / "plugInfo.json").is_file():
-            return folder
-    raise UsdfaceError(
-        f"usdface is installed without its USD schemas: no plugInfo.json in "
-        f"{' or '.join(map(str, candidates))}; reinstall the package"
-    )
-
-
-def plugin_folders() -> tuple[Path, ...]:
-    """Return what belongs into PXR_PLUGINPATH_NAME: the schemas, and the validators."""
-    return schema_folder(), Path(__file__).resolve().parent / "checks"
-
-
 def register_schemas() -> None:
     """Make schemas and validators known to USD in this process and in those it starts."""
+    announce_plugins()
     folders = list(map(str, plugin_folders()))
-    known = os.environ.get("PXR_PLUGINPATH_NAME", "").split(os.pathsep)
-    new = [folder for folder in folders if folder not in known]
-    os.environ["PXR_PLUGINPATH_NAME"] = os.pathsep.join(filter(None, (*known, *new)))
 
     from pxr import Plug, Usd
 
