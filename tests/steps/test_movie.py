@@ -209,3 +209,10 @@ def test_a_frame_of_a_movie_keeps_its_size_whatever_is_missing() -> None:
 
 def test_the_cores_used_are_those_this_process_may_use() -> None:
     assert 1 <= movie_step._cores() <= (os.cpu_count() or 1)
+
+
+def test_movies_of_like_names_share_no_stretches(tmp_path: Path) -> None:
+    names = ["a.mp4", "a.webm", *(f"{'long' * 30}.{number:04}.mp4" for number in (1, 2))]
+    folders = {movie_step._stretches_folder(tmp_path / name) for name in names}
+    assert len(folders) == 4
+    assert all(len(each.name) < 100 for each in folders)

@@ -67,7 +67,7 @@ def run(
         frame_count=len(shot.frames),
     )
     provenance = provenance or make_provenance(spec)
-    folder = spec.out.with_name(f".{spec.out.stem[:80]}.stretches")
+    folder = _stretches_folder(spec.out)
     stretches = _stretches(spec, clock, folder, provenance)
     _make_folder(folder, keep={stretch.file for stretch in stretches})
     waiting = [stretch for stretch in stretches if not stretch.file.is_file()]
@@ -124,6 +124,11 @@ def _panels(spec: MovieSpec, take: Take, notes: list[str]) -> tuple[Panel, ...]:
         return ("video", "performance")
     notes.append("the take has no video: its markers are shown in its place")
     return ("markers", "performance")
+
+
+def _stretches_folder(out: Path) -> Path:
+    """Return where a movie's stretches wait: no two movies of a folder, however alike, share it."""
+    return out.with_name(f".{out.stem[:40]}.{hash_text(out.name)[:8]}.stretches")
 
 
 def _stretches(
