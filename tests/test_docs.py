@@ -75,6 +75,9 @@ def test_the_tutorial_runs_from_top_to_bottom(tmp_path: Path, monkeypatch, capsy
         assert code == 0, f"{line}\n{said}"
         if line.startswith("usdface check"):  # the job is what the commands before it did
             assert said.out.count("up to date") == job.count("{step:")
+        if line.startswith("usdface run"):
+            assert said.out.count("up to date") == job.count("{step:")
+            assert "wrote" not in said.out
     assert (tmp_path / "map.yaml").is_file()
     assert (tmp_path / "shot.sheet.jpg").is_file()
 

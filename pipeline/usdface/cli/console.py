@@ -96,7 +96,7 @@ def show_report(report: Report, *, as_json: bool) -> None:
         out.print(f"  {line}", markup=False)
     for note in report.notes:
         out.print(f"  note: {note}", markup=False)
-    for path in report.outputs:
+    for path in report.outputs if report.fresh else ():
         out.print(f"  wrote {path}", markup=False)
 
 

@@ -69,7 +69,7 @@ def run_job(job: JobSpec, *, progress: Progress = silent, overwrite: bool = Fals
         state = _state(spec, provenance)
         if state.state == "done":
             log.info("%s: up to date", label)
-            reports.append(Report(spec.outputs(), f"{spec.step}: up to date"))
+            reports.append(Report(spec.outputs(), f"{spec.step}: up to date", fresh=False))
             own(1.0, f"{spec.step}: up to date")
             continue
         log.info("%s: %s", label, state.reason)

@@ -24,6 +24,8 @@ class Report:
         Lines for people; scripts find the same in `figures`.
     failures : tuple of str
         What was checked and is not in order.
+    fresh : bool
+        False where the outputs were up to date, and nothing was written.
     """
 
     outputs: tuple[Path, ...]
@@ -32,6 +34,7 @@ class Report:
     figures: dict[str, object] = field(default_factory=dict)
     table: tuple[str, ...] = ()
     failures: tuple[str, ...] = ()
+    fresh: bool = True
 
     def require_success(self) -> None:
         """Raise CheckFailedError, naming every failure, if there is one."""
