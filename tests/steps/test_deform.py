@@ -95,6 +95,16 @@ def make_shapes(folder: Path, **more: object) -> MakeShapesSpec:
     return MakeShapesSpec(**(given | more))
 
 
+def test_a_landmark_on_the_wrong_point_is_suspected(folder: Path, scan: Scan) -> None:
+    right = bind(folder, scan)
+    assert not any("wrong point" in note for note in run(right).notes)
+    name = right.landmarks[0].partition("=")[0]
+    wrong = (f"{name}={len(scan.points) - 1}", *right.landmarks[1:])
+    other = folder / "other.binding.usda"
+    report = run(right.model_copy(update={"landmarks": wrong, "out": other}))
+    assert any("wrong point" in note and wrong[0] in note for note in report.notes), report
+
+
 def points_at(path: Path, frame: float) -> np.ndarray:
     """The moving mesh in millimetres, Y up, as any USD reader finds it."""
     stage = Usd.Stage.Open(str(path))
