@@ -154,6 +154,48 @@ def test_weights_come_back_from_the_usd_that_a_dcc_scrubbed(shot: Shot) -> None:
     np.testing.assert_array_equal(read_references(shot / "hero.references.usda").weights, rows)
 
 
+def test_what_lies_between_two_keyed_pairs_is_nobodys_tuning(shot: Shot) -> None:
+    asset = shot / "hero.references.usda"
+    before = read_references(asset)
+    layer = Sdf.Layer.CreateNew(str(shot / "sparse.usda"))
+    prim = Sdf.CreatePrimInLayer(layer, "/anim")
+    prim.specifier, prim.typeName = Sdf.SpecifierDef, "SkelAnimation"
+    names = Sdf.AttributeSpec(prim, "blendShapes", Sdf.ValueTypeNames.TokenArray)
+    names.default = ["jawOpen"]
+    Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
+    for pair, weight in ((2, 0.25), (6, 0.75)):
+        layer.SetTimeSample("/anim.blendShapeWeights", pair, Vt.FloatArray([weight]))
+    layer.Save()
+    given = {"references": asset, "weights": shot / "sparse.usda"}
+    report = run(ReferencesImportSpec(**given, at="pairs"))
+    after = read_references(asset)
+    assert np.flatnonzero((after.weights != before.weights).any(axis=1)).tolist() == [1, 5]
+    assert after.weights[[1, 5], before.shape_names.index("jawOpen")].tolist() == [0.25, 0.75]
+    assert report.figures["pairs"] == 2
+
+    first, last = sorted(before.frames.tolist())[0], sorted(before.frames.tolist())[-1]
+    layer.EraseTimeSample("/anim.blendShapeWeights", 2)
+    layer.EraseTimeSample("/anim.blendShapeWeights", 6)
+    for frame in (first, last):
+        layer.SetTimeSample("/anim.blendShapeWeights", frame, Vt.FloatArray([0.5]))
+    layer.Save()
+    report = run(ReferencesImportSpec(**given))
+    assert any(f"has no key there: {PAIRS - 2} pairs" in note for note in report.notes)
+
+
+def test_decimal_commas_are_refused_and_not_read_as_columns(shot: Shot) -> None:
+    asset = shot / "hero.references.usda"
+    before = read_references(asset)
+    one, two = before.frames[:2].tolist()
+    table = shot / "comma.csv"
+    table.write_text(f"frame,jawOpen,mouthClose\n{one},0,0\n{two},0,5,0,25\n")
+    with pytest.raises(InputError, match="line 3: has 5 values for 3 columns; write decimals"):
+        run(ReferencesImportSpec(references=asset, weights=table))
+    np.testing.assert_array_equal(read_references(asset).weights, before.weights)
+    table.write_text(f"frame,jawOpen,mouthClose\n{one},0,0,,\n{two},0.5,0.25,,\n")
+    assert run(ReferencesImportSpec(references=asset, weights=table)).figures["pairs"] == 2
+
+
 def test_a_reopened_mapping_predicts_the_same_to_the_last_bit(shot: Shot) -> None:
     references = read_references(shot / "hero.references.usda")
     rig = read_rig(shot / "hero.usdc")

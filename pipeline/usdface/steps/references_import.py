@@ -54,6 +54,12 @@ def run(
             f"not in the file, with the weights they had: {counted(len(missing), 'shape')}, "
             f"{', '.join(missing[:5])}"
         )
+    between = sum(_key(spec, pair) not in table.keyed for pair in pairs)
+    if between:
+        notes.append(
+            f"given what lies between two keys, as {spec.weights.name} has no key there: "
+            f"{counted(between, 'pair')}"
+        )
     rest = len(references.frames) - len(pairs)
     if rest:
         notes.append(f"not in the file, and as before: {counted(rest, 'pair')}")
@@ -66,6 +72,10 @@ def run(
         tuple(notes),
         {"pairs": len(pairs), "shapes": len(known), "conflicts": conflicts},
     )
+
+
+def _key(spec: ReferencesImportSpec, pair: TunedPair) -> int:
+    return pair.frame if spec.at == "frames" else pair.pair + 1
 
 
 def _pairs(
@@ -87,6 +97,8 @@ def _pairs(
     for pair, key in enumerate(keys.tolist()):
         if key not in row_of:
             continue
+        if spec.at == "pairs" and key not in table.keyed:
+            continue  # between two pairs lies nothing that anybody meant
         # A shape the file does not name keeps what composes now.
         weights = dict(zip(references.shape_names, references.weights[pair].tolist(), strict=True))
         values = table.weights[row_of[key], columns].tolist()

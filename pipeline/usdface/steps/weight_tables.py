@@ -14,7 +14,7 @@ from usdface.assets import FloatArray
 from usdface.errors import InputError
 from usdface.usdio.frame_span import FARTHEST_FRAME
 from usdface.usdio.layers import LAYER_SUFFIXES
-from usdface.usdio.performance import read_weights
+from usdface.usdio.performance import PerformanceReader
 
 LARGEST_TABLE_BYTES = 1 << 30
 
@@ -30,12 +30,15 @@ class WeightTable:
     weights : (frames, shapes) float array
     rate : Fraction or None
         Frames per second; None where the file does not say.
+    keyed : frozenset of int
+        Frames that the file itself holds; at the others, of USD, it is interpolated.
     """
 
     names: tuple[str, ...]
     frames: tuple[int, ...]
     weights: FloatArray
     rate: Fraction | None = None
+    keyed: frozenset[int] = frozenset()
 
     def columns(self, names: tuple[str, ...]) -> FloatArray:
         """Return the weights in another order of shapes; 0 for those the table lacks."""
@@ -56,10 +59,10 @@ def read_weight_table(path: Path) -> WeightTable:
         If the file is no such table; the line and the column are named.
     """
     if path.suffix in (*LAYER_SUFFIXES, ".usdz"):
-        clip = read_weights(path)
-        last = clip.first_frame + len(clip.values)
-        numbers = tuple(range(clip.first_frame, last))
-        return WeightTable(clip.names, numbers, clip.values.astype(np.float64), clip.rate)
+        reader = PerformanceReader(path)
+        weights = reader.edited().astype(np.float64)
+        numbers = tuple(reader.frames.tolist())
+        return WeightTable(reader.names, numbers, weights, reader.rate, reader.keyed_frames)
     text = _read_text(path)
     rows = _json_rows(path, text) if path.suffix == ".json" else _csv_rows(path, text)
     if not rows:
@@ -77,7 +80,7 @@ def read_weight_table(path: Path) -> WeightTable:
     twice, count = Counter(frames).most_common(1)[0]
     if count > 1:
         raise InputError(f"{path}: frame {twice} is there {count} times; keep one row")
-    return WeightTable(names, tuple(frames), weights)
+    return WeightTable(names, tuple(frames), weights, keyed=frozenset(frames))
 
 
 def _read_text(path: Path) -> str:
@@ -102,8 +105,17 @@ def _csv_rows(path: Path, text: str) -> list[tuple[str, dict[str, object]]]:
     repeated = sorted({name for name in header if header.count(name) > 1})
     if repeated:
         raise InputError(f"{path} line 1: column {repeated[0]!r} is there twice; keep one")
+    rows: list[tuple[str, dict[str, object]]] = []
     try:
-        return [(f"line {reader.line_num}", dict(row)) for row in reader]
+        for row in reader:
+            surplus = row.pop(None, None) or []
+            if any(value.strip() for value in surplus):  # all that stand before it are in doubt
+                raise InputError(
+                    f"{path} line {reader.line_num}: has {len(header) + len(surplus)} values for "
+                    f"{len(header)} columns; write decimals with a point, not a comma"
+                )
+            rows.append((f"line {reader.line_num}", dict(row)))
+        return rows
     except csv.Error as error:
         raise InputError(f"{path} line {reader.line_num}: {error}") from error
 

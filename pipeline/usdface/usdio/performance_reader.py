@@ -61,6 +61,12 @@ class PerformanceReader:
         return np.arange(self.first_frame, self.last_frame + 1, dtype=np.int64)
 
     @property
+    def keyed_frames(self) -> frozenset[int]:
+        """Frames at which the solve has a sample of its own; it is interpolated between them."""
+        times = self._weights.GetTimeSamples()
+        return frozenset(int(time) for time in times if time == round(time))
+
+    @property
     @refusing_wrong_types
     def regions(self) -> tuple[str, ...]:
         """Names of the residual's regions."""
