@@ -1,0 +1,67 @@
+"""The site that is made of the documentation: whole, without a dead link, and nothing from afar."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.regenerate import REPOSITORY
+
+DOCS = REPOSITORY / "docs"
+
+
+def build(docs: Path, site: Path) -> subprocess.CompletedProcess[str]:
+    """Make the site as `poe docs` does."""
+    return subprocess.run(
+        [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", docs, site],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("site")
+    done = build(DOCS, made)
+    assert done.returncode == 0, done.stderr
+    return made
+
+
+def test_every_page_is_made_and_the_menu_leads_to_every_one(site: Path) -> None:
+    files = {page for page in DOCS.rglob("*.md") if not page.match("changes/[0-9]*")}
+    pages = {page.relative_to(DOCS).with_suffix(".html").as_posix() for page in files}
+    assert all((site / page).is_file() for page in pages)
+    menu = (site / "README.html").read_text("utf-8").partition('class="sidebar-tree"')[2]
+    menu = menu.partition("</div>")[0]
+    led = set(re.findall(r'href="([^"#]+)"', menu)) | {"README.html"}
+    assert pages <= led, pages - led
+
+
+def test_what_changed_is_on_one_page(site: Path) -> None:
+    page = (site / "changes" / "README.html").read_text("utf-8")
+    for fragment in (DOCS / "changes").glob("[0-9]*.md"):
+        assert fragment.stem.partition("-")[2].replace("-", " ").capitalize() in page
+
+
+def test_a_page_loads_nothing_from_another_host(site: Path) -> None:
+    for page in site.rglob("*.html"):
+        text = page.read_text("utf-8")
+        loaded = re.findall(r'<(?:script|img|iframe)[^>]*\ssrc="([^"]+)"', text)
+        loaded += re.findall(r'<link[^>]*\srel="stylesheet"[^>]*\shref="([^"]+)"', text)
+        assert not [each for each in loaded if "//" in each], page
+
+
+@pytest.mark.parametrize("dead", ["gone.md", "README.md#gone", "images/gone.jpg"])
+def test_a_dead_link_is_an_error(tmp_path: Path, dead: str) -> None:
+    docs = tmp_path / "docs"
+    docs.mkdir()
+    shutil.copy(DOCS / "conf.py", docs)
+    shown = f"![there]({dead})" if dead.endswith("jpg") else f"[there]({dead})"
+    (docs / "README.md").write_text(f"# Pages\n\n{shown}\n", encoding="utf-8")
+    done = build(docs, tmp_path / "site")
+    assert done.returncode != 0
+    assert dead.rpartition("#")[2] in done.stderr
