@@ -105,7 +105,7 @@ def performed(finished: Stall, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     return copied(finished, tmp_path, monkeypatch)
 
 
-def import_pairs(**changes: str) -> int:
+def import_pairs(*flags: str, **changes: str) -> int:
     given = {
         "source": "human_poses.usda",
         "target": "beast_poses.usda",
@@ -115,7 +115,8 @@ def import_pairs(**changes: str) -> int:
         "out": "x.pairs.usda",
     }
     given |= changes
-    return usdface("pairs", "import", *(w for k, v in given.items() for w in (f"--{k}", v)))
+    words = [word for name, value in given.items() for word in (f"--{name}", value)]
+    return usdface("pairs", "import", *words, *flags)
 
 
 def test_every_control_of_the_target_is_driven(performed: Stall, capsys) -> None:
@@ -294,6 +295,20 @@ def test_alpha_is_keyed_over_time(trained: Stall) -> None:
         made.append(read_control_clip(Path(f"a{number}.usda")).clip.controls.weights)
     assert np.abs(made[1] - made[0]).max() > 1e-4
     np.testing.assert_array_equal(made[1], made[2])
+
+
+def test_pairs_are_not_imported_beneath_keys_that_would_hide_them(stall: Stall, capsys) -> None:
+    assert import_pairs(out="k.pairs.usda") == 0
+    assert import_pairs("--overwrite", out="k.pairs.usda") == 0
+    before = samples_path(Path("k.pairs.usda")).read_bytes()
+    stage = Usd.Stage.Open("k.pairs.usda")
+    stage.GetAttributeAtPath("/Pairs/Target/rig/lattice.dfm:squash").Set(0.5, 3)
+    stage.GetRootLayer().Save()
+    capsys.readouterr()
+    assert import_pairs("--overwrite", out="k.pairs.usda") == 2
+    told = capsys.readouterr().err
+    assert "keys made in it by hand, of 1 attribute (/Pairs/Target/rig/lattice.dfm:squash)" in told
+    assert samples_path(Path("k.pairs.usda")).read_bytes() == before
 
 
 def no_target_side(stall: Stall) -> list[str]:

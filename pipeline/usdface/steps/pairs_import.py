@@ -14,7 +14,7 @@ from usdface.steps.weight_tables import read_weight_table
 from usdface.usdio.control_attributes import find_control_attributes
 from usdface.usdio.controls import read_control_clip
 from usdface.usdio.layers import LAYER_SUFFIXES
-from usdface.usdio.pairs import samples_path, write_pairs
+from usdface.usdio.pairs import keyed_above, samples_path, write_pairs
 from usdface.usdio.rig import read_rig
 from usdface.wording import counted
 
@@ -23,6 +23,7 @@ def run(
     spec: PairsImportSpec, *, provenance: Provenance | None = None, progress: Progress = silent
 ) -> Report:
     """Read both sides, pair them by frame, and write the asset."""
+    _check_nothing_hides(spec.out)
     source_rig = read_rig(spec.source_rig, prim=spec.source_prim)
     target_rig = read_rig(spec.target_rig, prim=spec.target_prim)
     table = read_weight_table(spec.source)
@@ -70,6 +71,17 @@ def run(
         tuple(notes),
         {"pairs": len(pairs), "unused": list(unused)},
     )
+
+
+def _check_nothing_hides(out: Path) -> None:
+    """Refuse an asset with keys of its own: they would be seen instead of what is imported."""
+    keyed = keyed_above(out) if out.is_file() else ()
+    if keyed:
+        raise InputError(
+            f"{out}: keys made in it by hand, of {counted(len(keyed), 'attribute')} "
+            f"({', '.join(keyed[:3])}), would hide what is imported; nothing was changed. Write "
+            "to another --out, or remove these keys"
+        )
 
 
 def _read_target(spec: PairsImportSpec, rig: Rig) -> tuple[list[int], Controls]:

@@ -117,6 +117,26 @@ def read_pairs(path: Path) -> ExpressionPairs:
     )
 
 
+@refusing_wrong_types
+def keyed_above(path: Path) -> tuple[str, ...]:
+    """Return what is keyed over time in a pairs asset above the layer that this package writes.
+
+    As USD has it, samples of a stronger layer hide all that are beneath.
+    """
+    samples = samples_path(path).resolve()
+    found: list[str] = []
+    for layer in open_stage(path).GetLayerStack(includeSessionLayers=False):
+        if Path(layer.realPath).resolve() == samples:
+            continue
+
+        def look(place: Sdf.Path, layer: Sdf.Layer = layer) -> None:
+            if place.IsPropertyPath() and layer.GetNumTimeSamplesForPath(place):
+                found.append(str(place))
+
+        layer.Traverse(Sdf.Path.absoluteRootPath, look)
+    return tuple(dict.fromkeys(found))
+
+
 def _author_samples(
     layer: Sdf.Layer, path: Path, pairs: ExpressionPairs, source_rig: Rig, target_rig: Rig
 ) -> None:
