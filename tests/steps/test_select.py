@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 from pydantic import ValidationError
 
 from tests.steps.small_shot import PAIRS, Shot
@@ -214,6 +214,28 @@ def test_tuning_of_an_older_selection_is_refused_and_not_touched(shot: Shot) -> 
     assert read_references(new).tuned.all()
     kept = read_tuned_pairs(tuned_path(shot / "hero.references.usda"))
     assert [e.weights for e in read_tuned_pairs(tuned_path(new))] == [e.weights for e in kept]
+
+
+def test_pairs_keyed_in_a_dcc_are_kept_as_tuned_ones_are(shot: Shot) -> None:
+    new = spec(shot)
+    execute(new)
+    before = read_references(new.out)
+    layer = Sdf.Layer.FindOrOpen(str(tuned_path(new.out)))
+    prim = Sdf.CreatePrimInLayer(layer, "/References/Weights")
+    names = Sdf.AttributeSpec(prim, "blendShapes", Sdf.ValueTypeNames.TokenArray)
+    names.default = list(before.shape_names)
+    place = Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray).path
+    keyed = before.weights.copy()
+    keyed[4] = 0.25  # the one that somebody changed; a DCC writes all
+    for pair, row in enumerate(keyed.astype(np.float32)):
+        layer.SetTimeSample(place, pair + 1, Vt.FloatArray.FromNumpy(row))
+    layer.Save()
+    report = execute(spec(shot, count=14, frames="1-300", method="design"), overwrite=True)
+    after = read_references(new.out)
+    assert np.flatnonzero(after.tuned).tolist() == [4]
+    assert after.frames[4] == before.frames[4]
+    assert (after.weights[4] == 0.25).all()
+    assert any("keyed in the asset itself" in note for note in report.notes)
 
 
 def test_references_hold_what_blender_needs(shot: Shot) -> None:

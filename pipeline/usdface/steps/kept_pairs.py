@@ -1,23 +1,32 @@
 """Tuned pairs of an earlier selection: found again, never moved, never lost."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from usdface.assets import IntArray, Rig
 from usdface.errors import InputError
-from usdface.specs.references import SelectSpec, tuned_path
+from usdface.specs.references import SelectSpec, proposed_path, tuned_path
 from usdface.steps.cleaned_takes import CleanedTakes
-from usdface.usdio.references import TunedPair, read_tuned_pairs
+from usdface.usdio.references import TunedPair, read_references, read_tuned_pairs
+from usdface.usdio.tuning import check_tuned_layer, read_proposals
+
+SAME = 1e-6
+"""Weights that differ by less are one: layers hold single precision."""
 
 
 @dataclass(frozen=True)
 class KeptPair:
-    """A tuned pair: its place, its row among all frames, and what was tuned."""
+    """A tuned pair: its place, its row among all frames, and what was tuned.
+
+    `is_keyed` says that a DCC keyed it, which marks no pair as tuned.
+    """
 
     pair: int
     row: int
     tuned: TunedPair
+    is_keyed: bool = False
 
 
 def find_kept_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[KeptPair]:
@@ -29,7 +38,10 @@ def find_kept_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[Kep
         If one is of a take that is not given, or of another rig, or there is no room for it.
     """
     layer = tuned_path(spec.out)
-    tuned: list[TunedPair] = read_tuned_pairs(layer)
+    marked = {each.pair: each for each in read_tuned_pairs(layer)}
+    keyed = _keyed_pairs(spec.out, marked)
+    together = marked | keyed
+    tuned = [together[pair] for pair in sorted(together)]
     rows = find_rows(takes, [(each.take, each.frame) for each in tuned])
     lost = [each for each, row in zip(tuned, rows, strict=True) if row is None]
     if lost:
@@ -53,10 +65,40 @@ def find_kept_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[Kep
                 f"({', '.join(strange[:3])}); give that rig, or write to another --out"
             )
     return [
-        KeptPair(each.pair, row, each)
+        KeptPair(each.pair, row, each, each.pair in keyed)
         for each, row in zip(tuned, rows, strict=True)
         if row is not None
     ]
+
+
+def _keyed_pairs(out: Path, marked: dict[int, TunedPair]) -> dict[int, TunedPair]:
+    """Return pairs of the asset there is whose weights are neither proposed nor marked as tuned.
+
+    A DCC that opened the asset keyed them. An asset that cannot be read tells nothing: to select
+    again is how it is mended.
+    """
+    if not out.is_file():
+        return {}
+    try:
+        old = read_references(out)
+        check_tuned_layer(tuned_path(out), old)
+        proposals = read_proposals(proposed_path(out), old)
+    except InputError:
+        return {}
+    shown = proposals.copy()
+    for pair, each in marked.items():
+        shown[pair] = [each.weights.get(name, 0.0) for name in old.shape_names]
+    away = np.abs(old.weights - shown).max(axis=1, initial=0.0) > SAME
+    return {
+        pair: TunedPair(
+            pair,
+            old.takes[pair],
+            int(old.frames[pair]),
+            dict(zip(old.shape_names, old.weights[pair].tolist(), strict=True)),
+            done=pair in marked and marked[pair].done,
+        )
+        for pair in np.flatnonzero(away).tolist()
+    }
 
 
 def find_rows(takes: CleanedTakes, places: list[tuple[str, int]]) -> list[int | None]:

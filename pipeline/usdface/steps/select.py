@@ -97,6 +97,7 @@ def run(
             rig,
             tuned_path=tuned_path(spec.out),
             proposed_path=proposed_path(spec.out),
+            tuned=[each.tuned for each in kept if each.is_keyed],
             images=images.files,
             provenance=provenance,
         )
@@ -300,6 +301,9 @@ def _notes(asked: _Selection, choice: Choice, mapping: Mapping | None) -> list[s
         )
     if asked.kept:
         notes.append(f"kept in place: {counted(len(asked.kept), 'tuned pair')}")
+    keyed = sum(each.is_keyed for each in asked.kept)
+    if keyed:
+        notes.append(f"keyed in the asset itself, and tuned from now on: {counted(keyed, 'pair')}")
     if choice.missing:
         shown = [f"{viseme} {emotion}".strip() for emotion, viseme in choice.missing]
         notes.append(
