@@ -19,6 +19,9 @@ exclude_patterns = ["changes/[0-9]*"]  # which are parts of a page
 html_theme = "furo"
 html_title = "usdface"
 html_show_copyright = False
+html_static_path = ["site"]
+html_css_files = ["tables.css"]
+smartquotes = False  # which make one dash of an option's two
 myst_heading_anchors = 4
 # A page that no menu holds is reached by a link; that there is one is tested.
 # Tables as printed begin their headings where the printing has them.
@@ -46,7 +49,8 @@ def gather_changes(_app: Sphinx, docname: str, source: list[str]) -> None:
         return
     for fragment in sorted((HERE / CHANGES).parent.glob("[0-9]*.md")):
         topic = fragment.stem.partition("-")[2].replace("-", " ").capitalize()
-        source[0] += f"\n\n## {topic}\n\n{fragment.read_text(encoding='utf-8')}"
+        text = re.sub(r"^# .*\n", "", fragment.read_text(encoding="utf-8"))
+        source[0] += f"\n\n## {topic}\n\n{text}"
 
 
 def setup(app: Sphinx) -> None:
