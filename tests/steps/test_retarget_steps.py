@@ -252,6 +252,21 @@ def test_a_sequence_is_put_in_and_the_rest_stays_to_the_last_bit(
     assert read_image_metadata(Path("warp.png"))["step"] == "warp"
 
 
+def test_a_sequence_of_another_rate_is_told(performed: Stall, capsys) -> None:
+    sequence_and_matches(performed)
+    assert "frames are taken as they are" not in capsys.readouterr().out
+    layer = Sdf.Layer.FindOrOpen("joy.sequence.usda")
+    rate = layer.timeCodesPerSecond
+    layer.timeCodesPerSecond = layer.framesPerSecond = 2 * rate
+    layer.Save()
+    told = f"joy.sequence.usda runs at {2 * rate:g} frames per second, and this performance at"
+    assert usdface(*"warp beast.shot.usda --matches shot.matches.usda --out w.usda".split()) == 0
+    assert told in capsys.readouterr().out
+    line = "find-sequences shot.usda --sequence joy.sequence.usda --out two.matches.usda"
+    assert usdface(*line.split()) == 0
+    assert told in capsys.readouterr().out
+
+
 def test_sequences_are_found_without_a_threshold_and_by_label(performed: Stall, capsys) -> None:
     sequence_and_matches(performed)
     capsys.readouterr()

@@ -14,7 +14,7 @@ from usdface.specs.base import frame_range
 from usdface.specs.sequences import FindSequencesSpec
 from usdface.steps.report import Report
 from usdface.steps.source_motion import SourceMotion, read_source_motion, source_columns
-from usdface.usdio.sequences import read_sequence, write_matches
+from usdface.usdio.sequences import check_sequence_rate, read_sequence, write_matches
 from usdface.wording import counted
 
 
@@ -34,6 +34,8 @@ def run(
     notes: list[str] = []
     found: list[_Found] = []
     for number, (path, sequence) in enumerate(asked, start=1):
+        told = check_sequence_rate(path, motion.rate)
+        notes += [told] if told else []
         here, said = _find(spec, path, sequence, motion)
         found += here
         notes += said

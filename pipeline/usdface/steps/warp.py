@@ -30,7 +30,7 @@ from usdface.usdio.controls import ReadControls, read_control_clip
 from usdface.usdio.performance import weights_path
 from usdface.usdio.performance_reader import PerformanceReader
 from usdface.usdio.rig import read_rig
-from usdface.usdio.sequences import read_matches, read_sequence
+from usdface.usdio.sequences import check_sequence_rate, read_matches, read_sequence
 from usdface.wording import counted
 
 PUBLISHED_KEEP = 1.0
@@ -85,7 +85,7 @@ def run(
         f"{counted(len(placements), 'sequence')} in {len(before)} frames; "
         f"{counted(changed, 'frame')} changed, the "
         f"others are as they were",
-        (),
+        _rate_notes(placements, read),
         {
             "frames": len(before),
             "changed": changed,
@@ -144,6 +144,12 @@ def _placements(spec: WarpSpec, read: ReadControls) -> list[_Placement]:
                 "deactivate one, move it, or use --timing fit"
             )
     return placed
+
+
+def _rate_notes(placements: list[_Placement], read: ReadControls) -> tuple[str, ...]:
+    files = dict.fromkeys(each.match.sequence for each in placements)
+    notes = (check_sequence_rate(file, read.rate) for file in files)
+    return tuple(note for note in notes if note)
 
 
 def _check_controls(

@@ -21,6 +21,7 @@ from usdface.usdio.layers import (
     author_timing,
     author_units,
     new_layer,
+    open_layer,
     open_stage,
     relative_path,
 )
@@ -35,6 +36,9 @@ VALUES = ROOT.AppendProperty("face:sequence:values")
 KEY_WEIGHT = ROOT.AppendProperty("face:sequence:keyWeight")
 
 MATCHES = Sdf.Path("/Matches")
+
+RATES_ALIKE = 1e-3
+"""Frames per second that a rate may lose where a layer holds it as a float."""
 
 
 def write_sequence(
@@ -108,6 +112,17 @@ def read_sequence(path: Path) -> EmotionalSequence:
         source=source.weights,
         target=target,
         key_weights=np.array([1.0 if value is None else float(value) for value in weights]),
+    )
+
+
+def check_sequence_rate(path: Path, rate: Fraction) -> str:
+    """Return what to tell where a sequence runs at another rate than its use; empty if it fits."""
+    own = open_layer(path).timeCodesPerSecond
+    if abs(own - float(rate)) < RATES_ALIKE:
+        return ""
+    return (
+        f"{path.name} runs at {own:g} frames per second, and this performance at {float(rate):g}; "
+        "its frames are taken as they are, so it is faster or slower here"
     )
 
 
