@@ -19,7 +19,7 @@ from usdface.specs.base import Spec
 from usdface.specs.edit import EditsImportSpec, EditSpec
 from usdface.specs.map import MapSpec
 from usdface.specs.package import PackageSpec
-from usdface.specs.references import ReferencesFromEditsSpec
+from usdface.specs.references import ReferencesFromEditsSpec, ReferencesImportSpec
 from usdface.specs.train import TrainSpec
 from usdface.steps import bake
 from usdface.steps.edited import list_edits
@@ -288,6 +288,31 @@ def test_fewer_corrections_than_before_replace_them_and_say_so(shot: Shot) -> No
     after = read_references(out)
     assert list(after.frames[count:]) == reports[1].figures["frames"]
     assert after.tuned[count:].all()
+
+
+def test_what_was_tuned_in_the_asset_that_is_written_again_stays(shot: Shot) -> None:
+    path, out = shot / "shot.hero.usda", shot / "v2.references.usda"
+    given = {
+        "performances": (path,),
+        "references": shot / "hero.references.usda",
+        "out": out,
+        "count": 3,
+    }
+    edit(path, override=0.8, frames="300-300")
+    run(ReferencesFromEditsSpec(**given))
+    made = read_references(out)
+    (shot / "mine.csv").write_text(f"frame,jawOpen\n{made.frames[4]},0.125\n300,0.125\n")
+    execute(ReferencesImportSpec(references=out, weights=shot / "mine.csv"), overwrite=True)
+    before = read_references(out)
+    other = next(frame for frame in range(100, 200) if frame not in before.frames)
+    edit(path, override=0.9, frames=f"{other}-{other}")  # 300 is the second that is added now
+    for _ in range(2):
+        report = run(ReferencesFromEditsSpec(**given))
+        after = read_references(out)
+        assert after.frames[-2:].tolist() == [other, 300]
+        np.testing.assert_array_equal(after.weights[4], before.weights[4])
+        np.testing.assert_array_equal(after.weights[-1], before.weights[-1])
+        assert any("kept as somebody tuned them there: 2 pairs" in note for note in report.notes)
 
 
 def test_corrections_whose_markers_are_not_seen_teach_nothing_and_stop_no_other(shot: Shot) -> None:

@@ -13,6 +13,7 @@ from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
 from usdface.specs.references import ReferencesFromEditsSpec, proposed_path, tuned_path
 from usdface.steps.edited import runs
+from usdface.steps.kept_pairs import SAME
 from usdface.steps.placed_take import find_take_space, read_markers
 from usdface.steps.report import Report
 from usdface.steps.tuning_in_progress import nobody_tunes
@@ -28,7 +29,7 @@ from usdface.usdio.references import (
 )
 from usdface.usdio.rig import read_rig
 from usdface.usdio.take import TakeReader
-from usdface.usdio.tuning import read_pair_notes
+from usdface.usdio.tuning import read_pair_notes, read_proposals
 from usdface.wording import counted
 
 LEAST_CHANGE = 0.02
@@ -59,19 +60,11 @@ def run(
             f"{LEAST_CHANGE:g} with its markers seen; edit the performance first"
         )
     rig = read_rig(references.rig_file, prim=references.rig_prim)
-    tuned = [
-        TunedPair(
-            int(pair),
-            references.takes[pair],
-            int(references.frames[pair]),
-            dict(zip(references.shape_names, references.weights[pair].tolist(), strict=True)),
-        )
-        for pair in np.flatnonzero(references.tuned)
-    ]
     images = [note.image for note in read_pair_notes(spec.references, len(old.frames))]
     images += [None] * (len(references.frames) - len(images))
     with nobody_tunes(spec.out):
         notes += _left_out(spec.out, references)
+        tuned = _tuned(spec, references, notes)
         write_references(
             spec.out,
             references,
@@ -218,6 +211,45 @@ def _markers_at(
         positions[index] = placed.positions[0, order]
         seen[index] = placed.visible[0, order].all()
     return positions, seen
+
+
+def _tuned(
+    spec: ReferencesFromEditsSpec, references: References, notes: list[str]
+) -> list[TunedPair]:
+    """Return the pairs that are tuned, as somebody tuned them in the asset that is replaced."""
+    by_hand = {} if spec.out.resolve() == spec.references.resolve() else _by_hand(spec.out)
+    tuned, kept = [], 0
+    for pair, take in enumerate(references.takes):
+        frame = int(references.frames[pair])
+        weights = by_hand.get((take, frame))
+        if weights is not None:
+            kept += 1
+        elif references.tuned[pair]:
+            row = references.weights[pair].tolist()
+            weights = dict(zip(references.shape_names, row, strict=True))
+        if weights is not None:
+            tuned.append(TunedPair(pair, take, frame, weights))
+    if kept:
+        notes.append(f"{spec.out}: kept as somebody tuned them there: {counted(kept, 'pair')}")
+    return tuned
+
+
+def _by_hand(out: Path) -> dict[tuple[str, int], dict[str, float]]:
+    """Return weights, by take and frame, that differ from what an asset was written with."""
+    if not out.is_file():
+        return {}
+    try:
+        there = read_references(out)
+        written = read_proposals(proposed_path(out), there)
+    except InputError:  # damaged, so that nobody could tune it
+        return {}
+    away = np.abs(there.weights - written).max(axis=1, initial=0.0) > SAME
+    return {
+        (there.takes[pair], int(there.frames[pair])): dict(
+            zip(there.shape_names, there.weights[pair].tolist(), strict=True)
+        )
+        for pair in np.flatnonzero(away).tolist()
+    }
 
 
 def _left_out(out: Path, references: References) -> list[str]:
