@@ -3,8 +3,13 @@
 import socket
 from pathlib import Path
 
+import pytest
+
+from tests.tuning.small_asset import change, write_asset
 from usdface.specs.tune import TuneSpec
+from usdface.tuning import serve
 from usdface.tuning.serve import _listen
+from usdface.tuning.session import StaleRevisionError, TuningSession
 
 
 def test_it_listens_on_this_machine_alone_and_answers_without_delay(tmp_path: Path) -> None:
@@ -22,3 +27,22 @@ def test_an_asset_keeps_its_port_and_shares_it_with_nobody(tmp_path: Path) -> No
             assert second.getsockname()[1] != port
     with _listen(spec) as again:
         assert again.getsockname()[1] == port
+
+
+def test_a_page_left_open_over_a_restart_is_told_to_read_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown: list[int] = []
+
+    def restarted(session: TuningSession, *_: object) -> None:
+        if shown:
+            with pytest.raises(StaleRevisionError):
+                session.apply([change(session, 1, jawOpen=0.5)], revision=shown[0])
+        shown.append(session.revision)
+
+    monkeypatch.setattr(serve, "_run", restarted)
+    spec = TuneSpec(references=write_asset(tmp_path))
+    for _ in range(3):
+        serve.serve(spec, announce=print)
+    assert len(set(shown)) == 3
+    assert max(shown) < 2**53, "a browser's numbers"

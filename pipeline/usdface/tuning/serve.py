@@ -5,6 +5,7 @@ import contextlib
 import hashlib
 import logging
 import os
+import secrets
 import socket
 from collections.abc import Callable
 from pathlib import Path
@@ -27,6 +28,9 @@ IDLE_SECONDS = 0.5
 """Without a change for this long, the layer is written."""
 
 RENEW_SECONDS = 5.0
+
+REVISIONS = 1 << 40
+"""Far below where a browser's numbers lose their last digit."""
 
 _FIRST_PORT, _PORTS = 49152, 16384
 
@@ -51,7 +55,11 @@ def serve(spec: TuneSpec, *, announce: Callable[[str], None]) -> TuningSession:
     InputError
         If the references cannot be tuned, someone else is tuning them, or the port is in use.
     """
-    session = TuningSession(spec.references, take_over=spec.take_over)
+    session = TuningSession(
+        spec.references,
+        take_over=spec.take_over,
+        first_revision=secrets.randbelow(REVISIONS),
+    )
     try:
         with contextlib.closing(_listen(spec)) as listener:
             _run(session, spec, listener, announce)

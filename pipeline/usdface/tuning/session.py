@@ -64,6 +64,9 @@ class TuningSession:
         The references asset.
     take_over : bool
         Take the right to tune from whoever has it.
+    first_revision : int
+        To count from. Each server has one of its own, or a page left open over a restart would
+        take another state for the one that it shows.
 
     Attributes
     ----------
@@ -82,7 +85,7 @@ class TuningSession:
         another selection. Nothing on disk is changed then.
     """
 
-    def __init__(self, path: Path, *, take_over: bool = False) -> None:
+    def __init__(self, path: Path, *, take_over: bool = False, first_revision: int = 0) -> None:
         self.path = path
         self.tuned_path = tuned_path(path)
         self.references: References = read_references(path)
@@ -93,7 +96,7 @@ class TuningSession:
         self._column = {name: i for i, name in enumerate(self.references.shape_names)}
         self._selected = [_signature(path), _signature(proposed_path(path))]
         self._guard = threading.Lock()
-        self._revision = 0
+        self._revision = first_revision
         self.lock = TuningLock(lock_path(path))
         self.lock.acquire(take_over=take_over)
         try:
