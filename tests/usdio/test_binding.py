@@ -111,6 +111,22 @@ def test_a_face_alone_means_its_middle(bound: tuple[Path, MarkerBinding], face: 
     assert read.confidence[NAMES.index("chin")] == 1.0
 
 
+def test_a_correction_stays_with_its_marker_whichever_comes_first(
+    tmp_path: Path, bound: tuple[Path, MarkerBinding], face: FaceMesh
+) -> None:
+    path, binding = bound
+    names = ("眉左", "眉右", *binding.names[2:])
+    write(tmp_path, replace(binding, names=names), face)
+    correct(path, "眉右", "face:binding:face", Sdf.ValueTypeNames.Int, 5)
+    swapped = (names[1], names[0], *names[2:])
+    write(tmp_path, replace(binding, names=swapped), face)
+    read = read_binding(path, face).binding
+    assert sorted(read.names) == sorted(swapped)
+    assert [n for n, s in zip(read.names, read.sources, strict=True) if s == "corrected"] == [
+        "眉右"
+    ]
+
+
 def test_weights_alone_move_a_marker_on_its_face(
     bound: tuple[Path, MarkerBinding], face: FaceMesh
 ) -> None:

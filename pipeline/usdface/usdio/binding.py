@@ -204,8 +204,12 @@ def _author_proposed(layer: Sdf.Layer, binding: MarkerBinding, face: FaceMesh) -
 
 
 def _prim_name(name: str, taken: set[str]) -> str:
-    """Return a name that a prim may have and no other marker took."""
-    base = unique = str(Tf.MakeValidIdentifier(name))
+    """Return a name that a prim may have and no other marker took.
+
+    A name in any script is kept as it is: corrections find their marker by it, and what is left of
+    two Japanese names in ASCII would depend on which marker comes first.
+    """
+    base = unique = name if Sdf.Path.IsValidIdentifier(name) else str(Tf.MakeValidIdentifier(name))
     number = 2
     while unique in taken:
         unique = f"{base}_{number}"
