@@ -11,6 +11,7 @@ from pxr import Usd, UsdSkel
 from usdface.assets import Float32Array, FloatArray, IntArray, Performance, WeightsClip
 from usdface.errors import InputError
 from usdface.rates import exact_rate
+from usdface.timecode import shift_timecode
 from usdface.usdio.edits import ShapeEdit, edited_weights, read_edits
 from usdface.usdio.frame_span import span_of_samples
 from usdface.usdio.layers import open_stage
@@ -64,7 +65,7 @@ class PerformanceReader:
     def keyed_frames(self) -> frozenset[int]:
         """Frames at which the solve has a sample of its own; it is interpolated between them."""
         times = self._weights.GetTimeSamples()
-        return frozenset(int(time) for time in times if time == round(time))
+        return frozenset(int(time) for time in times if float(time).is_integer())
 
     @property
     @refusing_wrong_types
@@ -76,6 +77,13 @@ class PerformanceReader:
     def timecode_start(self) -> str:
         """SMPTE timecode of the first frame; empty when unknown."""
         return str(self._get("face:timecode:start") or "")
+
+    def timecode_at(self, frame: int) -> str:
+        """Return the SMPTE timecode of a frame; empty when unknown."""
+        try:
+            return shift_timecode(self.timecode_start, frame - self.first_frame, self.rate)
+        except InputError as error:
+            raise InputError(f"{self.path}: face:timecode:start: {error}") from error
 
     @cached_property
     @refusing_wrong_types
