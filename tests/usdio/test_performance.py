@@ -64,6 +64,19 @@ def test_performance_reads_back_the_same(tmp_path: Path) -> None:
     assert back.timecode_start == "00:01:00;02"
 
 
+def test_a_timecode_that_the_rate_cannot_have_is_refused_with_the_file_named(
+    tmp_path: Path,
+) -> None:
+    path = write(tmp_path)
+    assert PerformanceReader(path).timecode_at(1002) == "00:01:00;03"
+    for each in (path, tmp_path / "shot.hero.weights.usdc"):
+        layer = Sdf.Layer.FindOrOpen(str(each))
+        layer.timeCodesPerSecond = layer.framesPerSecond = 7
+        layer.Save()
+    with pytest.raises(InputError, match=r"shot\.hero\.usda: face:timecode:start: .*label 7"):
+        PerformanceReader(path).timecode_at(1002)
+
+
 @pytest.mark.parametrize("place", [None, "/shot/cast/hero_01"])
 def test_what_usdskel_bakes_from_the_layer_is_what_we_deform(tmp_path: Path, place) -> None:
     stage = Usd.Stage.Open(str(write(tmp_path, place=place)))

@@ -16,7 +16,6 @@ from usdface.specs.base import frame_range
 from usdface.specs.faces import FacesSpec
 from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
-from usdface.timecode import shift_timecode
 from usdface.usdio.posed_points import PosedRig
 from usdface.wording import counted
 
@@ -41,8 +40,11 @@ def run(
     columns = [_Column(actor, chosen, spec) for actor in actors]
     first = actors[0].reader
     for number, frame in enumerate(chosen.tolist()):
-        timecode = shift_timecode(first.timecode_start, frame - first.first_frame, first.rate)
-        rows.append(SheetRow(frame, timecode, tuple(column.tile(frame) for column in columns)))
+        rows.append(
+            SheetRow(
+                frame, first.timecode_at(frame), tuple(column.tile(frame) for column in columns)
+            )
+        )
         progress((number + 1) / len(chosen), f"drew frame {frame}")
     page = SheetPage(
         title=" · ".join(actor.rig.file.stem for actor in actors),

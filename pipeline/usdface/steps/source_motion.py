@@ -9,7 +9,6 @@ import numpy as np
 from usdface.assets import FloatArray
 from usdface.errors import InputError
 from usdface.model.shape_names import match_names
-from usdface.timecode import shift_timecode
 from usdface.usdio.performance_reader import PerformanceReader
 from usdface.usdio.take import TakeReader, is_take
 from usdface.wording import counted
@@ -64,9 +63,7 @@ def read_source_motion(path: Path, frames: tuple[int, int] | None = None) -> Sou
         weights=reader.edited(first, last).astype(np.float64),
         first_frame=first,
         rate=reader.rate,
-        timecode_start=shift_timecode(
-            reader.timecode_start, first - reader.first_frame, reader.rate
-        ),
+        timecode_start=reader.timecode_at(first),
     )
 
 
