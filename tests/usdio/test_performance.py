@@ -73,7 +73,7 @@ def test_a_timecode_that_the_rate_cannot_have_is_refused_with_the_file_named(
         layer = Sdf.Layer.FindOrOpen(str(each))
         layer.timeCodesPerSecond = layer.framesPerSecond = 7
         layer.Save()
-    with pytest.raises(InputError, match=r"shot\.hero\.usda: face:timecode:start: .*label 7"):
+    with pytest.raises(InputError, match=r"shot\.hero\.usda: face:timecode:start: .*not at 7"):
         PerformanceReader(path).timecode_at(1002)
 
 
