@@ -52,6 +52,16 @@ def write(folder: Path, *, place: str | None = None, weights=WEIGHTS, first: int
     return path
 
 
+def write_with_another_rig(path: Path) -> None:
+    """Map again, onto the rig's next version."""
+    write_rig(path.with_name("v002.usda"), small_rig())
+    other = read_rig(path.with_name("v002.usda"))
+    with writing_performance(
+        path, other, shape_names=NAMES, rate=Fraction(24), first_frame=1, last_frame=len(WEIGHTS)
+    ) as writer:
+        writer.append(WEIGHTS)
+
+
 def test_performance_reads_back_the_same(tmp_path: Path) -> None:
     back = read_performance(write(tmp_path))
     assert back.weights.names == NAMES
@@ -202,12 +212,7 @@ def test_mapping_again_keeps_what_else_the_rig_s_prim_references(tmp_path: Path)
     items = layer.GetPrimAtPath("/Hero").referenceList
     items.prependedItems = list(items.prependedItems)[1:]
     layer.Save()
-    write_rig(tmp_path / "v002.usda", small_rig())
-    other = read_rig(tmp_path / "v002.usda")
-    with writing_performance(
-        path, other, shape_names=NAMES, rate=Fraction(24), first_frame=1, last_frame=len(WEIGHTS)
-    ) as writer:
-        writer.append(WEIGHTS)
+    write_with_another_rig(path)
     assert [name for name, _ in references()] == ["./v002.usda", "./look.usda"]
 
 
@@ -223,12 +228,7 @@ def test_mapping_into_somebody_s_layer_keeps_what_it_references(tmp_path: Path) 
     assert [each.assetPath for each in hero.prependedItems] == ["./rig.usda", "./groom.usda"]
     hero.prependedItems = list(hero.prependedItems)[::-1]
     layer.Save()
-    write_rig(tmp_path / "v002.usda", small_rig())
-    other = read_rig(tmp_path / "v002.usda")
-    with writing_performance(
-        path, other, shape_names=NAMES, rate=Fraction(24), first_frame=1, last_frame=len(WEIGHTS)
-    ) as writer:
-        writer.append(WEIGHTS)
+    write_with_another_rig(path)
     hero = layer.GetPrimAtPath("/Hero").referenceList
     assert [each.assetPath for each in hero.prependedItems] == ["./groom.usda", "./v002.usda"]
 
