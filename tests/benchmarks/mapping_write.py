@@ -18,6 +18,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from statistics import median
 
@@ -194,7 +195,7 @@ def _mapped(folder: Path, frames: int, method: str) -> dict[str, float]:
     from usdface.model import fit_motion_space
     from usdface.model.head_space import MappedMarkers
     from usdface.model.train import train_mapping
-    from usdface.steps.solving import solve_ahead
+    from usdface.steps.solving import Block, solve_ahead
 
     rng = np.random.default_rng(0)
     neutral = rng.uniform(-70, 70, (MARKERS, 3))
@@ -233,10 +234,10 @@ def _mapped(folder: Path, frames: int, method: str) -> dict[str, float]:
     clouds, _ = markers(0, 10 * BLOCK)
     visible = np.ones((BLOCK, MARKERS), dtype=bool)
 
-    def placed() -> Iterator[MappedMarkers]:
+    def placed() -> Iterator[Block]:
         for start in range(0, frames, BLOCK):
             part = clouds[start % len(clouds) :][: min(BLOCK, frames - start)]
-            yield MappedMarkers(part, visible[: len(part)], (), (), 0.0)
+            yield partial(MappedMarkers, part, visible[: len(part)], (), (), 0.0)
 
     begun = _now()
     answers = ((each.weights, each.confidence) for each in solve_ahead(mapping, placed()))

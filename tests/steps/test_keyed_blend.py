@@ -1,6 +1,7 @@
 """A hybrid of markers whose blend is keyed: its ends are the parts, between them it is straight."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -37,8 +38,13 @@ def test_alpha_runs_from_one_part_to_the_other(
     visible = np.ones(positions.shape[:2], bool)
     blocks = [range(1, 61), range(61, 101)]
     placed = (
-        MappedMarkers(
-            positions[b.start - 1 : b.stop - 1], visible[b.start - 1 : b.stop - 1], (), (), 0
+        partial(
+            MappedMarkers,
+            positions[b.start - 1 : b.stop - 1],
+            visible[b.start - 1 : b.stop - 1],
+            (),
+            (),
+            0,
         )
         for b in blocks
     )

@@ -1,6 +1,7 @@
 """Blocks are solved ahead by threads, in order, few at a time."""
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,11 +15,11 @@ from usdface.steps import solving
 ROWS = 40
 
 
-def blocks(positions: np.ndarray, taken: list[int]) -> Iterator[MappedMarkers]:
+def blocks(positions: np.ndarray, taken: list[int]) -> Iterator[solving.Block]:
     for start in range(0, len(positions), ROWS):
         taken.append(start)
         part = positions[start : start + ROWS].astype(np.float32)
-        yield MappedMarkers(part, np.ones(part.shape[:2], dtype=bool), (), (), 0.0)
+        yield partial(MappedMarkers, part, np.ones(part.shape[:2], dtype=bool), (), (), 0.0)
 
 
 def test_what_comes_out_does_not_depend_on_how_many_solve_and_few_blocks_wait(

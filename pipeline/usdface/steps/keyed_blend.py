@@ -9,11 +9,10 @@ import numpy as np
 
 from usdface.assets import Mapping
 from usdface.errors import InputError
-from usdface.model.head_space import MappedMarkers
 from usdface.model.predict import Prediction
 from usdface.numerics.array_namespace import CPU, ArrayDevice
 from usdface.steps.alpha_curve import read_alpha
-from usdface.steps.solving import solve_ahead
+from usdface.steps.solving import Block, solve_ahead
 
 
 def check_blend(path: Path, mapping: Mapping) -> None:
@@ -33,7 +32,7 @@ def check_blend(path: Path, mapping: Mapping) -> None:
 
 def solve_blended(
     mapping: Mapping,
-    placed: Iterator[MappedMarkers],
+    placed: Iterator[Block],
     alpha: Path,
     blocks: list[range],
     *,

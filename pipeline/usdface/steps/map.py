@@ -1,6 +1,7 @@
 """A cleaned take and a mapping in, a performance out; a take of any length in bounded memory."""
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -71,7 +72,9 @@ def run(
     ) as writer:
         blocks = list(_blocks(take, first, last))
         windows = [_window(take, block, solve.margin_at(float(take.rate))) for block in blocks]
-        placed = (space.place(read_markers(take, each.start, each.stop - 1)) for each in windows)
+        placed = (
+            partial(space.place, read_markers(take, each.start, each.stop - 1)) for each in windows
+        )
         answers = (
             solve_ahead(mapping, placed, device=device)
             if spec.alpha is None

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
-from usdface.assets import Event, Markers, Take, Video, WeightsClip
+from usdface.assets import Event, Float32Array, Markers, Take, Video, WeightsClip
 from usdface.errors import InputError
 from usdface.rates import exact_rate
 from usdface.timecode import shift_timecode
@@ -65,6 +65,7 @@ class TakeReader:
             for place in (MARKERS, HEAD_MOTION, SOURCE, AUDIO)
         }
         self._times: dict[str, np.ndarray] = {}
+        self._queries: dict[str, Usd.AttributeQuery] = {}
         check_span(f"{path}: startTimeCode to endTimeCode", start, end, samples=self._samples())
         self.first_frame, self.last_frame = round(start), round(end)
 
@@ -157,7 +158,7 @@ class TakeReader:
             )
         read = self._read_vectors(prim, frames, len(names))
         shape = read.shape[:2]
-        positions = (read.reshape(-1, 3) @ self._ours.T.astype(np.float32)).reshape(read.shape)
+        positions = self._to_ours(read)
         visible = self._read_primvar(prim, VISIBLE, frames, shape, np.dtype(np.bool_))
         confidence = self._read_primvar(prim, CONFIDENCE, frames, shape, np.dtype(np.float32))
         rigid = prim.GetAttribute("face:markers:rigid").Get() or ()
@@ -175,18 +176,26 @@ class TakeReader:
             space="stabilized" if space == "stabilized" else "captured",
         )
 
+    def _to_ours(self, read: Float32Array) -> Float32Array:
+        ours = self._ours.astype(np.float32)
+        if np.array_equal(ours, ours[0, 0] * np.eye(3)):  # a Y-up stage differs by its unit alone
+            read *= ours[0, 0]
+            return read
+        return np.asarray((read.reshape(-1, 3) @ ours.T).reshape(read.shape))
+
     def _read_vectors(self, prim: Usd.Prim, frames: range, count: int) -> np.ndarray:
         attribute = UsdGeom.Points(prim).GetPointsAttr()
         out = np.empty((len(frames), count, 3), dtype=np.float32)
+        query = self._query(attribute)
         for index, frame in enumerate(frames):
-            value = attribute.Get(frame)
+            value = query.Get(frame)
             if value is None or len(value) != count:
                 got = 0 if value is None else len(value)
                 raise InputError(
                     f"{self.path} <{attribute.GetPath()}> frame {frame}: {got} points for "
                     f"{count} marker names; ingest the capture again"
                 )
-            out[index] = np.asarray(value)
+            out[index] = value
         with np.errstate(over="ignore", invalid="ignore"):
             doubtful = not np.isfinite(out.sum())  # one sum tells of all
         if doubtful:
@@ -215,17 +224,24 @@ class TakeReader:
         start = max(int(np.searchsorted(times, frames[0], "right")) - 1, 0)
         times = times[start : int(np.searchsorted(times, frames[-1], "left")) + 1]
         told = np.empty((len(times), shape[1]), kind)
+        query = self._query(attribute)
         for index, time in enumerate(times.tolist()):
-            value = attribute.Get(time)
+            value = query.Get(time)
             if value is None or len(value) != shape[1]:
                 raise InputError(
                     f"{self.path} <{attribute.GetPath()}> frame {time:g}: needs one value per "
                     f"marker, {shape[1]}; ingest the capture again"
                 )
-            told[index] = np.asarray(value)
+            told[index] = value
         if len(told) == 1:
             return np.broadcast_to(told[0], shape)
         return _between(times, told, np.arange(frames[0], frames[-1] + 1))
+
+    def _query(self, attribute: Usd.Attribute) -> Usd.AttributeQuery:
+        """Return what reads an attribute in half the time: it looks for its layer only once."""
+        if attribute.GetName() not in self._queries:
+            self._queries[attribute.GetName()] = Usd.AttributeQuery(attribute)
+        return self._queries[attribute.GetName()]
 
     def _sample_times(self, attribute: Usd.Attribute) -> np.ndarray:
         """Return when an attribute has samples; USD lists them all each time, however many."""
@@ -241,14 +257,15 @@ class TakeReader:
         names = tuple(map(str, animation.GetBlendShapesAttr().Get() or ()))
         attribute = animation.GetBlendShapeWeightsAttr()
         values = np.zeros((len(frames), len(names)), dtype=np.float32)
+        query = self._query(attribute)
         for index, frame in enumerate(frames):
-            row = attribute.Get(frame)
+            row = query.Get(frame)
             if row is None or len(row) != len(names):
                 raise InputError(
                     f"{self.path} <{attribute.GetPath()}> frame {frame}: "
                     f"{0 if row is None else len(row)} weights for {len(names)} names"
                 )
-            values[index] = np.asarray(row)
+            values[index] = row
         return WeightsClip(names, values, frames[0], self.rate)
 
     def _read_head_motion(self, frames: range) -> np.ndarray | None:
@@ -313,6 +330,8 @@ class TakeReader:
 
 def _between(times: np.ndarray, told: np.ndarray, frames: np.ndarray) -> np.ndarray:
     """Return values at frames as USD does: numbers are interpolated, the rest is held."""
+    if np.array_equal(times, frames):
+        return told
     before = np.clip(np.searchsorted(times, frames, "right") - 1, 0, len(times) - 1)
     out = told[before]
     if np.issubdtype(told.dtype, np.floating):

@@ -56,13 +56,16 @@ def read_samples(prim: Usd.Prim) -> Samples | None:
     names = tuple(map(str, animation.GetBlendShapesAttr().Get() or ()))
     attribute = animation.GetBlendShapeWeightsAttr()
     times = attribute.GetTimeSamples() if attribute else []
+    if not len(times) or not names:
+        return None
     values = np.empty((len(times), len(names)), dtype=np.float32)
+    query = Usd.AttributeQuery(attribute)
     for index, time in enumerate(times):
-        row = attribute.Get(time)
+        row = query.Get(time)
         if row is None or len(row) != len(names):
             return None
-        values[index] = np.asarray(row)
-    if not len(times) or not names or not np.isfinite(values).all():
+        values[index] = row
+    if not np.isfinite(values).all():
         return None
     rate = float(prim.GetStage().GetTimeCodesPerSecond())
     return Samples(str(attribute.GetPath()), names, np.array(times), values, rate)

@@ -28,8 +28,11 @@ def check_weights(prim: Usd.Prim) -> list[Fault]:
     if authored and not names:
         message = "weights without blendShapes, so nobody knows whose they are; name the shapes"
         return [Fault("error", path, message)]
-    for time in attribute.GetTimeSamples() if authored else []:
-        fault = _fault(names, np.asarray(attribute.Get(time)))
+    if not authored:
+        return []
+    query = Usd.AttributeQuery(attribute)
+    for time in attribute.GetTimeSamples():
+        fault = _fault(names, np.asarray(query.Get(time)))
         if fault:
             return [Fault("error", path, f"time code {time:g}: {fault}")]
     return []
