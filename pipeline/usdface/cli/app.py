@@ -14,8 +14,8 @@ from usdface.cli.console import (
     ProgressStyle,
     exit_code_of,
     listening,
-    out,
     raise_on_terminate,
+    say,
     set_up_logging,
     show_error,
     show_json,
@@ -139,7 +139,7 @@ def _run_step(
             save_spec.write_text(text, encoding="utf-8")
         except OSError as error:
             raise InputError(f"{save_spec}: cannot be written: {error.strerror}") from error
-        out.print(f"wrote {save_spec}", markup=False)
+        say(f"wrote {save_spec}")
         return
     from usdface.steps.execute import execute
 
@@ -243,7 +243,7 @@ def check(
         show_json([{"step": s.spec.step, "state": s.state, "reason": s.reason} for s in states])
         return
     for number, state in enumerate(states, start=1):
-        out.print(f"{number}. {state.spec.step}: {state.state} ({state.reason})", markup=False)
+        say(f"{number}. {state.spec.step}: {state.state} ({state.reason})")
 
 
 def _submit(
@@ -340,7 +340,7 @@ def demo(
 
 def _version(wanted: bool) -> None:
     if wanted:
-        out.print(f"usdface {__version__}", markup=False)
+        say(f"usdface {__version__}")
         raise typer.Exit
 
 

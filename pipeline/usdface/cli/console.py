@@ -13,8 +13,7 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any, Literal
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+import typer
 
 from usdface.errors import CancelledError, UsdfaceError
 from usdface.progress import Progress as Listener
@@ -35,9 +34,6 @@ LEAST_FARM_PROGRESS = 0.01
 LEAST_FARM_SECONDS = 1.0
 """What is nearer than both to what was said last is left out."""
 
-out = Console(highlight=False, soft_wrap=True)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
-
 
 @contextlib.contextmanager
 def listening(style: ProgressStyle) -> Iterator[Listener]:
@@ -48,17 +44,29 @@ def listening(style: ProgressStyle) -> Iterator[Listener]:
         except UsdfaceError as error:
             _say_to_farm("fail", str(error))
             raise
-    elif style == "bar" or (style == "auto" and err.is_terminal):
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=err, transient=True) as bar:
-            task = bar.add_task("", total=1.0)
-
-            def report(fraction: float, message: str) -> None:
-                bar.update(task, completed=fraction, description=message)
-
-            yield report
+    elif style == "bar" or (style == "auto" and sys.stderr.isatty()):
+        with _bar() as listener:
+            yield listener
     else:
         yield silent
+
+
+@contextlib.contextmanager
+def _bar() -> Iterator[Listener]:
+    # Takes as long to import as all else a command starts with, and only a terminal sees it.
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("", total=1.0)
+
+        def report(fraction: float, message: str) -> None:
+            bar.update(task, completed=fraction, description=escape(message))
+
+        yield report
 
 
 class _FarmProgress:
@@ -86,18 +94,23 @@ def _say_to_farm(what: str, message: str) -> None:
     sys.stdout.flush()
 
 
+def say(line: str) -> None:
+    """Print a line at once, whoever reads it: a person, or a pipe."""
+    typer.echo(line)
+
+
 def show_report(report: Report, *, as_json: bool) -> None:
     """Print a step's result for a person or for a script."""
     if as_json:
         show_json(report.as_data())
         return
-    out.print(report.summary, markup=False)
+    say(report.summary)
     for line in report.table:
-        out.print(f"  {line}", markup=False)
+        say(f"  {line}")
     for note in report.notes:
-        out.print(f"  note: {note}", markup=False)
+        say(f"  note: {note}")
     for path in report.outputs if report.fresh else ():
-        out.print(f"  wrote {path}", markup=False)
+        say(f"  wrote {path}")
 
 
 def show_json(data: Any) -> None:
@@ -107,7 +120,7 @@ def show_json(data: Any) -> None:
 
 def show_error(message: str) -> None:
     """Print an error for a person; on a farm its first line becomes the task's status."""
-    err.print(f"usdface: {message}", markup=False, style="bold red" if err.is_terminal else None)
+    typer.secho(f"usdface: {message}", err=True, fg=typer.colors.RED, bold=True)
 
 
 def set_up_logging(*, verbose: bool) -> None:

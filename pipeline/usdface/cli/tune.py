@@ -5,7 +5,7 @@ import json
 import webbrowser
 from typing import Any
 
-from usdface.cli.console import out, show_report
+from usdface.cli.console import say, show_report
 from usdface.cli.spec_options import build_spec, command_of
 from usdface.errors import InputError
 from usdface.specs.base import Reads, Spec
@@ -46,12 +46,11 @@ def _tune(spec_type: type[Spec], values: dict[str, Any], *, as_json: bool) -> No
 
     def announce(link: str) -> None:
         if as_json:
-            out.file.write(json.dumps({"link": link}) + "\n")
+            say(json.dumps({"link": link}))
         else:
-            out.print(f"{'tune at' if not links else 'a new link:'} {link}", markup=False)
+            say(f"{'tune at' if not links else 'a new link:'} {link}")
             if not links:
-                out.print("  Ctrl+C saves and ends; the link opens one browser, once", markup=False)
-        out.file.flush()
+                say("  Ctrl+C saves and ends; the link opens one browser, once")
         if spec.browser and not links:
             webbrowser.open(link)
         links.append(link)

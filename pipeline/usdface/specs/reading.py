@@ -6,19 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
 from usdface.errors import InputError
 from usdface.specs.base import Spec
 from usdface.specs.fault_words import fault_words, told_faults
-from usdface.specs.job import AnyStep, JobSpec
+from usdface.specs.job import JobSpec
 from usdface.specs.path_mapping import PathRules, map_path
 from usdface.specs.takes import step_places
 
 LARGEST_SPEC_BYTES = 16 << 20
 """A job of thousands of steps is far below this; more is not a spec."""
-
-_STEP: TypeAdapter[Any] = TypeAdapter(AnyStep)
 
 
 def read_job(path: Path, *, path_rules: PathRules = ()) -> JobSpec:
