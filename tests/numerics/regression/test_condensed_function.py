@@ -10,6 +10,7 @@ from usdface.numerics.regression.condensed_function import (
     CondensedFunction,
     condense,
 )
+from usdface.numerics.regression.local_sums import SINGLE_NORM
 
 STRICT = ArrayDevice("strict", array_api_strict, array_api_strict.Device("CPU_DEVICE"))
 DIMENSIONS = 6
@@ -81,6 +82,21 @@ def test_both_fits_are_kernels_and_a_line_summed_one_by_one() -> None:
     mean, agree = CondensedFunction(arrays).both(points)
     np.testing.assert_allclose(mean, (fits[0] + fits[1]) / 2, atol=1e-7)
     np.testing.assert_array_equal(agree, np.abs(fits[0] - fits[1]).max(axis=1) <= AGREED)
+
+
+def test_small_duals_are_rounded_and_large_ones_never() -> None:
+    arrays = condense(smooth, sample(), noise=0.05)
+    assert arrays is not None
+    points = sample(seed=4)
+    norm = np.linalg.norm(arrays["dual"], axis=1).max()
+    for size, most in ((0.9 * SINGLE_NORM / norm, 1e-6), (1.1 * SINGLE_NORM / norm, 0.0)):
+        own = arrays | {name: size * arrays[name] for name in ("dual", "line")}
+        exact, _ = CondensedFunction(own).both(points)
+        found, _ = CondensedFunction(own, single=True).both(points)
+        assert found.dtype == np.float64
+        error = np.abs(found - exact).max()
+        assert error <= most
+        assert (error > 0) == (most > 0)
 
 
 def test_rough_outputs_are_left_out() -> None:

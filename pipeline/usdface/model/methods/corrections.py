@@ -88,6 +88,7 @@ def prepare_corrections(
             for name, value in arrays.items()
             if name.startswith(CONDENSED)
         },
+        single=single,
         device=device,
     )
     return lambda points: found(points, asked) + own(points)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
+from usdface.numerics.regression.local_sums import SINGLE_NORM
 
 Array = NDArray[np.float64]
 
@@ -112,11 +113,15 @@ class CondensedFunction:
     ----------
     arrays : dict of str to float array
         From `condense`.
+    single : bool
+        Evaluate in single precision where the duals allow it, as `LocalSums` does.
     device : ArrayDevice
         Where points will be.
     """
 
-    def __init__(self, arrays: dict[str, Array], *, device: ArrayDevice = CPU) -> None:
+    def __init__(
+        self, arrays: dict[str, Array], *, single: bool = False, device: ArrayDevice = CPU
+    ) -> None:
         scale, centres, exponent = (arrays[name] for name in ("scale", "centres", "exponent"))
         flat = centres.reshape(-1, len(scale))
         squares = np.einsum("md,md->m", flat, flat)
@@ -124,10 +129,14 @@ class CondensedFunction:
         line = np.concatenate(list(arrays["line"]), axis=1)
         lines = np.vstack([line[:-1], np.zeros(line.shape[1]), line[-1]])
         self._count, self._outputs = centres.shape[1], arrays["dual"].shape[2]
+        rounded = single and np.linalg.norm(arrays["dual"], axis=1).max() <= SINGLE_NORM
+        kind = "float32" if rounded else "float64"
         self._scale = device.put(scale)
         # of features, the squared norm of the row and 1: exponents of kernels, then both lines
-        self._operand = device.put(np.ascontiguousarray(np.hstack([kernels, lines])))
-        self._duals = [device.put(np.ascontiguousarray(dual)) for dual in arrays["dual"]]
+        self._operand = device.put(np.ascontiguousarray(np.hstack([kernels, lines])), dtype=kind)
+        self._duals = [
+            device.put(np.ascontiguousarray(dual), dtype=kind) for dual in arrays["dual"]
+        ]
 
     def both(self, points: Any) -> tuple[Any, Any]:
         """Evaluate both fits.
@@ -144,7 +153,7 @@ class CondensedFunction:
             Whether they differ by no more than `AGREED` in any output.
         """
         xp = namespace_of(points)
-        rows = points * self._scale
+        rows = xp.astype(points * self._scale, self._operand.dtype)
         squares = xp.sum(rows * rows, axis=1, keepdims=True)
         found = xp.matmul(xp.concat([rows, squares, xp.ones_like(squares)], axis=1), self._operand)
         lines = 2 * self._count
@@ -154,7 +163,7 @@ class CondensedFunction:
             for k, dual in enumerate(self._duals)
         )
         agree = xp.max(xp.abs(one - other), axis=1) <= AGREED
-        return (one + other) / 2, agree
+        return xp.astype((one + other) / 2, points.dtype), agree
 
     def __call__(self, points: Any, function: Callable[[Any], Any]) -> Any:
         """Evaluate; ask the function itself where the two fits disagree.
