@@ -179,6 +179,23 @@ def test_pairs_are_proposed_by_name_and_by_hand_keyed_ones_stay(stall: Stall, ca
     assert samples_path(Path("p.pairs.usda")).is_file()
 
 
+def test_nothing_is_proposed_where_keys_made_by_hand_would_hide_it(stall: Stall, capsys) -> None:
+    line = "pairs propose --source human.usda --target beast.usda --out p.pairs.usda --match name"
+    assert usdface(*line.split()) == 0
+    stage = Usd.Stage.Open("p.pairs.usda")
+    for prim in stage.Traverse():  # the first two pairs are keyed whole, the others taken out
+        for attribute in prim.GetAttributes():
+            if attribute.GetNumTimeSamples():
+                for time, value in [(time, attribute.Get(time)) for time in (1, 2)]:
+                    attribute.Set(value, time)
+    stage.GetRootLayer().Save()
+    del stage
+    capsys.readouterr()
+    assert usdface(*line.split(), "--overwrite") == 0
+    assert "left out 2 new pairs (eyeBlink, smile)" in capsys.readouterr().out
+    assert read_pairs(Path("p.pairs.usda")).names == ("rest", "jawOpen")
+
+
 def test_describe_says_what_was_tried(trained: Stall, capsys) -> None:
     capsys.readouterr()
     assert usdface("describe", "x.retarget.usdc") == 0

@@ -12,7 +12,7 @@ from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
 from usdface.specs.pairs import PairsProposeSpec
 from usdface.steps.report import Report
-from usdface.usdio.pairs import merge_pairs, read_pairs, samples_path, write_pairs
+from usdface.usdio.pairs import keyed_above, merge_pairs, read_pairs, samples_path, write_pairs
 from usdface.usdio.rest_controls import rest_controls
 from usdface.usdio.rig import read_rig
 from usdface.wording import counted
@@ -39,9 +39,17 @@ def run(
         old = read_pairs(spec.out)
         kept = len(old)
         try:
-            pairs = merge_pairs(old, pairs)
+            merged = merge_pairs(old, pairs)
         except InputError as error:
             raise InputError(f"{spec.out}: {error}") from error
+        keyed = keyed_above(spec.out)
+        if keyed and len(merged) > kept:
+            notes.append(
+                f"left out {counted(len(merged) - kept, 'new pair')} "
+                f"({', '.join(merged.names[kept:][:3])}): keys made by hand, of {keyed[0]}, hide "
+                "what lies beneath at every time code; key them there, or propose to another --out"
+            )
+        pairs = old if keyed else merged
     progress(0.9, f"writing {spec.out.name}")
     write_pairs(spec.out, pairs, source_rig=source, target_rig=target, provenance=provenance)
     progress(1.0, "done")
