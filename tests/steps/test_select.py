@@ -18,6 +18,7 @@ from usdface.specs.reference_sheet import ReferenceSheetSpec
 from usdface.specs.references import ReferencesImportSpec, SelectSpec, tuned_path
 from usdface.steps import selection_scene
 from usdface.steps.execute import execute
+from usdface.steps.keyed_pairs import read_set_references
 from usdface.usdio.references import read_references, read_tuned_pairs
 from usdface.usdio.rig import read_rig
 from usdface.usdio.rig_write import write_rig
@@ -230,6 +231,7 @@ def test_pairs_keyed_in_a_dcc_are_kept_as_tuned_ones_are(shot: Shot) -> None:
     for pair, row in enumerate(keyed.astype(np.float32)):
         layer.SetTimeSample(place, pair + 1, Vt.FloatArray.FromNumpy(row))
     layer.Save()
+    assert np.flatnonzero(read_set_references(new.out).tuned).tolist() == [4]
     report = execute(spec(shot, count=14, frames="1-300", method="design"), overwrite=True)
     after = read_references(new.out)
     assert np.flatnonzero(after.tuned).tolist() == [4]

@@ -7,14 +7,14 @@ import numpy as np
 
 from usdface.assets import References
 from usdface.model.conflicting_references import Conflict, conflict_text, find_conflicts
-from usdface.usdio.references import read_references
+from usdface.steps.keyed_pairs import read_set_references
 
 MOST_TOLD = 5
 
 
 def tuned_conflicts(path: Path) -> tuple[list[str], list[dict[str, object]]]:
     """Return what contradicts itself among the tuned pairs of an asset: for people, and as data."""
-    references = read_references(path)
+    references = read_set_references(path)
     places = np.flatnonzero(references.tuned)
     tuned = replace(
         references,

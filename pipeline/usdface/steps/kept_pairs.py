@@ -7,13 +7,10 @@ import numpy as np
 
 from usdface.assets import IntArray, Rig
 from usdface.errors import InputError
-from usdface.specs.references import SelectSpec, proposed_path, tuned_path
+from usdface.specs.references import SelectSpec, tuned_path
 from usdface.steps.cleaned_takes import CleanedTakes
+from usdface.steps.keyed_pairs import keyed_pairs
 from usdface.usdio.references import TunedPair, read_references, read_tuned_pairs
-from usdface.usdio.tuning import check_tuned_layer, read_proposals
-
-SAME = 1e-6
-"""Weights that differ by less are one: layers hold single precision."""
 
 
 @dataclass(frozen=True)
@@ -81,14 +78,9 @@ def _keyed_pairs(out: Path, marked: dict[int, TunedPair]) -> dict[int, TunedPair
         return {}
     try:
         old = read_references(out)
-        check_tuned_layer(tuned_path(out), old)
-        proposals = read_proposals(proposed_path(out), old)
+        keyed = keyed_pairs(out, old)
     except InputError:
         return {}
-    shown = proposals.copy()
-    for pair, each in marked.items():
-        shown[pair] = [each.weights.get(name, 0.0) for name in old.shape_names]
-    away = np.abs(old.weights - shown).max(axis=1, initial=0.0) > SAME
     return {
         pair: TunedPair(
             pair,
@@ -97,7 +89,7 @@ def _keyed_pairs(out: Path, marked: dict[int, TunedPair]) -> dict[int, TunedPair
             dict(zip(old.shape_names, old.weights[pair].tolist(), strict=True)),
             done=pair in marked and marked[pair].done,
         )
-        for pair in np.flatnonzero(away).tolist()
+        for pair in keyed
     }
 
 

@@ -21,10 +21,10 @@ from usdface.steps.coverage_report import (
     holes_of,
 )
 from usdface.steps.kept_pairs import find_rows
+from usdface.steps.keyed_pairs import read_set_references
 from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
 from usdface.steps.selection_scene import SelectionScene, candidate_frames, set_up_scene
-from usdface.usdio.references import read_references
 from usdface.usdio.rig import read_rig
 
 MOST_TOLD = 3
@@ -117,7 +117,7 @@ def measure(spec: ReferencesCoverageSpec, *, progress: Progress) -> MeasuredCove
         If references and takes do not go together, or no pair counts.
     """
     progress(0.0, "reading the takes")
-    references = read_references(spec.references)
+    references = read_set_references(spec.references)
     pairs = _counted(spec, references)
     takes = _with_markers_of(read_cleaned_takes(spec.takes), references, spec)
     rig = _rig(spec, references)

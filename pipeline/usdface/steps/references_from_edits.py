@@ -13,7 +13,7 @@ from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
 from usdface.specs.references import ReferencesFromEditsSpec, proposed_path, tuned_path
 from usdface.steps.edited import runs
-from usdface.steps.kept_pairs import SAME
+from usdface.steps.keyed_pairs import SAME
 from usdface.steps.placed_take import find_take_space, read_markers
 from usdface.steps.report import Report
 from usdface.steps.tuning_in_progress import nobody_tunes

@@ -24,11 +24,11 @@ from usdface.provenance import Provenance
 from usdface.specs.base import frame_range
 from usdface.specs.reference_sheet import ReferenceSheetSpec
 from usdface.speech.visemes import viseme_label
+from usdface.steps.keyed_pairs import read_set_references
 from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
 from usdface.steps.shot_pictures import undrawn
 from usdface.timecode import shift_timecode
-from usdface.usdio.references import read_references
 from usdface.usdio.rig import read_rig
 from usdface.usdio.take import read_take
 from usdface.usdio.tuning import read_pair_notes
@@ -48,7 +48,7 @@ def run(
 ) -> Report:
     """Draw every pair and write the sheet."""
     progress(0.0, "reading")
-    references = read_references(spec.references)
+    references = read_set_references(spec.references)
     rig = read_rig(references.rig_file, prim=references.rig_prim)
     columns = [rig.shapes.index(name) for name in references.shape_names if name in rig.shapes]
     if len(columns) < len(references.shape_names):

@@ -13,9 +13,9 @@ from usdface.model.train import train_mapping
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
 from usdface.specs.train import TrainSpec
+from usdface.steps.keyed_pairs import read_set_references
 from usdface.steps.report import Report
 from usdface.usdio.mapping import write_mapping
-from usdface.usdio.references import read_references
 from usdface.usdio.rig import read_rig
 from usdface.wording import counted
 
@@ -24,19 +24,18 @@ def run(
     spec: TrainSpec, *, provenance: Provenance | None = None, progress: Progress = silent
 ) -> Report:
     """Learn the mapping that the references show."""
-    references = read_references(spec.references)
+    references = read_set_references(spec.references)
     notes = []
-    tuned = int(references.tuned.sum())
+    tuned = references.tuned
     if spec.tuned_only:
-        if not tuned:
+        if not tuned.any():
             raise InputError(
                 f"{spec.references}: no pair is tuned; tune some, or train without --tuned-only"
             )
-        references = _only(references, references.tuned)
-    elif tuned < len(references.tuned):
+        references = _only(references, tuned)
+    elif not tuned.all():
         notes.append(
-            f"{len(references.tuned) - tuned} of {len(references.tuned)} pairs are proposals that "
-            "nobody has tuned"
+            f"{int((~tuned).sum())} of {len(tuned)} pairs are proposals that nobody has tuned"
         )
     rig = read_rig(references.rig_file, prim=references.rig_prim)
     missing = [name for name in references.shape_names if name not in rig.shapes]
