@@ -14,6 +14,7 @@ from tests.steps.small_shot import Shot
 from usdface.deformer import Deformer
 from usdface.errors import InputError
 from usdface.layer_names import edits_path
+from usdface.numerics.curves.edit_curve import no_edit
 from usdface.specs.bake import BakeSpec
 from usdface.specs.base import Spec
 from usdface.specs.edit import EditsImportSpec, EditSpec
@@ -24,6 +25,7 @@ from usdface.specs.train import TrainSpec
 from usdface.steps import bake
 from usdface.steps.edited import list_edits
 from usdface.steps.execute import execute
+from usdface.steps.references_from_edits import FULL_STRENGTH, LEAST_CHANGE, MOSTLY, meant_frames
 from usdface.steps.report import Report
 from usdface.usdio.performance import PerformanceReader, read_performance, read_weights
 from usdface.usdio.references import read_references
@@ -254,6 +256,51 @@ def test_corrected_frames_become_tuned_pairs_and_fades_do_not(shot: Shot) -> Non
         np.testing.assert_allclose(after.weights[pair], wanted[order], atol=1e-6)
     np.testing.assert_allclose(after.neutral, before.neutral)
     run(TrainSpec(references=out, out=shot / "v2.mapping.usdc", method="ridge"))
+
+
+def test_curves_of_a_dcc_that_peak_at_different_frames_teach_where_they_are_strongest(
+    shot: Shot,
+) -> None:
+    path, dcc = shot / "shot.hero.usda", shot / "dcc.csv"
+    clip = read_weights(path)
+    wanted = clip.values.copy()
+    time = np.arange(200, 240)
+    for name, peak in (("jawOpen", 213), ("mouthSmileLeft", 226)):  # neither holds anywhere
+        wanted[time, clip.names.index(name)] += 0.4 * np.exp(-(((time - peak) / 9.0) ** 2))
+    wanted[:, clip.names.index("browInnerUp")] += 0.03 * np.sin(np.arange(len(wanted)) / 3)
+    with dcc.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["frame", *clip.names])
+        writer.writerows([i + 1, *row] for i, row in enumerate(wanted.tolist()))
+    run(EditsImportSpec(performance=path, changed=dcc))
+    report = run(
+        ReferencesFromEditsSpec(
+            performances=(path,),
+            references=shot / "hero.references.usda",
+            out=shot / "v2.references.usda",
+            count=4,
+        )
+    )
+    taken = np.array(report.figures["frames"])
+    assert len(taken) == 4
+    change = np.abs(wanted - clip.values).max(axis=1)
+    assert change[taken - 1].max() > 0.99 * change.max()
+
+
+def test_where_no_frame_has_all_edits_at_their_peaks_those_nearest_are_meant() -> None:
+    rising = np.interp(np.arange(120), [0, 10, 100, 119], [0.01, 0.4, 1.0, 0.01])
+    edits = [no_edit(120), no_edit(120)]
+    edits[0].offset[:], edits[1].offset[:] = rising, rising[::-1]
+    changes = np.array([each.offset for each in edits])
+    mean = (changes**2).sum(axis=0) / changes.sum(axis=0)
+    wanted = (mean > MOSTLY) & (changes.max(axis=0) > LEAST_CHANGE)
+    assert 0 < wanted.sum() < 120
+    np.testing.assert_array_equal(meant_frames(edits, changes), wanted)
+    edits[1].offset[80:111] = 1.0  # held, so that there are frames with both at full strength
+    changes = np.array([each.offset for each in edits])
+    both = (changes >= FULL_STRENGTH).all(axis=0)
+    assert both.any()
+    np.testing.assert_array_equal(meant_frames(edits, changes), both)
 
 
 def test_corrections_taken_in_place_twice_are_the_same_as_once(shot: Shot) -> None:

@@ -1,6 +1,7 @@
 """Turn frames that an animator corrected into tuned pairs."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 
 from usdface.assets import BoolArray, FloatArray, IntArray, Mapping, References
 from usdface.errors import InputError
+from usdface.numerics.curves.edit_curve import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
@@ -17,7 +19,6 @@ from usdface.steps.keyed_pairs import SAME
 from usdface.steps.placed_take import find_take_space, read_markers
 from usdface.steps.report import Report
 from usdface.steps.tuning_in_progress import nobody_tunes
-from usdface.usdio.edits import ShapeEdit
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance import PerformanceReader
@@ -37,6 +38,12 @@ LEAST_CHANGE = 0.02
 
 FULL_STRENGTH = 0.8
 """Share of an edit's peak from which a frame counts as meant, not as its fade."""
+
+MINOR = 0.25
+"""Edits below this share of a frame's largest do not count."""
+
+MOSTLY = 0.5
+"""The same of all edits of a frame together, where no frame has every one at full strength."""
 
 
 def run(
@@ -113,8 +120,10 @@ def _learn(
             "are these the references its mapping was trained on?"
         )
     edited = reader.edited().astype(np.float64)
-    change = np.abs(edited - reader.solved()).max(axis=1)
-    rows = np.flatnonzero(meant_frames(reader.edits, len(edited)) & (change > LEAST_CHANGE))
+    changes = np.abs(edited - reader.solved())
+    own = [reader.names.index(name) for name in reader.edits]
+    curves = [edit.curve for edit in reader.edits.values()]
+    change, rows = changes.max(axis=1), np.flatnonzero(meant_frames(curves, changes[:, own].T))
     if not len(rows):
         notes.append(f"{performance}: no frame was corrected; nothing to learn from it")
         return _NO_LESSONS
@@ -137,18 +146,31 @@ def _learn(
     return _Lessons(take.name, reader.frames[rows[chosen]], markers[chosen], weights)
 
 
-def meant_frames(edits: dict[str, ShapeEdit], frames: int) -> BoolArray:
-    """Return the frames at which every edit is near its full strength.
+def meant_frames(edits: Sequence[EditCurve], changes: FloatArray) -> BoolArray:
+    """Return the corrected frames at which every edit that counts is near its full strength.
 
     In a fade the weight is half the solve's and half the animator's: nobody wants exactly that.
+    Curves of a DCC seldom peak at the same frame. Where no frame has all at their peaks, those are
+    returned at which the edits are near them on average, each counted by how much it changes.
+
+    Parameters
+    ----------
+    edits : sequence of EditCurve
+    changes : (edits, frames) float array
+        How far each moves its weight at each frame.
     """
-    edited, faded = np.zeros(frames, dtype=bool), np.zeros(frames, dtype=bool)
-    for edit in edits.values():
-        strength = np.maximum(np.abs(edit.curve.offset), edit.curve.mask)
-        for part in runs(edit.curve.active):
-            edited[part] = True
-            faded[part] |= strength[part] < FULL_STRENGTH * strength[part].max()
-    return edited & ~faded
+    share = np.ones_like(changes)
+    for row, edit in enumerate(edits):
+        strength = np.maximum(np.abs(edit.offset), edit.mask)
+        for part in runs(edit.active):
+            share[row, part] = strength[part] / strength[part].max()
+    largest = changes.max(axis=0, initial=0.0)
+    counts = changes > MINOR * largest
+    meant: BoolArray = ((share >= FULL_STRENGTH) | ~counts).all(axis=0) & (largest > LEAST_CHANGE)
+    if not meant.any():
+        whole = changes.sum(axis=0)
+        meant = ((changes * share).sum(axis=0) > MOSTLY * whole) & (largest > LEAST_CHANGE)
+    return meant
 
 
 def spread_out(weights: FloatArray, change: FloatArray, count: int) -> IntArray:
