@@ -73,6 +73,21 @@ def test_rotations_stay_rotations_and_scales_positive(method: str) -> None:
     assert all(np.isfinite(part).all() for part in (made.weights, made.translations, made.values))
 
 
+@pytest.mark.parametrize("method", list(RETARGET_METHODS))
+def test_a_control_in_other_units_leaves_all_others_as_they_are(method: str) -> None:
+    pairs = creature_pairs()
+    target = replace(
+        pairs.target, values=pairs.target.values * 180, translations=pairs.target.translations * 10
+    )
+    made, again = (
+        retarget(train_retargeting(each, method=method), human_moves(60))
+        for each in (pairs, replace(pairs, target=target))
+    )
+    np.testing.assert_allclose(again.weights, made.weights, atol=1e-6)
+    np.testing.assert_allclose(again.values / 180, made.values, atol=1e-6)
+    np.testing.assert_allclose(again.translations / 10, made.translations, atol=1e-6)
+
+
 def test_halfway_between_two_turned_ears_is_half_the_turn() -> None:
     source = np.array([[0.0, 0, 0], [0, 0, 1.0]])
     trained = train_retargeting(pairs_of(source, creature_acts(source)), method="ridge")

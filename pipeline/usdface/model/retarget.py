@@ -51,6 +51,10 @@ class Examples:
     source_ranges, target_ranges : (ns, 2) and (k, 2) float arrays
     spans : (k,) float array
         Of each target coordinate over the pairs; 1 where it does not move.
+    units : (k,) float array
+        What methods count each target coordinate in: weights as they are, joints and attributes in
+        their spans. Kernels over the target add coordinates up, and degrees or centimetres would
+        drown the weights there.
     """
 
     space: ControlSpace
@@ -61,6 +65,7 @@ class Examples:
     source_ranges: FloatArray
     target_ranges: FloatArray
     spans: FloatArray
+    units: FloatArray
 
 
 @dataclass(frozen=True)
@@ -125,7 +130,11 @@ def train_retargeting(
         rest=examples.target_rest,
         ranges=examples.target_ranges,
         arrays=best.forward
-        | {"source_rest": examples.source_rest, "unused": (~moved).astype(np.float64)},
+        | {
+            "source_rest": examples.source_rest,
+            "target_units": examples.units,
+            "unused": (~moved).astype(np.float64),
+        },
         settings=best.settings,
         scores=tuple(score for score, _ in tried),
         target_rig=pairs.target_rig,
@@ -161,6 +170,8 @@ def retarget(
     try:
         inputs = source - trained.arrays["source_rest"]
         moved = method.predict(trained.arrays, trained.settings, inputs, alpha)
+        if "target_units" in trained.arrays:  # before there were any, all were 1
+            moved = moved * trained.arrays["target_units"]
         moved += trained.rest
         np.clip(moved, trained.ranges[:, 0], trained.ranges[:, 1], out=moved)
         return space_of(trained).decode(moved)
@@ -189,6 +200,7 @@ def make_examples(pairs: ExpressionPairs, *, shape_ranges: FloatArray | None = N
         high[:count] = np.maximum(coordinates[:, :count].max(axis=0), 1.0)
     else:
         low[:count], high[:count] = shape_ranges.T
+    spans = np.where(spans > _LEAST_SPAN, spans, 1.0)
     source_low = np.minimum(pairs.source.min(axis=0), 0.0)
     source_high = np.maximum(pairs.source.max(axis=0), 1.0)
     return Examples(
@@ -199,7 +211,8 @@ def make_examples(pairs: ExpressionPairs, *, shape_ranges: FloatArray | None = N
         target_rest=coordinates[rest],
         source_ranges=np.stack([source_low, source_high], axis=1),
         target_ranges=np.stack([low, high], axis=1),
-        spans=np.where(spans > _LEAST_SPAN, spans, 1.0),
+        spans=spans,
+        units=np.concatenate([np.ones(count), spans[count:]]),
     )
 
 
@@ -243,17 +256,18 @@ def _candidates(method: str, alpha: float | None) -> Sequence[tuple[RetargetMeth
 
 def _fit(method: RetargetMethod, settings: Settings, examples: Examples) -> _Fit:
     scaled = examples.target / examples.spans
+    counted = examples.target / examples.units
     return _Fit(
         method,
         settings,
-        method.fit(examples.source, examples.target, settings),
+        method.fit(examples.source, counted, settings),
         method.fit(scaled, examples.source, settings),
     )
 
 
 def _forward(fitted: _Fit, examples: Examples, source: FloatArray) -> FloatArray:
     inputs = source - examples.source_rest
-    moved = fitted.method.predict(fitted.forward, fitted.settings, inputs, None)
+    moved = fitted.method.predict(fitted.forward, fitted.settings, inputs, None) * examples.units
     return np.asarray(np.clip(moved + examples.target_rest, *examples.target_ranges.T))
 
 
