@@ -129,6 +129,15 @@ def test_frames_with_nothing_seen_are_bridged():
     assert errors_mm(cleaned.positions, face.truth)[400:406].mean() < 1.5
 
 
+def test_a_take_seen_in_one_frame_alone_is_cleaned_without_a_warning():
+    face = simulate_face(frames=60, noise=0.05)
+    face.visible[:] = False
+    face.visible[5] = True
+    cleaned = clean(face)
+    assert np.isfinite(cleaned.positions).all()
+    np.testing.assert_allclose(cleaned.positions[5], face.captured[5], atol=0.1)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -134,7 +134,7 @@ def choose_rank(
     scores = np.zeros(len(candidates))
     for held in range(_FOLDS):
         test = fold == held
-        if not test.any() or test.all():
+        if test.all() or not seen[test].any():  # nothing to compare with
             continue
         known = filled[~test]
         widest = _model(_Moments.of(known), known, seen[~test], sensor_noise, candidates[-1])
