@@ -81,3 +81,20 @@ def test_a_channel_named_where_no_capture_can_carry_one_is_refused(tmp_path: Pat
     spec = IngestSpec(sources=(weights,), out=tmp_path / "a.take.usda", audio_channel="Audio.1")
     with pytest.raises(InputError, match=r"only C3D carries analog channels; leave --audio"):
         execute(spec)
+
+
+def test_samples_that_are_no_numbers_are_silent_and_spoil_no_other(tmp_path: Path) -> None:
+    broken = np.where(np.arange(len(TONE)) % 997 == 5, np.nan, 1.5 + 0.2 * TONE)
+    broken[77] = np.inf
+    source = tmp_path / "shot.c3d"
+    cloud = np.random.default_rng(0).normal(0, 50, (FRAMES, 4, 3))
+    seen = np.ones((FRAMES, 4), np.bool_)
+    write_c3d(
+        source, cloud, seen, "abcd", rate=RATE, analog=broken[:, None], analog_labels=("Audio",)
+    )
+    execute(IngestSpec(sources=(source,), out=tmp_path / "shot.take.usda"))
+    with wave.open(str(tmp_path / "shot.take.sound.wav")) as stream:
+        samples = np.frombuffer(stream.readframes(len(TONE)), "<i2") / 32767
+    told = np.isfinite(broken)
+    np.testing.assert_allclose(samples[told], TONE[told], atol=1e-2)
+    np.testing.assert_array_equal(samples[~told], 0)

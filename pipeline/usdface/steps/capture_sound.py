@@ -86,15 +86,23 @@ def _write_wav(path: Path, capture: C3dFile, column: int) -> None:
     def samples(start: int) -> np.ndarray:
         return capture.read_analog(start, start + CHUNK_FRAMES)[:, column].astype(np.float64)
 
-    total = sum(float(samples(start).sum()) for start in starts)
-    count = max(sum(len(samples(start)) for start in starts), 1)
+    total = sum(float(np.nansum(_numbers(samples(start)))) for start in starts)
+    count = max(sum(int(np.isfinite(samples(start)).sum()) for start in starts), 1)
     middle = total / count  # a capture card's resting voltage is not sound
-    loudest = max((float(np.abs(samples(start) - middle).max()) for start in starts), default=0.0)
+
+    def heard(start: int) -> np.ndarray:
+        return np.nan_to_num(_numbers(samples(start)) - middle)  # a dropped sample is silent
+
+    loudest = max((float(np.abs(heard(start)).max()) for start in starts), default=0.0)
     scale = 32767.0 / loudest if loudest > 0 else 0.0
     with replacing(path) as temporary, wave.open(str(temporary), "wb") as stream:
         stream.setnchannels(1)
         stream.setsampwidth(2)
         stream.setframerate(round(capture.analog_rate))
         for start in starts:
-            scaled = np.round((samples(start) - middle) * scale).astype("<i2")
-            stream.writeframes(scaled.tobytes())
+            stream.writeframes(np.round(heard(start) * scale).astype("<i2").tobytes())
+
+
+def _numbers(samples: np.ndarray) -> np.ndarray:
+    """Return samples with NaN for all that is no number."""
+    return np.where(np.isfinite(samples), samples, np.nan)
