@@ -281,3 +281,22 @@ def test_a_take_without_markers_says_so(shot: Shot, tmp_path: Path) -> None:
     write_take(tmp_path / "w.take.usda", Take("w", clip.rate, 1, source=clip))
     with pytest.raises(InputError, match="has no markers to clean"):
         run(CleanSpec(take=tmp_path / "w.take.usda", out=tmp_path / "n.take.usda"))
+
+
+def test_a_neutral_frame_without_the_rigid_markers_is_named_by_its_number(
+    shot: Shot, tmp_path: Path
+) -> None:
+    from usdface.specs.clean import CleanSpec
+    from usdface.usdio.take_write import write_take
+
+    take = read_take(shot / "shot.take.usda")
+    assert take.markers is not None
+    rigid = take.markers.names[:3]
+    visible = take.markers.visible.copy()
+    visible[4, 1:3] = False
+    hidden = tmp_path / "hidden.take.usda"
+    write_take(hidden, replace(take, markers=replace(take.markers, visible=visible)))
+    neutral = take.first_frame + 4
+    spec = CleanSpec(take=hidden, out=tmp_path / "c.take.usda", rigid=rigid, neutral=neutral)
+    with pytest.raises(InputError, match=f"1 of the rigid markers .* neutral frame {neutral}, 3 "):
+        run(spec)
