@@ -111,14 +111,19 @@ class BlendshapeEquation:
 
     def explained(self, weights: FloatArray) -> FloatArray:
         """Return where weights put the markers on the performer: (frames, markers, 3) [mm]."""
-        moved = np.einsum("fs,smc->fmc", weights, self.deltas)
-        return np.asarray(self.neutral + (moved / self.virtual.scale) @ self.virtual.rotation)
+        moved = self._moved(weights) / self.virtual.scale
+        return np.asarray(self.neutral + moved @ self.virtual.rotation)
 
     def residual_mm(self, positions: Positions, weights: FloatArray) -> FloatArray:
         """Return the root mean square distance of markers and what weights explain: (frames,)."""
         motion = character_motion(self.virtual, positions, self.neutral)
-        away = motion - np.einsum("fs,smc->fmc", weights, self.deltas)
+        away = motion - self._moved(weights)
         return np.asarray(np.sqrt((away**2).sum(axis=2).mean(axis=1)))
+
+    def _moved(self, weights: FloatArray) -> FloatArray:
+        """Return how far weights move the virtual markers, in-betweens included."""
+        keys = self.keys.key_weights(weights)
+        return np.asarray(np.einsum("fk,kmc->fmc", keys, self.keys.deltas, optimize=True))
 
 
 def set_up_equation(

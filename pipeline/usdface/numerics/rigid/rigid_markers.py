@@ -42,11 +42,13 @@ class RigidMarkers:
 def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers:
     """Find the markers from which the head's motion is best known.
 
-    Markers are taken out one by one, always the one whose distances to the rest vary most. Of the
-    nested sets each promises an error of the head's rotation: the mutual motion that is left, and
-    the measurement noise averaged over the set, over the set's extent across its longest
-    direction. The largest set that comes near the smallest error is chosen: more markers outlast
-    more gaps and swaps.
+    Sets are made in two ways. Markers are taken out of all one by one, always the one whose
+    distances to the rest vary most; and from each marker on, a set grows by the one whose distances
+    to it vary least: where most markers sit on skin, the first way takes the skull's markers out
+    before that skin which moves as one. Each set promises an error of the head's rotation: the
+    mutual motion that is left, and the measurement noise averaged over the set, over the set's
+    extent across its longest direction. The largest set that comes near the smallest error is
+    chosen: more markers outlast more gaps and swaps.
 
     Parameters
     ----------
@@ -67,42 +69,77 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
     sample[~seen[rows][:, usable]] = np.nan
     deviations = _distance_deviations(sample)
     middle = np.nanmedian(sample, axis=0) if len(usable) else np.empty((0, 3))
-    nested: list[RigidMarkers] = []
-    kept = list(range(len(usable)))
-    while len(kept) >= _LEAST_MARKERS:
-        mutual = deviations[np.ix_(kept, kept)]
-        nested.append(_judge(mutual, middle[kept], usable[kept], noise))
-        kept.pop(int(np.argmax(mutual.mean(axis=1))))
-    least = min((found.rotation_error_deg for found in nested), default=np.inf)
-    if not np.deg2rad(least) <= _LARGEST_TURN:
-        closest = (
-            f"the best {_LEAST_MARKERS} or more would leave {least:.1f} degrees"
-            if nested
-            else f"only {len(usable)} are seen in at least half of the frames"
-        )
+    orders = [] if len(usable) < _LEAST_MARKERS else _orders(deviations)
+    promises = [_promised_errors(deviations, middle, order, noise) for order in orders]
+    least = min((float(promise.min()) for promise in promises), default=np.inf)
+    if not least <= _LARGEST_TURN:
+        if not promises:
+            closest = (
+                f"only {len(usable)} of {seen.shape[1]} markers are seen in at least half of the "
+                f"frames, {_LEAST_MARKERS} are needed"
+            )
+        elif np.isinf(least):
+            closest = "too few are seen together in two frames or more to tell"
+        else:
+            closest = (
+                f"the best {_LEAST_MARKERS} or more would leave {np.rad2deg(least):.1f} degrees of "
+                f"error in the head's rotation, {np.rad2deg(_LARGEST_TURN):.1f} are allowed"
+            )
         raise ValueError(
-            f"no set of markers keeps its mutual distances: {closest} of error in the head's "
-            f"rotation, {np.rad2deg(_LARGEST_TURN):.1f} are allowed; name the markers that sit on "
-            "the skull (head band, temples, bridge of the nose)"
+            f"no set of markers keeps its mutual distances: {closest}; name the markers that sit "
+            "on the skull (head band, temples, bridge of the nose)"
         )
-    return next(found for found in nested if found.rotation_error_deg <= _NEAR_BEST * least)
-
-
-def _judge(
-    mutual: NDArray[np.float64],
-    middle: NDArray[np.float64],
-    columns: NDArray[np.int64],
-    noise: float,
-) -> RigidMarkers:
-    """Return a set with the error it promises."""
-    count = len(columns)
-    deviation = float(mutual.sum() / (count * (count - 1)))
-    own_motion2 = max(deviation**2 - 2.0 * noise**2, 0.0)  # a distance has the noise of two ends
-    extent = np.linalg.svd(middle - middle.mean(axis=0), compute_uv=False)[1] / np.sqrt(count)
-    error = np.sqrt(own_motion2 + noise**2 / count) / max(float(extent), 1e-9)
-    return RigidMarkers(
-        tuple(int(column) for column in columns), deviation, float(np.rad2deg(error))
+    # Of sets equally large the one that promises less.
+    count, error, order = max(
+        (
+            (int(near) + _LEAST_MARKERS, float(promise[near]), order)
+            for order, promise in zip(orders, promises, strict=True)
+            for near in np.flatnonzero(promise <= _NEAR_BEST * least)[-1:]
+        ),
+        key=lambda found: (found[0], -found[1]),
     )
+    chosen = np.sort(order[:count])
+    deviation = deviations[np.ix_(chosen, chosen)].sum() / (count * (count - 1))
+    return RigidMarkers(tuple(usable[chosen].tolist()), float(deviation), float(np.rad2deg(error)))
+
+
+def _orders(deviations: NDArray[np.float64]) -> list[NDArray[np.int64]]:
+    """Return orders of markers of which every beginning is a set worth judging."""
+    count = len(deviations)
+    kept, taken = list(range(count)), list[int]()
+    while kept:
+        mutual = deviations[np.ix_(kept, kept)]
+        taken.append(kept.pop(int(np.argmax(mutual.mean(axis=1)))))
+    orders = [np.array(taken[::-1], np.int64)]
+    for seed in range(count):
+        grown, apart = [seed], deviations[seed].copy()
+        apart[seed] = np.inf
+        while np.isfinite(apart).any():
+            grown.append(int(np.argmin(apart)))
+            apart += deviations[grown[-1]]
+            apart[grown[-1]] = np.inf
+        if len(grown) >= _LEAST_MARKERS:
+            orders.append(np.array(grown, np.int64))
+    return orders
+
+
+def _promised_errors(
+    deviations: NDArray[np.float64],
+    middle: NDArray[np.float64],
+    order: NDArray[np.int64],
+    noise: float,
+) -> NDArray[np.float64]:
+    """Return the rotation's error [rad] promised by the first four of an order, five, and so on."""
+    count = np.arange(1, len(order) + 1)[_LEAST_MARKERS - 1 :]
+    pairs = np.tril(deviations[np.ix_(order, order)]).sum(axis=1).cumsum()[_LEAST_MARKERS - 1 :]
+    deviation = 2 * pairs / (count * (count - 1))
+    own_motion2 = np.maximum(deviation**2 - 2.0 * noise**2, 0.0)  # a distance has two ends' noise
+    points = middle[order] - middle[order].mean(axis=0)
+    products = (points[:, :, None] * points[:, None, :]).cumsum(axis=0)[_LEAST_MARKERS - 1 :]
+    centres = points.cumsum(axis=0)[_LEAST_MARKERS - 1 :] / count[:, None]
+    spread = products / count[:, None, None] - centres[:, :, None] * centres[:, None, :]
+    extent = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, 1], 0.0))
+    return np.sqrt(own_motion2 + noise**2 / count) / np.maximum(extent, 1e-9)
 
 
 def _distance_deviations(sample: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -113,7 +150,8 @@ def _distance_deviations(sample: NDArray[np.float64]) -> NDArray[np.float64]:
         distances = np.linalg.norm(sample[:, marker + 1 :] - sample[:, marker, None], axis=2)
         together = np.isfinite(distances).sum(axis=0) >= 2
         spread = np.full(distances.shape[1], np.inf)
-        low, high = np.nanpercentile(distances[:, together], (_LOW, _HIGH), axis=0)
-        spread[together] = (high - low) / _PERCENTILES_TO_DEVIATION
+        if together.any():
+            low, high = np.nanpercentile(distances[:, together], (_LOW, _HIGH), axis=0)
+            spread[together] = (high - low) / _PERCENTILES_TO_DEVIATION
         deviations[marker, marker + 1 :] = deviations[marker + 1 :, marker] = spread
     return deviations
