@@ -139,7 +139,8 @@ def _promised_errors(
     centres = points.cumsum(axis=0)[_LEAST_MARKERS - 1 :] / count[:, None]
     spread = products / count[:, None, None] - centres[:, :, None] * centres[:, None, :]
     extent = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, 1], 0.0))
-    return np.sqrt(own_motion2 + noise**2 / count) / np.maximum(extent, 1e-9)
+    errors: NDArray[np.float64] = np.sqrt(own_motion2 + noise**2 / count)
+    return errors / np.maximum(extent, 1e-9)
 
 
 def _distance_deviations(sample: NDArray[np.float64]) -> NDArray[np.float64]:
