@@ -109,6 +109,40 @@ def test_a_decimal_comma_is_read_where_the_comma_does_not_delimit(put):
     np.testing.assert_allclose(marker_positions(read_capture(put(text))), expected, atol=1e-4)
 
 
+def test_a_rate_may_have_a_decimal_comma_too(put):
+    vicon = samples.vicon_csv(";").replace("\n120\n", "\n119.88\n").replace(".", ",")
+    assert read_capture(put(vicon)).take.rate == Fraction(120_000, 1001)
+    motive = samples.motive_csv().replace(",", ";").replace(".", ",")
+    assert read_capture(put(motive)).take.rate == 240
+
+
+def test_a_comma_in_a_motive_takes_name_hides_neither_units_nor_rate(put):
+    plain = read_capture(put(samples.motive_csv()))
+    named = read_capture(put(samples.motive_csv().replace("kitchen", "kitchen, again")))
+    np.testing.assert_array_equal(marker_positions(named), marker_positions(plain))
+    assert named.notes == plain.notes
+
+
+@pytest.mark.parametrize("label", ["Unlabeled 1021", "Unlabeled_1021", "Unlabeled:1021"])
+def test_unlabelled_markers_are_left_out_however_they_are_numbered(put, label):
+    text = samples.vicon_csv().replace("Kim:chin", label)
+    capture = read_capture(put(text))
+    assert capture.take.markers.names == samples.NAMES[:3]
+    assert noted(capture, f"1 unlabelled markers were left out: {label}")
+
+
+@pytest.mark.parametrize(("count", "doubted"), [("012", 0), ("12.0", 0), ("13", 1), ("many", 1)])
+def test_a_count_of_trc_is_a_number_however_it_is_written(put, count, doubted):
+    text = samples.trc().replace(f"\t{samples.FRAMES}\t", f"\t{count}\t")
+    assert noted(read_capture(put(text)), "may be cut off") == bool(doubted)
+
+
+def test_units_overrule_openface_too(put):
+    mm, cm = (read_capture(put(samples.openface_csv()), units=units) for units in (None, "cm"))
+    scaled = 10 * mm.take.markers.positions
+    np.testing.assert_allclose(cm.take.markers.positions, scaled, rtol=1e-6)
+
+
 @pytest.mark.parametrize("hidden", ["", "NaN"], ids=["empty", "NaN"])
 @pytest.mark.parametrize("make", [samples.trc, samples.vicon_csv, samples.motive_csv])
 def test_empty_cells_are_gaps_of_one_marker(put, make, hidden):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from usdface.errors import InputError
 from usdface.wording import counted
 
-_UNLABELLED = re.compile(r"\*.*|u_?\d+|(?:unlabell?ed|unnamed|uname)\W*\d*", re.IGNORECASE)
+_UNLABELLED = re.compile(r"\*.*|u_?\d+|(?:unlabell?ed|unnamed|uname)[\W_]*\d*", re.IGNORECASE)
 _SHOWN = 6
 
 
@@ -52,7 +52,7 @@ def settle_labels(labels: Sequence[str], *, where: str) -> MarkerLabels:
         prefix, _, name = label.strip().rpartition(":")
         if not name:
             empty.append(column + 1)
-        elif _UNLABELLED.fullmatch(name):
+        elif _UNLABELLED.fullmatch(name) or _UNLABELLED.fullmatch(label.strip()):
             dropped.append(label)
         else:
             names.append(name)

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 
 from usdface.capture.marker_labels import list_some
@@ -30,6 +31,8 @@ from usdface.rates import exact_rate
 from usdface.timecode import frames_of
 
 _MOST_HEADER_ROWS = 12
+_RATES = ("Export Frame Rate", "Capture Frame Rate")
+_STATED = (*_RATES, "Length Units")
 _TIMECODE = re.compile(r"(\d\d:\d\d:\d\d[:;]\d\d)(?:\.\d+)?")
 
 
@@ -124,8 +127,7 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
 def _read_header(path: Path, lines: Iterator[Line]) -> _Header:
     first = next(lines)
     delimiter = sniff_delimiter(first.text) or ","
-    pairs = split_cells(first, delimiter)
-    stated = dict(zip(pairs[0::2], pairs[1::2], strict=False))
+    stated = _stated(split_cells(first, delimiter))
     rows: list[tuple[Line, list[str]]] = []
     for line in lines:
         cells = split_cells(line, delimiter)
@@ -173,16 +175,22 @@ def _read_header(path: Path, lines: Iterator[Line]) -> _Header:
     )
 
 
+def _stated(cells: list[str]) -> dict[str, str]:
+    """Return what the first line states; keys are looked for, as a take's name may hold commas."""
+    return {key: value for key, value in pairwise(cells) if key in _STATED}
+
+
 def _holds(cells: list[str], *wanted: str) -> bool:
     return any(cell in wanted for cell in cells)
 
 
 def _rate(stated: dict[str, str], path: Path) -> Fraction | None:
     """Return the rate that rows were exported at; else the capture's."""
-    for key in ("Export Frame Rate", "Capture Frame Rate"):
+    for key in _RATES:
         if stated.get(key):
             try:
-                return exact_rate(float(stated[key]), where=f"{path} line 1 {key}")
+                rate = float(stated[key].replace(",", "."))
+                return exact_rate(rate, where=f"{path} line 1 {key}")
             except ValueError as error:
                 raise InputError(
                     f"{path} line 1: {key} {stated[key][:24]!r} is not a number; export the take "

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdface.assets import Take, WeightsClip
+from usdface.capture.axes import mm_per_unit
 from usdface.capture.channel_take import fill_frames
 from usdface.capture.marker_table import build_table_take
 from usdface.capture.marker_take import Capture, CaptureOptions
@@ -105,7 +106,7 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
         frames=frames,
         first_frame=first_frame,
         rate=rate,
-        to_mm=_TO_Y_UP,
+        to_mm=mm_per_unit(options.units or "mm", where=f"{path} units") * _TO_Y_UP,
         options=options,
         notes=notes,
         format_name="openface-csv",

@@ -92,7 +92,7 @@ def _read_block(path: Path, lines: Iterator[Line], options: CaptureOptions) -> C
     delimiter = sniff_delimiter(titles.text)
     rate_text = split_cells(rate_line, delimiter)[0]
     try:
-        rate = exact_rate(float(rate_text), where=f"{rate_line.where} (the rate)")
+        rate = exact_rate(float(rate_text.replace(",", ".")), where=f"{rate_line.where} (the rate)")
     except ValueError as error:
         raise InputError(
             f"{rate_line.where}: {rate_text[:24]!r} where the rate of the trajectories is "
