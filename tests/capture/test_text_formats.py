@@ -1,5 +1,6 @@
 """Every text format: what was written comes back, in mm, Y up, at the right rate and frame."""
 
+import re
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
@@ -11,6 +12,7 @@ from tests.capture import text_samples as samples
 from tests.regenerate import REPOSITORY
 from usdface.capture.marker_take import Capture
 from usdface.capture.sniff import FORMATS, read_capture, recognise_format
+from usdface.errors import InputError
 
 Z_UP_TO_Y_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
 Put = Callable[[str], Path]
@@ -137,6 +139,19 @@ def test_a_count_of_trc_is_a_number_however_it_is_written(put, count, doubted):
     assert noted(read_capture(put(text)), "may be cut off") == bool(doubted)
 
 
+def test_times_in_milliseconds_are_no_seconds(put):
+    text = samples.marker_csv()
+    slow = re.sub(r"(?m)^(\d+),([\d.]+)", lambda row: f"{row[1]},{1000 * float(row[2]):.2f}", text)
+    with pytest.raises(InputError, match=r"tell 0\.06 frames per second; they must be in seconds"):
+        read_capture(put(slow))
+
+
+def test_a_tiny_weight_of_ifacialmocap_may_have_an_exponent(put):
+    text = re.sub(r"JawOpen-\d+", "JawOpen-1.5e-05", samples.ifacialmocap())
+    clip = read_capture(put(text)).take.source
+    np.testing.assert_allclose(clip.values[:, clip.names.index("JawOpen")], 1.5e-7)
+
+
 def test_units_overrule_openface_too(put):
     mm, cm = (read_capture(put(samples.openface_csv()), units=units) for units in (None, "cm"))
     scaled = 10 * mm.take.markers.positions
@@ -233,6 +248,17 @@ def test_a_row_without_a_face_is_interpolated_and_counted(put):
     capture = read_capture(put("\n".join(lines)))
     assert capture.take.frame_count == samples.FRAMES
     assert noted(capture, "1 row without a face")
+
+
+def test_rows_without_a_face_at_the_ends_are_left_out_and_not_said_to_be_interpolated(put):
+    lines = samples.live_link_csv().splitlines()
+    for row in (1, 2, 5, 12):
+        lines[row] = f"{lines[row].partition(',')[0]},0"
+    capture = read_capture(put("\n".join(lines)))
+    assert capture.take.frame_count == samples.FRAMES - 3
+    assert capture.take.timecode_start == "13:59:58:28"
+    assert noted(capture, "1 row without a face, interpolated")
+    assert noted(capture, "3 rows without a face at the ends, left out")
 
 
 def test_a_recording_through_midnight_goes_on(put):

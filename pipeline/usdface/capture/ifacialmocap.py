@@ -18,8 +18,9 @@ from usdface.capture.sample_times import SampleTimes
 from usdface.capture.text_table import Line, check_columns, head_lines, parse_cells, read_lines
 from usdface.errors import InputError
 
-_WEIGHT = re.compile(r"([A-Za-z]\w*)\s*[-&]\s*(-?[\d.]+)", re.ASCII)
-_START = re.compile(r"\s*[A-Za-z]\w*[-&]-?[\d.]+\|", re.ASCII)
+_VALUE = r"-?[\d.]+(?:[eE][-+]?\d+)?"
+_WEIGHT = re.compile(rf"([A-Za-z]\w*)\s*[-&]\s*({_VALUE})", re.ASCII)
+_START = re.compile(rf"\s*[A-Za-z]\w*[-&]{_VALUE}\|", re.ASCII)
 _FRAME_END = "___iFacialMocap"
 _RATE = Fraction(60)
 _PARTS = {"head": 6, "rightEye": 3, "leftEye": 3}

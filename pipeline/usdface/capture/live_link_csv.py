@@ -52,7 +52,9 @@ class _Rows:
     values : list of list of float
     lines : list of int
     lost : int
-        Rows without a face.
+        Rows without a face, between others.
+    outside : int
+        Rows without a face, before the first with one or after the last.
     """
 
     whole: list[int]
@@ -60,6 +62,7 @@ class _Rows:
     values: list[list[float]]
     lines: list[int]
     lost: int
+    outside: int
 
 
 def is_live_link_csv(head: bytes) -> bool:
@@ -91,6 +94,8 @@ def read_live_link_csv(path: Path, options: CaptureOptions) -> Capture:
     notes = []
     if rows.lost:
         notes.append(f"{counted(rows.lost, 'row')} without a face, interpolated")
+    if rows.outside:
+        notes.append(f"{counted(rows.outside, 'row')} without a face at the ends, left out")
     where = f"{path} Timecode in seconds"
     base = _settle_base(rows, notes, where)
     seconds = _unwrap(rows, base)
@@ -115,29 +120,31 @@ def read_live_link_csv(path: Path, options: CaptureOptions) -> Capture:
 
 
 def _read_rows(path: Path, lines: Iterator[Line], titles: list[str], delimiter: str) -> _Rows:
-    rows = _Rows([], [], [], [], 0)
-    lost = 0
+    rows = _Rows([], [], [], [], 0, 0)
+    before = lost = latest = 0  # rows without a face: before the first with one, since, lately
     for line in lines:
         cells = split_cells(line, delimiter)
         if not any(cells):
             continue
         whole, part = _read_timecode(cells[0], line)
         if len(cells) > 1 and cells[1] == "0" and not any(cells[2:]):
-            lost += 1
+            latest += 1
             continue
         values = parse_cells(
             cells[1:], titles[1:], line, delimiter=delimiter, gaps=False, first_column=1
         )
+        before, lost = (before, lost + latest) if rows.values else (latest, 0)
+        latest = 0
         rows.whole.append(whole)
         rows.parts.append(part)
         rows.values.append(values[1:])
         rows.lines.append(line.number)
     if not rows.values:
         raise InputError(
-            f"{path}: no row with a face after the header ({lost} without); export the recording "
+            f"{path}: no row with a face after the header ({latest} without); export the recording "
             "again"
         )
-    return _Rows(rows.whole, rows.parts, rows.values, rows.lines, lost)
+    return _Rows(rows.whole, rows.parts, rows.values, rows.lines, lost, before + latest)
 
 
 def _read_timecode(cell: str, line: Line) -> tuple[int, float]:

@@ -18,6 +18,8 @@ _UNEVEN = 0.3
 _UNEVEN_SHARE = 0.02
 _LONGEST_SECONDS = 1e10
 """Times may count from 1970."""
+_LOWEST_RATE = 1.0
+"""[Hz] No face is captured slower; times in milliseconds look like that."""
 _LARGEST_RATIO = 10
 """Frames a take may have for each sample in it: with more missing, frame numbers are damaged."""
 
@@ -120,9 +122,14 @@ def rate_of_times(
     Raises
     ------
     InputError
-        If times do not tell a rate.
+        If times do not tell a rate, or one that no capture has.
     """
     low, told, high = _rate_limits(seconds, frames, where=where)
+    if high < _LOWEST_RATE:
+        raise InputError(
+            f"{where}: the times of the rows tell {told:.3g} frames per second; they must be in "
+            "seconds, not milliseconds: export the take again"
+        )
     usual = min(DEVICE_RATES, key=lambda rate: abs(rate - told))
     for rate in (usual, round(told)):
         if low <= rate <= high:
