@@ -1,5 +1,7 @@
 """What the blendshape equation says of weights: where they put the markers, and how far off."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -75,3 +77,15 @@ def test_what_is_proposed_for_a_pose_is_that_pose() -> None:
     weights = np.random.default_rng(1).random((20, 3))
     proposed = equation.propose(equation.neutral + shapes.offsets(weights))
     assert np.abs(proposed - weights).max() < 0.05
+
+
+def test_motion_is_enlarged_by_the_gain_before_it_is_explained() -> None:
+    equation, shapes = bent_equation()
+    weights = np.random.default_rng(1).random((20, 3))
+    gained = replace(equation, gain=np.linspace(1.0, 2.5, MARKERS))
+    moved = shapes.offsets(weights) / gained.gain[:, None]
+    np.testing.assert_allclose(
+        gained.propose(equation.neutral + moved),
+        equation.propose(equation.neutral + shapes.offsets(weights)),
+        atol=1e-9,
+    )

@@ -8,7 +8,7 @@ from tests.model.synthetic import MARKERS, SyntheticFace, references_of, synthet
 from usdface.assets import Mapping
 from usdface.errors import InputError
 from usdface.model import predict_weights, train_mapping
-from usdface.model.coordinates import marker_coordinates
+from usdface.model.coordinates import marker_coordinates, noise_variance
 from usdface.model.head_space import MINIMUM_SHARE
 from usdface.model.methods import AUTO, METHODS, find_method
 from usdface.model.predict import WeightPredictor
@@ -176,3 +176,19 @@ def test_what_auto_tries_runs_on_any_device_and_others_say_that_they_do_not() ->
     mapping = trained(synthetic_face(), "multiquadric")
     with pytest.raises(InputError, match="multiquadric runs on the processor alone, not on 'stri"):
         WeightPredictor(mapping, device=STRICT)
+
+
+def test_unseen_markers_are_told_by_the_gaussian_of_the_motion_given_the_seen_ones() -> None:
+    face = synthetic_face(bend=0.5, noise=0.3)
+    motion = references_of(face, np.arange(0, 1200, 100)).motion
+    assert motion is not None
+    visible = np.ones((20, MARKERS), bool)
+    visible[:, 7:15] = False
+    found = marker_coordinates(motion, face.positions[:20], visible=visible).values
+    # the textbook's conditional mean: cov(z, x) cov(x, x)^-1 (x - mean), x = components' z + noise
+    seen = np.repeat(visible[0], 3)
+    basis = motion.components[:, seen]
+    between = motion.variances[:, None] * basis
+    within = basis.T @ between + noise_variance(motion) * np.eye(seen.sum())
+    offsets = (face.positions[:20].reshape(20, -1) - motion.mean)[:, seen]
+    np.testing.assert_allclose(found, offsets @ np.linalg.solve(within, between.T), atol=1e-8)

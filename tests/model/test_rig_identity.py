@@ -102,3 +102,16 @@ def test_a_mapping_that_kept_no_summary_is_not_compared() -> None:
         check_same_rig(old, with_shape(rig, "smile", lambda k: replace(k, offsets=9.0 * k.offsets)))
         == ()
     )
+
+
+def test_a_swelling_that_goes_everywhere_and_nowhere_is_known_by_its_size() -> None:
+    outwards = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+    rig = small_rig()
+    first = next(key for mesh in rig.meshes for shape in mesh.shapes for key in shape.keys)
+    ring = replace(first, points=first.points[:1].repeat(4), offsets=outwards)
+    even = with_shape(rig, "eyeBlink", lambda key: replace(ring, weight=key.weight))
+    more = with_shape(
+        rig, "eyeBlink", lambda key: replace(ring, weight=key.weight, offsets=2 * outwards)
+    )
+    (note,) = check_same_rig(mapping_for(even), more)
+    assert "eyeBlink (moves 2.00 mm, was 1.00)" in note

@@ -90,3 +90,10 @@ def test_too_few_pairs_or_folds_are_refused() -> None:
         blocked_folds([1], ["a"])
     with pytest.raises(ValueError, match="2 frames but 1 take"):
         blocked_folds([1, 2], ["a"])
+
+
+def test_pairs_exactly_a_margin_apart_are_neighbours_and_stay_together() -> None:
+    frames = np.concatenate([[start, start + 30] for start in range(0, 2000, 200)])
+    for fold in blocked_folds(frames, ["a"] * 20, folds=5, margin=30):
+        assert set(fold.test // 2) & set(fold.train // 2) == set()
+        assert len(fold.train) == 16  # none had to be left out

@@ -12,6 +12,7 @@ from usdface.numerics.regression.gaussian_process import (
     leave_one_out_errors,
     predict_gaussian_process,
     radial_values,
+    smoothest_near_best,
     usable_choices,
 )
 
@@ -133,3 +134,9 @@ def test_bad_input_is_refused() -> None:
         leave_one_out_errors(features, outputs, variances=0 * variances, choices=choices)
     with pytest.raises(ValueError, match="uses 9 of 5 features; limit it"):
         leave_one_out_errors(features, outputs, variances=variances, choices=(Choice(9, 0.0),))
+
+
+def test_of_errors_near_the_least_the_smoothest_is_taken_and_no_other() -> None:
+    errors = np.array([[1.0, 1.0], [0.9, 3.0], [0.93, 1.04], [2.0, 1.06]])
+    np.testing.assert_array_equal(smoothest_near_best(errors, slack=0.05), [2, 2])
+    np.testing.assert_array_equal(smoothest_near_best(errors, slack=0.0), [1, 0])

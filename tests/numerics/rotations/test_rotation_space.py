@@ -76,3 +76,10 @@ def test_products_are_those_of_scipy():
 def test_a_zero_quaternion_is_no_rotation():
     with pytest.raises(ValueError, match="no rotation"):
         normalize_quaternions(np.zeros((1, 4)))
+
+
+def test_vectors_go_the_shorter_way_round_whatever_the_sign_of_a_quaternion():
+    rng = np.random.default_rng(0)
+    q, mean = random_rotations(rng, 200), random_rotations(rng, 1)[0]
+    np.testing.assert_allclose(rotation_vectors(-q, mean), rotation_vectors(q, mean), atol=1e-12)
+    assert np.linalg.norm(rotation_vectors(-q, mean), axis=1).max() <= np.pi + 1e-12

@@ -83,3 +83,16 @@ def test_what_cannot_be_smoothed_is_refused() -> None:
         cutoff_penalty(40.0, 60.0)
     with pytest.raises(ValueError, match="lag must not be negative"):
         FixedLagSmoother(1, penalty=1.0, lag=-1)
+
+
+@pytest.mark.parametrize("cutoff", [2.0, 5.0, 20.0])
+def test_whatever_the_cutoff_a_motion_of_its_frequency_is_halved(cutoff: float) -> None:
+    wave = np.sin(2 * np.pi * cutoff * np.arange(1200) / 60.0)[:, None]
+    halved = smooth_within_bounds(
+        wave,
+        penalty=cutoff_penalty(cutoff, 60.0),
+        trust=np.ones(1200),
+        lower=np.full(1, -2.0),
+        upper=np.full(1, 2.0),
+    )
+    np.testing.assert_allclose(halved[500:700], wave[500:700] / 2, atol=1e-6)

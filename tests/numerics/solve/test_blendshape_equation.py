@@ -186,3 +186,15 @@ def test_more_shapes_than_markers_can_tell_apart_still_fit():
 
 def test_no_frames_give_no_weights(deltas):
     assert solve_weights(deltas, np.zeros((0, 30, 3)), method="bounded").weights.shape == (0, 12)
+
+
+@pytest.mark.parametrize("method", ["lstsq", "bounded"])
+def test_a_marker_trusted_four_times_is_that_marker_four_times(deltas, weights, method):
+    rng = np.random.default_rng(2)
+    motion = motion_of(weights, deltas) + rng.normal(size=(50, 30, 3))
+    trust = np.ones(30)
+    trust[[3, 7]] = 4
+    copies = np.repeat(np.arange(30), trust.astype(int))
+    told = solve_weights(deltas, motion, method=method, marker_trust=trust, ridge=1.0)
+    copied = solve_weights(deltas[:, copies], motion[:, copies], method=method, ridge=1.0)
+    np.testing.assert_allclose(told.weights, copied.weights, atol=1e-9)

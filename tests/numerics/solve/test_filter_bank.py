@@ -61,3 +61,13 @@ def test_what_cannot_be_filtered_is_refused() -> None:
         apply_filter_bank([1.0, 2.0, 3.0], gains=[0.0])
     with pytest.raises(ValueError, match="must be 0 or more, got -1"):
         low_pass_kernel(-1)
+
+
+def test_curves_go_on_at_their_ends_as_they_end() -> None:
+    given = curves(40)
+    longer = np.concatenate([np.repeat(given[:1], 20, 0), given, np.repeat(given[-1:], 20, 0)])
+    gains = [0.0, 0.5, 2.0]
+    whole = apply_filter_bank(longer, gains=[0.0])
+    np.testing.assert_allclose(apply_filter_bank(given, gains=[0.0]), whole[20:-20], atol=1e-14)
+    turned = apply_filter_bank(given[::-1], gains=gains)[::-1]
+    np.testing.assert_allclose(apply_filter_bank(given, gains=gains), turned, atol=1e-14)

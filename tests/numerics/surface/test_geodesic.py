@@ -192,3 +192,16 @@ def test_what_is_no_mesh_and_what_is_not_on_it_is_refused(
         geodesic_distances(
             given.pop("points"), given.pop("face_counts"), given.pop("face_indices"), **given
         )
+
+
+@pytest.mark.parametrize("metric", METRICS)
+def test_between_places_on_one_face_the_way_is_the_straight_line(metric: str) -> None:
+    inside = [[0.6, 0.3, 0.1], [0.1, 0.3, 0.6], [0.3, 0.6, 0.1]]
+    found = measure(quad_grid(5, 5), [4, 4, 5], np.array(inside), metric)
+    straight = np.linalg.norm(found.positions[:, None] - found.positions, axis=2)
+    np.testing.assert_allclose(found.between, straight, atol=1e-12)
+
+
+def test_edges_of_two_faces_are_no_fault() -> None:
+    found = measure(sphere(6, 8, 1.0), [0], [[1.0, 0.0, 0.0]], "dijkstra")
+    assert found.faults.nonmanifold_edges == 0
