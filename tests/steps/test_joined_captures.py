@@ -7,10 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.capture.text_samples import live_link_csv
 from usdface.assets import Markers, Take, WeightsClip
+from usdface.capture.c3d_write import write_c3d
 from usdface.errors import InputError
+from usdface.specs.ingest import IngestSpec
+from usdface.steps.execute import execute
 from usdface.steps.joined_captures import join_captures
 from usdface.timecode import shift_timecode
+from usdface.usdio.take import read_take
 
 FILES = (Path("a.c3d"), Path("b.csv"))
 
@@ -60,6 +65,10 @@ def test_without_timecode_they_start_together_and_that_is_said() -> None:
         (Fraction(60000, 1001), "01:00:00;10", Fraction(100), "01:00:00:08"),
         (Fraction(60), "01:00:00:27", Fraction(143), ""),
         (Fraction(60), "", Fraction(100), ""),
+        (Fraction(60), "10:00:00:10", Fraction(120_000, 1001), "10:00:00:10"),
+        (Fraction(30_000, 1001), "10:00:00:10", Fraction(120), "10:00:00:10"),
+        (Fraction(30_000, 1001), "10:00:00:10", Fraction(60_000, 1001), "10:00:00:10"),
+        (Fraction(30_000, 1001), "10:00:00;10", Fraction(60_000, 1001), "10:00:00;10"),
     ],
 )
 def test_the_timecode_of_the_weights_becomes_one_of_the_markers_rate(
@@ -72,6 +81,45 @@ def test_the_timecode_of_the_weights_becomes_one_of_the_markers_rate(
     if told:
         assert shift_timecode(told, 1, at)
     assert any("was left out" in note for note in joined.notes) == (bool(given) and not told)
+
+
+@pytest.mark.parametrize(
+    ("rates", "labels", "seconds"),
+    [
+        # One reads its labels at 29.97, the other at 30: they agree as they read.
+        ((Fraction(120_000, 1001), 30), ("10:00:00:00", "10:00:00:15"), 0.5),
+        ((120, Fraction(30_000, 1001)), ("10:00:00:00", "10:00:00:15"), 0.5),
+        # Both count at 29.97: a second of labels lasts 1.001 seconds, through midnight too.
+        ((Fraction(120_000, 1001),) * 2, ("10:00:00:00", "10:00:00:15"), 0.5005),
+        ((Fraction(120_000, 1001),) * 2, ("23:59:59:15", "00:00:00:00"), 0.5005),
+        ((Fraction(120_000, 1001),) * 2, ("23:59:59;15", "00:00:00;00"), 0.5005),
+    ],
+)
+def test_labels_at_29_97_and_at_30_agree_as_they_read(rates, labels, seconds) -> None:
+    markers = replace(markers_take(labels[0]), rate=Fraction(rates[0]))
+    weights = weights_take(labels[1])
+    clip = replace(weights.source, rate=Fraction(rates[1]))
+    weights = replace(weights, rate=Fraction(rates[1]), source=clip)
+    joined = join_captures([markers, weights], FILES)
+    start = int(np.flatnonzero(joined.take.source.values[:, 0] > 0.5)[0])
+    assert start == pytest.approx(seconds * float(rates[0]), abs=1.5)
+    assert any(f"{seconds:+.3f} s" in note for note in joined.notes)
+    same = rates[0] == rates[1]
+    assert any("do not count the same seconds" in note for note in joined.notes) != same
+
+
+def test_the_timecode_that_the_user_names_lays_the_weights_too(tmp_path: Path) -> None:
+    cloud, seen = np.random.default_rng(0).normal(0, 50, (240, 4, 3)), np.ones((240, 4), np.bool_)
+    write_c3d(tmp_path / "a.c3d", cloud, seen, "abcd", rate=120)
+    (tmp_path / "a.csv").write_text(live_link_csv(start="09:59:59:53"))
+    sources = (tmp_path / "a.csv", tmp_path / "a.c3d")
+    spec = IngestSpec(sources=sources, out=tmp_path / "a.take.usda", timecode="09:59:59:00")
+    report = execute(spec)
+    assert any("the weights start +0.867 s after" in note for note in report.notes)
+    assert read_take(tmp_path / "a.take.usda").timecode_start == "09:59:59:00"
+    other = spec.model_copy(update={"timecode": "03:00:00:00", "out": tmp_path / "b.take.usda"})
+    with pytest.raises(InputError, match="share no moment"):
+        execute(other)
 
 
 def test_midnight_between_the_two_starts_is_no_day() -> None:

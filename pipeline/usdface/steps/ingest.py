@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from usdface.assets import Take, Video
+from usdface.capture.marker_labels import match_names
 from usdface.capture.marker_take import Capture, CaptureOptions, build_marker_take
 from usdface.capture.sniff import read_capture
 from usdface.errors import InputError
@@ -34,9 +35,9 @@ def run(
     for index, source in enumerate(spec.sources):
         progress(0.6 * index / len(spec.sources), f"reading {source.name}")
         captures.append(_read_source(source, spec))
-    joined = join_captures([capture.take for capture in captures], spec.sources)
+    joined = join_captures(_labelled([capture.take for capture in captures], spec), spec.sources)
     take = joined.take
-    timecode, doubts = _timecode(spec, take)
+    timecode, doubts = _timecode(take)
     sound = _capture_sound(spec)
     take = replace(
         take,
@@ -56,6 +57,19 @@ def run(
     return _report(spec, take, notes)
 
 
+def _labelled(takes: list[Take], spec: IngestSpec) -> list[Take]:
+    """Give the timecode that the user names to the capture whose frames the take will have."""
+    if not spec.timecode:
+        return takes
+    first = next((at for at, take in enumerate(takes) if take.markers is not None), 0)
+    try:
+        frames_of(spec.timecode, takes[first].rate)
+    except InputError as error:
+        raise InputError(f"--timecode: {error}") from error
+    named = replace(takes[first], timecode_start=spec.timecode)
+    return [named if at == first else take for at, take in enumerate(takes)]
+
+
 def _read_source(source: Path, spec: IngestSpec) -> Capture:
     if source.suffix in (*LAYER_SUFFIXES, ".usdz"):
         return _read_usd(source, spec)
@@ -70,23 +84,13 @@ def _read_source(source: Path, spec: IngestSpec) -> Capture:
 
 
 def _read_usd(source: Path, spec: IngestSpec) -> Capture:
-    if is_take(source):
-        take = read_take(source)
-        if take.markers is not None:
-            markers = replace(
-                take.markers,
-                rigid=spec.rigid or take.markers.rigid,
-                neutral_frame=(
-                    take.markers.neutral_frame if spec.neutral is None else spec.neutral
-                ),
-            )
-            take = replace(take, markers=markers)
-        return Capture(take, "usd")
     if spec.units is not None or spec.up is not None:
         raise InputError(
             f"{source}: a USD file states its own units and up axis; author metersPerUnit and "
             "upAxis in it instead of --units and --up"
         )
+    if is_take(source):
+        return Capture(_with_options(read_take(source), spec, source), "usd")
     found = read_foreign_take(source, prim=spec.prim)
     if not found.names:
         take = Take(source.stem, found.rate, found.first_frame, source=found.source)
@@ -105,15 +109,32 @@ def _read_usd(source: Path, spec: IngestSpec) -> Capture:
     return replace(capture, take=replace(capture.take, source=found.source))
 
 
-def _timecode(spec: IngestSpec, take: Take) -> tuple[str, tuple[str, ...]]:
+def _with_options(take: Take, spec: IngestSpec, source: Path) -> Take:
+    """Return a take that was ingested before with the rigid markers and neutral frame asked for."""
+    markers = take.markers
+    if markers is None:
+        return take
+    if spec.rigid:
+        named = match_names(spec.rigid, markers.names, where=str(source), role="rigid marker")
+        markers = replace(markers, rigid=named)
+    if spec.neutral is not None:
+        last = take.first_frame + take.frame_count - 1
+        if not take.first_frame <= spec.neutral <= last:
+            raise InputError(
+                f"{source}: neutral frame {spec.neutral} is outside the take, {take.first_frame} "
+                f"to {last}; name a frame number of the take with --neutral"
+            )
+        markers = replace(markers, neutral_frame=spec.neutral)
+    return replace(take, markers=markers)
+
+
+def _timecode(take: Take) -> tuple[str, tuple[str, ...]]:
     """Return the label of the first frame, and a note where a capture's own is none."""
-    start = spec.timecode or take.timecode_start
+    start = take.timecode_start
     try:
         if start:
             frames_of(start, take.rate)
     except InputError as error:
-        if spec.timecode:
-            raise InputError(f"--timecode: {error}") from error
         return "", (f"the capture's timecode was left out: {error}; name another with --timecode",)
     return start, ()
 

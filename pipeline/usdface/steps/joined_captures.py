@@ -1,6 +1,7 @@
 """Several captures of one moment, such as markers and Live Link, joined into one take."""
 
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,11 @@ from usdface.errors import InputError
 from usdface.timecode import frames_of, timecode_of
 from usdface.wording import counted
 
-DAY_SECONDS = 86_400.0
+DAY_SECONDS = Fraction(86_400)
+DROP_DAY_SECONDS = Fraction(86_400 * 30 - 2 * (24 * 60 - 24 * 6)) * Fraction(1001, 30_000)
+"""What a day of drop-frame labels lasts."""
+_LONG_SECOND = Fraction(1001, 1000)
+"""What 30 labels last at 29.97 frames per second, none left out."""
 
 
 @dataclass(frozen=True)
@@ -73,9 +78,9 @@ def _start_at(take: Take, other: Take, notes: list[str]) -> str:
     if not other.timecode_start or other.rate == take.rate:
         return other.timecode_start
     try:
-        seconds = frames_of(other.timecode_start, other.rate) / other.rate
         drop = ";" in other.timecode_start and take.rate.denominator == 1001
-        return timecode_of(round(seconds * take.rate), take.rate, drop=drop)
+        frames = round(_reading(other) * _second(take, drop=drop) * take.rate)
+        return timecode_of(frames, take.rate, drop=drop)
     except InputError as error:
         notes.append(f"the timecode {other.timecode_start} was left out: {error}")
         return ""
@@ -85,13 +90,36 @@ def _start_difference(take: Take, other: Take) -> tuple[float, str]:
     """Return by how many seconds the other capture started later, and how that is known."""
     if not take.timecode_start or not other.timecode_start:
         return 0.0, "not both captures carry timecode: they are taken to start together"
-    starts = [
-        frames_of(each.timecode_start, each.rate) / float(each.rate) for each in (take, other)
-    ]
-    difference = starts[1] - starts[0]
-    if abs(difference) > DAY_SECONDS / 2:  # recorded across midnight
-        difference -= np.sign(difference) * DAY_SECONDS
-    return float(difference), f"by timecode the weights start {difference:+.3f} s after the markers"
+    all_drop = ";" in take.timecode_start and ";" in other.timecode_start
+    day = DROP_DAY_SECONDS if all_drop else DAY_SECONDS
+    apart = _reading(other) - _reading(take)
+    apart = (apart + day / 2) % day - day / 2  # recorded across midnight, too
+    doubt = ""
+    if _second(take) == _second(other):
+        apart *= _second(take)
+    else:
+        doubt = (
+            f", as the labels read: {float(take.rate):g} and {float(other.rate):g} frames per "
+            "second do not count the same seconds"
+        )
+    difference = float(apart)
+    note = f"by timecode the weights start {difference:+.3f} s after the markers{doubt}"
+    return difference, note
+
+
+def _reading(take: Take) -> Fraction:
+    """Return what the first label reads as a clock, in seconds since midnight.
+
+    A phone that is jammed to 29.97 labels without drop frame writes the same labels and counts 30
+    of them a second: labels of two such rates agree as they read, not as they are counted.
+    """
+    return frames_of(take.timecode_start, take.rate) / take.rate / _second(take)
+
+
+def _second(take: Take, *, drop: bool | None = None) -> Fraction:
+    """Return how long a second lasts by a take's labels [s]; dropped labels keep it true."""
+    left_out = ";" in take.timecode_start if drop is None else drop
+    return _LONG_SECOND if take.rate.denominator == 1001 and not left_out else Fraction(1)
 
 
 def _resample(clip: WeightsClip, take: Take, shift: float) -> tuple[WeightsClip, int]:
