@@ -300,3 +300,19 @@ def test_a_neutral_frame_without_the_rigid_markers_is_named_by_its_number(
     spec = CleanSpec(take=hidden, out=tmp_path / "c.take.usda", rigid=rigid, neutral=neutral)
     with pytest.raises(InputError, match=f"1 of the rigid markers .* neutral frame {neutral}, 3 "):
         run(spec)
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"units": "cm"}, "a USD file states its own units"),
+        ({"neutral": 99_999}, "neutral frame 99999 is outside the take"),
+        ({"rigid": ("nobody",)}, "rigid marker nobody not among"),
+    ],
+)
+def test_what_a_take_ingested_again_cannot_be_told_is_refused(
+    shot: Shot, tmp_path: Path, asked: dict[str, object], message: str
+) -> None:
+    spec = IngestSpec(sources=(shot / "shot.take.usda",), out=tmp_path / "b.take.usda", **asked)
+    with pytest.raises(InputError, match=message):
+        run(spec)
