@@ -133,6 +133,40 @@ def test_parts_as_a_farm_makes_them_are_joined_whatever_their_size(shot: Shot, s
     execute(join.model_copy(update={"parts": (join.out, more), "out": shot / "all.mp4"}))
 
 
+@pytest.mark.parametrize("size", [24, 29, 31, 3])
+def test_pictures_and_sound_of_parts_stay_together_however_many_there_are(
+    shot: Shot, size: int
+) -> None:
+    """Parts that are no whole number of pictures long end in one that lasts too long."""
+    firsts = list(range(1, 241, size))
+    parts = [part_of(shot.folder, first, min(first + size - 1, 240)) for first in firsts]
+    parts = [part.rename(shot / f"{size}.{number}.mp4") for number, part in enumerate(parts)]
+    join = MovieJoinSpec(
+        parts=tuple(parts), take=shot / "shot.clean.take.usda", out=shot / "joined.mp4"
+    )
+    report = execute(join)
+    assert abs(report.figures["pictures"] - 240 * 24 / 120) <= 1
+    assert ("left out" in " ".join(report.notes)) == (size % 5 != 0)
+
+
+def test_the_timecode_burnt_in_is_that_of_the_file(shot: Shot, monkeypatch) -> None:
+    burnt: list[str] = []
+    compose = movie_step.compose_movie_frame
+
+    def keep(*given, clock: str, **more):
+        burnt.append(clock)
+        return compose(*given, clock=clock, **more)
+
+    monkeypatch.setattr(movie_step, "compose_movie_frame", keep)
+    execute(spec_of(shot, "film.mp4", rate=24, frames="100-160"))
+    with VideoReader(shot / "film.mp4") as movie:
+        assert movie.timecode == "01:00:00:19"  # 99 frames at 120
+    assert burnt[:2] == ["01:00:00:19  100", "01:00:00:20  105"]
+    assert burnt[-1] == "01:00:01:07  160"
+    execute(spec_of(shot, "odd.mp4", rate=31, frames="100-110"))
+    assert burnt[-3] == "01:00:00:24  100"  # a rate without labels: the take's own
+
+
 def test_two_processes_draw_what_one_draws(shot: Shot) -> None:
     execute(spec_of(shot, "one.mp4", frames="20-139"))
     execute(spec_of(shot, "two.mp4", frames="20-139", workers=2))

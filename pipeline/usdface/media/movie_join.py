@@ -21,6 +21,7 @@ def join_movies(
     path: Path,
     parts: Sequence[Path],
     *,
+    pictures: Sequence[int] | None = None,
     audio: Float32Array | None = None,
     sample_rate: int = 48000,
     rate: Fraction | None = None,
@@ -35,6 +36,8 @@ def join_movies(
         The movie to write.
     parts : sequence of Path
         Movies of `write_movie`, of one size, rate and encoder, in order. Their sound is left out.
+    pictures : sequence of int, optional
+        How many of each part's, from its first; all by default.
     audio, sample_rate, timecode, comment
         As for `write_movie`, of the whole.
     rate : Fraction, optional
@@ -74,7 +77,8 @@ def join_movies(
                     container.metadata["comment"] = comment
                 stream: Any = None
                 sound: SoundTrack | None = None
-                for part in parts:
+                for number, part in enumerate(parts):
+                    end = None if pictures is None else count + pictures[number]
                     with open_media(part) as source:
                         given = source.streams.video[0]
                         if stream is None:
@@ -83,7 +87,7 @@ def join_movies(
                             if audio is not None:
                                 sound = SoundTrack(container, audio, sample_rate)
                         for packet in source.demux(given):
-                            if packet.size == 0:
+                            if packet.size == 0 or count == end:
                                 continue
                             # One packet is one picture, in order: counted, no rounding adds up.
                             packet.pts = packet.dts = count

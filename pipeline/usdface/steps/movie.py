@@ -243,10 +243,12 @@ def _pictures(
         trust = None
         if confidence is not None:
             trust = float(confidence[frame - shot.performance.weights.first_frame])
+        # What a player shows of the file: the take's own labels may count at another rate.
+        label = plan.clock.timecode(shot.take.timecode_start, shot.take.first_frame, number)
         yield compose_movie_frame(
             panels,
             height=height,
             title=title,
-            clock="  ".join(filter(None, (shot.timecode(frame), str(frame)))),
+            clock="  ".join(filter(None, (label or shot.timecode(frame), str(frame)))),
             confidence=trust,
         )

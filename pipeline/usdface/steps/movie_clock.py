@@ -41,15 +41,15 @@ class MovieClock:
         nearest = math.floor(picture * self.take_rate / self.rate + Fraction(1, 2))
         return min(nearest, self.frame_count - 1)
 
-    def timecode(self, take_start: str, take_first: int) -> str:
-        """Return the label of the first picture at the movie's own rate; empty where unknown."""
+    def timecode(self, take_start: str, take_first: int, picture: int = 0) -> str:
+        """Return the label of a picture at the movie's own rate; empty where unknown."""
         if not take_start:
             return ""
         frames = frames_of(take_start, self.take_rate) + self.first_frame - take_first
         try:
             drop = ";" in take_start and self.rate.denominator == 1001
-            pictures = math.floor(frames / self.take_rate * self.rate)
-            return timecode_of(pictures, self.rate, drop=drop)
+            first = math.floor(frames / self.take_rate * self.rate)
+            return timecode_of(first + picture, self.rate, drop=drop)
         except InputError:
             return ""  # a rate that timecode has no labels for
 

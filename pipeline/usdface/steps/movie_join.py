@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 
 from usdface.errors import InputError
@@ -38,13 +39,21 @@ def run(
                 f"{path}: begins at frame {part.first}, before the part that it follows; name the "
                 "parts in order"
             )
-    count = sum(part.pictures for part in said)
+    pictures = [part.pictures for part in said]
+    count = sum(pictures)
     notes: list[str] = []
     sound, timecode = None, ""
     if spec.take is not None:
         reader = TakeReader(spec.take)
         take = reader.read(reader.first_frame, reader.first_frame)
         _check_nothing_between(spec.parts, said, take.rate)
+        pictures = _in_step(said, take.rate)
+        if sum(pictures) < count:
+            notes.append(
+                f"{counted(count - sum(pictures), 'picture')} at the ends of parts left out, so "
+                "that sound and picture stay together: parts were no whole number of pictures long"
+            )
+        count = sum(pictures)
         clock = MovieClock(
             rate=rate,
             take_rate=take.rate,
@@ -60,6 +69,7 @@ def run(
     join_movies(
         spec.out,
         spec.parts,
+        pictures=pictures,
         audio=sound,
         sample_rate=SAMPLE_RATE,
         rate=rate,
@@ -106,6 +116,19 @@ def _check_nothing_between(
             f"{path}: begins at frame {part.first}, and the part before ends with frame "
             f"{end - 1}: {frames} would be {what}; give parts that follow one another"
         )
+
+
+def _in_step(said: Sequence[_Part], take_rate: Fraction) -> list[int]:
+    """Return how many pictures of each part to show, so that each begins nearest its moment.
+
+    A part that is no whole number of pictures long has its last one for less than a picture's time;
+    shown in full, these would add up, and the sound would run ahead of the pictures.
+    """
+    shown: list[int] = []
+    for part, after in pairwise(said):
+        end = math.floor((after.first - said[0].first) * part.rate / take_rate + Fraction(1, 2))
+        shown.append(min(max(end - sum(shown), 0), part.pictures))
+    return [*shown, said[-1].pictures]
 
 
 def _said(name: str, comment: str) -> _Part:
