@@ -58,12 +58,15 @@ def hash_text(text: str) -> str:
 
 
 def hash_files(files: list[Path]) -> str:
-    """Return one SHA-256 over the contents of files, in the order of their names."""
-    total = hashlib.sha256()
-    for path in sorted(files):
+    """Return one SHA-256 over the names and contents of files, wherever they lie.
+
+    A farm's task names by absolute paths what a person names from the folder.
+    """
+    told = []
+    for path in files:
         single = hashlib.sha256()
         with path.open("rb") as stream:
             while block := stream.read(READ_SIZE):
                 single.update(block)
-        total.update(path.name.encode("utf-8") + b"\0" + single.digest())
-    return total.hexdigest()
+        told.append(path.name.encode("utf-8") + b"\0" + single.digest())
+    return hashlib.sha256(b"".join(sorted(told))).hexdigest()

@@ -215,7 +215,7 @@ def test_a_job_aligns_once_and_again_after_the_take_was_made_anew(take: Path) ->
     layer = Sdf.Layer.FindOrOpen(str(raw))
     layer.GetAttributeAtPath("/Take.face:performer").default = "Bea"
     layer.Save()
-    assert [each.state for each in check_job(job)] == ["stale", "missing"]
+    assert [each.state for each in check_job(job)] == ["stale", "stale"]
     run_job(job)
     assert [each.state for each in check_job(job)] == ["done", "done"]
     assert read_take(take).video.offset == pytest.approx(OFFSET, abs=1e-3)

@@ -130,7 +130,10 @@ def check_job(job: JobSpec) -> list[StepState]:
             for path in spec.paths(Writes)
             if not path.parent.is_dir()
         ]
-        if any(path in to_come or not path.exists() for path in reads):
+        waits_for = [path for path in reads if path in to_come or not path.exists()]
+        if waits_for and all(path.exists() for path in spec.outputs()):
+            state = StepState(spec, "stale", f"an earlier step makes {waits_for[0].name} anew")
+        elif waits_for:
             state = StepState(spec, "missing", "waits for an earlier step")
         else:
             state = _state(spec, make_provenance(spec))
