@@ -52,6 +52,18 @@ def test_long_names_are_cut_in_the_middle_to_fit() -> None:
     assert cut.endswith("v003")
 
 
+@pytest.mark.parametrize("weight", ["regular", "bold", "mono"])
+@pytest.mark.parametrize("letter", ["…", "Ł", "Ж", "Ω", "→", "撮"])
+def test_no_letter_is_left_out(weight: text.Weight, letter: str) -> None:
+    """Two of the fonts know none of these, and draw nothing."""
+    with_it, without = (text_mask(word, size=30, weight=weight) for word in (f"x{letter}x", "x x"))
+    gap = with_it[:, 20:-22]
+    assert with_it.sum() > without.sum() + 20
+    assert gap.max() > 0.5
+    apart = text_mask(f"a {letter} b", size=30, weight=weight)
+    assert apart.shape[1] > text_mask(f"a{letter}b", size=30, weight=weight).shape[1] + 6
+
+
 def test_without_a_font_labels_are_still_drawn(monkeypatch, fresh_cache) -> None:
     monkeypatch.setattr(text, "_FONTS", dict.fromkeys(text._FONTS, "NoSuchFont"))
     assert not text.font_works()

@@ -174,14 +174,54 @@ def _cut(text: str, kept: int) -> str:
 
 
 def _draw_line(line: str, size: int, weight: Weight, height: int) -> Float32Array:
-    font = _FONTS[weight]
+    runs = _runs(line, weight)
+    drawn = [
+        _draw_run(run, size, font, height, last=number == len(runs))
+        for number, (run, font) in enumerate(runs, start=1)
+    ]
+    if any(run is None for run in drawn):
+        return pixel_mask(line, size=size)
+    return np.concatenate([run for run in drawn if run is not None], axis=1)
+
+
+def _runs(line: str, weight: Weight) -> list[tuple[str, str]]:
+    """Cut a line where the font changes: two of the three know no letters beyond Western Europe's.
+
+    They draw nothing for others, the ellipsis among them; the third has Greek and Cyrillic, and a
+    box for what it lacks.
+    """
+    runs: list[tuple[str, str]] = []
+    for letter in line:
+        font = _FONTS["mono" if _is_blank(letter, _FONTS[weight]) else weight]
+        if runs and font == runs[-1][1]:
+            runs[-1] = runs[-1][0] + letter, font
+        else:
+            runs.append((letter, font))
+    return runs
+
+
+@lru_cache(maxsize=4096)
+def _is_blank(letter: str, font: str) -> bool:
+    """Whether a font draws nothing for a letter that should be seen."""
+    if letter.isspace() or letter.isascii():
+        return False
+    buffer = oiio.ImageBuf(oiio.ImageSpec(64, 64, 1, "float"))
+    oiio.ImageBufAlgo.zero(buffer)
+    drawn = oiio.ImageBufAlgo.render_text(buffer, 12, 44, letter, 30, font, (1.0,))
+    return drawn and float(np.asarray(buffer.get_pixels("float"), np.float32).sum()) < 1.0
+
+
+def _draw_run(line: str, size: int, font: str, height: int, *, last: bool) -> Float32Array | None:
     box = oiio.ImageBufAlgo.text_size(line, size, font)
     # The advance of a last space is not in the box, and a first letter may start left of zero.
     width = max(box.xend, box.width) + 2
-    buffer = oiio.ImageBuf(oiio.ImageSpec(width, height, 1, "float"))
+    if not last:
+        behind = oiio.ImageBufAlgo.text_size(line + "x", size, font).xend
+        width = behind - oiio.ImageBufAlgo.text_size("x", size, font).xend
+    buffer = oiio.ImageBuf(oiio.ImageSpec(max(width, 1), height, 1, "float"))
     oiio.ImageBufAlgo.zero(buffer)
     start = max(-box.xbegin, 0)
     if not oiio.ImageBufAlgo.render_text(buffer, start, baseline(size), line, size, font, (1.0,)):
-        return pixel_mask(line, size=size)
-    drawn = np.asarray(buffer.get_pixels("float"), np.float32).reshape(height, width)
+        return None
+    drawn = np.asarray(buffer.get_pixels("float"), np.float32).reshape(height, max(width, 1))
     return np.clip(drawn, 0, 1)
