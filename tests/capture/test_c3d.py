@@ -230,3 +230,75 @@ def test_events_come_in_order_by_frame(take, tmp_path):
     found = read_c3d_take(tmp_path / "marked.c3d", CaptureOptions()).take.events
     assert [event.label for event in found] == ["General Slate", "Clap"]
     np.testing.assert_allclose([event.frame for event in found], [1 + 12, 1 + 30], atol=1e-4)
+
+
+def test_a_take_cut_by_another_library_counts_by_its_header(take, tmp_path):
+    positions, visible, labels = take
+    write_c3d(tmp_path / "whole.c3d", positions, visible, labels, rate=60, first_frame=1)
+    file = ezc3d.c3d(str(tmp_path / "whole.c3d"))
+    file["data"]["points"] = file["data"]["points"][:, :, 10:30]
+    for name, kept in file["data"]["meta_points"].items():
+        file["data"]["meta_points"][name] = kept[:, :, 10:30]
+    file["header"]["points"].update(first_frame=10, last_frame=29)
+    file.write(str(tmp_path / "cut.c3d"))  # TRIAL still says 1 to 40
+    cut = open_c3d(tmp_path / "cut.c3d")
+    assert (cut.layout.first_frame, cut.frame_count) == (11, 20)
+    seen = visible[10:30]
+    np.testing.assert_array_equal(cut.read_points().positions[seen], positions[10:30][seen])
+    assert any("TRIAL says 1 to 40, the header 11 to 30" in note for note in cut.layout.notes)
+
+
+@pytest.mark.parametrize(
+    ("words", "frames", "first", "note"),
+    [
+        ((0, 0, 0, 0), 40, 1, "TRIAL says 0 to 0, the header 1 to 40"),
+        ((3, 0, 7, 0), 40, 1, "TRIAL says 3 to 7, the header 1 to 40"),
+        ((70_000 % 65_536, 1, 70_039 % 65_536, 1), 40, 70_000, ""),
+    ],
+)
+def test_no_frame_is_lost_where_trial_and_header_differ(take, tmp_path, words, frames, first, note):
+    path = tmp_path / "take.c3d"
+    write_c3d(path, *take, rate=60)
+    content = bytearray(path.read_bytes())
+    for name, pair in (("ACTUAL_START_FIELD", words[:2]), ("ACTUAL_END_FIELD", words[2:])):
+        at = content.index(name.encode()) + len(name) + 5  # link, type, rank, dimensions
+        struct.pack_into("<2H", content, at, *pair)
+    path.write_bytes(content)
+    layout = open_c3d(path).layout
+    assert (layout.first_frame, layout.frame_count) == (first, frames)
+    assert [note in told for told in layout.notes] == ([True] if note else [])
+
+
+def test_a_parameter_that_counts_more_frames_than_there_are_is_noted(take, tmp_path):
+    path = tmp_path / "take.c3d"
+    write_c3d(path, *take, rate=60)
+    content = bytearray(path.read_bytes())
+    content[content.index(b"TRIAL") : content.index(b"TRIAL") + 5] = b"OTHER"
+    struct.pack_into("<H", content, content.index(b"FRAMES") + len("FRAMES") + 4, 1000)
+    path.write_bytes(content)
+    layout = open_c3d(path).layout
+    assert layout.frame_count == 40
+    assert layout.notes == ("frames: POINT:FRAMES says 1000, the header 1 to 40; 40 read",)
+
+
+@pytest.mark.parametrize("sign", [1.0, 0.01])
+def test_floats_are_read_as_floats_though_the_scale_lost_its_sign(take, tmp_path, sign):
+    positions, visible, labels = take
+    path = tmp_path / "take.c3d"
+    write_c3d(path, positions, visible, labels, rate=60)
+    content = bytearray(path.read_bytes())
+    struct.pack_into("<f", content, content.index(b"SCALE") + len("SCALE") + 4, sign)
+    path.write_bytes(content)
+    file = open_c3d(path)
+    np.testing.assert_array_equal(file.read_points().positions[visible], positions[visible])
+    assert any("differ in sign" in note for note in file.layout.notes)
+
+
+def test_a_last_frame_beyond_sixteen_bits_adds_no_frames_of_padding(take, tmp_path):
+    path = tmp_path / "take.c3d"
+    write_c3d(path, *take, rate=60)
+    content = bytearray(path.read_bytes())
+    content[content.index(b"TRIAL") : content.index(b"TRIAL") + 5] = b"OTHER"
+    struct.pack_into("<2H", content, 6, 0xFFFF, 0xFFFF)  # frames 70,000 to 70,039 say this
+    path.write_bytes(content)
+    assert open_c3d(path).frame_count == 40

@@ -124,14 +124,20 @@ def _settle_layout(
     channels, per_frame = _settle_analog(notes, parameters, words[2], words[9], rate)
     block = words[8] or parameters.unsigned("POINT:DATA_START") or 0
     data_start = (block - 1) * BLOCK
-    stride = (points * 4 + channels * per_frame) * (4 if scale < 0 else 2)
+    items = points * 4 + channels * per_frame
+    scale = _settle_scale(
+        notes, scale, float(header_floats[3]), size - data_start, items * (words[4] - words[3] + 1)
+    )
+    stride = items * (4 if scale < 0 else 2)
     if data_start < BLOCK or data_start > size or stride == 0:
         raise InputError(
             f"{path}: data at block {block} of {size // BLOCK}, {points} points and {channels} "
             f"analog channels per frame: nothing can be read; {_REPAIR}"
         )
     capacity = (size - data_start) // stride
-    first_frame, frame_count = _settle_frames(notes, parameters, words[3], words[4], capacity)
+    first_frame, frame_count = _settle_frames(
+        notes, parameters, words[3], words[4], capacity, padding=(BLOCK - 1) // stride
+    )
     if frame_count > capacity:
         raise InputError(
             f"{path}: the header promises {frame_count} frames of {stride} bytes from byte "
@@ -169,6 +175,21 @@ def _settle(notes: list[str], what: str, parameter: int | None, header: int) -> 
     return parameter
 
 
+def _settle_scale(notes: list[str], scale: float, header: float, room: int, items: int) -> float:
+    """Return the scale with the sign that the samples have: negative where they are floats.
+
+    Where parameters and header differ in it, the room that the file has for its `items` tells.
+    """
+    if not math.isfinite(header) or header * scale >= 0 or items <= 0:
+        return scale
+    floats = room >= 4 * items
+    notes.append(
+        f"POINT:SCALE {scale:g} and the header's {header:g} differ in sign; the samples take the "
+        f"room of {'floats' if floats else 'integers'} and are read as such"
+    )
+    return min(scale, header) if floats else max(scale, header)
+
+
 def _settle_analog(
     notes: list[str], parameters: Parameters, per_frame_total: int, per_frame: int, rate: float
 ) -> tuple[int, int]:
@@ -196,32 +217,57 @@ def _settle_analog(
 
 
 def _settle_frames(
-    notes: list[str], parameters: Parameters, first: int, last: int, capacity: int
+    notes: list[str],
+    parameters: Parameters,
+    first: int,
+    last: int,
+    capacity: int,
+    *,
+    padding: int,
 ) -> tuple[int, int]:
     """Return the first frame's number and how many frames there are.
 
     The header counts in 16 bits. Longer takes say their length in TRIAL:ACTUAL_END_FIELD or in
     POINT:LONG_FRAMES; where neither does, a count that is full or that has wrapped around is
-    recognised by the room the file has.
+    recognised by the room the file has, less the `padding` frames that its last block may hold.
+    A library that cuts a take may leave TRIAL as it was: then the header counts.
     """
+    frames = parameters.unsigned("POINT:FRAMES")
+    counted = last - first + 1
     long_first, long_last = (
         parameters.long("TRIAL:ACTUAL_START_FIELD"),
         parameters.long("TRIAL:ACTUAL_END_FIELD"),
     )
     long_frames = _finite(parameters.number("POINT:LONG_FRAMES"))
     if long_first is not None and long_last is not None and long_last >= long_first:
-        return long_first, long_last - long_first + 1
+        same = long_last - long_first + 1 == counted or (
+            _cut_short(long_first, first) and _cut_short(long_last, last)
+        )
+        if same or not 0 < counted <= capacity or frames not in (None, counted):
+            return long_first, long_last - long_first + 1
+        notes.append(
+            f"frames: TRIAL says {long_first} to {long_last}, the header {first} to {last}; "
+            "the header's read"
+        )
+        return first, counted
     if long_frames is not None:
         return first, int(long_frames)
-    frames = parameters.unsigned("POINT:FRAMES") or 0
-    if last >= first and last - first + 1 != frames and last != _FULL:
-        notes.append(f"frames: POINT:FRAMES says {frames}, the header {first} to {last}")
-    count = max(frames, last - first + 1)
+    count = max(frames or 0, counted)
+    if frames is not None and counted not in (frames, 0) and last >= first and last != _FULL:
+        count = min(frames, counted) if count > capacity else count
+        notes.append(
+            f"frames: POINT:FRAMES says {frames}, the header {first} to {last}; {count} read"
+        )
     wraps = (capacity - count) // (_FULL + 1)
     if wraps > 0:
         count = capacity if count >= _FULL or last == _FULL else count + wraps * (_FULL + 1)
         notes.append(f"the frame count has wrapped; {count} frames read by the file's length")
-    elif (count == _FULL or last == _FULL) and capacity > count:
+    elif capacity > count and (count == _FULL or (last == _FULL and capacity > count + padding)):
         count = capacity
         notes.append(f"the frame count is full; {count} frames read by the file's length")
     return first, count
+
+
+def _cut_short(number: int, word: int) -> bool:
+    """Tell whether 16 bits may show a number like this: its low bits, or as many as there are."""
+    return word in (number & _FULL, min(number, _FULL))
