@@ -200,3 +200,23 @@ def test_rows_within_their_limits_are_left_alone_and_a_diagonal_metric_only_cuts
     outside = rng.uniform(-1, 2, size=(5, 3))
     cut = project_to_box(outside, np.diag([1.0, 5.0, 9.0]), lower=low, upper=high)
     np.testing.assert_allclose(cut, np.clip(outside, 0, 1), atol=1e-12)
+
+
+def test_a_rig_of_any_size_says_the_same_of_a_performer() -> None:
+    turn = Rotation.from_euler("y", 20, degrees=True).as_matrix()
+    weights, markers, basis = take(turn, noise=0.05)
+    usual = expect_marker_motion(skin(), weights, markers)
+    giant, titan, imp = (
+        expect_marker_motion(size * skin(), weights, markers) for size in (8.0, 100.0, 0.05)
+    )
+    for other in (titan, imp):
+        np.testing.assert_allclose(other.basis, giant.basis, atol=1e-9)
+    assert giant.explained == pytest.approx(usual.explained, abs=0.005)
+    for prior in (usual, giant):
+        assert np.linalg.norm(prior.basis - basis) < 0.2 * np.linalg.norm(basis)
+
+
+def test_pairs_at_rest_tell_nothing_of_a_rigs_size() -> None:
+    weights, markers, _ = take(np.eye(3))
+    for still in ((0 * weights, markers), (weights, 0 * markers)):
+        assert np.isfinite(expect_marker_motion(skin(), *still).basis).all()

@@ -18,6 +18,7 @@ _NOISE_MM = 0.4  # what a marker moves for no reason
 _MODEL_ERROR = 0.15  # of a marker's motion, which no place on another face explains
 _EVIDENCE = 24.0  # independent samples that the pairs count for: faces repeat each other
 _ROUNDS = 3
+_MOST = 0.97  # quantile of points, by motion, that two faces are compared in size by
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,8 @@ def expect_marker_motion(skin: Array, weights: Array, markers: Array) -> SkinPri
     """Find for every marker the skin that moves as it does.
 
     Every point of the skin is a candidate, with a gain of its own; candidates are averaged by
-    how well they explain the marker. The rotation between the spaces is found on the way.
+    how well they explain the marker. The rotation between the spaces is found on the way. A rig
+    of another size than any performer is brought to the performer's first.
 
     Parameters
     ----------
@@ -67,6 +69,8 @@ def expect_marker_motion(skin: Array, weights: Array, markers: Array) -> SkinPri
     moved = np.ascontiguousarray(flat.reshape(len(weights), -1, 3).transpose(1, 0, 2))
     energy = np.einsum("mnc,mnc->m", seen, seen)
     size = np.einsum("pnc,pnc->p", moved, moved)
+    scale = _size_of_performer(energy, size)
+    skin, moved, size = skin * scale, moved * scale, size * scale**2
     values = 3 * len(weights)
     doubt = _NOISE_MM**2 + _MODEL_ERROR**2 * energy[:, None] / values
     rotation = np.eye(3)
@@ -87,6 +91,16 @@ def expect_marker_motion(skin: Array, weights: Array, markers: Array) -> SkinPri
     basis = np.einsum("mp,spc->smc", share * gain, skin @ rotation.T, optimize=True)
     unexplained = left[np.arange(len(best)), best].sum() / max(float(energy.sum()), 1e-300)
     return SkinPrior(basis, rotation, float(1 - unexplained))
+
+
+def _size_of_performer(seen: Array, moved: Array) -> float:
+    """Scale that brings a rig's motion to the markers'; 1 where points' own gains reach it."""
+    usual = float(np.quantile(moved, _MOST)) if len(moved) else 0.0
+    wanted = float(np.quantile(seen, _MOST)) if len(seen) else 0.0
+    if usual == 0 or wanted == 0:
+        return 1.0
+    scale = float(np.sqrt(wanted / usual))
+    return 1.0 if _GAINS[0] <= scale <= _GAINS[1] else scale
 
 
 def _rotation(rows: Array, targets: Array) -> Array:
