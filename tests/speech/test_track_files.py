@@ -80,7 +80,11 @@ def test_a_short_textgrid_of_the_montreal_aligner_is_read(tmp_path: Path, encodi
         ("x.lab", "0 1\nhello\n", "line 2: 'hello' is no label"),
         ("x.lab", "0.0 0.5 ah\n0.3 0.6 b\n", "begins before 'ah' ends"),
         ("x.lab", "0.0 0.5 Ж\n0.5 0.6 Щ\n", "100% of its phones are in no alphabet"),
+        ("x.lab", "0.1 0.3 ah\n0.6 0.3 b\n", "'b' lasts from 0.6 to 0.3 s"),
+        ("x.lab", "0.1 0.3 ah\n0.3 inf b\n", "'b' lasts from 0.3 to inf s"),
+        ("x.lab", "nan 0.3 ah\n0.3 0.6 b\n", "'ah' lasts from nan to 0.3 s"),
         ("x.json", '{"phones": [{"start": 1}]}', "is not"),
+        ("x.json", '{"tiers": {"phones": {"entries": [[0]]}}}', "no lists of .start, end, label"),
         ("x.TextGrid", "not a grid", "is no TextGrid that can be read"),
         ("x.TextGrid", SHORT.replace("phones", "notes"), "no tier of phones, only 'Anna - notes'"),
     ],
@@ -103,3 +107,45 @@ def test_json_says_spans_plainly(tmp_path: Path) -> None:
     write_phone_track(tmp_path / "x.json", TRACK)
     data = json.loads((tmp_path / "x.json").read_text())
     assert data["words"] == [{"start": 0.25, "end": 0.75, "label": "hi"}]
+
+
+def tiers_json(**tiers: list[list[object]]) -> str:
+    """What the Montreal Forced Aligner writes with ``--output_format json``."""
+    named = {name.replace("_", " - "): entries for name, entries in tiers.items()}
+    kinds = {name: {"type": "interval", "entries": entries} for name, entries in named.items()}
+    return json.dumps({"start": 0.0, "end": 3.0, "tiers": kinds})
+
+
+HELLO = [[0.1, 0.4, "HH"], [0.4, 1.2, "OW1"]]
+BYE = [[1.5, 1.7, "B"], [1.7, 2.0, "AY1"]]
+
+
+def test_json_of_the_montreal_aligner_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    path.write_text(tiers_json(words=[[0.1, 1.2, "hello"]], phones=HELLO))
+    track = read_phone_track(path)
+    assert [span.label for span in track.phones] == ["HH", "OW1"]
+    assert [span.label for span in track.words] == ["hello"]
+
+
+def test_two_speakers_are_refused_and_a_silent_one_is_not_chosen(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    path.write_text(tiers_json(kim_phones=HELLO, lee_phones=BYE))
+    with pytest.raises(InputError, match=r"phones of several speakers \('kim', 'lee'\)"):
+        read_phone_track(path)
+    bye = [[1.5, 2.0, "bye"]]
+    path.write_text(
+        tiers_json(lee_words=bye, kim_words=[], lee_phones=[[0.0, 3.0, "sil"]], kim_phones=HELLO)
+    )
+    track = read_phone_track(path)
+    assert [span.label for span in track.phones] == ["HH", "OW1"]
+    assert track.words == ()  # they are the other's
+
+
+def test_the_phones_of_web_maus_are_its_last_tier(tmp_path: Path) -> None:
+    tiers = {"ORT-MAU": [[0.1, 1.2, "hello"]], "KAN-MAU": [[0.1, 1.2, "h @ l @U"]], "MAU": HELLO}
+    data = {name: {"type": "interval", "entries": entries} for name, entries in tiers.items()}
+    (tmp_path / "x.json").write_text(json.dumps({"start": 0, "end": 3, "tiers": data}))
+    track = read_phone_track(tmp_path / "x.json")
+    assert [span.label for span in track.phones] == ["HH", "OW1"]
+    assert [span.label for span in track.words] == ["hello"]

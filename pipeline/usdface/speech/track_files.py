@@ -3,7 +3,8 @@
 import hashlib
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from math import inf, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
@@ -26,10 +27,13 @@ ORIGIN_MARK = "usdface-provenance:"
 TRACK_SUFFIXES = (".textgrid", ".lab", ".json")
 _TIERS = {
     "phones": ("phones", "phone", "phonemes", "segments", "mau", "phonetic"),
-    "words": ("words", "word", "ort-mau", "ort", "orthography"),
+    "words": ("words", "word", "ort", "orthography"),
     "emotions": ("emotion", "emotions", "expression", "mood"),
 }
 _NO_WORDS = ("sil", "sp", "spn", "<eps>", "<sil>", "<s>", "</s>", "<unk>", "[noise]")
+_NAME_PARTS = re.compile(r"\s*[-:/]\s*")
+_WEB_MAUS = {"ort-mau": "words", "kan-mau": "dictionary"}
+"""Its tiers are words, how the dictionary says them, and as `MAU` the phones."""
 _LEAST_SECONDS = 1e-6
 
 
@@ -58,6 +62,8 @@ def read_phone_track(path: Path) -> PhoneTrack:
         track = _from_htk(path, text)
     elif suffix == ".json" and '"phones"' in text and '"tiers"' not in text:
         track = _from_json(path, text)
+    elif suffix == ".json" and re.search(r'"tiers"\s*:\s*\{', text):
+        track = _from_tiers_json(path, text)
     else:
         track = _from_textgrid(path)
     _check_track(path, track)
@@ -157,7 +163,7 @@ def _from_htk(path: Path, text: str) -> PhoneTrack:
             words.append(Span(span.start, span.end, fields[-1]))
         elif words and viseme_of(span.label) != "pau":
             words[-1] = Span(words[-1].start, span.end, words[-1].label)
-    return _track(phones, words, [])
+    return _track(path, phones, words, [])
 
 
 def _is_number(text: str) -> bool:
@@ -193,7 +199,7 @@ def _from_json(path: Path, text: str) -> PhoneTrack:
             f'{path}: is not {{"phones": [{{"start": 0.1, "end": 0.2, "label": "AH"}}, ...]}}: '
             f"{error}"
         ) from error
-    return _track(*found)
+    return _track(path, *found)
 
 
 def _json_text(track: PhoneTrack, origin: Mapping[str, object] | None) -> str:
@@ -224,26 +230,55 @@ def _from_textgrid(path: Path) -> PhoneTrack:
         raise InputError(
             f"{path}: is no TextGrid that can be read ({reason}); save it again from Praat"
         ) from error
-    found = {kind: _tier(grid, names) for kind, names in _TIERS.items()}
+    return _from_tiers(
+        path,
+        [
+            (name, [entry for entry in grid.getTier(name).entries if len(entry) == 3])
+            for name in grid.tierNames
+        ],
+    )
+
+
+def _from_tiers_json(path: Path, text: str) -> PhoneTrack:
+    """Read the JSON of the Montreal Forced Aligner, or of praatio: tiers by their names."""
+    try:
+        tiers = json.loads(text)["tiers"]
+        return _from_tiers(path, [(name, tier["entries"]) for name, tier in tiers.items()])
+    except (LookupError, ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(
+            f"{path}: its tiers are no lists of [start, end, label]: {error}; export it again"
+        ) from error
+
+
+def _from_tiers(path: Path, tiers: Sequence[tuple[str, Sequence[Any]]]) -> PhoneTrack:
+    """Choose the tiers of phones, words and emotions; all must be of one speaker."""
+    found: dict[str, list[tuple[str, list[Span]]]] = {kind: [] for kind in _TIERS}
+    for name, entries in tiers:
+        *prefix, plain = _NAME_PARTS.split(_WEB_MAUS.get(name.lower(), name.lower()).strip())
+        spans = [Span(float(s), float(e), str(label).strip()) for s, e, label in entries]
+        for kind, names in _TIERS.items():
+            if plain in names:
+                found[kind].append((" ".join(prefix), spans))
     if not found["phones"]:
         raise InputError(
-            f"{path}: has no tier of phones, only {', '.join(map(repr, grid.tierNames))}; name "
-            "the tier `phones`"
+            f"{path}: has no tier of phones, only {', '.join(repr(name) for name, _ in tiers)}; "
+            "name the tier `phones`"
         )
-    return _track(found["phones"], found["words"], found["emotions"])
+    said = [tier for tier in found["phones"] if any(viseme_of(s.label) != "pau" for s in tier[1])]
+    speakers = list(dict.fromkeys(speaker for speaker, _ in said))
+    if len(speakers) > 1:
+        raise InputError(
+            f"{path}: has phones of several speakers ({', '.join(map(repr, speakers))}); keep the "
+            "tiers of the one who is captured"
+        )
+    speaker, phones = (said or found["phones"])[0]
 
+    def of_speaker(kind: str) -> list[Span]:
+        own = [spans for whose, spans in found[kind] if whose == speaker]
+        other = [spans for whose, spans in found[kind] if not (whose and speaker)]
+        return next(iter(own + other), [])
 
-def _tier(grid: "Textgrid", names: tuple[str, ...]) -> list[Span]:
-    """Return the intervals of the first tier with such a name, alone or after a speaker's."""
-    for name in grid.tierNames:
-        plain = re.split(r"\s*[-:/]\s*", name.lower().replace("ort-mau", "words"))[-1].strip()
-        if plain in names:
-            return [
-                Span(float(entry[0]), float(entry[1]), str(entry[2]).strip())
-                for entry in grid.getTier(name).entries
-                if len(entry) == 3
-            ]
-    return []
+    return _track(path, phones, of_speaker("words"), of_speaker("emotions"))
 
 
 def _textgrid(track: PhoneTrack, origin: Mapping[str, object] | None) -> "Textgrid":
@@ -298,7 +333,13 @@ def _praatio() -> Any:
     return textgrid
 
 
-def _track(phones: list[Span], words: list[Span], emotions: list[Span]) -> PhoneTrack:
+def _track(path: Path, phones: list[Span], words: list[Span], emotions: list[Span]) -> PhoneTrack:
+    for span in (*phones, *words, *emotions):
+        if not (isfinite(span.start) and span.start <= span.end < inf):
+            raise InputError(
+                f"{path}: {span.label!r} lasts from {span.start:g} to {span.end:g} s; a span must "
+                "end after it starts: export the phones again"
+            )
     phones = sorted((s for s in phones if s.end > s.start), key=lambda span: span.start)
     spoken = tuple(s for s in words if s.label and s.label.lower() not in _NO_WORDS)
     marked = tuple(span for span in emotions if span.label)
