@@ -11,6 +11,7 @@ from usdface.provenance import Provenance
 from usdface.specs.base import LAYER_SUFFIXES, Reads, Spec, Writes
 from usdface.specs.job import JobSpec
 from usdface.steps.execute import execute
+from usdface.steps.made_in_parts import specs_of_parts
 from usdface.steps.outputs import check_may_be_read, make_provenance, provenance_of
 from usdface.steps.report import Report
 from usdface.usdio.referenced_files import lost_sublayers
@@ -152,6 +153,12 @@ def _state(spec: Spec, provenance: Provenance) -> StepState:
         if not path.exists():
             return StepState(spec, "missing", f"{path.name} is not there")
         made = provenance_of(path)
+        if made is not None and (apart := specs_of_parts(spec, made, path)):
+            states = [_state_of_part(each) for each in apart]
+            return next(
+                (StepState(spec, s.state, s.reason) for s in states if s.state != "done"),
+                StepState(spec, "done", "up to date, made in parts"),
+            )
         if made is None or made.step != provenance.step:
             return StepState(spec, "stale", f"{path.name} was made by something else")
         if made.spec != provenance.spec:
@@ -164,6 +171,13 @@ def _state(spec: Spec, provenance: Provenance) -> StepState:
         if path.suffix in LAYER_SUFFIXES and (lost := lost_sublayers(path)):
             return StepState(spec, "missing", f"{lost[0]} is not there")
     return StepState(spec, "done", "up to date")
+
+
+def _state_of_part(spec: Spec) -> StepState:
+    check_may_be_read(spec)
+    if missing := [path for path in spec.paths(Reads) if not path.exists()]:
+        return StepState(spec, "missing", f"{missing[0].name} is not there")
+    return _state(spec, make_provenance(spec))
 
 
 def _refuse_foreign_outputs(spec: Spec, label: str) -> None:
