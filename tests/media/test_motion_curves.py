@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from usdface.errors import InputError
+from usdface.media import motion_curves, plot
 from usdface.media.motion_curves import (
     MOST_WINDOWS,
     Curve,
@@ -13,6 +14,7 @@ from usdface.media.motion_curves import (
     draw_motion_curves,
     windows_around,
 )
+from usdface.media.plot import Plot
 
 NAMES = ("still", "left", "right", "angle", "little")
 
@@ -67,3 +69,33 @@ def test_nothing_that_changes_is_nothing_to_draw() -> None:
     before, _ = motions()
     with pytest.raises(InputError, match="nothing changes"):
         draw_motion_curves("t", (), before_and_after(NAMES, before, before), first_frame=1)
+
+
+def test_the_name_of_a_span_is_read_where_a_curve_passes(monkeypatch) -> None:
+    drawn: list[str] = []
+    for name in ("draw_text", "fill_box"):
+        real = getattr(motion_curves, name)
+
+        def keep(*given, real=real, name=name, **more):
+            drawn.append(f"{name} {given[1]}")
+            return real(*given, **more)
+
+        monkeypatch.setattr(motion_curves, name, keep)
+    curve = Curve("w", np.ones(60), (255, 0, 0))
+    monkeypatch.setattr(Plot, "draw_curve", lambda self, *given: drawn.append("curve"))
+    panel = Panel("weight", "", (curve,))
+    draw_motion_curves("t", (), [panel], first_frame=1, spans=[Span(20, 40, "joy")])
+    assert drawn.index("draw_text joy") > drawn.index("curve")
+    assert drawn[drawn.index("draw_text joy") - 1].startswith("fill_box"), "a ground of its own"
+
+
+def test_there_is_no_half_frame_and_one_frame_is_a_dot(monkeypatch) -> None:
+    labels: list[str] = []
+    draw = plot.draw_text
+    monkeypatch.setattr(
+        plot, "draw_text", lambda *given, **more: (labels.append(given[1]), draw(*given, **more))[1]
+    )
+    panel = Panel("weight", "", (Curve("w", np.array([0.5]), (255, 0, 0)),))
+    picture = draw_motion_curves("t", (), [panel], first_frame=100)
+    assert [label for label in labels if label.startswith(("99", "100"))] == ["100"]
+    assert (picture[190:] == (255, 0, 0)).all(axis=2).sum() > 30

@@ -4,10 +4,18 @@ import numpy as np
 import pytest
 
 from usdface.errors import InputError
+from usdface.media import sheet as sheet_module
 from usdface.media.color import bytes_from_linear, heat_ramp
 from usdface.media.error_strip import ErrorCurve, draw_error_strip
-from usdface.media.sheet import SheetPage, SheetRow, Tile, compose_sheet, round_range
-from usdface.media.sheet_layout import lay_out
+from usdface.media.sheet import (
+    SheetPage,
+    SheetRow,
+    Tile,
+    compose_sheet,
+    draw_legend,
+    round_range,
+)
+from usdface.media.sheet_layout import lay_out, legend_lines
 from usdface.media.tiles import empty_tile, fit_picture
 
 COLUMNS = ("video", "markers", "baseline", "ours")
@@ -70,6 +78,38 @@ def test_nothing_is_drawn_over_the_page_margin(tile_height: int) -> None:
     page = sheet[0, 0]
     for edge in (sheet[:20], sheet[-20:], sheet[:, :20], sheet[:, -20:]):
         assert np.all(edge == page)
+
+
+@pytest.mark.parametrize("tile_height", [64, 96, 320])
+def test_an_error_is_never_cut_to_other_digits(tile_height: int, monkeypatch) -> None:
+    """0.53 mm below a small tile was drawn as 0."""
+    drawn: list[tuple[str, int | None]] = []
+    draw = sheet_module.draw_text
+
+    def keep(page, text, *, max_width=None, **more):
+        drawn.append((text, max_width))
+        return draw(page, text, max_width=max_width, **more)
+
+    monkeypatch.setattr(sheet_module, "draw_text", keep)
+    tile = Tile(np.full((96, 60, 3), 120, np.uint8), value=12.53)
+    compose_sheet(make_spec(columns=("ours",), rows=(SheetRow(1, "", (tile,)),), tile_height=64))
+    compose_sheet(make_spec(tile_height=tile_height))
+    wanted = ("12.53", "2.00", "0.50")
+    values = [(text, width) for text, width in drawn if text.startswith(wanted)]
+    assert len(values) == 1 + 24
+    assert all(width is None for _, width in values)
+
+
+@pytest.mark.parametrize("width", [800, 1000, 1600, 4000])
+def test_notes_are_told_whole_whatever_the_width(width: int, monkeypatch) -> None:
+    notes = ("error: RMS distance of the markers from what the weights explain; not the truth",) * 3
+    lines = legend_lines(notes, width)
+    assert " ".join(lines).replace("   ·   ", " ") == " ".join(notes)
+    cut: list[str] = []
+    monkeypatch.setattr("usdface.media.text._cut", lambda text, kept: cut.append(text) or "")
+    page = np.zeros((400, width, 3), np.uint8)
+    draw_legend(page, lines, x=36, y=10, width=width - 72, high=1.5, unit="mm")
+    assert not cut
 
 
 def test_sheet_without_curves_values_and_facts_is_still_made() -> None:

@@ -51,6 +51,18 @@ def test_worst_frames_come_with_their_reason(shot: Shot, monkeypatch) -> None:
     assert columns == ("markers", "this performance")
 
 
+def test_a_strip_does_not_explain_lines_that_it_does_not_show(shot: Shot, monkeypatch) -> None:
+    pages = []
+    compose = sheet_step.compose_sheet
+    monkeypatch.setattr(
+        sheet_step, "compose_sheet", lambda page: (pages.append(page), compose(page))[1]
+    )
+    execute(spec_of(shot, layout="strip"))
+    execute(spec_of(shot, layout="worst", out=shot / "b.png"))
+    told = ["lines at markers" in " ".join(page.notes) for page in pages]
+    assert told == ["markers" in page.columns for page in pages] == [False, True]
+
+
 def second_performance(shot: Shot) -> Path:
     for name in ("usda", "weights.usdc"):
         shutil.copy(shot / f"shot.hero.{name}", shot / f"other.{name}")

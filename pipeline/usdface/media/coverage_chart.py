@@ -155,7 +155,9 @@ def _draw_growth(picture: ByteImage, page: CoveragePage, *, x: int, y: int, widt
     plot = Plot(
         picture, x, y, width, PLOT_HEIGHT, 0.0, float(pairs + len(page.holes) + 1), low, 101.0
     )
-    plot.draw_axes("Coverage", across="references", up="% of the motion, mean over the takes")
+    plot.draw_axes(
+        "Coverage", across="references", up="% of the motion, mean over the takes", whole=True
+    )
     plot.draw_curve(np.arange(pairs + 1.0), 100 * page.growth, FIRST)
     if page.holes:
         numbers = pairs + np.arange(len(further), dtype=float)

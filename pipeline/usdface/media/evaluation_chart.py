@@ -141,7 +141,7 @@ def _draw_lips(
         low - 0.05 * (top - low),
         top + 0.05 * (top - low),
     )
-    plot.draw_axes("distance of the lips", across="frame", up="mm")
+    plot.draw_axes("distance of the lips", across="frame", up="mm", whole=True)
     plot.draw_curve(frames, truth, FIRST)
     plot.draw_curve(frames, solved, SECOND)
     x = plot.x + 330

@@ -12,7 +12,7 @@ from usdface.media.color import ByteImage
 from usdface.media.palette import FIRST, PAGE, SECOND
 from usdface.media.plot import Plot
 from usdface.media.sheet import draw_header
-from usdface.media.text import TextStyle, draw_text
+from usdface.media.text import TextStyle, draw_text, shortened, text_width
 
 WIDTH = 1800
 MARGIN = 36
@@ -183,13 +183,17 @@ def draw_motion_curves(
                 width=pitch - LEFT,
                 from_zero=from_zero,
             )
-            plot.draw_axes(panel.caption if not column else "", across="frame", up=panel.unit)
+            plot.draw_axes(
+                panel.caption if not column else "", across="frame", up=panel.unit, whole=True
+            )
             inside = [
                 span for span in spans if span.last_frame >= first and span.first_frame <= last
             ]
-            _shade(plot, inside, named=not row)
+            _shade(plot, inside)
             for curve in panel.curves:
                 plot.draw_curve(frames, curve.values, curve.color)
+            if not row:
+                _name(plot, inside)
     return picture
 
 
@@ -213,17 +217,27 @@ def _plot(
     return Plot(picture, x, y, width, PANEL_HEIGHT, left, right, bottom, high + room)
 
 
-def _shade(plot: Plot, spans: Sequence[Span], *, named: bool) -> None:
+def _shade(plot: Plot, spans: Sequence[Span]) -> None:
     for span in spans:
-        left = max(round(plot.column(span.first_frame - 0.5)), plot.x + 1)
-        right = min(round(plot.column(span.last_frame + 0.5)), plot.x + plot.width - 1)
-        width = max(right - left, 2)
+        left, width = _extent(plot, span)
         fill_box(plot.picture, left, plot.y + 1, width, plot.height - 2, _SPAN, cover=0.45)
-        if named:
-            style, room = _SPAN_LABEL, max(width - 10, 60)
-            draw_text(
-                plot.picture, span.label, x=left + 5, y=plot.y + 4, style=style, max_width=room
-            )
+
+
+def _name(plot: Plot, spans: Sequence[Span]) -> None:
+    """Write what the spans are called, on a ground of their own: curves pass there."""
+    for span in spans:
+        left, width = _extent(plot, span)
+        label = shortened(span.label, _SPAN_LABEL, max_width=max(width - 10, 60))
+        ground = text_width(label, _SPAN_LABEL) + 10
+        fill_box(plot.picture, left, plot.y + 1, ground, _SPAN_LABEL.size + 8, _SPAN, cover=0.9)
+        draw_text(plot.picture, label, x=left + 5, y=plot.y + 4, style=_SPAN_LABEL)
+
+
+def _extent(plot: Plot, span: Span) -> tuple[int, int]:
+    """Return where a span begins in a plot, and how wide it is [pixels]."""
+    left = max(round(plot.column(span.first_frame - 0.5)), plot.x + 1)
+    right = min(round(plot.column(span.last_frame + 0.5)), plot.x + plot.width - 1)
+    return left, max(right - left, 2)
 
 
 def _draw_legend(picture: ByteImage, curves: Sequence[Curve], *, y: int) -> None:

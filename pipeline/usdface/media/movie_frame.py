@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from usdface.media.canvas import Color, fill_box, new_picture
 from usdface.media.color import ByteImage, bytes_from_linear, heat_ramp
-from usdface.media.text import TextStyle, draw_text
+from usdface.media.text import TextStyle, draw_text, text_width
 from usdface.media.tiles import empty_tile, fit_picture
 
 BAR_SHARE = 0.075
@@ -111,7 +111,9 @@ def _draw_bar(
     if confidence is not None:
         color = bytes_from_linear(heat_ramp(1.0 - confidence))
         side = round(0.44 * bar)
-        label = f"confidence {confidence:.2f}"
+        room = max(right - side - 10, 0)
+        labels = (f"confidence {confidence:.2f}", f"{confidence:.2f}", "")
+        label = next(each for each in labels if text_width(each, small) <= room)
         text = draw_text(
             picture,
             label,
@@ -119,7 +121,6 @@ def _draw_bar(
             y=top + (bar - small.size) // 2 - 1,
             style=small,
             anchor="right",
-            max_width=max(right - side - 10, 0),
         )
         right -= text + side + 8
         fill_box(

@@ -52,7 +52,7 @@ class Plot:
         share = (value - self.bottom) / (self.top - self.bottom)
         return self.y + (1 - min(max(share, 0.0), 1.0)) * self.height
 
-    def draw_axes(self, caption: str, *, across: str, up: str) -> None:
+    def draw_axes(self, caption: str, *, across: str, up: str, whole: bool = False) -> None:
         """Draw the panel, its grid and its labels.
 
         Parameters
@@ -61,12 +61,17 @@ class Plot:
             What is shown.
         across, up : str
             What the axes mean, with unit.
+        whole : bool
+            Whether across only whole numbers mean something: frames.
         """
         fill_box(self.picture, self.x, self.y, self.width, self.height, PANEL)
-        for value in ticks(self.left, self.right, self.width // _TICK_PIXELS):
+        places = ticks(self.left, self.right, self.width // _TICK_PIXELS)
+        if whole:
+            places = [value for value in places if abs(value - round(value)) < 1e-6]
+        for value in places:
             column = round(self.column(value))
             fill_box(self.picture, column, self.y, 1, self.height, GRID)
-            label = tick_label(value, self.right - self.left)
+            label = f"{value:.0f}" if whole else tick_label(value, self.right - self.left)
             below = self.y + self.height + 4
             draw_text(self.picture, label, x=column, y=below, style=_LABEL, anchor="middle")
         for value in ticks(self.bottom, self.top, self.height // 50):
@@ -104,6 +109,8 @@ class Plot:
                 (self.column(value), self.row(height))
                 for value, height in zip(values.tolist(), heights.tolist(), strict=True)
             ]
+            if len(points) == 1:
+                draw_dot(self.picture, *points[0], 4.0, color)
             for start, end in pairwise(points):
                 draw_line(self.picture, start, end, color)
             return

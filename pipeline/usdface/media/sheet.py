@@ -5,6 +5,7 @@ functions of their own, so that another layout is another order of calls.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from usdface.media.sheet_layout import (
     check_sheet,
     has_legend,
     lay_out,
+    legend_bar,
     legend_lines,
 )
 from usdface.media.text import TextStyle, draw_text, text_width
@@ -95,9 +97,8 @@ def compose_sheet(spec: SheetPage) -> ByteImage:
         )
         y += strip_height(len(spec.curves))
     if has_legend(spec):
-        draw_legend(
-            page, legend_lines(spec.notes), x=MARGIN, y=y, width=inner, high=high, unit=spec.unit
-        )
+        notes = legend_lines(spec.notes, layout.width)
+        draw_legend(page, notes, x=MARGIN, y=y, width=inner, high=high, unit=spec.unit)
     for group in range(layout.groups):
         first = group * layout.rows_per_group
         rows = spec.rows[first : first + layout.rows_per_group]
@@ -143,7 +144,7 @@ def draw_legend(
     unit: str,
 ) -> None:
     """Draw the ramp with its ends, and notes beside it, each on a line of its own."""
-    bar = min(240, width // 4)
+    bar = legend_bar(width)
     ramp = bytes_from_linear(heat_ramp(np.linspace(0, 1, bar)))
     start = x + draw_text(page, "0", x=x, y=y, style=_TEXT) + 8
     page[y + 5 : y + 20, start : start + bar] = ramp
@@ -221,10 +222,9 @@ def _draw_row(
             color = bytes_from_linear(heat_ramp(np.array([tile.value]), high=high))[0]
             fill_box(page, at, below + 6, 16, 16, (int(color[0]), int(color[1]), int(color[2])))
             style = _BEST if tile.value == best else _VALUE
-            label = f"{tile.value:.2f} {spec.unit}" if np.isfinite(tile.value) else "no value"
-            room = max(width - 24, 0)
-            used = 24 + draw_text(page, label, x=at + 24, y=below, style=style, max_width=room)
-            used += 14
+            label, style = _value_label(tile.value, spec.unit, style, room=width - 24)
+            level = below + (_VALUE.size - style.size) // 2
+            used = 38 + draw_text(page, label, x=at + 24, y=level, style=style)
         if tile.pixels is not None:
             draw_text(
                 page,
@@ -235,3 +235,13 @@ def _draw_row(
                 max_width=max(width - used, 0),
             )
         at += width + GUTTER
+
+
+def _value_label(value: float, unit: str, style: TextStyle, *, room: int) -> tuple[str, TextStyle]:
+    """Return an error's label as large as there is room for; never a part of its digits."""
+    number = f"{value:.2f}" if np.isfinite(value) else "no value"
+    whole = f"{number} {unit}" if np.isfinite(value) else number
+    sizes = [replace(style, size=size) for size in (style.size, 17, 14)]
+    choices = [(label, one) for label in (whole, number) for one in sizes]
+    smallest = number, replace(style, size=11)
+    return next((pair for pair in choices if text_width(*pair) <= room), smallest)

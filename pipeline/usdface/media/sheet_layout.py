@@ -1,7 +1,8 @@
 """What goes on a contact sheet, and how large everything on it is."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from textwrap import wrap
 
 import numpy as np
 
@@ -22,6 +23,7 @@ COLUMN_HEAD = 36
 LEGEND = 42
 LEGEND_LINE = 24
 LEGEND_LETTERS = 90  # of one line of notes; more go to lines of their own
+LEGEND_LETTER = 8  # [pixels] the width of one, about
 LEAST_WIDTH = 800  # for the title and the strip above a few small tiles
 TITLE = 60
 FACTS = 34
@@ -177,33 +179,46 @@ def has_legend(spec: SheetPage) -> bool:
     return bool(spec.notes or len(all_errors(spec)))
 
 
-def legend_lines(notes: Sequence[str]) -> tuple[str, ...]:
-    """Return notes on as many lines as they need to be read; at least one."""
+def legend_bar(width: int) -> int:
+    """Return how long the ramp is on a sheet so wide within its margins [pixels]."""
+    return min(240, width // 4)
+
+
+def legend_lines(notes: Sequence[str], width: int) -> tuple[str, ...]:
+    """Return notes on as many lines as they need to be read on a sheet so wide; at least one."""
+    inner = width - 2 * MARGIN
+    room = (inner - legend_bar(inner) - 120) // LEGEND_LETTER
+    room = min(max(room, 20), LEGEND_LETTERS)
     lines = [""]
     for note in notes:
         longer = f"{lines[-1]}   ·   {note}" if lines[-1] else note
-        if lines[-1] and len(longer) > LEGEND_LETTERS:
-            lines.append(note)
-        else:
+        if len(longer) <= room:
             lines[-1] = longer
-    return tuple(lines)
+        else:
+            lines += wrap(note, room)
+    return tuple(lines if lines[0] or len(lines) == 1 else lines[1:])
 
 
 def lay_out(spec: SheetPage) -> Layout:
     """Find the sizes; of all ways to stand rows side by side, the one nearest `BEST_ASPECT`."""
-    head = MARGIN - 8 + TITLE + (FACTS if spec.facts else 0) + 18
-    head += strip_height(len(spec.curves)) if spec.curves else 0
-    if has_legend(spec):
-        head += LEGEND + LEGEND_LINE * (len(legend_lines(spec.notes)) - 1)
     widths = tuple(
         round(_column_aspect(spec.rows, column) * spec.tile_height)
         for column in range(len(spec.columns))
     )
     count = len(spec.rows)
     choices = [spec.groups] if spec.groups else range(1, count + 1)
-    layouts = [Layout(widths, spec.tile_height, g, -(-count // g), head) for g in choices]
+    bare = [Layout(widths, spec.tile_height, g, -(-count // g), 0) for g in choices]
+    layouts = [replace(one, head_height=_head_height(spec, one.width)) for one in bare]
     # Of two equal shapes the one with fewer groups reads better; min keeps the first.
     return min(layouts, key=lambda one: abs(np.log(one.width / one.height / BEST_ASPECT)))
+
+
+def _head_height(spec: SheetPage, width: int) -> int:
+    head = MARGIN - 8 + TITLE + (FACTS if spec.facts else 0) + 18
+    head += strip_height(len(spec.curves)) if spec.curves else 0
+    if has_legend(spec):
+        head += LEGEND + LEGEND_LINE * (len(legend_lines(spec.notes, width)) - 1)
+    return head
 
 
 def _column_aspect(rows: Sequence[SheetRow], column: int) -> float:

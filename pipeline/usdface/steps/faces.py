@@ -47,8 +47,8 @@ def run(
         )
         progress((number + 1) / len(chosen), f"drew frame {frame}")
     page = SheetPage(
-        title=" · ".join(actor.rig.file.stem for actor in actors),
-        facts=(f"frames {frames[0]}-{frames[-1]}", "the frames that differ most"),
+        title=" · ".join(dict.fromkeys(actor.rig.file.stem for actor in actors)),
+        facts=(f"frames {frames[0]}-{frames[-1]}", "the frames that differ most from each other"),
         columns=tuple(path.stem for path in spec.performances),
         rows=tuple(rows),
         first_frame=int(frames[0]),

@@ -98,6 +98,7 @@ def run(
                 doubted=shot.performance.confidence is not None,
                 plain=any(undrawn(each.rig) for each in shots),
                 spoken=any(said),
+                markers=spec.layout != "strip",
             ),
             tile_height=tile,
             high=high,
@@ -234,6 +235,7 @@ def _notes(
     doubted: bool,
     plain: bool,
     spoken: bool,
+    markers: bool,
 ) -> tuple[str, ...]:
     what = (
         "error: RMS distance of the surface from what was keyed"
@@ -247,8 +249,12 @@ def _notes(
     doubt = ("doubt: 1 less the confidence",) if doubted else ()
     phones = ("beside frames: phone and viseme",) if spoken else ()
     textures = ("textures are not drawn",) if plain else ()
-    lines = f"lines at markers: what is left unexplained, {EXAGGERATION:g} times as long"
-    return (what, f"mean: {means}", lines, *doubt, *phones, *eyes, *textures)
+    lines = (
+        (f"lines at markers: what is left unexplained, {EXAGGERATION:g} times as long",)
+        if markers
+        else ()
+    )
+    return (what, f"mean: {means}", *lines, *doubt, *phones, *eyes, *textures)
 
 
 def _report(
