@@ -51,3 +51,28 @@ def test_a_shape_that_does_not_exist_is_refused(take):
     deltas, motion, _, _ = take
     with pytest.raises(ValueError, match="there is no shape 99"):
         match_peaks(deltas, motion, [99])
+
+
+def lid_and_brow() -> tuple[np.ndarray, np.ndarray]:
+    """A blink and a brow; the last marker goes twice as far with the brow as with the blink."""
+    deltas = np.zeros((2, 21, 3))
+    deltas[0, :10, 1], deltas[1, 10:20, 1] = -6.0, 12.0
+    deltas[0, 20, 1], deltas[1, 20, 0] = -6.0, 12.0
+    weights = np.zeros((100, 2))
+    weights[::4, 0], weights[1::4, 1] = 1.0, 1.0
+    return deltas, np.einsum("fs,smc->fmc", weights * [0.6, 1.0], deltas)
+
+
+def test_a_marker_takes_the_gain_by_its_share_in_the_shape() -> None:
+    gain = match_peaks(*lid_and_brow(), [0], ridge=0.0)
+    np.testing.assert_allclose(gain[:10], 1 / 0.6, rtol=0.05)
+    np.testing.assert_array_equal(gain[10:20], 1.0)
+    assert gain[20] - 1 == pytest.approx((1 / 0.6 - 1) / 4, rel=0.1)
+
+
+def test_a_shape_that_goes_below_zero_alone_is_no_hindrance() -> None:
+    deltas, motion = lid_and_brow()
+    deltas[1] *= -1
+    ranges = np.array([[0.0, 1.0], [-1.0, 0.0]])
+    gain = match_peaks(deltas, motion, [0], ranges=ranges, ridge=0.0)
+    np.testing.assert_allclose(gain[:10], 1 / 0.6, rtol=0.05)

@@ -77,11 +77,12 @@ def match_peaks(
             marker_trust=marker_trust,
             ridge=ridge,
         ).weights
-        peak = np.quantile(weights, _QUANTILE, axis=0) / limits[:, 1]
-        short = [shape for shape in shapes if _SEEN < peak[shape] < 1 - _CLOSE]
+        reached = np.quantile(weights, _QUANTILE, axis=0)
+        top = limits[:, 1]
+        short = [s for s in shapes if _SEEN * top[s] < reached[s] < (1 - _CLOSE) * top[s]]
         if not short:
             break
         for shape in short:
-            gain *= 1 + (1 / peak[shape] - 1) * share[shape]
+            gain *= 1 + (top[shape] / reached[shape] - 1) * share[shape]
         gain = np.clip(gain, *_GAINS)
     return gain
