@@ -107,3 +107,13 @@ def test_lips_that_meet_already_are_left_alone(mouth: Mouth) -> None:
 def test_a_rig_whose_names_tell_nothing_has_no_lips(mouth: Mouth) -> None:
     names = tuple(f"shape_{i}" for i in range(len(mouth.rig.shapes)))
     assert find_lips(mouth.equation, mouth.deformer, names) is None
+
+
+def test_lips_pressed_beyond_touching_are_closed_as_well(mouth: Mouth) -> None:
+    jaw = jaw_opener(mouth.rig.shapes)
+    pressed, start = np.zeros((2, 1, len(mouth.rig.shapes)))
+    pressed[:, jaw], start[:, jaw] = -0.2, 0.2
+    closed = keep_lip_contact(
+        mouth.equation, mouth.deformer, mouth.lips, mouth.markers(pressed), start
+    )
+    assert lip_gap_mm(mouth.deformer, mouth.lips, closed).max() < 0.3

@@ -239,3 +239,15 @@ def test_controls_of_another_character_are_refused() -> None:
     pairs = creature_pairs()
     with pytest.raises(ValueError, match="not those of the space"):
         control_space(pairs.target).encode(bare_controls(SHAPES, np.zeros((1, 3))))
+
+
+def test_controls_come_back_from_their_coordinates_whatever_their_size() -> None:
+    target = creature_pairs().target
+    sizes = np.exp(np.random.default_rng(0).normal(size=target.scales.shape))
+    given = replace(target, scales=sizes)
+    space = control_space(given)
+    back = space.decode(space.encode(given))
+    np.testing.assert_allclose(back.scales, sizes, rtol=1e-12)
+    np.testing.assert_allclose(back.translations, given.translations, atol=1e-12)
+    np.testing.assert_allclose(back.weights, given.weights)
+    np.testing.assert_allclose(back.values, given.values)

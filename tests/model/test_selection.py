@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from usdface.assets import MotionSpace
-from usdface.model.coverage import measure_coverage, measure_growth
+from usdface.model.coverage import Coverage, measure_coverage, measure_growth
 from usdface.model.motion import motion_from_pca
 from usdface.model.selection import (
     StandIns,
@@ -266,3 +266,10 @@ def test_the_deepest_hole_is_named_first() -> None:
     lids = coverage.region_covered[:, space.regions.index("lids")]
     shut = weights[:, 1] > 0.5
     assert lids[shut].mean() < lids[~shut].mean() - 0.1
+
+
+def test_a_hole_is_a_frame_of_which_more_than_a_quarter_is_left_to_guess() -> None:
+    covered = np.array([1.0, 0.8, 0.76, 0.74, 0.1])
+    found = Coverage(covered, (), np.zeros((5, 0)))
+    assert found.hole_share == pytest.approx(2 / 5)
+    assert found.share == pytest.approx(0.68)

@@ -262,3 +262,9 @@ def test_shapes_that_no_marker_shows_do_not_decide() -> None:
     assert observable_shapes(errors, weights).tolist() == [True, True, False]
     assert observable_shapes([], weights).all()
     assert observable_shapes([chance], weights).all()
+
+
+def test_a_shape_that_no_pair_uses_decides_too() -> None:
+    weights = np.random.default_rng(0).random((40, 2)) * [1.0, 0.0]
+    assert observable_shapes([0.1 * weights], weights).tolist() == [True, True]
+    assert observable_shapes([weights * 0.1 + [0.0, 0.2]], weights).tolist() == [True, True]

@@ -5,11 +5,14 @@ from dataclasses import replace
 import array_api_strict
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from tests.numerics.manifold.small_process import dense_energy, draw_rows, small_spectrum
 from usdface.numerics.array_namespace import ArrayDevice
 from usdface.numerics.manifold.chain_diagnostics import effective_sample_size, split_rhat
 from usdface.numerics.manifold.hybrid_monte_carlo import (
+    _DIFFUSE,
+    _log_mixture,
     sample_chains,
     start_chains,
     take_hmc_step,
@@ -237,3 +240,23 @@ def test_the_shared_mode_of_one_row_is_that_row_s_mode() -> None:
         TabulatedEnergy(table, rows), spectrum.prior.centre[:, None].copy(), iterations=30
     )
     assert np.allclose(fit_shared_mode(table, rows).mode, alone.mode, atol=1e-3)
+
+
+def test_jumps_weigh_proposals_by_the_density_of_the_mixture_they_come_from() -> None:
+    narrow, wide = (
+        LaplaceFit(
+            mode=np.full((4, 6), middle),
+            energy=np.full(6, 3.0),
+            root=np.repeat(size * np.eye(4)[:, :, None], 6, axis=2),
+            inverse=np.repeat(np.eye(4)[:, :, None] / size, 6, axis=2),
+            log_evidence=np.full(6, 4 * np.log(size) - 3.0),
+        )
+        for middle, size in ((0.0, 0.5), (1.0, 2.0))
+    )
+    theta = np.random.default_rng(0).normal(size=(4, 6))
+    densities = [
+        multivariate_normal(np.full(4, middle), (_DIFFUSE * size) ** 2 * np.eye(4)).logpdf(theta.T)
+        for middle, size in ((0.0, 0.5), (1.0, 2.0))
+    ]
+    apart = _log_mixture(theta, (narrow, wide)) - np.logaddexp(*densities)
+    np.testing.assert_allclose(apart, apart[0], atol=1e-12)  # up to one constant for all places

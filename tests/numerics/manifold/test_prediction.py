@@ -162,3 +162,30 @@ def test_two_markers_at_one_place_are_named() -> None:
     places[4] = places[1]
     with pytest.raises(ValueError, match="markers 1 and 4 are 0 mm apart"):
         fit_distance_multiquadric(cdist(places, places))
+
+
+def test_what_samples_do_not_agree_on_is_part_of_the_variance_of_a_marker_left_out() -> None:
+    rng = np.random.default_rng(0)
+    spectrum = small_spectrum(12)
+    row = draw_rows(spectrum, rng, 1)
+    thetas = rng.normal(size=(5, 4))
+    each = [leave_markers_out(spectrum, row, theta[None, :, None]) for theta in thetas]
+    found = leave_markers_out(spectrum, row, thetas[:, :, None])
+    errors = np.stack([one.errors for one in each])
+    np.testing.assert_allclose(found.errors, errors.mean(axis=0))
+    total = np.mean([one.expected**2 for one in each], axis=0) + errors.var(axis=0)
+    np.testing.assert_allclose(found.expected**2, total)
+
+
+def test_widened_intervals_hold_nineteen_of_twenty_along_every_axis() -> None:
+    rng = np.random.default_rng(0)
+    places = rng.uniform(-100, 100, (60, 3))
+    covariance = fit_covariance(cdist(places, places), length_scale=30.0)
+    wide = np.array([1.0, 3.0, 0.5])
+    z = rng.standard_normal((200, 3, 60)) * wide[:, None]
+    cross = covariance.cross(cdist(places, places))
+    found = calibrate_spread(
+        LeftOut(z.reshape(-1, 60), np.ones((600, 60))), covariance.matrix(), cross
+    )
+    np.testing.assert_allclose(found.of_axes, wide, rtol=0.05)
+    np.testing.assert_allclose(found.of_points, 1.0, rtol=0.15)

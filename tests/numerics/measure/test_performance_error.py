@@ -93,3 +93,10 @@ def test_a_mouth_that_does_not_close_is_told_where_it_should() -> None:
     assert lips.rms_mm == pytest.approx(np.sqrt(((20 * (solved - truth)) ** 2).mean()))
     always_open = measure_lips(truth + 1.0, solved, np.array([20.0]), rest_mm=0.5)
     assert np.isnan(always_open.closed_bias_mm)
+
+
+def test_lips_apart_at_rest_are_closed_where_they_are_no_further_apart() -> None:
+    truth = np.array([[0.0], [-0.1], [0.5]])
+    lips = measure_lips(truth, truth + 0.05, np.array([20.0]), rest_mm=2.5)
+    assert lips.closed_bias_mm == pytest.approx(1.0)
+    assert measure_lips(truth[2:], truth[2:], np.array([20.0]), rest_mm=2.5).closed_bias_mm != 0

@@ -121,3 +121,19 @@ def test_no_points_are_no_points() -> None:
     arrays = condense(smooth, sample(), noise=0.05)
     assert arrays is not None
     assert CondensedFunction(arrays)(np.zeros((0, DIMENSIONS)), smooth).shape == (0, 3)
+
+
+def test_two_fits_that_disagree_in_one_output_alone_are_not_believed() -> None:
+    line = np.zeros((2, DIMENSIONS + 1, 3))
+    line[1, 0, 2] = 1.0  # the last output, along the first direction
+    arrays = {
+        "scale": np.ones(DIMENSIONS),
+        "centres": np.zeros((2, 1, DIMENSIONS)),
+        "exponent": np.array([-1.0]),
+        "dual": np.zeros((2, 1, 3)),
+        "line": line,
+    }
+    points = np.zeros((3, DIMENSIONS))
+    points[:, 0] = 0.0, 0.9 * AGREED, 1.1 * AGREED
+    _, agree = CondensedFunction(arrays).both(points)
+    assert agree.tolist() == [True, True, False]

@@ -22,3 +22,8 @@ def test_half_a_smile_is_not_chosen_beside_the_smile() -> None:
 def test_rows_of_nothing_give_nothing() -> None:
     assert most_different_rows(np.zeros((4, 3)), 2).tolist() == []
     assert most_different_rows(np.zeros((0, 3)), 2).tolist() == []
+
+
+def test_a_row_of_a_thousandth_of_the_largest_is_the_least_that_counts() -> None:
+    rows = np.diag([10.0, 0.05, 0.011, 0.009])
+    assert most_different_rows(rows, 4).tolist() == [0, 1, 2]

@@ -7,7 +7,7 @@ from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 
 from usdface.numerics.array_namespace import ArrayDevice
-from usdface.numerics.regression.linear_posterior import fit_linear_posterior
+from usdface.numerics.regression.linear_posterior import _calibrate, fit_linear_posterior
 from usdface.numerics.regression.marker_regions import marker_relevance, regional_features
 from usdface.numerics.regression.skin_prior import expect_marker_motion
 from usdface.numerics.solve.box_projection import BoxProjection, project_to_box
@@ -220,3 +220,29 @@ def test_pairs_at_rest_tell_nothing_of_a_rigs_size() -> None:
     weights, markers, _ = take(np.eye(3))
     for still in ((0 * weights, markers), (weights, 0 * markers)):
         assert np.isfinite(expect_marker_motion(skin(), *still).basis).all()
+
+
+def test_a_face_in_other_units_is_inverted_alike() -> None:
+    z, weights, forward, components = linear_face(noise=0.5)
+    slopes = []
+    for size in (1e3, 1e4):  # so large that the floor of the noise does not count
+        model = fit_linear_posterior(
+            size * z,
+            weights,
+            expected=size * forward,
+            components=components,
+            variances=size**2 * z.var(axis=0),
+            gram=np.eye(SHAPES),
+        )
+        slopes.append(size * model.slope)
+    np.testing.assert_allclose(slopes[1], slopes[0], rtol=1e-5, atol=1e-9)
+
+
+def test_residuals_of_a_calibration_are_those_of_fits_without_the_pair() -> None:
+    z, weights, forward, _ = linear_face(pairs=12, noise=0.5)
+    found = _calibrate(z, weights, forward * 0, 1e-7).residuals
+    for pair in range(12):
+        others = np.arange(12) != pair
+        fit = _calibrate(z[others], weights[others], forward * 0, 1e-7)
+        left = z[pair] - weights[pair] @ fit.matrix - fit.offset
+        np.testing.assert_allclose(found[pair], left, atol=1e-4)
