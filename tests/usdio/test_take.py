@@ -269,3 +269,27 @@ def test_a_take_whose_samples_are_gone_says_which(tmp_path: Path) -> None:
     (tmp_path / "x.take.samples.usdc").unlink()
     with pytest.raises(InputError, match=r"its sublayer \./x\.take\.samples\.usdc cannot be read"):
         read_take(tmp_path / "x.take.usda")
+
+
+def test_two_samples_of_one_frame_are_refused_and_none_is_lost(tmp_path: Path) -> None:
+    stage = foreign_stage(tmp_path / "near.usda")
+    points = UsdGeom.Points.Define(stage, "/mocap/face").GetPointsAttr()
+    for time, row in zip((1, 1.2, 2, 3, 4, 5), POSITIONS, strict=True):
+        points.Set(Vt.Vec3fArray.FromNumpy(row), time)
+    stage.Save()
+    with pytest.raises(InputError, match="not evenly spaced"):
+        read_foreign_take(tmp_path / "near.usda")
+
+
+def test_weights_of_two_characters_must_be_chosen_between(tmp_path: Path) -> None:
+    stage = foreign_stage(tmp_path / "two.usda")
+    for number, name in enumerate(("kim", "lee")):
+        animation = UsdSkel.Animation.Define(stage, f"/{name}/weights")
+        animation.CreateBlendShapesAttr(["smile"])
+        for frame in range(3):
+            animation.CreateBlendShapeWeightsAttr().Set([float(number)], frame)
+    stage.Save()
+    with pytest.raises(InputError, match="2 animations with blendShapeWeights: </kim/weights>, "):
+        read_foreign_take(tmp_path / "two.usda")
+    found = read_foreign_take(tmp_path / "two.usda", prim="/lee")
+    np.testing.assert_array_equal(found.source.values, 1)

@@ -34,6 +34,17 @@ class MarkerLabels:
     dropped: tuple[str, ...]
     subjects: tuple[str, ...]
 
+    def notes(self) -> list[str]:
+        """Say what was left out and taken off, if anything."""
+        found = []
+        if self.dropped:
+            found.append(
+                f"{len(self.dropped)} unlabelled markers were left out: {list_some(self.dropped)}"
+            )
+        if self.subjects:
+            found.append(f"subject prefixes taken off: {list_some(self.subjects)}")
+        return found
+
 
 def settle_labels(labels: Sequence[str], *, where: str) -> MarkerLabels:
     """Take subject prefixes off and leave unlabelled points out.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdface.capture.axes import mm_per_unit, rotation_to_y_up
-from usdface.capture.marker_labels import list_some, settle_labels
+from usdface.capture.marker_labels import settle_labels
 from usdface.capture.marker_take import Capture, CaptureOptions, build_marker_take
 
 _CHUNK_ROWS = 8192
@@ -63,12 +63,7 @@ def build_table_take(
     """
     found = list(notes)
     settled = settle_labels(labels, where=where)
-    if settled.dropped:
-        found.append(
-            f"{len(settled.dropped)} unlabelled markers were left out: {list_some(settled.dropped)}"
-        )
-    if settled.subjects:
-        found.append(f"subject prefixes taken off: {list_some(settled.subjects)}")
+    found += settled.notes()
     count = int(frames[-1]) + 1
     if count > len(frames):
         found.append(f"{count - len(frames)} of {count} frames have no row and are gaps")

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from usdface.assets import Take, Video
-from usdface.capture.marker_labels import match_names
+from usdface.capture.marker_labels import match_names, settle_labels
 from usdface.capture.marker_take import Capture, CaptureOptions, build_marker_take
 from usdface.capture.sniff import read_capture
 from usdface.errors import InputError
@@ -95,15 +95,18 @@ def _read_usd(source: Path, spec: IngestSpec) -> Capture:
     if not found.names:
         take = Take(source.stem, found.rate, found.first_frame, source=found.source)
         return Capture(take, "usd", ("no markers, only blendshape weights",))
+    labels = settle_labels(found.names, where=f"{source} {found.kind}")
+    notes = [f"markers were found as {found.kind}", *labels.notes()]
+    columns = list(labels.columns)
     capture = build_marker_take(
         source,
-        found.names,
-        found.positions,
-        found.visible,
+        labels.names,
+        found.positions[:, columns],
+        found.visible[:, columns],
         rate=found.rate,
         first_frame=found.first_frame,
         options=CaptureOptions(rigid=spec.rigid, neutral=spec.neutral),
-        notes=[f"markers were found as {found.kind}"],
+        notes=notes,
         format_name="usd",
     )
     return replace(capture, take=replace(capture.take, source=found.source))

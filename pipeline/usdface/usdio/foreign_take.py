@@ -81,7 +81,7 @@ def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
     if len(found) > 1:
         places = ", ".join(f"<{each.path}> ({each.kind})" for each in found)
         raise InputError(f"{path}: {len(found)} sets of markers: {places}; name one with --prim")
-    weights = _weights_prim(top)
+    weights = _weights_prim(top, path)
     if not found and weights is None:
         raise InputError(
             f"{path}: holds no markers (time-sampled Points, Skeleton joints or Xforms) and no "
@@ -146,7 +146,8 @@ def _frame_grid(stage: Usd.Stage, times: list[float], path: Path) -> _Grid:
     first, last = (float(end) / spacing for end in (at[0], at[-1]))
     check_span(f"{path}: time samples", first, last, samples=len(at))
     steps = np.round((at - at[0]) / spacing).astype(np.int64)
-    if np.abs(at - at[0] - steps * spacing).max() > 0.25 * spacing:
+    uneven = np.abs(at - at[0] - steps * spacing).max() > 0.25 * spacing
+    if uneven or (np.diff(steps) < 1).any():
         raise InputError(
             f"{path}: samples are not evenly spaced (usually {spacing:g} time codes apart); "
             "resample the capture to whole frames"
@@ -277,13 +278,20 @@ def _xform_sets(top: Usd.Prim) -> Iterator[_XformSet]:
             yield _XformSet(parent, moving)
 
 
-def _weights_prim(top: Usd.Prim) -> Usd.Prim | None:
-    for prim in Usd.PrimRange(top):
-        if prim.IsA(UsdSkel.Animation):
-            attribute = UsdSkel.Animation(prim).GetBlendShapeWeightsAttr()
-            if attribute.GetNumTimeSamples() > 1:
-                return prim
-    return None
+def _weights_prim(top: Usd.Prim, path: Path) -> Usd.Prim | None:
+    found = [
+        prim
+        for prim in Usd.PrimRange(top)
+        if prim.IsA(UsdSkel.Animation)
+        and UsdSkel.Animation(prim).GetBlendShapeWeightsAttr().GetNumTimeSamples() > 1
+    ]
+    if len(found) > 1:
+        places = ", ".join(f"<{prim.GetPath()}>" for prim in found)
+        raise InputError(
+            f"{path}: {len(found)} animations with blendShapeWeights: {places}; name one, or a "
+            "prim above it and its markers, with --prim"
+        )
+    return found[0] if found else None
 
 
 def _weights_times(prim: Usd.Prim) -> list[float]:
