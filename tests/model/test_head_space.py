@@ -106,3 +106,27 @@ def test_a_mapping_without_its_arrays_asks_to_be_trained_again() -> None:
     arrays = {k: v for k, v in mapping.arrays.items() if k != "motion_mean"}
     with pytest.raises(InputError, match="lacks the array 'motion_mean'; train it again"):
         predict_weights(replace(mapping, arrays=arrays), face.positions[:2])
+
+
+def test_rigid_markers_on_a_line_do_not_tell_how_the_head_is_turned() -> None:
+    face = synthetic_face()
+    neutral = face.neutral.copy()
+    neutral[:4] = np.outer([-50, -20, 10, 50], [0.8, 0.6, 0.0]) + np.array([0, 60, 10])
+    face = replace(face, neutral=neutral, positions=face.positions - face.neutral + neutral)
+    mapping = train_mapping(
+        references_of(face, np.arange(0, 1200, 30)), ranges=face.ranges, gram=None, method="ridge"
+    )
+    turned = face.positions @ Rotation.from_rotvec([0.08, 0.06, 0.0]).as_matrix().T
+    whole = markers_of(face, positions=turned.astype(np.float32))
+    found = into_head_space(mapping, whole)
+    np.testing.assert_allclose(found.positions, face.positions, atol=0.05)
+    lacking = np.ones((1200, len(face.names)), dtype=bool)
+    lacking[:, 4] = False  # the one rigid marker beside the line
+    line = markers_of(
+        face,
+        positions=turned.astype(np.float32),
+        visible=lacking,
+        confidence=lacking.astype(np.float32),
+    )
+    with pytest.raises(InputError, match="m00, m01, m02, m03, lie on a line"):
+        into_head_space(mapping, line)

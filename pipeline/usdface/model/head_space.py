@@ -14,6 +14,10 @@ MINIMUM_SHARE = 0.5
 MINIMUM_RIGID = 3
 RIGID_TOLERANCE_MM = 5.0
 
+ON_A_LINE = 0.02
+"""Breadth of the rigid markers, as a share of their length, below which they are as good as a
+line: about it noise turns the head."""
+
 
 @dataclass(frozen=True)
 class MappedMarkers:
@@ -97,7 +101,7 @@ def find_head_space(mapping: Mapping, markers: Markers) -> HeadSpace:
     ------
     InputError
         If the take is not stabilised, shares too few markers with the mapping, or its rigid
-        markers are too few or too far from where the mapping had them.
+        markers are too few, on a line, or too far from where the mapping had them.
     """
     if markers.space != "stabilized":
         raise InputError("the take still holds head motion; run the clean step on it first")
@@ -166,6 +170,13 @@ def _rigid_movement(
         [np.median(positions[visible[:, i], i].astype(np.float64), axis=0) for i in slots]
     )
     target = rest[slots]
+    breadth = np.linalg.svd(target - target.mean(axis=0), compute_uv=False)
+    if breadth[1] <= ON_A_LINE * breadth[0]:
+        raise InputError(
+            f"the take's rigid markers, {_some(tuple(names))}, lie on a line, and nothing tells "
+            "how the head is turned about it; name another of the mapping's rigid markers in the "
+            "take, or train with more"
+        )
     trust = np.ones(len(slots))
     for _ in range(10):  # a rigid marker that slipped must not turn the head
         centre = np.average(middle, axis=0, weights=trust)
