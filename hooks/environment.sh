@@ -16,9 +16,13 @@ case ":${PYBLISHPLUGINPATH:-}:" in
     *) export PYBLISHPLUGINPATH="$USDFACE_HOOKS/pyblish${PYBLISHPLUGINPATH:+:$PYBLISHPLUGINPATH}" ;;
 esac
 
-USDFACE_SCHEMAS=$(cd "$USDFACE_HOOKS/../schemas/usdface" && pwd)
-case ":${PXR_PLUGINPATH_NAME:-}:" in
-    *":$USDFACE_SCHEMAS:"*) ;;
-    *) export PXR_PLUGINPATH_NAME="$USDFACE_SCHEMAS${PXR_PLUGINPATH_NAME:+:$PXR_PLUGINPATH_NAME}" ;;
-esac
-unset USDFACE_SCHEMAS
+# The validators lie in the package: beside the hooks in a wheel, below pipeline/ in a checkout.
+for USDFACE_PLUGIN in schemas/usdface usdio/checks pipeline/usdface/usdio/checks; do
+    [ -f "$USDFACE_HOOKS/../$USDFACE_PLUGIN/plugInfo.json" ] || continue
+    USDFACE_PLUGIN=$(cd "$USDFACE_HOOKS/../$USDFACE_PLUGIN" && pwd)
+    case ":${PXR_PLUGINPATH_NAME:-}:" in
+        *":$USDFACE_PLUGIN:"*) ;;
+        *) export PXR_PLUGINPATH_NAME="$USDFACE_PLUGIN${PXR_PLUGINPATH_NAME:+:$PXR_PLUGINPATH_NAME}" ;;
+    esac
+done
+unset USDFACE_PLUGIN

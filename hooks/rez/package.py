@@ -22,3 +22,4 @@ def commands():
     env.USDFACE_HOOKS = "{root}/python/usdface/hooks"  # noqa: F821
     env.PYBLISHPLUGINPATH.append("{root}/python/usdface/hooks/pyblish")  # noqa: F821
     env.PXR_PLUGINPATH_NAME.append("{root}/python/usdface/schemas/usdface")  # noqa: F821
+    env.PXR_PLUGINPATH_NAME.append("{root}/python/usdface/usdio/checks")  # noqa: F821

@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from tests.hooks.loading import HOOKS, load
+from usdface.plugin_path import PACKAGE
 from usdface.version import __version__
 
 ENVIRONMENT = HOOKS / "farm" / "usdface_environment.yaml"
@@ -40,10 +41,11 @@ def test_rezs_package_says_the_version_and_where_everything_is() -> None:
     package.env = SimpleNamespace(**{name: Variable() for name in names})
     package.commands()
     (hooks,) = package.env.PYBLISHPLUGINPATH.values
-    (schemas,) = package.env.PXR_PLUGINPATH_NAME.values
+    schemas, checks = package.env.PXR_PLUGINPATH_NAME.values
     inside = "{root}/python/usdface/"
     assert (HOOKS.parent / hooks.removeprefix(inside)).is_dir()
     assert (HOOKS.parent / schemas.removeprefix(inside) / "plugInfo.json").is_file()
+    assert (PACKAGE / checks.removeprefix(inside) / "plugInfo.json").is_file()
 
 
 class Key:

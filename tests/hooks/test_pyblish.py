@@ -96,9 +96,10 @@ def test_what_was_extracted_and_not_integrated_is_removed(
 
 
 def test_the_environment_file_is_all_that_a_shell_needs(shot: Shot, tmp_path: Path) -> None:
-    """In a new process, with nothing but what the file sets: found, and the schemas with them."""
+    """In a new process, with nothing but what the file sets: hooks, schemas and validators."""
     script = (
-        "import pyblish.api, os; from pxr import Usd;"
+        "import pyblish.api, os; from pxr import Usd, UsdValidation;"
+        "print(len(UsdValidation.ValidationRegistry().GetValidatorMetadataForKeyword('usdface')));"
         "print(sorted(each.__name__ for each in pyblish.api.discover()));"
         "print(Usd.SchemaRegistry().FindAppliedAPIPrimDefinition('FaceTakeAPI') is not None)"
     )
@@ -112,4 +113,5 @@ def test_the_environment_file_is_all_that_a_shell_needs(shot: Shot, tmp_path: Pa
         check=True,
     )
     assert "CollectFacePerformances" in ran.stdout
+    assert ran.stdout.splitlines()[0] == "10"
     assert ran.stdout.splitlines()[-1] == "True"
