@@ -152,6 +152,11 @@ def test_a_tiny_weight_of_ifacialmocap_may_have_an_exponent(put):
     np.testing.assert_allclose(clip.values[:, clip.names.index("JawOpen")], 1.5e-7)
 
 
+def test_an_empty_file_is_called_empty(put):
+    with pytest.raises(InputError, match=r"the file is empty \(0 bytes\)"):
+        read_capture(put(""))
+
+
 def test_units_overrule_openface_too(put):
     mm, cm = (read_capture(put(samples.openface_csv()), units=units) for units in (None, "cm"))
     scaled = 10 * mm.take.markers.positions

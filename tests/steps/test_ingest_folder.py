@@ -77,3 +77,22 @@ def test_a_folder_without_captures_is_refused(shot: Shot) -> None:
     (shot / "empty").mkdir()
     with pytest.raises(InputError, match="holds no capture file"):
         ingest_folder(shot / "empty", shot / "takes", options(shot))
+
+
+def test_files_in_no_take_are_named(captures, shot: Shot) -> None:
+    (captures / "lone.mov").write_bytes(b"")
+    report = ingest_folder(captures, shot / "takes", options(shot), overwrite=True)
+    assert any("in no take" in note and "lone.mov, notes.txt" in note for note in report.notes)
+
+
+@pytest.mark.parametrize("name", ["c.c3d", "C.TRC"])
+def test_an_empty_copy_of_a_capture_does_not_go_unseen(captures, shot: Shot, name: str) -> None:
+    (captures / name).write_bytes(b"")
+    with pytest.raises(CheckFailedError, match=rf"2 takes of .* 1 could not be.*\n.*{name}"):
+        ingest_folder(captures, shot / "takes", options(shot), overwrite=True)
+
+
+def test_usd_captures_are_taken_however_their_suffix_is_written(captures) -> None:
+    for name in ("d.USDA", "e.usdz", "d.take.usda", "d.take.samples.usdc"):
+        (captures / name).write_bytes(b"#usda 1.0\n")
+    assert [each.name for each in find_bundles(captures)] == ["a 01", "b", "d", "e"]

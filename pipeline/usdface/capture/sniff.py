@@ -103,6 +103,8 @@ def recognise_format(path: Path) -> CaptureFormat:
     """
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
+    if not head:
+        raise InputError(f"{path}: the file is empty (0 bytes); copy or export the capture again")
     for candidate in FORMATS:
         if candidate.recognise(head):
             return candidate

@@ -71,7 +71,7 @@ def _labelled(takes: list[Take], spec: IngestSpec) -> list[Take]:
 
 
 def _read_source(source: Path, spec: IngestSpec) -> Capture:
-    if source.suffix in (*LAYER_SUFFIXES, ".usdz"):
+    if source.suffix.lower() in (*LAYER_SUFFIXES, ".usdz"):
         return _read_usd(source, spec)
     return read_capture(
         source,

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from usdface.capture.marker_labels import list_some
 from usdface.capture.sniff import recognise_format
 from usdface.errors import CheckFailedError, InputError
 from usdface.progress import Progress, part, silent
@@ -13,10 +14,15 @@ from usdface.steps.report import Report
 from usdface.wording import counted
 
 VIDEO_SUFFIXES = (".mov", ".mp4", ".mxf", ".mkv", ".avi", ".webm", ".m4v")
+CAPTURE_SUFFIXES = (".c3d", ".trc")
+"""Whatever such a file holds, it was meant as a capture: a damaged one must not go unseen."""
 AUDIO_SUFFIXES = (".wav", ".flac", ".aif", ".aiff", ".mp3", ".m4a")
 
 _OWN = ("take", "video", "audio", "timecode")
 """What every take of a folder has of its own."""
+
+_TAKES = (".take.usda", ".samples.usdc")
+"""What ingesting wrote before."""
 
 
 @dataclass(frozen=True)
@@ -134,14 +140,36 @@ def ingest_folder(
     return Report(
         tuple(path for report in done for path in report.outputs),
         f"{counted(len(done), 'take')} of {folder}",
-        tuple(line for report in done for line in (report.summary, *report.notes)),
+        (
+            *(line for report in done for line in (report.summary, *report.notes)),
+            *_left_out(folder, bundles),
+        ),
         {"takes": [report.as_data() for report in done]},
     )
 
 
+def _left_out(folder: Path, bundles: list[Bundle]) -> tuple[str, ...]:
+    """Say which files of a folder are in no take."""
+    used = {path for each in bundles for path in (*each.captures, each.video, each.audio) if path}
+    others = [
+        path.name
+        for path in sorted(folder.iterdir())
+        if path not in used
+        and path.is_file()
+        and not path.name.startswith(".")
+        and not path.name.endswith(_TAKES)
+    ]
+    if not others:
+        return ()
+    return (f"in no take, as no capture is known by their content: {list_some(others)}",)
+
+
 def _is_capture(path: Path) -> bool:
-    if path.suffix in LAYER_SUFFIXES:
-        return not path.name.endswith((".take.usda", ".samples.usdc"))
+    suffix = path.suffix.lower()
+    if suffix in CAPTURE_SUFFIXES:
+        return True
+    if suffix in (*LAYER_SUFFIXES, ".usdz"):
+        return not path.name.endswith(_TAKES)
     try:
         recognise_format(path)
     except (InputError, OSError):
