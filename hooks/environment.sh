@@ -16,7 +16,8 @@ case ":${PYBLISHPLUGINPATH:-}:" in
     *) export PYBLISHPLUGINPATH="$USDFACE_HOOKS/pyblish${PYBLISHPLUGINPATH:+:$PYBLISHPLUGINPATH}" ;;
 esac
 
-# The validators lie in the package: beside the hooks in a wheel, below pipeline/ in a checkout.
+# For hosts whose Python has usdface: elsewhere USD would fail to load the validators.
+# They lie in the package: beside the hooks in a wheel, below pipeline/ in a checkout.
 for USDFACE_PLUGIN in schemas/usdface usdio/checks pipeline/usdface/usdio/checks; do
     [ -f "$USDFACE_HOOKS/../$USDFACE_PLUGIN/plugInfo.json" ] || continue
     USDFACE_PLUGIN=$(cd "$USDFACE_HOOKS/../$USDFACE_PLUGIN" && pwd)
