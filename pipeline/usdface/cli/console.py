@@ -120,7 +120,10 @@ def show_json(data: Any) -> None:
 
 def show_error(message: str) -> None:
     """Print an error for a person; on a farm its first line becomes the task's status."""
-    typer.secho(f"usdface: {message}", err=True, fg=typer.colors.RED, bold=True)
+    text = f"usdface: {message}"
+    if "NO_COLOR" not in os.environ:  # as people ask of any command; only a terminal gets any
+        text = typer.style(text, fg=typer.colors.RED, bold=True)
+    typer.echo(text, err=True)
 
 
 def set_up_logging(*, verbose: bool) -> None:
