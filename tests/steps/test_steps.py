@@ -316,3 +316,11 @@ def test_what_a_take_ingested_again_cannot_be_told_is_refused(
     spec = IngestSpec(sources=(shot / "shot.take.usda",), out=tmp_path / "b.take.usda", **asked)
     with pytest.raises(InputError, match=message):
         run(spec)
+
+
+def test_a_clean_take_is_not_cleaned_again_and_keeps_its_heads_motion(shot: Shot) -> None:
+    from usdface.specs.clean import CleanSpec
+
+    assert read_take(shot / "shot.clean.take.usda").head_motion is not None
+    with pytest.raises(InputError, match="is clean already"):
+        run(CleanSpec(take=shot / "shot.clean.take.usda", out=shot / "twice.take.usda"))

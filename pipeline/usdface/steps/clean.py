@@ -40,6 +40,11 @@ def run(
     markers = take.markers
     if markers is None:
         raise InputError(f"{spec.take}: has no markers to clean")
+    if take.head_motion is not None:  # a second one would hide it, and the face lose its head's
+        raise InputError(
+            f"{spec.take}: is clean already, its head's motion taken out; clean the captured take, "
+            "the layer below it, with the options that you want"
+        )
     notes: list[str] = []
     rigid = _rigid_names(spec, markers, notes)
     neutral = markers.neutral_frame if spec.neutral is None else spec.neutral
