@@ -1,6 +1,6 @@
 """Lips that touch on the performer touch on the character, and nothing else changes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -117,3 +117,17 @@ def test_lips_pressed_beyond_touching_are_closed_as_well(mouth: Mouth) -> None:
         mouth.equation, mouth.deformer, mouth.lips, mouth.markers(pressed), start
     )
     assert lip_gap_mm(mouth.deformer, mouth.lips, closed).max() < 0.3
+
+
+def test_shapes_that_hardly_move_the_lips_are_not_thrown_to_their_limits_in_vain(
+    mouth: Mouth,
+) -> None:
+    ranges = mouth.rig.ranges.copy()
+    able = mouth.lips.columns[np.abs(mouth.lips.opening) > 0.3]  # mm; of 28 that the jaw has
+    ranges[able] = 0.5, 0.5 + 1e-12  # all that could close the mouth are held
+    held = replace(mouth.equation, ranges=ranges)
+    start = np.clip(np.zeros((1, len(ranges))), ranges[:, 0], ranges[:, 1])
+    assert lip_gap_mm(mouth.deformer, mouth.lips, start) > 1
+    shut = mouth.markers(np.zeros_like(start))
+    left = keep_lip_contact(held, mouth.deformer, mouth.lips, shut, start)
+    np.testing.assert_array_equal(left, start)

@@ -27,6 +27,10 @@ CONTACT_MM = 0.7
 """How much further apart than on the neutral face lips' markers may be and the lips still touch:
 a few times the noise of a marker."""
 
+LEAST_OPENING = 0.05
+"""Share of the largest opening below which a shape does not move the lips to speak of: where only
+such are left, they would go to their limits and the mouth stay open."""
+
 TOUCHING_MM = 0.2
 ROUNDS = 8
 _RIDGE = 1e-3
@@ -122,6 +126,8 @@ def keep_lip_contact(
     low, high = equation.ranges[lips.columns].T
     gram = deformer.shapes.gram()[np.ix_(lips.columns, lips.columns)]
     gram = gram + _RIDGE * np.trace(gram) * np.eye(len(gram))
+    size = np.abs(lips.opening)
+    able = size >= LEAST_OPENING * size.max(initial=0.0)
     for _ in range(ROUNDS):
         gap = lip_gap_mm(deformer, lips, out[closed])
         open_rows = closed[gap > TOUCHING_MM]
@@ -131,7 +137,7 @@ def keep_lip_contact(
             own = out[row, lips.columns]
             # A weight at its limit cannot go on in that direction; the others take its part.
             free = np.where(lips.opening > 0, own > low + 1e-9, own < high - 1e-9)
-            if not free.any():
+            if not (free & able).any():
                 continue
             step = np.linalg.solve(gram[np.ix_(free, free)], lips.opening[free])
             step *= -excess / max(float(step @ lips.opening[free]), 1e-12)
