@@ -149,3 +149,12 @@ def test_the_phones_of_web_maus_are_its_last_tier(tmp_path: Path) -> None:
     track = read_phone_track(tmp_path / "x.json")
     assert [span.label for span in track.phones] == ["HH", "OW1"]
     assert [span.label for span in track.words] == ["hello"]
+
+
+def test_emotions_hold_where_they_are_marked_in_whatever_order(tmp_path: Path) -> None:
+    spans = [(2.0, 3.0, "joy"), (0.0, 1.0, "anger"), (1.0, 2.0, "calm")]
+    emotions = [{"start": start, "end": end, "label": label} for start, end, label in spans]
+    phones = [{"start": 0.1, "end": 0.2, "label": "AH"}]
+    (tmp_path / "x.json").write_text(json.dumps({"phones": phones, "emotions": emotions}))
+    marked = read_phone_track(tmp_path / "x.json").emotions
+    assert [label_at(marked, at) for at in (0.5, 1.5, 2.5)] == ["anger", "calm", "joy"]

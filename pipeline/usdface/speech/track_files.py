@@ -340,7 +340,10 @@ def _track(path: Path, phones: list[Span], words: list[Span], emotions: list[Spa
                 f"{path}: {span.label!r} lasts from {span.start:g} to {span.end:g} s; a span must "
                 "end after it starts: export the phones again"
             )
-    phones = sorted((s for s in phones if s.end > s.start), key=lambda span: span.start)
+    phones, words, emotions = (
+        sorted((span for span in spans if span.end > span.start), key=lambda span: span.start)
+        for spans in (phones, words, emotions)
+    )
     spoken = tuple(s for s in words if s.label and s.label.lower() not in _NO_WORDS)
     marked = tuple(span for span in emotions if span.label)
     return PhoneTrack(tuple(phones), spoken, marked, max((s.end for s in phones), default=0.0))
