@@ -210,6 +210,7 @@ def test_a_timecode_column_of_motive_starts_the_take(put):
         lines[at] = f"{first},{second},{stamp},{rest}"
     capture = read_capture(put("\n".join(lines)))
     assert capture.take.timecode_start == "15:26:46:12"
+    assert noted(capture, "begins at sub-frame 02 of the label 15:26:46:12")
     np.testing.assert_allclose(marker_positions(capture), samples.positions(), atol=1e-3)
 
 

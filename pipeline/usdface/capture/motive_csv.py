@@ -33,7 +33,7 @@ from usdface.timecode import frames_of
 _MOST_HEADER_ROWS = 12
 _RATES = ("Export Frame Rate", "Capture Frame Rate")
 _STATED = (*_RATES, "Length Units")
-_TIMECODE = re.compile(r"(\d\d:\d\d:\d\d[:;]\d\d)(?:\.\d+)?")
+_TIMECODE = re.compile(r"(\d\d:\d\d:\d\d[:;]\d\d)(?:\.(\d+))?")
 
 
 def is_motive_csv(head: bytes) -> bool:
@@ -208,6 +208,11 @@ def _timecode(stamp: str, rate: Fraction, notes: list[str]) -> str:
         except InputError as error:
             notes.append(f"the timecode column is not used: {error}")
         else:
+            if int(match[2] or 0):
+                notes.append(
+                    f"the take begins at sub-frame {match[2]} of the label {match[1]}, which names "
+                    "whole frames: the sub-frame is left out"
+                )
             return match[1]
     elif stamp:
         notes.append(f"the timecode column is not used: it begins {stamp[:24]!r}")
