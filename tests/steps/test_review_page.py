@@ -17,6 +17,7 @@ from tests.media.bar_code import read_number, write_numbered
 from tests.steps.small_shot import Shot
 from usdface.errors import InputError
 from usdface.media.report_page import WEIGHT_STEPS, Listing, ReviewPage, WeightCurves, build_page
+from usdface.specs.evaluate import EvaluateSpec
 from usdface.specs.report import ReportSpec
 from usdface.steps import review_page
 from usdface.steps.execute import execute
@@ -123,6 +124,17 @@ def test_the_page_is_worked_by_keyboard_and_by_address(shot: Shot) -> None:
         assert polled(page, frame) == 479
         page.click("#worst a >> nth=0")
         assert polled(page, frame) == report.figures["worst_frames"][0]
+        page.keyboard.press(" ")
+        assert (
+            page.evaluate("document.getElementById('play').getAttribute('aria-label')") == "Pause"
+        )
+        page.keyboard.press(" ")
+        page.locator("#scrub").focus()
+        page.keyboard.press(" ")
+        assert (
+            page.evaluate("document.getElementById('play').getAttribute('aria-label')") == "Pause"
+        )
+        page.keyboard.press(" ")
         page.fill("#find", "jawopen")
         rows = page.locator(".curve:visible")
         assert rows.count() == 1
@@ -139,6 +151,29 @@ def test_the_page_is_worked_by_keyboard_and_by_address(shot: Shot) -> None:
         assert filled > 50, "the face is not on paper"
         page.close()
     assert not faults
+
+
+@pytest.mark.parametrize("width", [390, 480, 760])
+def test_nothing_of_the_page_is_outside_a_narrow_window(shot: Shot, width: int) -> None:
+    execute(spec_of(shot, against=shot / "keys.csv", baseline=True))
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": width, "height": 900})
+        page.goto((shot / "shot.html").as_uri())
+        page.wait_for_selector("body[data-ready=true]", timeout=60_000)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        scrub = page.evaluate("document.getElementById('scrub').getBoundingClientRect().width")
+        page.close()
+    assert scrub > width / 2
+
+
+def test_the_page_and_evaluate_tell_one_error_of_the_weights(shot: Shot) -> None:
+    """Both leave out what markers cannot show: the eyes' directions."""
+    execute(spec_of(shot, against=shot / "keys.csv"))
+    told = EvaluateSpec(
+        performance=shot / "shot.hero.usda", against=shot / "keys.csv", out=(shot / "e.json",)
+    )
+    error = execute(told).figures["weight_rmse"]
+    assert f"<td>{error:.3f}</td>" in (shot / "shot.html").read_text(encoding="utf-8")
 
 
 def test_the_page_prints_without_one_thing_over_another(shot: Shot) -> None:

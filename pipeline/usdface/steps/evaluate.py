@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from usdface.steps.evaluation_report import (
     evaluation_summary,
     evaluation_table,
     failures,
+    observable_shapes,
 )
 from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
@@ -145,13 +145,13 @@ def _notes(
 
 def _observable(spec: EvaluateSpec, rig: Rig) -> tuple[BoolArray, tuple[str, ...]]:
     """Return which of the rig's shapes count, and a note for each pattern that names none."""
-    seen = np.ones(len(rig.shapes), dtype=np.bool_)
-    notes = []
-    for pattern in spec.unobservable:
-        named = np.array([fnmatchcase(name.lower(), pattern.lower()) for name in rig.shapes])
-        seen &= ~named
-        if not named.any() and "unobservable" in spec.model_fields_set:
-            notes.append(f"--unobservable {pattern} names no shape of the rig")
+    seen = observable_shapes(rig.shapes, spec.unobservable)
+    notes = [
+        f"--unobservable {pattern} names no shape of the rig"
+        for pattern in spec.unobservable
+        if "unobservable" in spec.model_fields_set
+        and observable_shapes(rig.shapes, [pattern]).all()
+    ]
     return seen, tuple(notes)
 
 

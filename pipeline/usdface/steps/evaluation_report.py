@@ -1,11 +1,12 @@
 """What an evaluation says, as lines for people, data for scripts and a page to draw."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
 
 import numpy as np
 
-from usdface.assets import FloatArray, IntArray
+from usdface.assets import BoolArray, FloatArray, IntArray
 from usdface.media.error_strip import ErrorCurve
 from usdface.media.evaluation_chart import EvaluationPage, ShapeBar
 from usdface.model.evaluation import Evaluation
@@ -15,6 +16,20 @@ from usdface.wording import counted
 
 WORST_FRAMES = 8
 WORST_SHAPES = 10
+
+
+def observable_shapes(
+    shapes: Sequence[str],
+    unobservable: Sequence[str] = EvaluateSpec.model_fields["unobservable"].default,
+) -> BoolArray:
+    """Return which shapes markers can show, by default those that `usdface evaluate` counts."""
+    return np.array(
+        [
+            not any(fnmatchcase(name.lower(), pattern.lower()) for pattern in unobservable)
+            for name in shapes
+        ],
+        dtype=np.bool_,
+    )
 
 
 def evaluation_summary(evaluation: Evaluation) -> str:

@@ -8,7 +8,7 @@ from usdface.media.report_page import Listing
 from usdface.model.evaluation import Evaluation, evaluate_weights
 from usdface.provenance import Provenance
 from usdface.steps.edited import find_edited_ranges
-from usdface.steps.evaluation_report import evaluation_figures
+from usdface.steps.evaluation_report import evaluation_figures, observable_shapes
 from usdface.steps.outputs import provenance_of
 from usdface.steps.provenance_paths import spec_of
 from usdface.steps.shot_pictures import Shot
@@ -24,14 +24,13 @@ def evaluate_shown(shot: Shot, truth: FloatArray | None) -> Evaluation | None:
     if truth is None:
         return None
     known = ~np.isnan(truth).any(axis=1)
-    every = np.ones(len(shot.rig.shapes), bool)
     return evaluate_weights(
         shot.rig,
         shot.weights[known],
         truth[known],
         frames=shot.frames[known],
-        compared=every,
-        observable=every,
+        compared=np.ones(len(shot.rig.shapes), bool),
+        observable=observable_shapes(shot.rig.shapes),
     )
 
 

@@ -281,7 +281,9 @@ class Report {
       if (event.altKey || event.ctrlKey || event.metaKey) return;
       const typing = event.target.matches?.("input[type=search], select, canvas");
       const step = { ArrowLeft: -1, ArrowRight: 1, Home: -Infinity, End: Infinity }[event.key];
-      if (event.key === " " && !event.target.matches?.("button, input, select, a")) this.play();
+      // What a space means something to keeps it; a link and the scrubber do not.
+      const own = "button, input:not([type=range]), select";
+      if (event.key === " " && !event.target.matches?.(own)) this.play();
       else if (step !== undefined && !typing && event.target !== scrub) {
         this.play(false);
         this.show(step === -Infinity ? 0 : step === Infinity ? count - 1 : this.picture + step);
