@@ -152,6 +152,11 @@ def test_a_tiny_weight_of_ifacialmocap_may_have_an_exponent(put):
     np.testing.assert_allclose(clip.values[:, clip.names.index("JawOpen")], 1.5e-7)
 
 
+def test_a_text_with_a_p_second_is_no_c3d(put):
+    with pytest.raises(InputError, match="not a capture file we know"):
+        read_capture(put("FPS,120\nframe,x\n1,2\n"))
+
+
 def test_an_empty_file_is_called_empty(put):
     with pytest.raises(InputError, match=r"the file is empty \(0 bytes\)"):
         read_capture(put(""))

@@ -18,7 +18,8 @@ _CHUNK_FRAMES = 8192
 
 def is_c3d(head: bytes) -> bool:
     """Tell a C3D file by its first bytes."""
-    return len(head) >= 2 and head[1] == 0x50 and head[0] > 0 and head[:2] != b"PP"
+    # 0x50 is also a P: a text that has it second holds no NUL, a header has many.
+    return len(head) >= 2 and head[1] == 0x50 and head[0] > 0 and b"\0" in head[:512]
 
 
 def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
