@@ -14,6 +14,9 @@ from tests.usdio.small_rig import small_rig
 from usdface.cli import main
 from usdface.cli.app import app
 from usdface.cli.command_list import SECTIONS
+from usdface.cli.spec_options import build_spec
+from usdface.errors import InputError
+from usdface.specs.movie import MovieSpec
 from usdface.usdio.rig_write import write_rig
 from usdface.version import __version__
 
@@ -160,3 +163,13 @@ def test_the_list_of_commands_says_whole_sentences(capsys) -> None:
     assert "...\n" not in told.replace("[ARGS]...", "")
     assert told.index("Capture:") < told.index("Review:")
     assert "Find where the video lies in the take: shift and clock drift" in " ".join(told.split())
+
+
+@pytest.mark.parametrize("given", ["markers,performance", "performance"])
+def test_a_list_that_may_be_left_out_is_a_list_all_the_same(given: str) -> None:
+    """`movie --panels`, as the documentation shows it, was no tuple."""
+    values = {"performance": Path("a.usda"), "take": Path("t.usda"), "out": Path("m.mp4")}
+    assert build_spec(MovieSpec, values | {"panels": given}).panels == tuple(given.split(","))
+    assert build_spec(MovieSpec, values).panels is None
+    with pytest.raises(InputError, match="panels"):
+        build_spec(MovieSpec, values | {"panels": "faces"})

@@ -118,4 +118,6 @@ def _is_list_of_names(annotation: Any) -> bool:
     origin = get_origin(annotation)
     if origin is Annotated:
         return _is_list_of_names(get_args(annotation)[0])
+    if origin in (Union, types.UnionType):
+        return any(_is_list_of_names(each) for each in get_args(annotation))
     return origin is tuple and _command_line_type(get_args(annotation)[0]) is not Path

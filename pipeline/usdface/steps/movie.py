@@ -25,6 +25,7 @@ from usdface.steps.outputs import make_provenance, provenance_metadata
 from usdface.steps.report import Report
 from usdface.steps.shot_pictures import Shot, ShotPictures, open_shot, undrawn
 from usdface.steps.take_sound import SAMPLE_RATE, take_sound
+from usdface.wording import counted
 
 STRETCH_PICTURES = 48
 """Drawn and encoded by one process at a time, and lost at most when a run is stopped."""
@@ -100,8 +101,9 @@ def run(
     seconds = clock.picture_count / float(rate)
     return Report(
         (spec.out,),
-        f"{clock.picture_count} pictures at {float(rate):g} per second ({seconds:.1f} s), "
-        f"{' beside '.join(panels)}, {'with' if sound is not None else 'without'} sound",
+        f"{counted(clock.picture_count, 'picture')} at {float(rate):g} per second "
+        f"({seconds:.1f} s), {' beside '.join(panels)}, "
+        f"{'with' if sound is not None else 'without'} sound",
         tuple(notes),
         {
             "pictures": clock.picture_count,

@@ -40,6 +40,7 @@ from usdface.steps.shot_phones import said_at
 from usdface.steps.shot_pictures import Shot, open_shot, undrawn
 from usdface.steps.take_sound import SAMPLE_RATE, take_sound
 from usdface.usdio.performance_reader import PerformanceReader
+from usdface.wording import counted
 
 LONGEST_PICTURES = 36_000
 """Ten minutes at 60 pictures per second: a longer page would not open."""
@@ -120,7 +121,7 @@ def run(
     progress(1.0, "done")
     return Report(
         (spec.out,),
-        f"{clock.picture_count} pictures, {len(shot.rig.shapes)} shapes, "
+        f"{counted(clock.picture_count, 'picture')}, {counted(len(shot.rig.shapes), 'shape')}, "
         f"{len(text) / 1e6:.1f} MB; open it in a browser",
         tuple(notes),
         {
