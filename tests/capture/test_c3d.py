@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from usdface.capture.c3d import open_c3d
+from usdface.capture.c3d_parameters import Parameters
 from usdface.capture.c3d_take import read_c3d_take
 from usdface.capture.c3d_write import write_c3d
 from usdface.capture.marker_take import CaptureOptions
@@ -302,3 +303,16 @@ def test_a_last_frame_beyond_sixteen_bits_adds_no_frames_of_padding(take, tmp_pa
     struct.pack_into("<2H", content, 6, 0xFFFF, 0xFFFF)  # frames 70,000 to 70,039 say this
     path.write_bytes(content)
     assert open_c3d(path).frame_count == 40
+
+
+def test_numbers_go_on_in_further_parameters_as_labels_do():
+    times = np.arange(600.0)
+    values = {
+        "EVENT:TIMES": times[:510],
+        "EVENT:TIMES2": times[510:],
+        "EVENT:USED": np.array([300]),
+    }
+    parameters = Parameters(values)
+    np.testing.assert_array_equal(parameters.numbers("EVENT:TIMES"), times)
+    assert parameters.number("EVENT:USED") == 300
+    assert parameters.numbers("EVENT:LABELS").size == 0

@@ -39,9 +39,14 @@ class Parameters:
     notes: tuple[str, ...] = ()
 
     def numbers(self, name: str) -> NDArray[np.float64]:
-        """Return the numbers of a parameter, flat; empty when it is absent or text."""
-        value = self.values.get(name)
-        return value if isinstance(value, np.ndarray) else np.empty(0)
+        """Return the numbers of a parameter and its continuations, flat; empty when absent or text.
+
+        Scales of channels and times of events are continued as labels are, see `texts`.
+        """
+        found: list[NDArray[np.float64]] = []
+        while isinstance(value := self.values.get(_part(name, len(found) + 1)), np.ndarray):
+            found.append(value.ravel())
+        return np.concatenate(found) if found else np.empty(0)
 
     def number(self, name: str) -> float | None:
         """Return the first number of a parameter, or None."""
@@ -68,19 +73,20 @@ class Parameters:
 
         One parameter holds at most 255 entries, so long label lists are continued.
         """
-        found: list[str] = []
-        part = 1
-        while True:
-            value = self.values.get(name if part == 1 else f"{name}{part}")
-            if not isinstance(value, tuple):
-                return tuple(found)
-            found.extend(value)
-            part += 1
+        found: list[tuple[str, ...]] = []
+        while isinstance(value := self.values.get(_part(name, len(found) + 1)), tuple):
+            found.append(value)
+        return tuple(text for part in found for text in part)
 
     def text(self, name: str) -> str:
         """Return the first text of a parameter; empty when absent."""
         value = self.values.get(name)
         return value[0] if isinstance(value, tuple) and value else ""
+
+
+def _part(name: str, number: int) -> str:
+    """Return the name of a parameter's first, second, … part."""
+    return name if number == 1 else f"{name}{number}"
 
 
 @dataclass(frozen=True)
