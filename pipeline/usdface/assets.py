@@ -385,7 +385,7 @@ class Performance:
     confidence : (frames,) float array or None
         [0-1]
     residual_mm : (frames, regions) float array or None
-        Distance between the markers and what the weights explain of them [mm].
+        Distance of the markers from anything the references' takes showed [mm].
     regions : tuple of str
     timecode_start : str
     """

@@ -213,7 +213,7 @@ def test_a_reopened_mapping_predicts_the_same_to_the_last_bit(shot: Shot) -> Non
 
 def test_mapping_a_part_equals_that_part_of_the_whole(shot: Shot) -> None:
     whole = read_performance(shot / "shot.hero.usda").weights
-    run(
+    report = run(
         MapSpec(
             take=shot / "shot.clean.take.usda",
             mapping=shot / "hero.mapping.usdc",
@@ -227,6 +227,9 @@ def test_mapping_a_part_equals_that_part_of_the_whole(shot: Shot) -> None:
     assert part.weights.first_frame == 101
     np.testing.assert_array_equal(part.weights.values, whole.values[100:140])
     assert part.timecode_start == "01:00:00:25"
+    # Not what a sheet calls a residual, which the weights leave: that is many times as much.
+    told = f"markers {report.figures['residual_mm']:.2f} mm from what the references' takes showed"
+    assert report.summary.endswith(told)
     assert Sdf.Layer.FindOrOpen(str(weights_path(shot / "part.usda"))).defaultPrim == "shot"
 
 

@@ -203,8 +203,8 @@ def _report(
     count = len(confidence)
     return Report(
         (spec.out, weights_path(spec.out)),
-        f"{counted(count, 'frame')}, mean confidence {confidence.mean():.2f}, markers explained to "
-        f"{np.sqrt((residual**2).mean()):.2f} mm",
+        f"{counted(count, 'frame')}, mean confidence {confidence.mean():.2f}, markers "
+        f"{np.sqrt((residual**2).mean()):.2f} mm from what the references' takes showed",
         tuple(notes),
         {
             "frames": count,
