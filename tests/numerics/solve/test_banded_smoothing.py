@@ -96,3 +96,22 @@ def test_whatever_the_cutoff_a_motion_of_its_frequency_is_halved(cutoff: float) 
         upper=np.full(1, 2.0),
     )
     np.testing.assert_allclose(halved[500:700], wave[500:700] / 2, atol=1e-6)
+
+
+@pytest.mark.parametrize("penalty", [1e0, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7])
+def test_at_any_cutoff_nothing_within_the_bounds_is_better(penalty: float) -> None:
+    rng = np.random.default_rng(0)
+    walks = 1 + np.cumsum(0.08 * rng.normal(size=(300, 40)), axis=0)  # to and fro beyond the bounds
+    tracks = np.abs(walks % 2.4 - 1.2) - 0.1 + 0.05 * rng.normal(size=walks.shape)
+    trust = rng.uniform(0.25, 1, 300)
+    found = smooth_within_bounds(
+        tracks, penalty=penalty, trust=trust, lower=np.zeros(40), upper=np.ones(40)
+    )
+    matrix, right = dense(tracks, penalty, trust)
+    uphill = matrix.T @ (matrix @ found - right)  # the sum's gradient
+    assert (found >= 0).all()
+    assert (found <= 1).all()
+    slack = 2e-8 * (1 + penalty)  # a weight is a billionth beyond its bound before it is held
+    assert np.abs(uphill[(found > 0) & (found < 1)]).max() < slack
+    assert uphill[found == 0].min() > -slack
+    assert uphill[found == 1].max() < slack
