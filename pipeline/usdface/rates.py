@@ -5,7 +5,8 @@ from math import isfinite
 
 from usdface.errors import InputError
 
-_NTSC_BASES = (24, 30, 48, 60, 72, 90, 96, 120, 144, 180, 192, 240, 300, 360, 480)
+NTSC_BASES = (24, 30, 48, 60, 72, 90, 96, 120, 144, 180, 192, 240, 300, 360, 480)
+"""[Hz] Rates that video also has over 1.001."""
 _NTSC_TOLERANCE = 0.0051
 """[Hz] 23.976 is also written 23.98."""
 _WHOLE_TOLERANCE = 1e-4
@@ -42,7 +43,7 @@ def exact_rate(value: float, *, where: str) -> Fraction:
     whole = round(value)
     if whole and abs(value - whole) <= _WHOLE_TOLERANCE * value and value / whole > 1 - 5e-4:
         return Fraction(whole)
-    for base in _NTSC_BASES:
+    for base in NTSC_BASES:
         ntsc = Fraction(base * 1000, 1001)
         if abs(value - float(ntsc)) <= _NTSC_TOLERANCE:
             return ntsc

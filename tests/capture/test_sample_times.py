@@ -35,3 +35,14 @@ def test_a_clock_that_is_off_loses_no_frame_of_a_long_take(rate, error):
     assert times.rate == rate
     np.testing.assert_array_equal(times.frames, kept)
     assert times.clock_error == pytest.approx(-error, abs=5e-6)
+
+
+@pytest.mark.parametrize("frames", [60, 120, 300])
+@pytest.mark.parametrize("rate", [*NTSC, Fraction(120_000, 1001)], ids=str)
+def test_a_short_take_is_of_a_rate_that_video_has(rate, frames):
+    """Of 60 frames at 29.97 the times, in milliseconds, told 29.9644."""
+    seconds = np.round(np.arange(frames) / float(rate), 3)
+    told = rate_of_times(seconds, np.arange(frames), where="take")
+    assert told in (rate, round(rate))  # 60 and 59.94 may fit such times both
+    if abs(round(rate) / rate - 1) * frames / rate > 2e-3:
+        assert told == rate

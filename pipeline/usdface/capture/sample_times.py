@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdface.errors import InputError
-from usdface.rates import exact_rate
+from usdface.rates import NTSC_BASES, exact_rate
 
 DEVICE_RATES = (15, 20, 24, 25, 30, 48, 50, 60, 90, 100, 120, 240)
 """What cameras and phones are set to; their clocks are close to it, never exact."""
@@ -131,9 +131,10 @@ def rate_of_times(
             "seconds, not milliseconds: export the take again"
         )
     usual = min(DEVICE_RATES, key=lambda rate: abs(rate - told))
-    for rate in (usual, round(told)):
+    over_1001 = (Fraction(1000 * base, 1001) for base in NTSC_BASES)
+    for rate in (Fraction(usual), Fraction(round(told)), *over_1001):
         if low <= rate <= high:
-            return Fraction(rate)
+            return rate
     return exact_rate(told, where=where)
 
 
