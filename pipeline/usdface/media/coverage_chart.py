@@ -72,7 +72,7 @@ class CoveragePage:
     growth : (pairs + 1,) float array
         Coverage with 0, 1, 2 ... pairs [0-1].
     holes : tuple of Hole
-        The frames to tune next, the deepest first.
+        The frames to tune next: each the deepest hole once those before are tuned.
     """
 
     title: str
@@ -171,7 +171,13 @@ def _draw_growth(picture: ByteImage, page: CoveragePage, *, x: int, y: int, widt
 
 
 def _draw_holes(picture: ByteImage, holes: Sequence[Hole], *, x: int, y: int) -> None:
-    draw_text(picture, "To tune next, the deepest hole first", x=x, y=y, style=_HEAD)
+    draw_text(
+        picture,
+        "To tune next: each the deepest hole once those above are tuned",
+        x=x,
+        y=y,
+        style=_HEAD,
+    )
     if not holes:
         draw_text(
             picture, "every frame that may be chosen is a reference", x=x, y=y + 34, style=_TEXT
