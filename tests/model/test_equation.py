@@ -5,6 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.usdio.small_rig import small_rig
+from usdface.deformer import Deformer
+from usdface.model.cyclic import SurfaceMeter
 from usdface.model.equation import BlendshapeEquation
 from usdface.numerics.registration.registration import VirtualMarkers
 from usdface.numerics.solve.blendshape_equation import MarkerKeys
@@ -89,3 +92,12 @@ def test_motion_is_enlarged_by_the_gain_before_it_is_explained() -> None:
         equation.propose(equation.neutral + shapes.offsets(weights)),
         atol=1e-9,
     )
+
+
+def test_errors_there_and_back_are_measured_where_shapes_bend() -> None:
+    rig = small_rig()  # eyeBlink has an in-between
+    deformer = Deformer(rig)
+    first, second = np.random.default_rng(0).random((2, 12, len(rig.shapes)))
+    apart = np.linalg.norm(deformer.points(first) - deformer.points(second), axis=2)
+    found = SurfaceMeter(rig).mean_vertex_mm(first, second)
+    np.testing.assert_allclose(found, apart.mean(axis=1), atol=1e-12)
