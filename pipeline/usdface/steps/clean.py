@@ -40,7 +40,9 @@ def run(
     markers = take.markers
     if markers is None:
         raise InputError(f"{spec.take}: has no markers to clean")
-    if take.head_motion is not None:  # a second one would hide it, and the face lose its head's
+    if (
+        markers.space == "stabilized" and take.head_motion is not None
+    ):  # a second one would hide it, and the face lose its head's
         raise InputError(
             f"{spec.take}: is clean already, its head's motion taken out; clean the captured take, "
             "the layer below it, with the options that you want"
