@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.numerics.small_face import MOUTH, small_actor, small_face
+from usdface.numerics.registration.cloud_alignment import align_landmarks, align_pairs
 from usdface.numerics.registration.outer_surface import facing_direction, sample_outer_surface
 from usdface.numerics.registration.registration import (
     character_motion,
@@ -188,3 +190,19 @@ def test_refuses_arrays_that_do_not_fit(face, actor, change, message):
 def test_a_take_of_one_frame_is_placed_by_its_shape_alone(face, actor):
     still = register(face, actor, motion=actor.neutral[None])
     assert np.median(errors(face, actor, still)) < 6
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_turn_is_not_mistaken_for_proportions_of_the_other_face(seed):
+    rng = np.random.default_rng(seed)
+    cloud = rng.normal(size=(60, 3)) * [60, 80, 30]
+    turn = Rotation.from_rotvec(0.4 * rng.normal(size=3))
+    proportions = np.array([1.25, 0.85, 1.0])
+    targets = proportions * turn.apply(cloud) + [5, 6, 7]
+    plain = align_landmarks(cloud, targets)
+    found = align_pairs(cloud, targets, weight=np.ones(60))
+    off, before = (
+        (Rotation.from_matrix(each.rotation) * turn.inv()).magnitude() for each in (found, plain)
+    )
+    assert off < 0.7 * before  # proportions are believed in part, so a part of the turn is left
+    assert found.residual_mm < 0.6 * np.sqrt(((plain.apply(cloud) - targets) ** 2).sum(1).mean())
