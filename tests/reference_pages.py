@@ -37,7 +37,8 @@ def _command_line() -> str:
         "# The command line",
         GENERATED,
         f"`usdface COMMAND --help` says the same. {EPILOG} Ahead of the command: `--verbose` logs "
-        "what is done, `--version` prints the version.\n",
+        "what is done, `--version` prints the version. Names are given with commas between them, or the option "
+        "again for each.\n",
         _contents(titles),
     ]
     common = [_option_row(each) for each in COMMON]
@@ -111,6 +112,8 @@ def _option_row(parameter: inspect.Parameter) -> str:
 def _default_of(default: Any) -> str:
     if default is inspect.Parameter.empty:
         return "required"
+    if isinstance(default, list):
+        default = ",".join(default)
     return (
         ""
         if default in (None, (), "") or default is False
@@ -125,7 +128,7 @@ def _value_of(kind: Any) -> str:
     if kind is bool:
         return ""
     if origin is list:
-        return "paths"
+        return "names" if typing.get_args(kind) == (str,) else "paths"
     if origin is Literal:
         return ", ".join(f"`{each}`" for each in typing.get_args(kind))
     inner = [each for each in typing.get_args(kind) if each is not type(None)]

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 from pxr import Sdf, Vt
 from typer.core import TyperGroup
 from typer.main import get_command
@@ -14,9 +15,7 @@ from tests.usdio.small_rig import small_rig
 from usdface.cli import main
 from usdface.cli.app import app
 from usdface.cli.command_list import SECTIONS
-from usdface.cli.spec_options import build_spec
 from usdface.errors import InputError
-from usdface.specs.movie import MovieSpec
 from usdface.usdio.rig_write import write_rig
 from usdface.version import __version__
 
@@ -134,7 +133,6 @@ def test_a_line_end_in_a_name_begins_no_second_message_to_the_farm(capsys) -> No
 
 def test_a_farm_is_told_why_a_task_failed(capsys) -> None:
     from usdface.cli.console import listening
-    from usdface.errors import InputError
 
     with pytest.raises(InputError), listening("openjd"):
         raise InputError("kitchen.usda: is no take\nrecord it again")
@@ -165,11 +163,15 @@ def test_the_list_of_commands_says_whole_sentences(capsys) -> None:
     assert "Find where the video lies in the take: shift and clock drift" in " ".join(told.split())
 
 
-@pytest.mark.parametrize("given", ["markers,performance", "performance"])
-def test_a_list_that_may_be_left_out_is_a_list_all_the_same(given: str) -> None:
-    """`movie --panels`, as the documentation shows it, was no tuple."""
-    values = {"performance": Path("a.usda"), "take": Path("t.usda"), "out": Path("m.mp4")}
-    assert build_spec(MovieSpec, values | {"panels": given}).panels == tuple(given.split(","))
-    assert build_spec(MovieSpec, values).panels is None
-    with pytest.raises(InputError, match="panels"):
-        build_spec(MovieSpec, values | {"panels": "faces"})
+@pytest.mark.parametrize(
+    "given", [["--panels", "markers, performance"], ["--panels", "markers", "--panels=performance"]]
+)
+def test_names_are_given_with_commas_or_one_by_one(tmp_path: Path, given: list[str]) -> None:
+    """Of an option given twice the last alone counted, and nothing said so."""
+    line = ["movie", "a.usda", "--take", "t.usda", "--out", "m.mp4"]
+    saved = tmp_path / "movie.yaml"
+    assert run(*line, *given, "--save-spec", str(saved)) == 0
+    assert yaml.safe_load(saved.read_text())["panels"] == ["markers", "performance"]
+    assert run(*line, "--save-spec", str(saved)) == 0
+    assert "panels" not in yaml.safe_load(saved.read_text())
+    assert run(*line, "--panels", "faces", "--save-spec", str(saved)) == 2

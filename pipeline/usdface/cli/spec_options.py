@@ -31,7 +31,8 @@ def options_of(spec: type[Spec]) -> list[inspect.Parameter]:
         if any(isinstance(mark, Positional) for mark in field.metadata):
             info: Any = typer.Argument(help=field.description, show_default=False)
         else:
-            info = typer.Option(_option_name(name, field), help=field.description)
+            named = "<str,...>" if _is_list_of_names(field.annotation) else None
+            info = typer.Option(_option_name(name, field), help=field.description, metavar=named)
         default = inspect.Parameter.empty if required else _default(field, kind)
         parameters.append(
             inspect.Parameter(
@@ -57,8 +58,8 @@ def build_spec(spec: type[SpecType], values: dict[str, Any]) -> SpecType:
         value = values.get(name)
         if value is None:
             continue
-        if _is_list_of_names(field.annotation) and isinstance(value, str):
-            value = [part.strip() for part in value.split(",") if part.strip()]
+        if _is_list_of_names(field.annotation):  # with commas, repeated, or both
+            value = [part.strip() for each in value for part in each.split(",") if part.strip()]
         given[name] = value
     try:
         return spec.model_validate(given)
@@ -94,7 +95,7 @@ def _option_name(name: str, field: FieldInfo) -> str:
 def _default(field: FieldInfo, kind: Any) -> Any:
     value = field.get_default(call_default_factory=True)
     if isinstance(value, tuple) and value and _is_list_of_names(field.annotation):
-        return ",".join(value)
+        return list(value)
     return None if value == () or (value == "" and kind is not bool) else value
 
 
@@ -108,7 +109,7 @@ def _command_line_type(annotation: Any) -> Any:
         return _command_line_type(inner[0]) | None
     if origin is tuple:
         element = _command_line_type(get_args(annotation)[0])
-        return list[Path] if element is Path else str | None
+        return list[Path] if element is Path else list[str]
     if origin is Literal:
         return annotation
     return annotation if annotation in (int, float, bool, Path) else str | None

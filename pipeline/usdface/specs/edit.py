@@ -27,7 +27,7 @@ class EditSpec(Spec):
     performance: Annotated[FilePath, Reads(alone=True), Positional()]
     """The performance to edit."""
     shape: Annotated[tuple[Name, ...], Field(min_length=1)]
-    """Shapes to change, with commas between them."""
+    """Shapes to change."""
     add: Change | None = None
     """Add this to the solved weight."""
     override: Change | None = None
