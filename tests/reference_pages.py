@@ -37,8 +37,8 @@ def _command_line() -> str:
         "# The command line",
         GENERATED,
         f"`usdface COMMAND --help` says the same. {EPILOG} Ahead of the command: `--verbose` logs "
-        "what is done, `--version` prints the version. Names are given with commas between them, or the option "
-        "again for each.\n",
+        "what is done, `--version` prints the version. Names are given with commas between them, or"
+        " the option again for each.\n",
         _contents(titles),
     ]
     common = [_option_row(each) for each in COMMON]
