@@ -4,12 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Sdf
 
 from tests.steps.small_shot import FRAMES, Shot
 from usdface.deformer import Deformer
 from usdface.errors import InputError
 from usdface.specs.reading import read_job
 from usdface.steps import jobs
+from usdface.steps.execute import execute
 from usdface.steps.jobs import check_job, run_job
 from usdface.steps.weight_tables import read_weight_table
 from usdface.usdio.performance import read_performance
@@ -127,6 +129,30 @@ def test_a_job_never_replaces_a_file_of_someone_else(shot: Shot) -> None:
     with pytest.raises(InputError, match=r"step 7 of 7, sheet:.*was not written by usdface"):
         run_job(read_job(shot / "shot.job.yaml"))
     assert (shot / "shot.sheet.jpg").read_bytes() == b"my drawing"
+
+
+@pytest.mark.parametrize(
+    ("main", "beside", "step"),
+    [
+        ("shot.take.usda", "shot.take.samples.usdc", "1 of 7, ingest"),
+        ("hero.references.usda", "hero.references.proposed.usda", "3 of 7, select"),
+        ("shot.hero.usda", "shot.hero.weights.usdc", "6 of 7, map"),
+    ],
+)
+def test_a_file_of_someone_else_stays_where_a_step_would_write_a_layer(
+    shot: Shot, main: str, beside: str, step: str
+) -> None:
+    (shot / main).unlink()
+    theirs = Sdf.Layer.CreateAnonymous()
+    theirs.Export(str(shot / beside))
+    before = (shot / beside).read_bytes()
+    job = read_job(shot / "shot.job.yaml")
+    with pytest.raises(InputError, match=rf"step {step}: .*{beside}: exists and was not written"):
+        run_job(job)
+    spec = next(each for each in job.steps if each.step == step.split(", ")[1])
+    with pytest.raises(InputError, match=f"{beside}: exists and was not written by usdface"):
+        execute(spec)
+    assert (shot / beside).read_bytes() == before
 
 
 def test_checking_names_every_file_that_is_missing(shot: Shot) -> None:

@@ -12,7 +12,12 @@ from usdface.specs.base import LAYER_SUFFIXES, Reads, Spec, Writes
 from usdface.specs.job import JobSpec
 from usdface.steps.execute import execute
 from usdface.steps.made_in_parts import specs_of_parts
-from usdface.steps.outputs import check_may_be_read, make_provenance, provenance_of
+from usdface.steps.outputs import (
+    check_may_be_read,
+    foreign_beside,
+    make_provenance,
+    provenance_of,
+)
 from usdface.steps.report import Report
 from usdface.usdio.referenced_files import lost_sublayers
 
@@ -182,9 +187,10 @@ def _state_of_part(spec: Spec) -> StepState:
 
 def _refuse_foreign_outputs(spec: Spec, label: str) -> None:
     for path in spec.paths(Writes):
-        if path.exists() and provenance_of(path) is None:
+        there = path if path.exists() and provenance_of(path) is None else None
+        if there := there or foreign_beside(spec, path):
             raise InputError(
-                f"{label}: {path}: exists and was not written by usdface; move it away, or run "
+                f"{label}: {there}: exists and was not written by usdface; move it away, or run "
                 "with --overwrite"
             )
 

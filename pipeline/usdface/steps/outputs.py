@@ -27,6 +27,20 @@ ALIKE = (
 """Steps that make the same kind of file; any other makes one of its own."""
 
 
+BESIDE = {
+    "ingest": "samples.usdc",
+    "clean": "samples.usdc",
+    "map": "weights.usdc",
+    "join": "weights.usdc",
+    "select": "proposed.usda",
+    "references-from-edits": "proposed.usda",
+    "pairs-propose": "proposed.usda",
+    "pairs-import": "proposed.usda",
+    "bind": "proposed.usda",
+}
+"""What a step writes beside the layer to open: NAME.usda has its samples in NAME.samples.usdc."""
+
+
 def check_inputs(spec: Spec) -> None:
     """Raise InputError naming every file that a spec reads and that is not there."""
     check_may_be_read(spec)
@@ -79,7 +93,14 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
             raise InputError(f"{path}: folder {folder} cannot be written; check its permissions")
         if path.is_dir():
             raise InputError(f"{path}: is a folder; name a file with --out")
-        if not path.exists() or overwrite:
+        if overwrite:
+            continue
+        if foreign := foreign_beside(spec, path):
+            raise InputError(
+                f"{foreign}: exists and was not written by usdface, and {spec.step} writes what "
+                f"belongs to {path.name} there; choose another --out, or --overwrite it"
+            )
+        if not path.exists():
             continue
         made = provenance_of(path)
         if made is None:
@@ -97,6 +118,14 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
                 f"{path}: exists and is newer than what it is made from; choose another --out, or "
                 "--overwrite it"
             )
+
+
+def foreign_beside(spec: Spec, path: Path) -> Path | None:
+    """Return the file of somebody else where a step would write a layer beneath its output."""
+    if spec.step not in BESIDE:
+        return None
+    beside = path.with_name(f"{path.stem}.{BESIDE[spec.step]}")
+    return beside if beside.exists() and provenance_of(beside) is None else None
 
 
 def _is_layer_of(path: Path, inputs: list[Path]) -> Path | None:
