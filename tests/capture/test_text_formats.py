@@ -310,6 +310,20 @@ def test_ifacialmocap_weights_run_to_one_and_angles_are_radians(put, separator, 
     assert noted(capture, "60 frames per second assumed")
 
 
+def test_ifacialmocaps_tracking_is_no_shape_and_frames_without_a_face_are_left_out(put):
+    plain = samples.ifacialmocap().splitlines()
+    seen = [place not in (0, 3) for place in range(len(plain))]
+    lines = [f"trackingStatus-{int(on)}|{line}" for on, line in zip(seen, plain, strict=True)]
+    capture = read_capture(put("\n".join(lines) + "\n"))
+    source = capture.take.source
+    assert source is not None
+    assert "trackingStatus" not in source.names
+    wanted = samples.weights()[1:, :3].round(2)
+    wanted[2] = (wanted[1] + wanted[3]) / 2
+    np.testing.assert_allclose(source.values[:, :3], wanted, atol=1e-6)
+    assert noted(capture, "1 frame without a face, interpolated")
+
+
 def test_openface_gives_landmarks_y_up_and_action_units_to_one(put):
     capture = read_capture(put(samples.openface_csv()))
     markers, source = capture.take.markers, capture.take.source

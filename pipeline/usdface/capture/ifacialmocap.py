@@ -17,12 +17,14 @@ from usdface.capture.marker_take import Capture, CaptureOptions
 from usdface.capture.sample_times import SampleTimes
 from usdface.capture.text_table import Line, check_columns, head_lines, parse_cells, read_lines
 from usdface.errors import InputError
+from usdface.wording import counted
 
 _VALUE = r"-?[\d.]+(?:[eE][-+]?\d+)?"
 _WEIGHT = re.compile(rf"([A-Za-z]\w*)\s*[-&]\s*({_VALUE})", re.ASCII)
 _START = re.compile(rf"\s*[A-Za-z]\w*[-&]{_VALUE}\|", re.ASCII)
 _FRAME_END = "___iFacialMocap"
 _RATE = Fraction(60)
+_STATUS = "trackingStatus"  # 1 while the app sees a face
 _PARTS = {"head": 6, "rightEye": 3, "leftEye": 3}
 _ROTATIONS = {part: [f"{part}Rotation{axis}" for axis in "XYZ"] for part in _PARTS}
 
@@ -43,8 +45,11 @@ def read_ifacialmocap(path: Path, options: CaptureOptions) -> Capture:
     """
     names: list[str] = []
     rows: list[list[float]] = []
-    for frame in _frames(path):
+    places: list[int] = []
+    for place, frame in enumerate(_frames(path)):
         found = _read_frame(frame)
+        if found.pop(_STATUS, 1.0) == 0:
+            continue
         if not rows:
             names = list(found)
         elif found.keys() != set(names):
@@ -55,9 +60,11 @@ def read_ifacialmocap(path: Path, options: CaptureOptions) -> Capture:
                 "again"
             )
         rows.append([found[name] for name in names])
+        places.append(place)
     if not rows:
-        raise InputError(f"{path}: no frame; save the stream again")
-    times = SampleTimes(_RATE, np.arange(len(rows), dtype=np.float64), even=True)
+        raise InputError(f"{path}: no frame that shows a face; save the stream again")
+    times = SampleTimes(_RATE, np.array(places, dtype=np.float64) - places[0], even=True)
+    lost = places[-1] - places[0] + 1 - len(places)
     return build_channel_take(
         path,
         names,
@@ -67,6 +74,7 @@ def read_ifacialmocap(path: Path, options: CaptureOptions) -> Capture:
             f"the stream holds no times; {_RATE} frames per second assumed",
             "head and eye rotations are kept as channels, in radians; the head's position, whose "
             "unit the stream does not say, is left out",
+            *([f"{counted(lost, 'frame')} without a face, interpolated"] if lost else []),
         ],
         format_name="ifacialmocap",
     )
