@@ -37,7 +37,7 @@ def test_weights_beyond_the_range_and_pairs_that_repeat_are_told(
         takes=(*pairs.takes, pairs.takes[3]),
         tuned=pairs.tuned[again],
     )
-    monkeypatch.setattr("usdface.steps.train.read_references", lambda path: changed)
+    monkeypatch.setattr("usdface.steps.train.read_set_references", lambda path: changed)
     notes = execute(TrainSpec(references=given, out=out, method="ridge")).notes
     assert any(note.startswith("1 weight of the pairs beyond") for note in notes)
     assert any(note.startswith("left out 1 pair that others repeat") for note in notes)
