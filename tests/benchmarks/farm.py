@@ -3,7 +3,8 @@
 The take is the demo's actor again and again, 432,000 frames. Both routes are the installed command
 line on the same files; times are of the processor, all processes together, since other work on the
 machine would count otherwise. By default `usdface submit` gives an hour to one task; it is also
-cut into four, played as value clips and merged.
+cut into four, played as value clips and merged. What openjd takes to watch a task
+that only waits stands beside them: it is in every row below.
 """
 
 import resource
@@ -33,6 +34,12 @@ def run(frames: int = FRAMES) -> None:
         whole = _timed(["run", str(_job(folder, "whole"))])
         quarter = ("--chunk", str(-(-frames // 4)))
         print(f"| one process | 1 | {whole[0]:.1f} | 1.00 | {whole[1]:.1f} | |", flush=True)
+        idle = _timed(["run", str(_idle(folder, whole[1]))], command="openjd")
+        print(
+            f"| openjd run of a task that waits as long | 1 | {idle[0]:.1f} "
+            f"| {idle[0] / whole[0]:.2f} | {idle[1]:.1f} | |",
+            flush=True,
+        )
         for label, name, options in (
             ("openjd run, chunks as by default", "default", ()),
             ("openjd run, four chunks as value clips", "clips", (*quarter, "--clips", "always")),
@@ -92,11 +99,24 @@ def _job(folder: Path, name: str) -> Path:
     return file
 
 
-def _timed(arguments: list[str]) -> tuple[float, float]:
+def _idle(folder: Path, seconds: float) -> Path:
+    """Write a job of one task that only waits: what openjd itself takes."""
+    action = {"onRun": {"command": "sleep", "args": [f"{seconds:.1f}"]}}
+    job = {
+        "specificationVersion": "jobtemplate-2023-09",
+        "name": "idle",
+        "steps": [{"name": "idle", "script": {"actions": action}}],
+    }
+    file = folder / "idle.yaml"
+    file.write_text(yaml.safe_dump(job), encoding="utf-8")
+    return file
+
+
+def _timed(arguments: list[str], *, command: str = "usdface") -> tuple[float, float]:
     """Return processor and wall time of a command and all that it starts [s]."""
-    usdface = shutil.which("usdface", path=str(Path(sys.executable).parent)) or "usdface"
+    found = shutil.which(command, path=str(Path(sys.executable).parent)) or command
     before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run([usdface, *arguments], check=True, capture_output=True)
+    subprocess.run([found, *arguments], check=True, capture_output=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return used, time.perf_counter() - begun
