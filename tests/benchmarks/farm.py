@@ -21,35 +21,43 @@ import yaml
 
 FRAMES = 432_000
 MOST_OVERHEAD = 1.1
+ROUNDS = 3
+WHOLE = "one process"
+IDLE = "openjd run of a task that waits as long"
 
 
 def run(frames: int = FRAMES) -> None:
-    """Print processor and wall times of each route, and whether it agrees value for value."""
+    """Print processor and elapsed times of each route, and whether it agrees value for value."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         _make_shot(folder, frames)
-        print(f"{frames:,} frames; target {MOST_OVERHEAD}\n")
-        print("| route | tasks | processor s | ratio | wall s | equal |")
-        print("|---|---|---|---|---|---|")
-        whole = _timed(["run", str(_job(folder, "whole"))])
+        print(f"{frames:,} frames; target {MOST_OVERHEAD}; medians of {ROUNDS} rounds\n")
+        print("| route | tasks | processor s | ratio | elapsed s | ratio | equal |")
+        print("|---|---|---|---|---|---|---|")
         quarter = ("--chunk", str(-(-frames // 4)))
-        print(f"| one process | 1 | {whole[0]:.1f} | 1.00 | {whole[1]:.1f} | |", flush=True)
-        idle = _timed(["run", str(_idle(folder, whole[1]))], command="openjd")
-        print(
-            f"| openjd run of a task that waits as long | 1 | {idle[0]:.1f} "
-            f"| {idle[0] / whole[0]:.2f} | {idle[1]:.1f} | |",
-            flush=True,
-        )
-        for label, name, options in (
-            ("openjd run, chunks as by default", "default", ()),
-            ("openjd run, four chunks as value clips", "clips", (*quarter, "--clips", "always")),
-            ("openjd run, four chunks merged", "merged", (*quarter, "--clips", "never")),
-        ):
-            told = _timed(["submit", str(_job(folder, name)), *options])
-            tasks = len(list(folder.glob(f"{name}.job-*.bundle/tasks/*/*.yaml")))
+        routes = {
+            "openjd run, chunks as by default": ("default", ()),
+            "openjd run, four chunks as value clips": ("clips", (*quarter, "--clips", "always")),
+            "openjd run, four chunks merged": ("merged", (*quarter, "--clips", "never")),
+        }
+        found: dict[str, list[tuple[float, float]]] = {WHOLE: [], IDLE: []}
+        for turn in range(ROUNDS):
+            found[WHOLE].append(_timed(["run", str(_job(folder, f"whole{turn}"))]))
+            idle = _idle(folder, found[WHOLE][-1][1])
+            found[IDLE].append(_timed(["run", str(idle)], command="openjd"))
+            for label, (name, options) in routes.items():
+                job = _job(folder, f"{name}{turn}")
+                found.setdefault(label, []).append(_timed(["submit", str(job), *options]))
+        for label, seconds in found.items():
+            name = routes[label][0] if label in routes else ""
+            bundle = f"{name}0.job-*.bundle/tasks/*/*.yaml"
+            tasks = len(list(folder.glob(bundle))) if name else 1
+            equal = str(_equal(folder, f"{name}0")) if name else ""
+            ratios = np.array(seconds) / np.array(found[WHOLE])
+            (used, elapsed), (own, other) = np.median(seconds, axis=0), np.median(ratios, axis=0)
             print(
-                f"| {label} | {tasks} | {told[0]:.1f} | {told[0] / whole[0]:.2f} | {told[1]:.1f} "
-                f"| {_equal(folder, name)} |",
+                f"| {label} | {tasks} | {used:.1f} | {own:.2f} | {elapsed:.1f} | {other:.2f} "
+                f"| {equal} |",
                 flush=True,
             )
 
@@ -125,5 +133,5 @@ def _timed(arguments: list[str], *, command: str = "usdface") -> tuple[float, fl
 def _equal(folder: Path, name: str) -> bool:
     from usdface.usdio.performance import read_weights
 
-    whole, chunked = (read_weights(folder / f"{each}.usda") for each in ("whole", name))
+    whole, chunked = (read_weights(folder / f"{each}.usda") for each in ("whole0", name))
     return whole.names == chunked.names and bool(np.array_equal(whole.values, chunked.values))
