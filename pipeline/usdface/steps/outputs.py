@@ -3,15 +3,21 @@
 import contextlib
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 from usdface.errors import InputError
+from usdface.layer_names import weights_path
 from usdface.provenance import Provenance, canonical_json, hash_files
+from usdface.specs import bind as bind_specs
+from usdface.specs import references as references_specs
 from usdface.specs.base import IMAGE_SUFFIXES, LAYER_SUFFIXES, Reads, Spec, Writes
 from usdface.specs.confinement import confinement_root
 from usdface.specs.movie import MOVIE_SUFFIXES
 from usdface.specs.report import PAGE_SUFFIXES
 from usdface.steps.confined_inputs import check_confined_inputs
+from usdface.usdio import pairs as pairs_files
+from usdface.usdio import take_write as take_files
 from usdface.usdio.layers import dependencies, is_layer_name, read_provenance
 
 LARGEST_FIGURES_BYTES = 64 << 20
@@ -27,18 +33,18 @@ ALIKE = (
 """Steps that make the same kind of file; any other makes one of its own."""
 
 
-BESIDE = {
-    "ingest": "samples.usdc",
-    "clean": "samples.usdc",
-    "map": "weights.usdc",
-    "join": "weights.usdc",
-    "select": "proposed.usda",
-    "references-from-edits": "proposed.usda",
-    "pairs-propose": "proposed.usda",
-    "pairs-import": "proposed.usda",
-    "bind": "proposed.usda",
+BESIDE: dict[str, Callable[[Path], Path]] = {
+    "ingest": take_files.samples_path,
+    "clean": take_files.samples_path,
+    "map": weights_path,
+    "join": weights_path,
+    "select": references_specs.proposed_path,
+    "references-from-edits": references_specs.proposed_path,
+    "pairs-propose": pairs_files.samples_path,
+    "pairs-import": pairs_files.samples_path,
+    "bind": bind_specs.proposed_path,
 }
-"""What a step writes beside the layer to open: NAME.usda has its samples in NAME.samples.usdc."""
+"""Where a step writes what lies beneath the layer to open."""
 
 
 def check_inputs(spec: Spec) -> None:
@@ -124,8 +130,10 @@ def foreign_beside(spec: Spec, path: Path) -> Path | None:
     """Return the file of somebody else where a step would write a layer beneath its output."""
     if spec.step not in BESIDE:
         return None
-    beside = path.with_name(f"{path.stem}.{BESIDE[spec.step]}")
-    return beside if beside.exists() and provenance_of(beside) is None else None
+    beside = BESIDE[spec.step](path)
+    if beside == path or not beside.exists() or provenance_of(beside) is not None:
+        return None
+    return beside
 
 
 def _is_layer_of(path: Path, inputs: list[Path]) -> Path | None:
