@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdSkel
 
-from tests.steps.small_shot import Shot
+from tests.steps.small_shot import FRAMES, Shot
 from usdface.deformer import Deformer
 from usdface.errors import InputError
 from usdface.layer_names import edits_path
@@ -100,6 +100,86 @@ def test_mapping_again_keeps_every_edit_and_says_where_the_solve_changed(shot: S
     moved = abs(held["solve_change"])
     told = [note for note in notes if note.startswith("jawOpen 92-208: the solve beneath")]
     assert bool(told) == (moved > 0.1)
+
+
+def test_an_edit_to_the_last_frame_ends_there_when_the_take_is_mapped_further(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    solved = curve(path, "jawOpen")
+    remap(shot, frames="100-200")
+    edit(path, add=0.1, frames="150-200", fade=4)
+    edit(path, shape="eyeBlinkLeft", override=1.0, frames="90-120")
+    edit(path, shape="browInnerUp", add=0.1)
+    changed = replace(read_weights(path), values=read_weights(path).values.copy())
+    changed.values[-1, changed.names.index("jawRight")] += 0.3
+    csv_file = shot / "changed.csv"
+    with csv_file.open("w", newline="") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(["frame", *changed.names])
+        rows.writerows([f, *row] for f, row in zip(range(100, 201), changed.values, strict=True))
+    run(EditsImportSpec(performance=path, changed=csv_file))
+    remap(shot)
+    shown = curve(path, "jawOpen") - solved
+    fade = 0.5 + 0.5 * np.cos(np.pi * np.arange(6) / 5)
+    np.testing.assert_allclose(shown[149:200], 0.1, atol=1e-6)
+    np.testing.assert_allclose(shown[199:205], 0.1 * fade, atol=1e-6)
+    np.testing.assert_allclose(shown[205:], 0.0, atol=1e-6)
+    assert [
+        (each["shape"], each["first"], each["last"])
+        for each in list_edits(path).figures["edits"]
+        if each["shape"] in ("eyeBlinkLeft", "jawRight")
+    ] == [("eyeBlinkLeft", 90, 120), ("jawRight", 200, 200)]
+    brow = [each for each in list_edits(path).figures["edits"] if each["shape"] == "browInnerUp"]
+    assert [(each["first"], each["last"]) for each in brow] == [(1, FRAMES)]  # told of all frames
+
+
+def shot_above(performance: Path) -> Path:
+    """Return a layer of a shot that has a performance as its sublayer."""
+    layer = Sdf.Layer.CreateNew(str(performance.with_name("sq10.usda")))
+    below = Sdf.Layer.FindOrOpen(str(performance))
+    layer.timeCodesPerSecond = layer.framesPerSecond = below.timeCodesPerSecond
+    layer.startTimeCode, layer.endTimeCode = below.startTimeCode, below.endTimeCode
+    layer.subLayerPaths = [f"./{performance.name}"]
+    layer.Save()
+    return Path(layer.realPath)
+
+
+def test_in_a_shot_the_edits_of_the_performance_beneath_are_changed_as_well(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    solved = curve(path, "jawOpen")
+    edit(path, add=0.1)
+    edit(path, override=0.6, frames="300-320", fade=3)
+    above = shot_above(path)
+    edit(above, override=0.5)
+    np.testing.assert_allclose(curve(above, "jawOpen"), 0.5, atol=1e-6)
+    edit(above, clear=True)
+    np.testing.assert_allclose(curve(above, "jawOpen"), solved, atol=1e-6)
+    assert list_edits(above).figures == {"edits": []}
+    edit(above, add=0.2, frames="50-60")
+    np.testing.assert_allclose(curve(above, "jawOpen")[49:60], solved[49:60] + 0.2, atol=1e-6)
+    np.testing.assert_allclose(curve(above, "jawOpen")[60:], solved[60:], atol=1e-6)
+    np.testing.assert_allclose(curve(path, "jawOpen")[299:320], 0.6, atol=1e-6)  # as it was
+
+
+def test_an_edit_that_a_stronger_layer_would_hide_is_refused(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, add=0.1)
+    top = Sdf.Layer.FindOrOpen(str(path))
+    prim = Sdf.CreatePrimInLayer(top, "/character/FaceSolve")
+    Sdf.AttributeSpec(prim, "face:edit:jawOpen", Sdf.ValueTypeNames.Float).default = 0.3
+    top.Save()
+    before = edits_path(path).read_bytes()
+    with pytest.raises(InputError, match=r"shot.hero.usda <.*face:edit:jawOpen>: is stronger"):
+        edit(path, clear=True)
+    assert edits_path(path).read_bytes() == before
+    edit(path, shape="jawLeft", add=0.1)  # of which the top layer says nothing
+
+
+@pytest.mark.parametrize("frames", ["400-100000000", "-100000000-50"])
+def test_an_edit_far_beyond_both_ends_can_be_edited_again(shot: Shot, frames: str) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, add=0.1, frames=frames)
+    edit(path, add=0.1, frames=frames)
+    assert len(list_edits(path).figures["edits"]) == 1
 
 
 def test_a_large_change_beneath_an_edit_is_named_by_frame(shot: Shot) -> None:

@@ -20,9 +20,13 @@ from usdface.specs.base import frame_range
 from usdface.specs.edit import EditSpec
 from usdface.steps.report import Report
 from usdface.usdio.edits import ShapeEdit, edited_frames, read_edits, write_edits
-from usdface.usdio.frame_span import check_span
+from usdface.usdio.frame_span import UNSAMPLED_FRAMES, check_span
 from usdface.usdio.performance import PerformanceReader
 from usdface.wording import counted
+
+FARTHEST_BEYOND = UNSAMPLED_FRAMES // 4
+"""How far from a performance an edit's end is still written as an end: on both sides so far, the
+span is one that needs no samples to bear it out."""
 
 
 def run(
@@ -37,10 +41,12 @@ def run(
             f"{spec.performance}: frames {first}-{last} are not in the performance, which has "
             f"{reader.first_frame}-{reader.last_frame}"
         )
-    frames = all_frames(reader)
+    # A change of all frames holds beyond the performance's ends, as a take mapped further needs it;
+    # one of some frames ends where it was told to, though the performance may end there, too.
+    reach = None if spec.frames is None else (first - spec.fade - 1, last + spec.fade + 1)
+    frames = all_frames(reader, reach=reach)
     progress(0.2, "reading the edits")
     edits = read_edits(reader.animation, frames)
-    # Frames outside the performance hold what its ends do, so a change of all reaches there too.
     mask = np.ones(len(frames))
     if spec.frames is not None:
         mask = fade_mask(frames, first, last, fade=spec.fade)
@@ -64,9 +70,15 @@ def run(
     )
 
 
-def all_frames(reader: PerformanceReader) -> IntArray:
-    """Return every frame that the performance has or that an edit reaches."""
+def all_frames(reader: PerformanceReader, *, reach: tuple[int, int] | None = None) -> IntArray:
+    """Return every frame that the performance has, that an edit reaches, or that one is to reach.
+
+    Of the last, those far beyond the performance are left out: a curve holds there what it ends in.
+    """
     first, last = reader.first_frame, reader.last_frame
+    if reach is not None:
+        first = min(first, max(reach[0], first - FARTHEST_BEYOND))
+        last = max(last, min(reach[1], last + FARTHEST_BEYOND))
     beyond = edited_frames(reader.animation)
     if beyond is not None:
         first, last = min(first, beyond[0]), max(last, beyond[1])

@@ -10,8 +10,9 @@ from usdface.provenance import Provenance
 from usdface.specs.edit import EditsImportSpec
 from usdface.steps.edit import all_frames, renewed, solved_over
 from usdface.steps.report import Report
+from usdface.steps.weight_copies import dispute_note, is_disputed, weights_meant
 from usdface.steps.weight_tables import WeightTable, read_weight_table
-from usdface.usdio.edits import ShapeEdit, read_edits, write_edits
+from usdface.usdio.edits import ShapeEdit, edited_weights, read_edits, write_edits
 from usdface.usdio.performance import PerformanceReader
 from usdface.wording import counted
 
@@ -21,19 +22,25 @@ def run(
 ) -> Report:
     """Set edits so that the performance shows what the file shows, at the frames that it has."""
     reader = PerformanceReader(spec.performance)
-    table = read_weight_table(spec.changed)
+    table = read_weight_table(spec.changed, known=reader.names)
     known = _known_shapes(spec, reader, table)
-    frames = all_frames(reader)
+    # What is said of the last frame is not meant for those that a longer take would add.
+    frames = all_frames(reader, reach=(reader.first_frame - 1, reader.last_frame + 1))
     given = _rows(spec, reader, table)
     progress(0.3, "comparing with the solve")
     edits = read_edits(reader.animation, frames)
     solved = solved_over(reader, frames)
     rows = given[:, 0] - int(frames[0])
+    shown = edited_weights(reader.names, solved, edits) if table.copies else solved
     changed: dict[str, ShapeEdit] = {}
+    disputed: list[str] = []
     differing = np.zeros(len(rows), dtype=bool)
     for shape in known:
         beneath = solved[:, reader.names.index(shape)]
-        wanted = table.weights[given[:, 1], table.names.index(shape)] - beneath[rows]
+        before = shown[rows, reader.names.index(shape)]
+        wanted = weights_meant(table, shape, given[:, 1], before) - beneath[rows]
+        if is_disputed(table, shape, given[:, 1], before, least=spec.least):
+            disputed.append(shape)
         meant = np.abs(wanted) > spec.least
         old = edits.get(shape, ShapeEdit(no_edit(len(frames)), np.full(len(frames), np.nan)))
         if not meant.any() and not old.curve.active[rows].any():
@@ -47,7 +54,7 @@ def run(
         return Report(
             (), "nothing differs from the solve; no edits were made", _notes(reader, table)
         )
-    notes = _notes(reader, table)
+    notes = _notes(reader, table) + dispute_note(disputed)
     if 2 * int(differing.sum()) > len(rows) > 1:
         notes += (
             "most frames differ: if the take was mapped again after this file was baked, what the "

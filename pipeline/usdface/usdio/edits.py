@@ -219,10 +219,14 @@ def write_edits(
     Raises
     ------
     InputError
-        If a layer cannot be written, or two shapes would share an attribute.
+        If a layer cannot be written, two shapes would share an attribute, or a stronger layer has
+        edits of a shape, so that these would not show.
     """
     path = edits_path(performance)
     stage = animation.GetStage()
+    names = UsdSkel.Animation(animation).GetBlendShapesAttr().Get() or ()
+    tokens = _attribute_names([*map(str, names), *edits])
+    elsewhere = {shape: _edited_elsewhere(animation, path, tokens[shape]) for shape in edits}
     with new_layer(path, provenance) as layer:
         if path.is_file():
             layer.TransferContent(open_layer(path))
@@ -237,10 +241,8 @@ def write_edits(
             last=max(top.endTimeCode, int(frames[-1])),
         )
         prim = Sdf.CreatePrimInLayer(layer, animation.GetPath())
-        names = UsdSkel.Animation(animation).GetBlendShapesAttr().Get() or ()
-        tokens = _attribute_names([*map(str, names), *edits])
         for shape, edit in edits.items():
-            _write_shape(prim, shape, tokens[shape], edit, frames)
+            _write_shape(prim, shape, tokens[shape], edit, frames, beneath=elsewhere[shape])
     compose_edits(performance)
     return path
 
@@ -273,27 +275,65 @@ def _attribute_names(shapes: Iterable[str]) -> dict[str, str]:
     return names
 
 
+def _edited_elsewhere(animation: Usd.Prim, path: Path, name: str) -> frozenset[str]:
+    """Return which kinds of edits weaker layers than `path` have of a shape.
+
+    Raises
+    ------
+    InputError
+        If a stronger one has any.
+    """
+    local = animation.GetStage().GetLayerStack(includeSessionLayers=False)
+    files = [Path(layer.realPath).resolve() for layer in local]
+    own = path.resolve()
+    strength = files.index(own) if own in files else 1  # it will be the first below the top layer
+    found = set[str]()
+    for prefix in (OFFSET, OVERRIDE, MASK):
+        attribute = animation.GetAttribute(prefix + name)
+        for spec in attribute.GetPropertyStack(Usd.TimeCode.Default()) if attribute else ():
+            if spec.layer in local[:strength]:
+                raise InputError(
+                    f"{spec.layer.realPath} <{spec.path}>: is stronger than {path}, where edits "
+                    "are written, so that no change would show; take it out there, or move it to "
+                    "that layer"
+                )
+            if Path(spec.layer.realPath).resolve() != own:
+                found.add(prefix)
+    return frozenset(found)
+
+
 def _write_shape(
-    prim: Sdf.PrimSpec, shape: str, name: str, edit: ShapeEdit, frames: IntArray
+    prim: Sdf.PrimSpec,
+    shape: str,
+    name: str,
+    edit: ShapeEdit,
+    frames: IntArray,
+    *,
+    beneath: frozenset[str],
 ) -> None:
+    """Write all attributes of a shape; `beneath` are the kinds that weaker layers have of it.
+
+    What is nothing is left out, but for those: they would show through.
+    """
     curve = edit.curve
     active = np.flatnonzero(curve.active)
     overridden = curve.mask > 0
-    _write_curve(prim, OFFSET + name, shape, frames, curve.offset if curve.offset.any() else None)
+    offset = curve.offset if curve.offset.any() or OFFSET in beneath else None
+    _write_curve(prim, OFFSET + name, shape, frames, offset)
     held = None
     if overridden.any():
         held = np.interp(frames, frames[overridden], curve.override[overridden])
     _write_curve(prim, OVERRIDE + name, shape, frames, held)
-    _write_curve(prim, MASK + name, shape, frames, curve.mask if overridden.any() else None)
+    mask = curve.mask if overridden.any() or OVERRIDE in beneath else None
+    _write_curve(prim, MASK + name, shape, frames, mask)
     if not len(active):
         _write_curve(prim, BENEATH + name, shape, frames, None)
         return
-    part = slice(int(active[0]), int(active[-1]) + 1)
-    beneath = edit.beneath[part]
-    known = np.isfinite(beneath)
-    if not known.any():
+    told = np.flatnonzero(curve.active & np.isfinite(edit.beneath))
+    if not len(told):
         return
-    filled = np.interp(np.arange(len(beneath)), np.flatnonzero(known), beneath[known])
+    part = slice(int(told[0]), int(told[-1]) + 1)  # beyond, there was no solve to be seen
+    filled = np.interp(np.arange(part.start, part.stop), told, edit.beneath[told])
     keys = reduce_keys(filled[:, None], BENEATH_TOLERANCE)
     _write_samples(prim, BENEATH + name, shape, frames[part][keys], filled[keys])
 
