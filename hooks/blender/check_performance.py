@@ -2,6 +2,8 @@
 
     blender --background --python check_performance.py -- kitchen.hero.usda
 
+Where Blender is a Python module, ``python check_performance.py -- FILE`` does the same.
+
 Imports the file as an artist would and looks at every shape key on two frames and between. Ends
 with 0 if shapes move, with 1 if none does, with 2 if the file cannot be imported.
 """
@@ -68,8 +70,15 @@ def check(bpy, file):
         sys.stderr.write(f"{file}: Blender did not finish importing it\n")
         return 2
     scene = bpy.context.scene
+    if not len(bpy.data.meshes):
+        sys.stderr.write(
+            f"{file}: opens without a mesh: a layer of weights, baked or not, is no character; "
+            "give Blender the performance, a published version or what `usdface package` wrote\n"
+        )
+        return 1
     sys.stdout.write(
-        f"{file}: frames {scene.frame_start}-{scene.frame_end}, {scene.render.fps} fps\n"
+        f"{file}: frames {scene.frame_start}-{scene.frame_end}; the scene keeps its own rate, "
+        f"{scene.render.fps / scene.render.fps_base:.6g} frames per second: set the take's\n"
     )
     moving = moving_shapes(bpy)
     for name, travel in sorted(moving.items(), key=lambda each: -each[1]):

@@ -61,7 +61,8 @@ class Key:
 
 def blender(*speeds: float, result: object = frozenset({"FINISHED"})) -> SimpleNamespace:
     """As much of bpy as the check asks for."""
-    scene = SimpleNamespace(frame_start=1, frame_end=100, render=SimpleNamespace(fps=24), now=1)
+    render = SimpleNamespace(fps=30, fps_base=1.001)
+    scene = SimpleNamespace(frame_start=1, frame_end=100, render=render, now=1)
     scene.frame_set = lambda frame: setattr(scene, "now", frame)
     keys = [Key(f"s{number}", scene, speed) for number, speed in enumerate((0.0, *speeds))]
     mesh = SimpleNamespace(name="face", shape_keys=SimpleNamespace(key_blocks=keys))
@@ -86,9 +87,18 @@ def test_blenders_check_tells_moving_shapes_from_still_ones(capsys) -> None:
     told = capsys.readouterr().out
     assert "face.s1: moves by 0.990" in told
     assert "1 shapes are animated" in told
+    assert "its own rate, 29.97 frames per second" in told
     assert check.check(blender(0.0), "x.usda") == 1
     assert check.check(blender(0.01, result=RuntimeError("no file")), "x.usda") == 2
     assert check.check(blender(0.01, result={"CANCELLED"}), "x.usda") == 2
+
+
+def test_blenders_check_says_what_to_give_where_there_is_no_mesh(capsys) -> None:
+    without = blender(0.01)
+    without.data.meshes.clear()
+    check = load("blender/check_performance.py")
+    assert check.check(without, "shot.published.usdc") == 1
+    assert "opens without a mesh" in capsys.readouterr().err
 
 
 def test_every_hook_reads_as_python() -> None:

@@ -9,6 +9,7 @@ from usdface.provenance import Provenance
 from usdface.specs.references import ReferencesImportSpec, tuned_path
 from usdface.steps.conflict_notes import tuned_conflicts
 from usdface.steps.report import Report
+from usdface.steps.weight_copies import weights_meant
 from usdface.steps.weight_tables import WeightTable, read_weight_table
 from usdface.usdio.references import TunedPair, read_references, write_tuned_weights
 from usdface.wording import counted
@@ -22,7 +23,7 @@ def run(
 ) -> Report:
     """Match the file's rows to pairs and its columns to shapes, and write the tuned layer."""
     references = read_references(spec.references)
-    table = read_weight_table(spec.weights)
+    table = read_weight_table(spec.weights, known=references.shape_names)
     known = [name for name in table.names if name in references.shape_names]
     if not known:
         raise InputError(
@@ -81,7 +82,6 @@ def _key(spec: ReferencesImportSpec, pair: TunedPair) -> int:
 def _pairs(
     spec: ReferencesImportSpec, references: References, table: WeightTable, known: list[str]
 ) -> list[TunedPair]:
-    columns = [table.names.index(name) for name in known]
     row_of = {frame: row for row, frame in enumerate(table.frames)}
     keys = (
         references.frames
@@ -101,7 +101,8 @@ def _pairs(
             continue  # between two pairs lies nothing that anybody meant
         # A shape the file does not name keeps what composes now.
         weights = dict(zip(references.shape_names, references.weights[pair].tolist(), strict=True))
-        values = table.weights[row_of[key], columns].tolist()
-        weights.update(zip(known, values, strict=True))
+        row = np.array([row_of[key]])
+        for name in known:
+            weights[name] = float(weights_meant(table, name, row, np.array([weights[name]]))[0])
         pairs.append(TunedPair(pair, references.takes[pair], int(references.frames[pair]), weights))
     return pairs

@@ -12,6 +12,7 @@ import numpy as np
 
 from usdface.assets import FloatArray
 from usdface.errors import InputError
+from usdface.usdio.blender_export import BlenderWeights, blender_names, read_blender_weights
 from usdface.usdio.frame_span import FARTHEST_FRAME
 from usdface.usdio.layers import LAYER_SUFFIXES
 from usdface.usdio.performance import PerformanceReader
@@ -32,6 +33,9 @@ class WeightTable:
         Frames per second; None where the file does not say.
     keyed : frozenset of int
         Frames that the file itself holds; at the others, of USD, it is interpolated.
+    copies : tuple of (meshes, frames) float array
+        By shape, what each mesh that has it shows, of a tool that keys shapes per mesh; `weights`
+        has the first. Empty of other tools.
     """
 
     names: tuple[str, ...]
@@ -39,6 +43,7 @@ class WeightTable:
     weights: FloatArray
     rate: Fraction | None = None
     keyed: frozenset[int] = frozenset()
+    copies: tuple[FloatArray, ...] = ()
 
     def columns(self, names: tuple[str, ...]) -> FloatArray:
         """Return the weights in another order of shapes; 0 for those the table lacks."""
@@ -50,8 +55,14 @@ class WeightTable:
         return out
 
 
-def read_weight_table(path: Path) -> WeightTable:
+def read_weight_table(path: Path, *, known: tuple[str, ...] = ()) -> WeightTable:
     """Read weights from .csv or .json (a ``frame`` column, then one per shape), or from USD.
+
+    Parameters
+    ----------
+    path : Path
+    known : tuple of str
+        Shapes that are expected: where a tool made identifiers of these names, they are undone.
 
     Raises
     ------
@@ -59,6 +70,9 @@ def read_weight_table(path: Path) -> WeightTable:
         If the file is no such table; the line and the column are named.
     """
     if path.suffix in (*LAYER_SUFFIXES, ".usdz"):
+        exported = read_blender_weights(path)
+        if exported is not None:
+            return _blender_table(exported, known)
         reader = PerformanceReader(path)
         weights = reader.edited().astype(np.float64)
         numbers = tuple(reader.frames.tolist())
@@ -81,6 +95,15 @@ def read_weight_table(path: Path) -> WeightTable:
     if count > 1:
         raise InputError(f"{path}: frame {twice} is there {count} times; keep one row")
     return WeightTable(names, tuple(frames), weights, keyed=frozenset(frames))
+
+
+def _blender_table(exported: BlenderWeights, known: tuple[str, ...]) -> WeightTable:
+    made = Counter(each for name in known for each in set(blender_names(name)))
+    real = {each: name for name in known for each in blender_names(name) if made[each] == 1}
+    names = tuple(real.get(name, name) for name in exported.names)
+    weights = np.stack([each[0] for each in exported.copies], axis=1)
+    frames, rate, keyed = exported.frames, exported.rate, exported.keyed
+    return WeightTable(names, frames, weights, rate, keyed, exported.copies)
 
 
 def _read_text(path: Path) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdSkel
+from pxr import Sdf, Usd, UsdSkel
 
 from usdface.assets import Float32Array, FloatArray, IntArray, Performance, WeightsClip
 from usdface.errors import InputError
@@ -26,6 +26,8 @@ class PerformanceReader:
     ----------
     path : Path
         Any USD file that holds one face whose weights are animated.
+    animation : Sdf.Path, optional
+        The animation, where a file has several for one face.
 
     Raises
     ------
@@ -34,13 +36,17 @@ class PerformanceReader:
     """
 
     @refusing_wrong_types
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, animation: Sdf.Path | None = None) -> None:
         self.path = path
         self.stage = open_stage(path)
-        self.animation = find_animation(self.stage, path)
-        animation = UsdSkel.Animation(self.animation)
-        self.names = tuple(map(str, animation.GetBlendShapesAttr().Get() or ()))
-        self._weights = animation.GetBlendShapeWeightsAttr()
+        self.animation = (
+            find_animation(self.stage, path)
+            if animation is None
+            else self.stage.GetPrimAtPath(animation)
+        )
+        weights = UsdSkel.Animation(self.animation)
+        self.names = tuple(map(str, weights.GetBlendShapesAttr().Get() or ()))
+        self._weights = weights.GetBlendShapeWeightsAttr()
         self.first_frame, self.last_frame = span_of_samples(
             f"{path} <{self._weights.GetPath()}>", self._weights.GetTimeSamples()
         )
@@ -160,12 +166,7 @@ def find_animation(stage: Usd.Stage, path: Path) -> Usd.Prim:
     InputError
         If there is none, or more than one.
     """
-    found: dict[str, Usd.Prim] = {}
-    for prim in stage.Traverse():
-        if prim.IsA(UsdSkel.Skeleton):
-            source = UsdSkel.BindingAPI(prim).GetInheritedAnimationSource()
-            if source and _weight_samples(source):
-                found[str(source.GetPath())] = source
+    found = animations_of_skeletons(stage)
     if not found:
         found = {
             str(prim.GetPath()): prim
@@ -180,6 +181,17 @@ def find_animation(stage: Usd.Stage, path: Path) -> Usd.Prim:
             "open one face at a time"
         )
     return next(iter(found.values()))
+
+
+def animations_of_skeletons(stage: Usd.Stage) -> dict[str, Usd.Prim]:
+    """Return the animations with weights over time that skeletons of a stage follow, by path."""
+    found: dict[str, Usd.Prim] = {}
+    for prim in stage.Traverse():
+        if prim.IsA(UsdSkel.Skeleton):
+            source = UsdSkel.BindingAPI(prim).GetInheritedAnimationSource()
+            if source and _weight_samples(source):
+                found[str(source.GetPath())] = source
+    return found
 
 
 def read_weights(path: Path) -> WeightsClip:
