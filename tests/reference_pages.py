@@ -10,7 +10,8 @@ from typing import Any, Literal
 import typer
 from pxr import Sdf
 
-from usdface.cli.app import COMMON, EPILOG, app
+from usdface.cli.app import COMMON, app
+from usdface.cli.command_list import EPILOG
 from usdface.specs.base import Reads, Spec, Writes
 from usdface.specs.job import STEP_SPECS
 
@@ -31,7 +32,7 @@ def reference_pages(usd_schema: Path) -> dict[str, str]:
 
 
 def _command_line() -> str:
-    found = sorted(_commands(app, "usdface"))
+    found = sorted(_commands(typer.main.get_command(app), "usdface"))
     titles = [name for name, _ in found]
     parts = [
         "# The command line",
@@ -49,14 +50,12 @@ def _command_line() -> str:
     return "\n".join(parts)
 
 
-def _commands(app: typer.Typer, above: str) -> Iterator[tuple[str, Any]]:
-    for command in app.registered_commands:
-        if command.callback is not None:
-            name = command.name or command.callback.__name__.replace("_", "-")
+def _commands(group: Any, above: str) -> Iterator[tuple[str, Any]]:
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from _commands(command, f"{above} {name}")
+        else:
             yield f"{above} {name}", command.callback
-    for group in app.registered_groups:
-        if group.typer_instance is not None:
-            yield from _commands(group.typer_instance, f"{above} {group.name}")
 
 
 def _contents(titles: list[str]) -> str:

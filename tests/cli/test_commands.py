@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from tests.usdio.small_rig import small_rig
-from usdface.cli import main
+from usdface.cli import command_list, main
 from usdface.cli.app import app
 from usdface.cli.command_list import SECTIONS
 from usdface.errors import InputError
@@ -153,6 +153,20 @@ def test_every_command_is_listed_once_under_a_heading() -> None:
     assert isinstance(group, TyperGroup)
     listed = [name for names in SECTIONS.values() for name in names]
     assert sorted(listed) == sorted(group.commands)
+
+
+def test_a_command_makes_no_other(monkeypatch, capsys) -> None:
+    """Forty commands take longer to make than all else that one starts with."""
+    made = []
+    one = command_list._command
+    monkeypatch.setattr(
+        command_list, "_command", lambda name, function: made.append(name) or one(name, function)
+    )
+    assert run("pairs", "import", "--help") == 0
+    assert " pairs import [OPTIONS]" in capsys.readouterr().out
+    assert made == ["import"]
+    assert run("pairs", "imprt") == 2
+    assert "Did you mean 'import'?" in capsys.readouterr().err
 
 
 def test_the_list_of_commands_says_whole_sentences(capsys) -> None:

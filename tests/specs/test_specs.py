@@ -11,6 +11,7 @@ from tests.regenerate import JSON_SCHEMAS, json_schemas
 from usdface.errors import InputError
 from usdface.specs.base import Reads, Writes, frame_range
 from usdface.specs.fault_words import PATTERN_WORDS
+from usdface.specs.field_help import field_help
 from usdface.specs.job import STEP_SPECS, JobSpec
 from usdface.specs.map import MapSpec
 from usdface.specs.reading import read_job, spec_text
@@ -166,8 +167,22 @@ def test_specs_are_frozen() -> None:
 def test_every_field_of_every_spec_is_documented() -> None:
     for spec in STEP_SPECS:
         assert spec.example.startswith("usdface ")
-        for name, field in spec.model_fields.items():
-            assert name == "step" or field.description, f"{spec.__name__}.{name}"
+        told = field_help(spec)
+        for name in spec.model_fields:
+            assert name == "step" or told.get(name), f"{spec.__name__}.{name}"
+
+
+def test_specs_work_without_their_source(monkeypatch) -> None:
+    def no_source(spec: type) -> str:
+        raise OSError("could not get source code")
+
+    monkeypatch.setattr(inspect, "getsource", no_source)
+    field_help.cache_clear()
+    try:
+        assert field_help(MapSpec) == {}
+        assert "take" in MapSpec.model_json_schema()["properties"]
+    finally:
+        field_help.cache_clear()
 
 
 def test_committed_json_schemas_are_those_of_the_models() -> None:

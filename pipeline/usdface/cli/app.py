@@ -4,12 +4,14 @@ import inspect
 import os
 import sys
 import traceback
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from usdface.cli.command_list import CommandList
+from usdface.cli.command_list import EPILOG, commands_on_demand
 from usdface.cli.console import (
     ProgressStyle,
     exit_code_of,
@@ -34,32 +36,6 @@ from usdface.specs.reading import read_job, spec_text
 from usdface.specs.submit import SubmitSpec
 from usdface.version import __version__
 from usdface.wording import counted
-
-EPILOG = "Exit codes: 0 done, 1 a check failed, 2 bad input, 3 interrupted."
-
-app = typer.Typer(
-    name="usdface",
-    cls=CommandList,
-    help="Facial capture to BlendShape weights, as a stage of an OpenUSD pipeline.",
-    epilog=EPILOG,
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
-pairs = typer.Typer(
-    cls=CommandList, help="Make pairs of expressions of two characters.", no_args_is_help=True
-)
-references = typer.Typer(
-    cls=CommandList,
-    help="Work on a references asset: tuned weights in, a sheet out, what edits teach.",
-    no_args_is_help=True,
-)
-edits = typer.Typer(
-    cls=CommandList,
-    help="Take edits from a DCC, or list what a performance holds.",
-    no_args_is_help=True,
-)
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for scripts.")]
 ShowProgress = Annotated[
@@ -155,19 +131,83 @@ def _folder_to_ingest(spec_type: type[Spec], values: dict[str, Any]) -> Path | N
     return sources[0] if sources and len(sources) == 1 and sources[0].is_dir() else None
 
 
-_GROUPS = {"references": references, "pairs": pairs, "edits": edits}
+def _submit(
+    spec_type: type[SubmitSpec],
+    values: dict[str, Any],
+    *,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    from usdface.farm.submit import describe, submit
+    from usdface.steps.report import Report
+
+    spec = build_spec(spec_type, values)
+    done = submit(spec, overwrite=overwrite, quiet=as_json)
+    notes = [
+        f"{path.name} is mapped in one piece: the frames of its take are known only once it is "
+        "ingested; say `frames` in the job to have it chunked"
+        for path in done.plan.whole
+    ]
+    tasks = {step.name: len(step.tasks) for step in done.plan.steps}
+    verb = "written" if spec.write_only else "done" if spec.farm == "openjd" else "submitted"
+    summary = f"{done.job}: {counted(sum(tasks.values()), 'task')}, {verb}"
+    report = Report(
+        (done.bundle,), summary, tuple(notes), {"job": done.job, "tasks": tasks}, describe(done)
+    )
+    show_report(report, as_json=as_json)
+
+
 # An edit is a person's: a job makes none again.
-_COMMANDS: tuple[type[Spec], ...] = (*STEP_SPECS, EditSpec, EditsImportSpec)
-for _spec in _COMMANDS:
-    _name = _spec.model_fields["step"].default
-    _group, _, _rest = _name.partition("-")
-    _add = _GROUPS[_group].command(_rest, epilog=EPILOG) if _group in _GROUPS else None
-    (_add or app.command(_name, epilog=EPILOG))(command_of(_spec, _run_step, COMMON))
-for _group, _commands in _GROUPS.items():
-    app.add_typer(_commands, name=_group)
+_SPECS: tuple[type[Spec], ...] = (*STEP_SPECS, EditSpec, EditsImportSpec)
+_GROUPS = {
+    "references": "Work on a references asset: tuned weights in, a sheet out, what edits teach.",
+    "pairs": "Make pairs of expressions of two characters.",
+    "edits": "Take edits from a DCC, or list what a performance holds.",
+}
 
 
-@edits.command("list", epilog=EPILOG)
+def _group_and_name(spec: type[Spec]) -> tuple[str, str]:
+    step = str(spec.model_fields["step"].default)
+    group, _, rest = step.partition("-")
+    return (group, rest) if group in _GROUPS else ("", step)
+
+
+def _commands_of(group: str) -> dict[str, Callable[[], Callable[..., None]]]:
+    """Return what makes the command of each spec in a group; the top has no name."""
+    return {
+        name: partial(command_of, spec, _run_step, COMMON)
+        for spec, (of, name) in ((spec, _group_and_name(spec)) for spec in _SPECS)
+        if of == group
+    }
+
+
+app = typer.Typer(
+    name="usdface",
+    cls=commands_on_demand(
+        _commands_of("")
+        | {
+            "tune": partial(tune_command, COMMON[-1]),
+            "submit": partial(
+                command_of, SubmitSpec, _submit, [c for c in COMMON if c.name in _SUBMIT_COMMON]
+            ),
+        }
+    ),
+    help="Facial capture to BlendShape weights, as a stage of an OpenUSD pipeline.",
+    epilog=EPILOG,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+_groups = {
+    name: typer.Typer(cls=commands_on_demand(_commands_of(name)), help=text, no_args_is_help=True)
+    for name, text in _GROUPS.items()
+}
+for _name, _group in _groups.items():
+    app.add_typer(_group, name=_name)
+
+
+@_groups["edits"].command("list", epilog=EPILOG)
 def list_edits(
     performance: Annotated[Path, typer.Argument(help="An edited performance.", show_default=False)],
     as_json: Json = False,
@@ -181,9 +221,6 @@ def list_edits(
     from usdface.steps.edited import list_edits as listed
 
     show_report(listed(performance), as_json=as_json)
-
-
-app.command("tune", epilog=EPILOG)(tune_command(COMMON[-1]))
 
 
 @app.command(epilog=EPILOG)
@@ -244,37 +281,6 @@ def check(
         return
     for number, state in enumerate(states, start=1):
         say(f"{number}. {state.spec.step}: {state.state} ({state.reason})")
-
-
-def _submit(
-    spec_type: type[SubmitSpec],
-    values: dict[str, Any],
-    *,
-    overwrite: bool,
-    as_json: bool,
-) -> None:
-    from usdface.farm.submit import describe, submit
-    from usdface.steps.report import Report
-
-    spec = build_spec(spec_type, values)
-    done = submit(spec, overwrite=overwrite, quiet=as_json)
-    notes = [
-        f"{path.name} is mapped in one piece: the frames of its take are known only once it is "
-        "ingested; say `frames` in the job to have it chunked"
-        for path in done.plan.whole
-    ]
-    tasks = {step.name: len(step.tasks) for step in done.plan.steps}
-    verb = "written" if spec.write_only else "done" if spec.farm == "openjd" else "submitted"
-    summary = f"{done.job}: {counted(sum(tasks.values()), 'task')}, {verb}"
-    report = Report(
-        (done.bundle,), summary, tuple(notes), {"job": done.job, "tasks": tasks}, describe(done)
-    )
-    show_report(report, as_json=as_json)
-
-
-app.command("submit", epilog=EPILOG)(
-    command_of(SubmitSpec, _submit, [each for each in COMMON if each.name in _SUBMIT_COMMON])
-)
 
 
 @app.command(epilog=EPILOG)

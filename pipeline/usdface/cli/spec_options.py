@@ -15,6 +15,7 @@ from pydantic.fields import FieldInfo
 
 from usdface.errors import InputError
 from usdface.specs.base import Positional, Spec
+from usdface.specs.field_help import field_help
 from usdface.specs.reading import describe_faults
 
 SpecType = TypeVar("SpecType", bound=Spec)
@@ -23,16 +24,17 @@ SpecType = TypeVar("SpecType", bound=Spec)
 def options_of(spec: type[Spec]) -> list[inspect.Parameter]:
     """Return the parameters by which the command line fills a spec."""
     parameters = []
+    texts = field_help(spec)
     for name, field in spec.model_fields.items():
         if name == "step":
             continue
         kind = _command_line_type(field.annotation)
         required = field.is_required()
         if any(isinstance(mark, Positional) for mark in field.metadata):
-            info: Any = typer.Argument(help=field.description, show_default=False)
+            info: Any = typer.Argument(help=texts.get(name), show_default=False)
         else:
             named = "<str,...>" if _is_list_of_names(field.annotation) else None
-            info = typer.Option(_option_name(name, field), help=field.description, metavar=named)
+            info = typer.Option(_option_name(name, field), help=texts.get(name), metavar=named)
         default = inspect.Parameter.empty if required else _default(field, kind)
         parameters.append(
             inspect.Parameter(
