@@ -1,5 +1,6 @@
 """Specs: what is accepted, what is refused, and with which words."""
 
+import inspect
 from collections.abc import Iterator
 from pathlib import Path
 
