@@ -14,6 +14,7 @@ from usdface.provenance import Provenance
 from usdface.usdio import weights_layer
 from usdface.usdio.performance import (
     PerformanceReader,
+    header_of,
     read_performance,
     weights_path,
     writing_performance,
@@ -166,6 +167,56 @@ def test_timing_units_and_default_prim_are_always_authored(tmp_path: Path) -> No
         assert layer.timeCodesPerSecond == layer.framesPerSecond == pytest.approx(29.97, abs=1e-3)
         assert layer.defaultPrim == "Hero"
         assert layer.pseudoRoot.GetInfo("metersPerUnit") == pytest.approx(0.01)
+
+
+def test_units_and_up_axis_are_those_of_the_rig_which_usd_shows_as_it_is(tmp_path: Path) -> None:
+    write_rig(tmp_path / "rig.usda", small_rig())
+    stage = Usd.Stage.Open(str(tmp_path / "rig.usda"))
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    stage.Save()
+    path = write(tmp_path)
+    for each in (path, weights_path(path)):
+        made = Usd.Stage.Open(str(each))
+        assert (UsdGeom.GetStageMetersPerUnit(made), UsdGeom.GetStageUpAxis(made)) == (1.0, "Z")
+
+
+def test_a_rig_that_is_mapped_to_another_place_is_gone_from_the_first(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    bare = path.read_text()
+    write(tmp_path, place="/shot/cast/hero_01")
+    stage = Usd.Stage.Open(str(path))
+    assert [str(prim.GetPath()) for prim in stage.Traverse() if prim.IsA(UsdSkel.Root)] == [
+        "/shot/cast/hero_01"
+    ]
+    hand = UsdGeom.Xform.Define(stage, "/shot/cast/hero_01/sword")
+    stage.Save()
+    write(tmp_path, place="/shot/cast/villain")
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    assert layer.GetPrimAtPath(hand.GetPath())  # somebody's own
+    assert not layer.GetPrimAtPath("/shot/cast/hero_01").hasReferences
+    del layer.rootPrims["shot"].nameChildren["cast"].nameChildren["hero_01"]
+    layer.Save()
+    write(tmp_path)
+    assert path.read_text() == bare
+
+
+def test_an_animation_beside_the_rig_is_read_with_the_place_of_the_rig(tmp_path: Path) -> None:
+    path = write(tmp_path, place="/cast/hero")
+    weights = Sdf.Layer.FindOrOpen(str(weights_path(path)))
+    Sdf.CreatePrimInLayer(weights, "/anims")
+    Sdf.CopySpec(weights, "/cast/hero/FaceSolve", weights, "/anims/face")
+    del weights.GetPrimAtPath("/cast/hero").nameChildren["FaceSolve"]
+
+    def follow(at: Sdf.Path) -> None:
+        if at.IsPrimPropertyPath() and at.name == "skel:animationSource":
+            weights.GetPropertyAtPath(at).targetPathList.explicitItems = [Sdf.Path("/anims/face")]
+
+    weights.Traverse(Sdf.Path.absoluteRootPath, follow)
+    weights.Save()
+    reader = PerformanceReader(path)
+    assert str(reader.animation.GetPath()) == "/anims/face"
+    assert header_of(reader).place == "/cast/hero"
 
 
 def test_the_rig_file_is_never_written(tmp_path: Path) -> None:

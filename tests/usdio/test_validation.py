@@ -86,6 +86,28 @@ def test_values_that_are_no_weights_are_named(tmp_path: Path, sample: list, told
     assert re.search(told, only(path, "Weights").message)
 
 
+@pytest.mark.parametrize(
+    ("held", "told"),
+    [([0.5, 0.5], "2 weights for 3 shapes"), ([0.5, np.nan, 0.5], "jawOpen is not finite")],
+)
+@pytest.mark.parametrize("animated", [True, False])
+def test_weights_that_are_held_without_samples_are_looked_at(
+    tmp_path: Path, held: list, told: str, animated: bool
+) -> None:
+    path = write(tmp_path, WEIGHTS[:4])
+
+    def hold(layer: Sdf.Layer) -> None:
+        if not animated:
+            for time in layer.ListTimeSamplesForPath(ATTRIBUTE):
+                layer.EraseTimeSample(ATTRIBUTE, time)
+        layer.GetAttributeAtPath(ATTRIBUTE).default = Vt.FloatArray(held)
+
+    change(weights_path(path), hold)
+    found = only(path, "Weights")
+    assert found.severity == "error"
+    assert found.message.startswith(f"its default: {told}")
+
+
 def test_names_without_weights_are_empty(tmp_path: Path) -> None:
     path = write(tmp_path)
 

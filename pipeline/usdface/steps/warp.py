@@ -27,7 +27,7 @@ from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
 from usdface.usdio.control_performance import controls_path, writing_control_performance
 from usdface.usdio.controls import ReadControls, read_control_clip
-from usdface.usdio.performance import weights_path
+from usdface.usdio.performance import header_of, weights_path
 from usdface.usdio.performance_reader import PerformanceReader
 from usdface.usdio.rig import read_rig
 from usdface.usdio.sequences import check_sequence_rate, read_matches, read_sequence
@@ -72,7 +72,7 @@ def run(
     # vector and back would not be the same to the last bit.
     warped = _replace_changed(read.clip.controls, space.decode(after), after != before)
     progress(0.6, "writing")
-    _write(spec, rig, reader.place, read, warped, part(progress, 0.6, 0.95), provenance)
+    _write(spec, rig, header_of(reader).place, read, warped, part(progress, 0.6, 0.95), provenance)
     if spec.curves is not None:
         _draw(spec, spec.curves, placements, space, before, after, read, provenance)
     progress(1.0, "done")

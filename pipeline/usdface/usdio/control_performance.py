@@ -156,7 +156,7 @@ def writing_control_performance(
         if beside is not None:
             layer = stack.enter_context(new_layer(beside, provenance))
             top = Sdf.Path(place or default_place(rig))
-            author_units(layer)
+            author_units(layer, like=rig.file)
             author_timing(layer, rate=rate, first=first_frame, last=last_frame)
             layer.defaultPrim = top.GetPrefixes()[0].name
             others = ControlsLayer(

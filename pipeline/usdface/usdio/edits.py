@@ -231,7 +231,7 @@ def write_edits(
         if path.is_file():
             layer.TransferContent(open_layer(path))
         else:
-            author_units(layer)
+            author_units(layer, like=performance)
             layer.defaultPrim = animation.GetPath().GetPrefixes()[0].name
         top = stage.GetRootLayer()
         author_timing(

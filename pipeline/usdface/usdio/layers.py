@@ -360,11 +360,23 @@ def author_timing(layer: Sdf.Layer, *, rate: Fraction, first: float, last: float
     layer.endTimeCode = last
 
 
-def author_units(layer: Sdf.Layer) -> None:
-    """Set centimetres and Y up on a layer."""
-    root = layer.pseudoRoot
-    root.SetInfo("metersPerUnit", CENTIMETRES)
-    root.SetInfo("upAxis", "Y")
+def author_units(layer: Sdf.Layer, *, like: Path | None = None) -> None:
+    """Set centimetres and Y up on a layer, or what a file has that it references.
+
+    Parameters
+    ----------
+    layer : Sdf.Layer
+    like : Path, optional
+        A file whose prims the layer shows as they are: USD converts no units on a reference.
+    """
+    metres, up = CENTIMETRES, "Y"
+    if like is not None:
+        other = open_layer(like)  # held: what a layer lends does not outlive it
+        said = other.pseudoRoot
+        metres = said.GetInfo("metersPerUnit") if said.HasInfo("metersPerUnit") else metres
+        up = said.GetInfo("upAxis") if said.HasInfo("upAxis") else UsdGeom.GetFallbackUpAxis()
+    layer.pseudoRoot.SetInfo("metersPerUnit", metres)
+    layer.pseudoRoot.SetInfo("upAxis", up)
 
 
 def relative_path(target: Path, layer_path: Path) -> str:

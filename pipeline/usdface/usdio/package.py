@@ -15,6 +15,7 @@ from usdface.usdio.layers import (
     usd_errors_as_input_errors,
 )
 from usdface.usdio.performance_reader import PerformanceReader
+from usdface.usdio.rig_reference import place_of
 
 
 def write_package(
@@ -44,11 +45,11 @@ def write_package(
     """
     rig_file, rig_prim = reader.rig()
     source = Sdf.Path(rig_prim).GetPrefixes()[0]
-    place = Sdf.Path(reader.place)
+    place = Sdf.Path(place_of(reader.stage, reader.animation))
     top_file = weights.with_name("review.usdc")
     with usd_errors_as_input_errors(target, "packing it"):
         top = Sdf.Layer.CreateNew(str(top_file))
-        author_units(top)
+        author_units(top, like=rig_file)
         if provenance is not None:
             top.customLayerData = {"usdface": provenance_data(provenance)}
         author_timing(top, rate=reader.rate, first=reader.first_frame, last=reader.last_frame)

@@ -2,12 +2,14 @@
 
 import contextlib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
 from pxr import Sdf
 
 from usdface.assets import Rig
+from usdface.errors import InputError
 from usdface.layer_names import edits_path, weights_path
 from usdface.provenance import Provenance
 from usdface.usdio.clips import clear_parts, writing_parts
@@ -16,6 +18,7 @@ from usdface.usdio.layers import (
     author_units,
     new_layer,
     open_layer,
+    read_provenance,
     relative_path,
 )
 from usdface.usdio.performance_reader import (
@@ -24,8 +27,13 @@ from usdface.usdio.performance_reader import (
     read_performance,
     read_weights,
 )
-from usdface.usdio.rig_reference import default_place, define_reference
-from usdface.usdio.weights_layer import WeightsHeader
+from usdface.usdio.rig_reference import (
+    default_place,
+    define_reference,
+    forget_reference,
+    place_of,
+)
+from usdface.usdio.weights_layer import WeightsHeader, place_in
 from usdface.usdio.weights_process import FrameWriter, writing_frames
 
 __all__ = [
@@ -111,15 +119,18 @@ def writing_top(
     It is locked from the start: nobody else can write this performance meanwhile.
     """
     with new_layer(path, provenance) as layer:
+        before = _before(path)
         yield
         if path.is_file():
             layer.TransferContent(open_layer(path))
-        author_units(layer)
+        author_units(layer, like=rig.file)
         author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
         layer.defaultPrim = Sdf.Path(header.place).GetPrefixes()[0].name
         weights_asset = relative_path(weights_path(path), path)
         again = weights_asset in list(layer.subLayerPaths)
         define_reference(layer, header.place, rig, path, again=again)
+        if before.place not in ("", header.place):
+            forget_reference(layer, before.place, {rig.file.resolve(), *before.files}, path)
         if not again:
             layer.subLayerPaths.append(weights_asset)
         edits_asset = relative_path(edits_path(path), path)
@@ -129,10 +140,38 @@ def writing_top(
     clear_parts(weights_path(path))
 
 
+@dataclass(frozen=True)
+class _Before:
+    """What is known of a performance that is written again.
+
+    Attributes
+    ----------
+    place : str
+        Where its rig stands; empty where that is not known.
+    files : frozenset of Path
+        What it was made from, resolved.
+    """
+
+    place: str = ""
+    files: frozenset[Path] = frozenset()
+
+
+def _before(path: Path) -> _Before:
+    if not (path.is_file() and weights_path(path).is_file()):
+        return _Before()
+    try:
+        place = place_in(open_layer(weights_path(path)))
+        made = read_provenance(path)
+    except InputError:  # damaged, and about to be replaced
+        return _Before()
+    folder, inputs = path.resolve().parent, () if made is None else made.inputs
+    return _Before(place, frozenset((folder / each).resolve() for each in inputs))
+
+
 def header_of(reader: PerformanceReader) -> WeightsHeader:
     """Return what a weights layer says that stands for a performance."""
     return WeightsHeader(
-        place=reader.place,
+        place=place_of(reader.stage, reader.animation),
         shape_names=reader.names,
         rate=reader.rate,
         first_frame=reader.first_frame,

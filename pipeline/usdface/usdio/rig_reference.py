@@ -1,6 +1,8 @@
 """Reference a rig into another stage and point its skeletons at an animation."""
 
 import os
+from collections.abc import Collection
+from dataclasses import dataclass
 from pathlib import Path
 
 from pxr import Sdf, Usd, UsdSkel
@@ -71,6 +73,46 @@ def _ours_among(
     return range(first, first + 1)
 
 
+def forget_reference(layer: Sdf.Layer, place: str, files: Collection[Path], at: Path) -> None:
+    """Take out a rig that stood elsewhere before, and what was defined for it alone.
+
+    Parameters
+    ----------
+    layer : Sdf.Layer
+    place : str
+        Where it stood. What others put there stays.
+    files : collection of Path
+        References to these are ours, resolved.
+    at : Path
+        Where the layer goes, which may have a temporary name.
+    """
+    prim = layer.GetPrimAtPath(place)
+    if prim is None:
+        return
+    for name in ("explicitItems", "prependedItems"):
+        there = list(getattr(prim.referenceList, name))
+        kept = [each for each in there if not _is_file_of(each, files, at)]
+        if len(kept) < len(there):
+            setattr(prim.referenceList, name, kept)
+    if not prim.hasReferences:
+        prim.ClearReferenceList()
+    while prim is not None and _says_nothing(prim):
+        above = prim.nameParent
+        siblings = layer.rootPrims if above is None else above.nameChildren
+        del siblings[prim.name]
+        prim = above
+
+
+def _says_nothing(prim: Sdf.PrimSpec) -> bool:
+    """Whether a prim is only there, with a type at most."""
+    told = set(prim.ListInfoKeys()) - {"specifier", "typeName"}
+    return not (told or prim.nameChildren or prim.properties or prim.variantSets)
+
+
+def _is_file_of(reference: Sdf.Reference, files: Collection[Path], at: Path) -> bool:
+    return bool(reference.assetPath) and (at.parent / reference.assetPath).resolve() in files
+
+
 def point_skeletons_at(layer: Sdf.Layer, place: str, rig: Rig, animation: Sdf.Path) -> None:
     """Write overs that make the rig's skeletons follow an animation, wherever the rig is placed.
 
@@ -94,6 +136,25 @@ def point_skeletons_at(layer: Sdf.Layer, place: str, rig: Rig, animation: Sdf.Pa
         source.targetPathList.explicitItems = [animation]
 
 
+def place_of(stage: Usd.Stage, animation: Usd.Prim) -> str:
+    """Return where the rig that an animation drives stands: the prim to reference its top prim at.
+
+    That is the animation's parent in what we write. Other tools put animations beside the rig.
+    """
+    for prim in stage.Traverse():
+        if not (prim.IsA(UsdSkel.Skeleton) and _follows(prim, animation)):
+            continue
+        source = _source_of(prim, animation)
+        if source is not None:
+            below = source.skeleton.MakeRelativePath(source.skeleton.GetPrefixes()[0])
+            place = prim.GetPath()
+            for _ in range(below.pathElementCount):
+                place = place.GetParentPath()
+            if not place.isEmpty and place.AppendPath(below) == prim.GetPath():
+                return str(place)
+    return str(animation.GetPath().GetParentPath())
+
+
 def rig_of(stage: Usd.Stage, animation: Usd.Prim) -> tuple[Path, str]:
     """Return the file and SkelRoot of the rig that an animation drives in a composed stage.
 
@@ -107,9 +168,9 @@ def rig_of(stage: Usd.Stage, animation: Usd.Prim) -> tuple[Path, str]:
     """
     for prim in stage.Traverse():
         if prim.IsA(UsdSkel.Skeleton) and _follows(prim, animation):
-            found = _referenced_rig(prim, animation) or _defining_rig(prim)
-            if found is not None:
-                return found
+            source = _source_of(prim, animation)
+            if source is not None:
+                return source.file, source.root
     raise InputError(
         f"{stage.GetRootLayer().realPath} <{animation.GetPath()}>: no rig follows this animation; "
         "is the rig's file still where it was?"
@@ -125,7 +186,30 @@ def _follows(skeleton: Usd.Prim, animation: Usd.Prim) -> bool:
     return bool(source) and source.GetPath() == animation.GetPath()
 
 
-def _referenced_rig(skeleton: Usd.Prim, animation: Usd.Prim) -> tuple[Path, str] | None:
+@dataclass(frozen=True)
+class _Source:
+    """Where a skeleton comes from.
+
+    Attributes
+    ----------
+    file : Path
+        The rig.
+    root : str
+        Its SkelRoot.
+    skeleton : Sdf.Path
+        The skeleton in it.
+    """
+
+    file: Path
+    root: str
+    skeleton: Sdf.Path
+
+
+def _source_of(skeleton: Usd.Prim, animation: Usd.Prim) -> _Source | None:
+    return _referenced_rig(skeleton, animation) or _defining_rig(skeleton)
+
+
+def _referenced_rig(skeleton: Usd.Prim, animation: Usd.Prim) -> _Source | None:
     """Return the outermost file, referenced or a payload, with the skeleton and no animation.
 
     One that has the animation as well is a performance, which a shot may reference in its turn.
@@ -143,19 +227,20 @@ def _referenced_rig(skeleton: Usd.Prim, animation: Usd.Prim) -> tuple[Path, str]
             target = arc.GetTargetPrimPath().StripAllVariantSelections()
             opened = _open(file)
             if not opened.GetPrimAtPath(animation.GetPath().ReplacePrefix(place, target)):
-                found = _skel_root_above(opened, skeleton.GetPath().ReplacePrefix(place, target))
+                inside = skeleton.GetPath().ReplacePrefix(place, target)
+                found = _skel_root_above(opened, inside)
                 if found:
-                    return Path(file), found
+                    return _Source(Path(file), found, inside)
     return None
 
 
-def _defining_rig(skeleton: Usd.Prim) -> tuple[Path, str] | None:
+def _defining_rig(skeleton: Usd.Prim) -> _Source | None:
     """Return the weakest file that defines a skeleton: where nothing is referenced."""
     for spec in reversed(skeleton.GetPrimStack()):
         if spec.layer.realPath and spec.specifier == Sdf.SpecifierDef:
             found = _skel_root_above(_open(spec.layer.realPath), spec.path)
             if found:
-                return Path(spec.layer.realPath), found
+                return _Source(Path(spec.layer.realPath), found, spec.path)
     return None
 
 

@@ -275,9 +275,21 @@ def check_count(path: Path, header: WeightsHeader, next_frame: int) -> None:
         )
 
 
+def place_in(layer: Sdf.Layer) -> str:
+    """Return where the rig stands that a weights layer moves; empty where it says nothing of it."""
+    places: list[str] = []
+
+    def look(path: Sdf.Path) -> None:
+        if path.IsPrimPath() and path.name == ANIMATION:
+            places.append(str(path.GetParentPath()))
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, look)
+    return places[0] if len(places) == 1 else ""
+
+
 def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.PrimSpec:
     """Write all of a weights layer but its samples; return the animation prim."""
-    author_units(layer)
+    author_units(layer, like=rig.file)
     author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
     layer.defaultPrim = Sdf.Path(header.place).GetPrefixes()[0].name
     prim = define_prim(layer, header.animation, "SkelAnimation")

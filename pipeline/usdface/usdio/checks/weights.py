@@ -35,7 +35,9 @@ def check_weights(prim: Usd.Prim) -> list[Fault]:
         fault = _fault(names, np.asarray(query.Get(time)))
         if fault:
             return [Fault("error", path, f"time code {time:g}: {fault}")]
-    return []
+    held = attribute.Get(Usd.TimeCode.Default())
+    fault = "" if held is None else _fault(names, np.asarray(held))
+    return [Fault("error", path, f"its default: {fault}")] if fault else []
 
 
 def _fault(names: list[str], weights: np.ndarray) -> str:
