@@ -12,7 +12,22 @@ requires = ["python-3.11+"]
 
 tools = ["usdface"]
 
-build_command = "python -m pip install --no-compile --target {install_path}/python {root}/../.."
+build_command = "python {root}/build.py"
+
+with scope("config") as config:  # noqa: F821
+    config.build_directory = "../../build/rez"  # here it would be taken into the wheel
+
+
+@early()  # noqa: F821
+def variants():
+    """Return what compiled parts are made for: the newest Python there is, and this platform."""
+    from rez.packages import get_latest_package
+    from rez.system import system
+
+    python = get_latest_package("python", range_="3.11+")
+    here = (("platform", system.platform), ("arch", system.arch))
+    made_for = [f"{kind}-{value}" for kind, value in here if get_latest_package(kind)]
+    return [[*made_for, f"python-{python.version.trim(2)}"]] if python else []
 
 
 def commands():

@@ -1,11 +1,13 @@
 """What lies in hooks/ beside plug-ins: the farm's environment, rez's package, Blender's check."""
 
 import json
+import runpy
 import shutil
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import pytest
 import yaml
@@ -34,18 +36,74 @@ class Variable:
         self.values.append(value)
 
 
-def test_rezs_package_says_the_version_and_where_everything_is() -> None:
-    package = load("rez/package.py")
-    assert package.version == __version__
+@pytest.fixture
+def rez(monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+    """The package as rez reads it: with its own words for scopes and what is found early."""
+    settings = SimpleNamespace()
+    newest = {"python": "3.11.7", "platform": "linux"}  # no package of the arch, in this studio
+
+    def get_latest_package(name: str, range_: str | None = None) -> object:
+        if name not in newest:
+            return None
+        trimmed = ".".join(newest[name].split(".")[:2])
+        return SimpleNamespace(version=SimpleNamespace(trim=lambda tokens: trimmed))
+
+    system = SimpleNamespace(platform="linux", arch="x86_64")
+    for name, values in (
+        ("rez", {}),
+        ("rez.packages", {"get_latest_package": get_latest_package}),
+        ("rez.system", {"system": system}),
+    ):
+        module = ModuleType(name)
+        module.__dict__.update(values)
+        monkeypatch.setitem(sys.modules, name, module)
+    words = {"scope": lambda name: nullcontext(settings), "early": lambda: lambda found: found}
+    return runpy.run_path(str(HOOKS / "rez" / "package.py"), init_globals=words)
+
+
+def test_rezs_package_says_the_version_and_where_everything_is(rez: dict[str, object]) -> None:
+    assert rez["version"] == __version__
     names = ("PYTHONPATH", "PATH", "PYBLISHPLUGINPATH", "PXR_PLUGINPATH_NAME")
-    package.env = SimpleNamespace(**{name: Variable() for name in names})
-    package.commands()
-    (hooks,) = package.env.PYBLISHPLUGINPATH.values
-    schemas, checks = package.env.PXR_PLUGINPATH_NAME.values
+    env = SimpleNamespace(**{name: Variable() for name in names})
+    rez["commands"].__globals__["env"] = env
+    rez["commands"]()
+    (hooks,) = env.PYBLISHPLUGINPATH.values
+    schemas, checks = env.PXR_PLUGINPATH_NAME.values
     inside = "{root}/python/usdface/"
     assert (HOOKS.parent / hooks.removeprefix(inside)).is_dir()
     assert (HOOKS.parent / schemas.removeprefix(inside) / "plugInfo.json").is_file()
     assert (PACKAGE / checks.removeprefix(inside) / "plugInfo.json").is_file()
+
+
+def test_rezs_package_is_for_the_python_that_its_compiled_parts_are_for(rez) -> None:
+    assert rez["variants"]() == [["platform-linux", "python-3.11"]]
+
+
+def test_rez_builds_outside_of_what_goes_into_the_wheel(rez) -> None:
+    assert rez["config"].build_directory == "../../build/rez"
+
+
+def test_rez_installs_over_what_was_there_and_only_when_told_to(tmp_path, monkeypatch) -> None:
+    build = load("rez/build.py")
+    ran = []
+    monkeypatch.setattr(
+        build.subprocess,
+        "run",
+        lambda command, check: ran.append(command) or SimpleNamespace(returncode=3),
+    )
+    old = tmp_path / "python" / "usdface" / "old.py"
+    old.parent.mkdir(parents=True)
+    old.touch()
+    monkeypatch.setenv("REZ_BUILD_SOURCE_PATH", str(HOOKS / "rez"))
+    monkeypatch.setenv("REZ_BUILD_INSTALL_PATH", str(tmp_path))
+    monkeypatch.setenv("REZ_BUILD_INSTALL", "0")
+    assert build.main() == 0
+    assert old.exists()
+    assert not ran
+    monkeypatch.setenv("REZ_BUILD_INSTALL", "1")
+    assert build.main() == 3
+    assert not old.exists()
+    assert ran[0][-2:] == [str(tmp_path / "python"), str(HOOKS.parent)]
 
 
 class Key:
