@@ -18,7 +18,10 @@ from tests.steps.small_shot import Shot
 from tests.usdio.small_rig import small_rig
 from usdface.cli import main
 from usdface.errors import CheckFailedError, InputError
+from usdface.farm.deadline import named_folders
+from usdface.farm.plan import FarmStep
 from usdface.farm.submit import outline_path, submit
+from usdface.specs.bake import BakeSpec
 from usdface.specs.submit import SubmitSpec
 from usdface.usdio.performance import read_performance
 from usdface.usdio.rig_write import write_rig
@@ -146,9 +149,19 @@ def test_deadline_is_called_with_a_list_of_arguments(job: Path, tmp_path, monkey
     done = submit(SubmitSpec(job=job, farm="deadline", priority=70, out=bundle))
     assert json.loads(said.read_text()) == [
         *("bundle", "submit", str(done.bundle), "--yes"),
-        *("--submitter-name", "usdface", "--priority", "70"),
+        *("--submitter-name", "usdface", "--known-asset-path", str(job.parent)),
+        *("--priority", "70"),
     ]
     assert not list(tmp_path.rglob("pwned"))
+
+
+def test_deadline_is_told_the_folders_that_the_job_names_and_no_more(tmp_path: Path) -> None:
+    def step(performance: str, out: str) -> FarmStep:
+        task = BakeSpec(performance=Path(performance), out=Path(out))
+        return FarmStep("bake", "bake", (task,), ())
+
+    steps = [step("/show/a/x.usda", "/show/a/b/y.usda"), step("/top.usda", "/show/ab/z.usda")]
+    assert named_folders(steps) == [Path("/show/a"), Path("/show/ab")]
 
 
 def test_a_farm_that_refuses_and_a_client_that_is_missing_are_said(
@@ -162,7 +175,7 @@ def test_a_farm_that_refuses_and_a_client_that_is_missing_are_said(
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
     stand_in(tmp_path, "deadline", code=7)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-    with pytest.raises(CheckFailedError, match="deadline ended with 7"):
+    with pytest.raises(CheckFailedError, match=r"deadline ended with 7; .*`deadline config`"):
         submit(SubmitSpec(job=job, farm="deadline"))
 
 

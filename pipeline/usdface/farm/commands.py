@@ -27,7 +27,10 @@ def find_command(name: str, remedy: str) -> str:
     return found
 
 
-def run_command(command: Sequence[str], *, quiet: bool = False) -> None:
+GOES_ON = "what was done stays done, and submitting again goes on from there"
+
+
+def run_command(command: Sequence[str], *, quiet: bool = False, remedy: str = GOES_ON) -> None:
     """Run a program to its end.
 
     Parameters
@@ -36,6 +39,8 @@ def run_command(command: Sequence[str], *, quiet: bool = False) -> None:
         The program and its arguments.
     quiet : bool
         Send what it says to standard error.
+    remedy : str
+        What to tell where it fails.
 
     Raises
     ------
@@ -59,10 +64,7 @@ def run_command(command: Sequence[str], *, quiet: bool = False) -> None:
             process.wait()
         raise
     if code:
-        raise CheckFailedError(
-            f"{Path(command[0]).name} ended with {code}; what was done stays done, and submitting "
-            "again goes on from there"
-        )
+        raise CheckFailedError(f"{Path(command[0]).name} ended with {code}; {remedy}")
 
 
 def _search_path() -> str:

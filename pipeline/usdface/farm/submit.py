@@ -106,7 +106,7 @@ def _hand_over(
     elif spec.write_only:
         return
     elif spec.farm == "deadline":
-        submit_bundle(bundle, priority=spec.priority, quiet=quiet)
+        submit_bundle(bundle, steps=steps, priority=spec.priority, quiet=quiet)
     else:
         run_bundle(bundle, quiet=quiet)
 
