@@ -12,6 +12,7 @@ from usdface.deformer import Deformer
 from usdface.errors import InputError
 from usdface.provenance import Provenance
 from usdface.usdio import weights_layer
+from usdface.usdio.layers import relative_path
 from usdface.usdio.performance import (
     PerformanceReader,
     header_of,
@@ -217,6 +218,31 @@ def test_an_animation_beside_the_rig_is_read_with_the_place_of_the_rig(tmp_path:
     reader = PerformanceReader(path)
     assert str(reader.animation.GetPath()) == "/anims/face"
     assert header_of(reader).place == "/cast/hero"
+
+
+def test_a_folder_behind_a_link_finds_the_rig_by_the_name_it_was_given(tmp_path: Path) -> None:
+    (tmp_path / "disk" / "scratch" / "sh010").mkdir(parents=True)
+    (tmp_path / "show").mkdir()
+    work = tmp_path / "show" / "work"
+    work.symlink_to(tmp_path / "disk" / "scratch" / "sh010")
+    write_rig(tmp_path / "show" / "rig.usda", small_rig())
+    path = work / "shot.usda"
+    with writing_performance(
+        path,
+        read_rig(tmp_path / "show" / "rig.usda"),
+        shape_names=NAMES,
+        rate=Fraction(24),
+        first_frame=1,
+        last_frame=len(WEIGHTS),
+    ) as writer:
+        writer.append(WEIGHTS)
+    assert PerformanceReader(path).rig() == (tmp_path / "show" / "rig.usda", "/Hero")
+    assert relative_path(work / "a.usda", path) == "./a.usda"
+    both = tmp_path / "all"  # a link above everything changes nothing
+    both.symlink_to(tmp_path / "show")
+    (tmp_path / "show" / "cut").mkdir()
+    assert relative_path(both / "rig.usda", both / "cut" / "a.usda") == "../rig.usda"
+    assert relative_path(both / "rig.usda", tmp_path / "show" / "cut" / "a.usda") == "../rig.usda"
 
 
 def test_the_rig_file_is_never_written(tmp_path: Path) -> None:

@@ -380,7 +380,18 @@ def author_units(layer: Sdf.Layer, *, like: Path | None = None) -> None:
 
 
 def relative_path(target: Path, layer_path: Path) -> str:
-    """Return `target` as a layer beside it should name it: relative, so that folders can move."""
-    relative = os.path.relpath(target.resolve(), layer_path.resolve().parent)
+    """Return `target` as a layer beside it should name it: relative, so that folders can move.
+
+    USD goes up from a folder by its name, the system by where it is: behind a link these are two
+    places. A path that leads there by both is preferred to one by the name that was given.
+    """
+    named, real = Path(os.path.abspath(layer_path.parent)), layer_path.resolve().parent  # noqa: PTH100
+    ways = [os.path.relpath(target.resolve(), real), os.path.relpath(target, named)]
+
+    def leads(way: str, folder: Path) -> bool:
+        return Path(os.path.normpath(folder / way)).resolve() == target.resolve()
+
+    sound = [way for way in ways if leads(way, named)]
+    relative = next((way for way in sound if leads(way, real)), (sound or ways)[0])
     relative = relative.replace(os.sep, "/")
     return relative if relative.startswith(".") else f"./{relative}"

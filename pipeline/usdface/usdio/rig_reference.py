@@ -64,7 +64,7 @@ def _ours_among(
     The other rig's is the first to a prim of this name, or the first of all, as we put it there.
     """
     for index, each in enumerate(there):
-        if each.assetPath and (layer_path.parent / each.assetPath).resolve() == file.resolve():
+        if _is_file_of(each, {file.resolve()}, layer_path):
             return range(index, index + 1)
     if not again or not there:
         return range(0)
@@ -110,7 +110,13 @@ def _says_nothing(prim: Sdf.PrimSpec) -> bool:
 
 
 def _is_file_of(reference: Sdf.Reference, files: Collection[Path], at: Path) -> bool:
-    return bool(reference.assetPath) and (at.parent / reference.assetPath).resolve() in files
+    """Whether a reference is to one of these, as USD reads it or as the system does."""
+    if not reference.assetPath:
+        return False
+    named = at.parent / reference.assetPath
+    return not {named.resolve(), Path(os.path.normpath(named.absolute())).resolve()}.isdisjoint(
+        files
+    )
 
 
 def point_skeletons_at(layer: Sdf.Layer, place: str, rig: Rig, animation: Sdf.Path) -> None:
