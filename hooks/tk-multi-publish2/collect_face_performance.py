@@ -1,7 +1,7 @@
 """Toolkit: files dropped into the publisher that are face performances become items.
 
 A collector hook for tk-multi-publish2, made to stand after the app's own:
-``collector: "{self}/collector.py:USDFACE_HOOKS/tk-multi-publish2/collect_face_performance.py"``.
+``collector: "{self}/collector.py:{config}/usdface/collect_face_performance.py"``.
 """
 
 from pathlib import Path
@@ -43,6 +43,5 @@ class FacePerformanceCollector(HookBaseClass):
             self.logger.debug("%s is no face performance: %s", path, error)
             return None
         item = parent_item.create_item("usdface.performance", "Face Performance", found.name)
-        item.properties["path"] = str(path)
-        item.properties["usdface"] = found
+        item.properties["path"] = str(path)  # and nothing that JSON cannot hold: trees are saved
         return item

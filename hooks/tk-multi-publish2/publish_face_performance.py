@@ -1,7 +1,8 @@
 """Toolkit: publish a face performance as a version, and register it.
 
 A publish plug-in for tk-multi-publish2, made to stand after the app's own:
-``hook: "{self}/publish_file.py:USDFACE_HOOKS/tk-multi-publish2/publish_face_performance.py"``.
+``hook: "{self}/publish_file.py:{config}/usdface/publish_face_performance.py"``. What is kept in an
+item's properties is what JSON can hold: publishers save their trees, to go on in another process.
 """
 
 from pathlib import Path
@@ -59,13 +60,14 @@ class FacePerformancePublishPlugin(HookBaseClass):
 
     def validate(self, settings, item):
         """Say whether the item is fit to be published."""
-        from usdface.publish import validate_performance
+        from usdface.publish import collect_performances, validate_performance
 
         if not settings["Publish Root"].value:
             self.logger.error("the setting 'Publish Root' is empty: name a folder to publish to")
             return False
+        (found,) = collect_performances([Path(item.properties["path"])])
         fit = True
-        for finding in validate_performance(item.properties["usdface"]):
+        for finding in validate_performance(found):
             if finding.severity == "error":
                 fit = False
                 self.logger.error("%s: %s", finding.where, finding.message)
@@ -74,10 +76,15 @@ class FacePerformancePublishPlugin(HookBaseClass):
         return fit
 
     def publish(self, settings, item):
-        """Make the version, then let the base class register it."""
-        from usdface.publish import ReviewOptions, extract_performance, integrate_performance
+        """Make the version, then let the base class register it, unless that was done before."""
+        from usdface.publish import (
+            ReviewOptions,
+            collect_performances,
+            extract_performance,
+            integrate_performance,
+        )
 
-        found = item.properties["usdface"]
+        (found,) = collect_performances([Path(item.properties["path"])])
         extracted = extract_performance(
             found,
             Path(settings["Publish Root"].value),
@@ -88,9 +95,8 @@ class FacePerformancePublishPlugin(HookBaseClass):
         except Exception:
             extracted.discard()
             raise
-        item.properties["usdfacePublished"] = published
-        if not published.is_new:
-            self.logger.info("v%03d holds the same already", published.version)
+        item.properties["usdfaceVersion"] = published.version
+        item.properties["usdfaceFolder"] = str(published.folder)
         item.local_properties["publish_path"] = str(published.files["performance"])
         item.local_properties["publish_name"] = published.name
         item.local_properties["publish_version"] = published.version
@@ -100,16 +106,32 @@ class FacePerformancePublishPlugin(HookBaseClass):
         ]
         if "sheet" in published.files:
             item.set_thumbnail_from_path(str(published.files["sheet"]))
-        super().publish(settings, item)
+        item.properties["usdfaceRegistered"] = published.is_new or not self._registered(item)
+        if item.properties["usdfaceRegistered"]:
+            super().publish(settings, item)
+        else:
+            self.logger.info("v%03d holds the same already", published.version)
 
     def finalize(self, settings, item):
         """Say where the version is."""
-        super().finalize(settings, item)
-        published = item.properties["usdfacePublished"]
+        if item.properties["usdfaceRegistered"]:
+            super().finalize(settings, item)
+        folder = item.properties["usdfaceFolder"]
         self.logger.info(
             "%s v%03d: %s",
-            published.name,
-            published.version,
-            published.folder,
-            extra={"action_show_folder": {"path": str(published.folder)}},
+            item.name,
+            item.properties["usdfaceVersion"],
+            folder,
+            extra={"action_show_folder": {"path": folder}},
         )
+
+    def _registered(self, item):
+        """Say whether the server has the version: a publish may have broken off before that."""
+        known = self.parent.util.get_conflicting_publishes(
+            item.context,
+            item.local_properties["publish_path"],
+            item.local_properties["publish_name"],
+        )
+        if known:
+            item.properties["sg_publish_data"] = known[0]  # for items below this one
+        return bool(known)
