@@ -20,6 +20,7 @@ from usdface.usdio.performance import (
     weights_path,
     writing_performance,
 )
+from usdface.usdio.posed_points import PosedRig
 from usdface.usdio.rig import read_rig
 from usdface.usdio.rig_write import write_rig
 from usdface.usdio.validation import validate
@@ -243,6 +244,38 @@ def test_a_folder_behind_a_link_finds_the_rig_by_the_name_it_was_given(tmp_path:
     (tmp_path / "show" / "cut").mkdir()
     assert relative_path(both / "rig.usda", both / "cut" / "a.usda") == "../rig.usda"
     assert relative_path(both / "rig.usda", tmp_path / "show" / "cut" / "a.usda") == "../rig.usda"
+
+
+def test_two_faces_of_one_file_are_each_moved_by_their_own_weights(tmp_path: Path) -> None:
+    write_rig(tmp_path / "hero.usda", small_rig())
+    both = Usd.Stage.CreateNew(str(tmp_path / "rig.usda"))
+    UsdGeom.SetStageMetersPerUnit(both, 0.01)
+    both.SetDefaultPrim(UsdGeom.Xform.Define(both, "/duo").GetPrim())
+    for name in ("anna", "bert"):
+        both.DefinePrim(f"/duo/{name}").GetReferences().AddReference("./hero.usda")
+    both.Save()
+    for name, weights in (("anna", WEIGHTS), ("bert", WEIGHTS[::-1])):
+        path = tmp_path / f"{name}.usda"
+        rig = read_rig(tmp_path / "rig.usda", prim=f"/duo/{name}")
+        with writing_performance(
+            path, rig, shape_names=NAMES, rate=Fraction(24), first_frame=1, last_frame=len(WEIGHTS)
+        ) as writer:
+            writer.append(weights)
+        assert header_of(PerformanceReader(path)).animation == f"/duo/FaceSolve_{name}"
+        frame = Deformer(rig).points(weights[:1, [NAMES.index(each) for each in rig.shapes]])
+        np.testing.assert_allclose(PosedRig(path).points(1), frame[0], atol=1e-3)
+    shot = Sdf.Layer.CreateNew(str(tmp_path / "shot.usda"))
+    shot.subLayerPaths = ["./anna.usda", "./bert.usda"]
+    shot.timeCodesPerSecond = 24
+    stage = Usd.Stage.Open(shot)
+    for name, weights in (("anna", WEIGHTS), ("bert", WEIGHTS[::-1])):
+        skeleton = next(
+            prim
+            for prim in Usd.PrimRange(stage.GetPrimAtPath(f"/duo/{name}"))
+            if prim.IsA(UsdSkel.Skeleton)
+        )
+        source = UsdSkel.Animation(UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource())
+        np.testing.assert_array_equal(source.GetBlendShapeWeightsAttr().Get(1), weights[0])
 
 
 def test_the_rig_file_is_never_written(tmp_path: Path) -> None:

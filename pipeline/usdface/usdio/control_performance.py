@@ -28,7 +28,7 @@ from usdface.usdio.layers import (
 )
 from usdface.usdio.performance import writing_performance
 from usdface.usdio.rig_reference import default_place
-from usdface.usdio.weights_layer import ANIMATION
+from usdface.usdio.weights_layer import animation_name
 from usdface.usdio.weights_process import FrameWriter
 
 _LOT = 1 << 14
@@ -54,7 +54,7 @@ class ControlsLayer:
         attributes: tuple[str, ...],
     ) -> None:
         self._layer, self._path, self._unsaved = layer, path, 0
-        self._animation = place.AppendChild(ANIMATION)
+        self._animation = place.AppendChild(animation_name(rig))
         prim = Sdf.CreatePrimInLayer(layer, self._animation)
         if joints:
             author_joints(prim, joints)

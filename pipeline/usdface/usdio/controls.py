@@ -84,7 +84,7 @@ def attribute_names(animation: Usd.Prim) -> tuple[str, ...]:
 
 def top_of(stage: Usd.Stage, animation: Usd.Prim, path: Path) -> Usd.Prim:
     """Return the prim from which attributes are named: where a performance puts its rig."""
-    if animation.GetName() == ANIMATION:
+    if animation.GetName().startswith(ANIMATION):
         return animation.GetParent()
     top = stage.GetDefaultPrim()
     if not top:

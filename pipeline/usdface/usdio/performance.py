@@ -33,7 +33,7 @@ from usdface.usdio.rig_reference import (
     forget_reference,
     place_of,
 )
-from usdface.usdio.weights_layer import WeightsHeader, place_in
+from usdface.usdio.weights_layer import ANIMATION, WeightsHeader, animation_name, place_in
 from usdface.usdio.weights_process import FrameWriter, writing_frames
 
 __all__ = [
@@ -97,6 +97,7 @@ def writing_performance(
         last_frame=last_frame,
         regions=regions,
         timecode_start=timecode_start,
+        name=animation_name(rig),
     )
     with writing_top(path, header, rig, provenance=provenance):
         weights_file = weights_path(path)
@@ -170,12 +171,14 @@ def _before(path: Path) -> _Before:
 
 def header_of(reader: PerformanceReader) -> WeightsHeader:
     """Return what a weights layer says that stands for a performance."""
+    place, own = place_of(reader.stage, reader.animation), reader.animation.GetPath()
     return WeightsHeader(
-        place=place_of(reader.stage, reader.animation),
+        place=place,
         shape_names=reader.names,
         rate=reader.rate,
         first_frame=reader.first_frame,
         last_frame=reader.last_frame,
         regions=reader.regions,
         timecode_start=reader.timecode_start,
+        name=own.name if own.GetParentPath() == Sdf.Path(place) else ANIMATION,
     )

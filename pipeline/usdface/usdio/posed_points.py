@@ -3,13 +3,14 @@
 from pathlib import Path
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel, Vt
+from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from usdface.assets import FloatArray, Rig
 from usdface.errors import InputError
 from usdface.usdio.layers import open_stage
 from usdface.usdio.performance_reader import PerformanceReader
 from usdface.usdio.rig import find_face, read_rig
+from usdface.usdio.rig_reference import place_of
 from usdface.usdio.space import column_matrix, stage_to_ours, transform_points
 from usdface.usdio.wrong_types import refusing_wrong_types
 
@@ -35,7 +36,11 @@ class PosedRig:
         file, prim = self.reader.rig()
         self.rig: Rig = read_rig(file, prim=prim)
         self._stage = open_stage(path)
-        root = UsdSkel.Root(find_face(self._stage, path, None))
+        # A file of several faces is shown whole; the one that moves is meant.
+        place = place_of(self._stage, self._stage.GetPrimAtPath(self.reader.animation.GetPath()))
+        face = Sdf.Path(prim).ReplacePrefix(Sdf.Path(prim).GetPrefixes()[0], Sdf.Path(place))
+        told = str(face) if self._stage.GetPrimAtPath(face) else None
+        root = UsdSkel.Root(find_face(self._stage, path, told))
         predicate = Usd.TraverseInstanceProxies()
         self._cache = UsdSkel.Cache()
         self._cache.Populate(root, predicate)

@@ -59,6 +59,16 @@ def skeletons_of(root: Usd.Prim) -> list[Usd.Prim]:
     return list(found.values())
 
 
+def faces_below(top: Usd.Prim) -> list[Usd.Prim]:
+    """Return the SkelRoots with BlendShapes in a prim; one inside another belongs to that."""
+    faces = [root for root in _skel_roots(top) if any(map(_has_shapes, _meshes_below(root)))]
+    return [
+        each
+        for each in faces
+        if not any(each.GetPath().HasPrefix(other.GetPath()) and each != other for other in faces)
+    ]
+
+
 def find_face(stage: Usd.Stage, path: Path, prim: str | None) -> Usd.Prim:
     """Return the one SkelRoot with BlendShapes in a stage, or below a prim of it."""
     return _find_skel_root(stage, path, prim)
@@ -68,16 +78,7 @@ def _find_skel_root(stage: Usd.Stage, path: Path, prim: str | None) -> Usd.Prim:
     top = stage.GetPseudoRoot() if prim is None else stage.GetPrimAtPath(prim)
     if not top:
         raise InputError(f"{path}: there is no prim <{prim}>; check --prim")
-    roots = [
-        each for each in Usd.PrimRange(top, Usd.TraverseInstanceProxies()) if each.IsA(UsdSkel.Root)
-    ]
-    faces = [root for root in roots if any(map(_has_shapes, _meshes_below(root)))]
-    # A SkelRoot inside another belongs to it.
-    faces = [
-        each
-        for each in faces
-        if not any(each.GetPath().HasPrefix(other.GetPath()) and each != other for other in faces)
-    ]
+    faces = faces_below(top)
     if not faces:
         orphans = [each for each in Usd.PrimRange(top) if _has_shapes(each)]
         if orphans:
@@ -85,11 +86,15 @@ def _find_skel_root(stage: Usd.Stage, path: Path, prim: str | None) -> Usd.Prim:
                 f"{path} <{orphans[0].GetPath()}>: has BlendShapes but no SkelRoot above it, so "
                 "nothing can animate it; put it under a SkelRoot"
             )
-        what = "no SkelRoot" if not roots else "no mesh with BlendShapes under its SkelRoot"
+        what = (
+            "no SkelRoot" if not _skel_roots(top) else "no mesh with BlendShapes under its SkelRoot"
+        )
         raise InputError(f"{path}: {what}; a rig needs meshes bound to BlendShapes (UsdSkel)")
     if len(faces) > 1:
         names = ", ".join(f"<{each.GetPath()}>" for each in faces)
-        raise InputError(f"{path}: holds {len(faces)} faces, {names}; name one with --prim")
+        raise InputError(
+            f"{path}: holds {len(faces)} faces, {names}; name one with --prim (`map`: --rig-prim)"
+        )
     face = faces[0]
     if not skeletons_of(face):
         raise InputError(
@@ -97,6 +102,11 @@ def _find_skel_root(stage: Usd.Stage, path: Path, prim: str | None) -> Usd.Prim:
             "animates them only through a Skeleton: bind the meshes to one, a single joint will do"
         )
     return face
+
+
+def _skel_roots(top: Usd.Prim) -> list[Usd.Prim]:
+    prims = Usd.PrimRange(top, Usd.TraverseInstanceProxies())
+    return [each for each in prims if each.IsA(UsdSkel.Root)]
 
 
 def _meshes_below(root: Usd.Prim) -> Iterator[Usd.Prim]:

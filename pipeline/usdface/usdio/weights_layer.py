@@ -21,8 +21,10 @@ from usdface.usdio.layers import (
     author_timing,
     author_units,
     new_layer,
+    open_stage,
     save_layer,
 )
+from usdface.usdio.rig import faces_below
 from usdface.usdio.rig_reference import point_skeletons_at
 
 ANIMATION = "FaceSolve"
@@ -60,6 +62,8 @@ class WeightsHeader:
         Names of the residual's regions.
     timecode_start : str
         SMPTE timecode of the first frame, empty when unknown.
+    name : str
+        Of the animation prim.
     """
 
     place: str
@@ -69,11 +73,12 @@ class WeightsHeader:
     last_frame: int
     regions: tuple[str, ...] = ()
     timecode_start: str = ""
+    name: str = ANIMATION
 
     @property
     def animation(self) -> Sdf.Path:
         """Path of the animation prim."""
-        return Sdf.Path(self.place).AppendChild(ANIMATION)
+        return Sdf.Path(self.place).AppendChild(self.name)
 
     @property
     def frame_count(self) -> int:
@@ -275,12 +280,28 @@ def check_count(path: Path, header: WeightsHeader, next_frame: int) -> None:
         )
 
 
+def animation_name(rig: Rig) -> str:
+    """Return what a rig's animation prim is called.
+
+    Faces of one file stand below one prim: each has an animation of its own there, or a shot with
+    two of them would move both by the stronger one's weights.
+    """
+    path = Sdf.Path(rig.prim)
+    if path.pathElementCount == 1:
+        return ANIMATION
+    top = path.GetPrefixes()[0]
+    stage = open_stage(rig.file)
+    if len(faces_below(stage.GetPrimAtPath(top))) < 2:
+        return ANIMATION
+    return "_".join([ANIMATION, *str(path.MakeRelativePath(top)).split("/")])
+
+
 def place_in(layer: Sdf.Layer) -> str:
     """Return where the rig stands that a weights layer moves; empty where it says nothing of it."""
     places: list[str] = []
 
     def look(path: Sdf.Path) -> None:
-        if path.IsPrimPath() and path.name == ANIMATION:
+        if path.IsPrimPath() and path.name.startswith(ANIMATION):
             places.append(str(path.GetParentPath()))
 
     layer.Traverse(Sdf.Path.absoluteRootPath, look)
