@@ -15,6 +15,7 @@ from usdface.deformer import Deformer
 from usdface.errors import InputError
 from usdface.layer_names import edits_path
 from usdface.numerics.curves.edit_curve import no_edit
+from usdface.replacing import replacing
 from usdface.specs.bake import BakeSpec
 from usdface.specs.base import Spec
 from usdface.specs.edit import EditsImportSpec, EditSpec
@@ -23,6 +24,7 @@ from usdface.specs.package import PackageSpec
 from usdface.specs.references import ReferencesFromEditsSpec, ReferencesImportSpec
 from usdface.specs.train import TrainSpec
 from usdface.steps import bake
+from usdface.steps import edit as edit_step
 from usdface.steps.edited import list_edits
 from usdface.steps.execute import execute
 from usdface.steps.references_from_edits import FULL_STRENGTH, LEAST_CHANGE, MOSTLY, meant_frames
@@ -172,6 +174,35 @@ def test_an_edit_that_a_stronger_layer_would_hide_is_refused(shot: Shot) -> None
         edit(path, clear=True)
     assert edits_path(path).read_bytes() == before
     edit(path, shape="jawLeft", add=0.1)  # of which the top layer says nothing
+
+
+def test_of_two_who_edit_at_once_one_is_told_and_the_other_s_edit_stays(
+    shot: Shot, monkeypatch
+) -> None:
+    path = shot / "shot.hero.usda"
+    read = edit_step.read_edits
+
+    def slowly(*args: object) -> object:
+        monkeypatch.setattr(edit_step, "read_edits", read)
+        found = read(*args)
+        edit(path, add=0.1, frames="10-20")
+        return found
+
+    monkeypatch.setattr(edit_step, "read_edits", slowly)
+    with pytest.raises(InputError, match="another process changed it since it was read"):
+        edit(path, add=0.2, frames="100-110")
+    edit(path, add=0.2, frames="100-110")
+    assert [(e["first"], e["last"]) for e in list_edits(path).figures["edits"]] == [
+        (10, 20),
+        (100, 110),
+    ]
+
+
+def test_a_first_edit_while_the_performance_is_written_is_refused_whole(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    with replacing(path), pytest.raises(InputError, match="another process is writing it"):
+        edit(path, add=0.1)
+    assert not edits_path(path).exists()  # or the next try would add it twice
 
 
 @pytest.mark.parametrize("frames", ["400-100000000", "-100000000-50"])

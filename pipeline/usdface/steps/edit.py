@@ -19,7 +19,13 @@ from usdface.provenance import Provenance
 from usdface.specs.base import frame_range
 from usdface.specs.edit import EditSpec
 from usdface.steps.report import Report
-from usdface.usdio.edits import ShapeEdit, edited_frames, read_edits, write_edits
+from usdface.usdio.edits import (
+    ShapeEdit,
+    edited_frames,
+    edits_stamp,
+    read_edits,
+    write_edits,
+)
 from usdface.usdio.frame_span import UNSAMPLED_FRAMES, check_span
 from usdface.usdio.performance import PerformanceReader
 from usdface.wording import counted
@@ -33,6 +39,7 @@ def run(
     spec: EditSpec, *, provenance: Provenance | None = None, progress: Progress = silent
 ) -> Report:
     """Change the shapes named over the frames named, and keep all other edits."""
+    stamp = edits_stamp(spec.performance)
     reader = PerformanceReader(spec.performance)
     _check_shapes(spec, reader)
     first, last = frame_range(spec.frames) or (reader.first_frame, reader.last_frame)
@@ -58,7 +65,9 @@ def run(
         if shape in reader.names:
             beneath = solved[:, reader.names.index(shape)]
         changed[shape] = renewed(old, _folded(spec, old.curve, mask), beneath, mask > 0)
-    path = write_edits(spec.performance, reader.animation, changed, frames, provenance=provenance)
+    path = write_edits(
+        spec.performance, reader.animation, changed, frames, stamp=stamp, provenance=provenance
+    )
     progress(1.0, "written")
     inside = (frames >= reader.first_frame) & (frames <= reader.last_frame) & (mask > 0)
     what = "cleared" if spec.clear else ("added to" if spec.add is not None else "overridden")

@@ -12,7 +12,7 @@ from usdface.steps.edit import all_frames, renewed, solved_over
 from usdface.steps.report import Report
 from usdface.steps.weight_copies import dispute_note, is_disputed, weights_meant
 from usdface.steps.weight_tables import WeightTable, read_weight_table
-from usdface.usdio.edits import ShapeEdit, edited_weights, read_edits, write_edits
+from usdface.usdio.edits import ShapeEdit, edited_weights, edits_stamp, read_edits, write_edits
 from usdface.usdio.performance import PerformanceReader
 from usdface.wording import counted
 
@@ -21,6 +21,7 @@ def run(
     spec: EditsImportSpec, *, provenance: Provenance | None = None, progress: Progress = silent
 ) -> Report:
     """Set edits so that the performance shows what the file shows, at the frames that it has."""
+    stamp = edits_stamp(spec.performance)
     reader = PerformanceReader(spec.performance)
     table = read_weight_table(spec.changed, known=reader.names)
     known = _known_shapes(spec, reader, table)
@@ -60,7 +61,9 @@ def run(
             "most frames differ: if the take was mapped again after this file was baked, what the "
             "new solve changed is taken for edits, too; bake again, change that and import it",
         )
-    path = write_edits(spec.performance, reader.animation, changed, frames, provenance=provenance)
+    path = write_edits(
+        spec.performance, reader.animation, changed, frames, stamp=stamp, provenance=provenance
+    )
     progress(1.0, "written")
     return Report(
         (path,),

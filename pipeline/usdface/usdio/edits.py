@@ -18,9 +18,15 @@ from usdface.errors import InputError
 from usdface.layer_names import edits_path
 from usdface.numerics.curves.edit_curve import EditCurve, apply_edit, needed_samples, no_edit
 from usdface.numerics.curves.key_reduction import reduce_keys
-from usdface.provenance import Provenance
+from usdface.provenance import Provenance, hash_files
 from usdface.usdio.frame_span import check_span
-from usdface.usdio.layers import author_timing, author_units, new_layer, open_layer, relative_path
+from usdface.usdio.layers import (
+    author_timing,
+    author_units,
+    new_layers,
+    open_layer,
+    relative_path,
+)
 
 OFFSET = "face:edit:"
 OVERRIDE = "face:override:"
@@ -198,6 +204,7 @@ def write_edits(
     edits: Mapping[str, ShapeEdit],
     frames: IntArray,
     *,
+    stamp: str | None = None,
     provenance: Provenance | None = None,
 ) -> Path:
     """Write edits into NAME.edits.usda, and make that the strongest sublayer of NAME.usda.
@@ -214,20 +221,33 @@ def write_edits(
         By shape; one that is active nowhere is taken out.
     frames : (n,) int array
         Frame numbers of the curves: every frame from the first to the last.
+    stamp : str, optional
+        From `edits_stamp`, before the edits were read that these replace.
     provenance : Provenance, optional
 
     Raises
     ------
     InputError
-        If a layer cannot be written, two shapes would share an attribute, or a stronger layer has
-        edits of a shape, so that these would not show.
+        If a layer cannot be written, two shapes would share an attribute, a stronger layer has
+        edits of a shape, so that these would not show, or another process changed them meanwhile.
     """
     path = edits_path(performance)
     stage = animation.GetStage()
     names = UsdSkel.Animation(animation).GetBlendShapesAttr().Get() or ()
     tokens = _attribute_names([*map(str, names), *edits])
     elsewhere = {shape: _edited_elsewhere(animation, path, tokens[shape]) for shape in edits}
-    with new_layer(path, provenance) as layer:
+    asset = relative_path(path, performance)
+    made: dict[Path, Provenance | None] = {path: provenance}
+    if asset not in list(open_layer(performance).subLayerPaths):
+        made[performance] = (
+            None  # both or none: a change that was made and is refused is made twice
+        )
+    with new_layers(made) as (layer, *above):
+        if stamp is not None and edits_stamp(performance) != stamp:
+            raise InputError(
+                f"{path}: another process changed it since it was read; nothing was written: give "
+                "the command again"
+            )
         if path.is_file():
             layer.TransferContent(open_layer(path))
         else:
@@ -243,20 +263,17 @@ def write_edits(
         prim = Sdf.CreatePrimInLayer(layer, animation.GetPath())
         for shape, edit in edits.items():
             _write_shape(prim, shape, tokens[shape], edit, frames, beneath=elsewhere[shape])
-    compose_edits(performance)
+        for opened in above:
+            opened.TransferContent(open_layer(performance))
+            if asset not in list(opened.subLayerPaths):
+                opened.subLayerPaths.insert(0, asset)
     return path
 
 
-def compose_edits(performance: Path) -> None:
-    """Make a performance's edits, if there are any, its strongest sublayer."""
-    asset = relative_path(edits_path(performance), performance)
-    if not edits_path(performance).is_file():
-        return
-    if asset in list(open_layer(performance).subLayerPaths):
-        return
-    with new_layer(performance) as layer:
-        layer.TransferContent(open_layer(performance))
-        layer.subLayerPaths.insert(0, asset)
+def edits_stamp(performance: Path) -> str:
+    """Return what differs when a performance's edits are others; empty without any."""
+    path = edits_path(performance)
+    return hash_files([path]) if path.is_file() else ""
 
 
 def _attribute_names(shapes: Iterable[str]) -> dict[str, str]:
