@@ -22,18 +22,25 @@ WEIGHTS = np.random.default_rng(0).random((40, 3)).astype(np.float32)
 FRAMES = np.arange(101, 141)
 
 
-def perform(folder: Path, names: tuple[str, ...] = NAMES) -> Path:
+def perform(
+    folder: Path,
+    names: tuple[str, ...] = NAMES,
+    *,
+    rate: int = 24,
+    first: int = 101,
+    last: int = 140,
+) -> Path:
     write_rig(folder / "rig.usda", small_rig())
     path = folder / "shot.hero.usda"
     with writing_performance(
         path,
         read_rig(folder / "rig.usda"),
         shape_names=names,
-        rate=Fraction(24),
-        first_frame=101,
-        last_frame=140,
+        rate=Fraction(rate),
+        first_frame=first,
+        last_frame=last,
     ) as writer:
-        writer.append(WEIGHTS)
+        writer.append(np.resize(WEIGHTS, (last - first + 1, len(names))))
     return path
 
 
@@ -75,6 +82,23 @@ def test_what_is_written_reads_back_and_opens_above_the_weights(tmp_path: Path) 
         np.testing.assert_allclose(found, wanted, atol=1e-6)
     np.testing.assert_allclose(back["jawOpen"].beneath, beneath, atol=1.1e-3)
     assert {each.check for each in validate(path)} <= {"usdface:Provenance", "usdface:Curves"}
+
+
+def test_edits_that_are_not_changed_stay_in_time_when_the_rate_is_another(tmp_path: Path) -> None:
+    path = perform(tmp_path)
+    reader = PerformanceReader(path)
+    offset = np.where((FRAMES >= 110) & (FRAMES <= 120), 0.25, 0.0)
+    edit = ShapeEdit(EditCurve(offset, np.zeros(40), np.zeros(40)), np.full(40, np.nan))
+    write_edits(path, reader.animation, {"smile": edit}, FRAMES)
+    perform(tmp_path, rate=48, first=202, last=280)  # the same seconds, twice as many frames
+    reader = PerformanceReader(path)
+    frames = np.arange(202, 281)
+    flat = EditCurve(np.full(79, 0.5), np.zeros(79), np.zeros(79))
+    write_edits(path, reader.animation, {"jawOpen": ShapeEdit(flat, np.full(79, np.nan))}, frames)
+    changed = PerformanceReader(path).edited() - PerformanceReader(path).solved()
+    np.testing.assert_allclose(changed[:, NAMES.index("jawOpen")], 0.5, atol=1e-6)
+    full = np.flatnonzero(changed[:, NAMES.index("smile")] > 0.249) + 202
+    assert (full[0], full[-1]) == (220, 240)
 
 
 def test_a_key_set_by_hand_in_another_tool_counts(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ from usdface.usdio.layers import (
     open_layer,
     relative_path,
 )
+from usdface.usdio.retimed_layer import retime_layer
 
 OFFSET = "face:edit:"
 OVERRIDE = "face:override:"
@@ -232,7 +233,7 @@ def write_edits(
         edits of a shape, so that these would not show, or another process changed them meanwhile.
     """
     path = edits_path(performance)
-    stage = animation.GetStage()
+    top = animation.GetStage().GetRootLayer()
     names = UsdSkel.Animation(animation).GetBlendShapesAttr().Get() or ()
     tokens = _attribute_names([*map(str, names), *edits])
     elsewhere = {shape: _edited_elsewhere(animation, path, tokens[shape]) for shape in edits}
@@ -250,10 +251,10 @@ def write_edits(
             )
         if path.is_file():
             layer.TransferContent(open_layer(path))
+            retime_layer(layer, top.timeCodesPerSecond)
         else:
             author_units(layer, like=performance)
             layer.defaultPrim = animation.GetPath().GetPrefixes()[0].name
-        top = stage.GetRootLayer()
         author_timing(
             layer,
             rate=top.timeCodesPerSecond,
