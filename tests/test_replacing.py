@@ -147,6 +147,27 @@ def test_leftovers_that_cannot_be_cleared_stop_nobody(tmp_path: Path, monkeypatc
     assert (tmp_path / "a.txt").read_text() == "whole"
 
 
+def test_a_write_protected_file_is_refused_and_permissions_of_others_stay(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    target.write_text("locked by its artist")
+    target.chmod(0o444)
+    with pytest.raises(InputError, match=r"a\.txt: is write-protected"), replacing(target):
+        pass
+    assert target.read_text() == "locked by its artist"
+    assert [each.name for each in tmp_path.iterdir()] == ["a.txt"]
+    target.chmod(0o664)
+    mask = os.umask(0o077)
+    try:
+        with replacing(target) as temporary:
+            temporary.write_text("new")
+        with replacing(tmp_path / "b.txt") as temporary:
+            temporary.write_text("new")
+    finally:
+        os.umask(mask)
+    assert (target.stat().st_mode & 0o777, target.read_text()) == (0o664, "new")
+    assert (tmp_path / "b.txt").stat().st_mode & 0o777 == 0o600
+
+
 def test_an_error_leaves_the_old_file(tmp_path: Path) -> None:
     target = tmp_path / "a.txt"
     target.write_text("old")

@@ -28,6 +28,8 @@ LONGEST_STEM = 80
 LONGEST_NAME = 2 * LONGEST_STEM
 """Bytes of it that its lock's name repeats."""
 
+_ANYBODY_WRITES = 0o222
+
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
@@ -46,8 +48,9 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises
     ------
     InputError
-        If the folder is missing, `path` is a folder, either cannot be written, or another process
-        is writing the same file. The old file, if there is one, is as it was.
+        If the folder is missing, `path` is a folder, either cannot be written, `path` is
+        write-protected, or another process is writing the same file. The old file, if there is
+        one, is as it was.
     """
     with replacing_together([path]) as (temporary,):
         yield temporary
@@ -83,7 +86,30 @@ def replacing_together(paths: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
                 os.fsync(written.fileno())
         for path, temporary in zip(paths, temporaries, strict=True):
             with _as_input_error(path):
+                _keep_permissions(path, temporary)
                 temporary.replace(path)
+
+
+def check_unprotected(path: Path) -> None:
+    """Refuse a file that nobody may write to: a rename would ask for the folder's rights alone.
+
+    Raises
+    ------
+    InputError
+        If it is there and write-protected.
+    """
+    with contextlib.suppress(OSError):
+        if not path.stat().st_mode & _ANYBODY_WRITES:
+            raise InputError(
+                f"{path}: is write-protected; make it writable if it may be replaced, or write "
+                "elsewhere"
+            )
+
+
+def _keep_permissions(path: Path, temporary: Path) -> None:
+    """Let a file that is replaced stay open to those who could read and write it."""
+    with contextlib.suppress(OSError):  # there was none; or a file system knows no permissions
+        temporary.chmod(path.stat().st_mode & 0o777)
 
 
 @contextmanager
@@ -93,6 +119,7 @@ def _temporary(path: Path) -> Iterator[Path]:
         raise InputError(f"{path}: is a folder; give the name of a file to write")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist; make it first")
+    check_unprotected(path)
     with _alone(path) as locked:
         if locked:
             _clear_leftovers(path)

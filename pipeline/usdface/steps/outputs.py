@@ -9,6 +9,7 @@ from pathlib import Path
 from usdface.errors import InputError
 from usdface.layer_names import weights_path
 from usdface.provenance import Provenance, canonical_json, hash_files
+from usdface.replacing import check_unprotected
 from usdface.specs import bind as bind_specs
 from usdface.specs import references as references_specs
 from usdface.specs.base import IMAGE_SUFFIXES, LAYER_SUFFIXES, Reads, Spec, Writes
@@ -99,6 +100,7 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
             raise InputError(f"{path}: folder {folder} cannot be written; check its permissions")
         if path.is_dir():
             raise InputError(f"{path}: is a folder; name a file with --out")
+        check_unprotected(path)
         if overwrite:
             continue
         if foreign := foreign_beside(spec, path):
