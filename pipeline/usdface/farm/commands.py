@@ -1,10 +1,11 @@
 """Other programs, called with lists of arguments: no shell ever reads a name."""
 
+import contextlib
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from usdface.errors import CheckFailedError, InputError
@@ -47,24 +48,58 @@ def run_command(command: Sequence[str], *, quiet: bool = False, remedy: str = GO
     CheckFailedError
         If it ends with another code than 0.
     """
+    with running(command, quiet=quiet) as process:
+        finish(process, Path(command[0]).name, remedy=remedy)
+
+
+@contextlib.contextmanager
+def running(
+    command: Sequence[str], *, quiet: bool = False, told: bool = False
+) -> Iterator[subprocess.Popen[str]]:
+    """Yield a program that runs; where the block fails, it is told to stop, and so are its tasks.
+
+    Parameters
+    ----------
+    command : sequence of str
+        The program and its arguments.
+    quiet : bool
+        Send what it says to standard error.
+    told : bool
+        Whether the block writes to its standard input, which is empty otherwise.
+    """
     # The tasks call `usdface`: the one that submits, not another that comes first on the path.
     environment = os.environ | {"PATH": _search_path()}
     sys.stdout.flush()
-    process = subprocess.Popen(
-        list(command), env=environment, stdin=subprocess.DEVNULL, stdout=2 if quiet else None
-    )
-    try:
-        code = process.wait()
-    except BaseException:  # interrupted or told to stop: so are its tasks
-        process.terminate()
+    with subprocess.Popen(
+        list(command),
+        env=environment,
+        stdin=subprocess.PIPE if told else subprocess.DEVNULL,
+        stdout=2 if quiet else None,
+        text=True,
+        encoding="utf-8",
+    ) as process:
         try:
-            process.wait(LAST_WORDS_SECONDS)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        raise
+            yield process
+        except BaseException:
+            process.terminate()
+            try:
+                process.wait(LAST_WORDS_SECONDS)
+            except subprocess.TimeoutExpired:
+                process.kill()
+            raise
+
+
+def finish(process: subprocess.Popen[str], name: str, *, remedy: str = GOES_ON) -> None:
+    """Wait for a program.
+
+    Raises
+    ------
+    CheckFailedError
+        If it ends with another code than 0.
+    """
+    code = process.wait()
     if code:
-        raise CheckFailedError(f"{Path(command[0]).name} ended with {code}; {remedy}")
+        raise CheckFailedError(f"{name} ended with {code}; {remedy}")
 
 
 def _search_path() -> str:

@@ -1,5 +1,6 @@
 """From a job's file to a farm."""
 
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,8 +9,8 @@ from usdface.farm.bundle import bundle_hash, compose_bundle, write_bundle
 from usdface.farm.chunks import ChunkSizes, FrameRange
 from usdface.farm.deadline import submit_bundle
 from usdface.farm.opencue import build_outline, outline_text, submit_outline
-from usdface.farm.openjd import run_bundle
-from usdface.farm.plan import FarmStep, Plan, plan_job
+from usdface.farm.openjd import local_farm
+from usdface.farm.plan import Plan, plan_job
 from usdface.farm.template import check_job_name
 from usdface.replacing import replacing
 from usdface.specs.base import LAYER_SUFFIXES, Reads
@@ -17,7 +18,6 @@ from usdface.specs.confinement import check_confined, check_paths_confined, conf
 from usdface.specs.job import JobSpec
 from usdface.specs.reading import read_job
 from usdface.specs.submit import SubmitSpec
-from usdface.usdio.referenced_files import frame_range_of, referenced_files
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,32 @@ def submit(spec: SubmitSpec, *, overwrite: bool = False, quiet: bool = False) ->
     CheckFailedError
         If the farm refuses the job, or a task of a local run fails.
     """
+    runs_here = spec.farm == "openjd" and not spec.write_only
+    with local_farm(quiet=quiet) if runs_here else contextlib.nullcontext() as run_here:
+        submission = _write(spec, overwrite=overwrite)
+        if run_here is not None:
+            run_here(submission.bundle)
+        else:
+            _hand_over(spec, submission, quiet=quiet)
+    return submission
+
+
+def outline_path(bundle: Path) -> Path:
+    """Return where the XML of an OpenCue job is written when it is not sent: beside its bundle."""
+    return bundle.with_name(f"{bundle.name}.outline.xml")
+
+
+def describe(submission: Submission) -> tuple[str, ...]:
+    """Return a line for each farm step: its tasks and what it waits for."""
+    return tuple(
+        f"{step.name}: {len(step.tasks)} task{'s' * (len(step.tasks) > 1)}"
+        + (f", after {', '.join(step.needs)}" if step.needs else "")
+        for step in submission.plan.steps
+    )
+
+
+def _write(spec: SubmitSpec, *, overwrite: bool) -> Submission:
+    """Plan a job and write its bundle."""
     root = confinement_root()
     if root is not None:
         check_paths_confined([("submit", spec.job), ("submit", spec.out or spec.job)], root)
@@ -75,40 +101,20 @@ def submit(spec: SubmitSpec, *, overwrite: bool = False, quiet: bool = False) ->
     if root is not None:  # its name may be that of a link
         check_paths_confined([("submit", bundle)], root)
     write_bundle(bundle, files, overwrite=overwrite)
-    _hand_over(spec, job.job, plan.steps, bundle, quiet=quiet)
     return Submission(job.job, bundle, plan)
 
 
-def outline_path(bundle: Path) -> Path:
-    """Return where the XML of an OpenCue job is written when it is not sent: beside its bundle."""
-    return bundle.with_name(f"{bundle.name}.outline.xml")
-
-
-def describe(submission: Submission) -> tuple[str, ...]:
-    """Return a line for each farm step: its tasks and what it waits for."""
-    return tuple(
-        f"{step.name}: {len(step.tasks)} task{'s' * (len(step.tasks) > 1)}"
-        + (f", after {', '.join(step.needs)}" if step.needs else "")
-        for step in submission.plan.steps
-    )
-
-
-def _hand_over(
-    spec: SubmitSpec, name: str, steps: tuple[FarmStep, ...], bundle: Path, *, quiet: bool
-) -> None:
+def _hand_over(spec: SubmitSpec, submission: Submission, *, quiet: bool) -> None:
+    bundle, steps = submission.bundle, submission.plan.steps
     if spec.farm == "opencue":
-        launcher = build_outline(name, steps, bundle, priority=spec.priority)
+        launcher = build_outline(submission.job, steps, bundle, priority=spec.priority)
         if spec.write_only:
             with replacing(outline_path(bundle)) as file:
                 file.write_text(outline_text(launcher), encoding="utf-8", newline="\n")
         else:
             submit_outline(launcher)
-    elif spec.write_only:
-        return
-    elif spec.farm == "deadline":
+    elif spec.farm == "deadline" and not spec.write_only:
         submit_bundle(bundle, steps=steps, priority=spec.priority, quiet=quiet)
-    else:
-        run_bundle(bundle, quiet=quiet)
 
 
 def _with_absolute_paths(job: JobSpec) -> JobSpec:
@@ -134,12 +140,17 @@ def _check_inputs(job: JobSpec) -> None:
         raise InputError("\n".join(faults))
 
 
+# USD is imported where it is first asked: what runs the job here starts meanwhile.
 def _frames_of(path: Path) -> FrameRange | None:
+    from usdface.usdio.referenced_files import frame_range_of
+
     return frame_range_of(path) if path.exists() else None
 
 
 def _carried(job: JobSpec) -> list[Path]:
     """Return what layers that the job starts from need beside them."""
+    from usdface.usdio.referenced_files import referenced_files
+
     made = {path for step in job.steps for path in step.changes()}
     read = {path for step in job.steps for path in step.paths(Reads)} - made
     layers = [path for path in read if path.suffix in LAYER_SUFFIXES and path.is_file()]
