@@ -12,17 +12,24 @@ import pytest
 from usdface.cli import app, console
 from usdface.errors import CancelledError
 
+KINDS: dict[signal.Signals, type[BaseException]] = {
+    signal.SIGTERM: CancelledError,
+    signal.SIGINT: KeyboardInterrupt,
+}
+
 
 @pytest.fixture
 def terminable():
-    before = signal.getsignal(signal.SIGTERM)
-    console.raise_on_terminate()
+    before = {each: signal.getsignal(each) for each in KINDS}
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    console.raise_on_signals()
     yield
-    signal.signal(signal.SIGTERM, before)
+    for each, handler in before.items():
+        signal.signal(each, handler)
 
 
-def stop_and_wait() -> None:
-    os.kill(os.getpid(), signal.SIGTERM)
+def stop_and_wait(kind: signal.Signals) -> None:
+    os.kill(os.getpid(), kind)
     wait()
 
 
@@ -37,21 +44,29 @@ def wait() -> None:
         time.sleep(0.01)
 
 
-def test_it_becomes_an_exception_at_once(terminable) -> None:
-    with pytest.raises(CancelledError):
-        stop_and_wait()
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_becomes_an_exception_at_once(terminable, kind: signal.Signals) -> None:
+    with pytest.raises(KINDS[kind]):
+        stop_and_wait(kind)
 
 
+@pytest.mark.parametrize("kind", KINDS)
 def test_inside_an_import_it_waits_for_the_import_to_end(
-    terminable, tmp_path: Path, monkeypatch
+    terminable, tmp_path: Path, monkeypatch, kind: signal.Signals
 ) -> None:
-    stop = "os.kill(os.getpid(), signal.SIGTERM)"
+    stop = f"os.kill(os.getpid(), {int(kind)})"
     text = f"import os, signal, time\n{stop}\ntime.sleep(0.2)\nwhole = 1\n"
     (tmp_path / "slow_to_import.py").write_text(text, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(CancelledError):
+    with pytest.raises(KINDS[kind]):
         import_and_wait()
     assert sys.modules.pop("slow_to_import").whole == 1
+
+
+def test_a_process_that_ignores_ctrl_c_goes_on_doing_so(terminable) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    console.raise_on_signals()
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
 def test_ctrl_c_ends_a_command_as_interrupted_and_says_so(

@@ -27,9 +27,9 @@ from usdface.usdio import weights_layer, weights_process
 from usdface.specs.map import MapSpec
 from usdface.steps import map as map_step
 from usdface.steps.execute import execute
-from usdface.cli.console import raise_on_terminate
+from usdface.cli.console import raise_on_signals
 
-raise_on_terminate()
+raise_on_signals()
 # Many saves and many blocks, so that a signal can fall into each of them.
 weights_layer.FRAMES_IN_MEMORY = 32
 map_step.BLOCK_FRAMES = 16

@@ -16,7 +16,7 @@ from usdface.cli.console import (
     ProgressStyle,
     exit_code_of,
     listening,
-    raise_on_terminate,
+    raise_on_signals,
     say,
     set_up_logging,
     show_error,
@@ -210,6 +210,9 @@ for _name, _group in _groups.items():
 @_groups["edits"].command("list", epilog=EPILOG)
 def list_edits(
     performance: Annotated[Path, typer.Argument(help="An edited performance.", show_default=False)],
+    prim: Annotated[
+        str | None, typer.Option(help="The face, where the layer holds several.", show_default=False)
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Say what was edited of a performance, and where the solve beneath has changed since.
@@ -220,7 +223,7 @@ def list_edits(
     """
     from usdface.steps.edited import list_edits as listed
 
-    show_report(listed(performance), as_json=as_json)
+    show_report(listed(performance, prim=prim), as_json=as_json)
 
 
 @app.command(epilog=EPILOG)
@@ -364,7 +367,7 @@ def _top(
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its code."""
-    raise_on_terminate()
+    raise_on_signals()
     given = sys.argv[1:] if arguments is None else arguments
     try:
         app(args=given, standalone_mode=True)

@@ -135,23 +135,25 @@ def set_up_logging(*, verbose: bool) -> None:
     )
 
 
-def raise_on_terminate() -> None:
+def raise_on_signals() -> None:
     """Turn the one SIGTERM a farm sends into an exception, so that half files are removed.
 
-    Inside an import it waits: USD's loader would swallow the exception and go on with half of
-    itself.
+    Inside an import it waits, and so does Ctrl+C: USD's loader would swallow the exception and go
+    on with half of itself.
     """
 
-    def cancel(signum: int, frame: FrameType | None) -> None:
+    def stop(signum: int, frame: FrameType | None) -> None:
         if _is_importing(frame):
-            again = threading.Timer(RETRY_SECONDS, os.kill, (os.getpid(), signal.SIGTERM))
+            again = threading.Timer(RETRY_SECONDS, os.kill, (os.getpid(), signum))
             again.daemon = True
             again.start()
             return
-        raise CancelledError(STOPPED)
+        raise KeyboardInterrupt if signum == signal.SIGINT else CancelledError(STOPPED)
 
     with contextlib.suppress(ValueError):  # only the main thread may set handlers
-        signal.signal(signal.SIGTERM, cancel)
+        signal.signal(signal.SIGTERM, stop)
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else it is ignored
+            signal.signal(signal.SIGINT, stop)
 
 
 def _is_importing(frame: FrameType | None) -> bool:
