@@ -162,6 +162,42 @@ def test_in_a_shot_the_edits_of_the_performance_beneath_are_changed_as_well(shot
     np.testing.assert_allclose(curve(path, "jawOpen")[299:320], 0.6, atol=1e-6)  # as it was
 
 
+def test_of_two_characters_in_a_shot_each_is_edited_and_baked_by_its_prim(shot: Shot) -> None:
+    cast = ("anna", "bert")
+    for name in cast:
+        remap(shot, out=shot / f"{name}.usda", prim=f"/shot/{name}", frames="1-60")
+    solved = curve(shot / "anna.usda", "jawOpen")
+    both = shot_above(shot / "anna.usda")
+    layer = Sdf.Layer.FindOrOpen(str(both))
+    layer.subLayerPaths = [f"./{name}.usda" for name in cast]
+    layer.Save()
+    with pytest.raises(InputError, match=r"2 animations.*open one face at a time .*--prim"):
+        edit(both, add=0.1)
+    with pytest.raises(InputError, match="at or below </shot/carl>; check --prim"):
+        edit(both, add=0.1, prim="/shot/carl")
+    for name, add in zip(cast, (0.1, 0.2), strict=True):
+        edit(both, add=add, prim=f"/shot/{name}")
+        baked, changed = shot / f"{name}.published.usdc", shot / f"{name}.changed.usdc"
+        run(BakeSpec(performance=both, out=baked, prim=f"/shot/{name}"))
+        np.testing.assert_allclose(curve(baked, "jawOpen"), solved + add, atol=1e-6)
+        run(PackageSpec(performance=both, out=shot / f"{name}.usdz", prim=f"/shot/{name}"))
+        np.testing.assert_allclose(curve(shot / f"{name}.usdz", "jawOpen"), solved + add, atol=1e-6)
+        shutil.copy(baked, changed)
+        with_more = Sdf.Layer.FindOrOpen(str(changed))
+        at = f"/shot/{name}/FaceSolve.blendShapeWeights"
+        row = list(with_more.QueryTimeSample(at, 30))
+        row[read_weights(baked).names.index("jawOpen")] += 0.3
+        with_more.SetTimeSample(at, 30, row)
+        with_more.Save()
+        run(EditsImportSpec(performance=both, changed=changed, prim=f"/shot/{name}"))
+        (found,) = list_edits(both, prim=f"/shot/{name}").figures["edits"]
+        assert found["change"] == pytest.approx(add + 0.3, abs=1e-5)
+    stage = Usd.Stage.Open(str(both))
+    for name, add in zip(cast, (0.1, 0.2), strict=True):
+        attribute = stage.GetAttributeAtPath(f"/shot/{name}/FaceSolve.face:edit:jawOpen")
+        assert attribute.Get(10) == pytest.approx(add)
+
+
 def test_an_edit_that_a_stronger_layer_would_hide_is_refused(shot: Shot) -> None:
     path = shot / "shot.hero.usda"
     edit(path, add=0.1)

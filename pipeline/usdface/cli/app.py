@@ -211,7 +211,8 @@ for _name, _group in _groups.items():
 def list_edits(
     performance: Annotated[Path, typer.Argument(help="An edited performance.", show_default=False)],
     prim: Annotated[
-        str | None, typer.Option(help="The face, where the layer holds several.", show_default=False)
+        str | None,
+        typer.Option(help="The face, where the layer holds several.", show_default=False),
     ] = None,
     as_json: Json = False,
 ) -> None:

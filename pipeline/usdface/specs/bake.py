@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from usdface.specs.base import FilePath, LayerOut, Positional, Reads, Spec
+from usdface.specs.base import FilePath, LayerOut, Positional, PrimPath, Reads, Spec
 
 
 class BakeSpec(Spec):
@@ -28,3 +28,5 @@ class BakeSpec(Spec):
     """What the tolerance is measured in: weights, or how far the face's surface moves."""
     limit: bool = False
     """Keep edited weights within the rig's ranges; solved ones are."""
+    prim: PrimPath | None = None
+    """The face, where the layer holds several: its prim, or one above it alone."""

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from usdface.layer_names import edits_path
-from usdface.specs.base import FilePath, Frames, Name, Positional, ReadPath, Reads, Spec
+from usdface.specs.base import FilePath, Frames, Name, Positional, PrimPath, ReadPath, Reads, Spec
 
 Change = Annotated[float, Field(ge=-10.0, le=10.0)]
 
@@ -38,6 +38,8 @@ class EditSpec(Spec):
     """Change these frames only, as FIRST-LAST; all by default."""
     fade: Annotated[int, Field(ge=0, le=100_000)] = 0
     """Frames before and after over which the change eases in and out."""
+    prim: PrimPath | None = None
+    """The face, where the layer holds several: its prim, or one above it alone."""
 
     @model_validator(mode="after")
     def _one_change(self) -> Self:
@@ -69,6 +71,8 @@ class EditsImportSpec(Spec):
     """.usd with an animation, .csv or .json (a `frame` column, then one per shape)."""
     least: Annotated[float, Field(gt=0.0, le=1.0)] = 0.002
     """Differences smaller than this are rounding, not edits."""
+    prim: PrimPath | None = None
+    """The face, where the layer holds several: its prim, or one above it alone."""
 
     def outputs(self) -> tuple[Path, ...]:
         """Return the layer that holds the edits."""

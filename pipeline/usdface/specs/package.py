@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator
 
-from usdface.specs.base import FilePath, Positional, Reads, Spec, WritePath
+from usdface.specs.base import FilePath, Positional, PrimPath, Reads, Spec, WritePath
 
 
 def _usdz(path: Path) -> Path:
@@ -28,3 +28,5 @@ class PackageSpec(Spec):
     """The performance, with or without edits."""
     out: Annotated[WritePath, AfterValidator(_usdz)]
     """The package to write."""
+    prim: PrimPath | None = None
+    """The face, where the layer holds several: its prim, or one above it alone."""

@@ -26,7 +26,7 @@ def run(
     spec: BakeSpec, *, provenance: Provenance | None = None, progress: Progress = silent
 ) -> Report:
     """Write the edited weights as one layer of UsdSkel animation."""
-    reader = PerformanceReader(spec.performance)
+    reader = PerformanceReader(spec.performance, prim=spec.prim)
     file, prim = reader.rig()
     rig = read_rig(file, prim=prim)
     header = header_of(reader)

@@ -40,7 +40,7 @@ def run(
 ) -> Report:
     """Change the shapes named over the frames named, and keep all other edits."""
     stamp = edits_stamp(spec.performance)
-    reader = PerformanceReader(spec.performance)
+    reader = PerformanceReader(spec.performance, prim=spec.prim)
     _check_shapes(spec, reader)
     first, last = frame_range(spec.frames) or (reader.first_frame, reader.last_frame)
     if last < reader.first_frame or first > reader.last_frame:
@@ -133,7 +133,7 @@ def _check_shapes(spec: EditSpec, reader: PerformanceReader) -> None:
 
 def _range_notes(spec: EditSpec, reader: PerformanceReader) -> list[str]:
     """Say where the edited weights leave 0 to 1: meant or not, it is seen at once."""
-    again = PerformanceReader(spec.performance)
+    again = PerformanceReader(spec.performance, prim=spec.prim)
     edited = again.edited()
     notes = []
     for shape in spec.shape:

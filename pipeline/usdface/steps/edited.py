@@ -105,10 +105,17 @@ def edit_notes(performance: Path) -> list[str]:
     return notes
 
 
-def list_edits(performance: Path) -> Report:
-    """Return what was edited of a performance, and where the solve beneath has changed since."""
+def list_edits(performance: Path, *, prim: str | None = None) -> Report:
+    """Return what was edited of a performance, and where the solve beneath has changed since.
+
+    Parameters
+    ----------
+    performance : Path
+    prim : str, optional
+        The face, where the layer holds several.
+    """
     confine("edits list", reads=[performance])
-    reader = PerformanceReader(performance)
+    reader = PerformanceReader(performance, prim=prim)
     ranges = find_edited_ranges(reader)
     largest = sorted(ranges, key=_weight, reverse=True)[:LISTED]
     table = tuple(

@@ -22,7 +22,7 @@ def run(
 ) -> Report:
     """Set edits so that the performance shows what the file shows, at the frames that it has."""
     stamp = edits_stamp(spec.performance)
-    reader = PerformanceReader(spec.performance)
+    reader = PerformanceReader(spec.performance, prim=spec.prim)
     table = read_weight_table(spec.changed, known=reader.names)
     known = _known_shapes(spec, reader, table)
     # What is said of the last frame is not meant for those that a longer take would add.

@@ -18,11 +18,11 @@ def run(
     spec: PackageSpec, *, provenance: Provenance | None = None, progress: Progress = silent
 ) -> Report:
     """Bake the edits in, and pack the result with the rig and all that it refers to."""
-    reader = PerformanceReader(spec.performance)
+    reader = PerformanceReader(spec.performance, prim=spec.prim)
     with replacing(spec.out) as temporary, tempfile.TemporaryDirectory() as name:
         baked = Path(name) / "weights.usdc"
         report = bake.run(
-            BakeSpec(performance=spec.performance, out=baked),
+            BakeSpec(performance=spec.performance, out=baked, prim=spec.prim),
             provenance=provenance,
             progress=part(progress, 0.0, 0.7),
         )

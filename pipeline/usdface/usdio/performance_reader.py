@@ -28,6 +28,8 @@ class PerformanceReader:
         Any USD file that holds one face whose weights are animated.
     animation : Sdf.Path, optional
         The animation, where a file has several for one face.
+    prim : str, optional
+        The face, or a prim above it alone, where a file has several.
 
     Raises
     ------
@@ -36,11 +38,13 @@ class PerformanceReader:
     """
 
     @refusing_wrong_types
-    def __init__(self, path: Path, *, animation: Sdf.Path | None = None) -> None:
+    def __init__(
+        self, path: Path, *, animation: Sdf.Path | None = None, prim: str | None = None
+    ) -> None:
         self.path = path
         self.stage = open_stage(path)
         self.animation = (
-            find_animation(self.stage, path)
+            find_animation(self.stage, path, prim=prim)
             if animation is None
             else self.stage.GetPrimAtPath(animation)
         )
@@ -158,36 +162,50 @@ class PerformanceReader:
         return attribute.Get() if attribute else None
 
 
-def find_animation(stage: Usd.Stage, path: Path) -> Usd.Prim:
+def find_animation(stage: Usd.Stage, path: Path, *, prim: str | None = None) -> Usd.Prim:
     """Return the one animation with weights over time that a skeleton of the stage follows.
+
+    Parameters
+    ----------
+    stage : Usd.Stage
+    path : Path
+        What messages call it.
+    prim : str, optional
+        Only skeletons at or below it count; by default all do.
 
     Raises
     ------
     InputError
         If there is none, or more than one.
     """
-    found = animations_of_skeletons(stage)
+    top = Sdf.Path(prim or "/")
+    found = animations_of_skeletons(stage, below=top)
     if not found:
         found = {
-            str(prim.GetPath()): prim
-            for prim in stage.TraverseAll()  # a layer of weights alone has only overs above
-            if prim.IsA(UsdSkel.Animation) and _weight_samples(prim)
+            str(each.GetPath()): each
+            for each in stage.TraverseAll()  # a layer of weights alone has only overs above
+            if each.GetPath().HasPrefix(top)
+            and each.IsA(UsdSkel.Animation)
+            and _weight_samples(each)
         }
     if not found:
-        raise InputError(f"{path}: no SkelAnimation with blendShapeWeights over time")
+        where = f" at or below <{prim}>; check --prim" if prim else ""
+        raise InputError(f"{path}: no SkelAnimation with blendShapeWeights over time{where}")
     if len(found) > 1:
         raise InputError(
             f"{path}: {len(found)} animations with blendShapeWeights, {', '.join(found)}; "
-            "open one face at a time"
+            "open one face at a time (`edit`, `edits`, `bake` and `package` take --prim)"
         )
     return next(iter(found.values()))
 
 
-def animations_of_skeletons(stage: Usd.Stage) -> dict[str, Usd.Prim]:
+def animations_of_skeletons(
+    stage: Usd.Stage, *, below: Sdf.Path = Sdf.Path.absoluteRootPath
+) -> dict[str, Usd.Prim]:
     """Return the animations with weights over time that skeletons of a stage follow, by path."""
     found: dict[str, Usd.Prim] = {}
     for prim in stage.Traverse():
-        if prim.IsA(UsdSkel.Skeleton):
+        if prim.IsA(UsdSkel.Skeleton) and prim.GetPath().HasPrefix(below):
             source = UsdSkel.BindingAPI(prim).GetInheritedAnimationSource()
             if source and _weight_samples(source):
                 found[str(source.GetPath())] = source
