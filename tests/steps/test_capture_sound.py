@@ -46,6 +46,26 @@ def test_a_channel_named_like_sound_is_found_and_played_true(tmp_path: Path) -> 
     assert any("analog channel Audio.1 (12000 Hz)" in note for note in report.notes)
 
 
+def test_sound_of_others_is_kept_and_our_own_replaced(tmp_path: Path) -> None:
+    spec = IngestSpec(sources=(write(tmp_path),), out=tmp_path / "shot.take.usda")
+    sound = tmp_path / "shot.take.sound.wav"
+    sound.write_bytes(b"RIFF, and hours of a sound engineer's work")
+    for overwrite in (False, True):
+        with pytest.raises(InputError, match=r"sound\.wav: exists, and the take does not say"):
+            execute(spec, overwrite=overwrite)
+    assert sound.read_bytes().startswith(b"RIFF, and hours")
+    assert not spec.out.exists()
+    sound.unlink()
+    assert sound in execute(spec).outputs
+    told = sound.read_bytes()
+    spec.out.unlink()  # as a run that was killed leaves it
+    execute(spec, overwrite=True)
+    assert sound.read_bytes() == told
+    write(tmp_path, labels=("Audio.1",))  # another channel: other samples
+    execute(spec, overwrite=True)
+    assert sound.read_bytes() != told
+
+
 def test_a_channel_may_be_named(tmp_path: Path) -> None:
     source = write(tmp_path, labels=("Kanal_7",))
     plain = execute(IngestSpec(sources=(source,), out=tmp_path / "a.take.usda"))

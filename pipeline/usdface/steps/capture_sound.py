@@ -1,5 +1,6 @@
 """The sound that a capture system recorded on an analog channel, as a file that tools play."""
 
+import filecmp
 import re
 import wave
 from collections.abc import Sequence
@@ -29,7 +30,7 @@ class CaptureSound:
 
 
 def extract_sound(
-    sources: Sequence[Path], out: Path, *, channel: str | None = None
+    sources: Sequence[Path], out: Path, *, channel: str | None = None, ours: bool = False
 ) -> CaptureSound | None:
     """Write the analog channel that holds sound as a WAV file.
 
@@ -41,6 +42,8 @@ def extract_sound(
         The WAV file to write.
     channel : str, optional
         Name of the channel; one that is named like sound by default.
+    ours : bool
+        Whether the file that may lie there already was made by this step.
 
     Returns
     -------
@@ -50,7 +53,8 @@ def extract_sound(
     Raises
     ------
     InputError
-        If no capture has the named channel, or the file cannot be written.
+        If no capture has the named channel, or the file cannot be written, or there is another
+        that is not ours.
     """
     told = list[str]()
     for source in sources:
@@ -66,7 +70,7 @@ def extract_sound(
         if channel is None and capture.analog_rate >= LEAST_RATE:
             chosen = next((name for name in names if SOUND_NAME.search(name)), None)
         if chosen is not None:
-            _write_wav(out, capture, names.index(chosen))
+            _write_wav(out, capture, names.index(chosen), ours=ours)
             rate = capture.analog_rate
             return CaptureSound(out, f"sound was taken from analog channel {chosen} ({rate:g} Hz)")
     if channel is None:
@@ -79,7 +83,7 @@ def extract_sound(
     )
 
 
-def _write_wav(path: Path, capture: C3dFile, column: int) -> None:
+def _write_wav(path: Path, capture: C3dFile, column: int, *, ours: bool) -> None:
     """Write 16-bit samples, the loudest at full scale; two passes keep memory bounded."""
     starts = range(0, capture.frame_count, CHUNK_FRAMES)
 
@@ -95,12 +99,19 @@ def _write_wav(path: Path, capture: C3dFile, column: int) -> None:
 
     loudest = max((float(np.abs(heard(start)).max()) for start in starts), default=0.0)
     scale = 32767.0 / loudest if loudest > 0 else 0.0
-    with replacing(path) as temporary, wave.open(str(temporary), "wb") as stream:
-        stream.setnchannels(1)
-        stream.setsampwidth(2)
-        stream.setframerate(round(capture.analog_rate))
-        for start in starts:
-            stream.writeframes(np.round(heard(start) * scale).astype("<i2").tobytes())
+    with replacing(path) as temporary:
+        with wave.open(str(temporary), "wb") as stream:
+            stream.setnchannels(1)
+            stream.setsampwidth(2)
+            stream.setframerate(round(capture.analog_rate))
+            for start in starts:
+                stream.writeframes(np.round(heard(start) * scale).astype("<i2").tobytes())
+        # A run that was killed before it wrote its take left the same.
+        if not ours and path.exists() and not filecmp.cmp(path, temporary, shallow=False):
+            raise InputError(
+                f"{path}: exists, and the take does not say that it is its sound; what the capture "
+                "recorded goes there: move the file away, or name it with --audio"
+            )
 
 
 def _numbers(samples: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from usdface.steps.report import Report
 from usdface.timecode import frames_of
 from usdface.usdio.foreign_take import read_foreign_take
 from usdface.usdio.layers import LAYER_SUFFIXES
-from usdface.usdio.take import is_take, read_take
+from usdface.usdio.take import TakeReader, is_take, read_take
 from usdface.usdio.take_write import samples_path, write_take
 from usdface.wording import counted
 
@@ -54,7 +54,7 @@ def run(
     notes = (*(note for capture in captures for note in capture.notes), *joined.notes, *doubts)
     notes += (sound.note,) if sound else ()
     log.info("%s: %d frames", spec.out, take.frame_count)
-    return _report(spec, take, notes)
+    return _report(spec, take, notes, (sound.file,) if sound else ())
 
 
 def _labelled(takes: list[Take], spec: IngestSpec) -> list[Take]:
@@ -146,7 +146,17 @@ def _capture_sound(spec: IngestSpec) -> CaptureSound | None:
     if spec.audio is not None:
         return None
     out = spec.out.with_name(f"{spec.out.stem}.sound.wav")
-    return extract_sound(spec.sources, out, channel=spec.audio_channel)
+    ours = out.exists() and spec.out.exists() and _is_sound_of(spec.out, out)
+    return extract_sound(spec.sources, out, channel=spec.audio_channel, ours=ours)
+
+
+def _is_sound_of(path: Path, sound: Path) -> bool:
+    try:
+        reader = TakeReader(path)
+        take = reader.read(reader.first_frame, reader.first_frame, head_motion=False)
+    except InputError:  # a damaged take is replaced, and says nothing of its sound
+        return False
+    return take.audio is not None and take.audio.resolve() == sound.resolve()
 
 
 def _open_video(file: Path, spec: IngestSpec) -> Video:
@@ -155,7 +165,7 @@ def _open_video(file: Path, spec: IngestSpec) -> Video:
         return Video(file=file, rate=video.rate, offset=spec.video_offset)
 
 
-def _report(spec: IngestSpec, take: Take, notes: tuple[str, ...]) -> Report:
+def _report(spec: IngestSpec, take: Take, notes: tuple[str, ...], made: tuple[Path, ...]) -> Report:
     rate = float(take.rate)
     figures: dict[str, object] = {
         "frames": take.frame_count,
@@ -178,7 +188,7 @@ def _report(spec: IngestSpec, take: Take, notes: tuple[str, ...]) -> Report:
     if take.source is not None:
         figures["channels"] = len(take.source.names)
         parts.append(counted(len(take.source.names), "weight"))
-    outputs = tuple(dict.fromkeys((spec.out, samples_path(spec.out))))
+    outputs = tuple(dict.fromkeys((spec.out, samples_path(spec.out), *made)))
     if take.events:
         figures["events"] = [[event.label, event.frame] for event in take.events]
         parts.append(counted(len(take.events), "event"))
