@@ -1,6 +1,7 @@
 """AYON: the add-on that tells AYON where usdface's publish plug-ins are.
 
-Copy this folder into an add-on package, or make its class part of the studio's own add-on.
+Copy this folder into an add-on as its client folder, or make its class part of the studio's own
+add-on. The client folder must not be called usdface: AYON imports it by its name.
 """
 
 from pathlib import Path

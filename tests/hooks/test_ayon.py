@@ -1,13 +1,18 @@
-"""AYON's documented interface, by stand-ins where ayon_core would be: it needs its server."""
+"""AYON's interface, by stand-ins made after ayon-core 1.9: the real one needs its server."""
 
+import importlib
+import shutil
 import sys
+import tempfile
+from fractions import Fraction
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
 from tests.hooks.loading import HOOKS, load
 from tests.steps.small_shot import Shot
+from usdface.errors import InputError
 from usdface.publish import ReviewOptions
 from usdface.usdio.performance import read_weights
 
@@ -19,24 +24,34 @@ util = pytest.importorskip("pyblish.util", reason="needs pyblish-base")
 def ayon_core(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """As much of ayon_core as publish plug-ins meet, behaving as documented."""
 
-    class PublishValidationError(Exception):
+    class PublishError(Exception):
         def __init__(self, message, title=None, description=None, detail=None):
-            self.message, self.title = message, title
+            self.message, self.title, self.detail = message, title, detail
             self.description = description or message
             super().__init__(message)
+
+    class PublishValidationError(PublishError):
+        pass
 
     class Extractor(api.InstancePlugin):
         order = 2.0
 
         def staging_dir(self, instance):
-            folder = instance.data.setdefault("stagingDir", str(tmp_path / "staging"))
-            Path(folder).mkdir(exist_ok=True)
-            return folder
+            if not instance.data.get("stagingDir"):
+                instance.data["stagingDir"] = tempfile.mkdtemp(dir=tmp_path)
+                instance.data["stagingDir_persistent"] = False
+            return instance.data["stagingDir"]
 
     class AYONAddon:
-        pass
+        enabled = True
+
+        def __init__(self, manager, settings):
+            self.manager = manager
 
     class IPluginPaths:
+        def get_plugin_paths(self):
+            return {}
+
         def get_publish_plugin_paths(self, host_name):
             return []
 
@@ -46,6 +61,7 @@ def ayon_core(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         "ayon_core.pipeline": {},
         "ayon_core.pipeline.publish": {
             "Extractor": Extractor,
+            "PublishError": PublishError,
             "PublishValidationError": PublishValidationError,
         },
     }
@@ -58,7 +74,7 @@ def ayon_core(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 @pytest.fixture
 def plugins(ayon_core: None) -> list[type]:
-    addon = load("ayon/usdface_addon.py").UsdfaceAddon()
+    addon = load("ayon/usdface_addon.py").UsdfaceAddon(None, {})
     (folder,) = addon.get_publish_plugin_paths("maya")
     assert Path(folder) == HOOKS / "ayon" / "plugins" / "publish"
     assert addon.get_plugin_paths() == {"publish": [folder]}
@@ -86,6 +102,7 @@ def test_a_product_has_what_ayons_integrator_asks_for(shot: Shot, plugins) -> No
     assert instance.data["productType"] == "facePerformance"
     assert instance.data["productName"] == "shot.hero"
     assert instance.data["folderPath"] == "/shots/sh010"
+    assert instance.data["source"] == str(shot / "shot.hero.usda")
     by_name = {each["name"]: each for each in instance.data["representations"]}
     assert set(by_name) == {"usd", "sheet"}
     for representation in by_name.values():
@@ -93,7 +110,33 @@ def test_a_product_has_what_ayons_integrator_asks_for(shot: Shot, plugins) -> No
         file = Path(representation["stagingDir"]) / representation["files"]
         assert file.is_file()
         assert file.suffix == f".{representation['ext']}"
-    assert by_name["sheet"]["tags"] == ["thumbnail"]
+    assert by_name["sheet"]["outputName"] == "sheet"  # AYON's own thumbnail is a .jpg, too
+
+
+def test_the_sheet_is_what_ayon_uploads_as_thumbnail(shot: Shot, plugins) -> None:
+    """A tag alone makes none: ayon-core takes `thumbnailPath`, or a representation of that name."""
+    (instance,) = run(shot, plugins, ReviewOptions(rows=1, quality="draft"))
+    assert Path(instance.data["thumbnailPath"]).name == "shot.hero.sheet.jpg"
+    assert Path(instance.data["thumbnailPath"]).is_file()
+
+
+def test_ayon_can_remove_all_that_was_staged(shot: Shot, plugins, tmp_path: Path) -> None:
+    (instance,) = run(shot, plugins, ReviewOptions(sheet=False))
+    (representation,) = instance.data["representations"]
+    assert Path(instance.data["stagingDir"]).parent == tmp_path
+    assert Path(instance.data["stagingDir"]) in Path(representation["stagingDir"]).parents
+
+
+def test_a_movie_is_what_is_reviewed_in_ayon(ayon_core: None, tmp_path: Path) -> None:
+    item = SimpleNamespace(first_frame=1, last_frame=9, rate=Fraction(24))
+    path = tmp_path / "shot.review.mp4"
+    extracted = SimpleNamespace(folder=tmp_path, item=item, path=lambda role: path)
+    instance = SimpleNamespace(data={})
+    plugin = load("ayon/plugins/publish/extract_face_performances.py").ExtractFacePerformance()
+    plugin._add(instance, extracted, "movie", "review", ["review", "webreview"])
+    (movie,) = instance.data["representations"]
+    assert "webreview" in movie["tags"]
+    assert (movie["frameStart"], movie["frameEnd"], movie["fps"]) == (1, 9, 24.0)
 
 
 def test_what_ayon_copies_stands_alone_under_any_name(shot: Shot, plugins, tmp_path) -> None:
@@ -106,7 +149,10 @@ def test_what_ayon_copies_stands_alone_under_any_name(shot: Shot, plugins, tmp_p
 
 def test_a_name_that_ayon_refuses_is_made_one_that_it_takes(ayon_core: None) -> None:
     name = load("ayon/plugins/publish/collect_face_performances.py")._product_name
-    assert name("Küche 3; rm -rf") == "K_che_3__rm_-rf"
+    assert name("Küche 3; rm -rf") == "K_che_3__rm__rf"
+    assert name("shot.hero") == "shot.hero"
+    assert name(".shot.") == "shot"
+    assert name("...") == "_"
 
 
 def test_an_error_is_ayons_own_validation_error(shot: Shot, plugins, monkeypatch) -> None:
@@ -121,3 +167,37 @@ def test_an_error_is_ayons_own_validation_error(shot: Shot, plugins, monkeypatch
     (failed,) = [result for result in context.data["results"] if not result["success"]]
     assert type(failed["error"]).__name__ == "PublishValidationError"
     assert failed["error"].description == "- no rate; author one (usdface:rates, x.usda </Face>)"
+
+
+def test_what_cannot_be_published_is_said_as_ayons_own_error(
+    shot: Shot, plugins, tmp_path: Path, monkeypatch
+) -> None:
+    """AYON shows the words of its own errors; others are faults of a plug-in to it."""
+    context = api.Context()
+    context.data["usdface"] = [str(tmp_path / "gone.usda")]
+    util.collect(context, plugins)
+    (failed,) = [result for result in context.data["results"] if not result["success"]]
+    assert type(failed["error"]).__name__ == "PublishError"
+    assert "gone.usda: no such file; check the path" in str(failed["error"])
+
+    import usdface.publish
+
+    def refuse(*given: object, **options: object) -> None:
+        raise InputError("the disk is full")
+
+    monkeypatch.setattr(usdface.publish, "extract_performance", refuse)
+    context = run(shot, plugins, ReviewOptions(sheet=False))
+    (failed,) = [result for result in context.data["results"] if not result["success"]]
+    assert type(failed["error"]).__name__ == "PublishError"
+    assert str(failed["error"]) == "the disk is full"
+
+
+def test_the_folder_is_an_addons_client_folder(ayon_core: None, tmp_path, monkeypatch) -> None:
+    shutil.copytree(HOOKS / "ayon", tmp_path / "ayon_usdface")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    found = importlib.import_module("ayon_usdface")
+    for name in ("ayon_usdface", "ayon_usdface.usdface_addon"):
+        monkeypatch.delitem(sys.modules, name)
+    assert issubclass(found.UsdfaceAddon, sys.modules["ayon_core.addon"].AYONAddon)
+    (folder,) = found.UsdfaceAddon(None, {}).get_publish_plugin_paths("maya")
+    assert Path(folder) == tmp_path / "ayon_usdface" / "plugins" / "publish"

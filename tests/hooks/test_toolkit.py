@@ -1,4 +1,4 @@
-"""Toolkit's hook interface, by stand-ins made after tk-multi-publish2 2.10 as it was seen to run."""
+"""Toolkit's hook interface, by stand-ins made after tk-multi-publish2 2.10 as it ran."""
 
 import json
 import logging

@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import pyblish.api
+from ayon_core.pipeline import publish
 
 
 class CollectFacePerformances(pyblish.api.ContextPlugin):
@@ -19,11 +20,16 @@ class CollectFacePerformances(pyblish.api.ContextPlugin):
 
     def process(self, context):
         """Add the instances."""
+        from usdface.errors import UsdfaceError
         from usdface.publish import collect_performances
 
         named = os.environ.get("USDFACE_PUBLISH", "")
         paths = context.data.get("usdface") or [path for path in named.split(os.pathsep) if path]
-        for item in collect_performances(map(Path, paths)):
+        try:
+            found = collect_performances(map(Path, paths))
+        except UsdfaceError as error:  # any other class AYON shows as a fault of the plug-in
+            raise publish.PublishError(str(error), title="Face performances") from error
+        for item in found:
             instance = context.create_instance(item.name)
             instance.data.update(
                 {
@@ -39,6 +45,7 @@ class CollectFacePerformances(pyblish.api.ContextPlugin):
                     "handleStart": 0,
                     "handleEnd": 0,
                     "fps": float(item.rate),
+                    "source": str(item.performance.absolute()),  # not the host's open scene
                     "representations": [],
                     "usdfaceItem": item,
                 }
@@ -46,7 +53,8 @@ class CollectFacePerformances(pyblish.api.ContextPlugin):
 
 
 def _product_name(name):
-    """Return a name of letters, digits, ``_``, ``-`` and ``.``: all that AYON takes."""
-    return "".join(
-        each if each.isascii() and (each.isalnum() or each in "_-.") else "_" for each in name
+    """Return a name of letters, digits, ``_`` and ``.``, which AYON's creators and server take."""
+    kept = "".join(
+        each if each.isascii() and (each.isalnum() or each in "_.") else "_" for each in name
     )
+    return kept.strip(".") or "_"

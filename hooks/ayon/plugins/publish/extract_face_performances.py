@@ -10,7 +10,7 @@ class ExtractFacePerformance(publish.Extractor):
     """Make the weights layer, edits composed in, and a sheet.
 
     The layer stands alone, because AYON names files anew: sublayer or reference it over the
-    character.
+    character. The sheet becomes the version's thumbnail, a movie what is reviewed in AYON.
     """
 
     label = "Extract face performance"
@@ -19,19 +19,25 @@ class ExtractFacePerformance(publish.Extractor):
 
     def process(self, instance):
         """Extract the instance."""
+        from usdface.errors import UsdfaceError
         from usdface.publish import extract_performance
 
-        extracted = extract_performance(
-            instance.data["usdfaceItem"],
-            Path(self.staging_dir(instance)),
-            review=instance.data.get("usdfaceReview"),
-        )
-        instance.data["stagingDir"] = str(extracted.folder)
-        self._add(instance, extracted, "weights", "usd", [])
-        self._add(instance, extracted, "sheet", "sheet", ["thumbnail"])
-        self._add(instance, extracted, "movie", "review", ["review"])
+        try:
+            extracted = extract_performance(
+                instance.data["usdfaceItem"],
+                Path(self.staging_dir(instance)),  # AYON removes it, and all that is in it
+                review=instance.data.get("usdfaceReview"),
+            )
+        except UsdfaceError as error:
+            raise publish.PublishError(str(error), title=self.label) from error
+        self._add(instance, extracted, "weights", "usd")
+        self._add(instance, extracted, "sheet", "sheet")
+        self._add(instance, extracted, "movie", "review", ["review", "webreview"])
+        sheet = extracted.path("sheet")
+        if sheet is not None:
+            instance.data.setdefault("thumbnailPath", str(sheet))
 
-    def _add(self, instance, extracted, role, name, tags):
+    def _add(self, instance, extracted, role, name, tags=()):
         path = extracted.path(role)
         if path is None:
             return
@@ -41,8 +47,10 @@ class ExtractFacePerformance(publish.Extractor):
             "files": path.name,
             "stagingDir": str(extracted.folder),
         }
+        if role != "weights":  # a thumbnail or review that AYON itself makes has the same suffix
+            representation["outputName"] = name
         if tags:
-            representation["tags"] = tags
+            representation["tags"] = list(tags)
         if role == "movie":
             item = extracted.item
             representation |= {"frameStart": item.first_frame, "frameEnd": item.last_frame}

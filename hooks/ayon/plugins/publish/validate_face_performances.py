@@ -13,10 +13,15 @@ class ValidateFacePerformance(pyblish.api.InstancePlugin):
 
     def process(self, instance):
         """Look at the instance's performance."""
+        from usdface.errors import UsdfaceError
         from usdface.publish import validate_performance
 
+        try:
+            findings = validate_performance(instance.data["usdfaceItem"])
+        except UsdfaceError as error:
+            raise publish.PublishValidationError(str(error), title="Face performance") from error
         errors = []
-        for finding in validate_performance(instance.data["usdfaceItem"]):
+        for finding in findings:
             if finding.severity == "error":
                 errors.append(f"- {finding.message} ({finding.check}, {finding.where})")
             else:
