@@ -302,6 +302,19 @@ def test_mapping_again_keeps_what_others_put_into_the_performance(tmp_path: Path
     assert read_performance(path).weights.first_frame == 901
 
 
+def test_mapping_again_keeps_weights_that_somebody_moved_in_time(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    layer.subLayerOffsets[0] = Sdf.LayerOffset(-1000, 1)
+    layer.Save()
+    write(tmp_path, weights=WEIGHTS[::-1])
+    stage = Usd.Stage.Open(str(path))
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (1, 20)
+    reader = PerformanceReader(path)
+    assert (reader.first_frame, reader.last_frame) == (1, 20)
+    np.testing.assert_array_equal(reader.solved(), WEIGHTS[::-1])
+
+
 def test_mapping_again_keeps_what_else_the_rig_s_prim_references(tmp_path: Path) -> None:
     path = write(tmp_path)
 

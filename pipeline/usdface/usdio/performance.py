@@ -125,10 +125,14 @@ def writing_top(
         if path.is_file():
             layer.TransferContent(open_layer(path))
         author_units(layer, like=rig.file)
-        author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
         layer.defaultPrim = Sdf.Path(header.place).GetPrefixes()[0].name
         weights_asset = relative_path(weights_path(path), path)
-        again = weights_asset in list(layer.subLayerPaths)
+        below = list(layer.subLayerPaths)
+        again = weights_asset in below
+        moved = layer.subLayerOffsets[below.index(weights_asset)] if again else Sdf.LayerOffset()
+        ends = (header.first_frame, header.last_frame)
+        first, last = (moved.offset + moved.scale * each for each in ends)
+        author_timing(layer, rate=header.rate, first=first, last=last)
         define_reference(layer, header.place, rig, path, again=again)
         if before.place not in ("", header.place):
             forget_reference(layer, before.place, {rig.file.resolve(), *before.files}, path)
