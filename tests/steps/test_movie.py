@@ -2,6 +2,7 @@
 
 import json
 import os
+import sys
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -171,6 +172,14 @@ def test_two_processes_draw_what_one_draws(shot: Shot) -> None:
     execute(spec_of(shot, "one.mp4", frames="20-139"))
     execute(spec_of(shot, "two.mp4", frames="20-139", workers=2))
     np.testing.assert_array_equal(pictures_of(shot / "two.mp4"), pictures_of(shot / "one.mp4"))
+
+
+def test_another_programs_python_starts_no_process(shot: Shot, monkeypatch) -> None:
+    """Publish hooks draw movies inside DCCs, where a new process would be another DCC."""
+    monkeypatch.setattr(movie_step, "ProcessPoolExecutor", lambda *_, **__: pytest.fail("a pool"))
+    monkeypatch.setattr(sys, "orig_argv", ["/opt/maya/bin/maya.bin"])
+    execute(spec_of(shot, "dcc.mp4", frames="20-139", workers=2))
+    assert len(pictures_of(shot / "dcc.mp4")) == 60
 
 
 @pytest.mark.parametrize(

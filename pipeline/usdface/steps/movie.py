@@ -12,6 +12,7 @@ from pathlib import Path
 
 from usdface.assets import Take
 from usdface.errors import InputError
+from usdface.interpreter import can_start_again
 from usdface.media.color import ByteImage
 from usdface.media.movie import write_movie
 from usdface.media.movie_frame import MoviePanel, compose_movie_frame
@@ -162,7 +163,7 @@ def _make_folder(folder: Path, *, keep: set[Path]) -> None:
 
 def _draw_all(plan: _Plan, stretches: list[_Stretch], shot: Shot, progress: Progress) -> None:
     count = min(plan.spec.workers or _cores(), len(stretches))
-    if count <= 1:
+    if count <= 1 or not can_start_again():  # a pool within a DCC would start the DCC
         for number, stretch in enumerate(stretches):
             progress(0.02 + 0.95 * number / len(stretches), f"drawing picture {stretch.start}")
             _draw_stretch(plan, shot, stretch)

@@ -26,6 +26,7 @@ from pxr import Sdf
 
 from usdface.assets import Float32Array, FloatArray, Rig
 from usdface.errors import InputError
+from usdface.interpreter import can_start_again
 from usdface.provenance import Provenance
 from usdface.replacing import replacing
 from usdface.usdio.layers import (
@@ -82,19 +83,10 @@ def writing_frames(
     a performance do without: waiting for each to be whole costs what is gained.
     """
     much = header.frame_count * (SAMPLE_COSTS + len(header.shape_names)) >= MUCH
-    apart = much and (os.cpu_count() or 1) > 1 and _python_is_known()
+    apart = much and (os.cpu_count() or 1) > 1 and can_start_again()
     writing = _writing_apart if apart else writing_weights
     with writing(path, header, rig, provenance=provenance) as writer:
         yield writer
-
-
-def _python_is_known() -> bool:
-    """Whether our interpreter can be started again.
-
-    Within another program it is that program, or some Python that was found in its stead.
-    """
-    names = (sys.executable or "", *(sys.orig_argv[:1] or [""]))
-    return all(Path(name).stem.lower().startswith("python") for name in names)
 
 
 @contextlib.contextmanager
