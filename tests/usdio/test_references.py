@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from tests.usdio.small_rig import small_rig
 from usdface.assets import MotionSpace, References
@@ -51,7 +51,8 @@ def small_references(folder: Path, pairs: int = 5, seed: int = 0) -> References:
 
 
 def write(folder: Path, references: References) -> Path:
-    write_rig(folder / "rig.usda", small_rig())
+    if not (folder / "rig.usda").exists():
+        write_rig(folder / "rig.usda", small_rig())
     path = folder / "hero.references.usda"
     write_references(
         path,
@@ -102,6 +103,26 @@ def test_a_viewer_that_scrubs_sees_each_pair_on_the_rig(tmp_path: Path) -> None:
     assert tuple(query.GetBlendShapeOrder()) == references.shape_names
     for pair, row in enumerate(references.weights):
         np.testing.assert_array_equal(query.ComputeBlendShapeWeights(pair + 1), row)
+
+
+def test_a_rig_in_other_units_stands_at_its_size_beside_the_markers(tmp_path: Path) -> None:
+    references = small_references(tmp_path)
+    write_rig(references.rig_file, small_rig())
+    before = read_rig(references.rig_file).meshes[0].points
+    rig = Usd.Stage.Open(str(references.rig_file))
+    UsdGeom.SetStageMetersPerUnit(rig, 1.0)
+    UsdGeom.SetStageUpAxis(rig, "Z")
+    top = UsdGeom.Xformable(rig.GetDefaultPrim())
+    top.ClearXformOpOrder()
+    top.AddScaleOp(opSuffix="small").Set((0.01, 0.01, 0.01))
+    top.AddRotateXOp(opSuffix="up").Set(90)
+    rig.Save()
+    np.testing.assert_allclose(read_rig(references.rig_file).meshes[0].points, before, atol=1e-4)
+    stage = Usd.Stage.Open(str(write(tmp_path, references)))
+    mesh = next(prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh))
+    world = UsdGeom.XformCache().GetLocalToWorldTransform(mesh)
+    shown = [world.Transform(point) for point in UsdGeom.Mesh(mesh).GetPointsAttr().Get()]
+    np.testing.assert_allclose(np.array(shown) * 10, before, atol=1e-4)
 
 
 def test_tuned_pairs_win_and_the_others_still_show_proposals(tmp_path: Path) -> None:

@@ -32,7 +32,12 @@ from usdface.usdio.layers import (
     relative_path,
 )
 from usdface.usdio.pair_layers import author_pair_header, open_pair_stage
-from usdface.usdio.rig_reference import define_reference, point_skeletons_at, rig_of
+from usdface.usdio.rig_reference import (
+    define_reference,
+    point_skeletons_at,
+    rig_of,
+    turn_to_our_units,
+)
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 ROOT = Sdf.Path("/Pairs")
@@ -152,6 +157,7 @@ def _author_samples(
         (TARGET, target_rig, TARGET_CONTROLS),
     ):
         define_reference(layer, str(place), rig, path)
+        turn_to_our_units(layer, str(place), rig)
         point_skeletons_at(layer, str(place), rig, animation)
     for place, shapes, weights in (
         (SOURCE_WEIGHTS, pairs.source_shapes, pairs.source),

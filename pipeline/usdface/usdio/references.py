@@ -25,7 +25,12 @@ from usdface.usdio.layers import (
     relative_path,
 )
 from usdface.usdio.pair_layers import author_pair_header, open_pair_stage
-from usdface.usdio.rig_reference import define_reference, point_skeletons_at, rig_of
+from usdface.usdio.rig_reference import (
+    define_reference,
+    point_skeletons_at,
+    rig_of,
+    turn_to_our_units,
+)
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 ROOT = Sdf.Path("/References")
@@ -108,6 +113,7 @@ def write_references(
         names = list(references.shape_names)
         author_uniform(animation, "blendShapes", Sdf.ValueTypeNames.TokenArray, names)
         define_reference(layer, str(RIG), rig, path)
+        turn_to_our_units(layer, str(RIG), rig)
         point_skeletons_at(layer, str(RIG), rig, WEIGHTS)
 
 

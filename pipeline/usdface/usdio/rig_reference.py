@@ -5,13 +5,17 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from pxr import Sdf, Usd, UsdSkel
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 from usdface.assets import Rig
 from usdface.errors import InputError
-from usdface.usdio.authoring import apply_api, define_prim
-from usdface.usdio.layers import open_stage, relative_path
+from usdface.usdio.authoring import apply_api, author_uniform, define_prim
+from usdface.usdio.layers import MM_PER_STAGE_UNIT, open_stage, relative_path
 from usdface.usdio.rig import skeletons_of
+from usdface.usdio.space import stage_to_ours
+
+UNITS = "xformOp:transform:units"
 
 
 def default_place(rig: Rig) -> str:
@@ -49,6 +53,26 @@ def define_reference(
     there = list(getattr(references, name))
     ours = _ours_among(there, reference, rig.file, layer_path, again=again)
     setattr(references, name, [*there[: ours.start], reference, *there[ours.stop :]])
+
+
+def turn_to_our_units(layer: Sdf.Layer, place: str, rig: Rig) -> None:
+    """Turn and scale a referenced rig to centimetres, Y up, beside what the layer itself holds.
+
+    USD converts no units: a rig in metres, Z up, would lie on its back at a hundredth of its size.
+    """
+    stage = open_stage(rig.file)
+    ours = stage_to_ours(stage) / MM_PER_STAGE_UNIT
+    if np.allclose(ours, np.eye(3)):
+        return
+    top = UsdGeom.Xformable(stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0]))
+    own = list(top.GetXformOpOrderAttr().Get() or ()) if top else []
+    turned = np.eye(4)
+    turned[:3, :3] = ours.T  # row vectors
+    prim = Sdf.CreatePrimInLayer(layer, place)
+    Sdf.AttributeSpec(prim, UNITS, Sdf.ValueTypeNames.Matrix4d).default = Gf.Matrix4d(
+        turned.tolist()
+    )
+    author_uniform(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, [UNITS, *map(str, own)])
 
 
 def _ours_among(
