@@ -80,6 +80,7 @@ def test_a_short_textgrid_of_the_montreal_aligner_is_read(tmp_path: Path, encodi
         ("x.lab", "0 1\nhello\n", "line 2: 'hello' is no label"),
         ("x.lab", "0.0 0.5 ah\n0.3 0.6 b\n", "begins before 'ah' ends"),
         ("x.lab", "0.0 0.5 Ж\n0.5 0.6 Щ\n", "100% of its phones are in no alphabet"),
+        ("x.lab", "0.0 0.5 S\n0.5 0.6 i:\n", "'i:': these phones are in SAMPA"),
         ("x.lab", "0.1 0.3 ah\n0.6 0.3 b\n", "'b' lasts from 0.6 to 0.3 s"),
         ("x.lab", "0.1 0.3 ah\n0.3 inf b\n", "'b' lasts from 0.3 to inf s"),
         ("x.lab", "nan 0.3 ah\n0.3 0.6 b\n", "'ah' lasts from nan to 0.3 s"),

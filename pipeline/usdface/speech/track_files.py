@@ -112,6 +112,10 @@ def _write_htk(path: Path, text: bytes, origin: Mapping[str, object] | None) -> 
         beside.write_text(json.dumps(said, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
+SAMPA_MARKS = frozenset("@{}&:")
+"""In none of the alphabets that are known."""
+
+
 def _check_track(path: Path, track: PhoneTrack) -> None:
     said = [span for span in track.phones if viseme_of(span.label) != "pau"]
     if not said:
@@ -122,6 +126,13 @@ def _check_track(path: Path, track: PhoneTrack) -> None:
                 f"{path}: phone {after.label!r} at {after.start:.3f} s begins before "
                 f"{before.label!r} ends, at {before.end:.3f} s; export the phones again"
             )
+    sampa = sorted({span.label for span in said if not SAMPA_MARKS.isdisjoint(span.label)})
+    if sampa:  # its S and T are those of "she" and "thin", and would pass for those of "see", "tin"
+        raise InputError(
+            f"{path}: {', '.join(map(repr, sampa[:5]))}: these phones are in SAMPA, and letters of "
+            "it stand for other phones in ARPAbet; export them as IPA (in WebMAUS, the output "
+            "symbols `ipa`)"
+        )
     unknown = sorted({span.label for span in said if viseme_of(span.label) is None})
     share = sum(viseme_of(span.label) is None for span in said) / len(said)
     if share > 0.5:
