@@ -71,7 +71,19 @@ IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff")
 LayerOut = Annotated[WritePath, AfterValidator(_ending(LAYER_SUFFIXES, "a USD layer"))]
 ImageOut = Annotated[WritePath, AfterValidator(_ending(IMAGE_SUFFIXES, "a picture"))]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
-PrimPath = Annotated[str, Field(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")]
+
+PRIM_PATTERN = r"(/[^\x00-@\[-^`{-\x7f][^\x00-/:-@\[-^`{-\x7f]*)+"
+"""Of prims in any script, as USD has them; which letters may stand in a name, Python knows."""
+
+
+def prim_path(path: str) -> str:
+    """Return the path of a prim, or refuse what USD would not take for one."""
+    if not all(name.isidentifier() for name in path.split("/")[1:]):
+        raise ValueError("give the path of a prim, such as /shot/cast/hero")
+    return path
+
+
+PrimPath = Annotated[str, Field(pattern=f"^{PRIM_PATTERN}$"), AfterValidator(prim_path)]
 Device = Annotated[str, Field(pattern=r"^(cpu|torch|cuda(:\d+)?)$", examples=["cpu", "cuda"])]
 """What `numerics.array_namespace` opens."""
 

@@ -5,12 +5,14 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from usdface.specs.base import PRIM_PATTERN
+
 PATTERN_WORDS = {
     r"^-?\d+--?\d+$": "give the first and the last frame, such as 101-240",
     r"^-?\d+(=.+)?$": "give a frame, or a frame and a name, such as 120=smile",
     r"^[^=]+=\d+$": "give a marker and a point of the mesh, such as nose_tip=1203",
-    r"^(/[A-Za-z_][A-Za-z0-9_]*)+$": "give the path of a prim, such as /shot/cast/hero",
-    r"^(auto|(/[A-Za-z_][A-Za-z0-9_]*)+)$": "give auto or a camera's path, such as /Shot/main",
+    f"^{PRIM_PATTERN}$": "give the path of a prim, such as /shot/cast/hero",
+    f"^(auto|{PRIM_PATTERN})$": "give auto or a camera's path, such as /Shot/main",
     r"^(cpu|torch|cuda(:\d+)?)$": "give cpu, torch, cuda or, of several cards, cuda:1",
     r"^(\d\d:\d\d:\d\d[:;]\d\d)?$": "give hours, minutes, seconds and frames, such as 01:00:00:00",
 }
