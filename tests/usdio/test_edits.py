@@ -116,6 +116,26 @@ def test_a_key_set_by_hand_in_another_tool_counts(tmp_path: Path) -> None:
     np.testing.assert_allclose(column(path, "eyeBlink"), WEIGHTS[:, 2] + 0.25, atol=1e-6)
 
 
+def test_an_edit_ends_where_its_value_is_blocked(tmp_path: Path) -> None:
+    path = perform(tmp_path)
+    author(path, face__edit__smile={110: 0.2, 120: Sdf.ValueBlock(), 130: 0.4})
+    author_more = Sdf.Layer.FindOrOpen(str(tmp_path / "hand.usda"))
+    prim = author_more.GetPrimAtPath("/Hero/FaceSolve")
+    taken = Sdf.AttributeSpec(prim, "face:override:jawOpen", Sdf.ValueTypeNames.Float)
+    for time, value in {105: 0.5, 115: Sdf.ValueBlock()}.items():
+        author_more.SetTimeSample(taken.path, time, value)
+    mask = Sdf.AttributeSpec(prim, "face:mask:jawOpen", Sdf.ValueTypeNames.Float)
+    mask.default = 1.0
+    author_more.Save()
+    reader = PerformanceReader(path)
+    smile = (reader.edited() - reader.solved())[:, NAMES.index("smile")]
+    for frame, added in {101: 0.2, 110: 0.2, 119: 0.2, 120: 0.0, 129: 0.0, 130: 0.4}.items():
+        assert smile[frame - 101] == pytest.approx(added, abs=1e-6), frame
+    jaw = column(path, "jawOpen")
+    np.testing.assert_allclose(jaw[:14], 0.5)
+    np.testing.assert_array_equal(jaw[14:], WEIGHTS[14:, 1])
+
+
 def test_a_stronger_layer_wins_as_in_any_usd(tmp_path: Path) -> None:
     path = perform(tmp_path)
     reader = PerformanceReader(path)

@@ -95,10 +95,13 @@ def _read_shape(parts: Mapping[str, Usd.Attribute], frames: IntArray) -> ShapeEd
     elif mask is None:
         mask = _sampled(parts[OVERRIDE], frames).astype(np.float64)
     beneath = _read_curve(parts.get(BENEATH), frames)
+    hidden = _blocked(parts.get(OVERRIDE), frames) | _blocked(parts.get(MASK), frames)
     curve = EditCurve(
-        nothing.offset if offset is None else offset,
+        nothing.offset
+        if offset is None
+        else np.where(_blocked(parts.get(OFFSET), frames), 0.0, offset),
         nothing.override if override is None else override,
-        nothing.mask if mask is None else np.clip(mask, 0.0, 1.0),
+        nothing.mask if mask is None else np.where(hidden, 0.0, np.clip(mask, 0.0, 1.0)),
     )
     if beneath is None:
         return ShapeEdit(curve, np.full(len(frames), np.nan))
@@ -111,9 +114,12 @@ def _read_curve(attribute: Usd.Attribute | None, frames: IntArray) -> FloatArray
         return None
     times = attribute.GetTimeSamples()
     told = [(time, attribute.Get(time)) for time in times] or [(0.0, attribute.Get())]
-    told = [(time, value) for time, value in told if value is not None]  # blocked: no edit
-    if not told:
+    first = next((value for _, value in told if value is not None), None)
+    if first is None:
         return None
+    for index, (time, value) in enumerate(told):
+        if value is None:  # held up to where it is blocked
+            told[index] = (time, told[index - 1][1] if index else first)
     try:
         values = np.array([float(value) for _, value in told])
     except (TypeError, ValueError) as error:
@@ -123,6 +129,16 @@ def _read_curve(attribute: Usd.Attribute | None, frames: IntArray) -> FloatArray
         raise InputError(f"{_where(attribute)} time code {time:g}: is not finite; correct the key")
     curve: FloatArray = np.interp(frames, [time for time, _ in told], values)
     return curve
+
+
+def _blocked(attribute: Usd.Attribute | None, frames: IntArray) -> np.ndarray:
+    """Return which frames a value is blocked at, from a blocked sample to the next that is not."""
+    times = attribute.GetTimeSamples() if attribute else []
+    blocks = np.array([attribute.Get(time) is None for time in times], dtype=bool)
+    if not blocks.any():
+        return np.zeros(len(frames), dtype=bool)
+    latest: np.ndarray = blocks[np.maximum(np.searchsorted(times, frames, side="right") - 1, 0)]
+    return latest
 
 
 def _sampled(attribute: Usd.Attribute, frames: IntArray) -> np.ndarray:
