@@ -98,6 +98,8 @@ class FacePerformancePublishPlugin(HookBaseClass):
         item.properties["usdfaceVersion"] = published.version
         item.properties["usdfaceFolder"] = str(published.folder)
         item.local_properties["publish_path"] = str(published.files["performance"])
+        # The base class copies what `path` names over what it publishes, were they not the same.
+        item.local_properties["path"] = item.local_properties["publish_path"]
         item.local_properties["publish_name"] = published.name
         item.local_properties["publish_version"] = published.version
         item.local_properties["publish_type"] = settings["File Type"].value

@@ -1,7 +1,9 @@
 """Toolkit's hook interface, by stand-ins made after tk-multi-publish2 2.10 as it ran."""
 
+import hashlib
 import json
 import logging
+import shutil
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -10,6 +12,8 @@ import pytest
 
 from tests.hooks.loading import load
 from tests.steps.small_shot import Shot
+from usdface.publish.integrate import read_manifest
+from usdface.usdio.performance import PerformanceReader
 
 
 class Item:
@@ -76,6 +80,8 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Server:
             if known.is_down:
                 raise ConnectionError("the server is down")
             assert isinstance(item.parent.properties, dict)
+            if item.get_property("path") != item.get_property("publish_path"):
+                shutil.copyfile(item.get_property("path"), item.get_property("publish_path"))
             names = ("type", "name", "version", "path", "dependencies")
             told = {name: item.get_property(f"publish_{name}") for name in names}
             told |= {"id": len(known.publishes) + 1, "thumbnail": item.thumbnail}
@@ -137,6 +143,19 @@ def test_a_version_is_made_and_registered_with_what_it_depends_on(
         (shot / "shot.clean.take.usda").resolve(),
     ]
     assert server.finalized == ["shot.hero"]
+
+
+def test_the_base_class_leaves_the_version_as_it_was_made(
+    shot: Shot, tmp_path: Path, server: Server
+) -> None:
+    """It copies an item's file to where it is published, over a layer with other references."""
+    publish(shot, tmp_path)
+    version = tmp_path / "shot.hero" / "v001"
+    for file in read_manifest(version)["files"].values():
+        found = hashlib.sha256((version / file["name"]).read_bytes()).hexdigest()
+        assert found == file["sha256"], file["name"]
+    rig, _ = PerformanceReader(version / "shot.hero.usda").rig()
+    assert rig.resolve() == (shot / "hero.usdc").resolve()
 
 
 def test_what_is_published_already_is_not_registered_again(
