@@ -135,6 +135,24 @@ def test_every_control_of_the_target_is_driven(performed: Stall, capsys) -> None
     assert not [e for e in validate(performed / "beast.shot.usda") if e.severity == "error"]
 
 
+def test_edits_are_told_of_when_a_target_is_retargeted_or_warped_again(
+    performed: Stall, capsys
+) -> None:
+    sequence_and_matches(performed)
+    warp = "warp beast.shot.usda --matches shot.matches.usda --out warped.usda --timing fit"
+    assert usdface(*warp.split()) == 0
+    shape = read_control_clip(Path("beast.shot.usda")).clip.controls.shapes[0]
+    again = "retarget shot.usda --retargeting x.retarget.usdc --out beast.shot.usda"
+    for line, name in ((again, "beast.shot.usda"), (warp, "warped.usda")):
+        assert usdface("edit", name, "--shape", shape, "--add", "0.1") == 0
+        edits = Path(name).with_suffix(".edits.usda")
+        before = edits.read_bytes()
+        capsys.readouterr()
+        assert usdface(*line.split(), "--overwrite") == 0
+        assert f"kept the edits of 1 shape: {shape}" in capsys.readouterr().out
+        assert edits.read_bytes() == before
+
+
 def test_one_source_drives_many_targets_at_once(trained: Stall, capsys) -> None:
     assert import_pairs(out="y.pairs.usda", attributes="rig/lattice.dfm:squash") == 0
     assert (

@@ -13,6 +13,7 @@ from usdface.provenance import Provenance
 from usdface.specs.base import frame_range
 from usdface.specs.retarget import RetargetSpec
 from usdface.steps.alpha_curve import read_alpha
+from usdface.steps.edited import edit_notes
 from usdface.steps.report import Report
 from usdface.steps.source_motion import MOVES, SourceMotion, read_source_motion, source_columns
 from usdface.usdio.control_performance import controls_path, writing_control_performance
@@ -119,7 +120,7 @@ def _write(
             writer.append(retarget(trained, source[rows], alpha=share))
             done = min(start + CHUNK_FRAMES, len(source))
             progress(done / len(source), f"{out.name}: frame {motion.first_frame + done - 1}")
-    return notes
+    return [*notes, *edit_notes(out)]
 
 
 def _dead(trained: Retargeting, source: FloatArray) -> list[str]:

@@ -23,6 +23,7 @@ from usdface.numerics.warp.retiming import stretch_motion
 from usdface.progress import Progress, part, silent
 from usdface.provenance import Provenance
 from usdface.specs.warp import WarpSpec
+from usdface.steps.edited import edit_notes
 from usdface.steps.outputs import provenance_metadata
 from usdface.steps.report import Report
 from usdface.usdio.control_performance import controls_path, writing_control_performance
@@ -85,7 +86,7 @@ def run(
         f"{counted(len(placements), 'sequence')} in {len(before)} frames; "
         f"{counted(changed, 'frame')} changed, the "
         f"others are as they were",
-        _rate_notes(placements, read),
+        (*_rate_notes(placements, read), *edit_notes(spec.out)),
         {
             "frames": len(before),
             "changed": changed,

@@ -133,8 +133,10 @@ def _read_curve(attribute: Usd.Attribute | None, frames: IntArray) -> FloatArray
 
 def _blocked(attribute: Usd.Attribute | None, frames: IntArray) -> np.ndarray:
     """Return which frames a value is blocked at, from a blocked sample to the next that is not."""
-    times = attribute.GetTimeSamples() if attribute else []
-    blocks = np.array([attribute.Get(time) is None for time in times], dtype=bool)
+    if attribute is None:
+        return np.zeros(len(frames), dtype=bool)
+    times = attribute.GetTimeSamples()
+    blocks = np.array([attribute.Get(time) is None for time in times])
     if not blocks.any():
         return np.zeros(len(frames), dtype=bool)
     latest: np.ndarray = blocks[np.maximum(np.searchsorted(times, frames, side="right") - 1, 0)]
