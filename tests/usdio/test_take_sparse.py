@@ -10,7 +10,7 @@ from pxr import Sdf, Usd
 
 from usdface.assets import Event, Markers, Take
 from usdface.usdio import take_write
-from usdface.usdio.take import read_take
+from usdface.usdio.take import TakeReader, read_take
 from usdface.usdio.take_write import write_take
 
 
@@ -42,6 +42,31 @@ def test_what_is_written_where_it_changes_reads_back_at_every_frame(
         rows = slice(first - 11, last - 10)
         np.testing.assert_array_equal(markers.visible, visible[rows])
         np.testing.assert_array_equal(markers.confidence, confidence[rows].astype(np.float32))
+
+
+def test_frames_picked_from_a_take_are_those_of_the_whole(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    visible = rng.random((40, 5)) > 0.2
+    path = tmp_path / "talk.take.usda"
+    write_take(path, make_take(visible, rng.random((40, 5))))
+    samples = Sdf.Layer.FindOrOpen(str(tmp_path / "talk.take.samples.usdc"))
+    for name in ("visible", "confidence"):  # as others thin them: between samples, and before all
+        root = samples.rootPrims[0].path
+        attribute = samples.GetAttributeAtPath(f"{root}/Markers.primvars:face:{name}")
+        gone = {11.0, 12.0, 20.0, 21.0, 22.0, 35.0, 50.0}
+        for time in gone & set(samples.ListTimeSamplesForPath(attribute.path)):
+            samples.EraseTimeSample(attribute.path, time)
+    samples.Save()
+    reader = TakeReader(path)
+    whole = reader.read().markers
+    assert whole is not None
+    for frames in ([11], [11, 12, 22], [21, 36, 49, 50], sorted(rng.permutation(40)[:9] + 11)):
+        picked = reader.read_markers_at(list(map(int, frames)))
+        assert picked is not None
+        rows = np.array(frames) - 11
+        np.testing.assert_array_equal(picked.positions, whole.positions[rows])
+        np.testing.assert_array_equal(picked.visible, whole.visible[rows])
+        np.testing.assert_array_equal(picked.confidence, whole.confidence[rows])
 
 
 def test_usd_itself_sees_the_same_at_every_frame_and_between(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """A take's markers as a mapping reads them, in pieces: one head space for the whole take."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from usdface.assets import Mapping, Markers
@@ -23,13 +21,7 @@ def find_take_space(take: TakeReader, mapping: Mapping) -> HeadSpace:
     """
     count = take.last_frame - take.first_frame + 1
     picks = np.linspace(take.first_frame, take.last_frame, min(count, SAMPLE_FRAMES))
-    parts = [read_markers(take, int(frame), int(frame)) for frame in picks]
-    sample = replace(
-        parts[0],
-        positions=np.concatenate([part.positions for part in parts]),
-        visible=np.concatenate([part.visible for part in parts]),
-        confidence=np.concatenate([part.confidence for part in parts]),
-    )
+    sample = _there(take, take.read_markers_at(picks.astype(int).tolist()))
     try:
         return find_head_space(mapping, sample)
     except InputError as error:
@@ -44,7 +36,10 @@ def read_markers(take: TakeReader, first: int, last: int) -> Markers:
     InputError
         If the take has none.
     """
-    markers = take.read(first, last, head_motion=False).markers
+    return _there(take, take.read(first, last, head_motion=False).markers)
+
+
+def _there(take: TakeReader, markers: Markers | None) -> Markers:
     if markers is None:
         raise InputError(f"{take.path}: has no markers; ingest a capture that has")
     return markers

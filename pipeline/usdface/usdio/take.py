@@ -1,6 +1,7 @@
 """Read a take that follows our contract, whole or by ranges of frames."""
 
 import functools
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -142,11 +143,22 @@ class TakeReader:
             events=tuple(e for e in self._read_events() if first <= e.frame <= last),
         )
 
+    @refusing_wrong_types
+    def read_markers_at(self, frames: Sequence[int]) -> Markers | None:
+        """Read the markers of some frames of the take, in ascending order, and nothing else.
+
+        Raises
+        ------
+        InputError
+            If a frame is broken.
+        """
+        return self._read_markers(frames)
+
     def _value(self, name: str) -> object:
         attribute = self._root.GetAttribute(name)
         return attribute.Get() if attribute else None
 
-    def _read_markers(self, frames: range) -> Markers | None:
+    def _read_markers(self, frames: Sequence[int]) -> Markers | None:
         prim = self._prims[MARKERS.name]
         if not prim:
             return None
@@ -183,7 +195,7 @@ class TakeReader:
             return read
         return np.asarray((read.reshape(-1, 3) @ ours.T).reshape(read.shape))
 
-    def _read_vectors(self, prim: Usd.Prim, frames: range, count: int) -> np.ndarray:
+    def _read_vectors(self, prim: Usd.Prim, frames: Sequence[int], count: int) -> np.ndarray:
         attribute = UsdGeom.Points(prim).GetPointsAttr()
         out = np.empty((len(frames), count, 3), dtype=np.float32)
         query = self._query(attribute)
@@ -202,7 +214,9 @@ class TakeReader:
             self._check_finite(out, attribute, frames)
         return out
 
-    def _check_finite(self, read: np.ndarray, attribute: Usd.Attribute, frames: range) -> None:
+    def _check_finite(
+        self, read: np.ndarray, attribute: Usd.Attribute, frames: Sequence[int]
+    ) -> None:
         bad = ~np.isfinite(read).all(axis=2)
         if bad.any():
             frame, marker = np.argwhere(bad)[0]
@@ -212,7 +226,12 @@ class TakeReader:
             )
 
     def _read_primvar(
-        self, prim: Usd.Prim, name: str, frames: range, shape: tuple[int, int], kind: np.dtype
+        self,
+        prim: Usd.Prim,
+        name: str,
+        frames: Sequence[int],
+        shape: tuple[int, int],
+        kind: np.dtype,
     ) -> np.ndarray:
         attribute = prim.GetAttribute(name)
         if not attribute or not attribute.HasAuthoredValue():
@@ -221,8 +240,10 @@ class TakeReader:
         times = self._sample_times(attribute)
         if not len(times):
             times = np.array([frames[0]])
-        start = max(int(np.searchsorted(times, frames[0], "right")) - 1, 0)
-        times = times[start : int(np.searchsorted(times, frames[-1], "left")) + 1]
+        asked = np.asarray(frames)
+        before = np.searchsorted(times, asked, "right") - 1
+        around = np.concatenate([before, before + (times[before] != asked)])
+        times = times[np.unique(np.clip(around, 0, len(times) - 1))]
         told = np.empty((len(times), shape[1]), kind)
         query = self._query(attribute)
         for index, time in enumerate(times.tolist()):
@@ -235,7 +256,7 @@ class TakeReader:
             told[index] = value
         if len(told) == 1:
             return np.broadcast_to(told[0], shape)
-        return _between(times, told, np.arange(frames[0], frames[-1] + 1))
+        return _between(times, told, asked)
 
     def _query(self, attribute: Usd.Attribute) -> Usd.AttributeQuery:
         """Return what reads an attribute in half the time: it looks for its layer only once."""
