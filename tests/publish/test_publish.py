@@ -193,7 +193,8 @@ def test_a_version_that_cannot_be_made_keeps_what_was_extracted(shot: Shot, tmp_
 
 def test_the_script_on_the_page_publishes(shot: Shot, monkeypatch, capsys) -> None:
     page = REPOSITORY / "docs" / "publish.md"
-    (code,) = re.findall(r"```python\n(.*?)```", page.read_text("utf-8"), flags=re.DOTALL)
+    # At a line's start: what is indented belongs to another tool's own file.
+    (code,) = re.findall(r"(?ms)^```python\n(.*?)^```", page.read_text("utf-8"))
     monkeypatch.chdir(shot.folder)
     monkeypatch.setattr(
         "usdface.publish.extract_performance", partial(extract_performance, review=NO_REVIEW)
