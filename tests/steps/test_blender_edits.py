@@ -12,13 +12,16 @@ import pytest
 from pxr import Sdf, Usd, UsdSkel, Vt
 
 from tests.usdio.small_rig import small_rig
+from tests.usdio.test_references import small_references, write
 from usdface.errors import InputError
 from usdface.specs.edit import EditsImportSpec, EditSpec
+from usdface.specs.references import ReferencesImportSpec
 from usdface.steps.execute import execute
 from usdface.steps.report import Report
 from usdface.steps.weight_tables import read_weight_table
 from usdface.usdio.blender_export import blender_names
 from usdface.usdio.performance import PerformanceReader, writing_performance
+from usdface.usdio.references import read_references
 from usdface.usdio.rig import read_rig
 from usdface.usdio.rig_write import write_rig
 
@@ -110,13 +113,10 @@ def shown(path: Path) -> np.ndarray:
 
 
 @pytest.mark.parametrize("armature", [True, False], ids=["armature", "no armature"])
-@pytest.mark.parametrize("mesh", ["skin", "teeth"])
-def test_a_key_changed_on_one_mesh_alone_becomes_an_edit(
-    tmp_path: Path, mesh: str, armature: bool
-) -> None:
+def test_a_key_changed_on_the_face_alone_becomes_an_edit(tmp_path: Path, armature: bool) -> None:
     path = perform(tmp_path)
     meshes = curves_of()
-    meshes[mesh]["jawOpen"][3:5] += np.float32(0.1)
+    meshes["skin"]["jawOpen"][3:5] += np.float32(0.1)
     report = bring_back(path, exported(tmp_path, meshes, armature=armature))
     assert report.summary == "2 of 10 frames differ from the solve, in 1 shapes"
     assert report.notes == ()
@@ -125,7 +125,20 @@ def test_a_key_changed_on_one_mesh_alone_becomes_an_edit(
     np.testing.assert_allclose(shown(path), wanted, atol=1e-6)
 
 
-def test_an_edit_that_was_taken_back_on_one_mesh_is_gone(tmp_path: Path) -> None:
+def test_an_export_of_the_same_scene_is_imported_again_and_again(tmp_path: Path) -> None:
+    """Its other meshes show what was given, which edits have left behind since."""
+    path = perform(tmp_path)
+    for change in (0.1, 0.1, -0.05):
+        meshes = curves_of()
+        meshes["skin"]["jawOpen"][3:5] += np.float32(change)
+        assert bring_back(path, exported(tmp_path, meshes)).notes == ()
+        wanted = SOLVED.copy()
+        wanted[3:5, 0] += np.float32(change)
+        np.testing.assert_allclose(shown(path), wanted, atol=1e-6)
+        (tmp_path / "back.usda").unlink()
+
+
+def test_an_edit_that_was_taken_back_on_the_face_is_gone(tmp_path: Path) -> None:
     path = perform(tmp_path)
     execute(EditSpec(performance=path, shape=("jawOpen",), add=0.1, frames="103-105"))
     meshes = curves_of(shown(path))
@@ -134,16 +147,29 @@ def test_an_edit_that_was_taken_back_on_one_mesh_is_gone(tmp_path: Path) -> None
     np.testing.assert_allclose(shown(path), SOLVED, atol=1e-6)
 
 
-def test_copies_that_were_changed_apart_are_named(tmp_path: Path) -> None:
+def test_a_change_on_a_mesh_that_does_not_count_is_said(tmp_path: Path) -> None:
     path = perform(tmp_path)
     meshes = curves_of()
-    meshes["skin"]["jawOpen"][3] += np.float32(0.1)
     meshes["teeth"]["jawOpen"][3] -= np.float32(0.15)
     report = bring_back(path, exported(tmp_path, meshes))
+    assert report.summary == "nothing differs from the solve; no edits were made"
     assert report.notes == (
-        "changed differently on two meshes, where the larger change was taken: jawOpen",
+        "jawOpen differs between teeth and skin, which counts, as it has the most shapes; change "
+        "it there",
     )
-    np.testing.assert_allclose(shown(path)[3, 0], SOLVED[3, 0] - 0.15, atol=1e-6)
+
+
+def test_tuned_weights_are_those_of_the_face(tmp_path: Path) -> None:
+    path = write(tmp_path, small_references(tmp_path, seed=1))  # frames 100, 107, 114, ...
+    meshes = curves_of()
+    meshes["skin"]["jawOpen"][107 - FIRST] = 0.95
+    back = exported(tmp_path, meshes)
+    execute(ReferencesImportSpec(references=path, weights=back))
+    references = read_references(path)
+    assert references.tuned.tolist() == [False, True, False, False, False]
+    weights = dict(zip(references.shape_names, references.weights[1], strict=True))
+    row = dict(zip(SKIN, SOLVED[107 - FIRST], strict=True))
+    assert weights == pytest.approx(row | {"jawOpen": 0.95})
 
 
 def test_what_blender_cut_to_its_sliders_is_not_a_change(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from usdface.provenance import Provenance
 from usdface.specs.edit import EditsImportSpec
 from usdface.steps.edit import all_frames, renewed, solved_over
 from usdface.steps.report import Report
-from usdface.steps.weight_copies import dispute_note, is_disputed, weights_meant
+from usdface.steps.weight_copies import changed_elsewhere, elsewhere_notes, weights_meant
 from usdface.steps.weight_tables import WeightTable, read_weight_table
 from usdface.usdio.edits import ShapeEdit, edited_weights, edits_stamp, read_edits, write_edits
 from usdface.usdio.performance import PerformanceReader
@@ -32,16 +32,26 @@ def run(
     edits = read_edits(reader.animation, frames)
     solved = solved_over(reader, frames)
     rows = given[:, 0] - int(frames[0])
-    shown = edited_weights(reader.names, solved, edits) if table.copies else solved
+    shown = edited_weights(reader.names, solved, edits) if table.meshes else solved
     changed: dict[str, ShapeEdit] = {}
-    disputed: list[str] = []
+    elsewhere: dict[str, list[str]] = {}
     differing = np.zeros(len(rows), dtype=bool)
     for shape in known:
         beneath = solved[:, reader.names.index(shape)]
         before = shown[rows, reader.names.index(shape)]
-        wanted = weights_meant(table, shape, given[:, 1], before) - beneath[rows]
-        if is_disputed(table, shape, given[:, 1], before, least=spec.least):
-            disputed.append(shape)
+        now = weights_meant(table, shape, given[:, 1], before)
+        wanted = now - beneath[rows]
+        meshes = changed_elsewhere(
+            table,
+            shape,
+            given[:, 1],
+            meant=now,
+            shown=before,
+            solved=beneath[rows],
+            least=spec.least,
+        )
+        if meshes:
+            elsewhere[shape] = meshes
         meant = np.abs(wanted) > spec.least
         old = edits.get(shape, ShapeEdit(no_edit(len(frames)), np.full(len(frames), np.nan)))
         if not meant.any() and not old.curve.active[rows].any():
@@ -51,11 +61,9 @@ def run(
         touched[rows] = True
         curve = _replaced(old.curve, rows, np.where(meant, wanted, 0.0))
         changed[shape] = renewed(old, curve, beneath, touched)
+    notes = _notes(reader, table) + elsewhere_notes(table, elsewhere)
     if not changed:
-        return Report(
-            (), "nothing differs from the solve; no edits were made", _notes(reader, table)
-        )
-    notes = _notes(reader, table) + dispute_note(disputed)
+        return Report((), "nothing differs from the solve; no edits were made", notes)
     if 2 * int(differing.sum()) > len(rows) > 1:
         notes += (
             "most frames differ: if the take was mapped again after this file was baked, what the "

@@ -1,7 +1,11 @@
 """Of a shape that a tool keys on every mesh apart: what its user changed.
 
-Artists change the copy that they see, on the skin, say, and leave those of teeth and lashes.
+One mesh counts, the one with the most shapes, which is the face. What differs from others alone
+could not tell a change from what was left: an export holds what was given, too, which edits made
+since, by this export's own import among them, have left behind.
 """
+
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -15,7 +19,7 @@ CUT_WITHIN = 1e-5
 
 
 def weights_meant(table: WeightTable, name: str, rows: IntArray, shown: FloatArray) -> FloatArray:
-    """Return a shape's weights at some rows: of its copies, the one farthest from what is shown.
+    """Return a shape's weights at some rows, those that a tool had cut as they are shown.
 
     Parameters
     ----------
@@ -25,41 +29,44 @@ def weights_meant(table: WeightTable, name: str, rows: IntArray, shown: FloatArr
     rows : (n,) int array
         Of the table.
     shown : (n,) float array
-        What the shape was when the tool was given it. Where that lies beyond `CUT_TO` and the copy
-        is at the end, the tool has cut it: it counts as unchanged.
+        What the shape is now. Where that lies beyond `CUT_TO` and the tool's weight is at the end,
+        it was cut and not changed.
     """
-    column = table.names.index(name)
-    copies = table.weights[None, rows, column]
-    if table.copies:
-        copies = _uncut(table.copies[column][:, rows], shown)
-    farthest = np.abs(copies - shown).argmax(axis=0)
-    meant: FloatArray = copies[farthest, np.arange(len(rows))]
-    return meant
-
-
-def is_disputed(
-    table: WeightTable, name: str, rows: IntArray, shown: FloatArray, *, least: float
-) -> bool:
-    """Return whether two copies of a shape were changed, and differently, at one frame."""
-    if not table.copies:
-        return False
-    copies = _uncut(table.copies[table.names.index(name)][:, rows], shown)
-    changed = np.abs(copies - shown) > least
-    low = np.where(changed, copies, np.inf).min(axis=0)
-    high = np.where(changed, copies, -np.inf).max(axis=0)
-    return bool((high - low > least).any())
-
-
-def dispute_note(names: list[str]) -> tuple[str, ...]:
-    """Return what to tell of shapes whose copies were changed differently."""
-    if not names:
-        return ()
-    return (
-        f"changed differently on two meshes, where the larger change was taken: "
-        f"{', '.join(names[:5])}",
-    )
-
-
-def _uncut(copies: FloatArray, shown: FloatArray) -> FloatArray:
+    weights: FloatArray = table.weights[rows, table.names.index(name)]
+    if not table.meshes:
+        return weights
     end = np.clip(shown, *CUT_TO)
-    return np.where((end != shown) & (np.abs(copies - end) < CUT_WITHIN), shown, copies)
+    return np.where((end != shown) & (np.abs(weights - end) < CUT_WITHIN), shown, weights)
+
+
+def changed_elsewhere(
+    table: WeightTable,
+    name: str,
+    rows: IntArray,
+    *,
+    meant: FloatArray,
+    shown: FloatArray,
+    solved: FloatArray,
+    least: float,
+) -> list[str]:
+    """Return the meshes on which a shape was changed at a frame where the mesh that counts was not.
+
+    A mesh that shows the solve was left as it was given.
+    """
+    found = []
+    still = np.abs(meant - shown) <= least
+    for mesh, weights in table.elsewhere.get(name, {}).items():
+        other = weights[rows]
+        changed = (np.abs(other - shown) > least) & (np.abs(other - solved) > least)
+        if (still & changed & ((other > CUT_TO[0]) & (other < CUT_TO[1]))).any():
+            found.append(mesh)
+    return found
+
+
+def elsewhere_notes(table: WeightTable, found: Mapping[str, list[str]]) -> tuple[str, ...]:
+    """Return what to tell of shapes that were changed on meshes that do not count, by shape."""
+    return tuple(
+        f"{name} differs between {', '.join(meshes)} and {table.meshes[table.names.index(name)]}, "
+        "which counts, as it has the most shapes; change it there"
+        for name, meshes in list(found.items())[:5]
+    )

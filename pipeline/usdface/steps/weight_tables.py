@@ -4,7 +4,8 @@ import csv
 import json
 import math
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 
@@ -33,9 +34,11 @@ class WeightTable:
         Frames per second; None where the file does not say.
     keyed : frozenset of int
         Frames that the file itself holds; at the others, of USD, it is interpolated.
-    copies : tuple of (meshes, frames) float array
-        By shape, what each mesh that has it shows, of a tool that keys shapes per mesh; `weights`
-        has the first. Empty of other tools.
+    meshes : tuple of str
+        By shape, the mesh whose weights these are, of a tool that keys shapes on every mesh apart;
+        empty of other tools.
+    elsewhere : mapping of str to mapping of str to (frames,) float array
+        By shape and mesh, the weights of the other meshes that have it.
     """
 
     names: tuple[str, ...]
@@ -43,7 +46,8 @@ class WeightTable:
     weights: FloatArray
     rate: Fraction | None = None
     keyed: frozenset[int] = frozenset()
-    copies: tuple[FloatArray, ...] = ()
+    meshes: tuple[str, ...] = ()
+    elsewhere: Mapping[str, Mapping[str, FloatArray]] = field(default_factory=dict)
 
     def columns(self, names: tuple[str, ...]) -> FloatArray:
         """Return the weights in another order of shapes; 0 for those the table lacks."""
@@ -101,9 +105,18 @@ def _blender_table(exported: BlenderWeights, known: tuple[str, ...]) -> WeightTa
     made = Counter(each for name in known for each in set(blender_names(name)))
     real = {each: name for name in known for each in blender_names(name) if made[each] == 1}
     names = tuple(real.get(name, name) for name in exported.names)
-    weights = np.stack([each[0] for each in exported.copies], axis=1)
-    frames, rate, keyed = exported.frames, exported.rate, exported.keyed
-    return WeightTable(names, frames, weights, rate, keyed, exported.copies)
+    return WeightTable(
+        names,
+        exported.frames,
+        np.stack([curves[0].values for curves in exported.curves], axis=1),
+        exported.rate,
+        exported.keyed,
+        tuple(curves[0].mesh for curves in exported.curves),
+        {
+            name: {curve.mesh: curve.values for curve in curves[1:]}
+            for name, curves in zip(names, exported.curves, strict=True)
+        },
+    )
 
 
 def _read_text(path: Path) -> str:

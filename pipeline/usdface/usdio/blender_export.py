@@ -24,6 +24,21 @@ MAKER = "Blender"
 
 
 @dataclass(frozen=True)
+class MeshCurve:
+    """A shape's weights as one mesh shows them.
+
+    Attributes
+    ----------
+    mesh : str
+        The prim's name.
+    values : (frames,) float array
+    """
+
+    mesh: str
+    values: FloatArray
+
+
+@dataclass(frozen=True)
 class BlenderWeights:
     """Weights of shapes as every mesh that has them shows them.
 
@@ -31,15 +46,15 @@ class BlenderWeights:
     ----------
     names : tuple of str
         Of the shape keys, made identifiers (`blender_names`).
-    copies : tuple of (meshes, frames) float array
-        By shape.
+    curves : tuple of tuple of MeshCurve
+        By shape; that of the mesh with the most shapes first.
     frames : tuple of int
     rate : Fraction
     keyed : frozenset of int
     """
 
     names: tuple[str, ...]
-    copies: tuple[FloatArray, ...]
+    curves: tuple[tuple[MeshCurve, ...], ...]
     frames: tuple[int, ...]
     rate: Fraction
     keyed: frozenset[int]
@@ -53,7 +68,7 @@ def blender_names(name: str) -> tuple[str, str]:
 
 @refusing_wrong_types
 def read_blender_weights(path: Path) -> BlenderWeights | None:
-    """Read the weights of a face that Blender exported; None where another tool wrote the file.
+    """Read the weights of a face that Blender exported; None of a file of another tool.
 
     Raises
     ------
@@ -65,7 +80,7 @@ def read_blender_weights(path: Path) -> BlenderWeights | None:
         return None
     readers = [PerformanceReader(path, animation=each) for each in _animations(stage, path)]
     first = readers[0]
-    copies: dict[str, list[FloatArray]] = {}
+    found: list[tuple[int, str, dict[str, FloatArray]]] = []
     for reader in readers:
         if (reader.first_frame, reader.last_frame) != (first.first_frame, first.last_frame):
             raise InputError(
@@ -73,13 +88,21 @@ def read_blender_weights(path: Path) -> BlenderWeights | None:
                 f"{reader.last_frame}, {first.animation.GetPath()} {first.first_frame}-"
                 f"{first.last_frame}; export all meshes over the same frames"
             )
-        shapes = _shapes_of_channels(stage, reader.animation)
         values = reader.edited().astype(np.float64)
-        for column, channel in enumerate(reader.names):
-            copies.setdefault(shapes.get(channel, channel), []).append(values[:, column])
+        columns = dict(zip(reader.names, values.T, strict=True))
+        for mesh in _meshes(stage, reader.animation.GetPath()):
+            shapes = _shapes_of_channels(mesh)
+            own = {shape: columns[name] for name, shape in shapes.items() if name in columns}
+            found.append((len(own), mesh.GetPrim().GetName(), own))
+    curves: dict[str, list[MeshCurve]] = {}
+    for _, mesh_name, own in sorted(found, key=lambda each: (-each[0], each[1])):
+        for shape, column in own.items():
+            curves.setdefault(shape, []).append(MeshCurve(mesh_name, column))
+    if not curves:
+        return None  # without a mesh nobody can tell what its channels drive
     return BlenderWeights(
-        tuple(copies),
-        tuple(np.array(each) for each in copies.values()),
+        tuple(curves),
+        tuple(map(tuple, curves.values())),
         tuple(first.frames.tolist()),
         first.rate,
         first.keyed_frames,
@@ -121,11 +144,8 @@ def _meshes(stage: Usd.Stage, animation: Sdf.Path) -> list[UsdSkel.BindingAPI]:
     return found
 
 
-def _shapes_of_channels(stage: Usd.Stage, animation: Usd.Prim) -> dict[str, str]:
-    """Return the name of the shape key that each channel drives."""
-    shapes: dict[str, str] = {}
-    for mesh in _meshes(stage, animation.GetPath()):
-        targets = mesh.GetBlendShapeTargetsRel().GetTargets()
-        channels = map(str, mesh.GetBlendShapesAttr().Get() or ())
-        shapes.update(zip(channels, (each.name for each in targets), strict=False))
-    return shapes
+def _shapes_of_channels(mesh: UsdSkel.BindingAPI) -> dict[str, str]:
+    """Return the name of the shape key that each channel drives on a mesh."""
+    targets = mesh.GetBlendShapeTargetsRel().GetTargets()
+    channels = map(str, mesh.GetBlendShapesAttr().Get() or ())
+    return dict(zip(channels, (each.name for each in targets), strict=False))
