@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdSkel
+from pxr import Sdf, Usd, UsdSkel
 
 from tests.usdio.small_rig import small_rig
 from usdface.layer_names import weights_path
@@ -86,6 +86,31 @@ def test_parts_that_are_clips_themselves_join_as_one(tmp_path: Path) -> None:
         single, joined = (s.GetAttributeAtPath(f"/Hero/FaceSolve.{name}") for s in (one, other))
         for time in np.arange(-5, 22, 0.25):
             np.testing.assert_array_equal(np.array(joined.Get(time)), np.array(single.Get(time)))
+
+
+def test_a_joined_performance_outlives_the_mapping_of_its_parts_again(tmp_path: Path) -> None:
+    first = write(tmp_path, "a.usda", 4, rows=slice(0, 10))
+    second = write(tmp_path, "b.usda", None, rows=slice(10, len(WEIGHTS)))
+    joined = tmp_path / "joined.usda"
+    run(JoinSpec(parts=(first, second), out=joined, clips="always"))
+    write(tmp_path, "a.usda", 3, spec="b", rows=slice(0, 10))
+    assert not [each for each in validate(joined) if each.severity == "error"]
+    np.testing.assert_array_equal(read_performance(joined).weights.values, WEIGHTS)
+
+
+def test_a_part_that_is_mapped_again_beneath_a_joined_performance_is_named(tmp_path: Path) -> None:
+    first = write(tmp_path, "a.usda", None, rows=slice(0, 10))
+    second = write(tmp_path, "b.usda", None, rows=slice(10, len(WEIGHTS)))
+    joined = tmp_path / "joined.usda"
+    run(JoinSpec(parts=(first, second), out=joined, clips="always"))
+    assert not [each for each in validate(joined) if each.severity == "error"]
+    layer = Sdf.Layer.FindOrOpen(str(weights_path(first)))
+    for time in layer.ListTimeSamplesForPath("/Hero/FaceSolve.blendShapeWeights"):
+        layer.SetTimeSample("/Hero/FaceSolve.blendShapeWeights", time, [0.5, 0.5, 0.5])
+    layer.Save()
+    (found,) = [each for each in validate(joined) if each.severity == "error"]
+    assert found.check == "usdface:Weights"
+    assert found.message.startswith("time code 6: a.weights.usdc was mapped again since it was")
 
 
 def test_a_performance_of_parts_passes_every_validator(tmp_path: Path) -> None:

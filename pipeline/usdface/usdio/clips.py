@@ -8,6 +8,7 @@ of their own, which is the active clip just there.
 import contextlib
 import itertools
 import re
+import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ from pxr import Gf, Sdf, Usd, Vt
 from usdface.assets import Float32Array, FloatArray, Rig
 from usdface.errors import InputError
 from usdface.provenance import Provenance, hash_text
+from usdface.replacing import replacing
 from usdface.timecode import shift_timecode
 from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
 from usdface.usdio.weights_layer import (
@@ -190,8 +192,7 @@ def write_clips(
         In order, each following on the one before.
     provenance : Provenance, optional
     """
-    # What a clip plays by clips of its own USD does not see, so those are played in its place.
-    parts = [inner for part in parts for inner in _inner_parts(part)]
+    parts = [own for part in parts for own in _own_parts(part, path, provenance)]
     seams = path.with_name(f"{path.stem}.seams.{_making(provenance)}{path.suffix}")
     with new_layer(seams, provenance) as layer:
         author_header(layer, header, rig)
@@ -221,6 +222,24 @@ def write_clips(
                 }
             },
         )
+
+
+def _own_parts(part: Part, path: Path, provenance: Provenance | None) -> list[Part]:
+    """Return the layers to play for a part: itself, or copies of those that it plays itself.
+
+    What a clip plays by clips of its own USD does not see. Copies, as the part's own layers go when
+    it is mapped again.
+    """
+    inner = _inner_parts(part)
+    if inner == [part]:
+        return inner
+    own = []
+    for each in inner:
+        file = part_path(path, each.first_frame, each.last_frame, provenance)
+        with replacing(file) as temporary:
+            shutil.copyfile(each.file, temporary)
+        own.append(replace(each, file=file))
+    return own
 
 
 def _inner_parts(part: Part) -> list[Part]:

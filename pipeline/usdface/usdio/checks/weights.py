@@ -4,6 +4,7 @@ import numpy as np
 from pxr import Usd, UsdSkel
 
 from usdface.usdio.checks.fault import Fault
+from usdface.usdio.checks.parts import changed_part
 
 LARGEST_WEIGHT = 10.0
 """Weights may pass 1, but none that an animator means is this far beyond."""
@@ -37,7 +38,10 @@ def check_weights(prim: Usd.Prim) -> list[Fault]:
             return [Fault("error", path, f"time code {time:g}: {fault}")]
     held = attribute.Get(Usd.TimeCode.Default())
     fault = "" if held is None else _fault(names, np.asarray(held))
-    return [Fault("error", path, f"its default: {fault}")] if fault else []
+    if fault:
+        return [Fault("error", path, f"its default: {fault}")]
+    changed = changed_part(prim)
+    return [Fault("error", path, changed)] if changed else []
 
 
 def _fault(names: list[str], weights: np.ndarray) -> str:
