@@ -10,12 +10,16 @@ import yaml
 from tests.steps.small_shot import Shot
 from tests.steps.test_jobs import ran
 from usdface.errors import InputError
+from usdface.layer_names import weights_path
 from usdface.media.face_payload import FacePayload
 from usdface.media.report_page import ReviewPage, WeightCurves, build_page, read_page_origin
 from usdface.provenance import Provenance
+from usdface.specs.job import JobSpec
+from usdface.specs.map import MapSpec
 from usdface.specs.reading import read_job
 from usdface.speech.phone_track import PhoneTrack, Span
 from usdface.speech.track_files import read_phone_track, write_phone_track
+from usdface.steps.execute import execute
 from usdface.steps.jobs import check_job, run_job
 from usdface.steps.outputs import provenance_metadata, provenance_of
 
@@ -47,6 +51,24 @@ def test_a_job_with_a_report_a_package_and_figures_runs_twice(shot: Shot, monkey
     (shot / "shot.html").write_text("<html>mine</html>", encoding="utf-8")
     with pytest.raises(InputError, match=r"shot\.html: exists and was not written by usdface"):
         run_job(read_job(job))
+
+
+def test_outputs_that_differ_in_their_ending_alone_would_share_layers(shot: Shot) -> None:
+    given = {
+        "take": shot / "shot.clean.take.usda",
+        "mapping": shot / "hero.mapping.usdc",
+        "rig": shot / "hero.usdc",
+        "frames": "1-20",
+    }
+    before = weights_path(shot / "shot.hero.usda").read_bytes()
+    twin = MapSpec.model_validate(given | {"out": shot / "shot.hero.usdc"})
+    with pytest.raises(InputError, match=r"shot\.hero\.usda: has the same layers beneath as"):
+        execute(twin)
+    job = JobSpec.model_validate({"job": "twins", "steps": [twin]})
+    with pytest.raises(InputError, match=r"map: .*shot\.hero\.usda: has the same layers beneath"):
+        run_job(job)
+    assert weights_path(shot / "shot.hero.usda").read_bytes() == before
+    execute(MapSpec.model_validate(given | {"out": shot / "other.usdc"}))
 
 
 @pytest.mark.parametrize("name", ["a.lab", "a.json", "a.TextGrid"])

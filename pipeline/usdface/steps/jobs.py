@@ -17,6 +17,7 @@ from usdface.steps.outputs import (
     foreign_beside,
     make_provenance,
     provenance_of,
+    twin_of,
 )
 from usdface.steps.report import Report
 from usdface.usdio.referenced_files import lost_sublayers
@@ -192,6 +193,11 @@ def _refuse_foreign_outputs(spec: Spec, label: str) -> None:
             raise InputError(
                 f"{label}: {there}: exists and was not written by usdface; move it away, or run "
                 "with --overwrite"
+            )
+        if twin := twin_of(spec, path):
+            raise InputError(
+                f"{label}: {twin}: has the same layers beneath as {path.name} would have; name "
+                "another output, or run with --overwrite"
             )
 
 

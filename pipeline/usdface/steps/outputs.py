@@ -39,6 +39,8 @@ BESIDE: dict[str, Callable[[Path], Path]] = {
     "clean": take_files.samples_path,
     "map": weights_path,
     "join": weights_path,
+    "retarget": weights_path,
+    "warp": weights_path,
     "select": references_specs.proposed_path,
     "references-from-edits": references_specs.proposed_path,
     "pairs-propose": pairs_files.samples_path,
@@ -108,6 +110,11 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
                 f"{foreign}: exists and was not written by usdface, and {spec.step} writes what "
                 f"belongs to {path.name} there; choose another --out, or --overwrite it"
             )
+        if twin := twin_of(spec, path):
+            raise InputError(
+                f"{twin}: has the same layers beneath as {path.name} would have, and would show "
+                f"what {spec.step} writes; choose another --out, or --overwrite it"
+            )
         if not path.exists():
             continue
         made = provenance_of(path)
@@ -136,6 +143,21 @@ def foreign_beside(spec: Spec, path: Path) -> Path | None:
     if beside == path or not beside.exists() or provenance_of(beside) is not None:
         return None
     return beside
+
+
+def twin_of(spec: Spec, path: Path) -> Path | None:
+    """Return the file that differs from an output in its ending alone, and so shares its layers."""
+    if spec.step not in BESIDE or path.suffix not in LAYER_SUFFIXES:
+        return None
+    beside = BESIDE[spec.step](path)
+    for suffix in LAYER_SUFFIXES:
+        other = path.with_suffix(suffix)
+        if other == path or not other.is_file():
+            continue
+        with contextlib.suppress(InputError):  # it cannot be read, so it shows nothing
+            if beside.resolve() in {each.resolve() for each in dependencies(other)[1:]}:
+                return other
+    return None
 
 
 def _is_layer_of(path: Path, inputs: list[Path]) -> Path | None:
