@@ -249,6 +249,21 @@ def test_an_edit_far_beyond_both_ends_can_be_edited_again(shot: Shot, frames: st
     assert len(list_edits(path).figures["edits"]) == 1
 
 
+def test_edits_beyond_a_take_that_was_cut_are_kept_and_told_of(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, add=0.1, frames="20-30")
+    edit(path, add=0.2, frames="300-320")
+    edit(path, shape="browInnerUp", add=0.1)  # of all frames, whichever there are
+    notes = remap(shot, frames="1-100").notes
+    (told,) = [note for note in notes if "beyond" in note]
+    assert told.startswith("edits beyond frames 1-100 do not show: jawOpen 300-320; they are kept")
+    assert not [note for note in remap(shot).notes if "beyond" in note]
+    assert [e["first"] for e in list_edits(path).figures["edits"] if e["shape"] == "jawOpen"] == [
+        20,
+        300,
+    ]
+
+
 def test_a_large_change_beneath_an_edit_is_named_by_frame(shot: Shot) -> None:
     path = shot / "shot.hero.usda"
     edit(path, add=0.2, frames="100-200")

@@ -9,7 +9,7 @@ from usdface.assets import BoolArray, FloatArray
 from usdface.layer_names import edits_path
 from usdface.steps.confined_inputs import confine
 from usdface.steps.report import Report
-from usdface.usdio.edits import edits_elsewhere
+from usdface.usdio.edits import edited_frames, edits_elsewhere, read_edits
 from usdface.usdio.performance import PerformanceReader
 from usdface.wording import counted
 
@@ -73,6 +73,21 @@ def find_edited_ranges(reader: PerformanceReader) -> list[EditedRange]:
     return found
 
 
+def edits_beyond(reader: PerformanceReader) -> list[str]:
+    """Return the shapes and frames of edits that lie outside a performance, as "jawOpen 10-20"."""
+    reach = edited_frames(reader.animation)
+    if reach is None or (reach[0] >= reader.first_frame and reach[1] <= reader.last_frame):
+        return []
+    frames = np.arange(reach[0], reach[1] + 1, dtype=np.int64)
+    outside = (frames < reader.first_frame) | (frames > reader.last_frame)
+    return [
+        f"{shape} {frames[part.start]}-{frames[part.stop - 1]}"
+        for shape, edit in sorted(read_edits(reader.animation, frames).items())
+        for part in runs(edit.curve.active)
+        if outside[part].all()
+    ]
+
+
 def edit_notes(performance: Path) -> list[str]:
     """Say how a new solve meets the edits above it: where it changed much, what finds no shape."""
     if not edits_path(performance).is_file():
@@ -91,6 +106,12 @@ def edit_notes(performance: Path) -> list[str]:
         for each in ranges
         if abs(each.solve_change) > CHANGED
     ]
+    beyond = edits_beyond(reader)
+    if beyond:
+        notes.append(
+            f"edits beyond frames {reader.first_frame}-{reader.last_frame} do not show: "
+            f"{_some(beyond)}; they are kept, and show again when those frames are mapped"
+        )
     unknown = sorted(set(reader.edits) - set(reader.names))
     if unknown:
         notes.append(
