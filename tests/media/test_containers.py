@@ -1,11 +1,14 @@
-"""A movie that names other files: a playlist is no movie, whatever it is called."""
+"""Movies that name other files, and movies whose words are none."""
 
+from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from usdface.errors import InputError
-from usdface.media.containers import open_media
+from usdface.media.containers import open_media, words_of
+from usdface.media.movie import write_movie
 
 HLS = "#EXTM3U\n#EXT-X-TARGETDURATION:10\n#EXTINF:9.0,\n%s\n#EXT-X-ENDLIST\n"
 DASH = (
@@ -36,3 +39,14 @@ def test_a_name_that_reads_as_a_protocol_is_a_file_name(tmp_path: Path, monkeypa
     for name in ("http:x.mov", "concat:a|b", "pipe:0"):
         with pytest.raises(InputError, match="no such file"):
             open_media(Path(name))
+
+
+def test_words_that_are_no_text_can_be_printed(tmp_path: Path) -> None:
+    path = tmp_path / "a.mp4"
+    pictures = list(np.zeros((3, 64, 64, 3), np.uint8))
+    write_movie(path, pictures, rate=Fraction(24), comment="said by a studio")
+    path.write_bytes(path.read_bytes().replace(b"said by", b"s\xe9id\xff\xfey"))
+    with open_media(path) as container:
+        said = words_of(container)["comment"]
+    assert said == "s\ufffdid\ufffd\ufffdy a studio"
+    said.encode("utf-8")

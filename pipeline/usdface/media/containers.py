@@ -18,6 +18,11 @@ _FORMATS = (
     "wav,w64,aiff,flac,mp3,ogg,caf,aac"
 )
 
+# From 19, PyAV keeps bytes that are no text in a form of its own; before, it had to be told.
+_LENIENT: dict[str, Any] = (
+    {"metadata_errors": "surrogateescape"} if int(av.__version__.partition(".")[0]) < 19 else {}
+)
+
 
 def open_media(path: Path) -> Any:
     """Open a media file for reading.
@@ -46,9 +51,20 @@ def open_media(path: Path) -> Any:
     }
     try:
         # Absolute, so that no name is taken for a protocol.
-        return av.open(str(path.absolute()), options=options, metadata_errors="replace")
+        return av.open(str(path.absolute()), options=options, **_LENIENT)
     except (av.error.FFmpegError, OSError, ValueError) as error:
         raise unreadable(path, error) from error
+
+
+def words_of(holder: Any) -> dict[str, str]:
+    """Return what a container or a stream says of itself, by keys in lower case.
+
+    Bytes that are no text become question marks: they could not be printed.
+    """
+    return {
+        str(key).lower(): str(value).encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+        for key, value in holder.metadata.items()
+    }
 
 
 def unreadable(path: Path, error: Exception, *, where: str = "") -> InputError:

@@ -12,7 +12,7 @@ import numpy as np
 from usdface.assets import Float32Array
 from usdface.errors import InputError
 from usdface.media.color import ByteImage
-from usdface.media.containers import open_media
+from usdface.media.containers import open_media, words_of
 from usdface.media.movie_sound import SoundTrack
 from usdface.replacing import replacing
 from usdface.timecode import frames_of
@@ -130,8 +130,7 @@ def read_movie_comment(file: Path) -> str:
         If the file is no movie.
     """
     with open_media(file) as container:
-        said = {str(key).lower(): str(value) for key, value in container.metadata.items()}
-    return said.get("comment", "")
+        return words_of(container).get("comment", "")
 
 
 def video_encoder(container_format: str) -> str:

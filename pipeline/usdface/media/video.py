@@ -18,7 +18,13 @@ import numpy as np
 from usdface.assets import FloatArray, IntArray
 from usdface.errors import InputError
 from usdface.media.color import ByteImage
-from usdface.media.containers import MAX_PIXELS, open_media, start_seconds, unreadable
+from usdface.media.containers import (
+    MAX_PIXELS,
+    open_media,
+    start_seconds,
+    unreadable,
+    words_of,
+)
 from usdface.media.movie import write_movie
 from usdface.media.sound import read_audio
 
@@ -280,7 +286,7 @@ def _upright(frame: Any) -> ByteImage:
 
 def _timecode(container: Any) -> str:
     for holder in (container, *container.streams):
-        for key, value in holder.metadata.items():
-            if str(key).lower() == "timecode" and value:  # Matroska shouts
-                return str(value)
+        said = words_of(holder).get("timecode")  # Matroska shouts
+        if said:
+            return said
     return ""
