@@ -32,6 +32,9 @@ MOST_FRAMES = 768
 ROOM = 0.5
 """How far beyond the pairs a joint or an attribute may go, as a share of its span in them."""
 
+ROUNDING = 1e-9
+"""Errors at the pairs that differ by less do not."""
+
 SAME_MM = 1e-3
 """Errors there and back that differ by less are the same to any eye; then the pairs decide."""
 
@@ -295,11 +298,17 @@ def _score(
 def _best_first(
     tried: list[tuple[RetargetScore, _Fit]],
 ) -> list[tuple[RetargetScore, _Fit]]:
-    """Sort by the error there and back; the first few that are the same, by that at the pairs."""
+    """Sort by the error there and back; the first few that are the same, by that at the pairs.
+
+    Where that is the same but for rounding, which differs between machines, the first sort counts.
+    """
     ordered = sorted(tried, key=lambda item: (item[0].cyclic_mm, item[0].pair_error))
     least = ordered[0][0].cyclic_mm
     same = [item for item in ordered if item[0].cyclic_mm <= least + SAME_MM]
-    return sorted(same, key=lambda item: item[0].pair_error) + ordered[len(same) :]
+    exact = min(item[0].pair_error for item in same) + ROUNDING
+    first = [item for item in same if item[0].pair_error <= exact]
+    others = [item for item in same if item[0].pair_error > exact]
+    return first + sorted(others, key=lambda item: item[0].pair_error) + ordered[len(same) :]
 
 
 def _mean_distance(error: FloatArray, surface: FloatArray | None) -> float:
