@@ -1,5 +1,6 @@
 """A version is whole, numbered, plays the edits, and is never changed again."""
 
+import os
 import re
 import shutil
 import threading
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Sdf, Usd
 
 from tests.regenerate import REPOSITORY
 from tests.steps.small_shot import FRAMES, Shot
@@ -28,6 +30,7 @@ from usdface.publish.integrate import latest_version, read_manifest
 from usdface.specs.edit import EditSpec
 from usdface.specs.join import JoinSpec
 from usdface.specs.map import MapSpec
+from usdface.specs.package import PackageSpec
 from usdface.steps.execute import execute
 from usdface.usdio.control_performance import controls_path
 from usdface.usdio.layers import new_layer
@@ -144,6 +147,50 @@ def test_two_who_publish_at_once_each_get_a_version(shot: Shot, tmp_path: Path) 
     for each in done:
         assert read_manifest(each.folder)["version"] == each.version
     assert latest_version(tmp_path / "shot.hero") == 6
+
+
+def test_a_version_and_a_package_show_the_variant_that_was_chosen(
+    shot: Shot, tmp_path: Path
+) -> None:
+    rig = Sdf.Layer.FindOrOpen(str(shot / "hero.usdc"))
+    top = rig.rootPrims[0]
+    groom = Sdf.VariantSetSpec(top, "groom")
+    for name in ("long", "short"):
+        made = Sdf.VariantSpec(groom, name).primSpec
+        Sdf.AttributeSpec(made, "hair", Sdf.ValueTypeNames.String).default = name
+    top.variantSetNameList.prependedItems = ["groom"]
+    top.variantSelections["groom"] = "long"
+    rig.Save()
+    performance = Sdf.Layer.FindOrOpen(str(shot / "shot.hero.usda"))
+    performance.rootPrims[0].variantSelections["groom"] = "short"
+    performance.Save()
+    published = publish(shot, tmp_path)
+    package = shot / "shot.usdz"
+    execute(PackageSpec(performance=shot / "shot.hero.usda", out=package))
+    for file in (published.files["performance"], package):
+        shown = Usd.Stage.Open(str(file))
+        assert shown.GetDefaultPrim().GetAttribute("hair").Get() == "short", file
+    again = Sdf.Layer.FindOrOpen(str(shot / "shot.hero.usda"))
+    again.rootPrims[0].variantSelections.clear()
+    again.Save()
+    execute(PackageSpec(performance=shot / "shot.hero.usda", out=package), overwrite=True)
+    shown = Usd.Stage.Open(str(package))
+    shown.Reload()
+    assert shown.GetDefaultPrim().GetAttribute("hair").Get() == "long"
+
+
+def test_what_a_publish_left_that_was_killed_long_ago_is_cleared(
+    shot: Shot, tmp_path: Path
+) -> None:
+    there = tmp_path / "shot.hero"
+    kept = there / ".0123456789ab", there / ".somebody's"
+    for folder in (left := there / ".ba9876543210", *kept):
+        folder.mkdir(parents=True)
+    for old in (left, kept[1]):
+        os.utime(old, (0, 0))
+    publish(shot, tmp_path)
+    assert not left.exists()
+    assert all(folder.is_dir() for folder in kept)
 
 
 def test_a_publish_that_fails_leaves_nothing_behind(shot: Shot, tmp_path: Path) -> None:

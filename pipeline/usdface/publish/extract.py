@@ -1,6 +1,9 @@
 """Make the files that are published: weights with edits composed in, a layer to open, pictures."""
 
+import contextlib
+import re
 import shutil
+import time
 import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,6 +21,10 @@ from usdface.steps.execute import execute
 from usdface.steps.outputs import make_provenance
 from usdface.usdio.performance import PerformanceReader, header_of, writing_top
 from usdface.usdio.rig import read_rig
+
+UNFINISHED = re.compile(r"\.[0-9a-f]{12}")
+ABANDONED_SECONDS = 7 * 86400.0
+"""Nothing is drawn for so long."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +100,7 @@ def extract_performance(
     """
     review = review or ReviewOptions()
     folder = root / item.name / f".{uuid.uuid4().hex[:12]}"
+    _clear_abandoned(folder.parent)
     try:
         folder.mkdir(parents=True)
     except OSError as error:
@@ -105,6 +113,17 @@ def extract_performance(
     return Extracted(item, folder, files)
 
 
+def _clear_abandoned(folder: Path) -> None:
+    """Remove what publishes left that were killed so long ago that none can still be at work."""
+    if not folder.is_dir():
+        return
+    with contextlib.suppress(OSError):  # gone meanwhile, or somebody else's
+        for each in folder.iterdir():
+            old = time.time() - each.stat().st_mtime > ABANDONED_SECONDS
+            if old and UNFINISHED.fullmatch(each.name) and each.is_dir():
+                shutil.rmtree(each, ignore_errors=True)
+
+
 def _extract(
     item: PublishItem, folder: Path, review: ReviewOptions, progress: Progress
 ) -> dict[str, str]:
@@ -113,7 +132,8 @@ def _extract(
     reader = PerformanceReader(item.performance)
     file, prim = reader.rig()
     rig = read_rig(file, prim=prim)
-    with writing_top(opened, header_of(reader), rig, provenance=make_provenance(bake)):
+    header, made_by = header_of(reader), make_provenance(bake)
+    with writing_top(opened, header, rig, shown=reader.stage, provenance=made_by):
         execute(bake, progress=part(progress, 0.0, 0.3))
     files = {"performance": opened.name, "weights": bake.out.name}
     if item.take is None:

@@ -16,6 +16,7 @@ from usdface.usdio.layers import (
 )
 from usdface.usdio.performance_reader import PerformanceReader
 from usdface.usdio.rig_reference import place_of
+from usdface.usdio.variants import carry_variants
 
 
 def write_package(
@@ -61,6 +62,7 @@ def write_package(
         prim = Sdf.CreatePrimInLayer(top, place)
         prim.specifier = Sdf.SpecifierDef
         prim.referenceList.prependedItems = [Sdf.Reference(str(rig_file), source)]
+        carry_variants(top, reader.stage, str(place), rig_file, str(source))
         top.Save()
         _, _, missing = UsdUtils.ComputeAllDependencies(str(top_file))
         if missing:

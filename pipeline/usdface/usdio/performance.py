@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
-from pxr import Sdf
+from pxr import Sdf, Usd
 
 from usdface.assets import Rig
 from usdface.errors import InputError
@@ -33,6 +33,7 @@ from usdface.usdio.rig_reference import (
     forget_reference,
     place_of,
 )
+from usdface.usdio.variants import carry_variants
 from usdface.usdio.weights_layer import ANIMATION, WeightsHeader, animation_name, place_in
 from usdface.usdio.weights_process import FrameWriter, writing_frames
 
@@ -113,11 +114,25 @@ def writing_performance(
 
 @contextlib.contextmanager
 def writing_top(
-    path: Path, header: WeightsHeader, rig: Rig, *, provenance: Provenance | None = None
+    path: Path,
+    header: WeightsHeader,
+    rig: Rig,
+    *,
+    shown: Usd.Stage | None = None,
+    provenance: Provenance | None = None,
 ) -> Iterator[None]:
     """Write the layer to open around what writes its weights.
 
     It is locked from the start: nobody else can write this performance meanwhile.
+
+    Parameters
+    ----------
+    path : Path
+    header : WeightsHeader
+    rig : Rig
+    shown : Usd.Stage, optional
+        Has the rig at the same place: what it chose of the rig's variants is chosen here.
+    provenance : Provenance, optional
     """
     with new_layer(path, provenance) as layer:
         before = _before(path)
@@ -134,6 +149,8 @@ def writing_top(
         first, last = (moved.offset + moved.scale * each for each in ends)
         author_timing(layer, rate=header.rate, first=first, last=last)
         define_reference(layer, header.place, rig, path, again=again)
+        if shown is not None:
+            carry_variants(layer, shown, header.place, rig.file, default_place(rig))
         if before.place not in ("", header.place):
             forget_reference(layer, before.place, {rig.file.resolve(), *before.files}, path)
         if not again:
