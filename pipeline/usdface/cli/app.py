@@ -131,6 +131,16 @@ def _folder_to_ingest(spec_type: type[Spec], values: dict[str, Any]) -> Path | N
     return sources[0] if sources and len(sources) == 1 and sources[0].is_dir() else None
 
 
+def _said_of_whole(names: list[str]) -> tuple[str, ...]:
+    if not names:
+        return ()
+    some = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    which = "is mapped in one piece: the frames of its take are"
+    if len(names) > 1:
+        which = "are mapped in one piece: the frames of their takes are"
+    return (f"{some} {which} known only when ingested; say `frames` in the job to have chunks",)
+
+
 def _submit(
     spec_type: type[SubmitSpec],
     values: dict[str, Any],
@@ -143,16 +153,12 @@ def _submit(
 
     spec = build_spec(spec_type, values)
     done = submit(spec, overwrite=overwrite, quiet=as_json)
-    notes = [
-        f"{path.name} is mapped in one piece: the frames of its take are known only once it is "
-        "ingested; say `frames` in the job to have it chunked"
-        for path in done.plan.whole
-    ]
+    notes = _said_of_whole([path.name for path in done.plan.whole])
     tasks = {step.name: len(step.tasks) for step in done.plan.steps}
     verb = "written" if spec.write_only else "done" if spec.farm == "openjd" else "submitted"
     summary = f"{done.job}: {counted(sum(tasks.values()), 'task')}, {verb}"
     report = Report(
-        (done.bundle,), summary, tuple(notes), {"job": done.job, "tasks": tasks}, describe(done)
+        (done.bundle,), summary, notes, {"job": done.job, "tasks": tasks}, describe(done)
     )
     show_report(report, as_json=as_json)
 
