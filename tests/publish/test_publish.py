@@ -31,6 +31,7 @@ from usdface.specs.edit import EditSpec
 from usdface.specs.join import JoinSpec
 from usdface.specs.map import MapSpec
 from usdface.specs.package import PackageSpec
+from usdface.specs.sheet import SheetSpec
 from usdface.steps.execute import execute
 from usdface.usdio.control_performance import controls_path
 from usdface.usdio.layers import new_layer
@@ -177,6 +178,27 @@ def test_a_version_and_a_package_show_the_variant_that_was_chosen(
     shown = Usd.Stage.Open(str(package))
     shown.Reload()
     assert shown.GetDefaultPrim().GetAttribute("hair").Get() == "long"
+
+
+@pytest.mark.parametrize("name", ["shot.hero.usda", "cut.usda"])
+def test_what_was_moved_in_time_is_not_shown_beside_the_take_as_it_was(
+    shot: Shot, tmp_path: Path, name: str, caplog
+) -> None:
+    mapped = Sdf.Layer.FindOrOpen(str(shot / "shot.hero.usda"))
+    top = mapped
+    if name == "cut.usda":  # moved in a shot above
+        top = Sdf.Layer.CreateNew(str(shot / name))
+        top.subLayerPaths = ["./shot.hero.usda"]
+        top.timeCodesPerSecond, top.defaultPrim = mapped.timeCodesPerSecond, mapped.defaultPrim
+    top.subLayerOffsets[0] = Sdf.LayerOffset(40)
+    top.Save()
+    take = shot / "shot.clean.take.usda"
+    with pytest.raises(InputError, match=r"moves its weights by \+40 frames"):
+        execute(SheetSpec(performance=shot / name, take=take, out=shot / "moved.jpg", rows=1))
+    (item,) = collect_performances([shot / name])
+    extracted = extract_performance(replace(item, take=take), tmp_path, review=DRAFT)
+    assert set(extracted.files) == {"performance", "weights"}
+    assert "no pictures: a layer offset" in caplog.text
 
 
 def test_what_a_publish_left_that_was_killed_long_ago_is_cleared(

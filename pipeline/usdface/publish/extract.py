@@ -1,6 +1,7 @@
 """Make the files that are published: weights with edits composed in, a layer to open, pictures."""
 
 import contextlib
+import logging
 import re
 import shutil
 import time
@@ -21,6 +22,8 @@ from usdface.steps.execute import execute
 from usdface.steps.outputs import make_provenance
 from usdface.usdio.performance import PerformanceReader, header_of, writing_top
 from usdface.usdio.rig import read_rig
+
+log = logging.getLogger(__name__)
 
 UNFINISHED = re.compile(r"\.[0-9a-f]{12}")
 ABANDONED_SECONDS = 7 * 86400.0
@@ -137,6 +140,9 @@ def _extract(
         execute(bake, progress=part(progress, 0.0, 0.3))
     files = {"performance": opened.name, "weights": bake.out.name}
     if item.take is None:
+        return files
+    if reader.moved:
+        log.warning("%s: no pictures: a layer offset moves it from its take", item.performance)
         return files
     if review.sheet:
         sheet = folder / f"{item.name}.sheet.jpg"

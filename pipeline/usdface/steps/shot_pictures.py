@@ -24,7 +24,7 @@ from usdface.specs.camera import AUTO
 from usdface.steps.cleaned_takes import read_cleaned
 from usdface.steps.shot_camera import ShotCamera
 from usdface.timecode import shift_timecode
-from usdface.usdio.performance import read_performance
+from usdface.usdio.performance import PerformanceReader, read_performance
 from usdface.usdio.rig import read_rig
 
 EXAGGERATION = 4.0
@@ -92,8 +92,15 @@ def open_shot(performance_file: Path, take_file: Path, *, frames: str | None = N
     Raises
     ------
     InputError
-        If a file cannot be read, or they share no frame.
+        If a file cannot be read, they share no frame, or the performance was moved in time.
     """
+    moved = PerformanceReader(performance_file).moved
+    if moved:
+        raise InputError(
+            f"{performance_file}: a layer offset moves its weights by {moved:+g} frames, so its "
+            f"frames are not those of {take_file}; show the performance as it was mapped, without "
+            "the offset"
+        )
     performance = read_performance(performance_file)
     take = read_cleaned(take_file)
     rig = read_rig(performance.rig_file, prim=performance.rig_prim)

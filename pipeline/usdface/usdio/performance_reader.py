@@ -72,6 +72,13 @@ class PerformanceReader:
         return np.arange(self.first_frame, self.last_frame + 1, dtype=np.int64)
 
     @property
+    def moved(self) -> float:
+        """By how many frames layer offsets move the weights from where they were mapped to."""
+        stack = self._weights.GetPropertyStackWithLayerOffsets(Usd.TimeCode.EarliestTime())
+        sampled = (offset for spec, offset in stack if spec.HasInfo("timeSamples"))
+        return float(next(sampled, Sdf.LayerOffset()).offset)
+
+    @property
     def keyed_frames(self) -> frozenset[int]:
         """Frames at which the solve has a sample of its own; it is interpolated between them."""
         times = self._weights.GetTimeSamples()
