@@ -154,7 +154,8 @@ def _submit(
 
     spec = build_spec(spec_type, values)
     done = submit(spec, overwrite=overwrite, quiet=as_json)
-    gc.freeze()  # the process ends: to look for garbage in all of USD takes a tenth of a second
+    if "OpenImageIO" not in sys.modules:  # whose bindings would call what is kept a leak
+        gc.freeze()  # the process ends: looking for garbage in all of USD takes a tenth of a second
     notes = _said_of_whole([path.name for path in done.plan.whole])
     tasks = {step.name: len(step.tasks) for step in done.plan.steps}
     verb = "written" if spec.write_only else "done" if spec.farm == "openjd" else "submitted"
