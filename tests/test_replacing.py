@@ -11,7 +11,12 @@ from pathlib import Path
 import pytest
 
 from usdface.errors import InputError
-from usdface.replacing import replacing, replacing_together
+from usdface.replacing import (
+    check_not_written_since,
+    not_written_since,
+    replacing,
+    replacing_together,
+)
 
 HOLD = """
 import sys
@@ -222,3 +227,15 @@ def test_a_name_as_long_as_a_folder_holds_is_written_in_any_script(
     with replacing(path) as temporary:
         temporary.write_bytes(b"x")
     assert [each.name for each in tmp_path.iterdir()] == [path.name]
+
+
+def test_who_comes_to_write_when_another_has_written_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "shot.usda"
+    for there in (False, True):
+        with not_written_since([path]):
+            check_not_written_since(path)
+            with replacing(path) as temporary:
+                temporary.write_text(f"of another process, {there}")
+            with pytest.raises(InputError, match="another process wrote it meanwhile"):
+                check_not_written_since(path)
+        check_not_written_since(path)

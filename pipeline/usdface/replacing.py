@@ -12,9 +12,11 @@ import re
 import socket
 import uuid
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
+from types import MappingProxyType
 
 from usdface.errors import InputError
 
@@ -88,6 +90,44 @@ def replacing_together(paths: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
             with _as_input_error(path):
                 _keep_permissions(path, temporary)
                 temporary.replace(path)
+
+
+_Stamp = tuple[int, int] | None
+_SEEN: ContextVar[Mapping[Path, _Stamp]] = ContextVar("_SEEN", default=MappingProxyType({}))
+
+
+@contextmanager
+def not_written_since(paths: Iterable[Path]) -> Iterator[None]:
+    """Keep in mind, while a block runs, which files there were when it began."""
+    token = _SEEN.set({path.absolute(): _stamp(path) for path in paths})
+    try:
+        yield
+    finally:
+        _SEEN.reset(token)
+
+
+def check_not_written_since(path: Path) -> None:
+    """Refuse a file that somebody else wrote since; for who has locked it, and is about to write.
+
+    Raises
+    ------
+    InputError
+        If it is another than `not_written_since` saw.
+    """
+    seen = _SEEN.get()
+    if path.absolute() in seen and _stamp(path) != seen[path.absolute()]:
+        raise InputError(
+            f"{path}: another process wrote it meanwhile, and what it wrote is kept; give the "
+            "command again with --overwrite to replace that"
+        )
+
+
+def _stamp(path: Path) -> _Stamp:
+    try:
+        there = path.stat()
+    except OSError:
+        return None
+    return there.st_mtime_ns, there.st_ino
 
 
 def check_unprotected(path: Path) -> None:

@@ -5,7 +5,8 @@ from importlib import import_module
 
 from usdface.progress import Progress, silent
 from usdface.provenance import Provenance
-from usdface.specs.base import Spec
+from usdface.replacing import not_written_since
+from usdface.specs.base import Spec, Writes
 from usdface.steps.outputs import check_inputs, check_outputs, make_provenance
 from usdface.steps.report import Report
 
@@ -46,6 +47,7 @@ def execute(
         outside the folder that ``USDFACE_ROOT`` confines all work to.
     """
     check_inputs(spec)
-    check_outputs(spec, overwrite=overwrite)
-    step = find_step(spec.step)
-    return step(spec, provenance=provenance or make_provenance(spec), progress=progress)
+    with not_written_since(() if overwrite else spec.paths(Writes)):
+        check_outputs(spec, overwrite=overwrite)
+        step = find_step(spec.step)
+        return step(spec, provenance=provenance or make_provenance(spec), progress=progress)

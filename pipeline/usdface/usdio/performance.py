@@ -12,6 +12,7 @@ from usdface.assets import Rig
 from usdface.errors import InputError
 from usdface.layer_names import edits_path, weights_path
 from usdface.provenance import Provenance
+from usdface.replacing import check_not_written_since
 from usdface.usdio.clips import clear_parts, writing_parts
 from usdface.usdio.layers import (
     author_timing,
@@ -135,6 +136,7 @@ def writing_top(
     provenance : Provenance, optional
     """
     with new_layer(path, provenance) as layer:
+        check_not_written_since(path)
         before = _before(path)
         yield
         if path.is_file():
