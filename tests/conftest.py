@@ -32,8 +32,8 @@ def shared_data() -> Path:
 @pytest.fixture(scope="session")
 def finished_shot(tmp_path_factory: pytest.TempPathFactory) -> Shot:
     """A shot whose job has been run; read only."""
+    from usdface.runner.job import run_job
     from usdface.specs.reading import read_job
-    from usdface.steps.jobs import run_job
 
     shot = make_inputs(tmp_path_factory.mktemp("shot"))
     run_job(read_job(shot / "shot.job.yaml"))

@@ -13,15 +13,16 @@ import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 from scipy.spatial.transform import Rotation
 
-from usdface.assets import FloatArray, MeshShape, Rig, RigMesh, ShapeKey
-from usdface.controls import Controls
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
+from usdface.core.controls import Controls
 from usdface.demo.head import DemoHead, Part
 from usdface.demo.proportions import CHARACTER
 from usdface.demo.rig import mesh_points, rig_from_head
 from usdface.demo.shapes import make_head
-from usdface.model.shape_names import motion_and_side
-from usdface.usdio.rig import read_rig
-from usdface.usdio.rig_write import write_rig
+from usdface.model.retarget.shape_names import motion_and_side
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.write import write_rig
 
 SHAPES = {
     "jawDrop": "jawOpen",

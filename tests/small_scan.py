@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, Vt
 
-from usdface.assets import Markers, Take
+from usdface.core.assets import Markers, Take
 
 WIDE, HIGH = 25, 31
 MOUTH_ROW, MOUTH = 9, range(9, 16)

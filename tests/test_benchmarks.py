@@ -10,11 +10,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from tests.benchmarks import __main__ as runner
-from tests.benchmarks._index import is_met
-from tests.benchmarks._log_plot import Line, log_plot
-from tests.benchmarks._power_law import fit_power_law
-from tests.benchmarks._report import Measured, machine, read_tables, write_report
+from benchmarks import __main__ as runner
+from benchmarks._index import is_met
+from benchmarks._log_plot import Line, log_plot
+from benchmarks._power_law import fit_power_law
+from benchmarks._report import Measured, machine, read_tables, write_report
 
 TEXT = "On a head.\n\n| measure | value |\n|---|---|\n| speed | 3× |\n| size | 2 MB |\n\nDone.\n"
 

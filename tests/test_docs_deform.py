@@ -6,7 +6,7 @@ import pytest
 
 from tests.small_scan import small_scan, small_scan_take, write_scan
 from tests.test_docs import commands, run
-from usdface.usdio.take_write import write_take
+from usdface.usdio.take.write import write_take
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "deform.md"
 

@@ -15,7 +15,7 @@ from usdface.demo.markers import place_markers
 from usdface.demo.proportions import CHARACTER
 from usdface.demo.rig import demo_rig
 from usdface.demo.shapes import make_head
-from usdface.specs.bind import BindSpec
+from usdface.specs.surface import BindSpec
 
 DOCS = REPOSITORY / "docs"
 

@@ -29,7 +29,7 @@ def unpacked_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_schemas_travel_in_the_wheel_and_are_registered_from_it(unpacked_wheel: Path) -> None:
     assert (unpacked_wheel / "usdface" / "schemas" / "usdface" / "plugInfo.json").is_file()
     script = (
-        "import usdface.usdio; from usdface.plugin_path import schema_folder; "
+        "import usdface.usdio; from usdface.core.plugin_path import schema_folder; "
         "print(schema_folder())"
     )
     environment = {k: v for k, v in os.environ.items() if k != "PXR_PLUGINPATH_NAME"}

@@ -19,7 +19,7 @@ class UsdfaceAddon(AYONAddon, IPluginPaths):
     @property
     def version(self):
         """Version of the installed package."""
-        from usdface.version import __version__
+        from usdface.core.version import __version__
 
         return __version__
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import gazu
 
-from usdface.errors import InputError, UsdfaceError
+from usdface.core.errors import InputError, UsdfaceError
 from usdface.publish.integrate import read_manifest
 
 PREVIEWS = ("movie", "sheet")

@@ -21,7 +21,7 @@ class ExtractFacePerformance(pyblish.api.InstancePlugin):
 
     def process(self, instance):
         """Extract the instance."""
-        from usdface.errors import InputError
+        from usdface.core.errors import InputError
         from usdface.publish import extract_performance
 
         root = instance.context.data.get("usdfaceRoot") or os.environ.get("USDFACE_PUBLISH_ROOT")

@@ -13,7 +13,7 @@ class ValidateFacePerformance(pyblish.api.InstancePlugin):
 
     def process(self, instance):
         """Look at the instance's performance."""
-        from usdface.errors import CheckFailedError
+        from usdface.core.errors import CheckFailedError
         from usdface.publish import validate_performance
 
         errors = []

@@ -34,7 +34,7 @@ class FacePerformanceCollector(HookBaseClass):
         return super().process_file(settings, parent_item, path) if item is None else item
 
     def _performance(self, parent_item, path):
-        from usdface.errors import UsdfaceError
+        from usdface.core.errors import UsdfaceError
         from usdface.publish import collect_performances
 
         try:

@@ -9,9 +9,9 @@ import contextlib
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from usdface.errors import UsdfaceError as _UsdfaceError
-from usdface.plugin_path import announce_plugins
-from usdface.version import __version__
+from usdface.core.errors import UsdfaceError as _UsdfaceError
+from usdface.core.plugin_path import announce_plugins
+from usdface.core.version import __version__
 
 if TYPE_CHECKING:
     from usdface.api import (
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
         run_step,
         validate,
     )
-    from usdface.errors import UsdfaceError
+    from usdface.core.errors import UsdfaceError
 
 __all__ = [
     "UsdfaceError",
@@ -49,7 +49,7 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'usdface' has no attribute {name!r}; it has {__all__}")
     return getattr(
-        import_module("usdface.errors" if name == "UsdfaceError" else "usdface.api"), name
+        import_module("usdface.core.errors" if name == "UsdfaceError" else "usdface.api"), name
     )
 
 

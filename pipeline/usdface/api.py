@@ -5,23 +5,23 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from usdface.assets import Mapping, Performance, References, Rig, Take
-from usdface.errors import InputError
-from usdface.progress import Progress, silent
+from usdface.core.assets import Mapping, Performance, References, Rig, Take
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.runner import job as jobs
+from usdface.runner.execute import execute
+from usdface.runner.job import StepState
+from usdface.runner.result import Report
 from usdface.specs.base import Spec
-from usdface.specs.edit import EditsImportSpec, EditSpec
+from usdface.specs.edits import EditsImportSpec, EditSpec
 from usdface.specs.job import STEP_SPECS
 from usdface.specs.reading import describe_faults, read_job
-from usdface.steps import jobs
-from usdface.steps.execute import execute
-from usdface.steps.jobs import StepState
-from usdface.steps.report import Report
 from usdface.usdio import mapping as mapping_files
-from usdface.usdio import performance as performance_files
-from usdface.usdio import references as references_files
-from usdface.usdio import rig as rig_files
-from usdface.usdio import take as take_files
 from usdface.usdio import validation
+from usdface.usdio.performance import write as performance_files
+from usdface.usdio.references import read as references_files
+from usdface.usdio.rig import read as rig_files
+from usdface.usdio.take import read as take_files
 from usdface.usdio.validation import Finding
 
 __all__ = [

@@ -13,7 +13,7 @@ from usdface.capture.c3d_parameters import Parameters
 from usdface.capture.c3d_take import read_c3d_take
 from usdface.capture.c3d_write import write_c3d
 from usdface.capture.marker_take import CaptureOptions
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 
 BTK_SAME = (
     "pc_int.c3d",

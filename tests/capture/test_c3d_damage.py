@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from usdface.capture.c3d import open_c3d
 from usdface.capture.c3d_write import write_c3d
 from usdface.capture.sniff import read_capture
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 
 DAMAGE = settings(
     deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture]

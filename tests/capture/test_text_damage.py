@@ -11,7 +11,7 @@ from tests.damage import damage
 from usdface.capture import text_table
 from usdface.capture.marker_take import FARTHEST_MM, CaptureOptions
 from usdface.capture.sniff import FORMATS, read_capture
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 
 READERS = {known.name: known.read for known in FORMATS}
 REMEDY = (

@@ -12,7 +12,7 @@ from tests.capture import text_samples as samples
 from tests.regenerate import REPOSITORY
 from usdface.capture.marker_take import Capture
 from usdface.capture.sniff import FORMATS, read_capture, recognise_format
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 
 Z_UP_TO_Y_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
 Put = Callable[[str], Path]

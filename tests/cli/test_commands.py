@@ -15,9 +15,9 @@ from tests.usdio.small_rig import small_rig
 from usdface.cli import command_list, main
 from usdface.cli.app import app
 from usdface.cli.command_list import SECTIONS
-from usdface.errors import InputError
-from usdface.usdio.rig_write import write_rig
-from usdface.version import __version__
+from usdface.core.errors import InputError
+from usdface.core.version import __version__
+from usdface.usdio.rig.write import write_rig
 
 
 def run(*arguments: str) -> int:
@@ -112,7 +112,7 @@ def test_the_demo_refuses_a_folder_that_holds_something_else(tmp_path: Path, cap
 
 
 def test_a_bug_is_reported_as_one_and_not_as_the_users_fault(monkeypatch, capsys) -> None:
-    from usdface.steps import describe
+    from usdface.steps.performance import describe
 
     def broken(path: Path) -> None:
         raise ZeroDivisionError("oops")

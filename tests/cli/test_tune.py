@@ -14,8 +14,8 @@ from tests.regenerate import REPOSITORY
 from tests.test_docs import commands
 from tests.tuning.small_asset import write_asset
 from usdface.cli import main
+from usdface.core.locks import TuningLock
 from usdface.specs.tune import TuneSpec
-from usdface.tuning_lock import TuningLock
 
 
 def run(*arguments: str) -> int:

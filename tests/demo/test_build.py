@@ -16,9 +16,9 @@ from usdface.demo.clip import OFFSET_SECONDS, RATE, SIZE, Studio
 from usdface.demo.head import DemoHead
 from usdface.demo.rig import rig_from_head
 from usdface.demo.script import timed_phones
-from usdface.media.sound import read_audio
-from usdface.usdio.rig import read_rig
-from usdface.usdio.rig_write import write_rig
+from usdface.media.film.sound import read_audio
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.write import write_rig
 
 
 def test_the_rig_survives_usd(character: DemoHead, tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from usdface.assets import FloatArray
+from usdface.core.arrays import FloatArray
 from usdface.demo.half_cage import Mark
 from usdface.demo.head import DemoHead, Part, lip_rim, lower_lid_edge, upper_lid_edge
 from usdface.demo.rig import mesh_points, rig_from_head

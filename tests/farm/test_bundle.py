@@ -7,12 +7,12 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 from usdface.farm.bundle import MARK, bundle_hash, compose_bundle, write_bundle
 from usdface.farm.chunks import ChunkSizes
 from usdface.farm.plan import FarmStep, plan_job
 from usdface.farm.submit import submit
-from usdface.specs.clean import CleanSpec
+from usdface.specs.capture import CleanSpec
 from usdface.specs.job import JobSpec
 from usdface.specs.reading import read_job
 from usdface.specs.submit import SubmitSpec

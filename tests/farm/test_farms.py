@@ -17,15 +17,15 @@ import yaml
 from tests.steps.small_shot import Shot
 from tests.usdio.small_rig import small_rig
 from usdface.cli import main
-from usdface.errors import CheckFailedError, InputError
+from usdface.core.errors import CheckFailedError, InputError
 from usdface.farm import openjd
 from usdface.farm.deadline import named_folders
 from usdface.farm.plan import FarmStep
 from usdface.farm.submit import outline_path, submit
-from usdface.specs.bake import BakeSpec
+from usdface.specs.edits import BakeSpec
 from usdface.specs.submit import SubmitSpec
-from usdface.usdio.performance import read_performance
-from usdface.usdio.rig_write import write_rig
+from usdface.usdio.performance.write import read_performance
+from usdface.usdio.rig.write import write_rig
 
 USDFACE = [sys.executable, "-m", "usdface"]
 

@@ -7,19 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 from usdface.farm.chunks import ChunkSizes, in_chunks, parts_folder
 from usdface.farm.plan import FarmStep, Plan, plan_job
-from usdface.specs.align import AlignSpec
 from usdface.specs.base import Reads, Spec, frame_range
-from usdface.specs.clean import CleanSpec
-from usdface.specs.ingest import IngestSpec
+from usdface.specs.capture import AlignSpec, CleanSpec, IngestSpec
 from usdface.specs.job import JobSpec
-from usdface.specs.join import JoinSpec
-from usdface.specs.map import MapSpec
-from usdface.specs.movie import MovieJoinSpec, MovieSpec
-from usdface.specs.sheet import SheetSpec
-from usdface.specs.train import TrainSpec
+from usdface.specs.performance import JoinSpec, MapSpec, TrainSpec
+from usdface.specs.review import MovieJoinSpec, MovieSpec, SheetSpec
 
 SIZES = ChunkSizes(map=1000, movie=500)
 

@@ -66,7 +66,7 @@ def check(path: Path, reader: str) -> None:
     """Read a file; what comes out keeps its promises, or the reader refuses it by name."""
     from usdface.capture.c3d import open_c3d
     from usdface.capture.sniff import read_capture
-    from usdface.errors import InputError
+    from usdface.core.errors import InputError
 
     try:
         if reader == "c3d":

@@ -38,7 +38,7 @@ class LayerReader(ChildReader):
 
 
 def _answer(read: Callable[[Path], object], opened: Path) -> str:
-    from usdface.errors import InputError
+    from usdface.core.errors import InputError
 
     try:
         read(opened)

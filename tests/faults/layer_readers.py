@@ -7,29 +7,29 @@ from pathlib import Path
 
 from pxr import Gf, Usd, UsdGeom
 
-from usdface.steps.edit import all_frames
-from usdface.steps.source_motion import read_source_motion
-from usdface.steps.validate import validate_layers
-from usdface.steps.weight_tables import read_weight_table
-from usdface.usdio.alpha import read_alpha_keys
-from usdface.usdio.binding import read_binding
-from usdface.usdio.controls import read_control_clip
-from usdface.usdio.foreign_take import read_foreign_take
+from usdface.steps.edits.edit import all_frames
+from usdface.steps.edits.validate import validate_layers
+from usdface.steps.inputs.source_motion import read_source_motion
+from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.mapping import read_mapping
-from usdface.usdio.mesh import read_face_mesh
-from usdface.usdio.pair_names import read_pair_names
-from usdface.usdio.pairs import read_pairs
-from usdface.usdio.performance import PerformanceReader, read_performance
-from usdface.usdio.posed_points import PosedRig
+from usdface.usdio.performance.write import PerformanceReader, read_performance
 from usdface.usdio.referenced_files import frame_range_of, referenced_files
-from usdface.usdio.references import read_references, read_tuned_pairs
-from usdface.usdio.retargeting import read_retargeting
-from usdface.usdio.rig import read_rig
-from usdface.usdio.sequences import read_matches, read_sequence
-from usdface.usdio.stage_camera import StageCamera
-from usdface.usdio.take import read_take
-from usdface.usdio.tuning import read_pair_notes, read_proposals
+from usdface.usdio.references.pair_names import read_pair_names
+from usdface.usdio.references.read import read_references, read_tuned_pairs
+from usdface.usdio.references.tuning import read_pair_notes, read_proposals
+from usdface.usdio.retarget.alpha import read_alpha_keys
+from usdface.usdio.retarget.controls import read_control_clip
+from usdface.usdio.retarget.mapping import read_retargeting
+from usdface.usdio.retarget.pairs import read_pairs
+from usdface.usdio.retarget.sequences import read_matches, read_sequence
+from usdface.usdio.rig.mesh import read_face_mesh
+from usdface.usdio.rig.posed_points import PosedRig
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.stage_camera import StageCamera
+from usdface.usdio.surface.binding import read_binding
+from usdface.usdio.take.foreign import read_foreign_take
+from usdface.usdio.take.read import read_take
 
 Read = Callable[[Path], object]
 

@@ -27,7 +27,7 @@ class MediaReader(ChildReader):
 
 
 def read_movie(path: Path) -> None:
-    from usdface.media.image_sequence import open_video
+    from usdface.media.film.image_sequence import open_video
 
     with open_video(path, Fraction(24)) as video:
         count = len(video.times)
@@ -36,26 +36,26 @@ def read_movie(path: Path) -> None:
 
 
 def read_sound(path: Path) -> None:
-    from usdface.media.sound import read_audio
+    from usdface.media.film.sound import read_audio
 
     read_audio(path)
 
 
 def join_parts(path: Path) -> None:
-    from usdface.media.movie_join import join_movies
+    from usdface.media.film.movie_join import join_movies
 
     with tempfile.TemporaryDirectory() as folder:
         join_movies(Path(folder) / path.with_suffix(".mkv").name, [path, path])
 
 
 def read_still(path: Path) -> None:
-    from usdface.media.picture import read_picture
+    from usdface.media.picture.read import read_picture
 
     read_picture(path)
 
 
 def read_what_it_says(path: Path) -> None:
-    from usdface.media.image import read_image_metadata
+    from usdface.media.picture.image import read_image_metadata
 
     read_image_metadata(path)
 
@@ -63,7 +63,7 @@ def read_what_it_says(path: Path) -> None:
 def read_view(path: Path) -> None:
     import numpy as np
 
-    from usdface.media.display_view import display_view
+    from usdface.media.picture.display_view import display_view
 
     os.environ["OCIO"] = str(path)
     display_view("sRGB/Film")(np.linspace(0, 1, 48).reshape(4, 4, 3))
@@ -91,7 +91,7 @@ def main() -> None:
     import numpy as np  # noqa: F401
     import OpenImageIO  # noqa: F401
 
-    from usdface.errors import InputError
+    from usdface.core.errors import InputError
 
     answers = os.fdopen(os.dup(1), "w")
     said = tempfile.TemporaryFile()

@@ -10,7 +10,7 @@ import av
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 
-from usdface.media.image import write_image
+from usdface.media.picture.image import write_image
 
 WIDTH, HEIGHT, PICTURES, RATE = 64, 48, 12, 24
 SOUND_RATE = 16_000

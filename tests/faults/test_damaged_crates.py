@@ -20,9 +20,9 @@ from tests.faults.layer_reader import LayerReader
 from tests.faults.world import World
 from tests.small_scan import small_scan, small_scan_take, write_scan
 from tests.usdio.small_rig import small_rig
-from usdface.errors import InputError
-from usdface.usdio.rig_write import write_rig
-from usdface.usdio.take_write import write_take
+from usdface.core.errors import InputError
+from usdface.usdio.rig.write import write_rig
+from usdface.usdio.take.write import write_take
 
 MOST_ENDED = 0.005
 """Of damaged files, those that may end the process in USD; one in some thousands was measured."""

@@ -20,10 +20,10 @@ from tests.damage import Spoil, damage
 from tests.faults.conftest import together
 from tests.faults.layer_readers import READERS, Read, film
 from tests.faults.world import World
-from usdface.errors import InputError
-from usdface.steps.validate import validate_layers
-from usdface.usdio.alpha import read_alpha_keys
-from usdface.usdio.foreign_take import read_foreign_take
+from usdface.core.errors import InputError
+from usdface.steps.edits.validate import validate_layers
+from usdface.usdio.retarget.alpha import read_alpha_keys
+from usdface.usdio.take.foreign import read_foreign_take
 
 pytestmark = pytest.mark.faults
 

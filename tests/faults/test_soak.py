@@ -7,13 +7,12 @@ from pathlib import Path
 import pytest
 
 from tests.steps.small_shot import Shot
-from usdface.specs.bake import BakeSpec
+from usdface.runner.execute import execute
+from usdface.runner.job import run_job
+from usdface.specs.edits import BakeSpec
 from usdface.specs.job import JobSpec
-from usdface.specs.map import MapSpec
-from usdface.specs.train import TrainSpec
-from usdface.steps.execute import execute
-from usdface.steps.jobs import run_job
-from usdface.steps.validate import validate_layers
+from usdface.specs.performance import MapSpec, TrainSpec
+from usdface.steps.edits.validate import validate_layers
 
 pytestmark = pytest.mark.faults
 

@@ -11,12 +11,12 @@ from tests.conftest import SHARED_DATA
 from tests.faults.commands import ALL_STEPS, BEFORE, COMMANDS, contents, finish
 from tests.numerics.simulated_sound import Recorder, record, speech
 from tests.small_scan import small_scan, small_scan_take, write_scan
+from tests.steps.capture.test_align import make_take, write_video, write_wav
+from tests.steps.retarget.test_retarget_steps import build
 from tests.steps.small_shot import make_inputs
-from tests.steps.test_align import make_take, write_video, write_wav
-from tests.steps.test_retarget_steps import build
 from tests.usdio.small_creature import creature_acts, write_creature_performance
-from usdface.media.sound import read_audio
-from usdface.usdio.take_write import write_take
+from usdface.media.film.sound import read_audio
+from usdface.usdio.take.write import write_take
 
 SPOKEN_SECONDS, SPOKEN_WORDS = 4, 9
 """So much of a recording; four seconds hold these words."""

@@ -12,9 +12,9 @@ import pytest
 
 from tests.hooks.loading import HOOKS, load
 from tests.steps.small_shot import Shot
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 from usdface.publish import ReviewOptions
-from usdface.usdio.performance import read_weights
+from usdface.usdio.performance.write import read_weights
 
 api = pytest.importorskip("pyblish.api", reason="needs pyblish-base")
 util = pytest.importorskip("pyblish.util", reason="needs pyblish-base")

@@ -13,8 +13,8 @@ import pytest
 import yaml
 
 from tests.hooks.loading import HOOKS, load
-from usdface.plugin_path import PACKAGE
-from usdface.version import __version__
+from usdface.core.plugin_path import PACKAGE
+from usdface.core.version import __version__
 
 ENVIRONMENT = HOOKS / "farm" / "usdface_environment.yaml"
 

@@ -9,8 +9,8 @@ import pytest
 
 from tests.hooks.loading import load
 from tests.hooks.zou_server import LOGIN, PASSWORD, missing, running_zou
-from usdface.media.image import write_image
-from usdface.media.movie import write_movie
+from usdface.media.film.movie import write_movie
+from usdface.media.picture.image import write_image
 
 gazu = pytest.importorskip("gazu", reason="needs the kitsu extra: gazu")
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 
-from usdface.deformer import Deformer
+from usdface.core.arrays import ByteImage
+from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
-from usdface.media.camera import Camera, frame_rig
-from usdface.media.color import ByteImage
-from usdface.media.image import write_image
-from usdface.media.render import FaceRenderer
+from usdface.media.face.camera import Camera, frame_rig
+from usdface.media.face.render import FaceRenderer
+from usdface.media.picture.image import write_image
 
 FOLDER = Path(__file__).parent / "baselines"
 SIZE = 160

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usdface.assets import MeshShape, RigMesh, ShapeKey
+from usdface.core.assets import MeshShape, RigMesh, ShapeKey
 
 
 def sphere(radius: float = 50.0, *, rows: int = 48, columns: int = 96, **fields) -> RigMesh:

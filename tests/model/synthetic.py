@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.assets import Markers, References
+from usdface.core.assets import Markers, References
 from usdface.model import fit_motion_space
 
 MARKERS, RIGID, SHAPES = 24, 5, 6

@@ -16,8 +16,8 @@ from pxr import Sdf, Usd
 from tests.regenerate import REPOSITORY
 from tests.steps.small_shot import FRAMES, Shot
 from tests.usdio.small_rig import small_rig
-from usdface.errors import InputError
-from usdface.provenance import Provenance
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.publish import (
     Extracted,
     ReviewOptions,
@@ -27,17 +27,15 @@ from usdface.publish import (
     validate_performance,
 )
 from usdface.publish.integrate import latest_version, read_manifest
-from usdface.specs.edit import EditSpec
-from usdface.specs.join import JoinSpec
-from usdface.specs.map import MapSpec
-from usdface.specs.package import PackageSpec
-from usdface.specs.sheet import SheetSpec
-from usdface.steps.execute import execute
-from usdface.usdio.control_performance import controls_path
+from usdface.runner.execute import execute
+from usdface.specs.edits import EditSpec, PackageSpec
+from usdface.specs.performance import JoinSpec, MapSpec
+from usdface.specs.review import SheetSpec
 from usdface.usdio.layers import new_layer
-from usdface.usdio.performance import read_performance, writing_performance
-from usdface.usdio.rig import read_rig
-from usdface.usdio.rig_write import write_rig
+from usdface.usdio.performance.write import read_performance, writing_performance
+from usdface.usdio.retarget.control_performance import controls_path
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.write import write_rig
 from usdface.usdio.validation import validate
 
 NO_REVIEW = ReviewOptions(sheet=False)

@@ -5,7 +5,7 @@ from pxr import Sdf
 from pydantic import TypeAdapter, ValidationError
 
 from usdface.specs.base import PrimPath
-from usdface.specs.camera import CameraName
+from usdface.specs.review import CameraName
 
 PATHS = {
     "/shot/cast/hero": True,

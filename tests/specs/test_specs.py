@@ -9,12 +9,11 @@ import yaml
 
 import usdface
 from tests.regenerate import JSON_SCHEMAS, json_schemas
-from usdface.errors import InputError
-from usdface.specs.base import Reads, Writes, frame_range
-from usdface.specs.fault_words import PATTERN_WORDS
-from usdface.specs.field_help import field_help
+from usdface.core.errors import InputError
+from usdface.specs.base import Reads, Writes, field_help, frame_range
 from usdface.specs.job import STEP_SPECS, JobSpec
-from usdface.specs.map import MapSpec
+from usdface.specs.messages import PATTERN_WORDS
+from usdface.specs.performance import MapSpec
 from usdface.specs.reading import read_job, spec_text
 from usdface.specs.references import tuned_path
 

@@ -7,7 +7,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 from usdface.specs.job import JobSpec
 from usdface.specs.reading import read_job, spec_text
 from usdface.specs.takes import write_out

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 from usdface.speech.phone_track import PhoneTrack, Span, label_at
 from usdface.speech.track_files import read_phone_track, write_phone_track
 from usdface.speech.visemes import viseme_of

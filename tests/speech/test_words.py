@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 from usdface.speech.dictionary import read_dictionary
 from usdface.speech.letter_to_sound import phones_of_letters
 from usdface.speech.transcript import spoken_words

@@ -13,7 +13,7 @@ from usdface.demo.markers import place_markers
 from usdface.demo.proportions import ACTOR
 from usdface.demo.rig import demo_rig
 from usdface.demo.shapes import make_head
-from usdface.usdio.rig_write import write_rig
+from usdface.usdio.rig.write import write_rig
 
 FRAMES = 480
 PAIRS = 24

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 
 from tests.usdio.small_rig import small_rig
-from usdface.assets import References
+from usdface.core.assets import References
 from usdface.specs.references import proposed_path, tuned_path
 from usdface.tuning.journal import Change
 from usdface.tuning.session import TuningSession
-from usdface.usdio.references import write_references
-from usdface.usdio.rig import read_rig
-from usdface.usdio.rig_write import write_rig
+from usdface.usdio.references.read import write_references
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.write import write_rig
 
 PAIRS = 5
 

@@ -13,8 +13,8 @@ from usdface.tuning.application import Scene, build_application
 from usdface.tuning.guard import LARGEST_BODY, Guard
 from usdface.tuning.pictures import PairPictures
 from usdface.tuning.session import TuningSession
-from usdface.usdio.rig import read_rig
-from usdface.usdio.tuning import PairNotes
+from usdface.usdio.references.tuning import PairNotes
+from usdface.usdio.rig.read import read_rig
 
 PORT = 50123
 HOME = f"http://127.0.0.1:{PORT}"
@@ -275,7 +275,7 @@ def test_markers_that_fit_no_face_leave_a_reason_in_place_of_a_residual(
     def fail(*given: object, **more: object) -> None:
         raise ValueError("all markers lie on a line")
 
-    monkeypatch.setattr("usdface.model.equation.register_markers", fail)
+    monkeypatch.setattr("usdface.model.selection.baseline.register_markers", fail)
     reason = server.browser().get("/markers.json").json()["reason"]
     assert "cannot be placed" in reason
     assert "all markers lie on a line" in reason

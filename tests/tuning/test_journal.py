@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 from usdface.tuning.journal import Change, Journal
 
 CHANGES = [

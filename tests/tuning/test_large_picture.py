@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from usdface.errors import InputError
-from usdface.media import picture
-from usdface.media.image import write_image
+from usdface.core.errors import InputError
+from usdface.media.picture import read as picture
+from usdface.media.picture.image import write_image
 
 
 def test_a_picture_too_large_for_the_page_is_refused(tmp_path: Path, monkeypatch) -> None:

@@ -11,13 +11,13 @@ import pytest
 
 from tests.media.bar_code import draw_number, read_number, write_numbered
 from tests.tuning.small_asset import small_references, write_asset
-from tests.usdio.test_take import small_take
-from usdface.assets import References, Video
-from usdface.errors import InputError
-from usdface.media.image import write_image
+from tests.usdio.take.test_take import small_take
+from usdface.core.assets import References, Video
+from usdface.core.errors import InputError
+from usdface.media.picture.image import write_image
 from usdface.tuning.pictures import PairPictures
-from usdface.usdio.take_write import write_take
-from usdface.usdio.tuning import PairNotes, read_pair_notes, take_files
+from usdface.usdio.references.tuning import PairNotes, read_pair_notes, take_files
+from usdface.usdio.take.write import write_take
 
 RATE = Fraction(24)
 OFFSET, DRIFT = -0.51, 40.0  # no pair on the edge between two frames

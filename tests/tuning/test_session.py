@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from tests.tuning.small_asset import change, put, small_references, write_asset
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 from usdface.specs.references import tuned_path
 from usdface.tuning import session as session_module
 from usdface.tuning.journal import Change
 from usdface.tuning.session import StaleRevisionError, TuningSession
-from usdface.usdio.references import (
+from usdface.usdio.references.read import (
     TunedPair,
     read_references,
     read_tuned_pairs,
@@ -227,7 +227,7 @@ def test_a_bad_change_is_refused_whole(session: TuningSession, bad: Change, mess
 
 
 def test_an_import_step_that_was_done_stays_done_after_tuning(asset: Path) -> None:
-    from usdface.provenance import Provenance
+    from usdface.core.provenance import Provenance
     from usdface.usdio.layers import read_provenance
 
     references = read_references(asset)

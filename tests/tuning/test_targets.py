@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.numerics.small_face import SmallActor, SmallFace, small_actor, small_face
-from usdface.assets import MeshShape, References, Rig, RigMesh, ShapeKey
-from usdface.deformer import Deformer
+from usdface.core.assets import MeshShape, References, Rig, RigMesh, ShapeKey
+from usdface.core.deformer import Deformer
 from usdface.tuning.targets import MarkerTargets, find_targets, targets_or_reason
 
 

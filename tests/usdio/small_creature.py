@@ -8,12 +8,12 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 from scipy.spatial.transform import Rotation
 
 from tests.usdio.small_rig import small_rig
-from usdface.assets import Rig
-from usdface.controls import Controls
-from usdface.usdio.control_performance import writing_control_performance
-from usdface.usdio.performance import writing_performance
-from usdface.usdio.rig import read_rig
-from usdface.usdio.rig_write import write_rig
+from usdface.core.assets import Rig
+from usdface.core.controls import Controls
+from usdface.usdio.performance.write import writing_performance
+from usdface.usdio.retarget.control_performance import writing_control_performance
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.write import write_rig
 
 JOINTS = ("head", "head/ear_L", "head/ear_R")
 ATTRIBUTES = ("rig/lattice.dfm:squash", "rig/lattice.dfm:curl")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.assets import MeshShape, Rig, RigMesh, ShapeKey
+from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 
 
 def small_rig(prim: str = "/Hero") -> Rig:

@@ -9,25 +9,30 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
+from tests.usdio.performance.test_edits import author, perform
 from tests.usdio.small_creature import creature_acts
 from tests.usdio.small_rig import small_rig
-from tests.usdio.test_edits import author, perform
-from tests.usdio.test_take import small_take
-from usdface.controls import EmotionalSequence, SequenceMatch
-from usdface.errors import InputError
-from usdface.steps.edit import all_frames
-from usdface.steps.weight_tables import read_weight_table
-from usdface.usdio.foreign_take import read_foreign_take
-from usdface.usdio.frame_span import FRAMES_BETWEEN_KEYS, UNSAMPLED_FRAMES, check_span
+from tests.usdio.take.test_take import small_take
+from usdface.core.controls import EmotionalSequence, SequenceMatch
+from usdface.core.errors import InputError
+from usdface.steps.edits.edit import all_frames
+from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.layers import open_stage, read_provenance
-from usdface.usdio.mesh import read_face_mesh
-from usdface.usdio.performance import PerformanceReader, read_performance, read_weights
+from usdface.usdio.performance.write import PerformanceReader, read_performance, read_weights
 from usdface.usdio.referenced_files import frame_range_of
-from usdface.usdio.rig import read_rig
-from usdface.usdio.rig_write import write_rig
-from usdface.usdio.sequences import read_matches, read_sequence, write_matches, write_sequence
-from usdface.usdio.take import read_take
-from usdface.usdio.take_write import write_take
+from usdface.usdio.retarget.sequences import (
+    read_matches,
+    read_sequence,
+    write_matches,
+    write_sequence,
+)
+from usdface.usdio.rig.mesh import read_face_mesh
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.write import write_rig
+from usdface.usdio.take.foreign import read_foreign_take
+from usdface.usdio.take.frame_span import FRAMES_BETWEEN_KEYS, UNSAMPLED_FRAMES, check_span
+from usdface.usdio.take.read import read_take
+from usdface.usdio.take.write import write_take
 
 ROOM = 2 << 30
 """What a test may ask for beyond what it has [bytes]: a reader that believes a number asks more."""

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from pxr import Sdf, Usd, UsdGeom
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 from usdface.usdio.layers import open_layer, open_stage
-from usdface.usdio.mesh import read_face_mesh
+from usdface.usdio.rig.mesh import read_face_mesh
 
 
 @pytest.mark.parametrize("rate", [0.0, -24.0, float("nan"), float("inf")])

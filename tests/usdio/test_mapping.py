@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd
 
-from usdface.assets import CandidateScore, Mapping
-from usdface.errors import InputError
+from usdface.core.assets import CandidateScore, Mapping
+from usdface.core.errors import InputError
 from usdface.usdio.mapping import read_mapping, write_mapping
 from usdface.usdio.validation import validate
 

@@ -7,7 +7,7 @@ import sys
 from pxr import Usd, UsdGeom, UsdSkel
 
 from tests.regenerate import USD_SCHEMA, usd_schema
-from usdface.plugin_path import schema_folder
+from usdface.core.plugin_path import schema_folder
 
 APPLIED = {
     "FaceTakeAPI": UsdGeom.Xform,

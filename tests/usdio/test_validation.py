@@ -14,13 +14,13 @@ import pytest
 from pxr import Sdf, Usd, Vt
 
 from tests.usdio.small_rig import small_rig
-from usdface.assets import MeshShape, ShapeKey
-from usdface.layer_names import weights_path
-from usdface.plugin_path import plugin_folders
-from usdface.provenance import Provenance
-from usdface.usdio.performance import writing_performance
-from usdface.usdio.rig import read_rig
-from usdface.usdio.rig_write import write_rig
+from usdface.core.assets import MeshShape, ShapeKey
+from usdface.core.plugin_path import plugin_folders
+from usdface.core.provenance import Provenance
+from usdface.core.sidecars import weights_path
+from usdface.usdio.performance.write import writing_performance
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.write import write_rig
 from usdface.usdio.validation import Finding, validate
 
 NAMES = ("smile", "jawOpen", "eyeBlink")

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 
 _MM_PER_UNIT = {
     "mm": 1.0,

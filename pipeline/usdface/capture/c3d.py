@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdface.capture.c3d_layout import C3dLayout, read_layout
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 
 _EVENT_MARK = 12345
 _HEADER_EVENT_LIMIT = 18

@@ -8,7 +8,7 @@ import numpy as np
 
 from usdface.capture.c3d_parameters import Parameters, parse_parameters
 from usdface.capture.c3d_processor import PROCESSORS, Processor
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 
 BLOCK = 512
 MAGIC = 0x50

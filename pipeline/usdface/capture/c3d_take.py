@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.assets import Event
 from usdface.capture.axes import mm_per_unit, rotation_from_screen, rotation_to_y_up
 from usdface.capture.c3d import C3dFile, open_c3d
 from usdface.capture.marker_labels import list_some, settle_labels
 from usdface.capture.marker_take import Capture, CaptureOptions, build_marker_take
-from usdface.errors import InputError
-from usdface.rates import exact_rate
+from usdface.core.assets import Event
+from usdface.core.errors import InputError
+from usdface.core.rates import exact_rate
 
 _CHUNK_FRAMES = 8192
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.assets import Take, WeightsClip
 from usdface.capture.marker_labels import list_some
 from usdface.capture.marker_take import Capture
 from usdface.capture.sample_times import SampleTimes
+from usdface.core.assets import Take, WeightsClip
 
 FIRST_FRAME = 1
 """Where takes start whose format does not number frames, as optical takes do."""

@@ -20,7 +20,7 @@ from usdface.capture.text_table import (
     split_cells,
     without_empty_tail,
 )
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 
 _ROTATIONS = (
     *(f"headRotation{axis}" for axis in "XYZ"),

@@ -16,8 +16,8 @@ from usdface.capture.channel_take import build_channel_take
 from usdface.capture.marker_take import Capture, CaptureOptions
 from usdface.capture.sample_times import SampleTimes
 from usdface.capture.text_table import Line, check_columns, head_lines, parse_cells, read_lines
-from usdface.errors import InputError
-from usdface.wording import counted
+from usdface.core.errors import InputError
+from usdface.core.text import counted
 
 _VALUE = r"-?[\d.]+(?:[eE][-+]?\d+)?"
 _WEIGHT = re.compile(rf"([A-Za-z]\w*)\s*[-&]\s*({_VALUE})", re.ASCII)

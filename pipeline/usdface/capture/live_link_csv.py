@@ -26,9 +26,9 @@ from usdface.capture.text_table import (
     split_cells,
     without_empty_tail,
 )
-from usdface.errors import InputError
-from usdface.timecode import timecode_of
-from usdface.wording import counted
+from usdface.core.errors import InputError
+from usdface.core.text import counted
+from usdface.core.timecode import timecode_of
 
 _TIMECODE = re.compile(r"(\d\d):(\d\d):(\d\d):(\d{1,3}(?:\.\d{1,9})?)", re.ASCII)
 _TITLES = ("timecode", "blendshapecount")

@@ -15,7 +15,7 @@ from usdface.capture.text_table import (
     split_cells,
     without_empty_tail,
 )
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 
 _X = re.compile(r"(.+)[._: ]x", re.IGNORECASE)
 _FRAME = ("frame", "frame#")

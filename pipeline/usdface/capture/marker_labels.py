@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from usdface.errors import InputError
-from usdface.wording import counted
+from usdface.core.errors import InputError
+from usdface.core.text import counted
 
 _UNLABELLED = re.compile(r"\*.*|u_?\d+|(?:unlabell?ed|unnamed|uname)[\W_]*\d*", re.IGNORECASE)
 _SHOWN = 6

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.assets import Markers, Take
 from usdface.capture.marker_labels import list_some, match_names
-from usdface.errors import InputError
-from usdface.wording import counted
+from usdface.core.assets import Markers, Take
+from usdface.core.errors import InputError
+from usdface.core.text import counted
 
 _CHUNK_FRAMES = 8192
 FARTHEST_MM = 1e5

@@ -26,9 +26,9 @@ from usdface.capture.text_table import (
     split_cells,
     without_empty_tail,
 )
-from usdface.errors import InputError
-from usdface.rates import exact_rate
-from usdface.timecode import frames_of
+from usdface.core.errors import InputError
+from usdface.core.rates import exact_rate
+from usdface.core.timecode import frames_of
 
 _MOST_HEADER_ROWS = 12
 _RATES = ("Export Frame Rate", "Capture Frame Rate")

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.assets import Take, WeightsClip
 from usdface.capture.axes import mm_per_unit
 from usdface.capture.channel_take import fill_frames
 from usdface.capture.marker_table import build_table_take
@@ -30,7 +29,8 @@ from usdface.capture.text_table import (
     split_cells,
     without_empty_tail,
 )
-from usdface.errors import InputError
+from usdface.core.assets import Take, WeightsClip
+from usdface.core.errors import InputError
 
 _LANDMARK = re.compile(r"X_(\d+)", re.ASCII)
 _INTENSITY = re.compile(r"(AU\d+)_r", re.ASCII)

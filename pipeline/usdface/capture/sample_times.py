@@ -6,8 +6,8 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.errors import InputError
-from usdface.rates import NTSC_BASES, exact_rate
+from usdface.core.errors import InputError
+from usdface.core.rates import NTSC_BASES, exact_rate
 
 DEVICE_RATES = (15, 20, 24, 25, 30, 48, 50, 60, 90, 100, 120, 240)
 """What cameras and phones are set to; their clocks are close to it, never exact."""

@@ -14,7 +14,7 @@ from usdface.capture.motive_csv import is_motive_csv, read_motive_csv
 from usdface.capture.openface_csv import is_openface_csv, read_openface_csv
 from usdface.capture.trc import is_trc, read_trc
 from usdface.capture.vicon_csv import is_vicon_csv, read_vicon_csv
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 
 _HEAD_BYTES = 64 << 10
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 
 LARGEST_BYTES = 4 << 30
 """Ten hours of 100 markers at 120 frames per second are about this much text."""

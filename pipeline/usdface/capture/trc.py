@@ -21,8 +21,8 @@ from usdface.capture.text_table import (
     split_cells,
     without_empty_tail,
 )
-from usdface.errors import InputError
-from usdface.rates import exact_rate
+from usdface.core.errors import InputError
+from usdface.core.rates import exact_rate
 
 _AXIS = re.compile(r"[XYZ]\d*", re.IGNORECASE)
 

@@ -26,17 +26,16 @@ from usdface.cli.console import (
 )
 from usdface.cli.spec_options import build_spec, command_of
 from usdface.cli.tune import tune_command
-from usdface.errors import InputError, UsdfaceError
+from usdface.core.errors import InputError, UsdfaceError
+from usdface.core.text import counted
+from usdface.core.version import __version__
 from usdface.specs.base import Spec
-from usdface.specs.confinement import VARIABLE, check_confined
-from usdface.specs.edit import EditsImportSpec, EditSpec
-from usdface.specs.ingest import IngestSpec
+from usdface.specs.capture import IngestSpec
+from usdface.specs.edits import EditsImportSpec, EditSpec
 from usdface.specs.job import STEP_SPECS, JobSpec
-from usdface.specs.path_mapping import read_path_rules
+from usdface.specs.paths import VARIABLE, check_confined, read_path_rules
 from usdface.specs.reading import read_job, spec_text
 from usdface.specs.submit import SubmitSpec
-from usdface.version import __version__
-from usdface.wording import counted
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for scripts.")]
 ShowProgress = Annotated[
@@ -96,7 +95,7 @@ def _run_step(
 ) -> None:
     folder = _folder_to_ingest(spec_type, values)
     if folder is not None:
-        from usdface.steps.ingest_folder import ingest_folder
+        from usdface.steps.capture.ingest_folder import ingest_folder
 
         if save_spec is not None:
             raise InputError(
@@ -118,7 +117,7 @@ def _run_step(
             raise InputError(f"{save_spec}: cannot be written: {error.strerror}") from error
         say(f"wrote {save_spec}")
         return
-    from usdface.steps.execute import execute
+    from usdface.runner.execute import execute
 
     with listening(progress) as listener:
         report = execute(spec, overwrite=overwrite, progress=listener)
@@ -150,7 +149,7 @@ def _submit(
     as_json: bool,
 ) -> None:
     from usdface.farm.submit import describe, submit
-    from usdface.steps.report import Report
+    from usdface.runner.result import Report
 
     spec = build_spec(spec_type, values)
     done = submit(spec, overwrite=overwrite, quiet=as_json)
@@ -231,7 +230,7 @@ def list_edits(
 
     usdface edits list kitchen.hero.usda
     """
-    from usdface.steps.edited import list_edits as listed
+    from usdface.steps.inputs.edit_ranges import list_edits as listed
 
     show_report(listed(performance, prim=prim), as_json=as_json)
 
@@ -257,7 +256,7 @@ def run(
 
     usdface run kitchen.job.yaml
     """
-    from usdface.steps.jobs import make_folders, run_job
+    from usdface.runner.job import make_folders, run_job
 
     spec = read_job(job, path_rules=() if path_mapping is None else read_path_rules(path_mapping))
     _confine(spec, root)
@@ -284,7 +283,7 @@ def check(
 
     usdface check kitchen.job.yaml
     """
-    from usdface.steps.jobs import check_job
+    from usdface.runner.job import check_job
 
     spec = read_job(job)
     _confine(spec, root)
@@ -307,7 +306,7 @@ def describe(
 
     usdface describe hero.mapping.usdc
     """
-    from usdface.steps.describe import describe_mapping
+    from usdface.steps.performance.describe import describe_mapping
 
     show_report(describe_mapping(mapping), as_json=as_json)
 
@@ -327,7 +326,7 @@ def validate(
 
     usdface validate kitchen.take.usda kitchen.hero.usda
     """
-    from usdface.steps.validate import validate_layers
+    from usdface.steps.edits.validate import validate_layers
 
     report = validate_layers(tuple(layers))
     show_report(report, as_json=as_json)

@@ -7,7 +7,7 @@ import typer
 from typer.core import TyperGroup
 
 from usdface.cli.console import STOPPED
-from usdface.errors import CancelledError
+from usdface.core.errors import CancelledError
 
 EPILOG = "Exit codes: 0 done, 1 a check failed, 2 bad input, 3 interrupted."
 

@@ -15,10 +15,10 @@ from typing import Any, Literal
 
 import typer
 
-from usdface.errors import CancelledError, UsdfaceError
-from usdface.progress import Progress as Listener
-from usdface.progress import silent
-from usdface.steps.report import Report
+from usdface.core.errors import CancelledError, UsdfaceError
+from usdface.core.progress import Progress as Listener
+from usdface.core.progress import silent
+from usdface.runner.result import Report
 
 ProgressStyle = Literal["auto", "bar", "openjd", "none"]
 

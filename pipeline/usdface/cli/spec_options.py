@@ -13,9 +13,8 @@ import typer
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
-from usdface.errors import InputError
-from usdface.specs.base import Positional, Spec
-from usdface.specs.field_help import field_help
+from usdface.core.errors import InputError
+from usdface.specs.base import Positional, Spec, field_help
 from usdface.specs.reading import describe_faults
 
 SpecType = TypeVar("SpecType", bound=Spec)

@@ -7,12 +7,12 @@ from typing import Any
 
 from usdface.cli.console import say, show_report
 from usdface.cli.spec_options import build_spec, command_of
-from usdface.errors import InputError
+from usdface.core.errors import InputError
+from usdface.core.text import counted
+from usdface.runner.result import Report
 from usdface.specs.base import Reads, Spec
-from usdface.specs.confinement import confinement_root
+from usdface.specs.paths import confinement_root
 from usdface.specs.tune import TuneSpec
-from usdface.steps.report import Report
-from usdface.wording import counted
 
 _NEEDED = ("starlette", "uvicorn", "anyio", "h11")
 
@@ -30,7 +30,7 @@ def _tune(spec_type: type[Spec], values: dict[str, Any], *, as_json: bool) -> No
         raise InputError(f"tune: {names}: no such file; check the path")
     root = confinement_root()
     if root is not None:
-        from usdface.steps.confined_inputs import check_confined_inputs
+        from usdface.runner.sandbox import check_confined_inputs
 
         check_confined_inputs(spec, root)
     try:

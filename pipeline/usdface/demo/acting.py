@@ -11,7 +11,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from usdface.assets import FloatArray, WeightsClip
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import WeightsClip
 from usdface.demo.details import smooth_step
 from usdface.demo.lid_turns import LID_TURNS, closing
 from usdface.demo.script import (

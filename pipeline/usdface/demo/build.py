@@ -4,8 +4,9 @@ import csv
 from dataclasses import dataclass
 from pathlib import Path
 
-from usdface.assets import WeightsClip
 from usdface.capture.c3d_write import write_c3d
+from usdface.core.assets import WeightsClip
+from usdface.core.progress import Progress, part, silent
 from usdface.demo.acting import FIRST_FRAME, Interval, performance
 from usdface.demo.capture import simulate_capture
 from usdface.demo.clip import OFFSET_SECONDS, write_clip
@@ -13,8 +14,7 @@ from usdface.demo.markers import place_markers
 from usdface.demo.proportions import ACTOR
 from usdface.demo.rig import demo_rig
 from usdface.demo.shapes import make_head
-from usdface.progress import Progress, part, silent
-from usdface.usdio.rig_write import write_rig
+from usdface.usdio.rig.write import write_rig
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.assets import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.demo.cage_grid import lay_grid, lay_grid_faces
 from usdface.demo.cage_rings import lay_eye, lay_mouth
 from usdface.demo.half_cage import HalfCage

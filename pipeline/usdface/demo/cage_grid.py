@@ -5,7 +5,7 @@ Two blocks stay open for the rings round the eye and the mouth (`usdface.demo.ca
 
 import numpy as np
 
-from usdface.assets import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.demo.half_cage import HalfCage, Mark
 from usdface.demo.proportions import Style
 from usdface.demo.sculpt import Form, trace

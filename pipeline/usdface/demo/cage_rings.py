@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usdface.assets import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.demo.cage_grid import EYE_COLUMNS, EYE_ROWS, MOUTH_COLUMNS, MOUTH_ROWS
 from usdface.demo.half_cage import HalfCage, Mark
 from usdface.demo.proportions import Style

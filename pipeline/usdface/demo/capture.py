@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from usdface.assets import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.demo.acting import ActedPerformance
 from usdface.demo.details import smooth_step
 from usdface.demo.head import DemoHead

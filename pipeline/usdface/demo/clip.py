@@ -8,18 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.assets import FloatArray, IntArray
+from usdface.core.arrays import ByteImage, FloatArray, IntArray
+from usdface.core.progress import Progress, silent
 from usdface.demo.acting import ActedPerformance
 from usdface.demo.capture import ActorFace, head_poses
 from usdface.demo.head import DemoHead, Part
 from usdface.demo.rig import mesh_points, rig_from_head
 from usdface.demo.script import DURATION
 from usdface.demo.voice import speak
-from usdface.media.camera import Camera
-from usdface.media.color import ByteImage
-from usdface.media.movie import write_movie
-from usdface.media.render import FaceRenderer
-from usdface.progress import Progress, silent
+from usdface.media.face.camera import Camera
+from usdface.media.face.render import FaceRenderer
+from usdface.media.film.movie import write_movie
 
 RATE = Fraction(24)
 SIZE = (216, 240)
@@ -89,7 +88,7 @@ def write_clip(
     Parameters
     ----------
     path : Path
-        ``.mp4`` or another movie that `usdface.media.movie` writes.
+        ``.mp4`` or another movie that `usdface.media.film.movie` writes.
     head : DemoHead
         Of the actor.
     acted : ActedPerformance

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usdface.assets import FloatArray
+from usdface.core.arrays import FloatArray
 from usdface.demo.details import smooth_step
 from usdface.demo.half_cage import Mark
 from usdface.demo.proportions import Style

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.assets import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.demo.halves import grid_faces
 from usdface.demo.proportions import Style
 from usdface.demo.sculpt import Form, trace

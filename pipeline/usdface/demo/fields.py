@@ -6,7 +6,7 @@ exact mirror images. Fields are (points, 3) float arrays in mm.
 
 import numpy as np
 
-from usdface.assets import FloatArray
+from usdface.core.arrays import FloatArray
 from usdface.demo.details import smooth_step
 from usdface.demo.half_cage import Mark
 from usdface.demo.head import DemoHead, Part, lip_rim, lower_lid_edge, upper_lid_edge

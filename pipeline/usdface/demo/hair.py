@@ -6,7 +6,7 @@ Hair is the one thing on the head that is not symmetric; no shape moves it.
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from usdface.assets import FloatArray
+from usdface.core.arrays import FloatArray
 from usdface.demo.details import Piece, smooth_step
 from usdface.demo.halves import grid_faces
 from usdface.demo.proportions import Style

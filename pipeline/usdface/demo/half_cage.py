@@ -4,7 +4,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from usdface.assets import FloatArray
+from usdface.core.arrays import FloatArray
 
 
 class Mark(IntEnum):

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.assets import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray
 
 ON_MIDLINE = 1e-6
 """Points nearer to the midline than this are shared by both halves [mm]."""

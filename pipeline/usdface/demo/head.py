@@ -7,7 +7,7 @@ from enum import IntEnum
 import numpy as np
 from scipy import sparse
 
-from usdface.assets import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.demo import details
 from usdface.demo.cage import build_cage
 from usdface.demo.complexion import skin_colors

@@ -4,26 +4,23 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.assets import FloatArray
-from usdface.deformer import Deformer
+from usdface.core.arrays import FloatArray
+from usdface.core.deformer import Deformer
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, part, silent
 from usdface.demo.build import DemoInputs, write_demo_inputs
-from usdface.errors import InputError
-from usdface.progress import Progress, part, silent
-from usdface.specs.clean import CleanSpec
-from usdface.specs.ingest import IngestSpec
+from usdface.runner.job import run_job
+from usdface.runner.result import Report
+from usdface.runner.sandbox import confine
+from usdface.specs.capture import CleanSpec, IngestSpec
 from usdface.specs.job import JobSpec
-from usdface.specs.map import MapSpec
+from usdface.specs.performance import MapSpec, TrainSpec
 from usdface.specs.reading import read_job, spec_text
 from usdface.specs.references import ReferencesImportSpec, SelectSpec
-from usdface.specs.report import ReportSpec
-from usdface.specs.sheet import SheetSpec
-from usdface.specs.train import TrainSpec
-from usdface.steps.confined_inputs import confine
-from usdface.steps.jobs import run_job
-from usdface.steps.report import Report
-from usdface.usdio.performance import read_performance
-from usdface.usdio.references import read_references
-from usdface.usdio.rig import read_rig
+from usdface.specs.review import ReportSpec, SheetSpec
+from usdface.usdio.performance.write import read_performance
+from usdface.usdio.references.read import read_references
+from usdface.usdio.rig.read import read_rig
 
 JOB_NAME = "demo.job.yaml"
 PAIRS = 50

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.assets import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.demo.half_cage import Mark
 from usdface.demo.head import DemoHead, Part
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from usdface.assets import IntArray
-from usdface.media.subdivision import catmull_clark
+from usdface.core.arrays import IntArray
+from usdface.media.face.subdivision import catmull_clark
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.assets import FloatArray, IntArray, MeshShape, Rig, RigMesh, ShapeKey
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.demo.head import DemoHead, Part
 from usdface.demo.proportions import CHARACTER, Style
 from usdface.demo.shapes import make_head

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from usdface.assets import FloatArray
+from usdface.core.arrays import FloatArray
 from usdface.demo.proportions import Style, Vec
 
 Form = Callable[[FloatArray], FloatArray]

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from usdface.assets import FloatArray
+from usdface.core.arrays import FloatArray
 from usdface.demo.details import smooth_step
 from usdface.demo.fields import FaceFields
 from usdface.demo.head import DemoHead, Part, bare_head

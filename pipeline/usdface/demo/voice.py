@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.assets import Float32Array, FloatArray
+from usdface.core.arrays import Float32Array, FloatArray
 from usdface.demo.details import smooth_step
 from usdface.demo.script import DURATION, GLIDES, TimedPhone, timed_phones
 

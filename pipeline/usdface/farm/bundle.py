@@ -9,7 +9,7 @@ from pathlib import Path
 
 import yaml
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 from usdface.farm.plan import FarmStep
 from usdface.farm.template import TASKS, job_template
 from usdface.specs.base import Reads, Writes

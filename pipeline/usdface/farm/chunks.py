@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 from usdface.specs.base import Spec, frame_range
-from usdface.specs.join import JoinSpec
-from usdface.specs.map import MapSpec
-from usdface.specs.movie import MovieJoinSpec, MovieSpec
+from usdface.specs.performance import JoinSpec, MapSpec
+from usdface.specs.review import MovieJoinSpec, MovieSpec
 
 FrameRange = tuple[int, int]
 """First and last frame, inclusive."""

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from usdface.errors import CheckFailedError, InputError
+from usdface.core.errors import CheckFailedError, InputError
 
 LAST_WORDS_SECONDS = 60.0
 """What a farm's command gets to stop its tasks when it is told to."""

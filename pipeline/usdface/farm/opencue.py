@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from usdface.errors import CheckFailedError, InputError
+from usdface.core.errors import CheckFailedError, InputError
 from usdface.farm.plan import FarmStep
 from usdface.farm.requirements import host_requirements
 from usdface.farm.template import TASKS, task_command

@@ -7,7 +7,7 @@ from pathlib import Path
 from usdface.farm.chunks import ChunkSizes, FrameRange, frames_made, in_chunks
 from usdface.specs.base import Reads, Spec
 from usdface.specs.job import JobSpec
-from usdface.specs.map import MapSpec
+from usdface.specs.performance import MapSpec
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
+from usdface.core.replacing import replacing
 from usdface.farm.bundle import bundle_hash, compose_bundle, write_bundle
 from usdface.farm.chunks import ChunkSizes, FrameRange
 from usdface.farm.deadline import submit_bundle
@@ -12,10 +13,9 @@ from usdface.farm.opencue import build_outline, outline_text, submit_outline
 from usdface.farm.openjd import local_farm
 from usdface.farm.plan import Plan, plan_job
 from usdface.farm.template import check_job_name
-from usdface.replacing import replacing
 from usdface.specs.base import LAYER_SUFFIXES, Reads
-from usdface.specs.confinement import check_confined, check_paths_confined, confinement_root
 from usdface.specs.job import JobSpec
+from usdface.specs.paths import check_confined, check_paths_confined, confinement_root
 from usdface.specs.reading import read_job
 from usdface.specs.submit import SubmitSpec
 

@@ -8,7 +8,7 @@ or as a part of a command. The job's name goes in as a parameter's value, which 
 from collections.abc import Sequence
 from typing import Any
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 from usdface.farm.plan import FarmStep
 from usdface.farm.requirements import host_requirements
 

@@ -1,10 +1,10 @@
 """Trained mappings: markers to a rig's weights, fitted on references and applied to takes."""
 
-from usdface.model.head_space import MappedMarkers, into_head_space
-from usdface.model.motion import fit_motion_space
-from usdface.model.predict import Prediction, predict_weights
-from usdface.model.skin import sample_skin
-from usdface.model.train import train_mapping
+from usdface.model.mapping.head_space import MappedMarkers, into_head_space
+from usdface.model.mapping.motion_space import fit_motion_space
+from usdface.model.mapping.predict import Prediction, predict_weights
+from usdface.model.mapping.regions import sample_skin
+from usdface.model.mapping.train import train_mapping
 
 __all__ = [
     "MappedMarkers",

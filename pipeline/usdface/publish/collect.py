@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
-from usdface.errors import InputError
-from usdface.layer_names import weights_path
+from usdface.core.errors import InputError
+from usdface.core.sidecars import weights_path
 from usdface.specs.base import LAYER_SUFFIXES
 from usdface.usdio.layers import read_provenance
-from usdface.usdio.performance import PerformanceReader
+from usdface.usdio.performance.write import PerformanceReader
 
 MAKERS = ("map", "join", "retarget", "warp")
 """Steps that write performances."""

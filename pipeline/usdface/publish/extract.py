@@ -11,17 +11,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from usdface.errors import InputError
-from usdface.layer_names import weights_path
-from usdface.progress import Progress, part, silent
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, part, silent
+from usdface.core.sidecars import weights_path
 from usdface.publish.collect import PublishItem
-from usdface.specs.bake import BakeSpec
-from usdface.specs.movie import MovieSpec
-from usdface.specs.sheet import SheetSpec
-from usdface.steps.execute import execute
-from usdface.steps.outputs import make_provenance
-from usdface.usdio.performance import PerformanceReader, header_of, writing_top
-from usdface.usdio.rig import read_rig
+from usdface.runner.execute import execute
+from usdface.runner.outputs import make_provenance
+from usdface.specs.edits import BakeSpec
+from usdface.specs.review import MovieSpec, SheetSpec
+from usdface.usdio.performance.write import PerformanceReader, header_of, writing_top
+from usdface.usdio.rig.read import read_rig
 
 log = logging.getLogger(__name__)
 

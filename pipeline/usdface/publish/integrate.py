@@ -7,9 +7,9 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
+from usdface.core.version import __version__
 from usdface.publish.extract import Extracted
-from usdface.version import __version__
 
 MANIFEST = "publish.json"
 _VERSION = re.compile(r"v(\d{3,})")

@@ -1,6 +1,11 @@
 """What every spec shares: frozen, unknown keys refused, limits in types, marked paths."""
 
+import ast
+import functools
+import inspect
+import itertools
 import os
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +22,42 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import core_schema
 
-from usdface.specs.field_help import field_help
+
+@functools.cache
+def field_help(spec: type) -> dict[str, str]:
+    """Return the text that stands beneath each field of a class, those it inherits included.
+
+    Pydantic would read the source of every spec whenever a command starts. Where the package was
+    installed without its source there is no help, and all else works.
+
+    Parameters
+    ----------
+    spec : type
+    """
+    found: dict[str, str] = {}
+    for each in reversed(spec.__mro__):
+        if each.__module__.startswith(__package__):
+            found |= _own_help(each)
+    return found
+
+
+def _own_help(spec: type) -> dict[str, str]:
+    try:
+        source = inspect.getsource(spec)
+    except OSError:
+        return {}
+    (tree,) = ast.parse(textwrap.dedent(source)).body
+    assert isinstance(tree, ast.ClassDef)
+    return {
+        field.target.id: inspect.cleandoc(text.value.value)
+        for field, text in itertools.pairwise(tree.body)
+        if isinstance(field, ast.AnnAssign)
+        and isinstance(field.target, ast.Name)
+        and isinstance(text, ast.Expr)
+        and isinstance(text.value, ast.Constant)
+        and isinstance(text.value.value, str)
+    }
+
 
 FRAMES_PATTERN = r"^-?\d+--?\d+$"
 
@@ -130,6 +170,9 @@ class Spec(BaseModel):
 
     example: ClassVar[str] = ""
     """A command line that shows the common use."""
+
+    module: ClassVar[str] = ""
+    """Where the step's function is, below ``usdface.steps``."""
 
     in_place: ClassVar[bool] = False
     """Whether an output may take the place of an input."""

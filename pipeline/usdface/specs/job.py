@@ -5,34 +5,37 @@ from typing import Annotated, Any, ClassVar, Self, get_args
 
 from pydantic import ConfigDict, Field, model_validator
 
-from usdface.specs.align import AlignSpec
-from usdface.specs.bake import BakeSpec
 from usdface.specs.base import Name, Reads, Spec, Writes
-from usdface.specs.bind import BindSpec
-from usdface.specs.clean import CleanSpec
-from usdface.specs.cyclic import CyclicSpec
-from usdface.specs.deform import DeformSpec
-from usdface.specs.evaluate import EvaluateSpec
-from usdface.specs.faces import FacesSpec
-from usdface.specs.ingest import IngestSpec
-from usdface.specs.join import JoinSpec
-from usdface.specs.make_shapes import MakeShapesSpec
-from usdface.specs.map import MapSpec
-from usdface.specs.movie import MovieJoinSpec, MovieSpec
-from usdface.specs.package import PackageSpec
-from usdface.specs.pairs import PairsImportSpec, PairsProposeSpec
-from usdface.specs.phones import PhonesSpec
-from usdface.specs.reference_sheet import ReferenceSheetSpec
-from usdface.specs.references import ReferencesFromEditsSpec, ReferencesImportSpec, SelectSpec
-from usdface.specs.references_coverage import ReferencesCoverageSpec
-from usdface.specs.report import ReportSpec
-from usdface.specs.retarget import RetargetSpec
-from usdface.specs.sequences import FindSequencesSpec, MakeSequenceSpec
-from usdface.specs.sheet import SheetSpec
+from usdface.specs.capture import AlignSpec, CleanSpec, IngestSpec, PhonesSpec
+from usdface.specs.edits import BakeSpec, PackageSpec
+from usdface.specs.performance import JoinSpec, MapSpec, TrainSpec
+from usdface.specs.references import (
+    ReferencesCoverageSpec,
+    ReferencesFromEditsSpec,
+    ReferenceSheetSpec,
+    ReferencesImportSpec,
+    SelectSpec,
+)
+from usdface.specs.retarget import (
+    CyclicSpec,
+    FindSequencesSpec,
+    MakeSequenceSpec,
+    PairsImportSpec,
+    PairsProposeSpec,
+    RetargetSpec,
+    TrainRetargetSpec,
+    WarpSpec,
+)
+from usdface.specs.review import (
+    EvaluateSpec,
+    FacesSpec,
+    MovieJoinSpec,
+    MovieSpec,
+    ReportSpec,
+    SheetSpec,
+)
+from usdface.specs.surface import BindSpec, DeformSpec, MakeShapesSpec
 from usdface.specs.takes import FOR_EACH_SCHEMA, TAKES_SCHEMA, write_out
-from usdface.specs.train import TrainSpec
-from usdface.specs.train_retarget import TrainRetargetSpec
-from usdface.specs.warp import WarpSpec
 
 AnyStep = Annotated[
     IngestSpec

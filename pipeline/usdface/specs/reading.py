@@ -8,11 +8,11 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 from usdface.specs.base import Spec
-from usdface.specs.fault_words import fault_words, told_faults
 from usdface.specs.job import JobSpec
-from usdface.specs.path_mapping import PathRules, map_path
+from usdface.specs.messages import fault_words, told_faults
+from usdface.specs.paths import PathRules, map_path
 from usdface.specs.takes import step_places
 
 LARGEST_SPEC_BYTES = 16 << 20

@@ -1,4 +1,4 @@
-"""What `usdface select` and `usdface references import` are told."""
+"""Specs of references: select, import, from-edits, coverage, sheet."""
 
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
@@ -51,6 +51,7 @@ class SelectSpec(Spec):
         "usdface select kitchen.clean.take.usda --rig hero.usd --count 60 "
         "--out hero.references.usda"
     )
+    module: ClassVar[str] = "references.select"
 
     step: Literal["select"] = "select"
     takes: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
@@ -119,6 +120,7 @@ class ReferencesImportSpec(Spec):
     """
 
     example: ClassVar[str] = "usdface references import hero.references.usda --weights tuned.csv"
+    module: ClassVar[str] = "references.import_"
 
     step: Literal["references-import"] = "references-import"
     references: Annotated[FilePath, Reads(alone=True), Positional()]
@@ -150,6 +152,7 @@ class ReferencesFromEditsSpec(Spec):
         "--out hero.v2.references.usda"
     )
     in_place: ClassVar[bool] = True
+    module: ClassVar[str] = "references.from_edits"
 
     step: Literal["references-from-edits"] = "references-from-edits"
     performances: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
@@ -160,3 +163,57 @@ class ReferencesFromEditsSpec(Spec):
     """The references asset to write."""
     count: Annotated[int, Field(ge=1, le=10_000)] = 20
     """How many frames of each performance are taken at most."""
+
+
+class ReferencesCoverageSpec(Spec):
+    """Measure how well references span takes, those they were chosen from or new ones.
+
+    Says what share of every frame's motion the pairs determine, part by part, where the holes are,
+    and which further frames would bring how much. The picture shows it over time.
+    """
+
+    example: ClassVar[str] = (
+        "usdface references coverage hero.references.usda kitchen.clean.take.usda "
+        "--out kitchen.coverage.png"
+    )
+    module: ClassVar[str] = "references.coverage"
+
+    step: Literal["references-coverage"] = "references-coverage"
+    references: Annotated[FilePath, Reads(), Positional()]
+    """The references asset."""
+    takes: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
+    """Cleaned takes of the same performer."""
+    out: ImageOut
+    """The picture: .jpg, .png or .exr."""
+    tuned_only: bool = False
+    """Count only pairs that a person has tuned: what training on them today would know."""
+
+
+class ReferenceSheetSpec(Spec):
+    """Draw the references for an animator to work from, on a screen or on paper.
+
+    Each pair: the video frame, the markers and the rig at its present weights, with viseme,
+    emotion, frame and the strongest weights.
+    """
+
+    example: ClassVar[str] = (
+        "usdface references sheet hero.references.usda --takes kitchen.clean.take.usda "
+        "--paper --out hero.references.jpg"
+    )
+    module: ClassVar[str] = "references.sheet"
+
+    step: Literal["references-sheet"] = "references-sheet"
+    references: Annotated[FilePath, Reads(), Positional()]
+    """The references asset."""
+    takes: Annotated[tuple[Path, ...], Reads()] = ()
+    """The takes it was selected from: without them there is no video and no timecode."""
+    out: ImageOut
+    """The picture: .jpg, .png or .exr."""
+    pairs: Frames | None = None
+    """Show these pairs only, as FIRST-LAST; a page of paper holds some 24."""
+    paper: bool = False
+    """Dark on white, to be printed, with room to write."""
+    tile: Annotated[int, Field(ge=64, le=2048)] = 280
+    """Height of a picture in pixels."""
+    quality: Literal["draft", "final"] = "final"
+    """Draft leaves out soft shadows and occlusion."""

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from usdface.assets import BoolArray, Float32Array
+from usdface.core.arrays import BoolArray, Float32Array
 from usdface.speech.phone_track import Span
 
 STEP_SECONDS = 0.02

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 from usdface.speech.visemes import SILENCE, arpabet_of
 
 LARGEST_DICTIONARY_BYTES = 64 << 20

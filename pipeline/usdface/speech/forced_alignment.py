@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from usdface.assets import Float32Array
-from usdface.errors import InputError
-from usdface.progress import Progress, silent
+from usdface.core.arrays import Float32Array
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
 from usdface.speech.letter_to_sound import phones_of_letters
 from usdface.speech.phone_track import PhoneTrack, Span
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
-from usdface.errors import InputError
-from usdface.replacing import replacing, replacing_together
+from usdface.core.errors import InputError
+from usdface.core.replacing import replacing, replacing_together
 from usdface.speech.dictionary import read_text
 from usdface.speech.phone_track import PhoneTrack, Span
 from usdface.speech.visemes import viseme_of

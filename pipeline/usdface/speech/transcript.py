@@ -3,7 +3,7 @@
 import re
 import unicodedata
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 
 _ONES = (
     "zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen "

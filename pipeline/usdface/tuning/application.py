@@ -15,16 +15,16 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from usdface.assets import Rig
-from usdface.deformer import Deformer
-from usdface.errors import InputError
-from usdface.media.face_payload import FacePayload, pack_face, read_web_file
+from usdface.core.assets import Rig
+from usdface.core.deformer import Deformer
+from usdface.core.errors import InputError
+from usdface.media.page.face_payload import FacePayload, pack_face, read_web_file
 from usdface.numerics.measure.mirrored_shapes import mirrored_shapes, sided_shapes
 from usdface.tuning.journal import Change
 from usdface.tuning.pictures import PairPictures
 from usdface.tuning.session import StaleRevisionError, TuningSession
 from usdface.tuning.targets import MarkerTargets, targets_or_reason
-from usdface.usdio.tuning import PairNotes
+from usdface.usdio.references.tuning import PairNotes
 
 _FILES = {
     ".js": "text/javascript; charset=utf-8",

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -5,15 +5,15 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from pathlib import Path
 
-from usdface.assets import References, Take
-from usdface.errors import InputError
-from usdface.media.color import ByteImage
-from usdface.media.image_sequence import ImageSequence, open_video
-from usdface.media.jpeg import encode_jpeg
-from usdface.media.picture import read_picture
-from usdface.media.video import VideoReader
-from usdface.usdio.take import TakeReader
-from usdface.usdio.tuning import PairNotes
+from usdface.core.arrays import ByteImage
+from usdface.core.assets import References, Take
+from usdface.core.errors import InputError
+from usdface.media.film.image_sequence import ImageSequence, open_video
+from usdface.media.film.video import VideoReader
+from usdface.media.picture.jpeg import encode_jpeg
+from usdface.media.picture.read import read_picture
+from usdface.usdio.references.tuning import PairNotes
+from usdface.usdio.take.read import TakeReader
 
 KEPT = 64
 """Encoded pictures that are kept: going back and forth decodes nothing."""

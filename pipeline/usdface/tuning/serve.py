@@ -12,15 +12,15 @@ from pathlib import Path
 
 import uvicorn
 
-from usdface.errors import CancelledError, InputError
-from usdface.specs.confinement import check_paths_confined, confinement_root
+from usdface.core.errors import CancelledError, InputError
+from usdface.specs.paths import check_paths_confined, confinement_root
 from usdface.specs.tune import TuneSpec
 from usdface.tuning.application import Scene, build_application
 from usdface.tuning.guard import Guard
 from usdface.tuning.pictures import PairPictures
 from usdface.tuning.session import TuningSession
-from usdface.usdio.rig import read_rig
-from usdface.usdio.tuning import read_pair_notes, take_files
+from usdface.usdio.references.tuning import read_pair_notes, take_files
+from usdface.usdio.rig.read import read_rig
 
 log = logging.getLogger(__name__)
 

@@ -7,20 +7,21 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.assets import BoolArray, FloatArray, References
-from usdface.errors import InputError
-from usdface.provenance import Provenance, canonical_json, hash_files
+from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.assets import References
+from usdface.core.errors import InputError
+from usdface.core.locks import TuningLock
+from usdface.core.provenance import Provenance, canonical_json, hash_files
 from usdface.specs.references import journal_path, lock_path, proposed_path, tuned_path
 from usdface.tuning.journal import Change, Journal, flush_folder
-from usdface.tuning_lock import TuningLock
 from usdface.usdio.layers import read_provenance
-from usdface.usdio.references import (
+from usdface.usdio.references.read import (
     TunedPair,
     read_references,
     read_tuned_pairs,
     write_tuned_layer,
 )
-from usdface.usdio.tuning import check_tuned_layer, read_proposals
+from usdface.usdio.references.tuning import check_tuned_layer, read_proposals
 
 SAME = 1e-6
 """Weights that differ by less are one: layers hold single precision."""

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.assets import Float32Array, FloatArray, References, Rig
-from usdface.deformer import Deformer
-from usdface.errors import InputError
-from usdface.model.equation import BlendshapeEquation, set_up_equation
+from usdface.core.arrays import Float32Array, FloatArray
+from usdface.core.assets import References, Rig
+from usdface.core.deformer import Deformer
+from usdface.core.errors import InputError
+from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
 from usdface.numerics.measure.face_regions import shapes_by_region
 from usdface.numerics.registration.registration import character_motion
 

@@ -10,10 +10,10 @@ from typing import Any
 
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
 
-from usdface.errors import InputError
-from usdface.provenance import Provenance
-from usdface.replacing import replacing_together
-from usdface.usdio.crate_structure import check_crate
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
+from usdface.core.replacing import replacing_together
+from usdface.usdio.crate import check_crate
 from usdface.usdio.plugin import SCHEMA_VERSION
 
 CENTIMETRES = 0.01

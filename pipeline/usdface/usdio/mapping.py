@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, Vt
 
-from usdface.assets import CandidateScore, FloatArray, Mapping
-from usdface.errors import InputError
-from usdface.provenance import Provenance
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import CandidateScore, Mapping
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.usdio.authoring import author_uniform, define_prim, doubles
 from usdface.usdio.layers import author_units, new_layer, open_stage
 from usdface.usdio.wrong_types import refusing_wrong_types

@@ -2,8 +2,8 @@
 
 import os
 
-from usdface.errors import UsdfaceError
-from usdface.plugin_path import announce_plugins, plugin_folders
+from usdface.core.errors import UsdfaceError
+from usdface.core.plugin_path import announce_plugins, plugin_folders
 
 SCHEMA_VERSION = 1
 """Raised when the meaning of an attribute changes; layers carry it, newer ones are refused."""

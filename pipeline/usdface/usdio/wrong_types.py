@@ -6,7 +6,7 @@ from typing import ParamSpec, TypeVar
 
 from pxr import Tf
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 from usdface.usdio.layers import usd_reason
 
 P = ParamSpec("P")

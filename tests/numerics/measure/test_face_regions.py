@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from usdface.deformer import Deformer
+from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
 from usdface.numerics.measure.face_regions import (
     blinks,

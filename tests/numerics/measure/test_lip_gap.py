@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from usdface.deformer import Deformer
+from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
 from usdface.numerics.measure.face_regions import shapes_by_region
 from usdface.numerics.measure.lip_gap import LipPairs, find_lip_pairs, gap_of_keys

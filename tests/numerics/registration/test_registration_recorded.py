@@ -15,7 +15,7 @@ from usdface.numerics.registration.registration import (
 )
 from usdface.numerics.rigid.stabilization import stabilize
 from usdface.numerics.solve.blendshape_equation import solve_weights
-from usdface.usdio.rig import read_rig
+from usdface.usdio.rig.read import read_rig
 
 
 @dataclass(frozen=True)

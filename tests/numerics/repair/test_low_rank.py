@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.numerics.simulated_face import simulate_face
-from usdface.numerics.repair.learning import fit_low_rank, with_rank
+from usdface.numerics.repair.fit_low_rank import fit_low_rank, with_rank
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
 
 MARKERS = 12

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from usdface.numerics.registration.triangulation import triangulate
 from usdface.numerics.surface.geodesic import Geodesics, euclidean_distances, geodesic_distances
+from usdface.numerics.surface.triangulation import triangulate
 
 METRICS = ("dijkstra", "dijkstra-diagonals", "heat")
 

@@ -20,7 +20,7 @@ class CollectFacePerformances(pyblish.api.ContextPlugin):
 
     def process(self, context):
         """Add the instances."""
-        from usdface.errors import UsdfaceError
+        from usdface.core.errors import UsdfaceError
         from usdface.publish import collect_performances
 
         named = os.environ.get("USDFACE_PUBLISH", "")

@@ -19,7 +19,7 @@ class ExtractFacePerformance(publish.Extractor):
 
     def process(self, instance):
         """Extract the instance."""
-        from usdface.errors import UsdfaceError
+        from usdface.core.errors import UsdfaceError
         from usdface.publish import extract_performance
 
         try:

@@ -13,7 +13,7 @@ class ValidateFacePerformance(pyblish.api.InstancePlugin):
 
     def process(self, instance):
         """Look at the instance's performance."""
-        from usdface.errors import UsdfaceError
+        from usdface.core.errors import UsdfaceError
         from usdface.publish import validate_performance
 
         try:

@@ -6,12 +6,11 @@ reversible chain each such sum is positive, so that the first that is not is noi
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from usdface.core.arrays import FloatArray
 
 
-def split_rhat(samples: Array) -> Array:
+def split_rhat(samples: FloatArray) -> FloatArray:
     """Compare the halves of chains with each other: 1 where all tell the same.
 
     Parameters
@@ -27,11 +26,11 @@ def split_rhat(samples: Array) -> Array:
     draws = len(halves)
     within = halves.var(axis=0, ddof=1).mean(axis=0)
     between = halves.mean(axis=0).var(axis=0, ddof=1)
-    out: Array = np.sqrt((draws - 1) / draws + between / np.maximum(within, 1e-300))
+    out: FloatArray = np.sqrt((draws - 1) / draws + between / np.maximum(within, 1e-300))
     return out
 
 
-def effective_sample_size(samples: Array) -> Array:
+def effective_sample_size(samples: FloatArray) -> FloatArray:
     """How many independent draws would tell as much about the mean, at most the draws there are.
 
     Parameters
@@ -59,6 +58,6 @@ def effective_sample_size(samples: Array) -> Array:
     return np.asarray(draws * chains / np.maximum(time, 1.0), np.float64)
 
 
-def _halves(samples: Array) -> Array:
+def _halves(samples: FloatArray) -> FloatArray:
     half = len(samples) // 2
     return np.concatenate([samples[:half], samples[half : 2 * half]], axis=1)

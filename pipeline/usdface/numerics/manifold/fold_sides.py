@@ -17,8 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
+from usdface.core.arrays import Float32Array, FloatArray
 
 LEAST_DETOUR, FULL_DETOUR = 2.0, 3.0
 """Way along the surface over the straight line: below the one there is no fold, above the other
@@ -96,8 +95,8 @@ def find_fold_sides(
     return FoldSides(np.concatenate(found), np.concatenate(shares), np.concatenate(follows))
 
 
-def _rise(values: Array, low: float, high: float) -> Array:
+def _rise(values: FloatArray, low: float, high: float) -> FloatArray:
     """Go from 0 at `low` to 1 at `high`, smoothly."""
     t = np.clip((values - low) / (high - low), 0.0, 1.0)
-    out: Array = t * t * (3.0 - 2.0 * t)
+    out: FloatArray = t * t * (3.0 - 2.0 * t)
     return out

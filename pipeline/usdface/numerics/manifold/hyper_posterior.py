@@ -27,11 +27,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usdface.core.arrays import FloatArray
 from usdface.numerics.array_namespace import namespace_of
-
-Array = NDArray[np.float64]
 
 PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3))
 """The order in which the ten entries of a symmetric matrix of four are stored."""
@@ -61,7 +59,7 @@ class HyperPrior:
             raise ValueError(f"prior medians and spreads must be positive: {self}")
 
     @property
-    def centre(self) -> Array:
+    def centre(self) -> FloatArray:
         """Medians of theta: (4,) float array."""
         return np.log(self.medians)
 
@@ -81,13 +79,15 @@ class MarkerSpectrum:
     prior : HyperPrior
     """
 
-    values: Array
-    vectors: Array
-    trend: Array
+    values: FloatArray
+    vectors: FloatArray
+    trend: FloatArray
     prior: HyperPrior = field(default_factory=HyperPrior)
 
 
-def decompose(matrix: Array, places: Array, *, prior: HyperPrior | None = None) -> MarkerSpectrum:
+def decompose(
+    matrix: FloatArray, places: FloatArray, *, prior: HyperPrior | None = None
+) -> MarkerSpectrum:
     """Take apart the covariance between markers.
 
     Parameters
@@ -126,7 +126,7 @@ class Moments:
     outside: Any = None
 
 
-def direct_moments(spectrum: MarkerSpectrum, rotated: Array, x: Array) -> Moments:
+def direct_moments(spectrum: MarkerSpectrum, rotated: FloatArray, x: FloatArray) -> Moments:
     """Sum over the markers.
 
     Parameters

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usdface.core.arrays import BoolArray, FloatArray
 from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
 from usdface.numerics.manifold.hybrid_monte_carlo import Jumps, sample_chains, take_chains
 from usdface.numerics.manifold.laplace import LaplaceFit, fit_laplace
@@ -16,9 +16,6 @@ from usdface.numerics.manifold.straight_coordinates import (
     theta_of,
 )
 from usdface.numerics.manifold.tabulated_energy import Precision, SharedTable, TabulatedEnergy
-
-Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _APART = 2.5
 """In standard deviations of the nearer mode: closer modes are one."""
@@ -41,9 +38,9 @@ class HyperSamples:
         That chains turn by in a step [radians].
     """
 
-    theta: Array
-    acceptance: Array
-    angle: Array
+    theta: FloatArray
+    acceptance: FloatArray
+    angle: FloatArray
 
 
 @dataclass(frozen=True)
@@ -66,15 +63,15 @@ class Modes:
 
     best: LaplaceFit
     second: LaplaceFit
-    theta: Array
-    second_theta: Array
+    theta: FloatArray
+    second_theta: FloatArray
     double: BoolArray
     device: ArrayDevice = CPU
 
 
 def find_modes(
     table: SharedTable,
-    displacements: Array,
+    displacements: FloatArray,
     *,
     energy: TabulatedEnergy | None = None,
     device: ArrayDevice = CPU,
@@ -121,7 +118,7 @@ def find_modes(
 def sample_hyperparameters(
     rng: np.random.Generator,
     table: SharedTable,
-    displacements: Array,
+    displacements: FloatArray,
     *,
     burn: int = 40,
     keep: int = 200,
@@ -179,7 +176,9 @@ def sample_hyperparameters(
     return HyperSamples(theta, acceptance, angle), found
 
 
-def draw_laplace(rng: np.random.Generator, table: SharedTable, modes: Modes, *, keep: int) -> Array:
+def draw_laplace(
+    rng: np.random.Generator, table: SharedTable, modes: Modes, *, keep: int
+) -> FloatArray:
     """Draw from the Gaussian around the best mode instead of walking: (keep, 4, chains) theta."""
     mode, root = modes.device.fetch(modes.best.mode), modes.device.fetch(modes.best.root)
     drawn = rng.standard_normal((keep, *mode.shape))

@@ -11,10 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from usdface.core.arrays import Float32Array, FloatArray
 from usdface.numerics.manifold.hyper_posterior import MarkerSpectrum
-
-Array = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
 
 _NORMAL_95 = 1.959963984540054
 _JITTER = 1e-10  # of the trace: samples without any noise stay invertible
@@ -36,8 +34,8 @@ class LeftOut:
         Standard deviation foreseen, the marker's noise included [mm].
     """
 
-    errors: Array
-    expected: Array
+    errors: FloatArray
+    expected: FloatArray
 
 
 @dataclass(frozen=True)
@@ -50,12 +48,16 @@ class Widening:
     of_points : (points,) float32 array
     """
 
-    of_axes: Array
+    of_axes: FloatArray
     of_points: Float32Array
 
 
 def leave_markers_out(
-    spectrum: MarkerSpectrum, displacements: Array, theta: Array, *, with_nearest: bool = False
+    spectrum: MarkerSpectrum,
+    displacements: FloatArray,
+    theta: FloatArray,
+    *,
+    with_nearest: bool = False,
 ) -> LeftOut:
     """Predict every marker from the others, in closed form (Rasmussen and Williams, eq. 5.12).
 
@@ -97,7 +99,7 @@ def leave_markers_out(
     return LeftOut(errors, np.sqrt(squares))
 
 
-def calibrate_spread(left_out: LeftOut, covariance: Array, cross: Float32Array) -> Widening:
+def calibrate_spread(left_out: LeftOut, covariance: FloatArray, cross: Float32Array) -> Widening:
     """Find by how much standard deviations must be widened, over the surface and along its axes.
 
     Each marker's mean squared surprise is spread to the points it speaks for; then one factor
@@ -123,7 +125,7 @@ def calibrate_spread(left_out: LeftOut, covariance: Array, cross: Float32Array) 
     return Widening(np.maximum(factors, _LEAST), of_points.astype(np.float32))
 
 
-def _spread(weights: NDArray[np.floating], surprise: Array) -> Array:
+def _spread(weights: NDArray[np.floating], surprise: FloatArray) -> FloatArray:
     total = weights.sum(axis=1) + _WEIGHT
-    spread: Array = (weights @ surprise + _WEIGHT * surprise.mean()) / total
+    spread: FloatArray = (weights @ surprise + _WEIGHT * surprise.mean()) / total
     return np.maximum(spread, _LEAST)

@@ -8,10 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from usdface.core.arrays import Float32Array, FloatArray
 from usdface.numerics.regression.rbf_ridge import choose_ridge, rotate
-
-Array = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
 
 SOFTNESS = 0.1
 """Stiffness over the distance to the nearest marker. Song's and Hardy's 1 leaves the matrix of a
@@ -33,20 +31,20 @@ class DistanceMultiquadric:
         Weights are ``inverse @ displacements``.
     """
 
-    stiffness: Array
-    inverse: Array
+    stiffness: FloatArray
+    inverse: FloatArray
 
 
-def nearest_stiffness(between: Array) -> Array:
+def nearest_stiffness(between: FloatArray) -> FloatArray:
     """Return each marker's distance to the nearest other one that is not at its place [mm]."""
     others = np.where(between > 0, between, np.inf)
-    nearest: Array = others.min(axis=1)
+    nearest: FloatArray = others.min(axis=1)
     if not np.isfinite(nearest).all():
         raise ValueError("all markers sit at one place; no distance between them")
     return nearest
 
 
-def multiquadric_values(distances: NDArray[np.floating], stiffness: Array) -> Array:
+def multiquadric_values(distances: NDArray[np.floating], stiffness: FloatArray) -> FloatArray:
     """Evaluate every centre at every point: (points, markers) float array."""
     squared = np.asarray(distances, np.float64).T ** 2
     squared += stiffness**2
@@ -54,10 +52,10 @@ def multiquadric_values(distances: NDArray[np.floating], stiffness: Array) -> Ar
 
 
 def fit_distance_multiquadric(
-    between: Array,
-    displacements: Array | None = None,
+    between: FloatArray,
+    displacements: FloatArray | None = None,
     *,
-    stiffness: Array | float | None = None,
+    stiffness: FloatArray | float | None = None,
 ) -> DistanceMultiquadric:
     """Fit the network that meets every marker, or, given noisy examples, nearly.
 

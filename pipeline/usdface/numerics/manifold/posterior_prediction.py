@@ -17,14 +17,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usdface.core.arrays import Float32Array, FloatArray
 from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
 from usdface.numerics.manifold.hyper_posterior import PAIRS, MarkerSpectrum
 from usdface.numerics.manifold.tabulated_energy import Precision
-
-Array = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
 
 _FARTHEST = 30.0
 """Of theta: a take that stands still drives scales to 0, which single precision cannot divide."""
@@ -49,8 +46,8 @@ class DualMoments:
 
 def average_dual_weights(
     spectrum: MarkerSpectrum,
-    displacements: Array,
-    theta: Array,
+    displacements: FloatArray,
+    theta: FloatArray,
     *,
     device: ArrayDevice = CPU,
     dtype: Precision = "float32",
@@ -242,7 +239,7 @@ def predict_variance(fields: SurfaceFields, moments: DualMoments) -> Float32Arra
     return np.maximum(found, 0.0, out=found if found.flags.writeable else None)
 
 
-def mix_variances(moments: DualMoments, shares: Array) -> DualMoments:
+def mix_variances(moments: DualMoments, shares: FloatArray) -> DualMoments:
     """Add up the variances of consecutive chains before they become fields, which are dear.
 
     Parameters

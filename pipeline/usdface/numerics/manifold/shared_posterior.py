@@ -4,13 +4,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usdface.core.arrays import FloatArray
 from usdface.numerics.manifold.hybrid_monte_carlo import sample_chains
 from usdface.numerics.manifold.laplace import LaplaceFit, fit_laplace
 from usdface.numerics.manifold.tabulated_energy import SharedTable, TabulatedEnergy
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -25,8 +23,8 @@ class SharedSamples:
     acceptance : float
     """
 
-    mode: Array
-    theta: Array
+    mode: FloatArray
+    theta: FloatArray
     acceptance: float
 
 
@@ -41,7 +39,7 @@ class PooledEnergy:
         Values of theta evaluated together.
     """
 
-    def __init__(self, table: SharedTable, displacements: Array, *, chains: int) -> None:
+    def __init__(self, table: SharedTable, displacements: FloatArray, *, chains: int) -> None:
         self._rows = len(displacements)
         self._energy = TabulatedEnergy(table, np.tile(displacements, (chains, 1)))
         self._centre = table.spectrum.prior.centre[:, None]
@@ -58,7 +56,7 @@ class PooledEnergy:
         return value.reshape(-1, self._rows).sum(axis=1) - 0.5 * (away * pull).sum(axis=0), total
 
 
-def fit_shared_mode(table: SharedTable, displacements: Array) -> LaplaceFit:
+def fit_shared_mode(table: SharedTable, displacements: FloatArray) -> LaplaceFit:
     """Find the most probable theta of all rows together."""
     start = table.spectrum.prior.centre[:, None].copy()
     energy = PooledEnergy(table, displacements, chains=1)
@@ -69,7 +67,7 @@ def fit_shared_mode(table: SharedTable, displacements: Array) -> LaplaceFit:
 def sample_shared(
     rng: np.random.Generator,
     table: SharedTable,
-    displacements: Array,
+    displacements: FloatArray,
     *,
     burn: int = 40,
     keep: int = 200,

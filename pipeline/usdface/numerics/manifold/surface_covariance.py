@@ -26,8 +26,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
+from usdface.core.arrays import Float32Array, FloatArray
 
 Shape = Literal["creased", "squared-exponential"]
 """``'squared-exponential'`` is eq. 7 as published."""
@@ -61,11 +60,11 @@ class SurfaceCovariance:
 
     shape: Shape
     length_scale: float
-    projection: Array
-    features: Array
+    projection: FloatArray
+    features: FloatArray
     clipped: float
 
-    def matrix(self) -> Array:
+    def matrix(self) -> FloatArray:
         """Return the covariance between the markers, 1 on its diagonal: (markers, markers)."""
         between = self.features @ self.features.T
         np.fill_diagonal(between, 1.0)
@@ -91,9 +90,9 @@ class SurfaceCovariance:
         return out
 
 
-def similarity(distances: NDArray[np.floating], length_scale: float, *, shape: Shape) -> Array:
+def similarity(distances: NDArray[np.floating], length_scale: float, *, shape: Shape) -> FloatArray:
     """Evaluate the shape: 1 at no distance, falling over about the length scale."""
-    scaled: Array = np.asarray(distances, np.float64) / length_scale
+    scaled: FloatArray = np.asarray(distances, np.float64) / length_scale
     if shape == "creased":
         rough = CREASES * np.exp(-scaled)
         scaled *= 3.0**0.5
@@ -102,7 +101,7 @@ def similarity(distances: NDArray[np.floating], length_scale: float, *, shape: S
 
 
 def fit_covariance(
-    between: Array, *, length_scale: float, shape: Shape = "creased"
+    between: FloatArray, *, length_scale: float, shape: Shape = "creased"
 ) -> SurfaceCovariance:
     """Make the covariance from distances between markers.
 
@@ -135,7 +134,7 @@ def fit_covariance(
     return SurfaceCovariance(shape, length_scale, projection, features, change)
 
 
-def _shorten(features: Array) -> Array:
+def _shorten(features: FloatArray) -> FloatArray:
     norms = np.linalg.norm(features, axis=1, keepdims=True)
-    shortened: Array = features / np.maximum(norms, 1.0)
+    shortened: FloatArray = features / np.maximum(norms, 1.0)
     return shortened

@@ -9,8 +9,8 @@ import math
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usdface.core.arrays import RealArray
 from usdface.numerics.array_namespace import CPU, ArrayDevice
 from usdface.numerics.manifold.hyper_posterior import (
     PAIRS,
@@ -18,9 +18,6 @@ from usdface.numerics.manifold.hyper_posterior import (
     Moments,
     energy_of_moments,
 )
-
-Array = NDArray[np.float64]
-FloatArray = NDArray[np.floating]
 
 Precision = Literal["float32", "float64"]
 
@@ -55,13 +52,13 @@ class SharedTable:
         logs = -np.log(R).sum(axis=1, keepdims=True)
         slopes = spacing * (1.0 - R).sum(axis=1, keepdims=True)
         whole = np.concatenate([R @ products, logs, steep @ products, slopes], axis=1)
-        self.table: Array = _cubics(whole[None])[0]
+        self.table: RealArray = _cubics(whole[None])[0]
         linear = np.concatenate([R.T[:, :, None] * P[:, None], steep.T[:, :, None] * P[:, None]], 2)
-        self.linear: Array = _cubics(linear).reshape(len(P), -1)
-        self.square: Array = _cubics(np.stack([R.T, steep.T], axis=2)).reshape(len(P), -1)
+        self.linear: RealArray = _cubics(linear).reshape(len(P), -1)
+        self.square: RealArray = _cubics(np.stack([R.T, steep.T], axis=2)).reshape(len(P), -1)
 
 
-def _cubics(nodes: Array) -> Array:
+def _cubics(nodes: RealArray) -> RealArray:
     """Turn values and slopes at nodes into each interval's cubic.
 
     Parameters
@@ -103,12 +100,12 @@ class TabulatedEnergy:
     def __init__(
         self,
         shared: SharedTable,
-        displacements: Array,
+        displacements: RealArray,
         *,
         device: ArrayDevice = CPU,
         dtype: Precision = "float64",
     ) -> None:
-        def put(values: FloatArray) -> Any:
+        def put(values: RealArray) -> Any:
             return device.put(values, dtype=dtype)
 
         self.namespace = xp = device.namespace

@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from usdface.core.arrays import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from scipy import sparse
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 REGIONS = ("brows", "lids", "cheeks and nose", "mouth", "jaw")
 

@@ -7,12 +7,11 @@ the surface's average error.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from usdface.core.arrays import FloatArray, IntArray
 
 _LIPS = 0.3
 """Share of a mouth shape's largest motion that lips reach and teeth do not."""

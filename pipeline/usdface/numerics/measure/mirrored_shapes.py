@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
+from usdface.core.arrays import FloatArray, IntArray
 
 # A side as names carry it: a word, or a letter set off from the rest. Each match is replaced by
 # itself, so that a name with two of them finds its partner among the names there are.

@@ -7,17 +7,13 @@ errors are also measured where they show, on the surface and between the lips.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.numerics.regression.cross_validation import (
     surface_errors_mm,
     surface_rms_mm,
     weight_rmse,
 )
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 PEAK_QUANTILE = 0.97
 """Of a blink's true weights: frames above are its peaks. Where none is, for the eyes are shut so
@@ -42,7 +38,7 @@ class SurfaceError:
         Over the frames [mm].
     """
 
-    frames_mm: Array
+    frames_mm: FloatArray
     rms_mm: float
     p95_mm: float
     max_mm: float
@@ -63,8 +59,8 @@ class LipError:
         where it never is.
     """
 
-    truth_mm: Array
-    solved_mm: Array
+    truth_mm: FloatArray
+    solved_mm: FloatArray
     rms_mm: float
     closed_bias_mm: float
 
@@ -79,12 +75,12 @@ class ShapeErrors:
         Root mean square, mean, and largest size of the weight's error.
     """
 
-    rmse: Array
-    bias: Array
-    largest: Array
+    rmse: FloatArray
+    bias: FloatArray
+    largest: FloatArray
 
 
-def measure_weights(errors: Array, *, observable: BoolArray | None = None) -> float:
+def measure_weights(errors: FloatArray, *, observable: BoolArray | None = None) -> float:
     """Return the root mean square error over frames and shapes.
 
     Parameters
@@ -97,7 +93,7 @@ def measure_weights(errors: Array, *, observable: BoolArray | None = None) -> fl
     return weight_rmse(counted) if counted.size else float("nan")
 
 
-def measure_shapes(errors: Array) -> ShapeErrors:
+def measure_shapes(errors: FloatArray) -> ShapeErrors:
     """Return the errors of each shape: (frames, shapes) float array."""
     return ShapeErrors(
         rmse=np.sqrt((errors**2).mean(axis=0)),
@@ -106,7 +102,7 @@ def measure_shapes(errors: Array) -> ShapeErrors:
     )
 
 
-def measure_surface(key_errors: Array, gram: Array) -> SurfaceError:
+def measure_surface(key_errors: FloatArray, gram: FloatArray) -> SurfaceError:
     """Return how far errors move a surface.
 
     Parameters
@@ -124,7 +120,9 @@ def measure_surface(key_errors: Array, gram: Array) -> SurfaceError:
     )
 
 
-def measure_lips(truth_keys: Array, solved_keys: Array, gap: Array, *, rest_mm: float) -> LipError:
+def measure_lips(
+    truth_keys: FloatArray, solved_keys: FloatArray, gap: FloatArray, *, rest_mm: float
+) -> LipError:
     """Return how far the distance between the lips is off.
 
     Parameters
@@ -146,7 +144,7 @@ def measure_lips(truth_keys: Array, solved_keys: Array, gap: Array, *, rest_mm: 
     )
 
 
-def blink_peak_bias(errors: Array, truth: Array, blinks: IntArray) -> float:
+def blink_peak_bias(errors: FloatArray, truth: FloatArray, blinks: IntArray) -> float:
     """Return the mean error of blinks at their peaks: below 0 the eyes do not shut.
 
     Parameters
@@ -169,7 +167,7 @@ def blink_peak_bias(errors: Array, truth: Array, blinks: IntArray) -> float:
     return float(found.mean()) if len(found) else float("nan")
 
 
-def relative_jitter(solved: Array, truth: Array, frames: IntArray) -> float:
+def relative_jitter(solved: FloatArray, truth: FloatArray, frames: IntArray) -> float:
     """Return the roughness of the solve over that of the truth: 1 is as smooth as it should be.
 
     Roughness is the mean size of the third difference, over runs of consecutive frames.

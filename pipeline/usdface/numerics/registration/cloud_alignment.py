@@ -9,12 +9,11 @@ cheek. Where motion is known it is a fourth coordinate: what moves much belongs 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from usdface.core.arrays import FloatArray, IntArray
 
 _YAWS_DEGREES = range(0, 360, 30)
 _PITCHES_DEGREES = (-20, 0, 20)

@@ -8,12 +8,10 @@ one map serves every frame of a take.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usdface.core.arrays import FloatArray
 from usdface.numerics.registration.cloud_alignment import align_landmarks
 from usdface.numerics.registration.surface_places import SurfacePlaces
-
-FloatArray = NDArray[np.float64]
 
 FEWEST_MARKERS = 4
 """An affine map has four unknown points."""

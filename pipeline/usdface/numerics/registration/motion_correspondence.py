@@ -9,14 +9,11 @@ those weights, place it again, and keep neighbours together with a smooth warp.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.numerics.registration.cloud_alignment import Alignment, align_pairs
 from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _REACH = (
     0.22,

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from usdface.core.arrays import FloatArray, IntArray
 
 _SAMPLES = 12_000  # about 2 mm apart on a face
 _PIXELS = 200  # of the depth buffer, over the larger side: about 1.3 mm on a head

@@ -8,9 +8,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.numerics.registration.cloud_alignment import Alignment, align_cloud, align_landmarks
 from usdface.numerics.registration.motion_correspondence import place_markers
 from usdface.numerics.registration.outer_surface import (
@@ -19,8 +20,6 @@ from usdface.numerics.registration.outer_surface import (
     sample_outer_surface,
 )
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Offsets = ArrayLike | sparse.sparray
 
 _FRAMES = 150  # that placement looks at: spread over what the face does

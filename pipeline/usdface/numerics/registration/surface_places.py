@@ -7,13 +7,10 @@ whichever way the quad is cut into triangles, and a person can read and write it
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from usdface.numerics.registration.triangulation import triangulate
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.numerics.surface.triangulation import triangulate
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,8 @@ Rasmussen and Williams (2006), *Gaussian Processes for Machine Learning*, sectio
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from usdface.core.arrays import FloatArray
 
 _STEPS = 100
 _LOG_LENGTH = (-1.0, 6.0)  # around 1: features are scaled to unit deviation first
@@ -40,16 +39,18 @@ class ARDProcess:
         Log marginal likelihood of the scaled outputs.
     """
 
-    centres: Array
-    lengths: Array
+    centres: FloatArray
+    lengths: FloatArray
     amplitude: float
     noise: float
-    dual: Array
-    mean: Array
+    dual: FloatArray
+    mean: FloatArray
     evidence: float
 
 
-def fit_ard_process(features: Array, outputs: Array, *, least_deviation: float = 0.0) -> ARDProcess:
+def fit_ard_process(
+    features: FloatArray, outputs: FloatArray, *, least_deviation: float = 0.0
+) -> ARDProcess:
     """Fit lengths, amplitude and noise by maximum evidence, from one length for all.
 
     Parameters
@@ -81,7 +82,7 @@ def fit_ard_process(features: Array, outputs: Array, *, least_deviation: float =
     rows, targets = features / unit, (outputs - mean)[:, told] / scale[told]
     start = np.concatenate([np.full(dimensions, 0.5 * np.log(dimensions) + 0.7), [1.0, -4.0]])
 
-    def cost(theta: Array) -> tuple[float, Array]:
+    def cost(theta: FloatArray) -> tuple[float, FloatArray]:
         value, gradient = log_evidence(rows, targets, theta)
         return -value, -gradient
 
@@ -102,7 +103,9 @@ def fit_ard_process(features: Array, outputs: Array, *, least_deviation: float =
     return ARDProcess(features, lengths * unit, amplitude, noise, dual, mean, -float(found.fun))
 
 
-def log_evidence(features: Array, outputs: Array, theta: Array) -> tuple[float, Array]:
+def log_evidence(
+    features: FloatArray, outputs: FloatArray, theta: FloatArray
+) -> tuple[float, FloatArray]:
     """Return the log marginal likelihood of all outputs and its gradient.
 
     Parameters
@@ -130,16 +133,16 @@ def log_evidence(features: Array, outputs: Array, theta: Array) -> tuple[float, 
     return value, gradient
 
 
-def predict_ard_process(model: ARDProcess, features: Array) -> Array:
+def predict_ard_process(model: ARDProcess, features: FloatArray) -> FloatArray:
     """Evaluate the process's mean: (f, d) features to (f, s) outputs."""
     near = _correlations(features / model.lengths, model.centres / model.lengths)
-    out: Array = near @ model.dual
+    out: FloatArray = near @ model.dual
     out += model.mean
     return out
 
 
-def _correlations(left: Array, right: Array) -> Array:
-    out: Array = left @ right.T
+def _correlations(left: FloatArray, right: FloatArray) -> FloatArray:
+    out: FloatArray = left @ right.T
     out -= 0.5 * np.einsum("ij,ij->i", left, left)[:, None]
     out -= 0.5 * np.einsum("ij,ij->i", right, right)
     np.minimum(out, 0.0, out=out)

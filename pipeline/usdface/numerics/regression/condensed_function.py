@@ -11,12 +11,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usdface.core.arrays import FloatArray
 from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
 from usdface.numerics.regression.local_sums import SINGLE_NORM
-
-Array = NDArray[np.float64]
 
 CENTRES = 200
 """Kernels of each of the two fits."""
@@ -41,8 +39,8 @@ _SEED = 0
 
 
 def condense(
-    function: Callable[[Array], Array], sample: Array, *, noise: float
-) -> dict[str, Array] | None:
+    function: Callable[[FloatArray], FloatArray], sample: FloatArray, *, noise: float
+) -> dict[str, FloatArray] | None:
     """Fit few shared kernels to a function.
 
     Parameters
@@ -95,14 +93,16 @@ def condense(
     return arrays | {"smooth": smooth.astype(np.float64)}
 
 
-def _fit(points: Array, values: Array, scale: Array, centres: Array, exponent: float) -> Array:
+def _fit(
+    points: FloatArray, values: FloatArray, scale: FloatArray, centres: FloatArray, exponent: float
+) -> FloatArray:
     """Least squares, lightly damped: of kernels around the centres, and a line."""
     rows = points * scale
     squares = np.einsum("nd,nd->n", rows, rows)[:, None] - 2 * rows @ centres.T
     squares += np.einsum("md,md->m", centres, centres)
     design = np.concatenate([np.exp(exponent * squares), rows, np.ones((len(rows), 1))], axis=1)
     normal = design.T @ design + _RIDGE * np.eye(design.shape[1])
-    found: Array = np.linalg.solve(normal, design.T @ values)
+    found: FloatArray = np.linalg.solve(normal, design.T @ values)
     return found
 
 
@@ -120,7 +120,7 @@ class CondensedFunction:
     """
 
     def __init__(
-        self, arrays: dict[str, Array], *, single: bool = False, device: ArrayDevice = CPU
+        self, arrays: dict[str, FloatArray], *, single: bool = False, device: ArrayDevice = CPU
     ) -> None:
         scale, centres, exponent = (arrays[name] for name in ("scale", "centres", "exponent"))
         flat = centres.reshape(-1, len(scale))

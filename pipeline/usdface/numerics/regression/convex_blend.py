@@ -3,9 +3,8 @@
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from usdface.core.arrays import FloatArray
 
 MOST_MEMBERS = 8
 """Every subset of the members is tried: beyond these, too many."""

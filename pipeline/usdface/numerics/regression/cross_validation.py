@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from usdface.core.arrays import FloatArray, IntArray
 
 FEWEST_TAUGHT = 3
 """Rows below which a fold teaches nothing: then neighbours of tested rows are trained on too."""
@@ -73,8 +72,8 @@ def blocked_folds(
 
 
 def predict_out_of_fold(
-    fit_predict: Callable[[IntArray, IntArray], Array], folds: Sequence[Fold], *, width: int
-) -> Array:
+    fit_predict: Callable[[IntArray, IntArray], FloatArray], folds: Sequence[Fold], *, width: int
+) -> FloatArray:
     """Predict every row by a fit that has not seen it.
 
     Parameters
@@ -86,18 +85,18 @@ def predict_out_of_fold(
     width : int
         Columns of the prediction.
     """
-    out: Array = np.full((sum(len(fold.test) for fold in folds), width), np.nan)
+    out: FloatArray = np.full((sum(len(fold.test) for fold in folds), width), np.nan)
     for fold in folds:
         out[fold.test] = fit_predict(fold.train, fold.test)
     return out
 
 
-def weight_rmse(errors: Array) -> float:
+def weight_rmse(errors: FloatArray) -> float:
     """Root mean square over frames and channels."""
     return float(np.sqrt(np.mean(errors**2)))
 
 
-def surface_rms_mm(errors: Array, gram: Array) -> float:
+def surface_rms_mm(errors: FloatArray, gram: FloatArray) -> float:
     """Root mean square, over frames and points, of how far weight errors move the surface [mm].
 
     Parameters
@@ -109,7 +108,7 @@ def surface_rms_mm(errors: Array, gram: Array) -> float:
     return float(np.sqrt(np.mean(surface_errors_mm(errors, gram) ** 2)))
 
 
-def surface_errors_mm(errors: Array, gram: Array) -> Array:
+def surface_errors_mm(errors: FloatArray, gram: FloatArray) -> FloatArray:
     """How far each frame's weight errors move the surface, root mean square over points [mm].
 
     Returns
@@ -117,7 +116,7 @@ def surface_errors_mm(errors: Array, gram: Array) -> Array:
     (frames,) float array
     """
     squared = np.einsum("fs,fs->f", errors @ gram, errors)
-    errors_mm: Array = np.sqrt(np.maximum(squared, 0.0))
+    errors_mm: FloatArray = np.sqrt(np.maximum(squared, 0.0))
     return errors_mm
 
 

@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-Array = NDArray[np.float64]
+from usdface.core.arrays import FloatArray
 
 MEDIAN_ROWS = 512
 """Rows spread over the frames from whose distances the width is taken."""
@@ -26,7 +25,7 @@ class DesignKernel:
 
     @classmethod
     def for_rows(
-        cls, rows: Array, *, linear: float = 10.0, radial: float = 3.0, width: float = 1.0
+        cls, rows: FloatArray, *, linear: float = 10.0, radial: float = 3.0, width: float = 1.0
     ) -> "DesignKernel":
         """Scale the kernel to some frames.
 
@@ -48,21 +47,23 @@ class DesignKernel:
         median = max(median, 1e-12 * mean_square, 1e-300)
         return cls(linear / max(mean_square, 1e-300), radial, -0.5 / (width * median))
 
-    def __call__(self, left: Array, right: Array) -> Array:
+    def __call__(self, left: FloatArray, right: FloatArray) -> FloatArray:
         """Return the covariance of every row of one with every row of the other."""
         product = left @ right.T
         away = (left**2).sum(1)[:, None] + (right**2).sum(1) - 2 * product
-        out: Array = self.linear * product
+        out: FloatArray = self.linear * product
         out += self.radial * np.exp(self.exponent * np.maximum(away, 0.0))
         return out
 
-    def diagonal(self, rows: Array) -> Array:
+    def diagonal(self, rows: FloatArray) -> FloatArray:
         """Return the variance of every row before anything is known."""
-        out: Array = self.linear * np.einsum("ij,ij->i", rows, rows) + self.radial
+        out: FloatArray = self.linear * np.einsum("ij,ij->i", rows, rows) + self.radial
         return out
 
 
-def left_over(kernel: DesignKernel, known: Array, rows: Array, *, noise: float) -> Array:
+def left_over(
+    kernel: DesignKernel, known: FloatArray, rows: FloatArray, *, noise: float
+) -> FloatArray:
     """Return the variance of every row once some are tuned, as a share of what it was.
 
     Parameters
@@ -85,13 +86,13 @@ def left_over(kernel: DesignKernel, known: Array, rows: Array, *, noise: float) 
     factor = np.linalg.cholesky(kernel(known, known) + noise * np.eye(len(known)))
     shared = solve_triangular(factor, kernel(known, rows), lower=True, check_finite=False)
     explained = np.einsum("ij,ij->j", shared, shared)
-    share: Array = np.clip(1.0 - explained / prior, 0.0, 1.0)
+    share: FloatArray = np.clip(1.0 - explained / prior, 0.0, 1.0)
     return share
 
 
 def predict_from(
-    kernel: DesignKernel, known: Array, values: Array, rows: Array, *, noise: float
-) -> Array:
+    kernel: DesignKernel, known: FloatArray, values: FloatArray, rows: FloatArray, *, noise: float
+) -> FloatArray:
     """Return what tuned frames say of the values at others: the Gaussian process's mean.
 
     Parameters
@@ -107,5 +108,5 @@ def predict_from(
     """
     mean = values.mean(axis=0)
     factor = cho_factor(kernel(known, known) + noise * np.eye(len(known)), lower=True)
-    out: Array = mean + kernel(rows, known) @ cho_solve(factor, values - mean)
+    out: FloatArray = mean + kernel(rows, known) @ cho_solve(factor, values - mean)
     return out

@@ -13,10 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from usdface.core.arrays import FloatArray, IntArray
 
 LINE = 10.0
 OFFSET = 100.0
@@ -78,14 +76,14 @@ class GaussianProcess:
     noise : (s,) float array
     """
 
-    scale: Array
-    centres: Array
+    scale: FloatArray
+    centres: FloatArray
     exponent: float
-    slope: Array
-    intercept: Array
-    dual: Array
-    residuals: Array
-    noise: Array
+    slope: FloatArray
+    intercept: FloatArray
+    dual: FloatArray
+    residuals: FloatArray
+    noise: FloatArray
 
 
 def usable_choices(choices: Sequence[Choice], *, most: int) -> tuple[Choice, ...]:
@@ -95,13 +93,13 @@ def usable_choices(choices: Sequence[Choice], *, most: int) -> tuple[Choice, ...
 
 
 def leave_one_out_errors(
-    features: Array,
-    outputs: Array,
+    features: FloatArray,
+    outputs: FloatArray,
     *,
-    variances: Array,
+    variances: FloatArray,
     choices: Sequence[Choice],
-    noises: Array = NOISES,
-) -> Array:
+    noises: FloatArray = NOISES,
+) -> FloatArray:
     """Mean squared leave-one-out error of every choice, noise and output.
 
     Parameters
@@ -132,7 +130,7 @@ def leave_one_out_errors(
     return out
 
 
-def smoothest_near_best(errors: Array, *, slack: float = SLACK) -> IntArray:
+def smoothest_near_best(errors: FloatArray, *, slack: float = SLACK) -> IntArray:
     """Find the last of several settings, ordered by smoothness, that is nearly the best.
 
     Parameters
@@ -152,7 +150,12 @@ def smoothest_near_best(errors: Array, *, slack: float = SLACK) -> IntArray:
 
 
 def fit_gaussian_process(
-    features: Array, outputs: Array, *, variances: Array, choice: Choice, noise: Array
+    features: FloatArray,
+    outputs: FloatArray,
+    *,
+    variances: FloatArray,
+    choice: Choice,
+    noise: FloatArray,
 ) -> GaussianProcess:
     """Fit all outputs under one covariance, each with its own noise.
 
@@ -184,13 +187,13 @@ def fit_gaussian_process(
 
 
 def fit_best_gaussian_process(
-    features: Array,
-    outputs: Array,
+    features: FloatArray,
+    outputs: FloatArray,
     *,
-    variances: Array,
+    variances: FloatArray,
     choices: Sequence[Choice],
-    importance: Array,
-    noises: Array = NOISES,
+    importance: FloatArray,
+    noises: FloatArray = NOISES,
 ) -> GaussianProcess:
     """Fit under the one choice whose leave-one-out errors weigh least over all outputs.
 
@@ -209,7 +212,7 @@ def fit_best_gaussian_process(
     )
 
 
-def predict_gaussian_process(model: GaussianProcess, features: Array) -> Array:
+def predict_gaussian_process(model: GaussianProcess, features: FloatArray) -> FloatArray:
     """Evaluate the process's mean.
 
     Parameters
@@ -222,14 +225,14 @@ def predict_gaussian_process(model: GaussianProcess, features: Array) -> Array:
     (f, s) float array
     """
     rows = features[:, : len(model.scale)] * model.scale
-    out: Array = rows @ model.slope
+    out: FloatArray = rows @ model.slope
     out += model.intercept
     if model.dual.any():
         out += radial_values(rows, model.centres, model.exponent) @ model.dual
     return out
 
 
-def radial_values(rows: Array, centres: Array, exponent: float) -> Array:
+def radial_values(rows: FloatArray, centres: FloatArray, exponent: float) -> FloatArray:
     """``exp(exponent |x - c|^2)`` for every row and centre: one product, then exp in place.
 
     The squared norms ride along as two more columns, so that the product is the exponent already.
@@ -240,7 +243,7 @@ def radial_values(rows: Array, centres: Array, exponent: float) -> Array:
     left[:, -1] = 1.0
     ones = np.ones((len(centres), 1))
     squares = np.einsum("ij,ij->i", centres, centres)[:, None]
-    out: Array = left @ (exponent * np.hstack([-2.0 * centres, ones, squares])).T
+    out: FloatArray = left @ (exponent * np.hstack([-2.0 * centres, ones, squares])).T
     np.minimum(out, 0.0, out=out)  # rounding may leave a distance below 0
     np.exp(out, out=out)
     return out
@@ -249,28 +252,30 @@ def radial_values(rows: Array, centres: Array, exponent: float) -> Array:
 class _Scaled:
     """Features under one choice: scaled, with the numbers that make its parts comparable."""
 
-    def __init__(self, features: Array, variances: Array, choice: Choice) -> None:
+    def __init__(self, features: FloatArray, variances: FloatArray, choice: Choice) -> None:
         kept = variances[: choice.dimensions]
         self.choice = choice
-        self.scale: Array = kept ** (-choice.power / 2)
-        self.rows: Array = features[:, : choice.dimensions] * self.scale
+        self.scale: FloatArray = kept ** (-choice.power / 2)
+        self.rows: FloatArray = features[:, : choice.dimensions] * self.scale
         self.size = float((kept * self.scale**2).sum())
         squared = np.einsum("ij,ij->i", self.rows, self.rows)
-        self.product: Array = self.rows @ self.rows.T
-        self.distances: Array = np.maximum(squared[:, None] + squared - 2 * self.product, 0.0)
+        self.product: FloatArray = self.rows @ self.rows.T
+        self.distances: FloatArray = np.maximum(squared[:, None] + squared - 2 * self.product, 0.0)
         pairs = self.distances[np.triu_indices(len(squared), 1)]
         middle = float(np.median(pairs)) if len(pairs) else 0.0
         self.exponent = -0.5 / (choice.width * max(middle, 1e-12 * self.size))
 
-    def covariance(self) -> Array:
-        out: Array = self.choice.line / self.size * self.product
+    def covariance(self) -> FloatArray:
+        out: FloatArray = self.choice.line / self.size * self.product
         out += OFFSET
         if self.choice.radial:
             out += self.choice.radial * np.exp(self.exponent * self.distances)
         return out
 
 
-def _check(features: Array, outputs: Array, variances: Array, choices: Sequence[Choice]) -> None:
+def _check(
+    features: FloatArray, outputs: FloatArray, variances: FloatArray, choices: Sequence[Choice]
+) -> None:
     if features.ndim != 2 or outputs.ndim != 2 or len(features) != len(outputs):
         raise ValueError(f"{features.shape} features and {outputs.shape} outputs do not pair up")
     if len(features) < 2:

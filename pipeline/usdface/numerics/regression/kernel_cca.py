@@ -23,11 +23,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from usdface.core.arrays import FloatArray
 from usdface.numerics.regression.rbf_ridge import BLOCK_ROWS, evaluate_network, gaussian_design
-
-Array = NDArray[np.float64]
 
 Lines = Literal["published", "penalised"]
 
@@ -62,25 +61,25 @@ class KernelCCA:
         What the centring of kernel and target comes to.
     """
 
-    centres: Array
+    centres: FloatArray
     width: float
-    source_basis: Array
-    correlations: Array
-    across: Array
-    back: Array
-    operator: Array
-    intercept: Array
+    source_basis: FloatArray
+    correlations: FloatArray
+    across: FloatArray
+    back: FloatArray
+    operator: FloatArray
+    intercept: FloatArray
 
 
 @dataclass(frozen=True)
 class _Spectrum:
     """A centred kernel matrix without its null space: ``vectors @ diag(values) @ vectors.T``."""
 
-    values: Array
-    vectors: Array
+    values: FloatArray
+    vectors: FloatArray
 
 
-def median_width(points: Array, *, multiple: float = 1.0) -> float:
+def median_width(points: FloatArray, *, multiple: float = 1.0) -> float:
     """Return a multiple of the median distance between points.
 
     Raises
@@ -182,7 +181,7 @@ def fit_kernel_cca(
     )
 
 
-def predict_kernel_cca(model: KernelCCA, points: Array) -> Array:
+def predict_kernel_cca(model: KernelCCA, points: FloatArray) -> FloatArray:
     """Evaluate the regression (eq. 8).
 
     Parameters
@@ -198,14 +197,14 @@ def predict_kernel_cca(model: KernelCCA, points: Array) -> Array:
 
 
 def predict_expansion(
-    points: Array,
-    centres: Array,
+    points: FloatArray,
+    centres: FloatArray,
     width: float,
-    operator: Array,
-    intercept: Array,
+    operator: FloatArray,
+    intercept: FloatArray,
     *,
     block_rows: int = BLOCK_ROWS,
-) -> Array:
+) -> FloatArray:
     """Evaluate what a regression comes to, in blocks: memory beside the result stays bounded.
 
     The parameters are those of `KernelCCA`; a mapping on disk keeps no more.
@@ -217,11 +216,11 @@ def predict_expansion(
     return out
 
 
-def _kernel(points: Array, centres: Array, width: float) -> Array:
+def _kernel(points: FloatArray, centres: FloatArray, width: float) -> FloatArray:
     return gaussian_design(points, centres, np.full(len(centres), width))
 
 
-def _centred_spectrum(kernel: Array) -> _Spectrum:
+def _centred_spectrum(kernel: FloatArray) -> _Spectrum:
     centred = kernel - kernel.mean(axis=0)
     centred -= centred.mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh((centred + centred.T) / 2)

@@ -9,9 +9,8 @@ tells apart shapes that the pairs only used together.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from usdface.core.arrays import FloatArray
 
 RIDGES = 10.0 ** np.arange(-2.5, 1.1, 0.5)
 SPREADS = (0.05, 0.1)
@@ -46,30 +45,30 @@ class LinearPosterior:
         As chosen.
     """
 
-    slope: Array
-    intercept: Array
-    residuals: Array
-    forward: Array
-    noise: Array
+    slope: FloatArray
+    intercept: FloatArray
+    residuals: FloatArray
+    forward: FloatArray
+    noise: FloatArray
     ridge: float
     spread: float
 
 
 @dataclass(frozen=True)
 class _Forward:
-    matrix: Array
-    offset: Array
-    residuals: Array
+    matrix: FloatArray
+    offset: FloatArray
+    residuals: FloatArray
 
 
 def fit_linear_posterior(
-    coordinates: Array,
-    weights: Array,
+    coordinates: FloatArray,
+    weights: FloatArray,
     *,
-    expected: Array,
-    components: Array,
-    variances: Array,
-    gram: Array,
+    expected: FloatArray,
+    components: FloatArray,
+    variances: FloatArray,
+    gram: FloatArray,
 ) -> LinearPosterior:
     """Calibrate the forward map, invert it, and choose how by leave-one-out.
 
@@ -124,7 +123,7 @@ def fit_linear_posterior(
     return LinearPosterior(slope, intercept, residuals, whole.matrix, noise, ridge, spread)
 
 
-def _calibrate(z: Array, w: Array, expected: Array, ridge: float) -> _Forward:
+def _calibrate(z: FloatArray, w: FloatArray, expected: FloatArray, ridge: float) -> _Forward:
     """Ridge regression of coordinates on weights, shrunk to what is expected."""
     mean_z, mean_w = z.mean(axis=0), w.mean(axis=0)
     rows = w - mean_w
@@ -138,7 +137,7 @@ def _calibrate(z: Array, w: Array, expected: Array, ridge: float) -> _Forward:
     return _Forward(matrix, mean_z - mean_w @ matrix, residual)
 
 
-def _noise_of(residuals: Array, components: Array) -> Array:
+def _noise_of(residuals: FloatArray, components: FloatArray) -> FloatArray:
     """Covariance of the forward map's errors: marker by marker, and partly as they come together.
 
     A jaw marker is off by more than a lid marker. Seen in the markers' own space, the jaw's errors
@@ -149,12 +148,14 @@ def _noise_of(residuals: Array, components: Array) -> Array:
     each = np.repeat((at_markers**2).mean(axis=(0, 2)), 3)
     apart = (components * each) @ components.T / _EVIDENCE
     floor = _NOISE_MM**2 * np.eye(len(together))
-    noise: Array = _CORRELATED * together
+    noise: FloatArray = _CORRELATED * together
     noise += (1 - _CORRELATED) * apart + floor
     return noise
 
 
-def _invert(fit: _Forward, w: Array, noise: Array, spread: float) -> tuple[Array, Array]:
+def _invert(
+    fit: _Forward, w: FloatArray, noise: FloatArray, spread: float
+) -> tuple[FloatArray, FloatArray]:
     """Mean of the weights given the coordinates: ``S B (B' S B + R)^-1`` and its constant."""
     mean = w.mean(axis=0)
     own = OWN_SHARE * spread**2

@@ -6,9 +6,8 @@ The baseline that every other method must beat: a straight line through the pair
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from usdface.core.arrays import FloatArray
 
 RIDGES = 10.0 ** np.arange(-8.0, 2.01, 0.25)
 """Ridges tried, as shares of the largest squared singular value of the centred features."""
@@ -29,20 +28,20 @@ class LinearRidge:
         Output minus its prediction by a fit that has not seen it, at the chosen ridge.
     """
 
-    mean: Array
-    coefficients: Array
-    intercept: Array
-    ridge: Array
-    loo_residuals: Array
+    mean: FloatArray
+    coefficients: FloatArray
+    intercept: FloatArray
+    ridge: FloatArray
+    loo_residuals: FloatArray
 
 
 def fit_linear_ridge(
-    features: Array,
-    outputs: Array,
+    features: FloatArray,
+    outputs: FloatArray,
     *,
-    ridges: Array = RIDGES,
+    ridges: FloatArray = RIDGES,
     shared: bool = False,
-    importance: Array | None = None,
+    importance: FloatArray | None = None,
 ) -> LinearRidge:
     """Fit with an unpenalised intercept; choose the ridge by leave-one-out error.
 
@@ -96,7 +95,7 @@ def fit_linear_ridge(
     return LinearRidge(mean, right.T @ (gain * rotated), intercept, chosen, residuals)
 
 
-def predict_linear_ridge(model: LinearRidge, features: Array) -> Array:
+def predict_linear_ridge(model: LinearRidge, features: FloatArray) -> FloatArray:
     """Evaluate the fit.
 
     Parameters
@@ -109,17 +108,17 @@ def predict_linear_ridge(model: LinearRidge, features: Array) -> Array:
     (f, s) float array
     """
     offset = model.intercept - model.mean @ model.coefficients
-    predicted: Array = features @ model.coefficients
+    predicted: FloatArray = features @ model.coefficients
     predicted += offset
     return predicted
 
 
 def _loo_residuals(
-    left: Array, singular: Array, centred: Array, rotated: Array, ridge: float
-) -> Array:
+    left: FloatArray, singular: FloatArray, centred: FloatArray, rotated: FloatArray, ridge: float
+) -> FloatArray:
     kept = singular**2 / (singular**2 + ridge)
     leverage = 1 / len(left) + left**2 @ kept
     residual = centred - left @ (kept[:, None] * rotated)
     # A row that the fit reproduces whatever it says has no leave-one-out prediction of its own.
-    loo: Array = residual / np.maximum(1 - leverage, 1e-9)[:, None]
+    loo: FloatArray = residual / np.maximum(1 - leverage, 1e-9)[:, None]
     return loo

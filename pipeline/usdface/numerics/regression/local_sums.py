@@ -9,11 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usdface.core.arrays import FloatArray
 from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
-
-Array = NDArray[np.float64]
 
 SINGLE_NORM = 1.5
 """Norm of duals up to which a kernel may be evaluated in single precision: rounding moved sums by
@@ -74,10 +72,10 @@ class LocalSums:
 
     def __init__(
         self,
-        projection: Array,
-        centres: Array,
-        exponent: Array,
-        dual: Array,
+        projection: FloatArray,
+        centres: FloatArray,
+        exponent: FloatArray,
+        dual: FloatArray,
         *,
         single: bool = False,
         device: ArrayDevice = CPU,

@@ -8,9 +8,8 @@ of a take through weights that a first, plain mapping gives them.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from usdface.core.arrays import FloatArray
 
 _RIDGE = 0.02  # of the frames, on standardised weights: shapes that act together share the motion
 
@@ -26,13 +25,18 @@ class RegionalFeatures:
     variances : (D,) float array
     """
 
-    projection: Array
-    variances: Array
+    projection: FloatArray
+    variances: FloatArray
 
 
 def marker_relevance(
-    sample: Array, weights: Array, components: Array, *, sharpness: float = 1.0, floor: float = 0.05
-) -> Array:
+    sample: FloatArray,
+    weights: FloatArray,
+    components: FloatArray,
+    *,
+    sharpness: float = 1.0,
+    floor: float = 0.05,
+) -> FloatArray:
     """How much each marker has to do with each shape.
 
     Markers are regressed on weights; a marker's relevance is how far it moves with the shape,
@@ -61,11 +65,13 @@ def marker_relevance(
     moves = np.linalg.solve(normal, standard.T @ (sample - sample.mean(axis=0))) @ components
     length = np.linalg.norm(moves.reshape(len(moves), -1, 3), axis=2)
     share = length / np.maximum(length.max(axis=1, keepdims=True), 1e-12)
-    relevance: Array = np.maximum(share**sharpness, floor)
+    relevance: FloatArray = np.maximum(share**sharpness, floor)
     return relevance
 
 
-def regional_features(components: Array, covariance: Array, relevance: Array) -> RegionalFeatures:
+def regional_features(
+    components: FloatArray, covariance: FloatArray, relevance: FloatArray
+) -> RegionalFeatures:
     """Principal axes of the motion under a metric that weighs markers by relevance.
 
     Parameters

@@ -7,8 +7,9 @@ sharp where examples lie close together and flat where they are scattered.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from usdface.core.arrays import FloatArray
 from usdface.numerics.regression.rbf_ridge import (
     BLOCK_ROWS,
     choose_ridge,
@@ -16,8 +17,6 @@ from usdface.numerics.regression.rbf_ridge import (
     nearest_distances,
     rotate,
 )
-
-Array = NDArray[np.float64]
 
 _SINGULAR = 1e-13
 """Reciprocal condition number below which interpolation has lost all its digits."""
@@ -38,13 +37,13 @@ class Multiquadric:
         Penalty on squared coefficients; 0 where the pairs are met exactly.
     """
 
-    centres: Array
-    softness: Array
-    coefficients: Array
-    ridge: Array
+    centres: FloatArray
+    softness: FloatArray
+    coefficients: FloatArray
+    ridge: FloatArray
 
 
-def nearest_softness(centres: Array) -> Array:
+def nearest_softness(centres: FloatArray) -> FloatArray:
     """Return each centre's distance to the nearest other centre that is not at the same place.
 
     Raises
@@ -63,11 +62,13 @@ def nearest_softness(centres: Array) -> Array:
     return nearest
 
 
-def multiquadric_design(points: Array, centres: Array, softness: Array) -> Array:
+def multiquadric_design(
+    points: FloatArray, centres: FloatArray, softness: FloatArray
+) -> FloatArray:
     """Evaluate every basis function at every point: (points, centres) float array."""
     from scipy.spatial.distance import cdist  # only when wanted: it takes half a second
 
-    design: Array = cdist(points, centres, "sqeuclidean")
+    design: FloatArray = cdist(points, centres, "sqeuclidean")
     design += softness**2
     np.sqrt(design, out=design)
     return design
@@ -118,8 +119,8 @@ def fit_multiquadric(
 
 
 def predict_multiquadric(
-    model: Multiquadric, points: Array, *, block_rows: int = BLOCK_ROWS
-) -> Array:
+    model: Multiquadric, points: FloatArray, *, block_rows: int = BLOCK_ROWS
+) -> FloatArray:
     """Evaluate the network (eq. 4) at points (f, d); see `evaluate_network`."""
     return evaluate_network(
         lambda some: multiquadric_design(some, model.centres, model.softness),
@@ -129,7 +130,7 @@ def predict_multiquadric(
     )
 
 
-def _check_distinct(centres: Array) -> None:
+def _check_distinct(centres: FloatArray) -> None:
     from scipy.spatial.distance import cdist  # only when wanted: it takes half a second
 
     distances = cdist(centres, centres)
@@ -142,7 +143,7 @@ def _check_distinct(centres: Array) -> None:
         )
 
 
-def _interpolate(design: Array, outputs: Array) -> Array:
+def _interpolate(design: FloatArray, outputs: FloatArray) -> FloatArray:
     """Solve for coefficients that meet every pair; softness differs, so no symmetry helps."""
     coefficients, _, rank, singular = np.linalg.lstsq(design, outputs, rcond=_SINGULAR)
     if rank < len(design):

@@ -8,9 +8,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from usdface.core.arrays import FloatArray
 
 BLOCK_ROWS = 8192
 """Rows converted to float64 at a time: keeps the working set near the cache, whatever the take."""
@@ -32,9 +32,9 @@ class PCA:
         Along all d directions, kept or not.
     """
 
-    mean: Array
-    components: Array
-    variances: Array
+    mean: FloatArray
+    components: FloatArray
+    variances: FloatArray
     total_variance: float
 
 
@@ -43,8 +43,8 @@ class Moments:
     """How many vectors were seen, their mean, and the scatter around it."""
 
     count: int
-    mean: Array
-    scatter: Array
+    mean: FloatArray
+    scatter: FloatArray
 
 
 def sum_moments(blocks: Iterable[ArrayLike]) -> Moments:
@@ -136,7 +136,7 @@ def pca_from_moments(
     return _keep(moments.mean, components, values[:rank], total, dimensions, variance)
 
 
-def project(pca: PCA, data: ArrayLike) -> Array:
+def project(pca: PCA, data: ArrayLike) -> FloatArray:
     """Coordinates of rows along the components (Deng et al. 2006, eq. 3).
 
     Parameters
@@ -159,15 +159,15 @@ def project(pca: PCA, data: ArrayLike) -> Array:
     return out
 
 
-def reconstruct(pca: PCA, coordinates: Array) -> Array:
+def reconstruct(pca: PCA, coordinates: FloatArray) -> FloatArray:
     """Rows back from their coordinates; exact where every direction was kept."""
     return coordinates @ pca.components + pca.mean
 
 
 def _keep(
-    mean: Array,
-    components: Array,
-    variances: Array,
+    mean: FloatArray,
+    components: FloatArray,
+    variances: FloatArray,
     total: float,
     dimensions: int | None,
     share: float | None,

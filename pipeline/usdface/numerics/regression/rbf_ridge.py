@@ -9,9 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from usdface.core.arrays import FloatArray
 
 BLOCK_ROWS = 4096
 RIDGES_PER_DECADE = 8
@@ -34,26 +33,26 @@ class RBFRidge:
         Of each output: the ridge, the effective degrees of freedom it leaves, its GCV score.
     """
 
-    centres: Array
-    widths: Array
-    coefficients: Array
-    ridge: Array
-    freedom: Array
-    score: Array
+    centres: FloatArray
+    widths: FloatArray
+    coefficients: FloatArray
+    ridge: FloatArray
+    freedom: FloatArray
+    score: FloatArray
 
 
 @dataclass(frozen=True)
 class Rotated:
     """The design matrix and the outputs, seen along the singular vectors of the design."""
 
-    left: Array
-    singular: Array
-    right: Array
-    outputs: Array
-    unreached: Array
+    left: FloatArray
+    singular: FloatArray
+    right: FloatArray
+    outputs: FloatArray
+    unreached: FloatArray
 
 
-def nearest_distances(points: Array) -> Array:
+def nearest_distances(points: FloatArray) -> FloatArray:
     """Distance of each point to its nearest other point.
 
     Raises
@@ -67,11 +66,11 @@ def nearest_distances(points: Array) -> Array:
 
     distances = cdist(points, points)
     np.fill_diagonal(distances, np.inf)
-    nearest: Array = distances.min(axis=1)
+    nearest: FloatArray = distances.min(axis=1)
     return nearest
 
 
-def shared_widths(centres: Array, *, multiple: float = 8.0) -> Array:
+def shared_widths(centres: FloatArray, *, multiple: float = 8.0) -> FloatArray:
     """Give all centres one width: a multiple of the median nearest-neighbour distance."""
     nearest = nearest_distances(centres)
     positive = nearest[nearest > 0]
@@ -80,7 +79,7 @@ def shared_widths(centres: Array, *, multiple: float = 8.0) -> Array:
     return np.full(len(centres), multiple * float(np.median(positive)))
 
 
-def centre_widths(centres: Array, *, multiple: float = 2.0) -> Array:
+def centre_widths(centres: FloatArray, *, multiple: float = 2.0) -> FloatArray:
     """Give each centre its own width: a multiple of the distance to its nearest neighbour.
 
     Coinciding centres take the median width, since a width of 0 is no function.
@@ -92,7 +91,7 @@ def centre_widths(centres: Array, *, multiple: float = 2.0) -> Array:
     return multiple * np.where(nearest > 0, nearest, float(np.median(positive)))
 
 
-def gaussian_design(points: Array, centres: Array, widths: Array) -> Array:
+def gaussian_design(points: FloatArray, centres: FloatArray, widths: FloatArray) -> FloatArray:
     """Evaluate every basis function at every point: one matrix product, then exp in place.
 
     Returns
@@ -110,7 +109,7 @@ def gaussian_design(points: Array, centres: Array, widths: Array) -> Array:
     return design
 
 
-def rotate(design: Array, outputs: Array) -> Rotated:
+def rotate(design: FloatArray, outputs: FloatArray) -> Rotated:
     """Decompose the design once; all that follows is sums over its singular values."""
     left, singular, right = np.linalg.svd(design, full_matrices=False)
     rotated = left.T @ outputs
@@ -118,14 +117,14 @@ def rotate(design: Array, outputs: Array) -> Rotated:
     return Rotated(left, singular, right, rotated, unreached)
 
 
-def effective_freedom(singular: Array, ridges: Array) -> Array:
+def effective_freedom(singular: FloatArray, ridges: FloatArray) -> FloatArray:
     """Trace of the hat matrix at each ridge: how many pairs the fit uses up."""
     squared = singular**2
-    freedom: Array = (squared / (squared + ridges[..., None])).sum(axis=-1)
+    freedom: FloatArray = (squared / (squared + ridges[..., None])).sum(axis=-1)
     return freedom
 
 
-def gcv_scores(rotated: Rotated, ridges: Array) -> Array:
+def gcv_scores(rotated: Rotated, ridges: FloatArray) -> FloatArray:
     """Score ridges by generalised cross-validation; lower is better.
 
     Parameters
@@ -146,11 +145,11 @@ def gcv_scores(rotated: Rotated, ridges: Array) -> Array:
     kept = ridges[:, None] / (rotated.singular**2 + ridges[:, None])
     residual = kept**2 @ rotated.outputs**2 + rotated.unreached
     trace = count - effective_freedom(rotated.singular, ridges)
-    scores: Array = count * residual / np.maximum(trace, 1e-300)[:, None] ** 2
+    scores: FloatArray = count * residual / np.maximum(trace, 1e-300)[:, None] ** 2
     return scores
 
 
-def smallest_ridge(singular: Array, *, freedom: float) -> float:
+def smallest_ridge(singular: FloatArray, *, freedom: float) -> float:
     """Find the ridge that leaves exactly this many effective degrees of freedom."""
     low, high = 1e-18, 1e6
     if effective_freedom(singular, np.array([low * singular[0] ** 2]))[0] <= freedom:
@@ -162,7 +161,7 @@ def smallest_ridge(singular: Array, *, freedom: float) -> float:
     return float(high * singular[0] ** 2)
 
 
-def choose_ridge(rotated: Rotated, *, freedom_limit: float = FREEDOM_LIMIT) -> Array:
+def choose_ridge(rotated: Rotated, *, freedom_limit: float = FREEDOM_LIMIT) -> FloatArray:
     """Choose each output's ridge: the lowest GCV score on a grid, then once more on a finer one.
 
     Parameters
@@ -183,7 +182,7 @@ def choose_ridge(rotated: Rotated, *, freedom_limit: float = FREEDOM_LIMIT) -> A
     grid = floor * 10 ** np.linspace(0, decades, int(decades * RIDGES_PER_DECADE) + 2)
     best = grid[gcv_scores(rotated, grid).argmin(axis=0)]
     fine = 10 ** np.linspace(-1 / RIDGES_PER_DECADE, 1 / RIDGES_PER_DECADE, 17)
-    chosen: Array = np.empty_like(best)
+    chosen: FloatArray = np.empty_like(best)
     for ridge in np.unique(best):
         outputs = best == ridge
         near = np.maximum(ridge * fine, floor)
@@ -196,7 +195,7 @@ def choose_ridge(rotated: Rotated, *, freedom_limit: float = FREEDOM_LIMIT) -> A
 
 def reestimate_ridge(
     rotated: Rotated, *, start: float, tolerance: float = 1e-6, max_iterations: int = 500
-) -> Array:
+) -> FloatArray:
     """Find the ridge as the paper does: solve dGCV/dridge = 0 by iteration from a start.
 
     Where GCV has several minima, which one is found depends on the start: `choose_ridge` looks at
@@ -223,7 +222,7 @@ def reestimate_ridge(
     squared = rotated.singular[:, None] ** 2
     largest = float(squared[0, 0])
     count = len(rotated.left)
-    ridge: Array = np.full(rotated.outputs.shape[1], start * largest)
+    ridge: FloatArray = np.full(rotated.outputs.shape[1], start * largest)
     score = np.full(len(ridge), np.inf)
     for _ in range(max_iterations):
         damped = squared + ridge
@@ -242,11 +241,11 @@ def reestimate_ridge(
 
 
 def fit_rbf_ridge(
-    centres: Array,
-    outputs: Array,
+    centres: FloatArray,
+    outputs: FloatArray,
     *,
-    widths: Array,
-    ridge: Array | float | None = None,
+    widths: FloatArray,
+    ridge: FloatArray | float | None = None,
     freedom_limit: float = FREEDOM_LIMIT,
 ) -> RBFRidge:
     """Fit the network of eq. 4 by minimising eq. 5 through eq. 6, all outputs at once.
@@ -295,7 +294,9 @@ def fit_rbf_ridge(
     )
 
 
-def predict_rbf_ridge(model: RBFRidge, points: Array, *, block_rows: int = BLOCK_ROWS) -> Array:
+def predict_rbf_ridge(
+    model: RBFRidge, points: FloatArray, *, block_rows: int = BLOCK_ROWS
+) -> FloatArray:
     """Evaluate the network (eq. 4) at points (f, d); see `evaluate_network`."""
     return evaluate_network(
         lambda some: gaussian_design(some, model.centres, model.widths),
@@ -306,12 +307,12 @@ def predict_rbf_ridge(model: RBFRidge, points: Array, *, block_rows: int = BLOCK
 
 
 def evaluate_network(
-    design: Callable[[Array], Array],
-    coefficients: Array,
-    points: Array,
+    design: Callable[[FloatArray], FloatArray],
+    coefficients: FloatArray,
+    points: FloatArray,
     *,
     block_rows: int = BLOCK_ROWS,
-) -> Array:
+) -> FloatArray:
     """Evaluate a network of any basis functions in blocks: memory beside the result is bounded.
 
     Parameters

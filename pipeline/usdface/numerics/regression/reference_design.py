@@ -8,14 +8,10 @@ and count for what they cover.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.numerics.regression.design_kernel import DesignKernel
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 BATCH = 512
 """Frames whose variance is computed at a time by `design_gp_variance`."""
@@ -34,18 +30,18 @@ class Design:
     """
 
     chosen: IntArray
-    gain: Array
+    gain: FloatArray
 
 
-def whiten(coordinates: Array, variances: Array, *, power: float = 0.5) -> Array:
+def whiten(coordinates: FloatArray, variances: FloatArray, *, power: float = 0.5) -> FloatArray:
     """Scale coordinates by ``variance ** (-power / 2)``: 0 leaves them, 1 makes all equal."""
     floor = 1e-9 * float(variances.max(initial=0.0)) + 1e-300
-    scaled: Array = coordinates * np.maximum(variances, floor) ** (-power / 2)
+    scaled: FloatArray = coordinates * np.maximum(variances, floor) ** (-power / 2)
     return scaled
 
 
 def design_d_optimal(
-    features: Array,
+    features: FloatArray,
     count: int,
     *,
     already: IntArray | None = None,
@@ -94,7 +90,7 @@ def design_d_optimal(
 
 
 def design_k_centre(
-    features: Array,
+    features: FloatArray,
     count: int,
     *,
     already: IntArray | None = None,
@@ -117,9 +113,9 @@ def design_k_centre(
     free, start = _open_rows(features, count, already, candidates)
     squared = np.einsum("ij,ij->i", features, features)
 
-    def distance_to(point: Array) -> Array:
+    def distance_to(point: FloatArray) -> FloatArray:
         away = squared - 2.0 * (features @ point) + float(point @ point)
-        clamped: Array = np.maximum(away, 0.0)
+        clamped: FloatArray = np.maximum(away, 0.0)
         return clamped
 
     nearest = np.full(len(features), np.inf)
@@ -142,7 +138,7 @@ def design_k_centre(
 
 
 def design_gp_variance(
-    features: Array,
+    features: FloatArray,
     count: int,
     *,
     already: IntArray | None = None,
@@ -194,7 +190,12 @@ def design_gp_variance(
 
 
 def _lazy_best(
-    features: Array, bound: Array, free: BoolArray, kernel: DesignKernel, seen: Array, lower: Array
+    features: FloatArray,
+    bound: FloatArray,
+    free: BoolArray,
+    kernel: DesignKernel,
+    seen: FloatArray,
+    lower: FloatArray,
 ) -> int:
     """Index of the largest variance; refreshes, in place, only the bounds that could hold it."""
     fresh = np.zeros(len(features), dtype=bool)
@@ -219,12 +220,12 @@ def _lazy_best(
             best, best_value = pick, top_value
 
 
-def _best(score: Array, free: BoolArray) -> int:
+def _best(score: FloatArray, free: BoolArray) -> int:
     return int(np.where(free, score, -np.inf).argmax())
 
 
 def _open_rows(
-    features: Array, count: int, already: IntArray | None, candidates: BoolArray | None
+    features: FloatArray, count: int, already: IntArray | None, candidates: BoolArray | None
 ) -> tuple[BoolArray, IntArray]:
     if features.ndim != 2 or not len(features):
         raise ValueError(f"features must be (frames, dimensions), got {features.shape}")

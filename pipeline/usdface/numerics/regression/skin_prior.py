@@ -8,9 +8,8 @@ that the pairs hardly use, or use only together, then still have a direction of 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from usdface.core.arrays import FloatArray
 
 _GAINS = (0.4, 2.5)  # how much further or less far than the rig a performer's skin may go
 _GAIN_DOUBT = 0.35  # standard deviation of the gain's logarithm
@@ -35,12 +34,12 @@ class SkinPrior:
         Share of the markers' motion energy in the pairs that the best places explain.
     """
 
-    basis: Array
-    rotation: Array
+    basis: FloatArray
+    rotation: FloatArray
     explained: float
 
 
-def expect_marker_motion(skin: Array, weights: Array, markers: Array) -> SkinPrior:
+def expect_marker_motion(skin: FloatArray, weights: FloatArray, markers: FloatArray) -> SkinPrior:
     """Find for every marker the skin that moves as it does.
 
     Every point of the skin is a candidate, with a gain of its own; candidates are averaged by
@@ -93,7 +92,7 @@ def expect_marker_motion(skin: Array, weights: Array, markers: Array) -> SkinPri
     return SkinPrior(basis, rotation, float(1 - unexplained))
 
 
-def _size_of_performer(seen: Array, moved: Array) -> float:
+def _size_of_performer(seen: FloatArray, moved: FloatArray) -> float:
     """Scale that brings a rig's motion to the markers'; 1 where points' own gains reach it."""
     usual = float(np.quantile(moved, _MOST)) if len(moved) else 0.0
     wanted = float(np.quantile(seen, _MOST)) if len(seen) else 0.0
@@ -103,10 +102,10 @@ def _size_of_performer(seen: Array, moved: Array) -> float:
     return 1.0 if _GAINS[0] <= scale <= _GAINS[1] else scale
 
 
-def _rotation(rows: Array, targets: Array) -> Array:
+def _rotation(rows: FloatArray, targets: FloatArray) -> FloatArray:
     """Proper rotation that turns displacements onto others best (Kabsch, without centring)."""
     cross = np.einsum("mni,mnj->ij", rows, targets)
     left, _, right = np.linalg.svd(cross)
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(right.T @ left.T))])
-    rotation: Array = right.T @ flip @ left.T
+    rotation: FloatArray = right.T @ flip @ left.T
     return rotation

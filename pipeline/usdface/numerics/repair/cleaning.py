@@ -6,18 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from usdface.numerics.repair.completing import complete_take
+from usdface.core.arrays import RealArray
+from usdface.core.progress import Progress, silent
+from usdface.numerics.repair.fit_low_rank import choose_rank, fit_low_rank
 from usdface.numerics.repair.frame_blocks import frame_blocks, sample_frames
-from usdface.numerics.repair.learning import choose_rank, fit_low_rank
+from usdface.numerics.repair.gap_filling import complete_take
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
 from usdface.numerics.repair.noise import marker_noise
+from usdface.numerics.repair.outliers import find_strays
 from usdface.numerics.repair.relabeling import Swap, apply_swaps, find_swaps
-from usdface.numerics.repair.strays import find_strays
 from usdface.numerics.repair.take_smoothing import smooth_take
 from usdface.numerics.rigid.pose_smoothing import smooth_poses
 from usdface.numerics.rigid.rigid_alignment import align_frames, alignment_of, remove_motion
 from usdface.numerics.rigid.stabilization import stabilize
-from usdface.progress import Progress, silent
 
 _RELABEL_ROUNDS = 4
 _POSE_ROUNDS = 2
@@ -25,8 +26,6 @@ _RELABELLED_CONFIDENCE = 0.9
 _POSE_INLIER_DEVIATIONS = 3.0
 _MAD_TO_DEVIATION = 1.4826
 _SAMPLE_FRAMES = 8192
-
-FloatArray = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -247,14 +246,14 @@ def _refine_pose(still: _Still, good: NDArray[np.bool_], model: LowRankModel) ->
 
 
 def _told(
-    positions: FloatArray, good: NDArray[np.bool_], model: LowRankModel
-) -> tuple[FloatArray, FloatArray]:
+    positions: RealArray, good: NDArray[np.bool_], model: LowRankModel
+) -> tuple[RealArray, RealArray]:
     """Return frames without gaps, and where the others put each of their markers."""
     complete = fill_missing(model, positions, good)
     return complete, predict_from_others(model, complete)
 
 
-def _hold(positions: FloatArray, known: NDArray[np.bool_]) -> None:
+def _hold(positions: RealArray, known: NDArray[np.bool_]) -> None:
     """Let unknown samples hold the last known position, or before the first that one; in place."""
     frames = np.arange(len(known))
     for marker in np.flatnonzero(~known.all(axis=0) & known.any(axis=0)):
@@ -275,5 +274,5 @@ def _weighed(
     return confidence
 
 
-def _median(values: FloatArray) -> float:
+def _median(values: RealArray) -> float:
     return float(np.median(values)) if values.size else 0.0

@@ -16,11 +16,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from usdface.core.arrays import RealArray
+
 _CHUNK_FRAMES = 2048
 _MATRIX_ENTRIES = 1 << 18
 """Of the small systems that are solved in one batch."""
-
-FloatArray = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class LowRankModel:
         return np.asarray(-pulled * others)  # a marker does not tell of itself
 
 
-def fill_missing(model: LowRankModel, positions: FloatArray, good: NDArray[np.bool_]) -> FloatArray:
+def fill_missing(model: LowRankModel, positions: RealArray, good: NDArray[np.bool_]) -> RealArray:
     """Return positions with every sample that is not good replaced by its conditional mean.
 
     Parameters
@@ -111,7 +111,7 @@ def fill_missing(model: LowRankModel, positions: FloatArray, good: NDArray[np.bo
     return filled
 
 
-def predict_from_others(model: LowRankModel, filled: FloatArray) -> FloatArray:
+def predict_from_others(model: LowRankModel, filled: RealArray) -> RealArray:
     """Return where each marker should be, told from all other markers of its frame.
 
     Parameters
@@ -136,7 +136,7 @@ def predict_from_others(model: LowRankModel, filled: FloatArray) -> FloatArray:
 
 
 def _expected(
-    model: LowRankModel, positions: FloatArray, missing: NDArray[np.int64]
+    model: LowRankModel, positions: RealArray, missing: NDArray[np.int64]
 ) -> NDArray[np.float64]:
     """Return the conditional mean of the missing markers, (frames, missing, 3).
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from usdface.core.arrays import RealArray
 from usdface.numerics.repair.frame_blocks import frame_blocks, widened
 from usdface.numerics.repair.gaps import runs
 from usdface.numerics.repair.low_rank import LowRankModel
@@ -37,8 +38,6 @@ _DULL_GAIN = -1.0
 _DULL_FRAMES = 1 + int(2.0 * (TOGGLE_COST + JUMP_LIMITS[1]) / -_DULL_GAIN)
 """So many dull frames in a row end every swap: it would cost more than both of its changes."""
 
-FloatArray = NDArray[np.floating]
-
 
 @dataclass(frozen=True)
 class Swap:
@@ -59,7 +58,7 @@ class Swap:
 
 
 def find_swaps(
-    positions: FloatArray, visible: NDArray[np.bool_], *, model: LowRankModel, noise: float
+    positions: RealArray, visible: NDArray[np.bool_], *, model: LowRankModel, noise: float
 ) -> tuple[Swap, ...]:
     """Find the stretches in which two neighbouring markers carry each other's label.
 
@@ -162,7 +161,7 @@ class _Telling:
 
 def _telling_frames(
     suspects: list[Pair],
-    positions: FloatArray,
+    positions: RealArray,
     visible: NDArray[np.bool_],
     model: LowRankModel,
     step_scale: float,
@@ -202,7 +201,7 @@ def _swaps_of(pair: Pair, found: _Telling) -> Iterator[tuple[float, Swap]]:
             yield worth, Swap(pair.first, pair.second, first, first + stop - start)
 
 
-def _jump_scale(positions: FloatArray, visible: NDArray[np.bool_], noise: float) -> float:
+def _jump_scale(positions: RealArray, visible: NDArray[np.bool_], noise: float) -> float:
     """Return the size of a step between frames, per coordinate, that begins to be a jump."""
     middle = len(positions) // 2
     half = _STEP_SAMPLE_FRAMES // 2

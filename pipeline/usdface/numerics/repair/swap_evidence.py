@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from usdface.core.arrays import RealArray
 from usdface.numerics.repair.frame_blocks import sample_frames
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
 
@@ -28,8 +29,6 @@ _ALONE_STRICTNESS = 4.0
 """A marker seen alone must lie twice as near to the other's place as to its own."""
 _PLACE_HINT = 4.0
 _JUMP_HINT = -20.0
-
-FloatArray = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -69,12 +68,12 @@ class Window:
     seen : (markers, frames) bool array
     """
 
-    places: FloatArray
-    offsets: FloatArray
+    places: RealArray
+    offsets: RealArray
     seen: NDArray[np.bool_]
 
 
-def open_window(positions: FloatArray, visible: NDArray[np.bool_], model: LowRankModel) -> Window:
+def open_window(positions: RealArray, visible: NDArray[np.bool_], model: LowRankModel) -> Window:
     """Lay out frames for pairs to be looked at."""
     complete = fill_missing(model, positions, visible)
     offsets = complete - predict_from_others(model, complete)
@@ -86,7 +85,7 @@ def open_window(positions: FloatArray, visible: NDArray[np.bool_], model: LowRan
 
 
 def neighbor_pairs(
-    positions: FloatArray, visible: NDArray[np.bool_], model: LowRankModel, noise: float
+    positions: RealArray, visible: NDArray[np.bool_], model: LowRankModel, noise: float
 ) -> list[Pair]:
     """Return every pair of near neighbours, with how well the other markers predict it."""
     rest = model.mean.reshape(-1, 3)
@@ -151,7 +150,7 @@ def weigh_swap(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return for each frame the gain of being swapped and the cost of a change there [nats]."""
     views = _views(pair, window)
-    gain: FloatArray = np.clip(_place(pair, views), -_PLACE_LIMIT, _PLACE_LIMIT)
+    gain: RealArray = np.clip(_place(pair, views), -_PLACE_LIMIT, _PLACE_LIMIT)
     gain -= _DIRECTION_WEIGHT * np.clip(_along(pair, views), -1.0, 1.0)
     toggle = TOGGLE_COST + np.clip(_jump(views, step_scale), *JUMP_LIMITS)
     return gain.astype(np.float32, copy=False), toggle.astype(np.float32, copy=False)
@@ -161,11 +160,11 @@ def weigh_swap(
 class _Views:
     """A pair in a window: where both are, and how far from where all others put them."""
 
-    x: FloatArray
-    y: FloatArray
-    between: FloatArray
-    x_away: FloatArray
-    y_away: FloatArray
+    x: RealArray
+    y: RealArray
+    between: RealArray
+    x_away: RealArray
+    y_away: RealArray
     x_seen: NDArray[np.bool_]
     y_seen: NDArray[np.bool_]
 
@@ -177,12 +176,12 @@ def _views(pair: Pair, window: Window) -> _Views:
     return _Views(x, y, y - x, away[:3], away[3:], seen[pair.first], seen[pair.second])
 
 
-def _place(pair: Pair, views: _Views) -> FloatArray:
+def _place(pair: Pair, views: _Views) -> RealArray:
     """Return how much nearer each lies to the other's place than to its own, over the variance."""
     square = _dot(views.between, views.between)
     x_along, y_along = _dot(views.x_away, views.between), _dot(views.y_away, views.between)
     # |x_away|^2 - |x_away + between|^2, and the same of y
-    place: FloatArray = 2.0 * np.minimum(-x_along, y_along) - square
+    place: RealArray = 2.0 * np.minimum(-x_along, y_along) - square
     if not (views.x_seen.all() and views.y_seen.all()):
         x_square, y_square = _dot(views.x_away, views.x_away), _dot(views.y_away, views.y_away)
         x_alone = x_square - _ALONE_STRICTNESS * (y_square - 2.0 * y_along + square)
@@ -191,7 +190,7 @@ def _place(pair: Pair, views: _Views) -> FloatArray:
     return np.asarray(place / np.float32(pair.place_variance))
 
 
-def _along(pair: Pair, views: _Views) -> FloatArray:
+def _along(pair: Pair, views: _Views) -> RealArray:
     """Return 1 where each lies on its own side, -1 where on the other's."""
     return _weigh(
         pair.direction @ views.between,
@@ -202,7 +201,7 @@ def _along(pair: Pair, views: _Views) -> FloatArray:
     )
 
 
-def _jump(views: _Views, step_scale: float) -> FloatArray:
+def _jump(views: _Views, step_scale: float) -> RealArray:
     """Return by how much steps are shorter when they began at the other marker; negative then."""
     x, y, x_seen, y_seen = views.x, views.y, views.x_seen, views.y_seen
     x_step, y_step = np.diff(x), np.diff(y)
@@ -222,12 +221,12 @@ def _jump(views: _Views, step_scale: float) -> FloatArray:
 
 
 def _weigh(
-    together: FloatArray,
-    x_alone: FloatArray,
-    y_alone: FloatArray,
+    together: RealArray,
+    x_alone: RealArray,
+    y_alone: RealArray,
     x_seen: NDArray[np.bool_],
     y_seen: NDArray[np.bool_],
-) -> FloatArray:
+) -> RealArray:
     """Choose what is known: both markers, one against where the other should be, or nothing."""
     alone = np.where(x_seen, x_alone, np.where(y_seen, y_alone, np.float32(0.0)))
     return np.asarray(np.where(x_seen & y_seen, together, alone))
@@ -243,17 +242,17 @@ def _mixing(model: LowRankModel, first: int, second: int) -> NDArray[np.float32]
     return np.linalg.solve(own, apart).astype(np.float32)
 
 
-def _steps(window: Window) -> FloatArray:
+def _steps(window: Window) -> RealArray:
     """Return the squared step of each marker from the frame before where both saw it."""
     steps = np.diff(window.places, axis=2)
     squares = np.einsum("mif,mif->mf", steps, steps)
     return np.asarray(squares * (window.seen[:, 1:] & window.seen[:, :-1]))
 
 
-def _length(vectors: FloatArray) -> FloatArray:
+def _length(vectors: RealArray) -> RealArray:
     """Return lengths over the second axis."""
     return np.asarray(np.sqrt(np.einsum("mif,mif->mf", vectors, vectors)))
 
 
-def _dot(one: FloatArray, other: FloatArray) -> FloatArray:
+def _dot(one: RealArray, other: RealArray) -> RealArray:
     return np.asarray(one[0] * other[0] + one[1] * other[1] + one[2] * other[2])

@@ -14,7 +14,7 @@ and Wright (2006), Numerical Optimization, section 16.6: the interior point.
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from usdface.core.arrays import FloatArray
 
 SLOWEST = 1e-4
 """Share of the rate below which a cut-off leaves nothing but a line, and no digits to tell it."""
@@ -51,8 +51,8 @@ def cutoff_penalty(cutoff_hz: float, rate: float) -> float:
 
 
 def smooth_within_bounds(
-    tracks: Array, *, penalty: float, trust: Array, lower: Array, upper: Array
-) -> Array:
+    tracks: FloatArray, *, penalty: float, trust: FloatArray, lower: FloatArray, upper: FloatArray
+) -> FloatArray:
     """Smooth every column under its bounds.
 
     Parameters
@@ -75,11 +75,11 @@ def smooth_within_bounds(
     """
     check_smoothing(tracks, penalty=penalty, trust=trust)
     if len(tracks) < 3 or penalty == 0:
-        clipped: Array = np.clip(tracks, lower, upper)
+        clipped: FloatArray = np.clip(tracks, lower, upper)
         return clipped
     bands = _normal_bands(len(tracks), penalty, trust)
     right = trust[:, None] * tracks
-    out: Array = _solve(bands, right)
+    out: FloatArray = _solve(bands, right)
     outside = (out < lower - _SLACK) | (out > upper + _SLACK)
     for column in np.flatnonzero(outside.any(axis=0)):
         out[:, column] = _bounded(
@@ -88,7 +88,7 @@ def smooth_within_bounds(
     return out
 
 
-def check_smoothing(tracks: Array, *, penalty: float, trust: Array) -> None:
+def check_smoothing(tracks: FloatArray, *, penalty: float, trust: FloatArray) -> None:
     """Refuse what cannot be smoothed.
 
     Raises
@@ -104,14 +104,16 @@ def check_smoothing(tracks: Array, *, penalty: float, trust: Array) -> None:
         raise ValueError(f"penalty must not be negative, got {penalty}")
 
 
-def _solve(bands: Array, right: Array) -> Array:
+def _solve(bands: FloatArray, right: FloatArray) -> FloatArray:
     from scipy.linalg import solveh_banded  # only when wanted: it takes half a second
 
-    solved: Array = solveh_banded(bands, right, check_finite=False)
+    solved: FloatArray = solveh_banded(bands, right, check_finite=False)
     return solved
 
 
-def _bounded(bands: Array, right: Array, free: Array, lower: float, upper: float) -> Array:
+def _bounded(
+    bands: FloatArray, right: FloatArray, free: FloatArray, lower: float, upper: float
+) -> FloatArray:
     """Solve one track, samples that pull beyond a bound held at it."""
     held = np.zeros(len(free), dtype=np.int8)
     value = free
@@ -127,13 +129,13 @@ def _bounded(bands: Array, right: Array, free: Array, lower: float, upper: float
     else:  # it cycles
         held = _held_from_inside(bands, right, lower, upper)
         value = _pinned(bands, right, held, lower, upper)
-    clipped: Array = np.clip(value, lower, upper)
+    clipped: FloatArray = np.clip(value, lower, upper)
     return clipped
 
 
 def _pinned(
-    bands: Array, right: Array, held: NDArray[np.int8], lower: float, upper: float
-) -> Array:
+    bands: FloatArray, right: FloatArray, held: NDArray[np.int8], lower: float, upper: float
+) -> FloatArray:
     """Solve with some samples held at a bound: the upper where 1, the lower where -1."""
     weight = _PINNED * float(bands[-1].max()) * (held != 0)
     stiff = bands.copy()
@@ -142,7 +144,9 @@ def _pinned(
     return np.where(held > 0, upper, np.where(held < 0, lower, value))
 
 
-def _held_from_inside(bands: Array, right: Array, lower: float, upper: float) -> NDArray[np.int8]:
+def _held_from_inside(
+    bands: FloatArray, right: FloatArray, lower: float, upper: float
+) -> NDArray[np.int8]:
     """Find which samples lie at a bound by an interior point, which never cycles."""
     value = np.full(len(right), (lower + upper) / 2)
     below = above = np.full(len(right), max(float(np.abs(right).max()), 1e-300))
@@ -169,7 +173,7 @@ def _held_from_inside(bands: Array, right: Array, lower: float, upper: float) ->
     return np.where(at_upper, 1, np.where(at_lower, -1, 0)).astype(np.int8)
 
 
-def _normal_bands(frames: int, penalty: float, trust: Array) -> Array:
+def _normal_bands(frames: int, penalty: float, trust: FloatArray) -> FloatArray:
     """Return the upper bands of ``diag(trust) + penalty D'D``, the diagonal last."""
     bands = np.zeros((3, frames))
     row = np.array([1.0, -2.0, 1.0])
@@ -180,9 +184,9 @@ def _normal_bands(frames: int, penalty: float, trust: Array) -> Array:
     return bands
 
 
-def _product(bands: Array, vector: Array) -> Array:
+def _product(bands: FloatArray, vector: FloatArray) -> FloatArray:
     """Multiply the symmetric banded matrix by a vector."""
-    out: Array = bands[2] * vector
+    out: FloatArray = bands[2] * vector
     for off in (1, 2):
         side = bands[2 - off, off:]
         out[:-off] += side * vector[off:]
@@ -218,7 +222,7 @@ class FixedLagSmoother:
         self._covariance = np.zeros((size, size))
         self._seen = 0
 
-    def push(self, values: Array, trust: float = 1.0) -> Array | None:
+    def push(self, values: FloatArray, trust: float = 1.0) -> FloatArray | None:
         """Take in one frame; return the frame `lag` before it, or None while there is none."""
         if self._seen == 0:
             self._mean[:] = values
@@ -236,7 +240,7 @@ class FixedLagSmoother:
         self._seen += 1
         return self._mean[self.lag].copy() if self._seen > self.lag else None
 
-    def finish(self) -> list[Array]:
+    def finish(self) -> list[FloatArray]:
         """Return the frames that are still owed, in order."""
         owed = min(self.lag, self._seen)
         return [self._mean[k].copy() for k in reversed(range(owed))]

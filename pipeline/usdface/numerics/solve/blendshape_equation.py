@@ -12,11 +12,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.numerics.solve.bounded_least_squares import minimise_bounded_quadratic
 from usdface.numerics.solve.bounded_smoothing import minimise_bounded_smooth
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 Method = Literal["lstsq", "nnls", "bounded"]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-FloatArray = NDArray[np.float64]
+from usdface.core.arrays import FloatArray
 
 
 @dataclass(frozen=True)

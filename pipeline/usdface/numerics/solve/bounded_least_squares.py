@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-FloatArray = NDArray[np.float64]
+from usdface.core.arrays import FloatArray
 
 _GRADIENT_STEPS = 60  # enough that a handful of exchanges then end it on face rigs
 _PIVOT_STEPS = 120

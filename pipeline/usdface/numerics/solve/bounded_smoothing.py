@@ -6,10 +6,10 @@ and two transforms a step, whatever the number of frames.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.fft import dct, idct
 
-FloatArray = NDArray[np.float64]
+from usdface.core.arrays import FloatArray
 
 _STEPS = 2000
 _ADAPT = 20  # steps between changes of the penalty [Boyd et al. 2011, section 3.4.1]

@@ -9,11 +9,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usdface.core.arrays import FloatArray
 from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
-
-Array = NDArray[np.float64]
 
 MOST_STEPS = 10
 SETTLED = 1e-3
@@ -51,11 +49,11 @@ class BoxProjection:
 
     def __init__(
         self,
-        metric: Array,
+        metric: FloatArray,
         *,
-        lower: Array,
-        upper: Array,
-        factor: Array | None = None,
+        lower: FloatArray,
+        upper: FloatArray,
+        factor: FloatArray | None = None,
         steps: int | None = None,
         single: bool = False,
         device: ArrayDevice = CPU,
@@ -111,8 +109,13 @@ class BoxProjection:
 
 
 def project_to_box(
-    weights: Array, metric: Array, *, lower: Array, upper: Array, steps: int | None = None
-) -> Array:
+    weights: FloatArray,
+    metric: FloatArray,
+    *,
+    lower: FloatArray,
+    upper: FloatArray,
+    steps: int | None = None,
+) -> FloatArray:
     """Project rows once; see `BoxProjection`.
 
     Parameters
@@ -121,5 +124,5 @@ def project_to_box(
     metric, lower, upper, steps
         Those of `BoxProjection`.
     """
-    projected: Array = BoxProjection(metric, lower=lower, upper=upper, steps=steps)(weights)
+    projected: FloatArray = BoxProjection(metric, lower=lower, upper=upper, steps=steps)(weights)
     return projected

@@ -10,12 +10,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from usdface.core.arrays import FloatArray
 from usdface.numerics.regression.linear_ridge import fit_linear_ridge
 from usdface.numerics.solve.bounded_least_squares import minimise_bounded_quadratic
-
-Array = NDArray[np.float64]
 
 Solve = Literal["lstsq", "nnls", "bounded"]
 
@@ -40,11 +39,11 @@ class ForwardModel:
         Inverse covariance of the pairs' weights, shrunk.
     """
 
-    basis: Array
-    offset: Array
-    noise: Array
-    weight_mean: Array
-    weight_precision: Array
+    basis: FloatArray
+    offset: FloatArray
+    noise: FloatArray
+    weight_mean: FloatArray
+    weight_precision: FloatArray
 
 
 def fit_forward_model(weights: ArrayLike, motion: ArrayLike) -> ForwardModel:
@@ -83,7 +82,7 @@ def fit_forward_model(weights: ArrayLike, motion: ArrayLike) -> ForwardModel:
 
 def solve_forward_model(
     model: ForwardModel, motion: ArrayLike, *, solve: Solve, ranges: ArrayLike, l1: float = 0.0
-) -> Array:
+) -> FloatArray:
     """Return the weights that explain motions best.
 
     Parameters

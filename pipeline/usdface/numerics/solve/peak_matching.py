@@ -8,11 +8,10 @@ character's eyes half open.
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from usdface.core.arrays import FloatArray
 from usdface.numerics.solve.blendshape_equation import solve_weights
-
-FloatArray = NDArray[np.float64]
 
 _QUANTILE = 0.99  # of the weights over time: a peak that lasts, not a single frame
 _SEEN = 0.3  # of the range: below, the take does not show the shape

@@ -9,19 +9,14 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
 
+from usdface.core.arrays import Float32Array, FloatArray, IntArray
+from usdface.core.progress import Progress, silent
 from usdface.numerics.surface.heat_distance import heat_distances
 from usdface.numerics.surface.surface_graph import MeshFaults, surface_graph
-from usdface.progress import Progress, silent
-
-FloatArray = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 Metric = Literal["dijkstra", "dijkstra-diagonals", "heat"]
 

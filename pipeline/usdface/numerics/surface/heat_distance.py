@@ -7,14 +7,10 @@ to second order; where it is not, at the face's own corners, the caller knows th
 
 import numpy as np
 import potpourri3d
-from numpy.typing import NDArray
 
-from usdface.numerics.registration.triangulation import triangulate
-from usdface.progress import Progress, silent
-
-FloatArray = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
-IntArray = NDArray[np.int64]
+from usdface.core.arrays import Float32Array, FloatArray, IntArray
+from usdface.core.progress import Progress, silent
+from usdface.numerics.surface.triangulation import triangulate
 
 
 def heat_distances(

@@ -3,14 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from usdface.numerics.registration.triangulation import triangulate
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.numerics.surface.triangulation import triangulate
 
 _MOST_CORNERS = 8
 """Polygons with more corners get the diagonals of their triangles alone: all pairs would be many

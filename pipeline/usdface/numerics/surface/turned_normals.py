@@ -7,12 +7,9 @@ the moved surface: hard edges stay hard and sculpted normals keep their lean.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from usdface.numerics.registration.triangulation import triangulate
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.numerics.surface.triangulation import triangulate
 
 
 @dataclass(frozen=True)

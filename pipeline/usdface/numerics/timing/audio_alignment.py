@@ -10,14 +10,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from usdface.core.arrays import Float32Array
+from usdface.core.progress import Progress, silent
 from usdface.numerics.timing.onset_correlation import OnsetCorrelation, correlate_onsets, onset_flux
 from usdface.numerics.timing.phase_scan import PhaseVote, scan_phase
 from usdface.numerics.timing.robust_line import RobustLine, fit_robust_line
 from usdface.numerics.timing.window_delays import WindowDelays, window_delays
-from usdface.progress import Progress, silent
-
-Array = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
 
 LARGEST_DRIFT = 300e-6
 """Crystal clocks of recorders stay within 100 ppm of true, so two within 200 of each other."""

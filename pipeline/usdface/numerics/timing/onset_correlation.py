@@ -13,8 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import fft
 
-Array = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
+from usdface.core.arrays import Float32Array, FloatArray
 
 HOPS_PER_SECOND = 100
 _WINDOW_SECONDS = 0.025
@@ -61,8 +60,8 @@ class OnsetCorrelation:
         that is no accident, of the correlation per second of overlap. 1 for a sound that repeats.
     """
 
-    shifts: Array
-    scores: Array
+    shifts: FloatArray
+    scores: FloatArray
     shift: float
     drift: float
     drift_step: float
@@ -159,7 +158,12 @@ def correlate_onsets(
 
 
 def _judge(
-    shifts: Array, products: Array, overlap: Array, *, drift: float, drift_step: float
+    shifts: FloatArray,
+    products: FloatArray,
+    overlap: FloatArray,
+    *,
+    drift: float,
+    drift_step: float,
 ) -> OnsetCorrelation:
     # Divided by the root of the overlap, chance is equally large at every shift.
     scores = products / np.sqrt(overlap)
@@ -211,14 +215,14 @@ def _stretch_products(
     return middles, products
 
 
-def _overlap(first: int, second: int) -> Array:
+def _overlap(first: int, second: int) -> FloatArray:
     """Return how many hops overlap at each lag, from the second before the first to after it."""
     lags = np.arange(first + second - 1) - (first - 1)
     overlap = np.minimum(first, second - lags) - np.maximum(0, -lags)
     return overlap.astype(np.float64)
 
 
-def _drifts(hops: int, largest: float) -> Array:
+def _drifts(hops: int, largest: float) -> FloatArray:
     """Return the drifts to try: so close that between two the peak is not smeared."""
     if hops <= _STRETCH:
         return np.zeros(1)

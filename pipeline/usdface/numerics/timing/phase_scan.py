@@ -11,11 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from usdface.core.arrays import Float32Array, FloatArray
 from usdface.numerics.timing.phase_transform import speech_band, whitened_product
 from usdface.numerics.timing.window_delays import loud_windows
-
-Array = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
 
 _BLOCK = 1 << 20
 """Samples searched at once, a minute at 16 kHz: longer transforms take memory and save no time."""
@@ -86,7 +84,7 @@ def scan_phase(
     starts = np.unique(np.linspace(0, room, min(count, 2 * room // size + 1)).astype(np.int64))
     starts = loud_windows(first, starts, size)
     taper = np.hanning(size).astype(np.float32)
-    times, delays = list[float](), list[Array]()
+    times, delays = list[float](), list[FloatArray]()
     for start in starts.tolist():
         heights = _heights(first[start : start + size] * taper, second, rate)
         places = _highest(heights, apart=round(_APART_SECONDS * rate))
@@ -132,7 +130,7 @@ def _highest(heights: Float32Array, *, apart: int) -> NDArray[np.int64]:
     return np.array(places, np.int64)
 
 
-def _count_votes(times: Array, delays: list[Array], largest_drift: float) -> PhaseVote:
+def _count_votes(times: FloatArray, delays: list[FloatArray], largest_drift: float) -> PhaseVote:
     middle = float((times[0] + times[-1]) / 2)
     owners = np.repeat(np.arange(len(times)), [len(each) for each in delays])
     places = np.concatenate(delays)

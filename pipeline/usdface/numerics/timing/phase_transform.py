@@ -6,11 +6,9 @@ reverberation smears in a plain correlation.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
-Float32Array = NDArray[np.float32]
-ComplexArray = NDArray[np.complex64]
+from usdface.core.arrays import ComplexArray, Float32Array
 
 _WHITENING = 0.8
 """Exponent of the phase transform: 1 would lift frequencies at which nothing sounds."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from usdface.core.arrays import FloatArray
 
 _SHORTEST_BASE = 0.3
 """Of the points' span: two points closer than this give no slope to judge others by."""
@@ -36,7 +36,13 @@ class RobustLine:
 
 
 def fit_robust_line(
-    x: Array, y: Array, *, tolerance: float, largest_slope: float, usual_slope: float, noise: float
+    x: FloatArray,
+    y: FloatArray,
+    *,
+    tolerance: float,
+    largest_slope: float,
+    usual_slope: float,
+    noise: float,
 ) -> RobustLine:
     """Fit the line that most points agree on, then fit it to those by least squares.
 
@@ -79,7 +85,9 @@ def fit_robust_line(
     return RobustLine(intercept, slope, agreeing, deviation)
 
 
-def _distances_to_best(x: Array, y: Array, tolerance: float, largest_slope: float) -> Array:
+def _distances_to_best(
+    x: FloatArray, y: FloatArray, tolerance: float, largest_slope: float
+) -> FloatArray:
     """Return how far each point is from the line through two of them that most support."""
     first, second = np.triu_indices(len(x), k=1)
     far = np.abs(x[second] - x[first]) >= _SHORTEST_BASE * np.ptp(x)
@@ -105,7 +113,9 @@ def _distances_to_best(x: Array, y: Array, tolerance: float, largest_slope: floa
     return nearest
 
 
-def _least_squares(x: Array, y: Array, usual_slope: float, noise: float) -> tuple[float, float]:
+def _least_squares(
+    x: FloatArray, y: FloatArray, usual_slope: float, noise: float
+) -> tuple[float, float]:
     middle, level = float(x.mean()), float(y.mean())
     slope = float(((x - middle) * (y - level)).sum()) / float(
         ((x - middle) ** 2).sum() + (noise / usual_slope) ** 2

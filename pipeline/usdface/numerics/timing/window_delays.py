@@ -6,10 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from usdface.core.arrays import Float32Array, FloatArray
 from usdface.numerics.timing.phase_transform import speech_band, whitened_product
-
-Array = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
 
 _FINER = 4
 """Positions tried per sample, before a parabola through the best three."""
@@ -33,9 +31,9 @@ class WindowDelays:
         Height of the peak over the next highest; 1 tells nothing.
     """
 
-    times: Array
-    delays: Array
-    clarity: Array
+    times: FloatArray
+    delays: FloatArray
+    clarity: FloatArray
 
 
 def window_delays(

@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdSkel
 
-from usdface.assets import FloatArray
+from usdface.core.arrays import FloatArray
+from usdface.core.text import counted
 from usdface.usdio.checks.fault import Fault, Samples, is_recorded, is_solved, read_samples, some
-from usdface.wording import counted
 
 BEYOND = 0.02
 """How far outside its range a weight is let pass: rounding and smoothing overshoot a little."""

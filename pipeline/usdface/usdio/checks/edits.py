@@ -3,9 +3,9 @@
 import numpy as np
 from pxr import Usd, UsdSkel
 
-from usdface.errors import InputError
+from usdface.core.errors import InputError
 from usdface.usdio.checks.fault import Fault, is_solved, read_samples, some
-from usdface.usdio.edits import PREFIXES, read_edits
+from usdface.usdio.performance.edits import PREFIXES, read_edits
 
 CHANGED = 0.1
 """Change of the solve beneath an edit that an animator should look at."""

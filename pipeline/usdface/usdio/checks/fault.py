@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from pxr import Usd, UsdSkel
 
-from usdface.assets import Float32Array, FloatArray
+from usdface.core.arrays import Float32Array, FloatArray
 
 
 @dataclass(frozen=True)

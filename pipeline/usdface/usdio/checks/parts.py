@@ -4,8 +4,8 @@ from pathlib import Path
 
 from pxr import Sdf, Usd
 
-from usdface.usdio.clips import CLIP_SET
-from usdface.usdio.weights_layer import WEIGHTS
+from usdface.usdio.performance.clips import CLIP_SET
+from usdface.usdio.performance.weights_layer import WEIGHTS
 
 
 def changed_part(prim: Usd.Prim) -> str:

@@ -3,7 +3,7 @@
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
-from usdface.assets import FloatArray
+from usdface.core.arrays import FloatArray
 from usdface.usdio.checks.curves import pair_sides
 from usdface.usdio.checks.fault import Fault, some
 

@@ -1,0 +1,117 @@
+"""What benchmarks print, kept: Markdown for people, JSON for scripts, the machine beside it."""
+
+import contextlib
+import io
+import json
+import os
+import platform
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+from benchmarks._index import write_index
+
+PACKAGES = ("numpy", "scipy", "usd-core", "OpenImageIO", "embreex", "av", "usdface")
+
+
+class Tee(io.TextIOBase):
+    """Passes text on and keeps it."""
+
+    def __init__(self, beyond: io.TextIOBase) -> None:
+        self._beyond = beyond
+        self._kept: list[str] = []
+
+    def write(self, text: str) -> int:
+        self._kept.append(text)
+        return self._beyond.write(text)
+
+    def flush(self) -> None:
+        self._beyond.flush()
+
+    @property
+    def text(self) -> str:
+        return "".join(self._kept)
+
+
+@contextlib.contextmanager
+def kept_output() -> Iterator[Tee]:
+    """Let what is printed be seen, and keep it."""
+    tee = Tee(sys.stdout)  # type: ignore[arg-type]
+    with contextlib.redirect_stdout(tee):  # type: ignore[type-var]
+        yield tee
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What one benchmark printed, and how long it took."""
+
+    name: str
+    text: str
+    seconds: float
+    load: float
+
+
+def machine() -> dict[str, str]:
+    """Return what figures depend on."""
+    cpu = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.is_file():
+        names = [line for line in info.read_text().splitlines() if line.startswith("model name")]
+        cpu = names[0].partition(":")[2].strip() if names else cpu
+    return {
+        "processor": cpu,
+        "cores": str(os.cpu_count()),
+        "system": platform.platform(terse=True),
+        "python": platform.python_version(),
+        **{name: version(name) for name in PACKAGES},
+    }
+
+
+def write_report(folder: Path, results: list[Measured]) -> None:
+    """Write or renew NAME.md and NAME.json of each benchmark, and an index of all that are there.
+
+    Each benchmark has its own files, so that one can be run again without the others.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    about = machine()
+    day = datetime.now(UTC).strftime("%Y-%m-%d")
+    for each in results:
+        tables = read_tables(each.text)
+        data = {
+            "benchmark": each.name,
+            "date": day,
+            "seconds": round(each.seconds, 1),
+            "load_before": round(each.load, 1),
+            "machine": about,
+            "tables": tables,
+        }
+        text = json.dumps(data, indent=2, ensure_ascii=False) + "\n"
+        (folder / f"{each.name}.json").write_text(text, encoding="utf-8")
+        page = (
+            f"# {each.name}\n\n{each.text.strip()}\n\n"
+            f"`python -m benchmarks {each.name}`, {day}, {each.seconds:.0f} s, load before "
+            f"{each.load:.1f}; {about['processor']}, {about['cores']} cores, Python "
+            f"{about['python']}, NumPy {about['numpy']}, USD {about['usd-core']}.\n"
+        )
+        (folder / f"{each.name}.md").write_text(page, encoding="utf-8")
+    write_index(folder)
+
+
+def read_tables(text: str) -> list[list[dict[str, str]]]:
+    """Return every Markdown table of a text as rows of cells by head."""
+    tables: list[list[dict[str, str]]] = []
+    head: list[str] | None = None
+    for line in text.splitlines():
+        if not line.startswith("|"):
+            head = None
+            continue
+        cells = [cell.strip() for cell in line.strip().strip("|").split("|")]
+        if head is None:
+            head = cells
+            tables.append([])
+        elif not all(set(cell) <= set("-: ") for cell in cells):
+            tables[-1].append(dict(zip(head, cells, strict=False)))
+    return tables

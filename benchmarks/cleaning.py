@@ -1,0 +1,131 @@
+"""Cleaning on a take whose damage is known: swaps mended, good samples left, and its cost.
+
+`--full` also ingests and cleans an hour of the demo's actor, by the installed commands.
+"""
+
+import json
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.scale import HOUR, NOISE_MM, _cost
+from tests.conftest import SHARED_DATA
+from usdface.capture.sniff import read_capture
+from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
+
+STRIDE = 10
+"""The fixture keeps the undamaged markers of every tenth frame."""
+
+
+def run(*, full: bool = False) -> None:
+    """Print what was mended, what it cost, and how the time grows with the take."""
+    _damaged()
+    if full:
+        _hour()
+
+
+def _damaged() -> None:
+    source = SHARED_DATA / "crosstake"
+    if not source.is_dir():
+        print(f"skipped: no crosstake in {SHARED_DATA}")
+        return
+    said = json.loads((source / "take.json").read_text())
+    take = read_capture(source / "take.c3d").take
+    markers = take.markers
+    rigid = [markers.names.index(name) for name in said["rigid"]]
+    truth = np.load(source / "truth.npz")
+
+    def clean(times: int = 1) -> tuple[CleanedMarkers, float]:
+        positions = np.tile(markers.positions, (times, 1, 1))
+        visible = np.tile(markers.visible, (times, 1))
+        start = time.process_time()
+        cleaned = clean_markers(positions, visible, rigid=rigid, neutral=said["neutral_frame"])
+        return cleaned, time.process_time() - start
+
+    cleaned, seconds = clean()
+    swapped = np.zeros(markers.visible.shape, np.bool_)
+    for first, second, start, stop in truth["swaps"]:
+        swapped[start:stop, [first, second]] = True
+    mended = sum(_is_mended(cleaned, each) for each in truth["swaps"])
+    touched = cleaned.filled.copy()
+    for swap in cleaned.swaps:
+        touched[swap.start : swap.stop, [swap.first, swap.second]] = True
+    good = markers.visible & ~swapped
+    error = _errors(cleaned, truth["clean"].astype(np.float64))
+    repaired = (swapped | ~markers.visible)[::STRIDE][: len(error)]
+    _, twice = clean(2)
+    print("| measure | value | wanted |")
+    print("|---|---|---|")
+    print(f"| swapped intervals mended | {mended} of {len(truth['swaps'])} | ≥ 95 % |")
+    print(f"| good samples touched | {100 * touched[good].mean():.3f} % | < 0.1 % |")
+    print(
+        f"| mean error of mended and filled samples | {error[repaired].mean():.3f} mm | < 0.3 mm |"
+    )
+    print(f"| mean error of the others | {error[~repaired].mean():.3f} mm | |")
+    print(f"| processor time, {take.frame_count:,} frames | {seconds:.1f} s | |")
+    print(f"| for twice the frames | {twice / seconds:.2f}× | linear |")
+
+
+def _hour() -> None:
+    """Print what an hour takes: nothing of it is extrapolated."""
+    print(f"\n| {HOUR:,} frames, 102 markers | processor s | peak memory, MB |")
+    print("|---|---|---|")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        _capture(folder / f"{HOUR}.c3d", HOUR)
+        for step, words in (
+            ("ingest", "ingest {n}.c3d --out {n}.take.usda --neutral 31"),
+            ("clean", "clean {n}.take.usda --out {n}.clean.take.usda"),
+        ):
+            cost = _cost(folder, words, "{n}." + step, HOUR)
+            print(f"| `{step}` | {cost.seconds:.0f} | {cost.peak_mb:,.0f} |")
+
+
+def _capture(path: Path, frames: int) -> None:
+    """Write the demo's actor, there and back again and again, with noise in every frame."""
+    from usdface.capture.c3d_write import write_c3d
+    from usdface.demo.acting import performance
+    from usdface.demo.capture import simulate_capture
+    from usdface.demo.markers import place_markers
+    from usdface.demo.proportions import ACTOR
+    from usdface.demo.shapes import make_head
+
+    actor, acted = make_head(ACTOR), performance()
+    markers = place_markers(actor)
+    captured = simulate_capture(actor, acted, markers)
+    count = len(captured.positions)
+    again = np.abs((np.arange(frames) + count - 1) % (2 * count - 2) - (count - 1))
+    rng = np.random.default_rng(0)
+    positions = captured.positions[again]
+    for frame in range(0, frames, count):
+        part = positions[frame : frame + count]
+        part += np.float32(NOISE_MM) * rng.standard_normal(part.shape, dtype=np.float32)
+    write_c3d(
+        path,
+        positions,
+        captured.visible[again],
+        markers.names,
+        rate=acted.weights.rate,
+        first_frame=1,
+    )
+
+
+def _is_mended(cleaned: CleanedMarkers, swap: np.ndarray) -> bool:
+    """Whether found swaps cover nine tenths of a true one, and little beside it."""
+    first, second, start, stop = (int(value) for value in swap)
+    covered = np.zeros(stop - start, np.bool_)
+    for found in cleaned.swaps:
+        if {found.first, found.second} == {first, second}:
+            covered[max(found.start - start, 0) : max(found.stop - start, 0)] = True
+    return bool(covered.mean() >= 0.9)
+
+
+def _errors(cleaned: CleanedMarkers, truth: np.ndarray) -> np.ndarray:
+    """Return the distance of every sample from the truth, after one rigid movement [mm]."""
+    found = cleaned.positions[::STRIDE][: len(truth)].astype(np.float64)
+    a, b = found.reshape(-1, 3), truth.reshape(-1, 3)
+    u, _, vt = np.linalg.svd((a - a.mean(axis=0)).T @ (b - b.mean(axis=0)))
+    moved = (found - a.mean(axis=0)) @ (u @ vt) + b.mean(axis=0)
+    return np.linalg.norm(moved - truth, axis=2)

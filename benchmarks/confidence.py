@@ -1,0 +1,196 @@
+"""What a mapping says of its own errors, against the errors.
+
+Beside every frame a mapping tells, for the face and each part of it, an error not exceeded nine
+times in ten, and the probability (`confidence`) of an error below a millimetre. Both are counted
+here on frames with known weights: the second half of `crosstake`, at three levels of noise, and
+three takes of each of the performers of `performers`. The constants behind them
+(`usdface.model.mapping.error_model`) were chosen on neither.
+"""
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain, pairwise
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import crosstake
+from benchmarks.performers import PERFORMERS, act
+from tests.conftest import SHARED_DATA
+from usdface.core.deformer import Deformer
+from usdface.model import Prediction, predict_weights, sample_skin, train_mapping
+from usdface.model.mapping.regions import region_points
+from usdface.model.mapping.train import SURFACE_TOLERANCE_MM
+from usdface.numerics.regression.cross_validation import surface_errors_mm
+from usdface.steps.inputs.take_head_space import find_take_space, read_markers
+from usdface.usdio.mapping import read_mapping
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.take.read import TakeReader
+
+COUNTS = (25, 50, 100)
+NOISES = ("as recorded", "noise 0.5 mm", "noise 1 mm")
+EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
+FEWEST = 100
+"""Frames below which a bin of the table of reliability is left out."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """One take: what was said, and what was so.
+
+    Attributes
+    ----------
+    group, take : str
+    count : int
+        References.
+    error_mm, told_mm, confidence : (frames, regions) float arrays
+        The whole face first.
+    """
+
+    group: str
+    take: str
+    count: int
+    error_mm: np.ndarray
+    told_mm: np.ndarray
+    confidence: np.ndarray
+
+    @property
+    def held(self) -> np.ndarray:
+        """Share of frames whose error is not above what was told, of each region."""
+        shares: np.ndarray = (self.error_mm <= self.told_mm).mean(axis=0)
+        return shares
+
+
+def run(counts: tuple[int, ...] = COUNTS, *, quick: bool = False) -> None:
+    """Print how often the told error holds, and what each confidence turns out to be worth.
+
+    Quick runs one number of references.
+    """
+    if not (SHARED_DATA / "crosstake").is_dir():
+        print(f"skipped: no crosstake in {SHARED_DATA}")
+        return
+    counts = (50,) if quick else counts
+    print("share of frames whose error is not above the one told for nine in ten\n")
+    print("| references | performer | take | face | parts | worst part | told for the face [mm] |")
+    print("|---|---|---|---|---|---|---|")
+    found = []
+    for each in chain(_crosstake(counts), _performers(counts)):
+        parts = each.held[1:]
+        print(
+            f"| {each.count} | {each.group} | {each.take} | {_percent(each.held[0])} | "
+            f"{_percent(parts.mean())} | {_percent(parts.min())} | "
+            f"{np.median(each.told_mm[:, 0]):.2f} |",
+            flush=True,
+        )
+        found.append(each)
+    _print_claims(found)
+    for label, columns in (("face", slice(0, 1)), ("parts", slice(1, None))):
+        _print_reliability(label, found, columns)
+
+
+def _crosstake(counts: tuple[int, ...]) -> Iterator[Told]:
+    rig_file = SHARED_DATA / "rigs" / "facecap_head.usdc"
+    rig = read_rig(rig_file)
+    shapes = Deformer(rig).shapes
+    gram, skin = shapes.gram(), sample_skin(shapes.target_offsets())
+    truth = np.load(SHARED_DATA / "crosstake" / "truth.npz")
+    names = [str(name) for name in truth["shapes"]]
+    for noise in NOISES:
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            crosstake.prepare(folder, noise, truth)
+            for count in counts:
+                references = crosstake.choose_references(folder, rig_file, count)
+                crosstake.map_take(references, rig_file, "auto")
+                mapping = read_mapping(folder / "x.mapping.usdc")
+                take = TakeReader(folder / "x.clean.take.usda")
+                seen = read_markers(take, take.first_frame + crosstake.HALF, take.last_frame)
+                placed = find_take_space(take, mapping).place(seen)
+                said = predict_weights(mapping, placed.positions, visible=placed.visible)
+                wanted = truth["weights"][crosstake.HALF :].astype(float)
+                own = [rig.shapes.index(shape) for shape in mapping.shape_names]
+                error = _errors(
+                    said.weights - wanted[:, [names.index(s) for s in mapping.shape_names]],
+                    said.regions,
+                    mapping.shape_names,
+                    gram[np.ix_(own, own)],
+                    skin[own],
+                )
+                yield _told("crosstake", noise, count, error, said)
+
+
+def _performers(counts: tuple[int, ...]) -> Iterator[Told]:
+    for performer in PERFORMERS:
+        for count in counts:
+            acted = act(performer, count)
+            shapes = acted.shapes
+            mapping = train_mapping(
+                acted.references,
+                ranges=np.tile([0.0, 1.0], (len(shapes.names), 1)),
+                gram=shapes.gram,
+                skin=shapes.skin,
+            )
+            for take, markers, truth in acted.takes:
+                said = predict_weights(mapping, markers)
+                error = _errors(
+                    said.weights - truth, said.regions, shapes.names, shapes.gram, shapes.skin
+                )
+                yield _told(f"{performer[0]}, {performer[1]}", take, count, error, said)
+
+
+def _told(group: str, take: str, count: int, error: np.ndarray, said: Prediction) -> Told:
+    return Told(group, take, count, error, said.region_error, said.region_confidence)
+
+
+def _errors(
+    off: np.ndarray,
+    regions: tuple[str, ...],
+    names: tuple[str, ...],
+    gram: np.ndarray,
+    skin: np.ndarray,
+) -> np.ndarray:
+    """Return what weights that are off do to the surface of each region [mm]."""
+    errors = np.tile(surface_errors_mm(off, gram)[:, None], (1, len(regions)))
+    for region, points in region_points(names, skin).items():
+        if region in regions[1:]:
+            moves = skin[:, points]
+            own = np.einsum("spc,tpc->st", moves, moves, optimize=True) / len(points)
+            errors[:, regions.index(region)] = surface_errors_mm(off, own)
+    return errors
+
+
+def _print_claims(found: list[Told]) -> None:
+    print("\n| measure | value | wanted |")
+    print("|---|---|---|")
+    for label, own in (
+        ("crosstake", [each for each in found if each.group == "crosstake"]),
+        ("performers", [each for each in found if each.group != "crosstake"]),
+    ):
+        for count in sorted({each.count for each in own}):
+            shares = [each.held[0] for each in own if each.count == count]
+            what = f"told errors of the face that hold, {label}, {count} references"
+            print(f"| {what}: mean of takes | {_percent(np.mean(shares))} | ≥ 90 % |")
+            print(f"| {what}: least of takes | {_percent(min(shares))} | ≥ 85 % |")
+
+
+def _print_reliability(label: str, found: list[Told], columns: slice) -> None:
+    said = np.concatenate([each.confidence[:, columns].ravel() for each in found])
+    so = np.concatenate(
+        [(each.error_mm[:, columns] < SURFACE_TOLERANCE_MM).ravel() for each in found]
+    )
+    print(f"\nconfidence, {label}, all takes: probability of an error below")
+    print(f"{SURFACE_TOLERANCE_MM:g} mm, as said and as found\n")
+    print("| confidence | frames | said | found |")
+    print("|---|---|---|---|")
+    for low, high in pairwise(EDGES):
+        held = (said >= low) & ((said < high) | (high == 1.0))
+        if held.sum() >= FEWEST:
+            print(
+                f"| {low:g} to {high:g} | {held.sum():,} | {_percent(said[held].mean(), 1)} | "
+                f"{_percent(so[held].mean(), 1)} |"
+            )
+
+
+def _percent(share: float, digits: int = 0) -> str:
+    return f"{100 * share:.{digits}f} %"

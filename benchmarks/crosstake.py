@@ -1,0 +1,188 @@
+"""Accuracy on a take with known weights: references from its first half, scored on its second.
+
+The figures are those of the fixtures' own ruler, ``tools/score.py``. Everything runs as a user
+would run it, through specs and files.
+"""
+
+import csv
+import importlib.util
+import json
+import tempfile
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from benchmarks._damage import DAMAGES, damage
+from tests.conftest import SHARED_DATA
+from usdface.capture.c3d_write import write_c3d
+from usdface.capture.sniff import read_capture
+from usdface.core.deformer import Deformer
+from usdface.model.regressions import METHODS
+from usdface.model.selection.baseline import set_up_equation
+from usdface.runner.execute import execute
+from usdface.specs.capture import CleanSpec, IngestSpec
+from usdface.specs.performance import MapSpec, TrainSpec
+from usdface.specs.references import ReferencesImportSpec, SelectSpec
+from usdface.usdio.performance.write import read_performance
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.take.read import read_take
+
+HALF = 4030
+"""Frames of the first half: the recording resampled from 30 to 60 frames per second is 8,059."""
+
+COUNTS = (25, 30, 50, 100)
+COLUMNS = ("weight_rmse", "vertex_rms_mm", "vertex_p95_mm", "blink_bias", "jitter")
+SEED = 0
+
+
+def run(
+    counts: tuple[int, ...] = COUNTS, methods: tuple[str, ...] = (), *, quick: bool = False
+) -> None:
+    """Print two tables per number of references: as recorded, and spoiled in several ways.
+
+    Quick runs one number and the methods that matter most, in about two minutes.
+    """
+    if not (SHARED_DATA / "crosstake").is_dir():
+        print(f"skipped: no crosstake in {SHARED_DATA}")
+        return
+    ruler = read_ruler()
+    rig_file = SHARED_DATA / "rigs" / "facecap_head.usdc"
+    if quick:
+        counts, methods = (50,), methods or ("auto", "kernel_cca", "ridge")
+    with tempfile.TemporaryDirectory() as name:
+        folders = {kind: Path(name) / str(i) for i, kind in enumerate(DAMAGES)}
+        truth = np.load(SHARED_DATA / "crosstake" / "truth.npz")
+        for kind, folder in folders.items():
+            folder.mkdir()
+            prepare(folder, kind, truth)
+        for count in counts:
+            references = {
+                kind: choose_references(folder, rig_file, count) for kind, folder in folders.items()
+            }
+            print(f"### {count} references from the first half, scored on the second\n")
+            print(f"| method | {' | '.join(COLUMNS)} |")
+            print(f"|---|{'---|' * len(COLUMNS)}")
+            for label, weights in _equation(folders[DAMAGES[0]], rig_file).items():
+                print_row(label, score(ruler, weights, truth, rig_file))
+            spoiled: dict[str, list[dict[str, float]]] = {}
+            for method in methods or ("auto", *METHODS):
+                spoiled[method] = [
+                    score(ruler, map_take(references[kind], rig_file, method), truth, rig_file)
+                    for kind in DAMAGES
+                ]
+                print_row(method, spoiled[method][0])
+            print(f"\n{count} references, spoiled captures: vertex RMS [mm], blink bias, jitter\n")
+            print(f"| method | {' | '.join(DAMAGES)} |")
+            print(f"|---|{'---|' * len(DAMAGES)}")
+            for method, figures in spoiled.items():
+                cells = [
+                    f"{each['vertex_rms_mm']:.3f}, {each['blink_bias']:+.3f}, {each['jitter']:.2f}"
+                    for each in figures
+                ]
+                print(f"| {method} | {' | '.join(cells)} |", flush=True)
+            print()
+
+
+def read_ruler() -> ModuleType:
+    path = SHARED_DATA.parent / "tools" / "score.py"
+    spec = importlib.util.spec_from_file_location("score", path)
+    if spec is None or spec.loader is None:
+        raise SystemExit(f"no ruler at {path}")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def prepare(folder: Path, kind: str, truth: Any) -> None:
+    """Spoil, ingest and clean the capture; write the keys."""
+    source = SHARED_DATA / "crosstake"
+    said = json.loads((source / "take.json").read_text())
+    capture = source / "take.c3d"
+    if kind != DAMAGES[0]:
+        take = read_capture(capture).take
+        markers = take.markers
+        spoiled = damage(kind, markers.positions, markers.visible, np.random.default_rng(SEED))
+        capture = folder / "take.c3d"
+        write_c3d(capture, *spoiled, markers.names, rate=take.rate, first_frame=take.first_frame)
+    execute(
+        IngestSpec(
+            sources=(capture,),
+            out=folder / "x.take.usda",
+            rigid=tuple(said["rigid"]),
+            neutral=said["neutral_frame"] + 1,  # an index there, a frame number here
+        )
+    )
+    execute(CleanSpec(take=folder / "x.take.usda", out=folder / "x.clean.take.usda"))
+    with (folder / "keys.csv").open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["frame", *truth["shapes"]])
+        writer.writerows([i, *row] for i, row in enumerate(truth["weights"], start=1))
+
+
+def _equation(folder: Path, rig_file: Path) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    """Solve the blendshape equation, which needs no references."""
+    take, rig = read_take(folder / "x.clean.take.usda"), read_rig(rig_file)
+    markers = take.markers
+    equation = set_up_equation(
+        rig,
+        Deformer(rig),
+        neutral=markers.positions[markers.neutral_frame - take.first_frame].astype(float),
+        positions=markers.positions,
+        visible=markers.visible,
+        rigid=tuple(markers.names.index(name) for name in markers.rigid),
+    )
+    return {
+        "equation, least squares": (rig.shapes, equation.solve_published(markers.positions)),
+        "equation, proposals": (rig.shapes, equation.propose(markers.positions)),
+    }
+
+
+def choose_references(folder: Path, rig_file: Path, count: int) -> Path:
+    references = folder / f"{count}.references.usda"
+    execute(
+        SelectSpec(
+            takes=(folder / "x.clean.take.usda",),
+            rig=rig_file,
+            out=references,
+            count=count,
+            frames=f"1-{HALF}",
+        )
+    )
+    execute(ReferencesImportSpec(references=references, weights=folder / "keys.csv"))
+    return references
+
+
+def map_take(references: Path, rig_file: Path, method: str) -> tuple[tuple[str, ...], np.ndarray]:
+    folder = references.parent
+    mapping, out = folder / "x.mapping.usdc", folder / "x.hero.usda"
+    execute(TrainSpec(references=references, out=mapping, method=method), overwrite=True)
+    execute(
+        MapSpec(take=folder / "x.clean.take.usda", mapping=mapping, rig=rig_file, out=out),
+        overwrite=True,
+    )
+    clip = read_performance(out).weights
+    return clip.names, clip.values.astype(float)
+
+
+def score(
+    ruler: ModuleType, solved: tuple[tuple[str, ...], np.ndarray], truth: Any, rig_file: Path
+) -> dict[str, float]:
+    names, weights = solved
+    shapes = [str(name) for name in truth["shapes"]]
+    ordered = np.stack([weights[:, names.index(name)] for name in shapes], axis=1)
+    seen = np.array([not name.lower().startswith("eyelook") for name in shapes])
+    figures: dict[str, float] = ruler.metrics(
+        ordered[HALF:],
+        truth["weights"].astype(float)[HALF:],
+        shapes,
+        ruler.rig_shapes(str(rig_file)),
+        60.0,
+        seen,
+    )
+    return figures
+
+
+def print_row(label: str, figures: dict[str, float]) -> None:
+    print(f"| {label} | {' | '.join(f'{figures[name]:.3f}' for name in COLUMNS)} |", flush=True)

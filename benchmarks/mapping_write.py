@@ -1,0 +1,282 @@
+"""Mapping and writing a long take, against the bare USD write of the same array in the same run.
+
+432,000 frames are an hour at 120 frames per second. Markers are simulated: an actor moves from one
+expression of a repertoire to the next, as far as the moment asks. The last route is of faces that
+never come back, every shape on its own wave, which no reference and no take before has shown: the
+ensemble then has to ask all its kernels. Making markers is not counted. Elapsed time is what the
+target speaks of, with two cores at hand; processor time is what other work on the machine spoils
+less. Every route is a process of its own, with the commands' one thread for products, so that
+peaks of memory are its own.
+"""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+FRAMES = 432_000
+MARKERS, RIGID, SHAPES, MANY, PAIRS = 102, 12, 46, 946, 100
+BLOCK = 4096
+METHODS = ("ridge", "rbf", "ensemble")
+EXPRESSIONS, KEY_SECONDS = 24, 0.4
+
+ROUNDS = 3
+MOST_TIME = 1.8
+MOST_MEMORY = 0.2
+
+
+def run(frames: int = FRAMES) -> None:
+    """Print times as ratios to the bare write, and peaks of memory as ratios to the raw array."""
+    targets = {"bare": "", "weights": "", "performance": ""}
+    targets |= dict.fromkeys(METHODS, str(MOST_TIME)) | {"strange": ""}
+    rounds = [{name: _route(name, frames) for name in targets} for _ in range(ROUNDS)]
+    print(
+        f"{frames:,} frames x {SHAPES} weights; ratios to the bare write of the same round, "
+        f"medians of {ROUNDS}\n"
+    )
+    print("| route | elapsed s | ratio | target | processor s | its ratio |")
+    print("|---|---|---|---|---|---|")
+    for name, target in targets.items():
+        cells = []
+        for key in ("elapsed", "seconds"):
+            spent = [each[name][key] for each in rounds]
+            ratios = [each[name][key] / each["bare"][key] for each in rounds]
+            cells += [f"{median(spent):.1f}", f"{median(ratios):.2f}"]
+        label = _LABELS.get(name, f"mapped ({name}) and written")
+        print(f"| {label} | {cells[0]} | {cells[1]} | {target} | {cells[2]} | {cells[3]} |")
+    raw = frames * MANY * 4 / 1e6
+    print(f"\n{frames:,} frames x {MANY} weights, {raw:.0f} MB raw; peaks beyond the start\n")
+    print("| route | peak MB | ratio | target |")
+    print("|---|---|---|---|")
+    for name in ("one layer", "parts"):
+        told = _route(name, frames)
+        ratio = told["peak_mb"] / raw
+        print(f"| {name} | {told['peak_mb']:.0f} | {ratio:.2f} | {MOST_MEMORY} |", flush=True)
+
+
+_LABELS = {
+    "bare": "bare write",
+    "weights": "our writer, weights alone",
+    "performance": "our writer, with confidence and residual",
+    "strange": "mapped (ensemble) and written, faces that never come back",
+}
+
+
+def _route(name: str, frames: int) -> dict[str, float]:
+    """Run one route in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks.mapping_write", name, str(frames)],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+    )
+    told: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    return told
+
+
+def _peak_mb() -> float:
+    """Return the peak of this process's memory; what the parent had counts for `getrusage`."""
+    lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1000
+
+
+def _children_mb() -> float:
+    """Return the peak of the largest process that this one started, its own start included."""
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1000
+
+
+def _weights(frames: int, shapes: int) -> Callable[[int], np.ndarray]:
+    """Return blocks of weights that cost next to nothing to make and differ in every frame."""
+    rng = np.random.default_rng(0)
+    waves = (0.5 + 0.4 * np.sin(rng.random((BLOCK, shapes)) * 6)).astype(np.float32)
+
+    def block(start: int) -> np.ndarray:
+        return waves[: frames - start] * np.float32(1 - 0.5 * start / frames)
+
+    return block
+
+
+def _bare(folder: Path, frames: int) -> dict[str, float]:
+    from pxr import Sdf, Vt
+
+    block = _weights(frames, SHAPES)
+    layer = Sdf.Layer.CreateNew(str(folder / "bare.usdc"))
+    prim = Sdf.CreatePrimInLayer(layer, "/Anim")
+    path = Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray).path
+    begun = _now()
+    for start in range(0, frames, BLOCK):
+        for index, row in enumerate(block(start)):
+            layer.SetTimeSample(path, start + index, Vt.FloatArray.FromNumpy(row))
+    layer.Save()
+    return _since(begun)
+
+
+def _now() -> tuple[float, float]:
+    return time.perf_counter(), sum(os.times()[:4])  # with the processes that were waited for
+
+
+def _since(
+    begun: tuple[float, float], *, less: tuple[float, float] = (0.0, 0.0)
+) -> dict[str, float]:
+    elapsed, seconds = _now()
+    return {"elapsed": elapsed - begun[0] - less[0], "seconds": seconds - begun[1] - less[1]}
+
+
+def _written(
+    folder: Path,
+    frames: int,
+    shapes: int,
+    solved: Iterable[tuple[np.ndarray, np.ndarray | None]],
+    *,
+    part_frames: int | None = None,
+) -> None:
+    from tests.usdio.small_rig import small_rig
+    from usdface.usdio.performance.write import writing_performance
+    from usdface.usdio.rig.read import read_rig
+    from usdface.usdio.rig.write import write_rig
+
+    write_rig(folder / "rig.usda", small_rig())
+    with writing_performance(
+        folder / "a.usda",
+        read_rig(folder / "rig.usda"),
+        shape_names=tuple(f"shape{i}" for i in range(shapes)),
+        rate=Fraction(120),
+        first_frame=0,
+        last_frame=frames - 1,
+        regions=("face",),
+        part_frames=part_frames,
+    ) as writer:
+        for weights, trust in solved:
+            writer.append(
+                weights,
+                confidence=trust,
+                residual_mm=None if trust is None else trust[:, None],
+            )
+
+
+def _acted(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
+    """Return weights over time [s]: from one expression to the next, never twice as far."""
+    poses = rng.random((EXPRESSIONS, SHAPES)) * (rng.random((EXPRESSIONS, SHAPES)) < 0.35)
+    keys = rng.integers(EXPRESSIONS, size=int(FRAMES / 120 / KEY_SECONDS) + 2)
+    strength = rng.uniform(0.3, 1.0, len(keys))
+
+    def weights(seconds: np.ndarray) -> np.ndarray:
+        at = seconds / KEY_SECONDS
+        key = at.astype(int)
+        share = (at - key)[:, None]
+        share = share * share * (3 - 2 * share)
+        before, after = (poses[keys[k]] * strength[k, None] for k in (key, key + 1))
+        return (1 - share) * before + share * after
+
+    return weights
+
+
+def _waves(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
+    """Return weights over time [s]: every shape by itself."""
+    phase = rng.random((2, SHAPES)) * 6
+    return lambda seconds: np.clip(
+        0.3 + 0.6 * np.sin(seconds[:, None] * (0.5 + phase[0]) + phase[1]), 0, 1
+    )
+
+
+def _mapped(folder: Path, frames: int, method: str) -> dict[str, float]:
+    from usdface.core.assets import References
+    from usdface.model import fit_motion_space
+    from usdface.model.mapping.head_space import MappedMarkers
+    from usdface.model.mapping.train import train_mapping
+    from usdface.steps.performance.predict_blocks import Block, solve_ahead
+
+    rng = np.random.default_rng(0)
+    neutral = rng.uniform(-70, 70, (MARKERS, 3))
+    moves = 4 * rng.normal(size=(SHAPES, MARKERS, 3)) * (rng.random((SHAPES, MARKERS, 1)) < 0.3)
+    moves[:, :RIGID] = 0
+    acted = (_waves if method == "strange" else _acted)(rng)
+
+    def markers(start: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+        weights = acted((start + np.arange(count)) / 120)
+        moved = neutral + np.tensordot(weights, moves, 1)
+        noise = np.random.default_rng(start).normal(0, 0.05, moved.shape)
+        return (moved + noise).astype(np.float32), weights
+
+    clouds, truth = markers(0, 6000)
+    picks = np.linspace(0, 5999, PAIRS).astype(int)
+    mapping = train_mapping(
+        References(
+            marker_names=tuple(f"m{i}" for i in range(MARKERS)),
+            shape_names=tuple(f"shape{i}" for i in range(SHAPES)),
+            markers=clouds[picks].astype(float),
+            weights=truth[picks],
+            frames=picks,
+            takes=("take",) * PAIRS,
+            tuned=np.ones(PAIRS, dtype=bool),
+            rigid=tuple(f"m{i}" for i in range(RIGID)),
+            neutral=neutral,
+            rig_file=Path("rig.usd"),
+            rig_prim="/Rig",
+            motion=fit_motion_space([clouds]),
+        ),
+        ranges=np.tile([0.0, 1.0], (SHAPES, 1)),
+        gram=np.einsum("smc,tmc->st", moves, moves) / MARKERS,
+        skin=moves,
+        method="ensemble" if method == "strange" else method,
+    )
+    clouds, _ = markers(0, 10 * BLOCK)
+    visible = np.ones((BLOCK, MARKERS), dtype=bool)
+
+    def placed() -> Iterator[Block]:
+        for start in range(0, frames, BLOCK):
+            part = clouds[start % len(clouds) :][: min(BLOCK, frames - start)]
+            yield partial(MappedMarkers, part, visible[: len(part)], (), (), 0.0)
+
+    begun = _now()
+    answers = ((each.weights, each.confidence) for each in solve_ahead(mapping, placed()))
+    _written(folder, frames, SHAPES, answers)
+    return _since(begun)
+
+
+def _measure(name: str, frames: int) -> dict[str, float]:
+    with tempfile.TemporaryDirectory() as folder:
+        where = Path(folder)
+        if name == "bare":
+            return _bare(where, frames)
+        # Imports are the same however long a take is, and not what is asked here.
+        _written(where, BLOCK, SHAPES, [(_weights(BLOCK, SHAPES)(0), None)])
+        if name in ("weights", "performance"):
+            # A slow wave and what a marker's noise of .05 mm adds to it.
+            trust = 0.9 + 0.05 * np.sin(np.arange(BLOCK) / 20)
+            trust += np.random.default_rng(0).normal(0, 0.003, BLOCK)
+            block = _weights(frames, SHAPES)
+            rows = (block(start) for start in range(0, frames, BLOCK))
+            begun = _now()
+            with_trust = name == "performance"
+            _written(
+                where, frames, SHAPES, ((r, trust[: len(r)] if with_trust else None) for r in rows)
+            )
+            return _since(begun)
+        if name in ("one layer", "parts"):
+            block = _weights(frames, MANY)
+
+            def solved(count: int) -> Iterator[tuple[np.ndarray, None]]:
+                return ((block(start)[: count - start], None) for start in range(0, count, BLOCK))
+
+            _written(where, 2 * BLOCK, MANY, solved(2 * BLOCK))  # imports and all
+            before = _peak_mb()
+            part_frames = (1 << 27) // (4 * MANY) if name == "parts" else None
+            _written(where, frames, MANY, solved(frames), part_frames=part_frames)
+            return {"peak_mb": _peak_mb() - before + _children_mb()}
+        return _mapped(where, frames, name)
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(_measure(sys.argv[1], int(sys.argv[2]))) + "\n")

@@ -1,0 +1,150 @@
+"""From face to face: there and back, against the truth where it is known, and how fast.
+
+A recorded Live Link performance (or, without it, the demo's) on a human head drives a head of
+another maker and a dog of 28 shapes, 8 joints and 36 deformer controls.
+"""
+
+import time
+
+import numpy as np
+
+from tests.conftest import SHARED_DATA
+from tests.dog_rig import act, dog_rig, expressions
+from usdface.capture.sniff import read_capture
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import Rig
+from usdface.core.controls import ExpressionPairs, bare_controls
+from usdface.demo.acting import performance
+from usdface.demo.proportions import ACTOR
+from usdface.demo.rig import demo_rig
+from usdface.model.retarget.checks import find_conflicts
+from usdface.model.retarget.cyclic import evaluate_cyclic, spread_displacements
+from usdface.model.retarget.shape_names import match_names
+from usdface.model.retarget.train import retarget, train_retargeting
+from usdface.usdio.rig.read import read_rig
+
+METHODS = ("auto", "rbf", "kernel_cca", "hybrid", "ridge", "positions")
+EVERY = 8
+"""Frames measured; methods are trained on what the pairs show, whatever the number."""
+
+
+def run() -> None:
+    """Print a table for each target, and the speed of the runtime."""
+    source, weights, recorded = _performance()
+    what = "livelink_alex on ict_head" if recorded else "the demo's performance on the demo's actor"
+    print(f"{what}: {len(weights):,} frames, every {EVERY}th measured\n")
+    print("| target | method | there and back mm | 95 % below | against truth mm |")
+    print("|---|---|---|---|---|")
+    if recorded:
+        cap = read_rig(SHARED_DATA / "rigs" / "facecap_head.usdc")
+        _table("facecap_head, pairs by name", _named_pairs(source, cap), source, cap, weights)
+    dog = dog_rig()
+    names, poses = expressions(source.shapes)
+    pairs = ExpressionPairs(names, source.shapes, poses, act(source.shapes, poses))
+    used = np.abs(poses).max(axis=0) > 0
+    truth = act(source.shapes, weights[::EVERY])
+    _table("dog, 34 pairs", pairs, source, dog, weights, truth.weights)
+    shown = act(source.shapes, weights[::EVERY] * used).weights
+    _table("dog, what the pairs show", pairs, source, dog, weights * used, shown)
+    torn = _contradicted(pairs)
+    label = f"dog, {len(find_conflicts(torn))} conflicts added"
+    _table(label, torn, source, dog, weights * used, shown)
+    _blind(pairs, source, weights * used)
+    _speed(pairs, weights)
+
+
+def _performance() -> tuple[Rig, FloatArray, bool]:
+    recording = SHARED_DATA / "livelink_alex"
+    if recording.is_dir():
+        rig = read_rig(SHARED_DATA / "rigs" / "ict_head.usdc")
+        clip = read_capture(next(recording.glob("*.csv"))).take.source
+    else:
+        rig, clip = demo_rig(ACTOR), performance().weights
+    weights = np.zeros((len(clip.values), len(rig.shapes)))
+    for match in match_names(clip.names, rig.shapes):
+        column = clip.names.index(match.source[0][0])
+        for name, share in match.target:
+            weights[:, rig.shapes.index(name)] += share * clip.values[:, column]
+    return rig, np.clip(weights, 0.0, 1.0), recording.is_dir()
+
+
+def _named_pairs(source: Rig, target: Rig) -> ExpressionPairs:
+    matches = match_names(source.shapes, target.shapes)
+    left = np.zeros((len(matches) + 1, len(source.shapes)))
+    right = np.zeros((len(matches) + 1, len(target.shapes)))
+    for row, match in enumerate(matches, start=1):
+        for expression, out, names in (
+            (match.source, left, source.shapes),
+            (match.target, right, target.shapes),
+        ):
+            for name, weight in expression:
+                out[row, names.index(name)] = weight
+    labels = ("rest", *(match.name for match in matches))
+    return ExpressionPairs(labels, source.shapes, left, bare_controls(target.shapes, right))
+
+
+def _contradicted(pairs: ExpressionPairs) -> ExpressionPairs:
+    """Add six pairs almost like others, with other targets: what a tired animator leaves."""
+    again = np.array([1, 5, 12, 18, 24, 30])
+    rng = np.random.default_rng(0)
+    rows = pairs.rows(np.concatenate([np.arange(len(pairs)), again]))
+    source = rows.source.copy()
+    moving = np.abs(pairs.source).max(axis=0) > 0
+    source[len(pairs) :] += 0.02 * rng.random((len(again), source.shape[1])) * moving
+    target = pairs.target.rows(np.concatenate([np.arange(len(pairs)), (again + 7) % len(pairs)]))
+    return ExpressionPairs(rows.names, rows.source_shapes, source, target)
+
+
+def _table(
+    label: str,
+    pairs: ExpressionPairs,
+    source: Rig,
+    target: Rig,
+    weights: FloatArray,
+    truth: FloatArray | None = None,
+) -> None:
+    found = evaluate_cyclic(
+        pairs,
+        weights[::EVERY],
+        methods=METHODS,
+        rig=source,
+        target_rig=target,
+        truth=truth,
+    )
+    for each in found:
+        errors = each.mean_vertex_mm
+        direct = "" if each.direct_mm is None else f"{each.direct_mm.mean():.3f}"
+        print(
+            f"| {label} | {each.method} | {errors.mean():.3f} | "
+            f"{np.percentile(errors, 95):.3f} | {direct} |"
+        )
+
+
+def _blind(pairs: ExpressionPairs, source: Rig, weights: FloatArray) -> None:
+    """Say what `auto` chooses where it has not seen the performance."""
+    surface = spread_displacements(source, pairs.source_shapes)
+    blind = train_retargeting(pairs, surface=surface)
+    seen = train_retargeting(pairs, surface=surface, performance=weights)
+    seen_of = {(score.method, score.settings): score.cyclic_mm for score in seen.scores}
+    best = blind.scores[0]
+    print(
+        f"\nauto chooses {blind.method} without the performance and {seen.method} with it; on the "
+        f"performance {seen_of[best.method, best.settings]:.3f} and "
+        f"{seen.scores[0].cyclic_mm:.3f} mm"
+    )
+
+
+def _speed(pairs: ExpressionPairs, weights: FloatArray) -> None:
+    many = np.tile(weights, (max(1, 100_000 // len(weights)), 1))
+    print("\n| runtime to the dog, every control | frames/s | times real time at 60 | wanted |")
+    print("|---|---|---|---|")
+    for method in ("additive", "hybrid"):
+        trained = train_retargeting(pairs, method=method)
+        times = []
+        for _ in range(3):
+            start = time.perf_counter()
+            for first in range(0, len(many), 8192):
+                retarget(trained, many[first : first + 8192])
+            times.append(time.perf_counter() - start)
+        rate = len(many) / min(times)
+        print(f"| {method} | {rate:,.0f} | {rate / 60:,.0f}× | ≥ 1,000× |")

@@ -1,0 +1,364 @@
+"""Selection on a take with known weights: fewer frames for the same error, starts near the truth.
+
+References come from one half of the take and are scored on the other, both ways round. Phones are
+made up for the take, which has none: their places are random, as a mouth's are to a take of moods.
+"""
+
+import csv
+import json
+import tempfile
+import time
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from tests.conftest import SHARED_DATA
+from usdface.core.assets import Mapping, Markers, References, Take
+from usdface.core.deformer import Deformer
+from usdface.core.progress import silent
+from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.regions import sample_skin
+from usdface.model.mapping.train import train_mapping
+from usdface.model.selection.baseline import PROPOSAL_RIDGE, BlendshapeEquation
+from usdface.numerics.measure.face_regions import blinks
+from usdface.numerics.registration.registration import character_motion
+from usdface.numerics.solve.blendshape_equation import solve_weights
+from usdface.runner.execute import execute
+from usdface.specs.capture import CleanSpec, IngestSpec
+from usdface.specs.performance import TrainSpec
+from usdface.specs.references import ReferencesImportSpec, SelectSpec
+from usdface.steps.inputs.cleaned_takes import read_cleaned_takes
+from usdface.steps.references.scene import set_up_scene
+from usdface.usdio.references.read import read_references
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.take.read import read_take
+from usdface.usdio.take.write import write_take
+
+METHOD = "ensemble"
+HALVES = ("1-4030", "4031-8059")
+PHONES = "pau b p m k g ae aa f v ch sh iy ay ow oy n d t l eh er th dh s z r w uw hh".split()
+EMOTIONS = ("neutral", "joy", "anger", "sadness")
+LONG = 432_000
+AROUND = 5
+ASKED_OF_STARTS: tuple[tuple[str, dict[str, float]], ...] = (
+    ("the equation, few shapes (L1 1 mm²)", {"l1": 1.0}),
+    ("the equation, few shapes (L1 5 mm²)", {"l1": 5.0}),
+    ("the equation, smooth over 11 frames (10 mm²)", {"smoothness": 10.0}),
+    ("the equation, smooth over 11 frames (1000 mm²)", {"smoothness": 1000.0}),
+)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What every row of the table is measured on."""
+
+    folder: Path
+    rig_file: Path
+    references: References
+    truth: np.ndarray
+    positions: np.ndarray
+    gram: np.ndarray
+    skin: np.ndarray
+    ranges: np.ndarray
+    seen: np.ndarray
+
+
+def run(*, quick: bool = False) -> None:
+    """Print error by way of choosing, the distance from start to truth, and the time of a day.
+
+    `quick` leaves out the errors, which take most of the time: some twenty mappings are trained.
+    """
+    if not (SHARED_DATA / "crosstake").is_dir():
+        print(f"skipped: no crosstake in {SHARED_DATA}")
+        return
+    with tempfile.TemporaryDirectory() as name:
+        stage = _stage(Path(name))
+        if quick:
+            print("With `--quick`: errors by way of choosing, twenty mappings, are left out.\n")
+        else:
+            _print_errors(stage)
+        _print_starts(stage)
+    with tempfile.TemporaryDirectory() as name:
+        _print_speed(Path(name))
+
+
+def _prepare(folder: Path) -> np.lib.npyio.NpzFile:
+    """Ingest and clean the take, and write what an animator would key at every frame."""
+    source = SHARED_DATA / "crosstake"
+    said, truth = json.loads((source / "take.json").read_text()), np.load(source / "truth.npz")
+    execute(
+        IngestSpec(
+            sources=(source / "take.c3d",),
+            out=folder / "x.take.usda",
+            rigid=tuple(said["rigid"]),
+            neutral=said["neutral_frame"] + 1,  # an index there, a frame number here
+        )
+    )
+    execute(CleanSpec(take=folder / "x.take.usda", out=folder / "x.clean.take.usda"))
+    with (folder / "keys.csv").open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["frame", *truth["shapes"]])
+        writer.writerows([i, *row] for i, row in enumerate(truth["weights"], start=1))
+    return truth
+
+
+def _stage(folder: Path) -> Stage:
+    rig_file = SHARED_DATA / "rigs" / "facecap_head.usdc"
+    truth = _prepare(folder)
+    rig = read_rig(rig_file)
+    shapes = Deformer(rig).shapes
+    columns = [list(truth["shapes"]).index(name) for name in rig.shapes]
+    _write_phones(folder / "made.json", frames=len(truth["weights"]), rate=60.0)
+    report = _select(folder, rig_file, "all", 2, "1-8059", "design")
+    takes = read_cleaned_takes((folder / "x.clean.take.usda",))
+    return Stage(
+        folder=folder,
+        rig_file=rig_file,
+        references=read_references(report),
+        truth=truth["weights"].astype(float)[:, columns],
+        positions=takes.positions[0],
+        gram=shapes.gram(),
+        skin=sample_skin(shapes.target_offsets()),
+        ranges=rig.ranges,
+        seen=np.array([not name.lower().startswith("eyelook") for name in rig.shapes]),
+    )
+
+
+def _write_phones(path: Path, *, frames: int, rate: float) -> None:
+    rng = np.random.default_rng(0)
+    phones, at, duration = [], 0.0, frames / rate
+    while at < duration - 0.2:
+        end = at + float(rng.uniform(0.05, 0.15))
+        phones.append({"start": at, "end": end, "label": PHONES[int(rng.integers(len(PHONES)))]})
+        at = end
+    edges = np.linspace(0, duration, 2 * len(EMOTIONS) + 1)  # every mood in both halves
+    emotions = [
+        {"start": a, "end": b, "label": EMOTIONS[i % len(EMOTIONS)]}
+        for i, (a, b) in enumerate(pairwise(edges))
+    ]
+    path.write_text(json.dumps({"phones": phones, "emotions": emotions}), encoding="utf-8")
+
+
+def _select(
+    folder: Path, rig_file: Path, name: str, count: int, frames: str, method: str, **more: object
+) -> Path:
+    out = folder / f"{name}.references.usda"
+    given = {} if method in ("design", "active") else {"phones": (folder / "made.json",)}
+    execute(
+        SelectSpec(
+            takes=(folder / "x.clean.take.usda",),
+            rig=rig_file,
+            out=out,
+            count=count,
+            frames=frames,
+            method=method,
+            **given,
+            **more,
+        ),
+        overwrite=True,
+    )
+    return out
+
+
+def _print_errors(stage: Stage) -> None:
+    print(f"Held-out error of {METHOD}, both halves: vertex RMS [mm], blink bias\n")
+    print("| references | first half, scored on the second | second, scored on the first |")
+    print("|---|---|---|")
+    rng = np.random.default_rng(0)
+    for seed in range(3):
+        rows = [_random_per_emotion(rng, half) for half in range(2)]
+        _row(stage, f"100 random segments and extremes, {seed + 1}", rows)
+    for method, count in (("viseme", 100), ("design", 50), ("both", 50), ("design", 40)):
+        rows = [
+            read_references(_select(stage.folder, stage.rig_file, "x", count, half, method)).frames
+            - 1
+            for half in HALVES
+        ]
+        _row(stage, f"{count} by `{method}`", rows)
+    _row(stage, "40 by `active`, from 20 designed", [_active(stage, half) for half in HALVES])
+    print()
+
+
+def _random_per_emotion(rng: np.random.Generator, half: int) -> np.ndarray:
+    """Pick 25 random frames of every mood: what fifteen visemes and ten extremes picked by eye are
+    to a take in which phones mean nothing."""
+    edges = np.linspace(4030 * half, 4030 * (half + 1) - 1, 5).astype(int)
+    return np.concatenate(
+        [rng.choice(np.arange(a, b), 25, replace=False) for a, b in pairwise(edges)]
+    )
+
+
+def _active(stage: Stage, half: str) -> np.ndarray:
+    """Tune 20 designed pairs, train, and twice let the mapping say which 10 it needs."""
+    name = f"active{half}"
+    keys = stage.folder / "keys.csv"
+    mapping = stage.folder / f"{name}.mapping.usdc"
+    references = _select(stage.folder, stage.rig_file, name, 20, half, "design")
+    for count in (30, 40):
+        execute(ReferencesImportSpec(references=references, weights=keys), overwrite=True)
+        execute(TrainSpec(references=references, out=mapping, method=METHOD), overwrite=True)
+        _select(stage.folder, stage.rig_file, name, count, half, "active", mapping=mapping)
+    return read_references(references).frames - 1
+
+
+def _row(stage: Stage, label: str, rows: list[np.ndarray]) -> None:
+    cells = []
+    for half, picks in enumerate(rows):
+        test = slice(4030, None) if half == 0 else slice(0, 4030)
+        predicted = predict_weights(_train(stage, picks), stage.positions[test]).weights
+        error = (predicted - stage.truth[test]) * stage.seen
+        squared = np.einsum("fs,st,ft->f", error, stage.gram, error)
+        shut = blinks(stage.references.shape_names)
+        closed = stage.truth[test][:, shut].max(axis=1) > 0.7
+        cells.append(f"{np.sqrt(squared.mean()):.3f}, {error[:, shut][closed].mean():+.3f}")
+    print(f"| {label} | {' | '.join(cells)} |", flush=True)
+
+
+def _train(stage: Stage, rows: np.ndarray) -> Mapping:
+    made = stage.references
+    return train_mapping(
+        References(
+            marker_names=made.marker_names,
+            shape_names=made.shape_names,
+            markers=stage.positions[np.sort(rows)].astype(float),
+            weights=stage.truth[np.sort(rows)],
+            frames=np.sort(rows) + 1,
+            takes=("x",) * len(rows),
+            tuned=np.ones(len(rows), bool),
+            rigid=made.rigid,
+            neutral=made.neutral,
+            rig_file=made.rig_file,
+            rig_prim=made.rig_prim,
+            motion=made.motion,
+        ),
+        ranges=stage.ranges,
+        gram=stage.gram,
+        skin=stage.skin,
+        method=METHOD,
+    )
+
+
+def _print_starts(stage: Stage) -> None:
+    """Distance from the weights an animator starts from to those they end at, over 60 pairs.
+
+    Beside the equation as it is, what else could be asked of its solution: few shapes (an L1
+    penalty), or that it follows the frames around (second differences, five frames either side).
+    """
+    print("Starting weights of 60 pairs of the first half: distance from the truth\n")
+    print("| tuned before | from | vertex RMS [mm] | weight RMSE | sliders off by > 0.1 |")
+    print("|---|---|---|---|---|")
+    start = read_references(
+        _select(stage.folder, stage.rig_file, "start", 110, HALVES[0], "design")
+    )
+    rows = start.frames - 1
+    # The most telling come first: every other one is tuned, the rest is judged.
+    tuned, judged = rows[:100:2], np.setdiff1d(rows, rows[:100:2])
+    place = {int(row): index for index, row in enumerate(rows)}
+    proposed = start.weights[[place[int(row)] for row in judged]]
+    _start_row(stage, "0", "the blendshape equation", proposed, judged)
+    scene = set_up_scene(
+        read_cleaned_takes((stage.folder / "x.clean.take.usda",)),
+        read_rig(stage.rig_file),
+        progress=silent,
+    )
+    for label, asked in ASKED_OF_STARTS:
+        _start_row(stage, "0", label, _solved(scene.equation, stage, judged, **asked), judged)
+    for count in (10, 25, 50):
+        mapping = _train(stage, tuned[:count])
+        proposed = predict_weights(mapping, stage.positions[judged]).weights
+        _start_row(stage, str(count), "the mapping", proposed, judged)
+    print()
+
+
+def _start_row(
+    stage: Stage, tuned: str, label: str, proposed: np.ndarray, judged: np.ndarray
+) -> None:
+    error = (proposed - stage.truth[judged]) * stage.seen
+    squared = np.einsum("fs,st,ft->f", error, stage.gram, error)
+    rmse = np.sqrt((error[:, stage.seen] ** 2).mean())
+    off = (np.abs(error) > 0.1).sum(axis=1).mean()
+    print(
+        f"| {tuned} | {label} | {np.sqrt(squared.mean()):.3f} | {rmse:.3f} | {off:.1f} |",
+        flush=True,
+    )
+
+
+def _solved(
+    equation: BlendshapeEquation,
+    stage: Stage,
+    rows: np.ndarray,
+    *,
+    l1: float = 0.0,
+    smoothness: float = 0.0,
+) -> np.ndarray:
+    """Solve frames with those around them, as proposals are but for what is asked."""
+    weights = []
+    for row in rows.tolist():
+        first = max(row - AROUND, 0)
+        moved = stage.positions[first : row + AROUND + 1] if smoothness else stage.positions[[row]]
+        solved = solve_weights(
+            equation.deltas,
+            character_motion(equation.virtual, moved, equation.neutral) * equation.gain[:, None],
+            method="bounded",
+            ranges=equation.ranges,
+            marker_trust=equation.trust,
+            ridge=PROPOSAL_RIDGE,
+            l1=l1,
+            smoothness=smoothness,
+            keys=equation.keys,
+        ).weights
+        weights.append(solved[row - first if smoothness else 0])
+    return np.clip(np.array(weights), equation.ranges[:, 0], equation.ranges[:, 1])
+
+
+def _print_speed(folder: Path) -> None:
+    """Select from an hour at 120 frames a second, against reading it."""
+    _prepare(folder)
+    take = read_take(folder / "x.clean.take.usda")
+    path = folder / "long.take.usda"
+    write_take(path, _stretched(take, LONG))
+    begun = time.process_time()
+    read_take(path)
+    reading = time.process_time() - begun
+    begun = time.process_time()
+    execute(
+        SelectSpec(
+            takes=(path,),
+            rig=SHARED_DATA / "rigs" / "facecap_head.usdc",
+            out=folder / "long.references.usda",
+            count=100,
+        )
+    )
+    selecting = time.process_time() - begun - reading  # it reads them once itself
+    ratio = selecting / reading + 1
+    print(f"| {LONG:,} frames | processor seconds | wanted |\n|---|---|---|")
+    print(f"| reading | {reading:.1f} | |")
+    print(f"| selecting 100, reading apart | {selecting:.1f} | |")
+    print(f"| selecting and its own reading, times reading | {ratio:.2f} | ≤ 2 |")
+
+
+def _stretched(take: Take, frames: int) -> Take:
+    """Repeat a take to a length, with noise so that no frame comes twice."""
+    markers = take.markers
+    if markers is None:
+        raise SystemExit("the take has no markers")
+    rng = np.random.default_rng(0)
+    turns = np.arange(frames) % len(markers.positions)
+    noise = rng.normal(0, 0.05, (frames, 1, 3)).astype(np.float32)
+    return Take(
+        name="long",
+        rate=Fraction(120),
+        first_frame=1,
+        markers=Markers(
+            names=markers.names,
+            positions=markers.positions[turns] + noise,
+            visible=markers.visible[turns],
+            confidence=markers.confidence[turns],
+            rigid=markers.rigid,
+            neutral_frame=markers.neutral_frame,
+            space="stabilized",
+        ),
+    )

@@ -1,0 +1,264 @@
+"""The whole way: ingest, clean, map, written, against the bare USD write of the same weights.
+
+Every stage is the installed command in a process of its own; the floor is a process that does
+nothing but hand rows of weights to USD and save them. Beside it stands what the same costs for the
+markers, once: the whole way writes them twice, as captured and as cleaned, and reads them three
+times. The demo's actor again and again, with noise;
+rigs of 46 and of 946 shapes. `--full` runs the hour, 432,000 frames; otherwise two short takes,
+and the line through both says what an hour would cost; `--quick` takes two shorter ones, and draws
+no line.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+HOUR = 432_000
+FRAMES = 12_000
+SHAPES = (46, 946)
+PAIRS = 50
+METHOD = "ensemble"
+"""What `auto` takes on every set-up measured so far; named, so that training is short."""
+LEARNED_FRAMES = 1_500
+WANTED = 1.8
+NOISE_MM = 0.1
+MARKERS = 102
+BARE_MARKERS = f"bare write of {MARKERS} markers, once"
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Of one process: processor and elapsed time [s]."""
+
+    seconds: float
+    elapsed: float
+
+
+def run(frames: int = FRAMES, *, full: bool = False, quick: bool = False) -> None:
+    """Print each stage as seconds, and as a ratio to the bare write."""
+    lengths = (HOUR,) if full else (frames // 12, frames // 3) if quick else (frames // 4, frames)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        _prepare(folder, lengths)
+        costs = {count: _way(folder, count) for count in lengths}
+        measured = () if full or quick else SHAPES
+        bare = {f"bare write, {n} shapes": _bare(folder, HOUR, n) for n in measured}
+    for count, stages in costs.items():
+        print(f"\n{count:,} frames, 102 markers, `{METHOD}`, {PAIRS} pairs: as measured\n")
+        _table(stages)
+    if not bare:  # the hour itself, or takes so short that no line through them tells of it
+        return
+    few, many = (costs[count] for count in lengths)
+    more = (HOUR - lengths[1]) / (lengths[1] - lengths[0])
+    hour = {
+        stage: Cost(
+            bare[stage].seconds
+            if stage in bare
+            else cost.seconds + more * max(cost.seconds - few[stage].seconds, 0.0),
+            float("nan"),
+        )
+        for stage, cost in many.items()
+    }
+    print(f"\nAn hour, {HOUR:,} frames: the bare write measured, the rest extrapolated\n")
+    _table(hour)
+
+
+def _table(stages: dict[str, Cost]) -> None:
+    print("| stage | processor s | elapsed s | of the bare write | target |")
+    print("|---|---|---|---|---|")
+    for shapes in SHAPES:
+        bare = stages[f"bare write, {shapes} shapes"]
+        names = ("ingest", "clean", f"map and write, {shapes} shapes")
+        whole = sum(stages[stage].seconds for stage in names)
+        elapsed = sum(stages[stage].elapsed for stage in names)
+        for label, cost, target in (
+            (f"bare write, {shapes} shapes", bare, ""),
+            (BARE_MARKERS, stages[BARE_MARKERS], ""),
+            ("ingest", stages["ingest"], ""),
+            ("clean", stages["clean"], ""),
+            (names[2], stages[names[2]], f"≤ {WANTED}"),
+            (f"the whole way, {shapes} shapes", Cost(whole, elapsed), f"≤ {WANTED}"),
+        ):
+            print(
+                f"| {label} | {cost.seconds:.1f} | {_elapsed(cost)} | "
+                f"{cost.seconds / bare.seconds:.2f} | {target} |"
+            )
+
+
+def _elapsed(cost: Cost) -> str:
+    return "" if cost.elapsed != cost.elapsed else f"{cost.elapsed:.1f}"
+
+
+def _way(folder: Path, frames: int) -> dict[str, Cost]:
+    clean = f"{frames}.clean.take.usda"
+    costs = {
+        BARE_MARKERS: _bare(folder, frames, MARKERS, size=3),
+        "ingest": _usdface(folder, f"ingest {frames}.c3d --out {frames}.take.usda --neutral 31"),
+        "clean": _usdface(folder, f"clean {frames}.take.usda --out {clean}"),
+    }
+    for shapes in SHAPES:
+        costs[f"bare write, {shapes} shapes"] = _bare(folder, frames, shapes)
+        costs[f"map and write, {shapes} shapes"] = _usdface(
+            folder,
+            f"map {clean} --mapping {shapes}.mapping.usdc --rig {shapes}.rig.usdc "
+            f"--out {frames}.{shapes}.usda",
+        )
+    return costs
+
+
+_BARE = """
+import sys
+import numpy as np
+from pxr import Sdf, Vt
+frames, count, size = map(int, sys.argv[1:])
+kind, array = {
+    1: (Sdf.ValueTypeNames.FloatArray, Vt.FloatArray),
+    3: (Sdf.ValueTypeNames.Point3fArray, Vt.Vec3fArray),
+}[size]
+shape = (4096, count) if size == 1 else (4096, count, size)
+waves = np.random.default_rng(0).random(shape, dtype=np.float32)
+layer = Sdf.Layer.CreateNew(f"{frames}.{count}.{size}.bare.usdc")
+prim = Sdf.CreatePrimInLayer(layer, "/Bare")
+path = Sdf.AttributeSpec(prim, "values", kind).path
+for frame in range(frames):
+    row = waves[frame % 4096] * np.float32(1 - 0.5 * frame / frames)
+    layer.SetTimeSample(path, frame, array.FromNumpy(row))
+layer.Save()
+"""
+
+
+def _bare(folder: Path, frames: int, count: int, *, size: int = 1) -> Cost:
+    words = map(str, (frames, count, size))
+    return _process(folder, [sys.executable, "-c", _BARE, *words])
+
+
+def _usdface(folder: Path, words: str) -> Cost:
+    return _process(folder, [sys.executable, "-m", "usdface", *words.split()])
+
+
+def _process(folder: Path, command: list[str]) -> Cost:
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    begun = time.perf_counter()
+    process = subprocess.Popen(
+        command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=sys.stderr
+    )
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise SystemExit(f"{' '.join(command)[:200]} ended with {process.returncode}")
+    elapsed = time.perf_counter() - begun
+    return Cost(used.ru_utime + used.ru_stime, elapsed)
+
+
+def _prepare(folder: Path, lengths: tuple[int, ...]) -> None:
+    """Write captures, rigs, and mappings that were trained on the beginning of the take."""
+    from usdface.capture.c3d_write import write_c3d
+    from usdface.demo.acting import performance
+    from usdface.demo.capture import simulate_capture
+    from usdface.demo.markers import place_markers
+    from usdface.demo.proportions import ACTOR
+    from usdface.demo.shapes import make_head
+    from usdface.usdio.take.read import read_take
+
+    actor, acted = make_head(ACTOR), performance()
+    markers = place_markers(actor)
+    captured = simulate_capture(actor, acted, markers)
+    count = len(captured.positions)
+    rng = np.random.default_rng(0)
+    for frames in (LEARNED_FRAMES, *lengths):
+        again = np.abs((np.arange(frames) + count - 1) % (2 * count - 2) - (count - 1))
+        noise = rng.standard_normal((frames, *captured.positions.shape[1:]), dtype=np.float32)
+        write_c3d(
+            folder / f"{frames}.c3d",
+            captured.positions[again] + np.float32(NOISE_MM) * noise,
+            captured.visible[again],
+            markers.names,
+            rate=acted.weights.rate,
+            first_frame=1,
+        )
+    learned = f"{LEARNED_FRAMES}.take.usda"
+    _usdface(folder, f"ingest {LEARNED_FRAMES}.c3d --out {learned} --neutral 31")
+    _usdface(folder, f"clean {learned} --out learned.take.usda")
+    take = read_take(folder / "learned.take.usda")
+    for shapes in SHAPES:
+        _train(folder, shapes, take.markers, acted.weights)
+
+
+def _train(folder: Path, shapes: int, markers: object, clip: object) -> None:
+    from usdface.core.assets import Markers, References, WeightsClip
+    from usdface.core.deformer import Deformer
+    from usdface.model import fit_motion_space, sample_skin
+    from usdface.model.mapping.train import train_mapping
+    from usdface.usdio.mapping import write_mapping
+    from usdface.usdio.rig.read import read_rig
+    from usdface.usdio.rig.write import write_rig
+
+    if not isinstance(markers, Markers) or not isinstance(clip, WeightsClip):
+        raise SystemExit("the demo's take has no markers, or no weights")
+    rig, weights = _rig(shapes, clip)
+    write_rig(folder / f"{shapes}.rig.usdc", rig)
+    rig = read_rig(folder / f"{shapes}.rig.usdc")
+    clouds = markers.positions.astype(np.float64)
+    picks = np.linspace(0, min(len(clouds), len(weights)) - 1, PAIRS).astype(int)
+    moved = Deformer(rig).shapes
+    mapping = train_mapping(
+        References(
+            marker_names=markers.names,
+            shape_names=rig.shapes,
+            markers=clouds[picks],
+            weights=weights[picks],
+            frames=picks,
+            takes=("take",) * PAIRS,
+            tuned=np.ones(PAIRS, dtype=bool),
+            rigid=markers.rigid,
+            neutral=clouds[30],
+            rig_file=rig.file,
+            rig_prim=rig.prim,
+            motion=fit_motion_space([markers.positions]),
+        ),
+        ranges=rig.ranges,
+        gram=moved.gram(),
+        skin=sample_skin(moved.target_offsets()),
+        method=METHOD,
+    )
+    write_mapping(folder / f"{shapes}.mapping.usdc", mapping)
+
+
+def _rig(shapes: int, clip: object) -> tuple[object, np.ndarray]:
+    """Return the demo's rig with so many shapes, and their weights in every frame of the demo.
+
+    What goes beyond the demo's own are correctives: a twentieth of a shape, driven by it and by
+    another together.
+    """
+    from usdface.core.assets import MeshShape
+    from usdface.demo.rig import demo_rig
+
+    rig = demo_rig()
+    own = rig.shapes[: min(shapes, len(rig.shapes))]
+    values = np.zeros((len(clip.values), shapes))
+    for column, name in enumerate(own):
+        if name in clip.names:
+            values[:, column] = clip.values[:, clip.names.index(name)]
+    pairs = [(k % len(own), (k * 7 + k // len(own)) % len(own)) for k in range(len(own), shapes)]
+    for column, (one, other) in enumerate(pairs, start=len(own)):
+        values[:, column] = values[:, one] * values[:, other]
+    meshes = []
+    for mesh in rig.meshes:
+        by_name = {shape.name: shape for shape in mesh.shapes}
+        kept = [by_name[name] for name in own if name in by_name]
+        for column, (one, _) in enumerate(pairs, start=len(own)):
+            if own[one] in by_name:
+                keys = tuple(
+                    replace(key, offsets=0.05 * key.offsets) for key in by_name[own[one]].keys
+                )
+                kept.append(MeshShape(f"corrective_{column}", keys))
+        meshes.append(replace(mesh, shapes=tuple(kept)))
+    names = (*own, *(f"corrective_{column}" for column in range(len(own), shapes)))
+    made = replace(rig, shapes=names, meshes=tuple(meshes), ranges=np.tile([0.0, 1.0], (shapes, 1)))
+    return made, values

@@ -1,0 +1,1 @@
+"""What every layer shares: arrays, assets, errors, files, time."""

@@ -1,0 +1,255 @@
+"""Control vectors: all that drives a character, and pairs of expressions that tie two characters.
+
+A control vector is what S11 (Song et al. 2011, section 3) calls **cv**: BlendShape weights, joint
+transforms and any float attribute (deformer controls), side by side and each as what it is.
+"""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray, IntArray
+
+
+def _none(*shape: int) -> FloatArray:
+    return np.zeros(shape)
+
+
+@dataclass(frozen=True)
+class Controls:
+    """What drives a character, over frames or pairs.
+
+    Attributes
+    ----------
+    shapes : tuple of str
+        BlendShape channels.
+    weights : (n, shapes) float array
+    joints : tuple of str
+        Joint paths, as UsdSkel orders a skeleton's.
+    translations : (n, joints, 3) float array
+        Local to the parent joint [unit of the skeleton].
+    rotations : (n, joints, 4) float array
+        Unit quaternions, w first.
+    scales : (n, joints, 3) float array
+    attributes : tuple of str
+        ``PRIM.ATTRIBUTE``, the prim's path taken from the character's top prim.
+    values : (n, attributes) float array
+    """
+
+    shapes: tuple[str, ...] = ()
+    weights: FloatArray = field(default_factory=lambda: _none(0, 0))
+    joints: tuple[str, ...] = ()
+    translations: FloatArray = field(default_factory=lambda: _none(0, 0, 3))
+    rotations: FloatArray = field(default_factory=lambda: _none(0, 0, 4))
+    scales: FloatArray = field(default_factory=lambda: _none(0, 0, 3))
+    attributes: tuple[str, ...] = ()
+    values: FloatArray = field(default_factory=lambda: _none(0, 0))
+
+    def __len__(self) -> int:
+        return len(self.weights)
+
+    def rows(self, chosen: slice | IntArray | list[int]) -> "Controls":
+        """Keep some of the frames or pairs."""
+        return replace(
+            self,
+            weights=self.weights[chosen],
+            translations=self.translations[chosen],
+            rotations=self.rotations[chosen],
+            scales=self.scales[chosen],
+            values=self.values[chosen],
+        )
+
+    @property
+    def summary(self) -> str:
+        """How many of each there are, for people."""
+        parts = [f"{len(self.shapes)} shapes"]
+        if self.joints:
+            parts.append(f"{len(self.joints)} joints")
+        if self.attributes:
+            parts.append(f"{len(self.attributes)} attributes")
+        return ", ".join(parts)
+
+
+def bare_controls(shapes: tuple[str, ...], weights: FloatArray) -> Controls:
+    """Return controls that are BlendShape weights alone."""
+    count = len(weights)
+    return Controls(
+        shapes=shapes,
+        weights=weights,
+        translations=_none(count, 0, 3),
+        rotations=_none(count, 0, 4),
+        scales=_none(count, 0, 3),
+        values=_none(count, 0),
+    )
+
+
+@dataclass(frozen=True)
+class ControlClip:
+    """Controls over consecutive frames.
+
+    Attributes
+    ----------
+    controls : Controls
+    first_frame : int
+        Frame number of the first row.
+    """
+
+    controls: Controls
+    first_frame: int
+
+    @property
+    def last_frame(self) -> int:
+        """Frame number of the last row."""
+        return self.first_frame + len(self.controls) - 1
+
+
+@dataclass(frozen=True)
+class ExpressionPairs:
+    """Expressions of a source beside those of a target that mean the same; pair *i* at index *i*.
+
+    Attributes
+    ----------
+    names : tuple of str
+        What each pair is called; empty strings where nobody said.
+    source_shapes : tuple of str
+    source : (pairs, source shapes) float array
+        The paper's matrix S (eq. 1).
+    target : Controls
+        The paper's matrix T (eq. 2).
+    source_rig, target_rig : Path or None
+        The characters' files, where known.
+    source_prim, target_prim : str
+        Paths of their SkelRoots; empty where unknown.
+    """
+
+    names: tuple[str, ...]
+    source_shapes: tuple[str, ...]
+    source: FloatArray
+    target: Controls
+    source_rig: Path | None = None
+    source_prim: str = ""
+    target_rig: Path | None = None
+    target_prim: str = ""
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def rows(self, chosen: IntArray) -> "ExpressionPairs":
+        """Keep some of the pairs."""
+        return replace(
+            self,
+            names=tuple(self.names[index] for index in chosen.tolist()),
+            source=self.source[chosen],
+            target=self.target.rows(chosen),
+        )
+
+
+@dataclass(frozen=True)
+class RetargetScore:
+    """How well one candidate brings expressions there and back.
+
+    Attributes
+    ----------
+    method : str
+    settings : str
+        Readable.
+    cyclic_mm : float
+        Source to target to source: mean distance of the source's points [mm]; root mean square of
+        the weights where no source rig is known.
+    pair_error : float
+        Root mean square miss at the pairs themselves, each control over its range.
+    """
+
+    method: str
+    settings: str
+    cyclic_mm: float
+    pair_error: float
+
+
+@dataclass(frozen=True)
+class Retargeting:
+    """A trained function from source weights to a target's control vector.
+
+    Attributes
+    ----------
+    method : str
+    source_shapes : tuple of str
+    shapes, joints, attributes : tuples of str
+        Of the target.
+    mean_rotations : (joints, 4) float array
+        Where joint rotations become vectors; w first.
+    rest : (k,) float array
+        Coordinates of the control vector at the source's nearest pair to rest.
+    ranges : (k, 2) float array
+        Lowest and highest coordinate that is passed on.
+    arrays : dict of str to float array
+    settings : dict
+    scores : tuple of RetargetScore
+        What was tried, best first.
+    pairs : str
+        The pairs asset it was trained on.
+    target_rig : Path or None
+    target_prim : str
+    """
+
+    method: str
+    source_shapes: tuple[str, ...]
+    shapes: tuple[str, ...]
+    joints: tuple[str, ...]
+    attributes: tuple[str, ...]
+    mean_rotations: FloatArray
+    rest: FloatArray
+    ranges: FloatArray
+    arrays: dict[str, FloatArray]
+    settings: dict[str, float | int | str | bool] = field(default_factory=dict)
+    scores: tuple[RetargetScore, ...] = ()
+    pairs: str = ""
+    target_rig: Path | None = None
+    target_prim: str = ""
+
+
+@dataclass(frozen=True)
+class EmotionalSequence:
+    """A stretch of source motion and what the target does in its place, of any other length.
+
+    Attributes
+    ----------
+    label : str
+        The emotion.
+    source_shapes : tuple of str
+    source : (m, source shapes) float array
+        The paper's S^pair (eq. 10).
+    target : Controls
+        The paper's T, over its own frames.
+    key_weights : (target frames,) float array
+        How firmly each key is asked for, as a share of the warp's weight; 1 unless set.
+    """
+
+    label: str
+    source_shapes: tuple[str, ...]
+    source: FloatArray
+    target: Controls
+    key_weights: FloatArray
+
+
+@dataclass(frozen=True)
+class SequenceMatch:
+    """A place where a take holds a sequence.
+
+    Attributes
+    ----------
+    sequence : Path
+        The asset.
+    label : str
+    first_frame, last_frame : int
+        Of the take, inclusive.
+    distance : float
+        See `usdface.numerics.motion.sequence_search`.
+    """
+
+    sequence: Path
+    label: str
+    first_frame: int
+    last_frame: int
+    distance: float

@@ -1,0 +1,56 @@
+"""A rig's meshes as one deformable surface: weights in, points out."""
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.assets import Rig
+from usdface.numerics.solve.blendshapes import BlendShapes, Key, Track
+from usdface.numerics.surface.triangulation import triangulate
+
+
+class Deformer:
+    """All meshes of a rig, their points one after the other, and the shapes that move them.
+
+    Parameters
+    ----------
+    rig : Rig
+
+    Attributes
+    ----------
+    neutral : (points, 3) float array
+        Every mesh at rest [mm].
+    starts : (meshes + 1,) int array
+        Mesh *i* owns the points ``starts[i]:starts[i + 1]``.
+    triangles : (triangles, 3) int array
+        Every face of every mesh, cut into triangles.
+    shapes : BlendShapes
+        Channels in the rig's order.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        counts = [len(mesh.points) for mesh in rig.meshes]
+        self.starts: IntArray = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        self.neutral: FloatArray = np.concatenate([mesh.points for mesh in rig.meshes])
+        self.triangles: IntArray = np.concatenate(
+            [
+                triangulate(mesh.face_counts, mesh.face_indices)[0] + start
+                for mesh, start in zip(rig.meshes, self.starts, strict=False)
+            ]
+        )
+        channels = {name: index for index, name in enumerate(rig.shapes)}
+        self.shapes = BlendShapes(
+            len(self.neutral),
+            len(rig.shapes),
+            [
+                Track(
+                    channels[shape.name],
+                    [Key(key.weight, key.points + start, key.offsets) for key in shape.keys],
+                )
+                for mesh, start in zip(rig.meshes, self.starts, strict=False)
+                for shape in mesh.shapes
+            ],
+        )
+
+    def points(self, weights: FloatArray) -> FloatArray:
+        """Return the surface for each frame: (frames, points, 3) float array [mm]."""
+        return self.neutral + self.shapes.offsets(weights)

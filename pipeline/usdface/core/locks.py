@@ -1,0 +1,205 @@
+"""One person tunes a references asset at a time: a lock file says who, where and since when."""
+
+import contextlib
+import getpass
+import json
+import os
+import platform
+import secrets
+import time
+from dataclasses import asdict, dataclass, fields
+from datetime import UTC, datetime
+from pathlib import Path
+
+from usdface.core.errors import InputError
+
+STALE_SECONDS = 60.0
+"""A lock that nobody has renewed for this long belongs to a machine that is gone."""
+
+LONGEST_LOCK = 4096
+"""Characters of a lock file that are read: ours have some two hundred."""
+
+LARGEST_PROCESS = 2**31 - 1
+"""Numbers of processes are 32 bits, signed; 0 and below would mean whole groups of them."""
+
+TAKE_OVER = (
+    "wait until that page is closed, or take over with --take-over: what was saved there is kept"
+)
+
+
+@dataclass(frozen=True)
+class Holder:
+    """Who holds a lock.
+
+    Attributes
+    ----------
+    user, host : str
+    process : int
+    since : str
+        Local time, ISO 8601.
+    key : str
+        Differs with every holding: how a server knows that the lock is still its own.
+    """
+
+    user: str
+    host: str
+    process: int
+    since: str
+    key: str
+
+
+class TuningLock:
+    """The right to tune; renew it every few seconds while it is held.
+
+    Parameters
+    ----------
+    path : Path
+        Of the lock file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.taken_from: Holder | None = None
+        self._own: Holder | None = None
+
+    def acquire(self, *, take_over: bool = False, remedy: str = TAKE_OVER) -> None:
+        """Take the lock.
+
+        Parameters
+        ----------
+        take_over : bool
+            Take it from whoever holds it; their page then refuses changes and says why.
+        remedy : str
+            What to do where someone else holds it.
+
+        Raises
+        ------
+        InputError
+            If someone else holds it: who, where, since when, and what to do.
+        """
+        own = Holder(
+            user=_user(),
+            host=platform.node(),
+            process=os.getpid(),
+            since=datetime.now(UTC).astimezone().isoformat(timespec="minutes"),
+            key=secrets.token_hex(8),
+        )
+        text = json.dumps(asdict(own)) + "\n"
+        for _ in range(3):
+            try:
+                self._make(text)
+            except FileExistsError:
+                holder = self.holder()
+                if holder is not None and not take_over and not self._is_stale(holder):
+                    raise InputError(self._held_by(holder, remedy)) from None
+                self.taken_from = holder
+                with contextlib.suppress(FileNotFoundError):
+                    self.path.unlink()
+            except OSError as error:
+                raise InputError(
+                    f"{self.path}: cannot be written ({error.strerror}); tuning needs room, and "
+                    "the right to write, beside the references"
+                ) from error
+            else:
+                self._own = own
+                return
+        raise InputError(f"{self.path}: someone else takes it at this moment; try again")
+
+    def _make(self, text: str) -> None:
+        """Make the lock file, whole or not at all: a full disk may not leave one that is empty."""
+        with self.path.open("x", encoding="utf-8") as stream:
+            try:
+                stream.write(text)
+                stream.flush()
+            except OSError:
+                self.path.unlink(missing_ok=True)
+                raise
+
+    def holder(self) -> Holder | None:
+        """Return who holds the lock; None if nobody does, or the file says nothing."""
+        try:
+            with self.path.open(encoding="utf-8") as stream:
+                return _holder(json.loads(stream.read(LONGEST_LOCK)))
+        except (OSError, ValueError, RecursionError):
+            return None
+
+    def renew(self) -> None:
+        """Say that we are still here."""
+        if self.is_own():
+            with contextlib.suppress(OSError):
+                os.utime(self.path)
+
+    def is_own(self) -> bool:
+        """Whether the lock is still ours: someone may have taken it over."""
+        return self._own is not None and self.holder() == self._own
+
+    def check(self) -> None:
+        """Raise InputError if the lock is no longer ours."""
+        if self.is_own():
+            return
+        holder = self.holder()
+        by = f"{holder.user} on {holder.host} took it over" if holder else "its lock was removed"
+        raise InputError(
+            f"{self.path.name}: {by}; this page can no longer save. What it saved before is kept; "
+            "close it, and start `usdface tune` again when the other is done"
+        )
+
+    def release(self) -> None:
+        """Give the lock back, if it is still ours."""
+        if self.is_own():
+            self.path.unlink(missing_ok=True)
+        self._own = None
+
+    def _is_stale(self, holder: Holder) -> bool:
+        if holder.host == platform.node() and os.name == "posix" and not _runs(holder.process):
+            return True
+        with contextlib.suppress(OSError):
+            return self._now() - self.path.stat().st_mtime > STALE_SECONDS
+        return True
+
+    def _now(self) -> float:
+        """Return the time as the lock's own disk has it: a file server's clock may differ."""
+        probe = self.path.with_name(f".{self.path.name}.{secrets.token_hex(4)}")
+        try:
+            probe.touch()
+            return probe.stat().st_mtime
+        except OSError:
+            return time.time()
+        finally:
+            probe.unlink(missing_ok=True)
+
+    def _held_by(self, holder: Holder, remedy: str) -> str:
+        return (
+            f"{self.path.name.removesuffix('.lock')}: {holder.user} on {holder.host} has been "
+            f"tuning it since {holder.since} (process {holder.process}); {remedy}"
+        )
+
+
+def _holder(data: object) -> Holder | None:
+    """Return what a lock file says, which anybody may have written; None if it makes no sense."""
+    if not isinstance(data, dict) or data.keys() != {each.name for each in fields(Holder)}:
+        return None
+    process = data["process"]
+    texts = [value for name, value in data.items() if name != "process"]
+    if type(process) is not int or not 0 < process <= LARGEST_PROCESS:
+        return None
+    if not all(isinstance(text, str) for text in texts):
+        return None
+    return Holder(**data)
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):  # a container without accounts
+        return "someone"

@@ -1,0 +1,32 @@
+"""Where USD finds our schemas and validators; said before USD starts, which is when it looks."""
+
+import os
+from pathlib import Path
+
+from usdface.core.errors import UsdfaceError
+
+PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def schema_folder() -> Path:
+    """Return the folder of plugInfo.json: inside a wheel, or at the root of a checkout."""
+    candidates = (PACKAGE / "schemas" / "usdface", PACKAGE.parents[1] / "schemas" / "usdface")
+    for folder in candidates:
+        if (folder / "plugInfo.json").is_file():
+            return folder
+    raise UsdfaceError(
+        f"usdface is installed without its USD schemas: no plugInfo.json in "
+        f"{' or '.join(map(str, candidates))}; reinstall the package"
+    )
+
+
+def plugin_folders() -> tuple[Path, ...]:
+    """Return what belongs into PXR_PLUGINPATH_NAME: the schemas, and the validators."""
+    return schema_folder(), PACKAGE / "usdio" / "checks"
+
+
+def announce_plugins() -> None:
+    """Put our folders into PXR_PLUGINPATH_NAME, of this process and of those it starts."""
+    known = os.environ.get("PXR_PLUGINPATH_NAME", "").split(os.pathsep)
+    new = [folder for folder in map(str, plugin_folders()) if folder not in known]
+    os.environ["PXR_PLUGINPATH_NAME"] = os.pathsep.join(filter(None, (*known, *new)))

@@ -1,0 +1,72 @@
+"""Where a file came from: the spec that made it and the inputs it was made from."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from usdface.core.version import __version__
+
+READ_SIZE = 1 << 20
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What a written file carries about its own making.
+
+    Attributes
+    ----------
+    step : str
+        Name of the step that wrote it; empty for a file made by hand.
+    spec : str
+        The step's spec as canonical JSON.
+    inputs : mapping of str to str
+        Hash of each input file, by the path the spec names.
+    version : str
+        Version of this package.
+    """
+
+    step: str = ""
+    spec: str = ""
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    version: str = __version__
+
+    @property
+    def spec_hash(self) -> str:
+        """Hash of the spec alone."""
+        return hash_text(self.spec)
+
+    def matches(self, other: "Provenance") -> bool:
+        """Whether both were made by the same spec from the same inputs."""
+        return (
+            self.step == other.step
+            and self.spec == other.spec
+            and dict(self.inputs) == dict(other.inputs)
+        )
+
+
+def canonical_json(data: Any) -> str:
+    """Write data as JSON that is equal whenever the data is."""
+    return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+
+
+def hash_text(text: str) -> str:
+    """Return the SHA-256 of a text, as hex."""
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def hash_files(files: list[Path]) -> str:
+    """Return one SHA-256 over the names and contents of files, wherever they lie.
+
+    A farm's task names by absolute paths what a person names from the folder.
+    """
+    told = []
+    for path in files:
+        single = hashlib.sha256()
+        with path.open("rb") as stream:
+            while block := stream.read(READ_SIZE):
+                single.update(block)
+        told.append(path.name.encode("utf-8") + b"\0" + single.digest())
+    return hashlib.sha256(b"".join(sorted(told))).hexdigest()

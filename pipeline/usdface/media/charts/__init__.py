@@ -1,0 +1,1 @@
+"""Curves and evidence as pictures."""

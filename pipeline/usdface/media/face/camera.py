@@ -1,0 +1,259 @@
+"""A pinhole camera, and one that finds the face by itself."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray
+from usdface.core.assets import RigMesh
+
+FACE_REACH = 0.45
+"""A point is of the face if some shape moves it this share of what the shape moves at most.
+
+Relative to each shape, the forehead counts (brows move millimetres) and the neck does not, though
+an open jaw drags it further than that.
+"""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Where a picture is taken from; rows run down, columns to the right.
+
+    Attributes
+    ----------
+    eye, target : tuple of three floats
+        [mm]
+    fov_degrees : float
+        Vertical field of view [degrees].
+    up : tuple of three floats
+        Direction that is up in the picture.
+    shift : tuple of two floats
+        Where the picture's middle lies off the axis, right and up [half heights]; a lens shift.
+    span_mm : float or None
+        Height of what an orthographic camera sees [mm]; None for perspective.
+    """
+
+    eye: tuple[float, float, float]
+    target: tuple[float, float, float]
+    fov_degrees: float = 16.0
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    shift: tuple[float, float] = (0.0, 0.0)
+    span_mm: float | None = None
+
+    def axes(self) -> FloatArray:
+        """Return the rows right, up and backward (from the target to the eye), orthonormal."""
+        backward = np.subtract(self.eye, self.target)
+        backward = backward / np.linalg.norm(backward)
+        right = np.cross(self.up, backward)
+        right = right / np.linalg.norm(right)
+        return np.stack([right, np.cross(backward, right), backward])
+
+    def directions(self, pixels: FloatArray, *, width: int, height: int) -> Float32Array:
+        """Return unit rays through picture positions.
+
+        Parameters
+        ----------
+        pixels : (n, 2) float array
+            Column and row; the first pixel's centre is at 0.5, 0.5.
+        width, height : int
+            Size of the picture [pixels].
+
+        Returns
+        -------
+        (n, 3) float32 array
+        """
+        right, up, backward = self.axes()
+        if self.span_mm is not None:
+            return np.asarray(np.broadcast_to(-backward, (len(pixels), 3)), np.float32)
+        x, y = self._off_axis(pixels, width, height)
+        half = np.tan(np.radians(self.fov_degrees / 2))
+        rays = half * (x[:, None] * right + y[:, None] * up) - backward
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        return np.asarray(rays, np.float32)
+
+    def origins(self, pixels: FloatArray, *, width: int, height: int) -> Float32Array:
+        """Return where the rays of `directions` begin, (n, 3) float32 array [mm]."""
+        if self.span_mm is None:
+            return np.asarray(np.broadcast_to(self.eye, (len(pixels), 3)), np.float32)
+        right, up, _ = self.axes()
+        x, y = self._off_axis(pixels, width, height)
+        across = self.span_mm / 2 * (x[:, None] * right + y[:, None] * up)
+        return np.asarray(self.eye + across, np.float32)
+
+    def _off_axis(
+        self, pixels: FloatArray, width: int, height: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return how far right and up of the axis picture positions lie [half heights]."""
+        x = (2 * pixels[:, 0] - width) / height + self.shift[0]
+        return x, 1 - 2 * pixels[:, 1] / height + self.shift[1]
+
+    def project(self, points: ArrayLike, *, width: int, height: int) -> FloatArray:
+        """Return column, row [pixels] and distance along the view [mm] of each point.
+
+        Parameters
+        ----------
+        points : (n, 3) array
+            [mm]
+        width, height : int
+            Size of the picture [pixels].
+
+        Returns
+        -------
+        (n, 3) float array
+        """
+        local = (np.asarray(points, np.float64) - self.eye) @ self.axes().T
+        depth = -local[:, 2]
+        half = depth * np.tan(np.radians(self.fov_degrees / 2))
+        if self.span_mm is not None:
+            half = np.full(len(local), self.span_mm / 2)
+        column = width / 2 + (local[:, 0] / half - self.shift[0]) * height / 2
+        row = height / 2 - (local[:, 1] / half - self.shift[1]) * height / 2
+        return np.stack([column, row, depth], axis=1)
+
+
+def motion_weights(meshes: Sequence[RigMesh]) -> FloatArray:
+    """Return how much of a shape's motion each point takes part in, of all meshes in a row.
+
+    Parameters
+    ----------
+    meshes : sequence of RigMesh
+
+    Returns
+    -------
+    (points,) float array
+        [0-1]: 1 where some shape moves nothing further; 0 for hair, shoulders and clothing.
+    """
+    reach = [np.zeros(len(mesh.points)) for mesh in meshes]
+    furthest: dict[str, float] = {}
+    for mesh in meshes:
+        for shape in mesh.shapes:
+            length = np.linalg.norm(shape.keys[-1].offsets, axis=1).max(initial=0.0)
+            furthest[shape.name] = max(furthest.get(shape.name, 0.0), float(length))
+    for own, mesh in zip(reach, meshes, strict=True):
+        for shape in mesh.shapes:
+            if furthest[shape.name] > 0:
+                key = shape.keys[-1]
+                share = np.linalg.norm(key.offsets, axis=1) / furthest[shape.name]
+                own[key.points] = np.maximum(own[key.points], share)
+    return np.concatenate(reach) if reach else np.zeros(0)
+
+
+def frame_face(
+    points: ArrayLike,
+    *,
+    weights: ArrayLike | None = None,
+    yaw_degrees: float = 0.0,
+    pitch_degrees: float = 0.0,
+    aspect: float = 1.0,
+    margin: float = 1.12,
+    fov_degrees: float = 16.0,
+) -> Camera:
+    """Return a camera that frames the face; Y is up and the face looks along +Z.
+
+    A head may come with neck, shoulders and hair: what the BlendShapes move is the face.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        [mm]
+    weights : (n,) array, optional
+        How much each point moves (`motion_weights`), or a mask of the points to frame.
+        Without it, or where nothing moves, all points are framed.
+    yaw_degrees, pitch_degrees : float
+        The camera's place round the face: positive yaw goes to the character's left (+X),
+        positive pitch looks from above [degrees].
+    aspect : float
+        Width of the picture over its height.
+    margin : float
+        Room about the face; 1 touches it.
+    fov_degrees : float
+        Vertical field of view [degrees]; narrow, as a portrait lens is.
+
+    Returns
+    -------
+    Camera
+
+    Raises
+    ------
+    ValueError
+        If there are no points, or the weights do not belong to them.
+    """
+    cloud = np.asarray(points, np.float64)
+    if cloud.ndim != 2 or cloud.shape[1:] != (3,) or not len(cloud):
+        raise ValueError(f"points must be (n, 3) and not empty, got shape {cloud.shape}")
+    face = cloud[_face_mask(len(cloud), weights)]
+    yaw, pitch = np.radians([yaw_degrees, pitch_degrees])
+    backward = np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
+    axes = Camera(eye=_triple(backward), target=(0.0, 0.0, 0.0)).axes()
+    low, high = (face @ axes.T).min(axis=0), (face @ axes.T).max(axis=0)
+    width, height = np.maximum(high - low, 1e-6)[:2]
+    span = margin * max(height, width / aspect)
+    half = np.tan(np.radians(fov_degrees / 2))
+    # The plane of the widest part decides the scale: the middle of the depth is close to it.
+    distance = span / 2 / half + (high[2] - low[2]) / 2
+    # Chins want less room than foreheads.
+    middle = (low + high) / 2 + [0.0, 0.03 * span, 0.0]
+    target = middle @ axes
+    return Camera(
+        eye=_triple(target + distance * backward), target=_triple(target), fov_degrees=fov_degrees
+    )
+
+
+def frame_rig(
+    meshes: Sequence[RigMesh],
+    *,
+    yaw_degrees: float = 0.0,
+    pitch_degrees: float = 0.0,
+    aspect: float = 1.0,
+    margin: float = 1.12,
+) -> Camera:
+    """Return a camera that keeps a rig's face in the picture, an open jaw included.
+
+    Parameters
+    ----------
+    meshes : sequence of RigMesh
+    yaw_degrees, pitch_degrees, aspect, margin : float
+        As in `frame_face`.
+
+    Returns
+    -------
+    Camera
+    """
+    rest = np.concatenate([mesh.points for mesh in meshes])
+    weights = motion_weights(meshes)
+    posed, taken = [rest], [weights]
+    first = 0
+    for mesh in meshes:
+        own = weights[first : first + len(mesh.points)]
+        first += len(mesh.points)
+        for shape in mesh.shapes:
+            key = shape.keys[-1]
+            posed.append(mesh.points[key.points] + key.offsets)
+            taken.append(own[key.points])
+    return frame_face(
+        np.concatenate(posed),
+        weights=np.concatenate(taken),
+        yaw_degrees=yaw_degrees,
+        pitch_degrees=pitch_degrees,
+        aspect=aspect,
+        margin=margin,
+    )
+
+
+def _face_mask(count: int, weights: ArrayLike | None) -> BoolArray:
+    """Return which points to frame."""
+    if weights is None:
+        return np.ones(count, bool)
+    reach = np.asarray(weights, np.float64)
+    if reach.shape != (count,):
+        raise ValueError(f"weights must be one per point, {count}, got shape {reach.shape}")
+    if not np.any(reach > 0):
+        return np.ones(count, bool)
+    return np.asarray(reach > FACE_REACH * reach.max())
+
+
+def _triple(vector: FloatArray) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in vector)
+    return x, y, z

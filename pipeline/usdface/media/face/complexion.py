@@ -1,0 +1,116 @@
+"""Colours for a rig that has none: skin, eyes, teeth, and a dark inside of the mouth."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import sparse
+
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import RigMesh
+from usdface.media.face import shading
+from usdface.media.face.mesh_topology import Sparse, polygon_edges
+from usdface.media.face.parts import Part, Pieces
+
+_CLOSED, _OPEN = 0.015, 0.09  # of the sky seen at rest: inside of a mouth below, skin above
+
+
+OPAQUE = 0.5
+"""Faces below this opacity are not drawn: corneas and tear lines would hide what is judged."""
+
+_PALE = 0.25  # linear green of an eye from which it is a white without an iris
+
+
+def tone(mesh: RigMesh) -> FloatArray | None:
+    """Return the one colour that all opaque faces of a mesh have by material; None without."""
+    if mesh.face_colors is None:
+        return None
+    opaque = mesh.face_colors[~(mesh.face_colors[:, 3] < OPAQUE), :3]
+    if not len(opaque) or np.isnan(opaque).any() or np.ptp(opaque, axis=0).max() > 0:
+        return None
+    return np.asarray(opaque[0])
+
+
+def faces_painted(mesh: RigMesh) -> FloatArray:
+    """Return the colour of each face that is not that of its points, (faces, 3); else NaN."""
+    colors = np.full((len(mesh.face_counts), 3), np.nan)
+    if mesh.face_colors is not None and tone(mesh) is None:
+        colors[:] = mesh.face_colors[:, :3]
+    return colors
+
+
+def is_plain_eye(colors: FloatArray) -> bool:
+    """Whether an eye's own colours, (n, 3), are one pale colour, so that its iris is not there."""
+    if not len(colors) or np.isnan(colors).all():
+        return True
+    one = np.ptp(colors, axis=0).max() < 0.02  # NaN compares false: partly painted is painted
+    return bool(one and colors[0, 1] > _PALE)
+
+
+def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) -> FloatArray:
+    """Return a colour for every point: the rig's own where it has them.
+
+    Parameters
+    ----------
+    meshes : sequence of RigMesh
+    pieces : Pieces
+    exposure : (points,) float array
+        How much of the sky each point sees, mouth shut [0-1].
+
+    Returns
+    -------
+    (points, 3) float array
+        Linear.
+    """
+    palette = np.zeros((len(Part), 3))
+    palette[Part.SKIN], palette[Part.EYE] = shading.SKIN, shading.SCLERA
+    palette[Part.TEETH], palette[Part.MOUTH] = shading.TEETH, shading.TONGUE
+    palette[Part.HAIR] = shading.HAIR
+    parts = pieces.parts[pieces.of_point]
+    skin = parts == Part.SKIN
+    links = _neighbours(meshes)
+    smooth = _spread(exposure, links, times=2)
+    inside = np.where(skin, _step((_OPEN - smooth) / (_OPEN - _CLOSED)), 0.0)
+    colors = palette[parts]
+    colors += (shading.INNER_MOUTH - colors) * inside[:, None]
+    first = 0
+    for mesh in meshes:
+        own = slice(first, first + len(mesh.points))
+        one = tone(mesh)
+        if one is not None:  # of what the mesh is most; teeth in a head of one material stay teeth
+            most = np.bincount(parts[own]).argmax() if len(parts[own]) else Part.SKIN
+            toned = parts[own] == most
+            shade = inside[own, None] * (most == Part.SKIN)
+            mixed = one + (shading.INNER_MOUTH - one) * shade
+            colors[own] = np.where(toned[:, None], mixed, colors[own])
+        elif mesh.colors is not None:
+            colors[own] = mesh.colors
+        first += len(mesh.points)
+    return colors
+
+
+def _step(value: FloatArray) -> FloatArray:
+    """Climb smoothly from 0 to 1."""
+    limited = np.clip(value, 0, 1)
+    return np.asarray(limited**2 * (3 - 2 * limited))
+
+
+def _neighbours(meshes: Sequence[RigMesh]) -> Sparse:
+    """Return the symmetric (points, points) matrix that is 1 where an edge joins two points."""
+    pairs, first = [], 0
+    for mesh in meshes:
+        pairs.append(polygon_edges(mesh.face_counts, mesh.face_indices) + first)
+        first += len(mesh.points)
+    rows, columns = np.concatenate(pairs).T
+    ones = np.ones(len(rows))
+    one_way = sparse.csr_array((ones, (rows, columns)), shape=(first, first))
+    links = one_way + one_way.T
+    links.data[:] = 1.0
+    return links
+
+
+def _spread(values: FloatArray, links: Sparse, *, times: int) -> FloatArray:
+    """Average each point with its neighbours: counting rays is noisy."""
+    degree = np.maximum(np.asarray(links.sum(axis=1)).reshape(-1), 1)
+    for _ in range(times):
+        values = 0.5 * values + 0.5 * np.asarray(links @ values) / degree
+    return values

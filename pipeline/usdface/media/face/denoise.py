@@ -1,0 +1,79 @@
+"""Share noisy light between neighbouring pixels that look at the same bit of surface."""
+
+import numpy as np
+
+from usdface.core.arrays import Float32Array, IntArray
+
+_ALIKE = 0.8  # cosine between two normals of the same bit of surface
+# Over five pixels these add up every direction of a 4 by 4 block the same number of times.
+_TAPER = {0: 1.0, 1: 1.0, 2: 0.5}
+
+
+def share_between_neighbours(
+    values: Float32Array,
+    *,
+    rays: IntArray,
+    normals: Float32Array,
+    positions: Float32Array,
+    shape: tuple[int, int],
+    tolerance: float,
+) -> Float32Array:
+    """Average values over blocks of pixels, never across an edge of the form.
+
+    Parameters
+    ----------
+    values : (n, k) float32 array
+    rays : (n,) int array
+        Pixel of each value, row by row.
+    normals, positions : (n, 3) float32 arrays
+        [mm]
+    shape : tuple of int
+        Height and width of the picture.
+    tolerance : float
+        How far off a pixel's tangent plane a neighbour may lie [mm].
+
+    Returns
+    -------
+    (n, k) float32 array
+    """
+    if not len(rays):
+        return values
+    rows, columns = np.divmod(rays, shape[1])
+    box = (slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1))
+    grid = (rows - rows.min(), columns - columns.min())
+    height, width = box[0].stop - box[0].start, box[1].stop - box[1].start
+    # Planes of pixels: slices of them line up neighbours without a copy. No hit, no normal, and
+    # no normal is like no other.
+    normal = np.zeros((3, height, width), np.float32)
+    place = np.zeros((3, height, width), np.float32)
+    given = np.zeros((values.shape[1], height, width), np.float32)
+    normal[:, *grid], place[:, *grid], given[:, *grid] = normals.T, positions.T, values.T
+    total = given.copy()
+    weight = np.ones((height, width), np.float32)
+    for dy in range(3):
+        for dx in range(-2, 3):
+            if dy == 0 and dx <= 0:
+                continue  # every pair once; it shares both ways
+            share = np.float32(_TAPER[dy] * _TAPER[abs(dx)])
+            here, there = _aligned(dy, dx, height, width)
+            n, m = normal[:, *here], normal[:, *there]
+            step = place[:, *there] - place[:, *here]
+            alike = n[0] * m[0] + n[1] * m[1] + n[2] * m[2] > _ALIKE
+            m = m + n
+            off_plane = np.abs(step[0] * m[0] + step[1] * m[1] + step[2] * m[2])
+            share = share * (alike & (off_plane < 2 * tolerance))
+            total[:, *here] += share * given[:, *there]
+            total[:, *there] += share * given[:, *here]
+            weight[here] += share
+            weight[there] += share
+    return np.asarray((total / weight)[:, *grid].T)
+
+
+def _aligned(
+    dy: int, dx: int, height: int, width: int
+) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Return the slices that put each pixel on the one dy below and dx to the right of it."""
+    left, right = max(-dx, 0), max(dx, 0)
+    here = (slice(0, max(height - dy, 0)), slice(left, max(width - right, left)))
+    there = (slice(dy, max(height, dy)), slice(right, max(width - left, right)))
+    return here, there

@@ -1,0 +1,152 @@
+"""A marker cloud from the front, as dots: near ones bright and large, unseen ones hollow."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from usdface.core.arrays import ByteImage, FloatArray
+from usdface.core.errors import InputError
+from usdface.media.face.raycast import background
+from usdface.media.picture.canvas import draw_dot, draw_line
+from usdface.media.picture.color import bytes_from_linear, heat_ramp
+
+_FAR, _NEAR = np.array([74, 92, 112]), np.array([150, 208, 255])
+_UNSEEN = (214, 122, 84)
+
+
+@dataclass(frozen=True)
+class MarkersFrame:
+    """What part of the head's space a tile shows: one for a whole sheet, so that tiles compare.
+
+    Attributes
+    ----------
+    center : (3,) float array
+        [mm]
+    height : float
+        From the tile's lower to its upper edge [mm].
+    depth : float
+        From the furthest to the nearest marker [mm].
+    """
+
+    center: FloatArray
+    height: float
+    depth: float
+
+
+def frame_markers(
+    positions: ArrayLike, *, aspect: float = 1.0, margin: float = 1.16
+) -> MarkersFrame:
+    """Return the frame that holds a cloud over all of its frames but stray ones.
+
+    Parameters
+    ----------
+    positions : (..., 3) array
+        [mm], head motion taken out.
+    aspect : float
+        Width of the tile over its height.
+    margin : float
+        Room about the cloud; 1 touches it.
+
+    Returns
+    -------
+    MarkersFrame
+
+    Raises
+    ------
+    InputError
+        If there is no finite position.
+    """
+    cloud = np.asarray(positions, np.float64).reshape(-1, 3)
+    cloud = cloud[np.isfinite(cloud).all(axis=1)]
+    if not len(cloud):
+        raise InputError("markers to draw: there is no position; check the take's markers")
+    # A marker lost for a moment must not shrink the face to a speck.
+    low, high = np.percentile(cloud, [0.2, 99.8], axis=0)
+    span = np.maximum(high - low, 1e-6)
+    return MarkersFrame(
+        center=(low + high) / 2,
+        height=float(margin * max(span[1], span[0] / aspect)),
+        depth=float(span[2]),
+    )
+
+
+def draw_markers(
+    positions: ArrayLike,
+    *,
+    width: int,
+    height: int,
+    frame: MarkersFrame | None = None,
+    visible: ArrayLike | None = None,
+    explained: ArrayLike | None = None,
+    exaggeration: float = 1.0,
+    residual_range_mm: float = 3.0,
+) -> ByteImage:
+    """Draw one frame of a marker cloud.
+
+    Parameters
+    ----------
+    positions : (markers, 3) array
+        [mm], head motion taken out, Y up, the face looking along +Z.
+    width, height : int
+        [pixels]
+    frame : MarkersFrame, optional
+        Without it the tile fits this one cloud.
+    visible : (markers,) bool array, optional
+        False is drawn hollow.
+    explained : (markers, 3) array, optional
+        Where the result puts the markers [mm]: a line runs there from each marker.
+    exaggeration : float
+        How many times as long those lines are drawn: millimetres are a pixel or two. Say so in the
+        legend.
+    residual_range_mm : float
+        Distance drawn in the ramp's last colour [mm].
+
+    Returns
+    -------
+    (height, width, 3) uint8 array
+
+    Raises
+    ------
+    InputError
+        If arrays do not belong together or no position is finite.
+    """
+    cloud = np.asarray(positions, np.float64)
+    if cloud.ndim != 2 or cloud.shape[1] != 3:
+        raise InputError(f"markers to draw are (markers, 3), got shape {cloud.shape}")
+    seen = np.ones(len(cloud), bool) if visible is None else np.asarray(visible, bool)
+    ends = cloud if explained is None else np.asarray(explained, np.float64)
+    if seen.shape != (len(cloud),) or ends.shape != cloud.shape:
+        raise InputError(
+            f"{len(cloud)} markers to draw with visibility of shape {seen.shape} and explained "
+            f"positions of shape {ends.shape}; give one for each marker"
+        )
+    view = frame or frame_markers(cloud, aspect=width / height)
+    scale = height / view.height
+    picture = bytes_from_linear(background(height, width))
+
+    def place(points: FloatArray) -> FloatArray:
+        local = (points - view.center) * scale
+        return np.stack([width / 2 + local[:, 0], height / 2 - local[:, 1]], axis=1)
+
+    at, to = place(cloud), place(cloud + exaggeration * (ends - cloud))
+    near = np.clip((cloud[:, 2] - view.center[2]) / max(view.depth, 1e-6) + 0.5, 0, 1)
+    length = np.linalg.norm(ends - cloud, axis=1)
+    line_colors = bytes_from_linear(heat_ramp(length, high=residual_range_mm))
+    finite = np.asarray(np.isfinite(at).all(axis=1), bool)
+    size = min(width, height) / 320
+    for marker in np.argsort(near, kind="stable"):
+        if not finite[marker]:
+            continue
+        x, y = at[marker]
+        radius = size * (2.6 + 1.6 * near[marker])
+        if explained is not None and bool(np.isfinite(to[marker]).all()):
+            red, green, blue = (int(c) for c in line_colors[marker])
+            draw_line(picture, at[marker], to[marker], (red, green, blue), thickness=2.2 * size)
+        shade = _FAR + (_NEAR - _FAR) * near[marker]
+        color = (int(shade[0]), int(shade[1]), int(shade[2]))
+        if seen[marker]:
+            draw_dot(picture, x, y, radius, color)
+        else:
+            draw_dot(picture, x, y, radius + 0.8 * size, _UNSEEN, hollow=True)
+    return picture

@@ -1,0 +1,225 @@
+"""What each piece of a head is: skin, eye, tooth … from names where they tell, else from form.
+
+A rig needs no preparation to be looked at. Many heads are one mesh without colours in which eyes,
+teeth and lashes are loose pieces; painted as skin, teeth glow and lids cannot be judged.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.assets import RigMesh
+from usdface.media.face.mesh_topology import components, polygon_edges
+
+
+class Part(IntEnum):
+    """How a piece is shaded."""
+
+    SKIN = 0
+    EYE = 1
+    TEETH = 2
+    MOUTH = 3
+    HAIR = 4
+    HIDDEN = 5
+
+
+@dataclass(frozen=True)
+class Eyeball:
+    """The sphere that fits an eye at rest.
+
+    Attributes
+    ----------
+    center : (3,) float array
+        [mm]
+    radius : float
+        [mm]
+    """
+
+    center: FloatArray
+    radius: float
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """The connected pieces of the visible meshes, and what each is.
+
+    Attributes
+    ----------
+    of_point : (points,) int array
+        Piece of every point, of all meshes in a row.
+    parts : (pieces,) int array
+        A `Part` for each piece.
+    eyeballs : dict of int to Eyeball
+        By piece.
+    """
+
+    of_point: IntArray
+    parts: IntArray
+    eyeballs: dict[int, Eyeball]
+
+
+# Whole words and word starts in a prim's name; the first that fits decides.
+_NAMES: tuple[tuple[str, Part], ...] = (
+    (r"cornea|tear|wet|lacrimal|occlusion|eyeblend|eye_?shadow|lens", Part.HIDDEN),
+    (r"lash|brow|hair|beard|mustache|moustache|stubble", Part.HAIR),
+    (r"teeth|tooth|dent(al|ure)", Part.TEETH),
+    (r"tongue|gum|mouth_?(bag|sock|cavity|interior)|oral", Part.MOUTH),
+    (
+        r"eye_?(l|r|left|right)?_?(ball|s)?\d*(_?(l|r|left|right|geo|mesh))*$|(l|r|left|right)_?eye|sclera|iris",
+        Part.EYE,
+    ),
+)
+_SPHERE_MISFIT = (
+    0.06  # of the radius; measured eyeballs with a cornea reach 0.045, lashes start there
+)
+_EYE_SHEET = 2.7  # of an eye's radius, from its middle: how far lash cards reach
+_CLOSED_IN = 0.15  # of the sky seen at rest, by pieces that live in the mouth
+_TOOTH_SIZE = 0.26  # of the head's width
+
+
+def part_from_name(path: str) -> Part | None:
+    """Return what a prim's own name says it is; None where it does not say."""
+    name = path.rsplit("/", 1)[-1].lower()
+    for pattern, part in _NAMES:
+        if re.search(pattern, name):
+            return part
+    return None
+
+
+def find_pieces(meshes: Sequence[RigMesh], *, exposure: FloatArray) -> Pieces:
+    """Tell the pieces of a head apart.
+
+    Parameters
+    ----------
+    meshes : sequence of RigMesh
+        At rest.
+    exposure : (points,) float array
+        How much of the sky each point sees at rest [0-1], all meshes in a row.
+
+    Returns
+    -------
+    Pieces
+    """
+    labels, named = _label(meshes)
+    points = np.concatenate([mesh.points for mesh in meshes])
+    open_rim = np.concatenate([_on_border(mesh) for mesh in meshes])
+    count = len(named)
+    order = np.argsort(labels, kind="stable")
+    members = np.split(order, np.cumsum(np.bincount(labels, minlength=count))[:-1])
+    parts = np.array([Part.SKIN if part is None else part for part in named], np.int64)
+    unnamed = np.array([part is None for part in named])
+    sizes = np.array([len(m) for m in members])
+    width = _width(points)
+
+    eyeballs = {
+        piece: ball
+        for piece in range(count)
+        if (unnamed[piece] or parts[piece] == Part.EYE)
+        and (ball := _fit_eyeball(points[members[piece]], head_width=width)) is not None
+    }
+    eyeballs = _in_pairs(eyeballs, certain=parts == Part.EYE)
+    eyeballs, inner = _outermost(eyeballs)
+    parts[list(eyeballs)] = Part.EYE
+    parts[inner] = Part.HIDDEN
+
+    largest = int(np.argmax(np.where(unnamed, sizes, 0)))
+    for piece in np.flatnonzero(unnamed & (parts == Part.SKIN)):
+        if piece == largest or sizes[piece] > 0.5 * sizes[largest]:
+            continue
+        cloud = points[members[piece]]
+        if bool(open_rim[members[piece]].any()) and _near_eye(cloud, eyeballs):
+            parts[piece] = Part.HIDDEN
+        elif np.median(exposure[members[piece]]) < _CLOSED_IN:
+            small = np.linalg.norm(np.ptp(cloud, axis=0)) < _TOOTH_SIZE * width
+            parts[piece] = Part.TEETH if small else Part.MOUTH
+    return Pieces(of_point=labels, parts=parts, eyeballs=eyeballs)
+
+
+def _label(meshes: Sequence[RigMesh]) -> tuple[IntArray, list[Part | None]]:
+    """Count the pieces; a mesh whose name says what it is stays whole, unless it is eyes."""
+    labels, named = [], list[Part | None]()
+    for mesh in meshes:
+        part = part_from_name(mesh.path)
+        if part in (None, Part.EYE):
+            own = components(mesh.face_counts, mesh.face_indices, point_count=len(mesh.points))
+            own = np.unique(own, return_inverse=True)[1].reshape(-1)
+        else:
+            own = np.zeros(len(mesh.points), np.int64)
+        labels.append(own + len(named))
+        named.extend([part] * (int(own.max(initial=-1)) + 1))
+    return np.concatenate(labels), named
+
+
+def _on_border(mesh: RigMesh) -> FloatArray:
+    """Return which points lie on an open edge."""
+    sides = np.sort(polygon_edges(mesh.face_counts, mesh.face_indices), axis=1)
+    edges, uses = np.unique(sides, axis=0, return_counts=True)
+    border = np.zeros(len(mesh.points), bool)
+    border[edges[uses == 1]] = True
+    return border
+
+
+def _width(points: FloatArray) -> float:
+    low, high = np.percentile(points[:, 0], [2, 98])
+    return float(max(high - low, 1e-9))
+
+
+def _fit_eyeball(cloud: FloatArray, *, head_width: float) -> Eyeball | None:
+    """Fit a sphere by least squares; None where the piece is not nearly one."""
+    if len(cloud) < 20:
+        return None
+    middle = cloud.mean(axis=0)
+    local = cloud - middle
+    system = np.column_stack([2 * local, np.ones(len(local))])
+    solution = np.linalg.lstsq(system, np.sum(local**2, axis=1), rcond=None)[0]
+    radius = float(np.sqrt(max(solution[3] + solution[:3] @ solution[:3], 0.0)))
+    spread = np.std(np.linalg.norm(local - solution[:3], axis=1))
+    across = np.ptp(cloud, axis=0)[:2]
+    fits = spread < _SPHERE_MISFIT * radius and np.all(across > 1.4 * radius)
+    if not fits or not 0.02 * head_width < radius < 0.25 * head_width:
+        return None
+    return Eyeball(center=middle + solution[:3], radius=radius)
+
+
+def _in_pairs(balls: dict[int, Eyeball], *, certain: FloatArray) -> dict[int, Eyeball]:
+    """Keep eyes that have a partner of their size beside them; one alone is an ornament."""
+
+    def has_partner(piece: int) -> bool:
+        own = balls[piece]
+        return any(
+            abs(other.radius - own.radius) < 0.15 * own.radius
+            and abs(other.center[0] - own.center[0]) > 2 * own.radius
+            and np.abs(other.center - own.center)[1:].max() < own.radius
+            for other in balls.values()
+        )
+
+    return {piece: ball for piece, ball in balls.items() if certain[piece] or has_partner(piece)}
+
+
+def _outermost(balls: dict[int, Eyeball]) -> tuple[dict[int, Eyeball], list[int]]:
+    """Of nested spheres (sclera in cornea) keep the largest: we paint the iris on it."""
+    inner = [
+        piece
+        for piece, ball in balls.items()
+        if any(
+            other.radius > ball.radius
+            and np.linalg.norm(other.center - ball.center) < 0.5 * ball.radius
+            for other in balls.values()
+        )
+    ]
+    return {piece: ball for piece, ball in balls.items() if piece not in inner}, inner
+
+
+def _near_eye(cloud: FloatArray, eyeballs: dict[int, Eyeball]) -> bool:
+    """Return whether an open sheet belongs to an eye: a tear line, a shadow catcher, a lash card.
+
+    In a real shader all of these are clear, or clear between hairs; drawn solid they mask the lid.
+    """
+    return any(
+        np.linalg.norm(cloud - ball.center, axis=1).max() < _EYE_SHEET * ball.radius
+        for ball in eyeballs.values()
+    )

@@ -1,0 +1,331 @@
+"""Cast rays at one pose of a face and gather the light that comes back.
+
+One ray through each pixel finds the form; occlusion and shadow of neighbours on the same surface
+are shared; pixels on an edge are then sampled again. So the cost goes where the eye looks.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.media.face import shading
+from usdface.media.face.camera import Camera
+from usdface.media.face.denoise import share_between_neighbours
+from usdface.media.face.surface import Surface
+from usdface.media.face.tracing import PATTERNS, Found, Tracer, light_seen, sky_seen
+
+IRIS_ANGLE = 0.50
+"""Half angle of the iris from the eyeball's middle [rad]: 11.7 mm across on a 12 mm eye."""
+PUPIL_ANGLE = 0.20
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How many rays a picture is worth: to the sky and the key light, and again on edges."""
+
+    sky_rays: int
+    light_rays: int
+    edge_samples: int
+    edge_sky_rays: int
+    edge_light_rays: int
+
+
+EFFORT = {
+    "draft": Effort(3, 2, 4, 3, 2),
+    "final": Effort(8, 4, 12, 6, 4),
+}
+_CONTRAST = 0.05  # step of linear light between neighbours from which a pixel is sampled again
+_TOP, _BOTTOM = 0.060, 0.022  # background, linear
+_INSIDE = 0.04  # albedo of a back face
+_HOLE = 0.006  # seen through an eye hole that has no eye behind it
+
+
+@dataclass(frozen=True)
+class View:
+    """All that one picture is drawn from.
+
+    Attributes
+    ----------
+    surface : Surface
+    camera : Camera
+    width, height : int
+        [pixels]
+    effort : Effort
+    tracer : Tracer
+        Of the posed points.
+    normals, colors : (drawn points, 3) float32 arrays
+        Unit normals; linear colours.
+    heat : bool
+        True where the colours are values to be read, not skin.
+    """
+
+    surface: Surface
+    camera: Camera
+    width: int
+    height: int
+    effort: Effort
+    tracer: Tracer
+    normals: Float32Array
+    colors: Float32Array
+    heat: bool
+
+    @property
+    def tolerance(self) -> float:
+        """How far apart two points of the same bit of surface may lie, off its plane [mm]."""
+        return 4e-3 * self.surface.size
+
+    @property
+    def key(self) -> Float32Array:
+        """Direction towards the key light, in the world."""
+        world = shading.KEY_DIRECTION.astype(np.float64) @ self.camera.axes()
+        return np.asarray(world / np.linalg.norm(world), np.float32)
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Where rays met the face, before light."""
+
+    found: Found
+    normals: Float32Array
+    views: Float32Array
+    albedo: Float32Array
+    parts: IntArray
+
+    def take(self, rows: IntArray) -> "_Samples":
+        """Return some of the samples."""
+        found = self.found
+        return _Samples(
+            Found(
+                found.rays[rows],
+                found.triangles[rows],
+                found.barycentric[rows],
+                found.positions[rows],
+            ),
+            self.normals[rows],
+            self.views[rows],
+            self.albedo[rows],
+            self.parts[rows],
+        )
+
+
+def draw(view: View) -> Float32Array:
+    """Draw a view.
+
+    Parameters
+    ----------
+    view : View
+
+    Returns
+    -------
+    (height, width, 3) float32 array
+        Linear light [0-1].
+    """
+    height, width = view.height, view.width
+    rows, columns = np.mgrid[:height, :width]
+    centers = np.stack([columns.ravel(), rows.ravel()], axis=1) + 0.5
+    pattern = (columns % 4 + 4 * (rows % 4)).ravel()
+    samples = _sample(view, centers)
+    rays = samples.found.rays
+    effort = view.effort
+    seen = _occlusion(view, samples, pattern[rays], sky=effort.sky_rays, light=effort.light_rays)
+    seen = share_between_neighbours(
+        seen,
+        rays=rays,
+        normals=samples.normals,
+        positions=samples.found.positions,
+        shape=(height, width),
+        tolerance=view.tolerance,
+    )
+    slots = np.full(height * width, -1, np.int64)
+    slots[rays] = np.arange(len(rays))
+    hit = (slots >= 0).reshape(height, width)
+    holes = ndimage.binary_fill_holes(hit) & ~hit
+    picture = background(height, width)
+    picture[holes] = _HOLE
+    flat = picture.reshape(-1, 3)
+    flat[rays] = _light(view, samples, seen)
+    edges = np.flatnonzero(_edges(picture))
+    if len(edges):
+        near_hole = ndimage.binary_dilation(holes, iterations=2).ravel()
+        flat[edges] = _resample(view, edges, near_hole, _Known(samples, seen, slots))
+    return picture
+
+
+def _sample(view: View, pixels: FloatArray) -> _Samples:
+    """Cast rays through picture positions and read the surface where they meet it."""
+    directions = view.camera.directions(pixels, width=view.width, height=view.height)
+    origins = view.camera.origins(pixels, width=view.width, height=view.height)
+    found = view.tracer.find(origins, directions)
+    corners = view.surface.triangles[found.triangles]
+    normals = _mix(view.normals, corners, found.barycentric)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.float32(1e-9))
+    views = -directions[found.rays]
+    facing = view.surface.outward * np.einsum("ij,ij->i", normals, views)
+    normals[view.surface.outward * facing < 0] *= -1
+    away = facing < -0.2
+    albedo = _mix(view.colors, corners, found.barycentric)
+    if not view.heat:
+        own = view.surface.painted[found.triangles]
+        known = ~np.isnan(own[:, 0])
+        albedo[known] = own[known]
+    # The back of the skin, seen through an eye hole: inside of the head, no surface to judge.
+    albedo[away] *= _INSIDE
+    if not view.heat:
+        _paint_irises(view.surface, found, corners, albedo)
+    return _Samples(found, normals, views, albedo, view.surface.parts[found.triangles])
+
+
+def _mix(values: Float32Array, corners: IntArray, shares: Float32Array) -> Float32Array:
+    mixed = values[corners[:, 0]] * shares[:, :1]
+    mixed += values[corners[:, 1]] * shares[:, 1:2]
+    mixed += values[corners[:, 2]] * shares[:, 2:]
+    return mixed
+
+
+def _paint_irises(surface: Surface, found: Found, corners: IntArray, albedo: Float32Array) -> None:
+    """Colour eyes by the angle from their gaze at rest: sharp on the coarsest eyeball."""
+    which = surface.eyes[found.triangles]
+    rows = np.flatnonzero(which >= 0)
+    if not len(rows):
+        return
+    rest = _mix(surface.rest, corners[rows], found.barycentric[rows])
+    local = rest - surface.eye_centers[which[rows]]
+    angle = np.arctan2(np.hypot(local[:, 0], local[:, 1]), local[:, 2])
+    around = np.arctan2(local[:, 1], local[:, 0])
+    iris = shading.IRIS * (1 + 0.25 * np.cos(23 * around) * np.cos(9 * around))[:, None]
+    iris = iris * np.clip(1.25 - ((angle - 0.33) / 0.19) ** 2, 0.25, 1)[:, None]
+    color = albedo[rows]
+    color = np.where((angle < IRIS_ANGLE)[:, None], iris, color)
+    color = np.where((angle < PUPIL_ANGLE)[:, None], shading.PUPIL, color)
+    albedo[rows] = color
+
+
+def _occlusion(
+    view: View, samples: _Samples, patterns: IntArray, *, sky: int, light: int
+) -> Float32Array:
+    """Return the shares of sky and of key light that each sample sees, as two columns."""
+    size = view.surface.size
+    start = samples.found.positions + np.float32(1.5e-3 * size) * samples.normals
+    seen = np.zeros((len(start), 2), np.float32)
+    seen[:, 0] = sky_seen(
+        view.tracer,
+        start,
+        samples.normals,
+        patterns=patterns,
+        ray_count=sky,
+        reach=0.28 * size,
+    )
+    facing = np.flatnonzero(samples.normals @ view.key > -0.1)
+    seen[facing, 1] = light_seen(
+        view.tracer,
+        start[facing],
+        direction=view.key,
+        spread=shading.KEY_SPREAD,
+        patterns=patterns[facing],
+        ray_count=light,
+    )
+    return seen
+
+
+def _light(view: View, samples: _Samples, seen: Float32Array) -> Float32Array:
+    axes = view.camera.axes().astype(np.float32).T
+    facing = samples.normals @ view.key
+    # Behind the terminator skin glows through; there a cast shadow would cut a hard line.
+    sure = np.clip((facing + 0.05) / 0.25, 0, 1)
+    openness, lit = seen[:, 0], seen[:, 1]
+    hits = shading.Hits(
+        normals=samples.normals @ axes,
+        views=samples.views @ axes,
+        albedo=samples.albedo,
+        parts=samples.parts,
+        openness=openness,
+        lit=lit * sure + openness**2 * (1 - sure),
+    )
+    return shading.shade(hits, plain=view.heat)
+
+
+def background(height: int, width: int) -> Float32Array:
+    """Return the studio wall behind every tile, a little lighter on top, as linear light."""
+    column = np.linspace(_TOP, _BOTTOM, height, dtype=np.float32)
+    tint = np.array([0.96, 1.0, 1.06], np.float32)
+    return np.ascontiguousarray(
+        np.broadcast_to((column[:, None] * tint)[:, None, :], (height, width, 3))
+    )
+
+
+def _edges(picture: Float32Array) -> BoolArray:
+    """Return where light steps between neighbours, in display terms."""
+    shown = np.sqrt(np.clip(picture, 0, 1))
+    mask = np.zeros(picture.shape[:2], bool)
+    down = np.abs(np.diff(shown, axis=0)).max(axis=2) > _CONTRAST
+    mask[1:] |= down
+    mask[:-1] |= down
+    across = np.abs(np.diff(shown, axis=1)).max(axis=2) > _CONTRAST
+    mask[:, 1:] |= across
+    mask[:, :-1] |= across
+    return mask
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What the first rays found, by pixel: light there is smooth already."""
+
+    samples: _Samples
+    seen: Float32Array
+    slots: IntArray
+
+
+def _resample(view: View, edges: IntArray, near_hole: BoolArray, known: _Known) -> Float32Array:
+    """Average several samples in each of the given pixels."""
+    count = view.effort.edge_samples
+    plastic = 1.32471795724474602596
+    steps = np.arange(count)
+    spread = np.stack([(0.5 + steps / plastic) % 1, (0.5 + steps / plastic**2) % 1], axis=1)
+    corners = np.stack([edges % view.width, edges // view.width], axis=1).astype(np.float64)
+    pixels = (corners[:, None, :] + spread).reshape(-1, 2)
+    owner = np.repeat(edges, count)
+    samples = _sample(view, pixels)
+    rays = samples.found.rays
+    seen, unknown = _borrow(view, samples, owner[rays], known)
+    rest = samples.take(unknown)
+    seen[unknown] = _occlusion(
+        view,
+        rest,
+        (rest.found.rays * 5 + owner[rest.found.rays]) % PATTERNS,
+        sky=view.effort.edge_sky_rays,
+        light=view.effort.edge_light_rays,
+    )
+    light = background(view.height, view.width)[owner // view.width, 0]
+    light[near_hole[owner]] = _HOLE
+    light[rays] = _light(view, samples, seen)
+    return np.asarray(light.reshape(len(edges), count, 3).mean(axis=1), np.float32)
+
+
+def _borrow(
+    view: View, samples: _Samples, owner: IntArray, known: _Known
+) -> tuple[Float32Array, IntArray]:
+    """Take shares of light from the pixel or a neighbour on the same bit of surface.
+
+    Returns
+    -------
+    seen : (n, 2) float32 array
+    unknown : (m,) int array
+        Samples that no pixel near by has seen the surface of.
+    """
+    seen = np.zeros((len(owner), 2), np.float32)
+    open_rows = np.arange(len(owner))
+    last = len(known.slots) - 1
+    for step in (0, 1, -1, view.width, -view.width):
+        slot = known.slots[np.clip(owner[open_rows] + step, 0, last)]
+        offset = known.samples.found.positions[slot] - samples.found.positions[open_rows]
+        normals = samples.normals[open_rows]
+        same = (
+            (slot >= 0)
+            & (np.abs(np.einsum("ij,ij->i", offset, normals)) < view.tolerance)
+            & (np.einsum("ij,ij->i", known.samples.normals[slot], normals) > 0.8)
+        )
+        seen[open_rows[same]] = known.seen[slot[same]]
+        open_rows = open_rows[~same]
+    return seen, open_rows

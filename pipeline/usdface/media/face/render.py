@@ -1,0 +1,156 @@
+"""Draw a posed face: ray-cast, softly lit, with shadow and ambient occlusion. No GPU, no window."""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from usdface.core.arrays import ByteImage, FloatArray
+from usdface.core.assets import RigMesh
+from usdface.core.errors import InputError
+from usdface.media.face.camera import Camera
+from usdface.media.face.raycast import EFFORT, View, draw
+from usdface.media.face.surface import Surface, build_surface
+from usdface.media.face.tracing import Tracer
+from usdface.media.picture.color import bytes_from_linear, heat_ramp
+from usdface.media.picture.display_view import DisplayView
+
+Quality = Literal["draft", "final"]
+
+MAX_PIXELS = 8192 * 8192
+
+
+class FaceRenderer:
+    """A rig ready to be drawn in any pose; keeps all that no pose changes.
+
+    Parameters
+    ----------
+    meshes : sequence of RigMesh
+        Hidden meshes are left out. Coarse Catmull-Clark cages are subdivided. Where a mesh has no
+        colours, pieces that are eyes, teeth, lashes or the inside of the mouth are recognised.
+    display : callable, optional
+        Turns light into bytes, see `display_view`; plain sRGB by default. Heat maps are data and
+        always plain.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to draw or polygons do not fit their points.
+    """
+
+    def __init__(self, meshes: Sequence[RigMesh], *, display: DisplayView | None = None) -> None:
+        self._sizes = [len(mesh.points) for mesh in meshes]
+        self._surface: Surface = build_surface(meshes)
+        self._display = display or bytes_from_linear
+
+    @property
+    def point_count(self) -> int:
+        """Number of points of all meshes in a row, drawn or not."""
+        return sum(self._sizes)
+
+    @property
+    def surface(self) -> Surface:
+        """What the rig was recognised to be."""
+        return self._surface
+
+    @property
+    def eyes_put_in(self) -> bool:
+        """Whether the rig has lids and no eyes, so that balls stand in: a sheet should say so."""
+        return self._surface.eyes_put_in
+
+    def render(
+        self,
+        points: Sequence[ArrayLike] | ArrayLike,
+        *,
+        camera: Camera,
+        width: int,
+        height: int,
+        quality: Quality = "final",
+        values: ArrayLike | None = None,
+        value_range: tuple[float, float] = (0.0, 1.0),
+        sculpted: FloatArray | None = None,
+    ) -> ByteImage:
+        """Draw one pose.
+
+        Parameters
+        ----------
+        points : (points, 3) array or sequence of one such array per mesh
+            [mm]; of every mesh the renderer was given, in its order.
+        camera : Camera
+        width, height : int
+            [pixels]
+        quality : {'draft', 'final'}
+            Draft for movies and previews, final for what is looked at long.
+        values : (points,) array, optional
+            Painted in place of colours, as a heat map.
+        value_range : tuple of float
+            Values drawn in the ramp's first and last colour.
+        sculpted : (points, 3) array, optional
+            Added to the surface's unit normals, see `SculptedNormals`.
+
+        Returns
+        -------
+        (height, width, 3) uint8 array
+            sRGB.
+
+        Raises
+        ------
+        InputError
+            If points or values do not fit the rig, are not finite, or the size is absurd.
+        """
+        _check_size(width, height)
+        surface = self._surface
+        cage = self._gather(points)
+        fine = np.asarray(surface.matrix @ cage)
+        colors = surface.albedo
+        if values is not None:
+            given = _finite(np.asarray(values, np.float64), (self.point_count,), "values")
+            fine_values = np.asarray(surface.matrix @ given)
+            low, high = value_range
+            colors = heat_ramp(fine_values, low=low, high=high).astype(np.float32)
+        normals = surface.normals_at(fine.astype(np.float32))
+        if sculpted is not None:
+            normals = normals + surface.matrix @ sculpted
+            normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+        view = View(
+            surface=surface,
+            camera=camera,
+            width=width,
+            height=height,
+            effort=EFFORT[quality],
+            tracer=Tracer(fine.astype(np.float32), surface.triangles),
+            normals=normals.astype(np.float32),
+            colors=colors,
+            heat=values is not None,
+        )
+        return (bytes_from_linear if view.heat else self._display)(draw(view))
+
+    def _gather(self, points: Sequence[ArrayLike] | ArrayLike) -> FloatArray:
+        """Put the points of all meshes in a row and check them."""
+        shape = (self.point_count, 3)
+        if isinstance(points, np.ndarray) and points.shape == shape:
+            return _finite(points.astype(np.float64), shape, "points")
+        parts = [np.asarray(part, np.float64) for part in points]  # type: ignore[union-attr]
+        if len(self._sizes) == 1 and len(parts) != 1:
+            return _finite(np.asarray(points, np.float64), shape, "points")
+        if [part.shape for part in parts] != [(size, 3) for size in self._sizes]:
+            raise InputError(
+                f"points to draw have shapes {[part.shape for part in parts]} and the rig's meshes "
+                f"have {self._sizes} points; pass the points of every mesh of the rig"
+            )
+        return _finite(np.concatenate(parts), shape, "points")
+
+
+def _finite(array: FloatArray, shape: tuple[int, ...], name: str) -> FloatArray:
+    if array.shape != shape:
+        raise InputError(f"{name} to draw have shape {array.shape} and the rig needs {shape}")
+    if not np.isfinite(array).all():
+        bad = int(np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))[0])
+        raise InputError(f"{name} to draw: number {bad} is {array[bad]}; repair what deforms it")
+    return array
+
+
+def _check_size(width: int, height: int) -> None:
+    if width < 1 or height < 1 or width * height > MAX_PIXELS:
+        raise InputError(f"a picture of {width} × {height} pixels cannot be drawn; ask for less")

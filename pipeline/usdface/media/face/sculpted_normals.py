@@ -1,0 +1,109 @@
+"""Normals that a rig says itself: authored ones, and the ``normalOffsets`` of its shapes.
+
+Pictures take normals from the posed surface. Where a mesh has normals of its own, their difference
+from the surface's at rest is added in every pose; and where a key of a shape has normal offsets,
+so is what they differ by from what the surface does as the key moves it. At rest and at each key
+that leaves exactly what was sculpted, as UsdSkel adds it up; between them, and for shapes without
+normal offsets, normals follow the surface instead of staying behind.
+"""
+
+import numpy as np
+from scipy import sparse
+
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.assets import Rig, RigMesh
+from usdface.core.deformer import Deformer
+from usdface.media.face.mesh_topology import normal_operator, vertex_normals
+from usdface.numerics.surface.triangulation import triangulate
+
+
+class SculptedNormals:
+    """What a rig's own normals add to those of its surface; worked out once.
+
+    Parameters
+    ----------
+    rig : Rig
+        Normals of subdivided meshes do not count: their limit surface has its own.
+    deformer : Deformer
+        Of the same rig.
+
+    Attributes
+    ----------
+    any : bool
+        Whether there is something to add.
+    """
+
+    def __init__(self, rig: Rig, deformer: Deformer) -> None:
+        self._shapes = deformer.shapes
+        rest = [np.zeros(mesh.points.shape) for mesh in rig.meshes]
+        rows, columns, values = [], [], []
+        row = 0
+        for own, mesh, start in zip(rest, rig.meshes, deformer.starts, strict=False):
+            keys = [key for shape in mesh.shapes for key in shape.keys]
+            first, row = row, row + len(keys)
+            sculpted = mesh.normals is not None or any(k.normal_offsets is not None for k in keys)
+            if mesh.subdivision != "none" or not sculpted or not len(mesh.face_counts):
+                continue
+            surface = _OwnSurface(mesh)
+            if mesh.normals is not None:
+                own[:] = surface.sign * mesh.normals - surface.rest
+            for number, key in enumerate(keys):
+                if key.normal_offsets is None:
+                    continue
+                beyond = surface.rest - surface.moved(key.points, key.offsets)
+                beyond[key.points] += surface.sign * key.normal_offsets
+                at = np.flatnonzero(np.abs(beyond).max(axis=1) > 1e-9)
+                columns.append((3 * (start + at)[:, None] + np.arange(3)).ravel())
+                rows.append(np.full(3 * len(at), first + number))
+                values.append(beyond[at].ravel())
+        self._rest = np.concatenate(rest)
+        shape = (row, self._rest.size)
+        self._keys = (
+            sparse.csr_array(
+                (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape
+            )
+            if values
+            else None
+        )
+        self.any = bool(values) or bool(self._rest.any())
+
+    def at(self, weights: FloatArray) -> FloatArray | None:
+        """Return what is added to unit normals at one set of weights; None where nothing is.
+
+        Parameters
+        ----------
+        weights : (shapes,) float array
+
+        Returns
+        -------
+        (points, 3) float array or None
+            In the direction of each mesh's winding.
+        """
+        if not self.any:
+            return None
+        if self._keys is None:
+            return self._rest
+        moved = self._shapes.key_weights(weights[None]) @ self._keys
+        return np.asarray(self._rest + np.asarray(moved).reshape(self._rest.shape), np.float64)
+
+
+class _OwnSurface:
+    """A mesh's normals by its faces, at rest and moved."""
+
+    def __init__(self, mesh: RigMesh) -> None:
+        self._mesh = mesh
+        self._triangles, _ = triangulate(mesh.face_counts, mesh.face_indices)
+        self._operator = normal_operator(self._triangles, point_count=len(mesh.points))
+        self.rest: FloatArray = self._normals(mesh.points)
+        # Left-handed meshes are wound the other way; their normals point outward all the same.
+        aligned = 1.0 if mesh.normals is None else float(np.sum(self.rest * mesh.normals))
+        self.sign = -1.0 if aligned < 0 else 1.0
+
+    def moved(self, points: IntArray, offsets: FloatArray) -> FloatArray:
+        """Return unit normals with some points moved."""
+        posed = self._mesh.points.copy()
+        posed[points] += offsets
+        return self._normals(posed)
+
+    def _normals(self, points: FloatArray) -> FloatArray:
+        return vertex_normals(points, self._triangles, self._operator)

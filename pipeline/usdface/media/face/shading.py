@@ -1,0 +1,138 @@
+"""Light on a face: key, fill and two rims that travel with the camera, skin that is not plastic.
+
+All colours are linear. Directions are given in the camera's axes (right, up, towards the eye), so
+that a face turned to any side is lit as the next one on the sheet is.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.core.arrays import Float32Array, IntArray
+from usdface.media.face.parts import Part
+
+SKIN = np.array([0.50, 0.31, 0.235], np.float32)
+INNER_MOUTH = np.array([0.16, 0.045, 0.04], np.float32)
+TONGUE = np.array([0.34, 0.12, 0.105], np.float32)
+TEETH = np.array([0.62, 0.58, 0.50], np.float32)
+HAIR = np.array([0.035, 0.025, 0.02], np.float32)
+SCLERA = np.array([0.66, 0.64, 0.62], np.float32)
+IRIS = np.array([0.11, 0.15, 0.17], np.float32)
+PUPIL = np.array([0.006, 0.006, 0.006], np.float32)
+
+KEY_DIRECTION = np.array([-0.42, 0.46, 0.78], np.float32)
+KEY_SPREAD = 0.09
+"""Radius of the key light over its distance: how soft its shadow is."""
+
+
+@dataclass(frozen=True)
+class Light:
+    """A distant light; only the key casts a shadow."""
+
+    direction: tuple[float, float, float]
+    color: tuple[float, float, float]
+
+
+LIGHTS = (
+    Light((-0.42, 0.46, 0.78), (1.20, 1.13, 1.05)),
+    Light((0.85, 0.05, 0.45), (0.20, 0.235, 0.28)),
+    Light((0.72, 0.45, -0.62), (0.55, 0.60, 0.68)),
+    Light((-0.85, 0.25, -0.55), (0.30, 0.33, 0.37)),
+)
+_SKY = np.array([0.30, 0.315, 0.345], np.float32)
+_GROUND = np.array([0.15, 0.13, 0.12], np.float32)
+# How far light wraps past the terminator, by channel: red travels furthest under skin.
+_SKIN_WRAP = np.array([0.34, 0.17, 0.10], np.float32)
+# Shallow occlusion is bright again where light bounces in it, and redder: a power by channel.
+_SKIN_BOUNCE = np.array([0.80, 1.08, 1.18], np.float32)
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What a bundle of rays met.
+
+    Attributes
+    ----------
+    normals : (n, 3) float32 array
+        Unit, towards the camera, in its axes.
+    views : (n, 3) float32 array
+        Unit, from the surface to the camera, in its axes.
+    albedo : (n, 3) float32 array
+    parts : (n,) int array
+    openness : (n,) float32 array
+        How much of the sky is seen [0-1].
+    lit : (n,) float32 array
+        How much of the key light is seen [0-1].
+    """
+
+    normals: Float32Array
+    views: Float32Array
+    albedo: Float32Array
+    parts: IntArray
+    openness: Float32Array
+    lit: Float32Array
+
+
+# Specular strength and Blinn exponent of each part, in the order of `Part`.
+_GLOSS = np.array([0.045, 0.9, 0.25, 0.10, 0.05, 0.0], np.float32)
+_SHINE = np.array([26.0, 420.0, 70.0, 40.0, 20.0, 1.0], np.float32)
+
+
+def shade(hits: Hits, *, plain: bool = False) -> Float32Array:
+    """Return the light that leaves each hit towards the camera.
+
+    Parameters
+    ----------
+    hits : Hits
+    plain : bool
+        Leave out highlights and colour of light, so that a heat map keeps its colours.
+
+    Returns
+    -------
+    (n, 3) float32 array
+        Linear light, tone-mapped to [0-1].
+    """
+    if plain:
+        return _shade_plain(hits)
+    normals, views = hits.normals, hits.views
+    skin = (hits.parts == Part.SKIN)[:, None]
+    opened = hits.openness[:, None]
+    bounced = np.where(skin, opened**_SKIN_BOUNCE, opened)
+    total = hits.albedo * bounced * _ambient(normals)
+    wrap = np.where(skin, _SKIN_WRAP, np.float32(0.05))
+    gloss, shine = _GLOSS[hits.parts], _SHINE[hits.parts]
+    for number, light in enumerate(LIGHTS):
+        direction = np.asarray(light.direction, np.float32)
+        direction = direction / np.linalg.norm(direction)
+        color = np.asarray(light.color, np.float32)
+        facing = normals @ direction
+        reach = hits.lit if number == 0 else hits.openness
+        diffuse = np.clip((facing[:, None] + wrap) / (1 + wrap), 0, None)
+        total += hits.albedo * diffuse * color * reach[:, None]
+        if number == 0:  # one light in each eye, as in a portrait
+            half = views + direction
+            half /= np.linalg.norm(half, axis=1, keepdims=True)
+            lobe = np.clip(np.einsum("ij,ij->i", normals, half), 0, 1) ** shine
+            strength = gloss * (shine + 2) / 28 * lobe * np.clip(facing * 4, 0, 1) * reach
+            total += strength[:, None] * color
+    return _tone(total)
+
+
+def _shade_plain(hits: Hits) -> Float32Array:
+    key = KEY_DIRECTION / np.linalg.norm(KEY_DIRECTION)
+    facing = np.clip((hits.normals @ key + 0.3) / 1.3, 0, 1)
+    light = 0.50 * hits.openness + 0.55 * facing * (0.4 + 0.6 * hits.lit)
+    return np.asarray(hits.albedo * light[:, None], np.float32)
+
+
+def _ambient(normals: Float32Array) -> Float32Array:
+    up = (0.5 + 0.5 * normals[:, 1])[:, None]
+    return np.asarray(_GROUND * (1 - up) + _SKY * up, np.float32)
+
+
+def _tone(light: Float32Array) -> Float32Array:
+    """Roll highlights off above 0.6 so that none burns out; below, light stays as it is."""
+    knee = np.float32(0.6)
+    over = np.maximum(light - knee, 0)
+    room = 1 - knee
+    return np.asarray(np.minimum(light, knee) + room * over / (over + room), np.float32)

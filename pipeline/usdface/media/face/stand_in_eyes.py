@@ -1,0 +1,169 @@
+"""Eyeballs for a rig that has lids and no eyes: lids are judged by how much of an iris they cover.
+
+Some face meshes end at the rims of the lids, and the eyes live in another asset. Drawn so, one
+looks through the face. The balls that are put in look straight ahead and follow the skull; they
+are drawn and never written.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.assets import RigMesh
+from usdface.media.face.mesh_topology import Sparse, polygon_edges
+
+_SHARE_OF_OPENING = 0.52  # radius over the width between the corners of the lids
+_LEAST_BLINK = 0.10  # of the largest motion in a blink, by the rim of a lid
+_OPENING = (0.05, 0.45)  # width of an eye hole over the face's
+_CLEARANCE = 0.02  # of the radius, between ball and lids
+_ANCHORS = 64
+_ROWS, _COLUMNS = 24, 48
+
+
+@dataclass(frozen=True)
+class StandIns:
+    """Eyeballs and how they hang on a rig's points.
+
+    Attributes
+    ----------
+    meshes : tuple of RigMesh
+        Named as eyes, at rest.
+    matrix : (ball points, points) sparse array
+        Ball points = matrix @ points, exact under any rigid motion of the head.
+    """
+
+    meshes: tuple[RigMesh, ...]
+    matrix: Sparse
+
+
+def fit_stand_in_eyes(meshes: Sequence[RigMesh]) -> StandIns | None:
+    """Put a ball behind every hole whose rim blinks.
+
+    Parameters
+    ----------
+    meshes : sequence of RigMesh
+
+    Returns
+    -------
+    StandIns or None
+        None where there is no pair of such holes.
+    """
+    rest = np.concatenate([mesh.points for mesh in meshes])
+    blink = np.concatenate([_blink_offsets(mesh) for mesh in meshes])
+    moved = np.linalg.norm(blink, axis=1)
+    if not moved.any():
+        return None
+    holes = [
+        hole
+        for hole in _holes(meshes)
+        if moved[hole].mean() > _LEAST_BLINK * moved.max()
+        and _OPENING[0] < np.ptp(rest[hole, 0]) / np.ptp(rest[:, 0]) < _OPENING[1]
+    ]
+    if len(holes) != 2:
+        return None
+    balls = []
+    for name, hole in zip(("standIn_eye_a", "standIn_eye_b"), holes, strict=True):
+        radius = _SHARE_OF_OPENING * float(np.ptp(rest[hole, 0]))
+        center = _behind_lids(rest, blink, moved, hole, radius=radius)
+        balls.append(_ball(f"/{name}", center, radius))
+    every = np.concatenate([ball.points for ball in balls])
+    return StandIns(meshes=tuple(balls), matrix=_hang(every, rest, _stillness(meshes)))
+
+
+def _blink_offsets(mesh: RigMesh) -> FloatArray:
+    offsets = np.zeros_like(mesh.points, dtype=np.float64)
+    for shape in mesh.shapes:
+        if "blink" in shape.name.lower():
+            offsets[shape.keys[-1].points] += shape.keys[-1].offsets
+    return offsets
+
+
+def _holes(meshes: Sequence[RigMesh]) -> list[IntArray]:
+    """Return the points of every closed border, over all meshes in a row."""
+    holes, first = list[IntArray](), 0
+    for mesh in meshes:
+        edges, uses = np.unique(
+            np.sort(polygon_edges(mesh.face_counts, mesh.face_indices), axis=1),
+            axis=0,
+            return_counts=True,
+        )
+        border = edges[uses == 1]
+        rim = np.unique(border)
+        ends = np.searchsorted(rim, border)
+        links = sparse.coo_array(
+            (np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(rim), len(rim))
+        )
+        count, labels = connected_components(links, directed=False)
+        holes += [first + rim[labels == hole] for hole in range(count)]
+        first += len(mesh.points)
+    return [hole for hole in holes if len(hole) >= 6]
+
+
+def _behind_lids(
+    rest: FloatArray, blink: FloatArray, moved: FloatArray, hole: IntArray, *, radius: float
+) -> FloatArray:
+    """Return where a ball may lie as far forward as no lid, open or shut, cuts into it."""
+    low, high = rest[hole].min(axis=0), rest[hole].max(axis=0)
+    middle = (low + high) / 2
+    near = np.linalg.norm((rest - middle)[:, :2], axis=1) < 1.1 * radius
+    lids = np.union1d(np.flatnonzero(near & (moved > 0.1 * moved.max())), hole)
+    swept = np.concatenate([rest[lids] + part * blink[lids] for part in (0.0, 0.33, 0.67, 1.0)])
+    flat = np.linalg.norm((swept - middle)[:, :2], axis=1)
+    inside = flat < 0.98 * radius
+    front = np.sqrt(radius**2 - flat[inside] ** 2)
+    # A few points of the rim's inner side may dip in: the ball must not sink for their sake.
+    depth = np.percentile(swept[inside, 2] - front, 4)
+    return np.array([middle[0], middle[1], depth - _CLEARANCE * radius])
+
+
+def _ball(path: str, center: FloatArray, radius: float) -> RigMesh:
+    down = np.linspace(0.02, np.pi - 0.02, _ROWS + 1)
+    around = np.arange(_COLUMNS) * 2 * np.pi / _COLUMNS
+    unit = np.stack(
+        [
+            np.sin(down)[:, None] * np.sin(around),
+            np.broadcast_to(np.cos(down)[:, None], (_ROWS + 1, _COLUMNS)),
+            np.sin(down)[:, None] * np.cos(around),
+        ],
+        axis=-1,
+    )
+    row, column = (grid.ravel() for grid in np.mgrid[:_ROWS, :_COLUMNS])
+    right = (column + 1) % _COLUMNS
+    above, below = row * _COLUMNS, (row + 1) * _COLUMNS
+    quads = np.stack([above + column, below + column, below + right, above + right], axis=1)
+    return RigMesh(
+        path=path,
+        points=center + radius * unit.reshape(-1, 3),
+        face_counts=np.full(len(quads), 4, np.int64),
+        face_indices=quads.ravel(),
+    )
+
+
+def _stillness(meshes: Sequence[RigMesh]) -> FloatArray:
+    """Return how far all shapes together move each point [mm]."""
+    total = [np.zeros(len(mesh.points)) for mesh in meshes]
+    for own, mesh in zip(total, meshes, strict=True):
+        for shape in mesh.shapes:
+            key = shape.keys[-1]
+            own[key.points] += np.linalg.norm(key.offsets, axis=1)
+    return np.concatenate(total)
+
+
+def _hang(balls: FloatArray, rest: FloatArray, moved: FloatArray) -> Sparse:
+    """Express points as affine combinations of points that no shape moves, or hardly any."""
+    still = np.argsort(moved, kind="stable")[: max(len(rest) // 10, min(len(rest), _ANCHORS))]
+    anchors = np.sort(still)[:: max(len(still) // _ANCHORS, 1)]
+
+    def affine(points: FloatArray) -> FloatArray:
+        return np.column_stack(
+            [(points - rest[anchors].mean(axis=0)) / 100.0, np.ones(len(points))]
+        )
+
+    shares = affine(balls) @ np.linalg.pinv(affine(rest[anchors]))
+    rows = np.repeat(np.arange(len(balls)), len(anchors))
+    columns = np.tile(anchors, len(balls))
+    return sparse.csr_array((shares.ravel(), (rows, columns)), shape=(len(balls), len(rest)))

@@ -1,0 +1,352 @@
+"""What a rig looks like before it moves: finer polygons, what each piece is, and its colours."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.assets import RigMesh
+from usdface.core.errors import InputError
+from usdface.media.face.complexion import OPAQUE, faces_painted, is_plain_eye, paint
+from usdface.media.face.mesh_topology import (
+    Sparse,
+    check_topology,
+    normal_operator,
+    vertex_normals,
+)
+from usdface.media.face.parts import Part, Pieces, find_pieces
+from usdface.media.face.quad_centre_split import cut_polygons
+from usdface.media.face.stand_in_eyes import fit_stand_in_eyes
+from usdface.media.face.subdivision import catmull_clark
+from usdface.media.face.tracing import PATTERNS, Tracer, sky_seen
+
+COARSE_POINTS = 6000
+"""Subdivide a Catmull-Clark cage of fewer points; finer ones look smooth at sheet size."""
+
+_EXPOSURE_RAYS = 48  # to colour by: below, the inside of the mouth has a ragged edge
+_SORTING_RAYS = 12  # to tell pieces apart, by their median
+_PROBES = 2000  # points that decide which way normals point
+
+
+LONG_EDGE = 0.02
+"""Of the height of all that is drawn: edges of quads that a picture shows in many pixels."""
+
+
+@dataclass(frozen=True)
+class Middles:
+    """Drawn points in the middle of four others, lit as the mean of them.
+
+    Attributes
+    ----------
+    points : (n,) int array
+    corners : (n, 4) int array
+    """
+
+    points: IntArray
+    corners: IntArray
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The drawn triangles of a rig and all about them that no pose changes.
+
+    Attributes
+    ----------
+    matrix : (drawn points, points) sparse array
+        Drawn points = matrix @ points; points are those of all meshes in a row.
+    triangles : (triangles, 3) int array
+    normals : (drawn points, triangles) sparse array
+        Adds triangle normals at their corners.
+    middles : Middles
+    parts : (triangles,) int array
+        A `Part` each.
+    albedo : (drawn points, 3) float32 array
+        Linear.
+    painted : (triangles, 3) float32 array
+        The colour that a material gives this very triangle; NaN where `albedo` holds.
+    rest : (drawn points, 3) float32 array
+        [mm]
+    eyes : (triangles,) int array
+        Row of `eye_centers` on eyes without colours of their own, else -1.
+    eye_centers : (eyes, 3) float32 array
+        [mm]
+    size : float
+        Height of the drawn surface at rest [mm]; scales distances of light.
+    outward : float
+        +1 if normals point out of the head, -1 if the mesh is wound the other way.
+    eyes_put_in : bool
+        True where the rig has no eyes and balls stand in for them.
+    """
+
+    matrix: Sparse
+    triangles: IntArray
+    normals: Sparse
+    middles: Middles
+    parts: IntArray
+    albedo: Float32Array
+    painted: Float32Array
+    rest: Float32Array
+    eyes: IntArray
+    eye_centers: Float32Array
+    size: float
+    outward: float
+    eyes_put_in: bool
+
+    def normals_at(self, fine: FloatArray) -> FloatArray:
+        """Return unit normals of the drawn points in a pose; zero where no triangle is.
+
+        Parameters
+        ----------
+        fine : (drawn points, 3) float array
+            [mm]
+        """
+        normals = vertex_normals(fine, self.triangles, self.normals)
+        summed = normals[self.middles.corners].sum(axis=1)
+        length = np.linalg.norm(summed, axis=1, keepdims=True)
+        normals[self.middles.points] = summed / np.maximum(length, 1e-12)
+        return normals
+
+
+def build_surface(meshes: Sequence[RigMesh]) -> Surface:
+    """Prepare the visible meshes of a rig for drawing.
+
+    Parameters
+    ----------
+    meshes : sequence of RigMesh
+
+    Returns
+    -------
+    Surface
+
+    Raises
+    ------
+    InputError
+        If no visible mesh has a polygon, or polygons do not fit their points.
+    """
+    for mesh in meshes:
+        check_topology(mesh)
+    visible = [mesh for mesh in meshes if mesh.visible and len(mesh.face_counts)]
+    if not visible:
+        names = ", ".join(f"<{mesh.path}>" for mesh in meshes) or "none"
+        raise InputError(f"no visible mesh with polygons to draw among: {names}")
+    selection = _selection(meshes, visible)
+    drawn, pieces = _recognise(visible)
+    stand_ins = None if np.any(pieces.parts == Part.EYE) else fit_stand_in_eyes(visible)
+    if stand_ins is not None:
+        visible = [*visible, *stand_ins.meshes]
+        selection = sparse.vstack([selection, stand_ins.matrix @ selection])
+        drawn, pieces = _recognise(visible)
+    parts = pieces.parts[pieces.of_point[drawn.corner_of_triangle]]
+    eye_rows = {piece: row for row, piece in enumerate(pieces.eyeballs)}
+    eyes = np.array([eye_rows.get(p, -1) for p in range(len(pieces.parts))])
+    faces = drawn.face_of_triangle
+    painted = np.concatenate([faces_painted(mesh) for mesh in visible])[faces]
+    piece_of_triangle = pieces.of_point[drawn.corner_of_triangle]
+    for piece in pieces.eyeballs:
+        if not _plain_eye(visible, pieces, piece, painted[piece_of_triangle == piece]):
+            eyes[piece] = -1
+    clear = np.concatenate([_clear(mesh) for mesh in visible])[faces]
+    kept = (parts != Part.HIDDEN) & ~clear
+    if not kept.any():
+        kept = parts != Part.HIDDEN
+    triangles, painted = drawn.triangles[kept], painted[kept]
+    # Without lash cards and tear lines: they hide skin that is seen.
+    shown = replace(drawn, triangles=triangles, corner_of_triangle=drawn.corner_of_triangle[kept])
+    exposure = _rest_exposure(visible, shown, rays=_EXPOSURE_RAYS)
+    cage = np.concatenate([mesh.points for mesh in visible])
+    rest = np.asarray(drawn.matrix @ cage)
+    return Surface(
+        matrix=drawn.matrix @ selection,
+        triangles=triangles,
+        normals=normal_operator(triangles, point_count=len(rest)),
+        middles=drawn.middles,
+        parts=parts[kept],
+        albedo=_of_points_too(
+            drawn.matrix @ paint(visible, pieces, exposure=exposure.seen), triangles, painted
+        ),
+        painted=painted.astype(np.float32),
+        rest=rest.astype(np.float32),
+        eyes=eyes[piece_of_triangle[kept]],
+        eye_centers=np.array(
+            [ball.center for ball in pieces.eyeballs.values()], np.float32
+        ).reshape(-1, 3),
+        size=float(max(np.ptp(rest[:, 1]), 1e-6)),
+        outward=exposure.outward,
+        eyes_put_in=stand_ins is not None,
+    )
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """Triangles over a mesh, finer than its cage where that is coarse."""
+
+    matrix: Sparse
+    triangles: IntArray
+    corner_of_triangle: IntArray  # a cage point that each triangle belongs to
+    face_of_triangle: IntArray  # the cage's polygon that it lies in
+    face_count: int
+    row_of_point: IntArray  # the drawn point that each cage point became
+    middles: Middles
+
+
+@dataclass(frozen=True)
+class _Exposure:
+    """How much sky each cage point sees [0-1], and whether normals point out (1) or in (-1)."""
+
+    seen: FloatArray
+    outward: float
+
+
+def _recognise(meshes: Sequence[RigMesh]) -> tuple[_Drawn, Pieces]:
+    """Refine the meshes and tell their pieces apart."""
+    heights = np.concatenate([mesh.points[:, 1] for mesh in meshes])
+    least = LONG_EDGE * float(np.ptp(heights))
+    drawn = _concatenate([_refine(mesh, least_edge=least) for mesh in meshes])
+    exposure = _rest_exposure(meshes, drawn, rays=_SORTING_RAYS)
+    return drawn, find_pieces(meshes, exposure=exposure.seen)
+
+
+def _clear(mesh: RigMesh) -> BoolArray:
+    """Return which polygons one looks through."""
+    if mesh.face_colors is None:
+        return np.zeros(len(mesh.face_counts), bool)
+    return np.asarray(mesh.face_colors[:, 3] < OPAQUE)
+
+
+def _plain_eye(meshes: Sequence[RigMesh], pieces: Pieces, piece: int, painted: FloatArray) -> bool:
+    """Whether an eye lacks an iris of its own: by its points' colours and by its faces'."""
+    colors = np.concatenate(
+        [
+            np.full(mesh.points.shape, np.nan) if mesh.colors is None else mesh.colors
+            for mesh in meshes
+        ]
+    )
+    return is_plain_eye(colors[pieces.of_point == piece]) and is_plain_eye(painted)
+
+
+def _of_points_too(albedo: FloatArray, triangles: IntArray, painted: FloatArray) -> Float32Array:
+    """Give points the mean colour of the painted triangles about them, as pages show them."""
+    known = np.flatnonzero(~np.isnan(painted[:, 0]))
+    if len(known):
+        corners = triangles[known].ravel()
+        uses = np.bincount(corners, minlength=len(albedo))
+        for axis in range(3):
+            summed = np.bincount(corners, np.repeat(painted[known, axis], 3), minlength=len(albedo))
+            albedo[:, axis] = np.where(uses > 0, summed / np.maximum(uses, 1), albedo[:, axis])
+    return np.asarray(albedo, np.float32)
+
+
+def _refine(mesh: RigMesh, *, least_edge: float) -> _Drawn:
+    count = len(mesh.points)
+    counts, indices = mesh.face_counts, mesh.face_indices
+    starts = np.cumsum(counts) - counts
+    cage_corner = indices[np.minimum(starts, len(indices) - 1)]
+    cage_face = np.arange(len(counts))
+    matrix: Sparse = sparse.identity(count, format="csr")
+    while mesh.subdivision == "catmullClark" and matrix.shape[0] < COARSE_POINTS:
+        step = catmull_clark(counts, indices, point_count=matrix.shape[0])
+        if not len(step.face_counts):
+            break
+        matrix = step.matrix @ matrix
+        counts, indices = step.face_counts, step.face_indices
+        cage_corner, cage_face = cage_corner[step.parents], cage_face[step.parents]
+    cut = cut_polygons(np.asarray(matrix @ mesh.points), counts, indices, least_edge=least_edge)
+    first = matrix.shape[0]
+    matrix = sparse.vstack([matrix, cut.middles @ matrix])
+    return _Drawn(
+        sparse.csr_array(matrix),
+        cut.triangles,
+        cage_corner[cut.faces],
+        cage_face[cut.faces],
+        len(mesh.face_counts),
+        np.arange(count),  # both keep the cage's points first
+        Middles(first + np.arange(len(cut.corners)), cut.corners),
+    )
+
+
+def _concatenate(drawn: Sequence[_Drawn]) -> _Drawn:
+    rows = np.cumsum([0, *(d.matrix.shape[0] for d in drawn)])
+    columns = np.cumsum([0, *(d.matrix.shape[1] for d in drawn)])
+    faces = np.cumsum([0, *(d.face_count for d in drawn)])
+    return _Drawn(
+        matrix=sparse.csr_array(sparse.block_diag([d.matrix for d in drawn], format="csr")),
+        triangles=np.concatenate([d.triangles + r for d, r in zip(drawn, rows, strict=False)]),
+        corner_of_triangle=np.concatenate(
+            [d.corner_of_triangle + c for d, c in zip(drawn, columns, strict=False)]
+        ),
+        face_of_triangle=np.concatenate(
+            [d.face_of_triangle + f for d, f in zip(drawn, faces, strict=False)]
+        ),
+        face_count=int(faces[-1]),
+        row_of_point=np.concatenate(
+            [d.row_of_point + r for d, r in zip(drawn, rows, strict=False)]
+        ),
+        middles=Middles(
+            np.concatenate([d.middles.points + r for d, r in zip(drawn, rows, strict=False)]),
+            np.concatenate([d.middles.corners + r for d, r in zip(drawn, rows, strict=False)]),
+        ),
+    )
+
+
+def _selection(meshes: Sequence[RigMesh], visible: Sequence[RigMesh]) -> Sparse:
+    """Return the matrix that takes the points of the visible meshes from those of all."""
+    shown = {id(mesh) for mesh in visible}
+    taken = np.concatenate([np.full(len(m.points), id(m) in shown) for m in meshes])
+    columns = np.flatnonzero(taken)
+    ones = np.ones(len(columns))
+    return sparse.csr_array(
+        (ones, (np.arange(len(columns)), columns)), shape=(len(columns), len(taken))
+    )
+
+
+def _rest_exposure(meshes: Sequence[RigMesh], drawn: _Drawn, *, rays: int) -> _Exposure:
+    """Find how much sky each point sees, eyes open or shut, and which way normals point.
+
+    A lid that is folded away at rest is skin all the same: it is seen in a blink. What neither
+    pose shows is the inside of the mouth and of the sockets.
+    """
+    rest = np.concatenate([mesh.points for mesh in meshes])
+    few = np.arange(len(rest))[:: max(len(rest) // _PROBES, 1)]
+    out, into = (
+        _sky_over(rest, drawn, few, outward=side, rays=PATTERNS).mean() for side in (1.0, -1.0)
+    )
+    outward = 1.0 if out >= into else -1.0
+    every = np.arange(len(rest))
+    seen = _sky_over(rest, drawn, every, outward=outward, rays=rays)
+    blink = np.concatenate([_blinking(mesh) for mesh in meshes])
+    folded = np.flatnonzero(np.any(blink != rest, axis=1))
+    if len(folded):
+        shut = _sky_over(blink, drawn, folded, outward=outward, rays=rays)
+        seen[folded] = np.maximum(seen[folded], shut)
+    return _Exposure(seen=seen, outward=outward)
+
+
+def _blinking(mesh: RigMesh) -> FloatArray:
+    posed = mesh.points.astype(np.float64, copy=True)
+    for shape in mesh.shapes:
+        if "blink" in shape.name.lower():
+            posed[shape.keys[-1].points] += shape.keys[-1].offsets
+    return posed
+
+
+def _sky_over(
+    cage: FloatArray, drawn: _Drawn, which: IntArray, *, outward: float, rays: int
+) -> FloatArray:
+    """Return how much sky some of the cage's points see in a pose of it [0-1]."""
+    fine = np.asarray(drawn.matrix @ cage)
+    operator = normal_operator(drawn.triangles, point_count=len(fine))
+    normals = vertex_normals(fine, drawn.triangles, operator)
+    rows = drawn.row_of_point[which]
+    aim = (outward * normals[rows]).astype(np.float32)
+    lift = np.float32(2e-3 * np.ptp(fine[:, 1]))
+    seen = sky_seen(
+        Tracer(fine.astype(np.float32), drawn.triangles),
+        fine[rows].astype(np.float32) + lift * aim,
+        aim,
+        patterns=which % PATTERNS,
+        ray_count=rays,
+        reach=1e6,
+    )
+    return seen.astype(np.float64)

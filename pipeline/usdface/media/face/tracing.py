@@ -1,0 +1,170 @@
+"""Rays against triangles (Embree), and how many rays see the sky or the key light.
+
+Directions come from low-discrepancy tables, not from a random generator: the same pose gives the
+same picture, byte for byte, on every machine of the farm.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+
+from usdface.core.arrays import BoolArray, Float32Array, IntArray
+
+PATTERNS = 16
+"""Neighbouring pixels of a 4 by 4 block take different directions; a filter shares them."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """The first triangle that each ray met; rays that met none are left out.
+
+    Attributes
+    ----------
+    rays : (n,) int array
+        Which rays these are.
+    triangles : (n,) int array
+    barycentric : (n, 3) float32 array
+        Share of each corner.
+    positions : (n, 3) float32 array
+        [mm]
+    """
+
+    rays: IntArray
+    triangles: IntArray
+    barycentric: Float32Array
+    positions: Float32Array
+
+
+class Tracer:
+    """One pose of a surface, ready for rays.
+
+    Parameters
+    ----------
+    points : (points, 3) float array
+        [mm]
+    triangles : (triangles, 3) int array
+    """
+
+    def __init__(self, points: Float32Array, triangles: IntArray) -> None:
+        self._scene = EmbreeScene()
+        TriangleMesh(
+            self._scene,
+            np.ascontiguousarray(points, np.float32),
+            np.ascontiguousarray(triangles, np.int32),
+        )
+
+    def find(self, origins: Float32Array, directions: Float32Array) -> Found:
+        """Return what each ray meets first; both (n, 3), directions unit."""
+        origins = np.ascontiguousarray(origins)
+        met = self._scene.run(origins, np.ascontiguousarray(directions), output=1)
+        rays = np.flatnonzero(met["primID"] >= 0)
+        u, v = met["u"][rays], met["v"][rays]
+        return Found(
+            rays=rays,
+            triangles=met["primID"][rays].astype(np.int64),
+            barycentric=np.stack([1 - u - v, u, v], axis=1),
+            positions=origins[rays] + met["tfar"][rays, None] * directions[rays],
+        )
+
+    def blocked(
+        self, origins: Float32Array, directions: Float32Array, *, reach: float
+    ) -> BoolArray:
+        """Return which rays meet anything within `reach` lengths of their direction."""
+        distances = np.full(len(origins), reach, np.float32)
+        met = self._scene.run(origins, directions, dists=distances, query="OCCLUDED")
+        return np.asarray(met != -1)
+
+
+def sky_seen(
+    tracer: Tracer,
+    positions: Float32Array,
+    normals: Float32Array,
+    *,
+    patterns: IntArray,
+    ray_count: int,
+    reach: float,
+) -> Float32Array:
+    """Return the share of cosine-weighted rays that leave each point freely.
+
+    Parameters
+    ----------
+    tracer : Tracer
+    positions, normals : (n, 3) float32 arrays
+        Positions lie a little off the surface.
+    patterns : (n,) int array
+        Which of the `PATTERNS` sets of directions each point takes.
+    ray_count : int
+    reach : float
+        Further things do not darken [mm].
+
+    Returns
+    -------
+    (n,) float32 array
+        [0-1]
+    """
+    table = _sphere_table(ray_count)
+    free = np.zeros(len(positions), np.float32)
+    for rays in table.transpose(1, 0, 2):
+        # Normal plus a point of the unit sphere is cosine-weighted; 0.99 keeps it off zero.
+        directions = normals + np.float32(0.99) * rays[patterns]
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        free += ~tracer.blocked(positions, directions, reach=reach)
+    return free / np.float32(ray_count)
+
+
+def light_seen(
+    tracer: Tracer,
+    positions: Float32Array,
+    *,
+    direction: Float32Array,
+    spread: float,
+    patterns: IntArray,
+    ray_count: int,
+) -> Float32Array:
+    """Return the share of a round distant light that each point sees [0-1].
+
+    Parameters
+    ----------
+    tracer : Tracer
+    positions : (n, 3) float32 array
+    direction : (3,) float32 array
+        Towards the light's middle, unit.
+    spread : float
+        The light's radius over its distance.
+    patterns, ray_count
+        As in `sky_seen`.
+
+    Returns
+    -------
+    (n,) float32 array
+    """
+    side = np.cross(direction, [0.0, 1.0, 0.0] if abs(direction[1]) < 0.9 else [1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    u, v = _sequence(ray_count)
+    radius, angle = spread * np.sqrt(u), 2 * np.pi * v
+    across = np.stack([side, np.cross(direction, side)])
+    offsets = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1) @ across
+    table = (direction + offsets).astype(np.float32)
+    free = np.zeros(len(positions), np.float32)
+    for rays in table.transpose(1, 0, 2):
+        free += ~tracer.blocked(positions, rays[patterns], reach=1e6)
+    return free / np.float32(ray_count)
+
+
+def _sequence(ray_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return (patterns, rays) points that fill the unit square evenly: R2 (Roberts 2018)."""
+    index = np.arange(PATTERNS)[:, None] + PATTERNS * np.arange(ray_count)[None, :]
+    # Shuffle which pattern sits where in a block, so that neighbours differ most.
+    index = (index * 7) % (PATTERNS * ray_count) if ray_count % 7 else index
+    plastic = 1.32471795724474602596
+    return (0.5 + index / plastic) % 1.0, (0.5 + index / plastic**2) % 1.0
+
+
+def _sphere_table(ray_count: int) -> Float32Array:
+    u, v = _sequence(ray_count)
+    z, angle = 2 * u - 1, 2 * np.pi * v
+    ring = np.sqrt(np.maximum(1 - z**2, 0))
+    table = np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=-1)
+    return np.asarray(table, np.float32)

@@ -1,0 +1,1 @@
+"""Movies, image sequences and sound, read and written."""

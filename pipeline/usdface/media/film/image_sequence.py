@@ -1,0 +1,119 @@
+"""Numbered pictures on disk, read as if they were a movie."""
+
+import re
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import OpenImageIO as oiio  # noqa: N813
+
+from usdface.core.arrays import ByteImage, FloatArray
+from usdface.core.errors import InputError
+from usdface.media.film.video import VideoReader
+from usdface.media.picture.color import bytes_from_linear
+from usdface.media.picture.read import MOST_VALUES, reason_of
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".dpx")
+_NUMBERED = re.compile(r"^(.*?)(\d+)(\.[^.]+)$")
+
+
+class ImageSequence:
+    """Pictures whose names differ in their number only; missing numbers hold the one before.
+
+    Parameters
+    ----------
+    first : Path
+        Any picture of the sequence.
+    rate : Fraction
+        Pictures per second: files do not say.
+
+    Attributes
+    ----------
+    path : Path
+        The first picture.
+    rate : Fraction
+    times : (pictures,) float array
+        When each appears [s].
+    duration : float
+        When the last goes [s].
+
+    Raises
+    ------
+    InputError
+        If the name has no number or the picture is not there.
+    """
+
+    def __init__(self, first: Path, rate: Fraction) -> None:
+        match = _NUMBERED.match(first.name)
+        if match is None:
+            raise InputError(
+                f"{first}: one picture of a sequence needs a number in its name, as shot.1001.png"
+            )
+        if not first.is_file():
+            raise InputError(f"{first}: no such file; check the path")
+        numbers = {}
+        for path in first.parent.iterdir():
+            other = _NUMBERED.match(path.name)
+            if other and (other[1], other[3]) == (match[1], match[3]):
+                numbers[int(other[2])] = path
+        order = sorted(numbers)
+        self._files = [numbers[number] for number in order]
+        self.path = self._files[0]
+        self.rate = rate
+        self.times: FloatArray = (np.array(order) - order[0]) / float(rate)
+        self.duration = float(self.times[-1] + 1 / rate)
+        self.timecode = ""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Pictures are opened one by one: nothing is held."""
+
+    def frame_at(self, seconds: float) -> ByteImage | None:
+        """Return the picture on screen at a time, None before and after the sequence."""
+        moment = seconds + 1e-6
+        if not self.times[0] <= moment < self.duration:
+            return None
+        return self._read(self._files[int(np.searchsorted(self.times, moment, side="right")) - 1])
+
+    def _read(self, path: Path) -> ByteImage:
+        picture = oiio.ImageInput.open(str(path))
+        if picture is None:
+            raise InputError(f"{path}: no picture that can be read ({reason_of(oiio)})")
+        spec = picture.spec()
+        if spec.width * spec.height * spec.nchannels > MOST_VALUES:
+            raise InputError(
+                f"{path}: {spec.width} × {spec.height} with {spec.nchannels} channels is too large "
+                "to be shown; write it smaller"
+            )
+        linear = path.suffix.lower() == ".exr"
+        pixels = picture.read_image(format="float" if linear else "uint8")
+        reason = reason_of(picture)
+        picture.close()
+        if pixels is None:
+            raise InputError(f"{path}: damaged: {reason}; copy or write it again")
+        pixels = pixels[..., [0, 0, 0] if pixels.shape[2] < 3 else [0, 1, 2]]
+        return bytes_from_linear(pixels) if linear else np.ascontiguousarray(pixels)
+
+
+def open_video(path: Path, rate: Fraction | None = None) -> VideoReader | ImageSequence:
+    """Open a movie, or the sequence that a picture belongs to.
+
+    Raises
+    ------
+    InputError
+        If it is neither, or a sequence without a rate.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        return VideoReader(path)
+    if rate is None or rate <= 0:
+        raise InputError(f"{path}: pictures do not say their rate; give it with --video-rate")
+    return ImageSequence(path, rate)

@@ -1,0 +1,209 @@
+"""Write a review movie that scrubs: every frame a key frame, colours tagged, time code kept."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import av.error
+import numpy as np
+
+from usdface.core.arrays import ByteImage, Float32Array
+from usdface.core.errors import InputError
+from usdface.core.replacing import replacing
+from usdface.core.timecode import frames_of
+from usdface.media.film.containers import open_media, words_of
+from usdface.media.film.movie_sound import SoundTrack
+
+_H264 = ("libx264", "libopenh264", "h264_videotoolbox", "h264_mf")
+_OPTIONS = {
+    # A fixed quantiser looks at no neighbour: a picture is the same in whichever part it is made.
+    "libx264": {"qp": "19", "preset": "veryfast", "g": "1"},
+    "libopenh264": {"g": "1", "b": "20M"},
+    "libvpx-vp9": {"crf": "24", "b": "0", "cpu-used": "6", "row-mt": "1", "g": "1"},
+    # What every encoder understands.
+    "other": {"g": "1"},
+}
+MOVIE_FORMATS = {".mp4": "mp4", ".mov": "mov", ".mkv": "matroska", ".webm": "webm"}
+_PROXY_OPTIONS = {
+    # No pictures that wait for later ones: a page seeks to exactly the frame it names.
+    "libx264": {"crf": "26", "preset": "veryfast", "g": "15", "bf": "0"},
+    "libvpx-vp9": {"crf": "34", "b": "0", "cpu-used": "6", "row-mt": "1", "g": "15"},
+    "other": {"g": "15"},
+}
+_BT709 = 1
+
+
+def write_movie(
+    path: Path | str,
+    frames: Iterable[ByteImage],
+    *,
+    rate: Fraction,
+    audio: Float32Array | None = None,
+    sample_rate: int = 48000,
+    timecode: str = "",
+    comment: str = "",
+    proxy: bool = False,
+) -> None:
+    """Encode pictures, and sound if there is some, into a movie that replaces `path` at the end.
+
+    H.264 where this machine can encode it, else VP9. Pictures of odd size grow by one row or
+    column, as both need even sizes.
+
+    Parameters
+    ----------
+    path : Path
+        ``.mp4``, ``.mov``, ``.mkv`` or ``.webm``.
+    frames : iterable of (height, width, 3) uint8 array
+        sRGB, all of one size. Taken one by one: a generator keeps memory small.
+    rate : Fraction
+        Frames per second.
+    audio : (samples,) float array, optional
+        Mono [-1 to 1], from the first frame on.
+    sample_rate : int
+        Samples per second of `audio`.
+    timecode : str
+        SMPTE time of the first frame, ``HH:MM:SS:FF``, or ``;`` before FF for drop-frame.
+    comment : str
+        Kept in the file; see `read_movie_comment`.
+    proxy : bool
+        A third of the size, for a page: every fifteenth picture is a key frame.
+
+    Raises
+    ------
+    InputError
+        If the extension is unknown, there is no frame, sizes differ, the time code is malformed or
+        the folder cannot be written. An old file is left as it was.
+    """
+    file = Path(path)
+    container_format = movie_format(file)
+    if not rate > 0:
+        raise InputError(f"{file}: a rate of {rate} frames a second cannot be written")
+    if timecode:
+        frames_of(timecode, Fraction(rate))
+    pictures = iter(frames)
+    first = next(pictures, None)
+    if first is None:
+        raise InputError(f"{file}: there is no frame to write; check the frame range")
+    with replacing(file) as temporary:
+        try:
+            with av.open(str(temporary), "w", format=container_format) as container:
+                if timecode:
+                    container.metadata["timecode"] = timecode
+                if comment:
+                    container.metadata["comment"] = comment
+                _encode(
+                    container,
+                    _same_size(file, first, pictures),
+                    size=_even_size(first),
+                    rate=Fraction(rate),
+                    audio=audio,
+                    sample_rate=sample_rate,
+                    options=_PROXY_OPTIONS if proxy else _OPTIONS,
+                )
+        except (av.error.FFmpegError, OSError) as error:
+            raise InputError(f"{file}: the movie cannot be encoded ({error})") from error
+
+
+def movie_format(file: Path) -> str:
+    """Return the container of a movie's name.
+
+    Raises
+    ------
+    InputError
+        If no movie ends so.
+    """
+    found = MOVIE_FORMATS.get(file.suffix.lower())
+    if found is None:
+        raise InputError(f"{file}: movies end in {', '.join(MOVIE_FORMATS)}; rename it")
+    return found
+
+
+def read_movie_comment(file: Path) -> str:
+    """Return what `write_movie` was told to keep in a file; empty where there is nothing.
+
+    Raises
+    ------
+    InputError
+        If the file is no movie.
+    """
+    with open_media(file) as container:
+        return words_of(container).get("comment", "")
+
+
+def video_encoder(container_format: str) -> str:
+    """Return the encoder that a container gets on this machine.
+
+    Raises
+    ------
+    InputError
+        If this build of PyAV has neither H.264 nor VP9.
+    """
+    names = ("libvpx-vp9",) if container_format == "webm" else (*_H264, "libvpx-vp9")
+    for name in names:
+        if name in av.codecs_available:
+            return name
+    raise InputError(f"PyAV here has none of {', '.join(names)}; install the av wheel from PyPI")
+
+
+def _encode(
+    container: Any,
+    pictures: Iterator[ByteImage],
+    *,
+    size: tuple[int, int],
+    rate: Fraction,
+    audio: Float32Array | None,
+    sample_rate: int,
+    options: Mapping[str, dict[str, str]],
+) -> None:
+    encoder = video_encoder(container.format.name)
+    video = container.add_stream(encoder, rate=rate, options=options.get(encoder, options["other"]))
+    video.height, video.width = size
+    video.pix_fmt = "yuv420p"
+    context = video.codec_context
+    context.time_base = 1 / rate
+    # Tagged as BT.709: no player then re-maps what is made to look right on an sRGB screen.
+    context.color_primaries = context.color_trc = context.colorspace = _BT709
+    context.color_range = 1  # limited, as broadcast and every player expect
+    sound = None if audio is None else SoundTrack(container, audio, sample_rate)
+    for number, picture in enumerate(pictures):
+        padded = _padded(picture, size)
+        frame = av.VideoFrame.from_ndarray(padded, format="rgb24")
+        frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+        frame.pts, frame.time_base = number, 1 / rate
+        container.mux(video.encode(frame))
+        if sound is not None:
+            sound.encode_until(Fraction(number + 1) / rate)
+    container.mux(video.encode())
+    if sound is not None:
+        sound.finish()
+
+
+def _even_size(picture: ByteImage) -> tuple[int, int]:
+    height, width = picture.shape[:2]
+    return height + height % 2, width + width % 2
+
+
+def _padded(picture: ByteImage, size: tuple[int, int]) -> ByteImage:
+    rows, columns = size[0] - picture.shape[0], size[1] - picture.shape[1]
+    if rows or columns:
+        picture = np.pad(picture, ((0, rows), (0, columns), (0, 0)), mode="edge")
+    return np.ascontiguousarray(picture)
+
+
+def _same_size(file: Path, first: ByteImage, rest: Iterator[ByteImage]) -> Iterator[ByteImage]:
+    """Pass pictures on, refusing one that does not fit the movie."""
+    number, picture = 0, first
+    while True:
+        if picture.shape != first.shape or picture.dtype != np.uint8 or picture.ndim != 3:
+            raise InputError(
+                f"{file}: picture {number} is {picture.shape} {picture.dtype}, the first is "
+                f"{first.shape} {first.dtype}; every one must be (height, width, 3) uint8"
+            )
+        yield picture
+        try:
+            picture = next(rest)
+        except StopIteration:
+            return
+        number += 1

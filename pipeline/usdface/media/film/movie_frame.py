@@ -1,0 +1,142 @@
+"""One picture of a review movie: panels side by side, and below them what a note would quote."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from usdface.core.arrays import ByteImage
+from usdface.media.picture.canvas import Color, fill_box, new_picture
+from usdface.media.picture.color import bytes_from_linear, heat_ramp
+from usdface.media.picture.text import TextStyle, draw_text, text_width
+from usdface.media.picture.tiles import empty_tile, fit_picture
+
+BAR_SHARE = 0.075
+"""Of the panels' height: letters stay legible when the movie is shown at a third of its size."""
+LEAST_BAR = 26
+
+_BAR: Color = (14, 15, 17)
+_GAP = 2
+
+
+@dataclass(frozen=True)
+class MoviePanel:
+    """One of the pictures that stand side by side.
+
+    Attributes
+    ----------
+    width : int
+        Its place in every picture of the movie [pixels].
+    pixels : (h, w, 3) uint8 array or None
+        Of any size; None where there is nothing, and `missing` says why.
+    label : str
+    missing : str
+    """
+
+    width: int
+    pixels: ByteImage | None
+    label: str
+    missing: str = ""
+
+
+def movie_size(widths: Sequence[int], height: int) -> tuple[int, int]:
+    """Return (width, height) of the whole picture; both even, as encoders need them."""
+    width = sum(widths) + _GAP * (len(widths) - 1)
+    total = height + _bar_height(height)
+    return width + width % 2, total + total % 2
+
+
+def compose_movie_frame(
+    panels: Sequence[MoviePanel],
+    *,
+    height: int,
+    title: str,
+    clock: str,
+    confidence: float | None = None,
+) -> ByteImage:
+    """Compose one picture.
+
+    Parameters
+    ----------
+    panels : sequence of MoviePanel
+    height : int
+        Of the panels [pixels].
+    title : str
+        Shot and character, at the left of the bar.
+    clock : str
+        Frame number and timecode, at its right.
+    confidence : float, optional
+        [0-1] Shown as a colour between the two.
+
+    Returns
+    -------
+    (height + bar, width, 3) uint8 array
+        sRGB, of the size that `movie_size` tells.
+    """
+    width, total = movie_size([panel.width for panel in panels], height)
+    picture = new_picture(width, total, _BAR)
+    bar = _bar_height(height)
+    small = TextStyle(size=max(round(0.4 * bar), 11), color=(188, 193, 201))
+    x = 0
+    for panel in panels:
+        if panel.pixels is None:
+            tile = empty_tile(panel.width, height, panel.missing)
+        else:
+            tile = fit_picture(panel.pixels, width=panel.width, height=height)
+        picture[:height, x : x + panel.width] = tile
+        # On its own ground: the picture behind may be as light as the letters.
+        label = TextStyle(size=small.size, color=(236, 238, 241))
+        ground = len(panel.label) * small.size * 6 // 10 + 12
+        fill_box(picture, x, 0, min(ground, panel.width), small.size + 9, _BAR)
+        draw_text(picture, panel.label, x=x + 6, y=2, style=label, max_width=panel.width - 12)
+        x += panel.width + _GAP
+    _draw_bar(picture, height, bar, title=title, clock=clock, confidence=confidence, small=small)
+    return picture
+
+
+def _draw_bar(
+    picture: ByteImage,
+    top: int,
+    bar: int,
+    *,
+    title: str,
+    clock: str,
+    confidence: float | None,
+    small: TextStyle,
+) -> None:
+    width = picture.shape[1]
+    style = TextStyle(size=round(0.56 * bar), color=(244, 245, 247), weight="mono")
+    y = top + (bar - style.size) // 2 - 1
+    used = draw_text(
+        picture, clock, x=width - 10, y=y, style=style, anchor="right", max_width=width - 20
+    )
+    right = width - used - 34
+    if confidence is not None:
+        color = bytes_from_linear(heat_ramp(1.0 - confidence))
+        side = round(0.44 * bar)
+        room = max(right - side - 10, 0)
+        labels = (f"confidence {confidence:.2f}", f"{confidence:.2f}", "")
+        label = next(each for each in labels if text_width(each, small) <= room)
+        text = draw_text(
+            picture,
+            label,
+            x=right,
+            y=top + (bar - small.size) // 2 - 1,
+            style=small,
+            anchor="right",
+        )
+        right -= text + side + 8
+        fill_box(
+            picture,
+            right,
+            top + (bar - side) // 2,
+            side,
+            side,
+            (int(color[0]), int(color[1]), int(color[2])),
+        )
+        right -= 14
+    heading = TextStyle(size=round(0.5 * bar), color=(206, 210, 217))
+    y = top + (bar - heading.size) // 2 - 1
+    draw_text(picture, title, x=10, y=y, style=heading, max_width=max(right - 10, 0))
+
+
+def _bar_height(height: int) -> int:
+    return max(round(BAR_SHARE * height), LEAST_BAR)

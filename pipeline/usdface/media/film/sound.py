@@ -1,0 +1,80 @@
+"""Read the sound of a movie or a sound file as one row of samples."""
+
+from pathlib import Path
+
+import av
+import av.error
+import numpy as np
+
+from usdface.core.arrays import Float32Array
+from usdface.core.errors import InputError
+from usdface.media.film.containers import open_media, start_seconds, unreadable
+
+MAX_HOURS = 4
+_MAX_GAP = 0.02  # seconds by which sound may stray from its time stamps before silence is put in
+_MAX_SILENCE = 600.0  # seconds: a jump beyond is a damaged time stamp, not a pause
+_RATES = range(1000, 768_001)
+"""[Hz] Fewer samples a second hold no speech, and a few of them would become hours."""
+
+
+def read_audio(path: Path | str, *, rate: int = 16000) -> Float32Array:
+    """Read sound as mono samples on the clock of the file's pictures.
+
+    Parameters
+    ----------
+    path : Path
+        A sound file or a movie.
+    rate : int
+        Samples per second to resample to.
+
+    Returns
+    -------
+    (samples,) float32 array
+        [-1 to 1]; all channels averaged. Sample zero is time zero of the file: silence is put in
+        before sound that begins later than the picture, and where the recording has gaps.
+
+    Raises
+    ------
+    InputError
+        If the file holds no sound, cannot be read, or is longer than `MAX_HOURS`.
+    """
+    file = Path(path)
+    if not 1000 <= rate <= 384000:
+        raise InputError(f"{file}: cannot be read at {rate} samples a second; ask for 16000")
+    with open_media(file) as container:
+        if not container.streams.audio:
+            raise InputError(f"{file}: holds no sound; give the sound file of the take")
+        stream = container.streams.audio[0]
+        context = stream.codec_context
+        if context is None or context.sample_rate not in _RATES:
+            told = "an unknown packing" if context is None else f"{context.sample_rate} Hz"
+            raise InputError(
+                f"{file}: its sound is of {told}, which is not read; export WAV at 48000 Hz"
+            )
+        start = start_seconds(container)
+        resampler = av.AudioResampler("fltp", "mono", rate)
+        blocks, count = list[Float32Array](), 0
+        try:
+            for frame in container.decode(stream):
+                if frame.time is not None:
+                    gap = round((frame.time - start) * rate) - count
+                    if gap > _MAX_SILENCE * rate:
+                        raise InputError(
+                            f"{file}: after {count / rate:.3f} s its sound jumps to "
+                            f"{frame.time - start:.0f} s; its time stamps are damaged: export it "
+                            "again, or cut it to the take"
+                        )
+                    if gap > _MAX_GAP * rate and count + gap <= MAX_HOURS * 3600 * rate:
+                        blocks.append(np.zeros(gap, np.float32))
+                        count += gap
+                for part in resampler.resample(frame):
+                    blocks.append(part.to_ndarray()[0])
+                    count += blocks[-1].size
+                if count > MAX_HOURS * 3600 * rate:
+                    raise InputError(f"{file}: longer than {MAX_HOURS} hours; cut it to the take")
+            blocks.extend(part.to_ndarray()[0] for part in resampler.resample(None))
+        except (av.error.FFmpegError, OSError, ValueError) as error:
+            raise unreadable(file, error) from error
+    if not blocks:
+        raise InputError(f"{file}: its sound is empty; record or export it again")
+    return np.concatenate(blocks)

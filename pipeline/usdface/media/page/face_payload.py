@@ -1,0 +1,339 @@
+"""A rig as one compact blob for the web viewer (``web/face_viewer.js``), and the files beside it.
+
+Inside a page the face is moved by the page itself, so the blob holds the neutral, the triangles
+and what every key of every shape moves. All lengths are whole micrometres: rounding is at most
+0.5 µm an axis. Arrays are differenced and deflated, since neighbours in a mesh are neighbours in
+space. ``docs/face_viewer.md`` shows how a page embeds it.
+"""
+
+import base64
+import json
+import re
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from usdface.core.arrays import Float32Array, FloatArray, IntArray
+from usdface.core.assets import Rig
+from usdface.core.deformer import Deformer
+from usdface.media.face.camera import Camera, frame_rig
+from usdface.media.face.mesh_topology import normal_operator
+from usdface.media.face.surface import Surface, build_surface
+from usdface.media.face.tracing import PATTERNS, Tracer, sky_seen
+from usdface.media.picture.color import bytes_from_linear
+from usdface.numerics.measure.face_regions import blinks, jaw_opener, region_of_shape
+
+FORMAT = 2
+"""Version of the blob; the viewer refuses others."""
+
+MICROMETRES = 1000.0
+_NARROW = np.iinfo(np.int16).max
+_SKY_RAYS = 40
+_OPEN = 0.6
+_SKY_AVERAGES = 6  # over neighbours: counting rays is noisy, and stripes follow a mesh's rows
+# Which directions a point takes, in no order that a row of a mesh could follow.
+_PATTERN_OF = np.random.default_rng(0).integers(0, PATTERNS, 4093)
+_FLAT_FOV = 2.0  # [degrees]
+_SKY_REACH = 0.28  # of the head's height, as in the ray-cast pictures
+_WEB = Path(__file__).parents[1] / "web"
+_VIEWER = (
+    "face_model.js",
+    "face_shaders.js",
+    "orbit_camera.js",
+    "marker_labels.js",
+    "face_viewer.js",
+)
+_LINKS = re.compile(r"^(import .*? from \"\./.*?\"|export \{.*?\});\n", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class FacePayload:
+    """What a page needs to show a rig in any pose.
+
+    Attributes
+    ----------
+    header : dict
+        Ready for JSON: counts, shapes, tracks, camera, and where each array lies in `data`.
+    data : bytes
+        All arrays, deflated (zlib).
+    """
+
+    header: dict[str, Any]
+    data: bytes
+
+    def header_json(self) -> str:
+        """Return the header as JSON that may stand inside a ``<script>`` element."""
+        return json.dumps(self.header, separators=(",", ":")).replace("<", "\\u003c")
+
+    def data_base64(self) -> str:
+        """Return the blob as text, for pages that are opened as files and may not fetch."""
+        return base64.b64encode(self.data).decode("ascii")
+
+
+def read_web_file(name: str) -> bytes:
+    """Return one of the files that pages are made of, such as ``face_viewer.js``."""
+    return (_WEB / name).read_bytes()
+
+
+def viewer_source() -> str:
+    """Return the viewer as the text of one ES module, for pages that may not load others.
+
+    It can stand in a ``<script type="module">`` with the page's own code after it, which then uses
+    `FaceViewer`, `unpackFace` and `bytesFromBase64` without importing them.
+    """
+    parts = [read_web_file(name).decode("utf-8") for name in _VIEWER]
+    return "\n".join(_LINKS.sub("", part) for part in parts)
+
+
+def pack_face(rig: Rig, *, camera: Camera | None = None) -> FacePayload:
+    """Pack a rig for the web viewer.
+
+    What is drawn is what `usdface.media.face.render` draws: hidden meshes and lash cards left out,
+    coarse cages subdivided, eyes, teeth and the inside of the mouth coloured where the rig has no
+    colours of its own.
+
+    Parameters
+    ----------
+    rig : Rig
+    camera : Camera, optional
+        Where the face is first seen from; framed on it from the front by default. Its place, aim
+        and field of view are kept; roll and lens shift are not.
+
+    Returns
+    -------
+    FacePayload
+        ``header["tracks"]`` list the keys in the order of
+        ``Deformer(rig).shapes.key_offsets``, so that markers glued to the rig can use the same
+        key weights.
+
+    Raises
+    ------
+    InputError
+        If the rig has no visible mesh with polygons.
+    """
+    surface = build_surface(rig.meshes)
+    deformer = Deformer(rig)
+    used = np.unique(surface.triangles)
+    matrix = sparse.csr_array(surface.matrix)[used]
+    triangles = np.searchsorted(used, surface.triangles)
+    if surface.outward < 0:
+        triangles = triangles[:, ::-1]
+    keys = _Keys.of(deformer, matrix)
+    arrays: dict[str, NDArray[Any]] = {
+        "neutral": _planes(_micrometres(surface.rest[used])),
+        "triangles": np.diff(triangles.ravel(), prepend=0).astype(np.int32),
+        "middles": np.searchsorted(used, _middles(surface, used)).astype(np.int32),
+        "colors": _colors(rig, deformer, surface)[used].T,
+        "parts": _of_points(surface.parts, surface, fill=0)[used].astype(np.uint8),
+        "eyes": _of_points(surface.eyes, surface, fill=-1)[used].astype(np.int8),
+        "keyPoints": keys.points,
+        "offsets16": keys.narrow,
+        "offsets32": keys.wide,
+    }
+    header = {
+        "format": FORMAT,
+        "points": len(used),
+        "triangles": len(triangles),
+        "shapes": _shapes(rig),
+        "tracks": _tracks(rig, keys),
+        "eyeCenters": np.round(surface.eye_centers, 4).tolist(),
+        "camera": _camera(camera or frame_rig(rig.meshes)),
+        "size": round(surface.size, 3),
+        "eyesPutIn": surface.eyes_put_in,
+    }
+    return _joined(header, arrays)
+
+
+def _middles(surface: Surface, used: IntArray) -> IntArray:
+    """Return each drawn point that lies in a quad's middle, and its four corners."""
+    middles = surface.middles
+    rows = np.concatenate([middles.points[:, None], middles.corners], axis=1)
+    return rows[np.isin(middles.points, used)]
+
+
+@dataclass(frozen=True)
+class _Keys:
+    """What every key moves, one after the other.
+
+    Attributes
+    ----------
+    points : (n,) int32 array
+        Differenced within each key.
+    narrow, wide : (m,) int16 and int32 arrays
+        Offsets [µm], each key's x, then y, then z, differenced; keys that move something more
+        than 32 mm are wide.
+    counts : list of int
+    is_wide : list of bool
+    """
+
+    points: NDArray[np.int32]
+    narrow: NDArray[np.int16]
+    wide: NDArray[np.int32]
+    counts: list[int]
+    is_wide: list[bool]
+
+    @classmethod
+    def of(cls, deformer: Deformer, matrix: sparse.csr_array) -> "_Keys":
+        """Carry each key of the rig to the drawn points, in whole micrometres."""
+        cage = deformer.shapes.key_offsets.tocsc()
+        axes = [sparse.csr_array(cage[:, axis::3] @ matrix.T) for axis in range(3)]
+        points, narrow, wide = (list[NDArray[np.int64]]() for _ in range(3))
+        counts, is_wide = list[int](), list[bool]()
+        for key in range(cage.shape[0]):
+            dense = np.stack([axis[[key]].toarray()[0] for axis in axes])
+            offsets = _micrometres(dense)
+            moved = np.flatnonzero(offsets.any(axis=0))
+            planes = np.diff(offsets[:, moved], prepend=0, axis=1).ravel()
+            # Differences wrap like the sums that undo them, so the offsets decide the width.
+            far = bool(np.abs(offsets).max(initial=0) > _NARROW)
+            (wide if far else narrow).append(planes)
+            points.append(np.diff(moved, prepend=0))
+            counts.append(len(moved))
+            is_wide.append(far)
+        return cls(
+            points=_concatenated(points).astype(np.int32),
+            narrow=_concatenated(narrow).astype(np.int16),
+            wide=_concatenated(wide).astype(np.int32),
+            counts=counts,
+            is_wide=is_wide,
+        )
+
+
+def _shapes(rig: Rig) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": name,
+            "region": region_of_shape(name),
+            "low": float(low),
+            "high": float(high),
+        }
+        for name, (low, high) in zip(rig.shapes, rig.ranges, strict=True)
+    ]
+
+
+def _tracks(rig: Rig, keys: _Keys) -> list[dict[str, Any]]:
+    """List the keys of each mesh's shape, ascending, as the deformer orders them."""
+    channels = {name: index for index, name in enumerate(rig.shapes)}
+    tracks, first = list[dict[str, Any]](), 0
+    for shape in (shape for mesh in rig.meshes for shape in mesh.shapes):
+        own = range(first, first + len(shape.keys))
+        first = own.stop
+        tracks.append(
+            {
+                "shape": channels[shape.name],
+                "weights": sorted(float(key.weight) for key in shape.keys),
+                "counts": [keys.counts[key] for key in own],
+                "wide": [keys.is_wide[key] for key in own],
+            }
+        )
+    return tracks
+
+
+def _colors(rig: Rig, deformer: Deformer, surface: Surface) -> NDArray[np.uint8]:
+    """Return red, green, blue (sRGB) and openness of every drawn point."""
+    paint = bytes_from_linear(surface.albedo[None])[0]
+    opened = np.round(255 * np.clip(_openness(rig, deformer, surface), 0, 1)).astype(np.uint8)
+    return np.concatenate([paint, opened[:, None]], axis=1)
+
+
+def _openness(rig: Rig, deformer: Deformer, surface: Surface) -> Float32Array:
+    """Return how much sky each point sees in the pose that opens it most [0-1].
+
+    At rest, eyes shut and mouth open: a lid in a blink is lit, and teeth are dim, not black.
+    """
+    poses = np.zeros((3, len(rig.shapes)))
+    poses[1, blinks(rig.shapes)] = 1.0
+    jaw = jaw_opener(rig.shapes)
+    if jaw is not None:
+        poses[2, jaw] = 0.7
+    best = np.zeros(len(surface.rest), np.float32)
+    for index, cage in enumerate(deformer.points(poses)):
+        if index and not poses[index].any():
+            continue
+        # What sees the sky at rest is skin, and no pose makes it more so.
+        rows = np.flatnonzero(best < _OPEN)
+        best[rows] = np.maximum(best[rows], _sky_of(surface, cage, rows))
+    return _averaged(best, surface)
+
+
+def _sky_of(surface: Surface, cage: FloatArray, rows: IntArray) -> Float32Array:
+    """Return how much sky some drawn points see in one pose of the rig [0-1]."""
+    fine = np.asarray(surface.matrix @ cage)
+    normals = surface.normals_at(fine)[rows]
+    aim = (surface.outward * normals).astype(np.float32)
+    return sky_seen(
+        Tracer(fine.astype(np.float32), surface.triangles),
+        fine[rows].astype(np.float32) + np.float32(2e-3 * surface.size) * aim,
+        aim,
+        patterns=_PATTERN_OF[rows % len(_PATTERN_OF)],
+        ray_count=_SKY_RAYS,
+        reach=_SKY_REACH * surface.size,
+    )
+
+
+def _averaged(values: Float32Array, surface: Surface) -> Float32Array:
+    """Average each point with the triangles about it."""
+    operator = normal_operator(surface.triangles, point_count=len(values))
+    uses = np.maximum(np.asarray(operator.sum(axis=1)).ravel(), 1)
+    for _ in range(_SKY_AVERAGES):
+        around = np.asarray(operator @ values[surface.triangles].mean(axis=1)) / uses
+        values = np.asarray(0.4 * values + 0.6 * around, np.float32)
+    return values
+
+
+def _of_points(of_triangles: IntArray, surface: Surface, *, fill: int) -> IntArray:
+    """Carry what is known of triangles to their points; pieces share no points."""
+    values = np.full(len(surface.rest), fill, np.int64)
+    values[surface.triangles] = of_triangles[:, None]
+    return values
+
+
+def _camera(camera: Camera) -> dict[str, Any]:
+    back = np.subtract(camera.eye, camera.target)
+    distance, fov = float(np.linalg.norm(back)), camera.fov_degrees
+    if camera.span_mm is not None:  # the page has perspective only: a lens so long that it is flat
+        fov = _FLAT_FOV
+        distance = camera.span_mm / 2 / float(np.tan(np.radians(fov / 2)))
+    back = back / np.linalg.norm(back)
+    return {
+        "target": [round(each, 4) for each in camera.target],
+        "distance": round(distance, 4),
+        "fov": fov,
+        "yaw": round(float(np.arctan2(back[0], back[2])), 6),
+        "pitch": round(float(np.arcsin(np.clip(back[1], -1, 1))), 6),
+    }
+
+
+def _micrometres(lengths: FloatArray | Float32Array) -> NDArray[np.int64]:
+    return np.round(np.asarray(lengths, np.float64) * MICROMETRES).astype(np.int64)
+
+
+def _planes(positions: NDArray[np.int64]) -> NDArray[np.int32]:
+    """Return all x, then all y, then all z, each but the first as the step from its neighbour."""
+    return np.diff(positions.T, prepend=0, axis=1).astype(np.int32)
+
+
+def _concatenated(parts: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
+    return np.concatenate(parts) if parts else np.zeros(0, np.int64)
+
+
+def _joined(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> FacePayload:
+    """Lay arrays one after the other, the widest numbers first so that all are aligned."""
+    ordered = sorted(arrays.items(), key=lambda item: -item[1].dtype.itemsize)
+    blocks = [
+        np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes() for _, array in ordered
+    ]
+    starts = np.cumsum([0, *map(len, blocks)]).tolist()
+    header["arrays"] = {
+        name: {"type": f"{array.dtype.kind}{array.dtype.itemsize}", "start": a, "count": array.size}
+        for (name, array), (a, _) in zip(ordered, pairwise(starts), strict=True)
+    }
+    header["bytes"] = starts[-1]
+    return FacePayload(header, zlib.compress(b"".join(blocks), level=6))

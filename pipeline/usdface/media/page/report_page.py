@@ -1,0 +1,271 @@
+"""A performance as one page that opens from disk: data, viewer and player in a single file.
+
+A page opened as a file may fetch nothing, so all that it shows is inside it: arrays as base64, the
+movie as a blob, scripts and styles in place. Its policy allows its own script, by hash, and nothing
+else: no network, no evaluation, no frames.
+"""
+
+import base64
+import hashlib
+import html
+import json
+import re
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.core.errors import InputError
+from usdface.media.page.face_payload import FacePayload, read_web_file, viewer_source
+
+WEIGHT_STEPS = 5000
+"""Weights are told in steps of 0.0002: a shape of 30 mm then moves in steps of 6 micrometres."""
+_LARGEST = 32767 / WEIGHT_STEPS
+_PLACE = re.compile("@[A-Z]+@")
+
+_ORIGIN = re.compile('<meta name="usdface" content="([^"]*)">')
+_HEAD_CHARACTERS = 1 << 20
+"""Where what made a page is looked for: it stands before everything else."""
+
+
+@dataclass(frozen=True)
+class WeightCurves:
+    """One set of weights over the page's pictures.
+
+    Attributes
+    ----------
+    name : str
+        ``'solve'``, ``'edited'``, ``'equation'``, ``'truth'`` …
+    values : (pictures, shapes) float array
+        NaN where there is nothing.
+    """
+
+    name: str
+    values: FloatArray
+
+
+@dataclass(frozen=True)
+class Strip:
+    """A figure over time, such as confidence; NaN where there is none."""
+
+    name: str
+    values: FloatArray
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Listing:
+    """A table below the player: its head, its rows, and frames that rows link to."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    frames: tuple[int | None, ...] = ()
+
+
+@dataclass(frozen=True)
+class PagePicture:
+    """A picture below the player.
+
+    Attributes
+    ----------
+    title : str
+    alt : str
+        What it shows, for those who do not see it.
+    data : bytes
+    kind : str
+        Such as ``'image/png'``.
+    """
+
+    title: str
+    alt: str
+    data: bytes
+    kind: str
+
+
+@dataclass(frozen=True)
+class ReviewPage:
+    """All that is in a page.
+
+    Attributes
+    ----------
+    title : str
+    facts : tuple of str
+    rate : float
+        Pictures per second.
+    frames : sequence of int
+        Frame number of each picture.
+    timecodes : sequence of str
+        As many, or none.
+    shapes : tuple of str
+        Names of the columns of all curves.
+    regions : tuple of str
+        Region of each shape.
+    curves : tuple of WeightCurves
+        The first poses the face.
+    strips : tuple of Strip
+    worst : tuple of (picture, reason)
+    listings : tuple of Listing
+    face : FacePayload
+        Its shapes are matched by name.
+    movie : bytes
+        Video, one picture each; empty without.
+    movie_type : str
+        Such as ``'video/mp4'``.
+    pictures : tuple of PagePicture
+        Such as a contact sheet.
+    said : sequence of str
+        What is said in each picture; or none.
+    origin : mapping, optional
+        What made it, for those who make it again.
+    """
+
+    title: str
+    facts: tuple[str, ...]
+    rate: float
+    frames: Sequence[int]
+    timecodes: Sequence[str]
+    shapes: tuple[str, ...]
+    regions: tuple[str, ...]
+    curves: tuple[WeightCurves, ...]
+    strips: tuple[Strip, ...]
+    worst: tuple[tuple[int, str], ...]
+    listings: tuple[Listing, ...]
+    face: FacePayload
+    movie: bytes = b""
+    movie_type: str = "video/mp4"
+    pictures: tuple[PagePicture, ...] = ()
+    said: Sequence[str] = ()
+    origin: Mapping[str, object] | None = None
+
+
+def read_page_origin(path: Path) -> str:
+    """Return what a page says of its making, as JSON; empty where it says nothing.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or is no text.
+    """
+    try:
+        with path.open(encoding="utf-8") as stream:
+            found = _ORIGIN.search(stream.read(_HEAD_CHARACTERS))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: is no page that can be read: {error}") from error
+    return html.unescape(found[1]) if found else ""
+
+
+def build_page(page: ReviewPage) -> str:
+    """Return the page as HTML."""
+    style = read_web_file("report.css").decode("utf-8")
+    script = f"{viewer_source()}\n{read_web_file('report.js').decode('utf-8')}"
+    parts = {
+        "@TITLE@": html.escape(page.title),
+        "@FACTS@": "".join(f"<li>{html.escape(fact)}</li>" for fact in page.facts),
+        "@POLICY@": _policy(script, style),
+        "@ORIGIN@": html.escape(json.dumps(page.origin, ensure_ascii=False) if page.origin else ""),
+        "@STYLE@": style,
+        "@DATA@": _in_script(_data(page)),
+        "@FACEHEADER@": page.face.header_json(),
+        "@FACE@": page.face.data_base64(),
+        "@CURVES@": "".join(_curves(each) for each in page.curves),
+        "@MOVIE@": _base64(page.movie),
+        "@PICTURES@": "".join(_picture(each) for each in page.pictures),
+        "@LISTINGS@": "".join(_listing(each) for each in page.listings),
+        "@SCRIPT@": script,
+    }
+    text = read_web_file("report.html").decode("utf-8")
+    # One pass, so that nothing inside the data is taken for a place to fill.
+    return _PLACE.sub(lambda place: parts[place[0]], text)
+
+
+def _data(page: ReviewPage) -> Mapping[str, Any]:
+    labels = list(dict.fromkeys(page.said))
+    place = {label: index for index, label in enumerate(labels)}
+    return {
+        "labels": labels,
+        "said": [place[label] for label in page.said],
+        "rate": page.rate,
+        "frames": [int(frame) for frame in page.frames],
+        "timecodes": list(page.timecodes),
+        "shapes": list(page.shapes),
+        "regions": list(page.regions),
+        "steps": WEIGHT_STEPS,
+        "curves": [curve.name for curve in page.curves],
+        "strips": [
+            {
+                "name": strip.name,
+                "low": strip.low,
+                "high": strip.high,
+                "unit": strip.unit,
+                "values": [
+                    None if not np.isfinite(value) else round(value, 4)
+                    for value in strip.values.tolist()
+                ],
+            }
+            for strip in page.strips
+        ],
+        "worst": [{"picture": picture, "reason": reason} for picture, reason in page.worst],
+        "movie": page.movie_type if page.movie else "",
+    }
+
+
+def _curves(curve: WeightCurves) -> str:
+    """Return weights as 16-bit steps, shape by shape, deflated; the lowest number is no value."""
+    limited = np.clip(np.nan_to_num(curve.values.T), -_LARGEST, _LARGEST)
+    steps = np.round(limited * WEIGHT_STEPS).astype("<i2")
+    steps[np.isnan(curve.values.T)] = np.iinfo(np.int16).min
+    packed = _base64(zlib.compress(np.ascontiguousarray(steps).tobytes(), 9))
+    return f'<script type="text/plain" id="curve-{html.escape(curve.name)}">{packed}</script>\n'
+
+
+def _picture(picture: PagePicture) -> str:
+    source = f"data:{picture.kind};base64,{_base64(picture.data)}"
+    return (
+        f'<section class="picture"><h2>{html.escape(picture.title)}</h2>'
+        f'<img alt="{html.escape(picture.alt)}" src="{source}"></section>'
+    )
+
+
+def _listing(listing: Listing) -> str:
+    head = "".join(f'<th scope="col">{html.escape(cell)}</th>' for cell in listing.head)
+    body = []
+    frames = listing.frames or (None,) * len(listing.rows)
+    for row, frame in zip(listing.rows, frames, strict=True):
+        cells = [html.escape(cell) for cell in row]
+        if frame is not None:
+            cells[0] = f'<a href="#{frame}">{cells[0]}</a>'
+        body.append(
+            f'<tr><th scope="row">{cells[0]}</th>'
+            + "".join(f"<td>{cell}</td>" for cell in cells[1:])
+            + "</tr>"
+        )
+    return (
+        f"<section><h2>{html.escape(listing.title)}</h2><table><thead><tr>{head}</tr></thead>"
+        f"<tbody>{''.join(body)}</tbody></table></section>"
+    )
+
+
+def _policy(script: str, style: str) -> str:
+    return (
+        "default-src 'none'; img-src data: blob:; media-src blob:; base-uri 'none'; "
+        f"form-action 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'"
+    )
+
+
+def _hash(text: str) -> str:
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode()
+
+
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode("ascii")
+
+
+def _in_script(data: Mapping[str, Any]) -> str:
+    return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")

@@ -1,0 +1,95 @@
+"""Boxes, dots and lines on a picture, antialiased, in display colours."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from usdface.core.arrays import ByteImage, Float32Array
+
+Color = tuple[int, int, int]
+"""sRGB bytes."""
+
+
+def new_picture(width: int, height: int, color: Color) -> ByteImage:
+    """Return a picture of one colour."""
+    return np.full((height, width, 3), color, np.uint8)
+
+
+def fill_box(
+    picture: ByteImage, x: int, y: int, width: int, height: int, color: Color, *, cover: float = 1.0
+) -> None:
+    """Fill a rectangle in place; what lies outside is cut off."""
+    rows, columns = slice(max(y, 0), max(y + height, 0)), slice(max(x, 0), max(x + width, 0))
+    if cover >= 1:
+        picture[rows, columns] = color
+        return
+    under = picture[rows, columns].astype(np.float32)
+    mixed = under * (1 - cover) + np.asarray(color, np.float32) * cover
+    picture[rows, columns] = (mixed + 0.5).astype(np.uint8)
+
+
+def outline_box(picture: ByteImage, x: int, y: int, width: int, height: int, color: Color) -> None:
+    """Draw the one-pixel border just inside a rectangle."""
+    fill_box(picture, x, y, width, 1, color)
+    fill_box(picture, x, y + height - 1, width, 1, color)
+    fill_box(picture, x, y, 1, height, color)
+    fill_box(picture, x + width - 1, y, 1, height, color)
+
+
+def draw_dot(
+    picture: ByteImage,
+    x: float,
+    y: float,
+    radius: float,
+    color: Color,
+    *,
+    hollow: bool = False,
+) -> None:
+    """Draw a disc, or a ring as thick as a quarter of its radius, at a fraction of a pixel."""
+    window, columns, rows = _window(picture, x - radius, y - radius, x + radius, y + radius)
+    distance = np.hypot(columns - x, rows - y)
+    cover = np.clip(radius + 0.5 - distance, 0, 1)
+    if hollow:
+        cover = np.minimum(cover, np.clip(distance - (radius * 0.75 - 1.0), 0, 1))
+    _blend(window, cover, color)
+
+
+def draw_line(
+    picture: ByteImage,
+    start: ArrayLike,
+    end: ArrayLike,
+    color: Color,
+    *,
+    thickness: float = 1.5,
+) -> None:
+    """Draw a straight line between two (x, y) with round ends."""
+    (x0, y0), (x1, y1) = np.asarray(start, float), np.asarray(end, float)
+    window, columns, rows = _window(
+        picture,
+        min(x0, x1) - thickness,
+        min(y0, y1) - thickness,
+        max(x0, x1) + thickness,
+        max(y0, y1) + thickness,
+    )
+    along = np.array([x1 - x0, y1 - y0])
+    length = max(float(along @ along), 1e-9)
+    at = np.clip(((columns - x0) * along[0] + (rows - y0) * along[1]) / length, 0, 1)
+    distance = np.hypot(columns - x0 - at * along[0], rows - y0 - at * along[1])
+    _blend(window, np.clip(thickness / 2 + 0.5 - distance, 0, 1), color)
+
+
+def _window(
+    picture: ByteImage, left: float, top: float, right: float, bottom: float
+) -> tuple[ByteImage, Float32Array, Float32Array]:
+    """Return the part of a picture a form touches, and the centres of its columns and rows."""
+    height, width = picture.shape[:2]
+    x0, x1 = (int(np.clip(v, 0, width)) for v in (np.floor(left) - 1, np.ceil(right) + 2))
+    y0, y1 = (int(np.clip(v, 0, height)) for v in (np.floor(top) - 1, np.ceil(bottom) + 2))
+    columns = np.arange(x0, x1, dtype=np.float32)[None, :] + np.float32(0.5)
+    rows = np.arange(y0, y1, dtype=np.float32)[:, None] + np.float32(0.5)
+    return picture[y0:y1, x0:x1], columns, rows
+
+
+def _blend(window: ByteImage, cover: ArrayLike, color: Color) -> None:
+    share = np.asarray(cover, np.float32)[..., None]
+    mixed = window * (1 - share) + np.asarray(color, np.float32) * share
+    window[:] = (mixed + 0.5).astype(np.uint8)

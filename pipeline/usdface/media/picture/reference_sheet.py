@@ -1,0 +1,268 @@
+"""A sheet of references: what was filmed and captured beside the rig as it is keyed now."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from usdface.core.arrays import ByteImage
+from usdface.core.errors import InputError
+from usdface.media.face.raycast import background
+from usdface.media.picture.canvas import Color, fill_box, new_picture, outline_box
+from usdface.media.picture.color import bytes_from_linear
+from usdface.media.picture.sheet import MAX_PIXELS
+from usdface.media.picture.text import TextStyle, draw_text, text_width
+from usdface.media.picture.tiles import fit_picture
+
+MARGIN = 40
+GUTTER = 6
+BLOCK_GAP = 36
+HEAD = 34
+FOOT = 54
+ROW_GAP = 26
+TITLE = 100
+PAGE_ASPECT = 1.414
+"""Of a landscape page."""
+
+WALL_TOLERANCE = 6
+"""Steps of a byte by which a pixel may differ from the wall behind a face and still be wall."""
+
+
+@dataclass(frozen=True)
+class ReferenceRow:
+    """One pair.
+
+    Attributes
+    ----------
+    number : int
+        Its time code in the asset, from 1.
+    place : str
+        Take, frame and timecode.
+    said : str
+        Viseme and emotion; empty where unknown.
+    tuned : bool
+    video : (h, w, 3) uint8 array or None
+    missing : str
+        Why there is no video.
+    markers, face : (h, w, 3) uint8 arrays
+        As they are drawn on dark ground.
+    weights : tuple of (str, float)
+        The strongest shapes, strongest first.
+    residual_mm : float
+        How far the weights leave the markers [mm].
+    """
+
+    number: int
+    place: str
+    said: str
+    tuned: bool
+    video: ByteImage | None
+    missing: str
+    markers: ByteImage
+    face: ByteImage
+    weights: tuple[tuple[str, float], ...]
+    residual_mm: float
+
+
+@dataclass(frozen=True)
+class Palette:
+    """The colours of a sheet."""
+
+    page: Color
+    rule: Color
+    empty: Color
+    title: Color
+    text: Color
+    dim: Color
+    tuned: Color
+
+
+SCREEN = Palette(
+    page=(22, 23, 26),
+    rule=(64, 67, 74),
+    empty=(31, 33, 37),
+    title=(244, 245, 247),
+    text=(214, 217, 223),
+    dim=(132, 137, 146),
+    tuned=(126, 204, 148),
+)
+PAPER = Palette(
+    page=(255, 255, 255),
+    rule=(176, 178, 182),
+    empty=(246, 246, 247),
+    title=(16, 17, 19),
+    text=(30, 32, 36),
+    dim=(104, 108, 116),
+    tuned=(20, 120, 60),
+)
+
+
+def compose_reference_sheet(
+    rows: tuple[ReferenceRow, ...],
+    *,
+    title: str,
+    facts: tuple[str, ...],
+    tile: int,
+    paper: bool = False,
+) -> ByteImage:
+    """Compose the sheet.
+
+    Parameters
+    ----------
+    rows : tuple of ReferenceRow
+    title : str
+    facts : tuple of str
+    tile : int
+        Height of every picture [pixels].
+    paper : bool
+        Dark on white: what is drawn on a dark wall is put on the page's own white.
+
+    Returns
+    -------
+    (height, width, 3) uint8 array
+        sRGB.
+
+    Raises
+    ------
+    InputError
+        If there is no pair, or the sheet would be too large.
+    """
+    if not rows:
+        raise InputError("a sheet of references needs pairs; name some that there are")
+    palette = PAPER if paper else SCREEN
+    shapes = [row.video.shape for row in rows if row.video is not None]
+    aspect = max((shape[1] / shape[0] for shape in shapes), default=0.0)
+    widths = (round(tile * min(aspect, 16 / 9)), tile, tile) if aspect else (tile, tile)
+    block = sum(widths) + GUTTER * (len(widths) - 1)
+    height = HEAD + tile + FOOT + ROW_GAP
+    columns = min(
+        range(1, len(rows) + 1),
+        key=lambda n: abs(np.log(_size(n, len(rows), block, height) / PAGE_ASPECT)),
+    )
+    wide = 2 * MARGIN + columns * block + (columns - 1) * BLOCK_GAP
+    tall = 2 * MARGIN + TITLE + -(-len(rows) // columns) * height
+    if wide * tall > MAX_PIXELS:
+        raise InputError(
+            f"a sheet of {wide} × {tall} pixels is too large; ask for fewer --pairs or a smaller "
+            "--tile"
+        )
+    page = new_picture(wide, tall, palette.page)
+    bold = TextStyle(size=38, color=palette.title, weight="bold")
+    draw_text(page, title, x=MARGIN, y=MARGIN - 10, style=bold, max_width=wide - 2 * MARGIN)
+    style = TextStyle(size=18, color=palette.dim)
+    line = "   ·   ".join(facts)
+    draw_text(page, line, x=MARGIN, y=MARGIN + 44, style=style, max_width=wide - 2 * MARGIN)
+    fill_box(page, MARGIN, MARGIN + 78, wide - 2 * MARGIN, 1, palette.rule)
+    for index, row in enumerate(rows):
+        x = MARGIN + (index % columns) * (block + BLOCK_GAP)
+        y = MARGIN + TITLE + index // columns * height
+        _draw_row(page, row, widths, palette, x=x, y=y, tile=tile, paper=paper)
+    return page
+
+
+def _size(columns: int, count: int, block: int, height: int) -> float:
+    """Return width over height of a sheet."""
+    wide = 2 * MARGIN + columns * (block + BLOCK_GAP)
+    return wide / (2 * MARGIN + TITLE + -(-count // columns) * height)
+
+
+def _draw_row(
+    page: ByteImage,
+    row: ReferenceRow,
+    widths: tuple[int, ...],
+    palette: Palette,
+    *,
+    x: int,
+    y: int,
+    tile: int,
+    paper: bool,
+) -> None:
+    block = sum(widths) + GUTTER * (len(widths) - 1)
+    number = TextStyle(size=22, color=palette.title, weight="bold")
+    text = TextStyle(size=16, color=palette.text)
+    state = TextStyle(size=15, color=palette.tuned if row.tuned else palette.dim)
+    at = x + draw_text(page, str(row.number), x=x, y=y, style=number) + 12
+    label = "tuned" if row.tuned else "proposal"
+    end = x + block - text_width(label, state)
+    draw_text(page, label, x=end, y=y + 6, style=state)
+    told = "   ".join(part for part in (row.said, row.place) if part)
+    draw_text(page, told, x=at, y=y + 5, style=text, max_width=max(end - at - 10, 0))
+    pictures: list[ByteImage | None] = [row.markers, row.face]
+    if len(widths) == 3:
+        pictures.insert(0, row.video)
+    at, top = x, y + HEAD
+    for picture, width in zip(pictures, widths, strict=True):
+        if picture is None:
+            fill_box(page, at, top, width, tile, palette.empty)
+            middle = TextStyle(size=15, color=palette.dim)
+            draw_text(
+                page,
+                row.missing,
+                x=at + width // 2,
+                y=top + tile // 2 - 10,
+                style=middle,
+                anchor="middle",
+                max_width=width,
+            )
+        else:
+            shown = fit_picture(picture, width=width, height=tile, color=palette.empty)
+            if paper and picture is not row.video:
+                shown = on_paper(shown, ink=picture is row.markers)
+            page[top : top + tile, at : at + width] = shown
+        outline_box(page, at, top, width, tile, palette.rule)
+        at += width + GUTTER
+    _draw_weights(page, row, palette, x=x, y=top + tile + 5, width=block)
+
+
+def _draw_weights(
+    page: ByteImage, row: ReferenceRow, palette: Palette, *, x: int, y: int, width: int
+) -> None:
+    """Write the strongest weights on two lines, and how far the markers are off."""
+    style = TextStyle(size=14, color=palette.text)
+    dim = TextStyle(size=14, color=palette.dim)
+    off = f"markers off by {row.residual_mm:.1f} mm"
+    right = x + width - text_width(off, dim)
+    draw_text(page, off, x=right, y=y, style=dim)
+    at, line = x, 0
+    for name, value in row.weights:
+        label = f"{name} {value:.2f}"
+        wide = text_width(label, style)
+        limit = right - 16 if line == 0 else x + width
+        if at + wide > limit:
+            if line:
+                break
+            at, line = x, 1
+            if at + wide > x + width:
+                break
+        draw_text(page, label, x=at, y=y + 23 * line, style=style)
+        at += wide + 18
+
+
+def on_paper(picture: ByteImage, *, ink: bool) -> ByteImage:
+    """Take a picture off its dark wall and put it on white.
+
+    Parameters
+    ----------
+    picture : (h, w, 3) uint8 array
+        Drawn on the studio wall.
+    ink : bool
+        Lines and dots: drawn in ink where they were light, instead of as they are.
+    """
+    height, width = picture.shape[:2]
+    if ink:
+        light = picture.astype(np.float32).max(axis=2)
+        wall = bytes_from_linear(background(height, width)).astype(np.float32).max(axis=2)
+        cover = np.clip((light - wall) / (200.0 - wall), 0.0, 1.0) ** 0.7
+        gray = (255.0 * (1.0 - cover)).astype(np.uint8)
+        return np.repeat(gray[:, :, None], 3, axis=2)
+    wall = bytes_from_linear(background(height, width)).astype(np.int16)
+    is_wall = np.abs(picture.astype(np.int16) - wall).max(axis=2) <= WALL_TOLERANCE
+    # Wall seen through an open mouth is a hole in nothing: only what reaches the edge is behind.
+    parts, _ = ndimage.label(is_wall)
+    edge = np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]])
+    behind = np.isin(parts, edge[edge > 0])
+    rim = ndimage.binary_dilation(behind) & ~behind
+    out = picture.astype(np.int16)
+    out[rim] += (255 - wall[rim]) // 2  # half of what a pixel on the rim shows is wall
+    out[behind] = 255
+    return np.clip(out, 0, 255).astype(np.uint8)

@@ -1,0 +1,227 @@
+"""What goes on a contact sheet, and how large everything on it is."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from textwrap import wrap
+
+import numpy as np
+
+from usdface.core.arrays import ByteImage, FloatArray
+from usdface.core.errors import InputError
+from usdface.media.picture.error_strip import ErrorCurve, strip_height
+
+BEST_ASPECT = 1.5
+"""Width over height that fills a screen and a landscape page alike."""
+
+MARGIN = 36
+GUTTER = 6
+GROUP_GAP = 40
+ROW_GAP = 14
+CAPTION = 30
+COLUMN_HEAD = 36
+LEGEND = 42
+LEGEND_LINE = 24
+LEGEND_LETTERS = 90  # of one line of notes; more go to lines of their own
+LEGEND_LETTER = 8  # [pixels] the width of one, about
+LEAST_WIDTH = 800  # for the title and the strip above a few small tiles
+TITLE = 60
+FACTS = 34
+
+
+@dataclass(frozen=True)
+class Tile:
+    """One picture of a row.
+
+    Attributes
+    ----------
+    pixels : (h, w, 3) uint8 array or None
+        sRGB, of any size. None leaves the tile empty, with `caption` in it as the reason.
+    caption : str
+        Written below it.
+    value : float or None
+        Its error, in the sheet's unit; written below it beside its colour on the ramp.
+    """
+
+    pixels: ByteImage | None
+    caption: str = ""
+    value: float | None = None
+
+
+@dataclass(frozen=True)
+class SheetRow:
+    """One frame of the take.
+
+    Attributes
+    ----------
+    frame : int
+    timecode : str
+        Empty when unknown.
+    tiles : tuple of Tile
+        One for each column.
+    note : str
+        Why this frame is shown, if there is a reason.
+    said : str
+        What is said there: phone, viseme, emotion; empty when unknown.
+    """
+
+    frame: int
+    timecode: str
+    tiles: tuple[Tile, ...]
+    note: str = ""
+    said: str = ""
+
+
+@dataclass(frozen=True)
+class SheetPage:
+    """All that is on a sheet.
+
+    Attributes
+    ----------
+    title : str
+        The shot or the performance.
+    facts : tuple of str
+        Take, performer, mapping … one line, set apart by dots.
+    columns : tuple of str
+        Heads of the columns.
+    rows : tuple of SheetRow
+        In the order to read them.
+    curves : tuple of ErrorCurve
+        Errors over the whole take; none leaves the strip out.
+    first_frame : int
+        Frame number of each curve's first value.
+    notes : tuple of str
+        Legend: what marks and colours mean, where the numbers come from.
+    unit : str
+        Of all errors.
+    high : float or None
+        Error in the ramp's last colour; chosen from the curves and rows when None.
+    tile_height : int
+        [pixels]
+    groups : int or None
+        How many blocks of rows stand side by side; None lets the sheet's shape decide.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[SheetRow, ...]
+    facts: tuple[str, ...] = ()
+    curves: tuple[ErrorCurve, ...] = ()
+    first_frame: int = 0
+    notes: tuple[str, ...] = ()
+    unit: str = "mm"
+    high: float | None = None
+    tile_height: int = 320
+    groups: int | None = None
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Sizes of a sheet [pixels]."""
+
+    column_widths: tuple[int, ...]
+    tile_height: int
+    groups: int
+    rows_per_group: int
+    head_height: int
+
+    @property
+    def group_width(self) -> int:
+        """Width of one block of rows."""
+        return sum(self.column_widths) + GUTTER * (len(self.column_widths) - 1)
+
+    @property
+    def row_height(self) -> int:
+        """From one row's head to the next one's."""
+        return CAPTION + self.tile_height + CAPTION + ROW_GAP
+
+    @property
+    def width(self) -> int:
+        """Width of the sheet."""
+        groups = self.groups * self.group_width + (self.groups - 1) * GROUP_GAP
+        return max(2 * MARGIN + groups, LEAST_WIDTH)
+
+    @property
+    def height(self) -> int:
+        """Height of the sheet."""
+        return self.head_height + COLUMN_HEAD + self.rows_per_group * self.row_height + MARGIN
+
+
+def check_sheet(spec: SheetPage) -> None:
+    """Refuse a sheet that cannot be laid out.
+
+    Raises
+    ------
+    InputError
+        If there is no row or column, or a row's tiles do not fit the columns.
+    """
+    if not spec.rows or not spec.columns:
+        raise InputError("a sheet needs rows and columns; select at least one frame")
+    for row in spec.rows:
+        if len(row.tiles) != len(spec.columns):
+            raise InputError(
+                f"row of frame {row.frame} has {len(row.tiles)} tiles and the sheet "
+                f"{len(spec.columns)} columns; give one tile for each column"
+            )
+    if not 48 <= spec.tile_height <= 4096:
+        raise InputError(f"tiles of {spec.tile_height} pixels; choose 48 to 4096")
+
+
+def all_errors(spec: SheetPage) -> FloatArray:
+    """Return every error on the sheet, those of the strips included."""
+    shown = [t.value for row in spec.rows for t in row.tiles if t.value is not None]
+    curves = [curve.values for curve in spec.curves if curve.high is None]
+    return np.concatenate([np.array(shown, float), *curves])
+
+
+def has_legend(spec: SheetPage) -> bool:
+    """Whether there is anything to explain."""
+    return bool(spec.notes or len(all_errors(spec)))
+
+
+def legend_bar(width: int) -> int:
+    """Return how long the ramp is on a sheet so wide within its margins [pixels]."""
+    return min(240, width // 4)
+
+
+def legend_lines(notes: Sequence[str], width: int) -> tuple[str, ...]:
+    """Return notes on as many lines as they need to be read on a sheet so wide; at least one."""
+    inner = width - 2 * MARGIN
+    room = (inner - legend_bar(inner) - 120) // LEGEND_LETTER
+    room = min(max(room, 20), LEGEND_LETTERS)
+    lines = [""]
+    for note in notes:
+        longer = f"{lines[-1]}   ·   {note}" if lines[-1] else note
+        if len(longer) <= room:
+            lines[-1] = longer
+        else:
+            lines += wrap(note, room)
+    return tuple(lines if lines[0] or len(lines) == 1 else lines[1:])
+
+
+def lay_out(spec: SheetPage) -> Layout:
+    """Find the sizes; of all ways to stand rows side by side, the one nearest `BEST_ASPECT`."""
+    widths = tuple(
+        round(_column_aspect(spec.rows, column) * spec.tile_height)
+        for column in range(len(spec.columns))
+    )
+    count = len(spec.rows)
+    choices = [spec.groups] if spec.groups else range(1, count + 1)
+    bare = [Layout(widths, spec.tile_height, g, -(-count // g), 0) for g in choices]
+    layouts = [replace(one, head_height=_head_height(spec, one.width)) for one in bare]
+    # Of two equal shapes the one with fewer groups reads better; min keeps the first.
+    return min(layouts, key=lambda one: abs(np.log(one.width / one.height / BEST_ASPECT)))
+
+
+def _head_height(spec: SheetPage, width: int) -> int:
+    head = MARGIN - 8 + TITLE + (FACTS if spec.facts else 0) + 18
+    head += strip_height(len(spec.curves)) if spec.curves else 0
+    if has_legend(spec):
+        head += LEGEND + LEGEND_LINE * (len(legend_lines(spec.notes, width)) - 1)
+    return head
+
+
+def _column_aspect(rows: Sequence[SheetRow], column: int) -> float:
+    """Return the width over height of a column: that of its widest picture, within reason."""
+    shapes = [r.tiles[column].pixels for r in rows]
+    aspects = [p.shape[1] / p.shape[0] for p in shapes if p is not None]
+    return float(np.clip(max(aspects, default=1.0), 0.6, 16 / 9))

@@ -1,0 +1,93 @@
+"""One frame a row: what each way of measuring distance makes of the same markers, and how sure.
+
+As Figures 3, 4 and 6 of Wang et al. 2006: Euclidean beside geodesic beside blended distance, an
+interpolant that keeps the markers' noise beside the regression that smooths it.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import RigMesh
+from usdface.media.face.camera import frame_face
+from usdface.media.face.render import FaceRenderer, Quality
+from usdface.media.picture.sheet import SheetRow, Tile
+
+
+@dataclass(frozen=True)
+class ComparedFrame:
+    """One row of the comparison.
+
+    Attributes
+    ----------
+    frame : int
+    timecode : str
+    surfaces : tuple of (points, 3) float arrays
+        The mesh as each way moves it [mm].
+    uncertainty_mm : (points,) float array or None
+        Of the last of them: standard deviation of each point [mm].
+    note : str
+    """
+
+    frame: int
+    timecode: str
+    surfaces: tuple[FloatArray, ...]
+    uncertainty_mm: FloatArray | None = None
+    note: str = ""
+
+
+def draw_compared(
+    mesh: RigMesh,
+    frames: Sequence[ComparedFrame],
+    *,
+    near: FloatArray,
+    yaw_degrees: float,
+    size: int = 320,
+    high_mm: float = 1.0,
+    quality: Quality = "final",
+) -> Iterator[SheetRow]:
+    """Draw rows: a face for each way, and the last one's uncertainty as a heat map.
+
+    Parameters
+    ----------
+    mesh : RigMesh
+    frames : sequence of ComparedFrame
+    near : (markers, 3) float array
+        Places on the mesh that the picture must show [mm].
+    yaw_degrees : float
+        The camera's place round the head.
+    size : int
+        Of a picture [pixels].
+    high_mm : float
+        Uncertainty in the ramp's last colour [mm].
+    quality : {'draft', 'final'}
+
+    Yields
+    ------
+    SheetRow
+    """
+    renderer = FaceRenderer([mesh])
+    room = 0.10 * float(np.ptp(near, axis=0).max())
+    low, high = near.min(axis=0) - room, near.max(axis=0) + room
+    shown = ((mesh.points >= low) & (mesh.points <= high)).all(axis=1).astype(np.float64)
+    camera = frame_face(mesh.points, weights=shown, yaw_degrees=yaw_degrees)
+    for each in frames:
+        tiles = [
+            Tile(renderer.render(points, camera=camera, width=size, height=size, quality=quality))
+            for points in each.surfaces
+        ]
+        if each.uncertainty_mm is not None:
+            heat = renderer.render(
+                each.surfaces[-1],
+                camera=camera,
+                width=size,
+                height=size,
+                quality=quality,
+                values=each.uncertainty_mm,
+                value_range=(0.0, high_mm),
+            )
+            inside = each.uncertainty_mm[shown > 0]
+            tiles.append(Tile(heat, value=float(np.sqrt((inside**2).mean()))))
+        yield SheetRow(frame=each.frame, timecode=each.timecode, tiles=tuple(tiles), note=each.note)

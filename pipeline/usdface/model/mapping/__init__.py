@@ -1,0 +1,1 @@
+"""Markers to weights: trained on references, applied to takes."""

@@ -1,0 +1,194 @@
+"""Whether references can be trained on, and what is wrong with them if not."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import MotionSpace, References
+from usdface.core.errors import InputError
+
+MINIMUM_PAIRS = 2
+
+
+@dataclass(frozen=True)
+class CheckedReferences:
+    """References fit to train on, and how many of their weights had to be limited."""
+
+    references: References
+    limited_weights: int
+
+
+def check_references(
+    references: References, *, ranges: FloatArray, gram: FloatArray | None
+) -> CheckedReferences:
+    """Refuse references that cannot be learned from; limit and thin those that can.
+
+    Weights outside their channel's range are limited to it. A pair that repeats another, markers
+    and weights alike, says nothing new and is dropped.
+
+    Parameters
+    ----------
+    references : References
+    ranges : (shapes, 2) float array
+    gram : (shapes, shapes) float array or None
+
+    Raises
+    ------
+    InputError
+        With all faults found, one a line.
+    """
+    faults = _shape_faults(references, ranges, gram)
+    if not faults:
+        faults = _value_faults(references)
+    if faults:
+        raise InputError("the references cannot be trained on:\n  " + "\n  ".join(faults))
+    limited = np.clip(references.weights, ranges[:, 0], ranges[:, 1])
+    changed = int((limited != references.weights).sum())
+    return CheckedReferences(_without_repeats(replace(references, weights=limited)), changed)
+
+
+def check_dimensions(dimensions: int | None, *, pairs: int, available: int) -> None:
+    """Refuse more dimensions than the pairs or the motion space carry."""
+    if dimensions is None:
+        return
+    if dimensions < 1:
+        raise InputError(f"dimensions must be at least 1, got {dimensions}")
+    if dimensions > pairs - 1:
+        raise InputError(
+            f"{dimensions} dimensions need at least {dimensions + 1} references, got {pairs}; "
+            "tune more frames or ask for fewer dimensions"
+        )
+    if dimensions > available:
+        raise InputError(
+            f"{dimensions} dimensions asked for but the takes' motion space has {available}; "
+            "ask for fewer, or select from longer takes"
+        )
+
+
+def check_skin(skin: FloatArray | None, *, shapes: int) -> None:
+    """Refuse skin that does not belong to the references' shapes."""
+    if skin is None:
+        return
+    if skin.ndim != 3 or skin.shape[0] != shapes or skin.shape[2] != 3:
+        raise InputError(
+            f"skin has shape {skin.shape}, the references have {shapes} shapes; sample the rig's "
+            "shapes in the references' order"
+        )
+    if not np.isfinite(skin).all():
+        raise InputError("skin holds values that are not finite; check the rig's blend shapes")
+
+
+def pair_name(references: References, pair: int) -> str:
+    """Say which pair: its place and where it came from."""
+    return f"pair {pair + 1} (take {references.takes[pair]!r}, frame {references.frames[pair]})"
+
+
+def _shape_faults(references: References, ranges: FloatArray, gram: FloatArray | None) -> list[str]:
+    pairs = len(references.weights)
+    markers, shapes = len(references.marker_names), len(references.shape_names)
+    if pairs < MINIMUM_PAIRS:
+        return [
+            f"{pairs} pairs: at least {MINIMUM_PAIRS} are needed, and some 25 to 100 for a face; "
+            "tune more frames"
+        ]
+    expected = {
+        "markers": (references.markers.shape, (pairs, markers, 3)),
+        "weights": (references.weights.shape, (pairs, shapes)),
+        "neutral": (references.neutral.shape, (markers, 3)),
+        "ranges": (ranges.shape, (shapes, 2)),
+        "gram": ((shapes, shapes) if gram is None else gram.shape, (shapes, shapes)),
+        "frames": (references.frames.shape, (pairs,)),
+        "takes": ((len(references.takes),), (pairs,)),
+    }
+    faults = [
+        f"{name} has shape {got}, not {want}"
+        for name, (got, want) in expected.items()
+        if got != want
+    ]
+    for kind, names in (("marker", references.marker_names), ("shape", references.shape_names)):
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            faults.append(f"{kind} names are not unique: {', '.join(repeated[:5])}; rename them")
+    if references.motion is not None and references.motion.components.shape[1] != 3 * markers:
+        faults.append(
+            f"the motion space is of {references.motion.components.shape[1] // 3} markers, the "
+            f"pairs have {markers}; select the references again"
+        )
+    if not faults and not (ranges[:, 0] < ranges[:, 1]).all():
+        bad = int(np.flatnonzero(~(ranges[:, 0] < ranges[:, 1]))[0])
+        faults.append(f"{references.shape_names[bad]} has the empty range {ranges[bad].tolist()}")
+    if not faults and gram is not None and not np.isfinite(gram).all():
+        faults.append("gram holds values that are not finite; check the rig's blend shapes")
+    return faults
+
+
+def _value_faults(references: References) -> list[str]:
+    faults = []
+    for pair in np.flatnonzero(~np.isfinite(references.markers).all(axis=(1, 2))):
+        bad = np.flatnonzero(~np.isfinite(references.markers[pair]).all(axis=1))
+        names = ", ".join(references.marker_names[m] for m in bad[:3])
+        faults.append(
+            f"{pair_name(references, int(pair))}: markers {names} are not finite; clean the take"
+        )
+    for pair in np.flatnonzero(~np.isfinite(references.weights).all(axis=1)):
+        bad = np.flatnonzero(~np.isfinite(references.weights[pair]))
+        names = ", ".join(references.shape_names[s] for s in bad[:3])
+        faults.append(
+            f"{pair_name(references, int(pair))}: weights {names} are not finite; tune them again"
+        )
+    still = np.flatnonzero(~np.isfinite(references.neutral).all(axis=1))
+    if len(still):
+        names = ", ".join(references.marker_names[m] for m in still[:3])
+        faults.append(
+            f"the neutral face: markers {names} are not finite; ingest the take again with "
+            "another neutral frame"
+        )
+    if references.motion is not None and not _is_finite(references.motion):
+        faults.append("the motion space holds values that are not finite; select again")
+    if faults:
+        return faults
+    if np.ptp(references.markers, axis=0).max() == 0:
+        return ["no marker moves between the pairs; choose frames of different faces"]
+    for first, second in _same_markers(references):
+        if not np.array_equal(references.weights[first], references.weights[second]):
+            faults.append(
+                f"{pair_name(references, first)} and {pair_name(references, second)} have the same "
+                "markers but different weights; keep one of them"
+            )
+    return faults
+
+
+def _is_finite(motion: MotionSpace) -> bool:
+    parts = (motion.mean, motion.components, motion.variances, motion.total_variance, motion.sample)
+    return all(bool(np.isfinite(part).all()) for part in parts)
+
+
+def _same_markers(references: References) -> list[tuple[int, int]]:
+    """Every later pair with the first pair whose markers it repeats."""
+    first: dict[bytes, int] = {}
+    repeats = []
+    for pair, markers in enumerate(references.markers):
+        key = np.ascontiguousarray(markers).tobytes()
+        if key in first:
+            repeats.append((first[key], pair))
+        else:
+            first[key] = pair
+    return repeats
+
+
+def _without_repeats(references: References) -> References:
+    repeated = {second for _, second in _same_markers(references)}
+    kept = np.array([i for i in range(len(references.weights)) if i not in repeated])
+    if len(kept) < MINIMUM_PAIRS:
+        raise InputError("all pairs are the same frame; choose frames of different faces")
+    return replace(
+        references,
+        markers=references.markers[kept],
+        weights=references.weights[kept],
+        frames=references.frames[kept],
+        takes=tuple(references.takes[i] for i in kept),
+        tuned=references.tuned[kept],
+        visemes=tuple(references.visemes[i] for i in kept) if references.visemes else (),
+        emotions=tuple(references.emotions[i] for i in kept) if references.emotions else (),
+    )

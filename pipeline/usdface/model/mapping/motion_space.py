@@ -1,0 +1,93 @@
+"""What a performer's face does, summed over whole takes: the space that mappings work in."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import MotionSpace
+from usdface.core.errors import InputError
+from usdface.numerics.regression.pca import PCA, pca_from_moments, project, sum_moments
+
+Positions = NDArray[np.float32] | NDArray[np.float64]
+
+BLOCK_FRAMES = 8192
+
+
+def fit_motion_space(
+    clips: Sequence[Positions], *, dimensions: int = 60, sample_count: int = 2000
+) -> MotionSpace:
+    """Fit principal components to stabilised markers of one or more takes.
+
+    Parameters
+    ----------
+    clips : sequence of (frames, markers, 3) float arrays
+        Stabilised and cleaned positions of the same markers in the same order [mm]; float32 is
+        read in blocks and summed in float64.
+    dimensions : int
+        Components to keep; fewer where the takes have fewer.
+    sample_count : int
+        Frames, evenly spread over the takes, whose coordinates are kept.
+
+    Raises
+    ------
+    InputError
+        If no take has frames, markers differ in number, or positions are not finite.
+    """
+    clips = [clip for clip in clips if len(clip)]
+    frames = sum(len(clip) for clip in clips)
+    if frames < 2:
+        raise InputError(
+            f"the motion space needs at least 2 frames, got {frames}; give takes with markers"
+        )
+    if dimensions < 1 or sample_count < 1:
+        raise InputError(
+            f"dimensions {dimensions} and sample_count {sample_count} must be positive"
+        )
+    counts = sorted({clip.shape[1] for clip in clips})
+    if len(counts) > 1:
+        raise InputError(
+            f"takes with {' and '.join(map(str, counts))} markers share no motion space; "
+            "give takes of one marker set, in one order"
+        )
+    try:
+        moments = sum_moments(_blocks(clips))
+    except ValueError as error:
+        raise InputError(
+            f"the motion space cannot be fitted: {error}; clean the takes first"
+        ) from error
+    if np.trace(moments.scatter) <= 0:
+        raise InputError(f"no marker moves in {frames} frames; give takes of a moving face")
+    kept = min(dimensions, moments.count - 1, len(moments.mean))
+    pca = pca_from_moments(moments, dimensions=kept)
+    return motion_from_pca(pca, _spread(clips, min(sample_count, frames)))
+
+
+def motion_from_pca(pca: PCA, sample: FloatArray) -> MotionSpace:
+    """Bundle components and the coordinates of sample rows of packed positions."""
+    return MotionSpace(
+        mean=pca.mean,
+        components=pca.components,
+        variances=pca.variances,
+        total_variance=pca.total_variance,
+        sample=project(pca, sample),
+    )
+
+
+def _blocks(clips: Sequence[Positions]) -> Iterator[Positions]:
+    for clip in clips:
+        for start in range(0, len(clip), BLOCK_FRAMES):
+            part = clip[start : start + BLOCK_FRAMES]
+            yield part.reshape(len(part), -1)
+
+
+def _spread(clips: Sequence[Positions], count: int) -> FloatArray:
+    """Pack evenly spaced frames of all clips, taken as one long take."""
+    ends = np.cumsum([len(clip) for clip in clips])
+    wanted = np.linspace(0, ends[-1] - 1, count).round().astype(np.int64)
+    rows = []
+    for clip, end in zip(clips, ends, strict=True):
+        own = wanted[(wanted >= end - len(clip)) & (wanted < end)] - (end - len(clip))
+        rows.append(clip[own].reshape(len(own), -1).astype(np.float64))
+    return np.concatenate(rows)

@@ -1,0 +1,96 @@
+"""Parts of the face, and points of the rig's surface that stand for it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.numerics.measure.face_regions import points_by_region, shapes_by_region
+
+FACE = "face"
+"""The first region: everything."""
+
+_RIDGE = 0.02  # of the pairs, on weights: shapes that act together share the motion
+
+
+def region_points(names: tuple[str, ...], motion: FloatArray) -> dict[str, IntArray]:
+    """Give every point to the part of the face whose shapes move it most.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Of the shapes; where none speaks of a part of the face there is only the whole.
+    motion : (shapes, points, 3) float array
+        What each shape at 1 does [mm].
+
+    Returns
+    -------
+    dict of str to (n,) int array
+        The whole face first.
+    """
+    from scipy import sparse  # only when wanted: it takes half a second
+
+    everywhere = np.arange(motion.shape[1])
+    found = points_by_region(
+        sparse.csr_array(motion.reshape(len(motion), -1)), shapes_by_region(names)
+    )
+    return {FACE: everywhere} | found
+
+
+def marker_motion(weights: FloatArray, markers: FloatArray) -> FloatArray:
+    """Learn what each shape does to each marker: (shapes, markers, 3) float array [mm].
+
+    Parameters
+    ----------
+    weights : (pairs, shapes) float array
+    markers : (pairs, markers, 3) float array
+    """
+    rows = weights - weights.mean(axis=0)
+    seen = (markers - markers.mean(axis=0)).reshape(len(markers), -1)
+    normal = rows.T @ rows + _RIDGE * len(rows) * np.eye(rows.shape[1])
+    moved: FloatArray = np.linalg.solve(normal, rows.T @ seen)
+    return moved.reshape(rows.shape[1], -1, 3)
+
+
+def membership(points: dict[str, IntArray], count: int) -> FloatArray:
+    """Return which of `count` points each region holds: (regions, count) array of 0 and 1."""
+    held = np.zeros((len(points), count))
+    for row, members in enumerate(points.values()):
+        held[row, members] = 1.0
+    return held
+
+
+if TYPE_CHECKING:
+    from scipy import sparse
+
+POINTS = 1500
+LEAST_SHARE = 0.02
+"""Of the largest movement: points that no shape moves this far are not face."""
+
+
+def sample_skin(offsets: FloatArray | sparse.sparray, *, count: int = POINTS) -> FloatArray:
+    """Keep evenly spaced ones of the points that shapes move.
+
+    Parameters
+    ----------
+    offsets : (shapes, points * 3) float array or sparse array
+        What each shape at 1 does to the surface [mm], as `BlendShapes.target_offsets` gives it.
+    count : int
+        Most points to keep.
+
+    Returns
+    -------
+    (shapes, kept, 3) float array
+    """
+    from scipy import sparse  # only when wanted: it takes half a second
+
+    table = sparse.csc_array(offsets)
+    energy = np.asarray(table.power(2).sum(axis=0)).reshape(-1, 3).sum(axis=1)
+    reach = np.sqrt(energy)
+    moving = np.flatnonzero(reach > LEAST_SHARE * reach.max(initial=0.0))
+    kept = moving[np.linspace(0, len(moving) - 1, min(count, len(moving))).astype(np.int64)]
+    columns = (3 * kept[:, None] + np.arange(3)).ravel()
+    sampled: FloatArray = np.asarray(table[:, columns].toarray(), dtype=np.float64)
+    return sampled.reshape(table.shape[0], len(kept), 3)

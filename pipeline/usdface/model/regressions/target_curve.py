@@ -1,0 +1,76 @@
+"""A bend between weights and what they do: skin that gives more at first than at last.
+
+A shape at half its weight has often moved the skin by more than half. Trained on ``t = w + c w
+(1 - w)``, lines fit better; the prediction is bent back. Every shape has a bend of its own, as far
+as the pairs can tell it from the one that suits all: a lid saturates where a brow does not.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.numerics.array_namespace import namespace_of
+
+CURVES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)
+"""Bends tried; 0 is none, 1 would stand still at full weight."""
+
+_OWN = 0.15
+"""How far the bend of one shape is from that of all: a standard deviation."""
+
+_PARTWAY = 0.05
+"""Weights this far from both ends say something about a bend."""
+
+
+def choose_curves(errors: FloatArray, weights: FloatArray, gram: FloatArray) -> FloatArray:
+    """Choose a bend for every shape.
+
+    Parameters
+    ----------
+    errors : (curves, n, s) float array
+        Of pairs left out, under each of `CURVES`.
+    weights : (n, s) float array
+        Normalised: [0-1] over each shape's range.
+    gram : (s, s) float array
+        What errors do to the surface: chooses the bend that suits all shapes.
+
+    Returns
+    -------
+    (s,) float array
+    """
+    curves = np.array(CURVES)
+    total = np.einsum("cns,st,cnt->c", errors, gram, errors, optimize=True)
+    shared = curves[int(total.argmin())]
+    partway = ((weights > _PARTWAY) & (weights < 1 - _PARTWAY)).sum(axis=0)
+    squared = (errors**2).mean(axis=1) + 1e-6
+    doubt = 0.5 * partway * np.log(squared) + 0.5 * ((curves - shared) / _OWN)[:, None] ** 2
+    chosen: FloatArray = curves[doubt.argmin(axis=0)]
+    return chosen
+
+
+def bend(weights: FloatArray, curve: float | FloatArray) -> FloatArray:
+    """Bend weights; beyond [0-1] the curve goes on along its ends.
+
+    Parameters
+    ----------
+    weights : (n, s) float array
+        Normalised: [0-1] over each shape's range.
+    curve : float or (s,) float array
+        In [0, 1).
+    """
+    inside = np.clip(weights, 0.0, 1.0)
+    bent: FloatArray = inside + curve * inside * (1 - inside)
+    bent += (1 + curve) * np.minimum(weights, 0.0)
+    bent += (1 - curve) * np.maximum(weights - 1.0, 0.0)
+    return bent
+
+
+def unbend(bent: Any, curve: Any) -> Any:
+    """Undo `bend`, on whichever device the arrays are."""
+    xp = namespace_of(bent)
+    inside = xp.clip(bent, 0.0, 1.0)
+    root = xp.sqrt((1 + curve) ** 2 - 4 * curve * inside)
+    weights = 2 * inside / (1 + curve + root)
+    weights += xp.clip(bent, max=0.0) / (1 + curve)
+    weights += xp.clip(bent - 1.0, min=0.0) / (1 - curve)
+    return weights

@@ -1,0 +1,1 @@
+"""From one rig to the control vector of another."""

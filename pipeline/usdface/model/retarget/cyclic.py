@@ -1,0 +1,190 @@
+"""Cyclic evaluation: source to target to source, in millimetres per frame (S11, section 6.3)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import Rig
+from usdface.core.controls import ExpressionPairs
+from usdface.core.deformer import Deformer
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, part, silent
+from usdface.model.retarget.shape_matching import correspond, match_positions
+from usdface.model.retarget.train import (
+    make_examples,
+    retarget,
+    there_and_back,
+    train_retargeting,
+)
+
+MOST_POINTS = 4000
+"""Of the source's surface that are measured, spread evenly over its points."""
+
+TRAINING_POINTS = 600
+"""Of them when methods are compared in training; there are many candidates."""
+
+POSITIONS = "positions"
+"""Name under which matching positions is compared: no regression, and nothing to be trained."""
+
+_BLOCK = 256
+
+
+@dataclass(frozen=True)
+class CyclicError:
+    """One method's errors.
+
+    Attributes
+    ----------
+    method : str
+    settings : str
+    mean_vertex_mm : (frames,) float array
+        Mean distance of the source's points from where they were [mm].
+    direct_mm : (frames,) float array or None
+        Mean distance of the target's points from where they should be [mm], where that is known.
+    """
+
+    method: str
+    settings: str
+    mean_vertex_mm: FloatArray
+    direct_mm: FloatArray | None = None
+
+
+class SurfaceMeter:
+    """Measures how far two sets of weights put a rig's surface apart, frame by frame."""
+
+    def __init__(self, rig: Rig) -> None:
+        shapes = Deformer(rig).shapes
+        columns = _columns(shapes.point_count, MOST_POINTS)
+        self._shapes = shapes
+        self._offsets = shapes.key_offsets[:, columns].toarray()
+
+    def mean_vertex_mm(self, first: FloatArray, second: FloatArray) -> FloatArray:
+        """Return the mean distance over points for each frame [mm]; weights in the rig's order."""
+        out = np.empty(len(first))
+        for start in range(0, len(first), _BLOCK):
+            rows = slice(start, start + _BLOCK)
+            apart = self._shapes.key_weights(first[rows]) - self._shapes.key_weights(second[rows])
+            moved = (apart @ self._offsets).reshape(len(apart), -1, 3)
+            out[rows] = np.sqrt(np.einsum("fpc,fpc->fp", moved, moved)).mean(axis=1)
+        return out
+
+
+def spread_displacements(
+    rig: Rig, names: tuple[str, ...], *, points: int = TRAINING_POINTS
+) -> FloatArray:
+    """Return what shapes at 1 do to points spread over a rig: (names, points, 3) float array."""
+    shapes = Deformer(rig).shapes
+    columns = _columns(shapes.point_count, points)
+    chosen = [rig.shapes.index(name) for name in names]
+    moved = shapes.target_offsets()[:, columns].toarray()[chosen]
+    return np.asarray(moved).reshape(len(names), -1, 3)
+
+
+def _columns(point_count: int, most: int) -> NDArray[np.int64]:
+    """Return the columns x, y, z of every n-th point, so that at most so many are taken."""
+    points = np.arange(0, point_count, -(-point_count // most))
+    return np.asarray((3 * points[:, None] + np.arange(3)).ravel(), np.int64)
+
+
+def evaluate_cyclic(
+    pairs: ExpressionPairs,
+    performance: FloatArray,
+    *,
+    methods: tuple[str, ...],
+    rig: Rig,
+    target_rig: Rig | None = None,
+    shape_ranges: FloatArray | None = None,
+    truth: FloatArray | None = None,
+    progress: Progress = silent,
+) -> tuple[CyclicError, ...]:
+    """Send a performance to the target and back by several methods.
+
+    Every method gets the settings that serve it best on this performance, so that none loses for
+    want of tuning.
+
+    Parameters
+    ----------
+    pairs : ExpressionPairs
+    performance : (frames, source shapes) float array
+        In the order of ``pairs.source_shapes``.
+    methods : tuple of str
+        Names of methods; ``auto`` for what training would choose, ``positions`` for non-negative
+        least squares on the two surfaces, which reads no pairs.
+    rig : Rig
+        The source's, with all of ``pairs.source_shapes``.
+    target_rig : Rig, optional
+        Needed for ``positions`` and `truth`.
+    shape_ranges : (target shapes, 2) float array, optional
+    truth : (frames, target shapes) float array, optional
+        What the target should do.
+    progress : callable
+
+    Raises
+    ------
+    InputError
+        If a method is not known, or needs a rig that is not given.
+    """
+    columns = [rig.shapes.index(name) for name in pairs.source_shapes]
+    surface = spread_displacements(rig, pairs.source_shapes)
+    near = SurfaceMeter(rig)
+    far = None if truth is None or target_rig is None else SurfaceMeter(target_rig)
+    asked = np.zeros((len(performance), len(rig.shapes)))
+    asked[:, columns] = performance
+    found = []
+    for number, method in enumerate(methods):
+        share = part(progress, number / len(methods), (number + 1) / len(methods))
+        share(0.0, method)
+        if method == POSITIONS:
+            label, settings = method, ""
+            there, back = _by_positions(pairs, performance, rig, target_rig)
+        else:
+            trained = train_retargeting(
+                pairs,
+                method=method,
+                shape_ranges=shape_ranges,
+                surface=surface,
+                performance=performance,
+                progress=share,
+            )
+            label = f"default ({trained.method})" if method == "auto" else method
+            settings = trained.scores[0].settings
+            examples = make_examples(pairs, shape_ranges=shape_ranges)
+            there = retarget(trained, performance).weights
+            back = there_and_back(examples, trained.method, trained.settings, performance)
+        returned = np.zeros_like(asked)
+        returned[:, columns] = back
+        direct = None
+        if far is not None and truth is not None and target_rig is not None:
+            direct = far.mean_vertex_mm(
+                _in_rig_order(there, pairs, target_rig), _in_rig_order(truth, pairs, target_rig)
+            )
+        found.append(CyclicError(label, settings, near.mean_vertex_mm(returned, asked), direct))
+    return tuple(found)
+
+
+def _by_positions(
+    pairs: ExpressionPairs, performance: FloatArray, rig: Rig, target_rig: Rig | None
+) -> tuple[FloatArray, FloatArray]:
+    """Match positions there and back: weights of the target's shapes, and of the source's."""
+    if target_rig is None:
+        raise InputError("matching positions needs the target's rig; put it back")
+    columns = [rig.shapes.index(name) for name in pairs.source_shapes]
+    asked = np.zeros((len(performance), len(rig.shapes)))
+    asked[:, columns] = performance
+    free = np.array([0.0, np.inf])
+    there = match_positions(
+        correspond(rig, target_rig), asked, ranges=np.tile(free, (len(target_rig.shapes), 1))
+    )
+    back = match_positions(
+        correspond(target_rig, rig), there, ranges=np.tile(free, (len(rig.shapes), 1))
+    )
+    place = [target_rig.shapes.index(name) for name in pairs.target.shapes]
+    return there[:, place], back[:, columns]
+
+
+def _in_rig_order(weights: FloatArray, pairs: ExpressionPairs, rig: Rig) -> FloatArray:
+    out = np.zeros((len(weights), len(rig.shapes)))
+    out[:, [rig.shapes.index(name) for name in pairs.target.shapes]] = weights
+    return out

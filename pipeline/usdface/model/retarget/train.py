@@ -1,0 +1,319 @@
+"""Train and apply a retargeting: from source weights to any control vector, and back.
+
+What S11 (Song et al. 2011) leaves to the eye, `auto` measures: it sends expressions to the target
+and back (section 6.3) and keeps the regression that returns them best. That needs no truth: only
+the pairs, and source expressions as the performance has them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.core.controls import Controls, ExpressionPairs, Retargeting, RetargetScore
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.model.regressions.retarget_methods import (
+    RETARGET_METHODS,
+    RetargetMethod,
+    Settings,
+    find_retarget_method,
+)
+from usdface.model.retarget.checks import LIVE, check_pairs
+from usdface.model.retarget.control_space import ControlSpace, control_space
+
+PROBES = 384
+"""Expressions sent there and back to compare methods."""
+
+MOST_FRAMES = 768
+"""Frames of a performance that are sent there and back beside them."""
+
+ROOM = 0.5
+"""How far beyond the pairs a joint or an attribute may go, as a share of its span in them."""
+
+ROUNDING = 1e-9
+"""Errors at the pairs that differ by less do not."""
+
+SAME_MM = 1e-3
+"""Errors there and back that differ by less are the same to any eye; then the pairs decide."""
+
+_LEAST_SPAN = 1e-9
+
+
+@dataclass(frozen=True)
+class Examples:
+    """Pairs as numbers: inputs and outputs of both directions.
+
+    Attributes
+    ----------
+    space : ControlSpace
+    source, target : (pairs, ns) and (pairs, k) float arrays
+        Differences from rest.
+    source_rest, target_rest : (ns,) and (k,) float arrays
+    source_ranges, target_ranges : (ns, 2) and (k, 2) float arrays
+    spans : (k,) float array
+        Of each target coordinate over the pairs; 1 where it does not move.
+    units : (k,) float array
+        What methods count each target coordinate in: weights as they are, joints and attributes in
+        their spans. Kernels over the target add coordinates up, and degrees or centimetres would
+        drown the weights there.
+    """
+
+    space: ControlSpace
+    source: FloatArray
+    target: FloatArray
+    source_rest: FloatArray
+    target_rest: FloatArray
+    source_ranges: FloatArray
+    target_ranges: FloatArray
+    spans: FloatArray
+    units: FloatArray
+
+
+@dataclass(frozen=True)
+class _Fit:
+    method: RetargetMethod
+    settings: Settings
+    forward: dict[str, FloatArray]
+    backward: dict[str, FloatArray]
+
+
+def train_retargeting(
+    pairs: ExpressionPairs,
+    *,
+    method: str = "auto",
+    shape_ranges: FloatArray | None = None,
+    surface: FloatArray | None = None,
+    performance: FloatArray | None = None,
+    alpha: float | None = None,
+    progress: Progress = silent,
+) -> Retargeting:
+    """Learn from expression pairs.
+
+    Parameters
+    ----------
+    pairs : ExpressionPairs
+    method : str
+        A key of `RETARGET_METHODS`, or ``auto``.
+    shape_ranges : (target shapes, 2) float array, optional
+        Limits of the target's weights; 0 to 1, widened to what the pairs use, by default.
+    surface : (source shapes, points, 3) float array, optional
+        What each source shape at 1 does to points spread over the source's surface [mm].
+    performance : (frames, source shapes) float array, optional
+        What will be retargeted: methods are then compared on it as well.
+    alpha : float, optional
+        Fixed share of the multiquadric in the hybrid [0-1].
+    progress : callable
+
+    Raises
+    ------
+    InputError
+        If the pairs cannot be learned from, or the method is not known.
+    """
+    check_pairs(pairs, "these pairs")
+    examples = make_examples(pairs, shape_ranges=shape_ranges)
+    probes = make_probes(examples, performance)
+    tried: list[tuple[RetargetScore, _Fit]] = []
+    candidates = _candidates(method, alpha)
+    for number, (each, settings) in enumerate(candidates, start=1):
+        fitted = _fit(each, settings, examples)
+        tried.append((_score(fitted, examples, probes, surface), fitted))
+        progress(number / len(candidates), f"tried {each.name}")
+    moved = np.abs(pairs.source).max(axis=0) > LIVE
+    tried = _best_first(tried)
+    best = tried[0][1]
+    return Retargeting(
+        method=best.method.name,
+        source_shapes=pairs.source_shapes,
+        shapes=examples.space.shapes,
+        joints=examples.space.joints,
+        attributes=examples.space.attributes,
+        mean_rotations=examples.space.mean_rotations,
+        rest=examples.target_rest,
+        ranges=examples.target_ranges,
+        arrays=best.forward
+        | {
+            "source_rest": examples.source_rest,
+            "target_units": examples.units,
+            "unused": (~moved).astype(np.float64),
+        },
+        settings=best.settings,
+        scores=tuple(score for score, _ in tried),
+        target_rig=pairs.target_rig,
+        target_prim=pairs.target_prim,
+    )
+
+
+def retarget(
+    trained: Retargeting, source: FloatArray, *, alpha: FloatArray | None = None
+) -> Controls:
+    """Turn source weights into the target's controls.
+
+    Parameters
+    ----------
+    trained : Retargeting
+    source : (frames, source shapes) float array
+        In the order of ``trained.source_shapes``.
+    alpha : (frames,) float array, optional
+        Share of the multiquadric at each frame [0-1]; only a hybrid has one.
+
+    Raises
+    ------
+    InputError
+        If `alpha` is given and the method is no hybrid, or the retargeting's arrays are missing or
+        do not fit each other.
+    """
+    if alpha is not None and trained.method != "hybrid":
+        raise InputError(
+            f"alpha blends the two parts of a hybrid, and this retargeting is {trained.method}; "
+            "train with --method hybrid"
+        )
+    method = find_retarget_method(trained.method)
+    try:
+        inputs = source - trained.arrays["source_rest"]
+        moved = method.predict(trained.arrays, trained.settings, inputs, alpha)
+        if "target_units" in trained.arrays:  # before there were any, all were 1
+            moved = moved * trained.arrays["target_units"]
+        moved += trained.rest
+        np.clip(moved, trained.ranges[:, 0], trained.ranges[:, 1], out=moved)
+        return space_of(trained).decode(moved)
+    except (KeyError, ValueError, IndexError, TypeError) as error:
+        raise InputError(
+            f"the retargeting's arrays do not fit its method, {trained.method}, or the source: "
+            f"{type(error).__name__}: {error}; train it again"
+        ) from error
+
+
+def space_of(trained: Retargeting) -> ControlSpace:
+    """Return the space in which a retargeting's rotations are vectors."""
+    return ControlSpace(trained.shapes, trained.joints, trained.attributes, trained.mean_rotations)
+
+
+def make_examples(pairs: ExpressionPairs, *, shape_ranges: FloatArray | None = None) -> Examples:
+    """Turn pairs into numbers about the expression nearest to the source's rest."""
+    space = control_space(pairs.target)
+    coordinates = space.encode(pairs.target)
+    rest = int(np.linalg.norm(pairs.source, axis=1).argmin())
+    spans = np.ptp(coordinates, axis=0)
+    low, high = coordinates.min(axis=0) - ROOM * spans, coordinates.max(axis=0) + ROOM * spans
+    count = len(space.shapes)
+    if shape_ranges is None:
+        low[:count] = np.minimum(coordinates[:, :count].min(axis=0), 0.0)
+        high[:count] = np.maximum(coordinates[:, :count].max(axis=0), 1.0)
+    else:
+        low[:count], high[:count] = shape_ranges.T
+    spans = np.where(spans > _LEAST_SPAN, spans, 1.0)
+    source_low = np.minimum(pairs.source.min(axis=0), 0.0)
+    source_high = np.maximum(pairs.source.max(axis=0), 1.0)
+    return Examples(
+        space=space,
+        source=pairs.source - pairs.source[rest],
+        target=coordinates - coordinates[rest],
+        source_rest=pairs.source[rest],
+        target_rest=coordinates[rest],
+        source_ranges=np.stack([source_low, source_high], axis=1),
+        target_ranges=np.stack([low, high], axis=1),
+        spans=spans,
+        units=np.concatenate([np.ones(count), spans[count:]]),
+    )
+
+
+def make_probes(examples: Examples, performance: FloatArray | None) -> FloatArray:
+    """Return source expressions to compare methods on: frames of a performance and mixtures.
+
+    A mixture adds one to four pairs at random strengths, as faces in motion do; without them a
+    method could shine on what the performance happens to hold and fail on the next.
+    """
+    if performance is not None and len(performance):
+        picks = np.linspace(0, len(performance) - 1, min(len(performance), MOST_FRAMES))
+        return np.asarray(performance[np.unique(picks.astype(int))], np.float64)
+    rng = np.random.default_rng(0)
+    count = len(examples.source)
+    shares = np.zeros((PROBES, count))
+    for row in shares:
+        chosen = rng.choice(count, min(int(rng.integers(1, 5)), count), replace=False)
+        row[chosen] = rng.uniform(0.2, 1.0, len(chosen))
+    mixed = shares @ examples.source + examples.source_rest
+    return np.asarray(np.clip(mixed, *examples.source_ranges.T))
+
+
+def there_and_back(
+    examples: Examples, method: str, settings: Settings, source: FloatArray
+) -> FloatArray:
+    """Send source weights to the target and back by one method: (frames, source shapes)."""
+    return _cycle(_fit(find_retarget_method(method), settings, examples), examples, source)
+
+
+def _candidates(method: str, alpha: float | None) -> Sequence[tuple[RetargetMethod, Settings]]:
+    methods = RETARGET_METHODS.values() if method == "auto" else (find_retarget_method(method),)
+    found: list[tuple[RetargetMethod, Settings]] = []
+    for each in methods:
+        choices = each.candidates
+        if each.name == "hybrid" and alpha is not None:
+            kernels = {(s["width"], s["kappa"]) for s in choices}
+            choices = tuple({"width": w, "kappa": k, "alpha": alpha} for w, k in sorted(kernels))
+        found += [(each, settings) for settings in choices]
+    return found
+
+
+def _fit(method: RetargetMethod, settings: Settings, examples: Examples) -> _Fit:
+    scaled = examples.target / examples.spans
+    counted = examples.target / examples.units
+    return _Fit(
+        method,
+        settings,
+        method.fit(examples.source, counted, settings),
+        method.fit(scaled, examples.source, settings),
+    )
+
+
+def _forward(fitted: _Fit, examples: Examples, source: FloatArray) -> FloatArray:
+    inputs = source - examples.source_rest
+    moved = fitted.method.predict(fitted.forward, fitted.settings, inputs, None) * examples.units
+    return np.asarray(np.clip(moved + examples.target_rest, *examples.target_ranges.T))
+
+
+def _cycle(fitted: _Fit, examples: Examples, source: FloatArray) -> FloatArray:
+    there = (_forward(fitted, examples, source) - examples.target_rest) / examples.spans
+    back = fitted.method.predict(fitted.backward, fitted.settings, there, None)
+    return np.asarray(np.clip(back + examples.source_rest, *examples.source_ranges.T))
+
+
+def _score(
+    fitted: _Fit, examples: Examples, probes: FloatArray, surface: FloatArray | None
+) -> RetargetScore:
+    error = _cycle(fitted, examples, probes) - probes
+    at_pairs = _forward(fitted, examples, examples.source + examples.source_rest)
+    missed = (at_pairs - examples.target_rest - examples.target) / examples.spans
+    told = ", ".join(f"{name} {value}" for name, value in fitted.settings.items())
+    return RetargetScore(
+        method=fitted.method.name,
+        settings=told,
+        cyclic_mm=_mean_distance(error, surface),
+        pair_error=float(np.sqrt((missed**2).mean())),
+    )
+
+
+def _best_first(
+    tried: list[tuple[RetargetScore, _Fit]],
+) -> list[tuple[RetargetScore, _Fit]]:
+    """Sort by the error there and back; the first few that are the same, by that at the pairs.
+
+    Where that is the same but for rounding, which differs between machines, the first sort counts.
+    """
+    ordered = sorted(tried, key=lambda item: (item[0].cyclic_mm, item[0].pair_error))
+    least = ordered[0][0].cyclic_mm
+    same = [item for item in ordered if item[0].cyclic_mm <= least + SAME_MM]
+    exact = min(item[0].pair_error for item in same) + ROUNDING
+    first = [item for item in same if item[0].pair_error <= exact]
+    others = [item for item in same if item[0].pair_error > exact]
+    return first + sorted(others, key=lambda item: item[0].pair_error) + ordered[len(same) :]
+
+
+def _mean_distance(error: FloatArray, surface: FloatArray | None) -> float:
+    """Return how far errors of weights move the surface in the mean; without one, their size."""
+    if surface is None:
+        return float(np.sqrt((error**2).mean(axis=1)).mean())
+    moved = (error @ surface.reshape(len(surface), -1)).reshape(len(error), -1, 3)
+    return float(np.sqrt(np.einsum("fpc,fpc->fp", moved, moved)).mean())

@@ -1,0 +1,1 @@
+"""Which frames to tune, and what references cover."""

@@ -1,0 +1,191 @@
+"""The equation-solving way to weights: no examples, only the rig's own geometry.
+
+The baseline of Deng et al. 2006, section 7, and the source of the weights that are proposed to
+animators.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.assets import Rig
+from usdface.core.deformer import Deformer
+from usdface.core.errors import InputError
+from usdface.numerics.registration.registration import (
+    VirtualMarkers,
+    character_motion,
+    marker_deltas,
+    register_markers,
+)
+from usdface.numerics.solve.blendshape_equation import MarkerKeys, solve_weights
+from usdface.numerics.solve.peak_matching import match_peaks
+
+Positions = NDArray[np.float32] | FloatArray
+
+MOTION_FRAMES = 2000
+"""Frames spread over a take that registration may look at."""
+
+
+PROPOSAL_RIDGE = 10.0
+"""[mm^2] Keeps shapes that the markers cannot tell apart from fighting each other."""
+
+FULL_SHAPES = "eyeblink"
+"""Shapes that every performer does in full: their markers' motion is scaled to reach the top."""
+
+
+@dataclass(frozen=True)
+class BlendshapeEquation:
+    """A performer's markers on a character: all that solving for weights needs.
+
+    Attributes
+    ----------
+    virtual : VirtualMarkers
+    deltas : (shapes, markers, 3) float array
+        What each shape at 1 does to the virtual markers [mm].
+    keys : MarkerKeys
+        The same for every key, in-betweens included.
+    neutral : (markers, 3) float array
+        The performer's neutral face [mm].
+    ranges : (shapes, 2) float array
+    trust : (markers,) float array
+        0 for markers that move with the skull alone: what is left in them is noise.
+    gain : (markers,) float array
+        By how much a marker's motion is enlarged so that blinks close the eye.
+    """
+
+    virtual: VirtualMarkers
+    deltas: FloatArray
+    keys: MarkerKeys
+    neutral: FloatArray
+    ranges: FloatArray
+    trust: FloatArray
+    gain: FloatArray
+
+    def solve_published(self, positions: Positions) -> FloatArray:
+        """Return weights by plain least squares, limited to the ranges afterwards.
+
+        Deng et al. 2006, section 7: the method that animators know, and the baseline of a sheet.
+
+        Parameters
+        ----------
+        positions : (frames, markers, 3) float array
+            Stabilised [mm].
+
+        Returns
+        -------
+        (frames, shapes) float array
+        """
+        motion = character_motion(self.virtual, positions, self.neutral)
+        solved = solve_weights(self.deltas, motion, method="lstsq")
+        return np.clip(solved.weights, self.ranges[:, 0], self.ranges[:, 1])
+
+    def propose(self, positions: Positions, *, visible: BoolArray | None = None) -> FloatArray:
+        """Return weights for an animator to start from.
+
+        Least squares within the ranges, with in-betweens, a little shrinkage, and blinks that
+        close.
+
+        Parameters
+        ----------
+        positions : (frames, markers, 3) float array
+            Stabilised [mm].
+        visible : (frames, markers) bool array, optional
+
+        Returns
+        -------
+        (frames, shapes) float array
+        """
+        motion = character_motion(self.virtual, positions, self.neutral)
+        solved = solve_weights(
+            self.deltas,
+            motion * self.gain[:, None],
+            method="bounded",
+            ranges=self.ranges,
+            visible=visible,
+            marker_trust=self.trust,
+            ridge=PROPOSAL_RIDGE,
+            keys=self.keys,
+        )
+        return np.clip(solved.weights, self.ranges[:, 0], self.ranges[:, 1])
+
+    def explained(self, weights: FloatArray) -> FloatArray:
+        """Return where weights put the markers on the performer: (frames, markers, 3) [mm]."""
+        moved = self._moved(weights) / self.virtual.scale
+        return np.asarray(self.neutral + moved @ self.virtual.rotation)
+
+    def residual_mm(self, positions: Positions, weights: FloatArray) -> FloatArray:
+        """Return the root mean square distance of markers and what weights explain: (frames,)."""
+        motion = character_motion(self.virtual, positions, self.neutral)
+        away = motion - self._moved(weights)
+        return np.asarray(np.sqrt((away**2).sum(axis=2).mean(axis=1)))
+
+    def _moved(self, weights: FloatArray) -> FloatArray:
+        """Return how far weights move the virtual markers, in-betweens included."""
+        keys = self.keys.key_weights(weights)
+        return np.asarray(np.einsum("fk,kmc->fmc", keys, self.keys.deltas, optimize=True))
+
+
+def set_up_equation(
+    rig: Rig,
+    deformer: Deformer,
+    *,
+    neutral: FloatArray,
+    positions: Positions,
+    visible: BoolArray,
+    rigid: tuple[int, ...],
+) -> BlendshapeEquation:
+    """Find where a performer's markers sit on a character, and what its shapes do there.
+
+    Parameters
+    ----------
+    rig : Rig
+    deformer : Deformer
+        Of that rig.
+    neutral : (markers, 3) float array
+        The performer's neutral face, stabilised [mm].
+    positions : (frames, markers, 3) float array
+        A stabilised take [mm]; frames spread over it are looked at.
+    visible : (frames, markers) bool array
+    rigid : tuple of int
+        Markers that move with the skull alone.
+
+    Raises
+    ------
+    InputError
+        If the markers cannot be put on the rig's face.
+    """
+    picks = np.unique(np.linspace(0, len(positions) - 1, MOTION_FRAMES).astype(np.int64))
+    offsets = deformer.shapes.target_offsets()
+    try:
+        virtual = register_markers(
+            neutral,
+            deformer.neutral,
+            deformer.triangles,
+            offsets=offsets,
+            motion=positions[picks],
+            visible=visible[picks],
+            rigid=rigid,
+            ranges=rig.ranges,
+        )
+    except ValueError as error:
+        raise InputError(f"the markers cannot be placed on {rig.file}: {error}") from error
+    deltas = marker_deltas(virtual, offsets)
+    keys = MarkerKeys(
+        deltas=marker_deltas(virtual, deformer.shapes.key_offsets),
+        channels=deformer.shapes.key_channels,
+        key_weights=deformer.shapes.key_weights,
+    )
+    trust = np.ones(len(neutral))
+    trust[list(rigid)] = 0.0
+    full = [i for i, name in enumerate(rig.shapes) if name.lower().startswith(FULL_SHAPES)]
+    gain = match_peaks(
+        deltas,
+        character_motion(virtual, positions[picks], neutral),
+        full,
+        ranges=rig.ranges,
+        visible=visible[picks],
+        marker_trust=trust,
+    )
+    return BlendshapeEquation(virtual, deltas, keys, neutral, rig.ranges, trust, gain)

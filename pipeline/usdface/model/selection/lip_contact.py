@@ -1,0 +1,156 @@
+"""Lips that touch on the performer touch on the character.
+
+Least squares spreads its error evenly, and a mouth left open by a millimetre or two costs it
+nothing; it is the first thing an animator has to mend. Where the performer's lips meet, weights
+of the mouth are changed, as little as shows, until the character's meet too.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.deformer import Deformer
+from usdface.model.selection.baseline import BlendshapeEquation, Positions
+from usdface.numerics.measure.face_regions import jaw_opener, shapes_by_region
+from usdface.numerics.measure.lip_gap import LipPairs, find_lip_pairs
+from usdface.numerics.registration.registration import character_motion
+
+NEAR_LIPS_MM = 15.0
+"""How far from where lips meet a lip's markers may sit: on its red or just beyond."""
+
+STILL, CARRIED = 0.25, 0.5
+"""Shares of the jaw's largest motion below which a marker is of the upper lip, above which of the
+lower."""
+
+CONTACT_MM = 0.7
+"""How much further apart than on the neutral face lips' markers may be and the lips still touch:
+a few times the noise of a marker."""
+
+LEAST_OPENING = 0.05
+"""Share of the largest opening below which a shape does not move the lips to speak of: where only
+such are left, they would go to their limits and the mouth stay open."""
+
+TOUCHING_MM = 0.2
+ROUNDS = 8
+_RIDGE = 1e-3
+
+
+@dataclass(frozen=True)
+class Lips:
+    """Where lips are, on the character and among the markers.
+
+    Attributes
+    ----------
+    pairs : LipPairs
+    upper, lower : (n,) int arrays
+        Markers that sit above each other.
+    columns : (n,) int array
+        Shapes that may be changed: the mouth's and the jaw's.
+    opening : (n,) float array
+        By how much each of them parts the lips [mm].
+    """
+
+    pairs: LipPairs
+    upper: IntArray
+    lower: IntArray
+    columns: IntArray
+    opening: FloatArray
+
+
+def find_lips(
+    equation: BlendshapeEquation, deformer: Deformer, shape_names: tuple[str, ...]
+) -> Lips | None:
+    """Find lips; None where the rig's names or the markers do not tell.
+
+    Parameters
+    ----------
+    equation : BlendshapeEquation
+        The performer's markers on the character.
+    deformer : Deformer
+    shape_names : tuple of str
+    """
+    jaw, regions = jaw_opener(shape_names), shapes_by_region(shape_names)
+    if jaw is None or "mouth" not in regions:
+        return None
+    offsets = deformer.shapes.target_offsets()
+    pairs = find_lip_pairs(deformer.neutral, offsets, jaw_open=jaw, mouth=regions["mouth"])
+    if pairs is None:
+        return None
+    virtual = equation.virtual
+    places = np.einsum("mkc,mk->mc", deformer.neutral[virtual.points], virtual.weights)
+    meet = (deformer.neutral[pairs.lower] + deformer.neutral[pairs.upper]) / 2
+    near = np.linalg.norm(places[:, None] - meet[None], axis=2).min(axis=1) < NEAR_LIPS_MM
+    carried = np.linalg.norm(equation.deltas[jaw], axis=1)
+    carried = carried / max(float(carried.max()), 1e-12)
+    above = np.flatnonzero(near & (carried < STILL))
+    below = np.flatnonzero(near & (carried > CARRIED))
+    if not len(above) or not len(below):
+        return None
+    across = places - np.outer(places @ pairs.direction, pairs.direction)
+    partner = np.linalg.norm(across[below][:, None] - across[above][None], axis=2).argmin(axis=1)
+    columns = np.union1d(regions["mouth"], regions.get("jaw", np.zeros(0, np.int64)))
+    moves = np.array([offsets[[int(s)]].toarray().reshape(-1, 3) for s in columns])
+    opening = ((moves[:, pairs.upper] - moves[:, pairs.lower]) @ pairs.direction).mean(axis=1)
+    return Lips(pairs, above[partner], below, columns.astype(np.int64), opening)
+
+
+def keep_lip_contact(
+    equation: BlendshapeEquation,
+    deformer: Deformer,
+    lips: Lips,
+    positions: Positions,
+    weights: FloatArray,
+) -> FloatArray:
+    """Close the character's lips at frames at which the performer's are closed.
+
+    Parameters
+    ----------
+    equation : BlendshapeEquation
+    deformer : Deformer
+    lips : Lips
+    positions : (frames, markers, 3) float array
+        Stabilised [mm].
+    weights : (frames, shapes) float array
+
+    Returns
+    -------
+    (frames, shapes) float array
+        Within the ranges; other frames and other shapes as they were.
+    """
+    motion = character_motion(equation.virtual, positions, equation.neutral)
+    direction = lips.pairs.direction
+    parted = ((motion[:, lips.upper] - motion[:, lips.lower]) @ direction).mean(axis=1)
+    closed = np.flatnonzero(parted < CONTACT_MM)
+    out = weights.copy()
+    low, high = equation.ranges[lips.columns].T
+    gram = deformer.shapes.gram()[np.ix_(lips.columns, lips.columns)]
+    gram = gram + _RIDGE * np.trace(gram) * np.eye(len(gram))
+    size = np.abs(lips.opening)
+    able = size >= LEAST_OPENING * size.max(initial=0.0)
+    for _ in range(ROUNDS):
+        gap = lip_gap_mm(deformer, lips, out[closed])
+        open_rows = closed[gap > TOUCHING_MM]
+        if not len(open_rows):
+            break
+        for row, excess in zip(open_rows, gap[gap > TOUCHING_MM], strict=True):
+            own = out[row, lips.columns]
+            # A weight at its limit cannot go on in that direction; the others take its part.
+            free = np.where(lips.opening > 0, own > low + 1e-9, own < high - 1e-9)
+            if not (free & able).any():
+                continue
+            step = np.linalg.solve(gram[np.ix_(free, free)], lips.opening[free])
+            step *= -excess / max(float(step @ lips.opening[free]), 1e-12)
+            own[free] += step
+            out[row, lips.columns] = np.clip(own, low, high)
+    return out
+
+
+def lip_gap_mm(deformer: Deformer, lips: Lips, weights: FloatArray) -> FloatArray:
+    """Return how much further apart than at rest the character's lips are: (frames,) [mm]."""
+    gaps = np.empty(len(weights))
+    for index in range(len(weights)):  # one at a time: a head is tens of thousands of points
+        points = deformer.points(weights[index : index + 1])[0]
+        away = (points[lips.pairs.upper] - points[lips.pairs.lower]) @ lips.pairs.direction
+        gaps[index] = away.mean() - lips.pairs.rest_mm
+    return gaps

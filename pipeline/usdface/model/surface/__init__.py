@@ -1,0 +1,1 @@
+"""Markers to the points of any mesh."""

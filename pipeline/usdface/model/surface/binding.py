@@ -1,0 +1,276 @@
+"""Propose where a performer's markers sit on a mesh: with shapes, or with a few landmarks alone."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.assets import Rig, RigMesh
+from usdface.core.deformer import Deformer
+from usdface.core.errors import InputError
+from usdface.numerics.registration.cloud_alignment import align_landmarks
+from usdface.numerics.registration.marker_binding import (
+    FEWEST_MARKERS,
+    MarkerBinding,
+    fit_proportions,
+    motion_agreement,
+)
+from usdface.numerics.registration.motion_correspondence import place_markers
+from usdface.numerics.registration.outer_surface import SurfaceSamples, sample_outer_surface
+from usdface.numerics.registration.registration import register_markers
+from usdface.numerics.registration.surface_places import (
+    SurfacePlaces,
+    nearest_places,
+    places_of_corners,
+)
+from usdface.numerics.surface.geodesic import geodesic_distances
+from usdface.numerics.surface.triangulation import triangulate
+
+FEWEST_LANDMARKS = 3
+
+DOUBTFUL = 0.5
+"""Confidence below which a person should look at a marker's place."""
+
+_FAR = 0.05  # of the face's size: a marker so far from its place is half believed
+_ODD = 3.0  # times the usual surprise: motion that does not fit the neighbours'
+_REACH = 0.35  # of the face's size: skin within it of some marker may carry markers
+_SAMPLE_FRAMES = 400
+_MOST_POINTS = 60_000
+
+
+def propose_binding(
+    mesh: RigMesh,
+    *,
+    names: tuple[str, ...],
+    neutral: FloatArray,
+    positions: FloatArray,
+    visible: BoolArray,
+    rigid: tuple[int, ...] = (),
+    pinned: dict[int, FloatArray] | None = None,
+    sources: dict[int, str] | None = None,
+) -> MarkerBinding:
+    """Find the place of every marker on a mesh.
+
+    Where the mesh has shapes, their motion is compared with the markers'. Where it has none, three
+    or more pinned markers give a similarity, and a smooth warp goes on from there.
+
+    Parameters
+    ----------
+    mesh : RigMesh
+        At rest; its shapes are used if it has any.
+    names : tuple of str
+    neutral : (markers, 3) float array
+        The performer's neutral face [mm].
+    positions : (frames, markers, 3) float array
+        A stabilised take, or frames spread over it [mm].
+    visible : (frames, markers) bool array
+    rigid : tuple of int
+        Markers that move with the skull alone.
+    pinned : dict of int to (3,) float array, optional
+        Markers whose place a person gave [mm].
+    sources : dict of int to str, optional
+        Who placed each pinned marker: ``'landmark'`` or ``'corrected'``.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than four markers, or the face cannot be found.
+    """
+    pins = pinned or {}
+    if len(neutral) < FEWEST_MARKERS:
+        raise InputError(
+            f"the take has {len(neutral)} markers; at least {FEWEST_MARKERS} are needed to lay a "
+            "face on a mesh"
+        )
+    picks = np.unique(np.linspace(0, len(positions) - 1, _SAMPLE_FRAMES).astype(np.int64))
+    sample, seen = positions[picks].astype(np.float64), visible[picks]
+    try:
+        if mesh.shapes:
+            places = _by_shapes(mesh, neutral, sample, seen, rigid, pins)
+        elif len(pins) >= FEWEST_LANDMARKS:
+            places = _by_landmarks(mesh, neutral, pins)
+        else:
+            raise InputError(
+                f"<{mesh.path}>: has no shapes to tell where its face is, and {len(pins)} "
+                f"landmarks are given; name at least {FEWEST_LANDMARKS} that are not on a line, as "
+                f"--landmarks {_three_of(names)}"
+            )
+        places = _pin(mesh, places, pins)
+        return _judge(mesh, places, names, neutral, sample, pins, sources or {})
+    except ValueError as error:
+        raise InputError(f"the markers cannot be placed on <{mesh.path}>: {error}") from error
+
+
+def _by_shapes(
+    mesh: RigMesh,
+    neutral: FloatArray,
+    sample: FloatArray,
+    seen: BoolArray,
+    rigid: tuple[int, ...],
+    pins: dict[int, FloatArray],
+) -> SurfacePlaces:
+    nearest = KDTree(mesh.points)
+    names = tuple(shape.name for shape in mesh.shapes)
+    ranges = np.tile([0.0, 1.0], (len(names), 1))
+    deformer = Deformer(Rig(Path(), mesh.path, names, (mesh,), ranges))
+    virtual = register_markers(
+        neutral,
+        deformer.neutral,
+        deformer.triangles,
+        offsets=deformer.shapes.target_offsets(),
+        motion=sample,
+        visible=seen,
+        rigid=rigid,
+        landmarks={marker: int(nearest.query(at)[1]) for marker, at in pins.items()},
+    )
+    return places_of_corners(mesh.face_counts, mesh.face_indices, virtual.points, virtual.weights)
+
+
+def _by_landmarks(mesh: RigMesh, neutral: FloatArray, pins: dict[int, FloatArray]) -> SurfacePlaces:
+    markers = list(pins)
+    targets = np.array([pins[marker] for marker in markers])
+    start = align_landmarks(neutral[markers], targets)
+    skin = _skin_near(mesh, start.apply(neutral), targets)
+    found = place_markers(neutral, skin.positions, start, pinned=pins)
+    # The samples are some millimetres apart; the warped marker tells the place between them.
+    near = nearest_places(mesh.points, mesh.face_counts, mesh.face_indices, found.warped)
+    own = places_of_corners(
+        mesh.face_counts, mesh.face_indices, skin.corners[found.chosen], skin.weights[found.chosen]
+    )
+    return _nearby(mesh, near, own, spacing=float(np.sqrt(np.median(skin.areas))))
+
+
+def _nearby(
+    mesh: RigMesh, near: SurfacePlaces, own: SurfacePlaces, *, spacing: float
+) -> SurfacePlaces:
+    """Take the exact foot of a marker where it lies on the same piece of skin as its sample."""
+    apart = np.linalg.norm(near.positions(mesh.points) - own.positions(mesh.points), axis=1)
+    same = apart < 2 * spacing
+    return SurfacePlaces(
+        np.where(same, near.faces, own.faces),
+        np.where(same[:, None], near.corners, own.corners),
+        np.where(same[:, None], near.weights, own.weights),
+    )
+
+
+def _skin_near(mesh: RigMesh, aligned: FloatArray, landmarks: FloatArray) -> SurfaceSamples:
+    """Sample the skin round the aligned cloud, seen from where the landmarks look."""
+    triangles, _ = triangulate(mesh.face_counts, mesh.face_indices)
+    points = mesh.points
+    size = float(np.sqrt(((aligned - aligned.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    away, _ = KDTree(np.concatenate([aligned, landmarks])).query(points)
+    reach = np.exp(-(away**2) / (2 * (_REACH * size) ** 2))
+    return sample_outer_surface(
+        points, triangles, facing=_facing(points, triangles, aligned, reach), activity=reach
+    )
+
+
+def facing_yaw(mesh: RigMesh, places: FloatArray) -> float:
+    """Return how far the face with these markers is turned from looking along +Z [degrees].
+
+    Parameters
+    ----------
+    mesh : RigMesh
+    places : (markers, 3) float array
+        Where the markers sit on it [mm].
+    """
+    triangles, _ = triangulate(mesh.face_counts, mesh.face_indices)
+    size = float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    away, _ = KDTree(places).query(mesh.points)
+    facing = _facing(mesh.points, triangles, places, np.exp(-((away / (_REACH * size)) ** 2)))
+    return float(np.degrees(np.arctan2(facing[0], facing[2])))
+
+
+def _facing(
+    points: FloatArray, triangles: np.ndarray, aligned: FloatArray, reach: FloatArray
+) -> FloatArray:
+    """Return the horizontal direction in which the skin under the cloud bulges."""
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    weight = reach[triangles].mean(axis=1)
+    outward = (np.cross(b - a, c - a) * weight[:, None]).sum(axis=0)
+    # Markers sit on a bulge: their own rim lies behind their middle, whatever the winding.
+    rim = np.linalg.norm(aligned - aligned.mean(axis=0), axis=1)
+    middle = aligned[rim <= np.median(rim)].mean(axis=0) - aligned[rim > np.median(rim)].mean(
+        axis=0
+    )
+    sign = 1.0 if outward @ middle >= 0 else -1.0
+    level = sign * np.array([outward[0], 0.0, outward[2]])
+    length = float(np.linalg.norm(level))
+    if length < 1e-9:
+        raise ValueError("the landmarks do not tell where the face looks; add one beside them")
+    facing: FloatArray = level / length
+    return facing
+
+
+def _pin(mesh: RigMesh, places: SurfacePlaces, pins: dict[int, FloatArray]) -> SurfacePlaces:
+    if not pins:
+        return places
+    markers = list(pins)
+    at = nearest_places(
+        mesh.points, mesh.face_counts, mesh.face_indices, np.array([pins[m] for m in markers])
+    )
+    faces, corners, weights = places.faces.copy(), places.corners.copy(), places.weights.copy()
+    faces[markers], corners[markers], weights[markers] = at.faces, at.corners, at.weights
+    return replace(places, faces=faces, corners=corners, weights=weights)
+
+
+def _judge(
+    mesh: RigMesh,
+    places: SurfacePlaces,
+    names: tuple[str, ...],
+    neutral: FloatArray,
+    sample: FloatArray,
+    pins: dict[int, FloatArray],
+    sources: dict[int, str],
+) -> MarkerBinding:
+    at = places.positions(mesh.points)
+    fitted = fit_proportions(neutral, at, weight=np.ones(len(neutral)))
+    size = float(np.sqrt(((at - at.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    # What the affine map leaves is mostly proportion, alike among neighbours: judge the rest.
+    odd = _beside_neighbours(at, fitted.away_mm)
+    confidence = 1 / (1 + (odd / (_FAR * size)) ** 2)
+    moved = (sample - neutral) @ fitted.linear.T
+    surprise = motion_agreement(moved, _apart(mesh, places, at))
+    confidence *= 1 / (1 + (np.maximum(surprise - 1, 0) / _ODD) ** 4)
+    confidence[list(pins)] = 1.0
+    return MarkerBinding(
+        names=names,
+        places=places,
+        confidence=confidence,
+        distance_mm=fitted.away_mm,
+        sources=tuple(sources.get(i, "proposed") for i in range(len(names))),
+    )
+
+
+def _apart(mesh: RigMesh, places: SurfacePlaces, at: FloatArray) -> FloatArray:
+    """Return how far the markers are from each other over the surface: lips are two places.
+
+    Meshes of very many points are measured through the air: a proposal must not take minutes.
+    """
+    straight: FloatArray = np.linalg.norm(at[:, None] - at[None], axis=2)
+    if len(mesh.points) > _MOST_POINTS:
+        return straight
+    between = geodesic_distances(
+        mesh.points,
+        mesh.face_counts,
+        mesh.face_indices,
+        faces=places.faces,
+        corners=places.corners,
+        weights=places.weights,
+        metric="dijkstra-diagonals",
+    ).between
+    return np.where(np.isfinite(between), between, straight)
+
+
+def _beside_neighbours(at: FloatArray, away: FloatArray) -> FloatArray:
+    """Return how much further off each marker is than its nearest neighbours."""
+    near = np.argsort(np.linalg.norm(at[:, None] - at[None], axis=2), axis=1)[:, 1:5]
+    usual = np.median(away[near], axis=1)
+    return np.asarray(np.maximum(away - usual, 0.0))
+
+
+def _three_of(names: tuple[str, ...]) -> str:
+    shown = [names[0], names[len(names) // 2], names[-1]]
+    return ",".join(f"{name}=POINT" for name in shown)

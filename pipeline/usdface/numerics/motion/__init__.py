@@ -1,0 +1,1 @@
+"""Curves over time: edits, warps, rotations, sequences."""

@@ -1,0 +1,109 @@
+"""Changes on top of a solved curve, so that they outlive the solve.
+
+With offset *e*, override *o* and mask *m*, the solved weight *s* becomes ``(1 - m) s + m o + e``.
+Each change is folded in so that the last one wins where it is at full strength, and blends in its
+fades: adding *a* gives ``w + n a``, overriding with *v* gives ``(1 - n) w + n v``, clearing
+``(1 - n) w + n s``, where *w* is the edited weight before and *n* the new change's own mask.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdface.core.arrays import FloatArray
+
+NOTHING = 1e-6
+"""A change smaller than this is none: single precision, in which weights are kept, ends there."""
+
+
+@dataclass(frozen=True)
+class EditCurve:
+    """What an animator changed of one shape, frame by frame.
+
+    Attributes
+    ----------
+    offset : (frames,) float array
+        Added to the weight.
+    override : (frames,) float array
+        Taken instead of the solved weight as far as `mask` says; anything where `mask` is 0.
+    mask : (frames,) float array
+        [0-1]
+    """
+
+    offset: FloatArray
+    override: FloatArray
+    mask: FloatArray
+
+    @property
+    def active(self) -> NDArray[np.bool_]:
+        """Frames at which anything is changed."""
+        changed: NDArray[np.bool_] = (np.abs(self.offset) > NOTHING) | (self.mask > NOTHING)
+        return changed
+
+
+def no_edit(frames: int) -> EditCurve:
+    """Return a curve that changes nothing over so many frames."""
+    return EditCurve(np.zeros(frames), np.zeros(frames), np.zeros(frames))
+
+
+def apply_edit(solved: FloatArray, edit: EditCurve) -> FloatArray:
+    """Return the edited weights of one shape, (frames,)."""
+    edited: FloatArray = (1 - edit.mask) * solved + edit.mask * edit.override + edit.offset
+    return edited
+
+
+def fade_mask(frames: NDArray[np.int64], first: int, last: int, *, fade: int = 0) -> FloatArray:
+    """Return 1 from `first` to `last`, and an ease from and to 0 outside.
+
+    Parameters
+    ----------
+    frames : (n,) int array
+        Frame numbers.
+    first, last : int
+        Inclusive.
+    fade : int
+        Frames on either side that are blended by half a cosine; at 0 the change is hard.
+
+    Raises
+    ------
+    ValueError
+        If the range is empty or the fade negative.
+    """
+    if last < first or fade < 0:
+        raise ValueError(f"frames {first}-{last} with a fade of {fade} are no range")
+    away = np.maximum(np.maximum(first - frames, frames - last), 0)
+    eased: FloatArray = 0.5 + 0.5 * np.cos(np.pi * np.minimum(away / (fade + 1), 1.0))
+    return eased
+
+
+def add_to_edit(edit: EditCurve, value: float | FloatArray, mask: FloatArray) -> EditCurve:
+    """Fold in: `value` is added, as far as `mask` says."""
+    return EditCurve(edit.offset + mask * value, edit.override, edit.mask)
+
+
+def override_edit(edit: EditCurve, value: float | FloatArray, mask: FloatArray) -> EditCurve:
+    """Fold in: the weight is `value`, as far as `mask` says, whatever was there."""
+    kept = (1 - mask) * edit.mask
+    total = mask + kept
+    shown = mask * value + kept * edit.override
+    override = np.where(total > 0, shown / np.where(total > 0, total, 1.0), edit.override)
+    return EditCurve((1 - mask) * edit.offset, override, total)
+
+
+def clear_edit(edit: EditCurve, mask: FloatArray) -> EditCurve:
+    """Fold in: the solve shows again, as far as `mask` says."""
+    return EditCurve((1 - mask) * edit.offset, edit.override, (1 - mask) * edit.mask)
+
+
+def needed_samples(values: FloatArray) -> NDArray[np.bool_]:
+    """Return which samples a curve needs that is held and interpolated linearly between them.
+
+    Inside a run of equal values none is needed: only its ends. A curve of one value needs one.
+    """
+    needed = np.ones(len(values), dtype=bool)
+    if len(values) > 2:
+        needed[1:-1] = (values[1:-1] != values[:-2]) | (values[1:-1] != values[2:])
+    if len(values) and (values == values[0]).all():
+        needed[1:] = False
+    return needed

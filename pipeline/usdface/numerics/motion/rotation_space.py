@@ -1,0 +1,85 @@
+"""Rotations as plain vectors near a mean, and back: the logarithm and exponential map.
+
+Quaternions added up are no rotations, and Euler angles added up are other ones. The rotation
+vector of what turns the mean into a rotation is as good as linear while rotations stay well within
+half a turn of that mean, as joints of a face do; whatever a regression makes of such vectors is a
+rotation again.
+"""
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+
+_SMALL = 1e-8
+"""Half angle below which its sine over itself is 1 to rounding."""
+
+
+def mean_rotation(quaternions: FloatArray) -> FloatArray:
+    """Return the rotation nearest to all: Markley's mean, blind to the sign of quaternions.
+
+    Parameters
+    ----------
+    quaternions : (n, ..., 4) float array
+        w first, unit length.
+
+    Returns
+    -------
+    (..., 4) float array
+
+    References
+    ----------
+    Markley, Cheng, Crassidis and Oshman (2007), *Averaging quaternions*.
+    """
+    moment = np.einsum("n...i,n...j->...ij", quaternions, quaternions)
+    mean: FloatArray = np.linalg.eigh(moment)[1][..., -1]
+    return np.where(mean[..., :1] < 0, -mean, mean)
+
+
+def rotation_vectors(quaternions: FloatArray, mean: FloatArray) -> FloatArray:
+    """Return what turns the mean into each rotation, as axis times angle: (..., 3) [rad]."""
+    turn = multiply_quaternions(_conjugate(mean), quaternions)
+    turn = np.where(turn[..., :1] < 0, -turn, turn)  # the shorter way round
+    sine = np.linalg.norm(turn[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, turn[..., :1])
+    per_sine = np.where(sine > _SMALL, angle / np.maximum(sine, _SMALL), 2.0)
+    return np.asarray(turn[..., 1:] * per_sine)
+
+
+def rotations_at(vectors: FloatArray, mean: FloatArray) -> FloatArray:
+    """Return the mean turned by rotation vectors: (..., 4) unit quaternions, w first."""
+    half = 0.5 * np.sqrt(np.einsum("...i,...i->...", vectors, vectors))[..., None]
+    ratio = 0.5 * np.where(half > _SMALL, np.sin(half) / np.maximum(half, _SMALL), 1.0)
+    return multiply_quaternions(mean, np.concatenate([np.cos(half), vectors * ratio], axis=-1))
+
+
+def multiply_quaternions(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the rotation `left` after `right`; w first."""
+    w, x, y, z = np.moveaxis(np.asarray(left), -1, 0)
+    a, b, c, d = np.moveaxis(np.asarray(right), -1, 0)
+    return np.stack(
+        [
+            w * a - x * b - y * c - z * d,
+            w * b + x * a + y * d - z * c,
+            w * c - x * d + y * a + z * b,
+            w * d + x * c - y * b + z * a,
+        ],
+        axis=-1,
+    )
+
+
+def normalize_quaternions(quaternions: FloatArray) -> FloatArray:
+    """Return quaternions at unit length.
+
+    Raises
+    ------
+    ValueError
+        If one is zero or not finite: that is no rotation.
+    """
+    length = np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    if not (np.isfinite(length).all() and (length > 0).all()):
+        raise ValueError("a quaternion is zero or not finite, so it is no rotation")
+    return np.asarray(quaternions / length)
+
+
+def _conjugate(quaternions: FloatArray) -> FloatArray:
+    return np.asarray(quaternions * np.array([1.0, -1.0, -1.0, -1.0]))

@@ -1,1 +1,0 @@
-"""Rotations as rotations: means, differences and regressions on their own curved space."""

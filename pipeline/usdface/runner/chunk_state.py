@@ -1,0 +1,91 @@
+"""What a farm maps or draws in parts and joins is as done as what one process makes whole."""
+
+import json
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from usdface.core.provenance import Provenance
+from usdface.runner.outputs import provenance_of
+from usdface.specs.base import Spec, frame_range
+from usdface.specs.performance import JoinSpec, MapSpec
+from usdface.specs.review import MovieJoinSpec, MovieSpec
+from usdface.usdio.referenced_files import frame_range_of
+
+
+def specs_of_parts(spec: Spec, made: Provenance, path: Path) -> tuple[Spec, ...]:
+    """Return the specs by which a file that joins parts was made, if they come to a given one.
+
+    Parameters
+    ----------
+    spec : Spec
+        What would make the file whole.
+    made : Provenance
+        What the file says of its making.
+    path : Path
+        The file.
+
+    Returns
+    -------
+    tuple of Spec
+        The join, and each part's as it should be: whether all are done is for the caller to find.
+        Empty if the file was made otherwise, or of other frames.
+    """
+    join = _join_of(spec, made)
+    if join is None:
+        return ()
+    folder = path.resolve().parent
+    join = join.with_paths(lambda part: folder / part)
+    parts, stretches = list[Spec](), list[tuple[int, int]]()
+    for part in join.parts:
+        frames = _told(provenance_of(part)).get("frames")
+        own = {"frames": frames, "out": part}
+        own |= {"chunk": None} if isinstance(spec, MapSpec) else {"sound": False}
+        try:
+            stretch = frame_range(frames)
+        except (AttributeError, ValueError):
+            return ()
+        if stretch is None:
+            return ()
+        stretches.append(stretch)
+        parts.append(spec.model_copy(update=own))
+    stretches.sort()
+    follow = all(one[1] + 1 == other[0] for one, other in pairwise(stretches))
+    if not follow or (stretches[0][0], stretches[-1][1]) != _frames_wanted(spec):
+        return ()
+    return (join, *parts)
+
+
+def _join_of(spec: Spec, made: Provenance) -> JoinSpec | MovieJoinSpec | None:
+    kind: type[JoinSpec] | type[MovieJoinSpec]
+    if isinstance(spec, MapSpec):
+        kind = JoinSpec
+    elif isinstance(spec, MovieSpec):
+        kind = MovieJoinSpec
+    else:
+        return None
+    if made.step != kind.model_fields["step"].default:
+        return None
+    try:
+        return kind.model_validate(_told(made))
+    except ValidationError:
+        return None
+
+
+def _told(made: Provenance | None) -> dict[str, Any]:
+    """Return the spec that a file holds; nothing where it holds none."""
+    try:
+        told = json.loads(made.spec) if made is not None else None
+    except (ValueError, RecursionError):
+        return {}
+    return told if isinstance(told, dict) else {}
+
+
+def _frames_wanted(spec: Spec) -> tuple[int, int] | None:
+    if isinstance(spec, MapSpec):
+        return frame_range(spec.frames) or frame_range_of(spec.take)
+    if isinstance(spec, MovieSpec):
+        return frame_range(spec.frames) or frame_range_of(spec.performance)
+    return None

@@ -1,0 +1,50 @@
+"""Run the step that a spec describes."""
+
+from collections.abc import Callable
+from importlib import import_module
+
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.replacing import not_written_since
+from usdface.runner.outputs import check_inputs, check_outputs, make_provenance
+from usdface.runner.result import Report
+from usdface.specs.base import Spec, Writes
+
+Step = Callable[..., Report]
+
+
+def find_step(spec: type[Spec]) -> Step:
+    """Return a step's function; its module is imported only now, so that others start quickly."""
+    step: Step = import_module(f"usdface.steps.{spec.module}").run
+    return step
+
+
+def execute(
+    spec: Spec,
+    *,
+    overwrite: bool = False,
+    progress: Progress = silent,
+    provenance: Provenance | None = None,
+) -> Report:
+    """Check what a spec reads and writes, then run its step.
+
+    Parameters
+    ----------
+    spec : Spec
+    overwrite : bool
+        Replace outputs whoever wrote them and however new they are.
+    progress : callable
+    provenance : Provenance, optional
+        Of this spec, where it has been computed already.
+
+    Raises
+    ------
+    InputError
+        If an input is missing or cannot be used, an output must not be replaced, or a path lies
+        outside the folder that ``USDFACE_ROOT`` confines all work to.
+    """
+    check_inputs(spec)
+    with not_written_since(() if overwrite else spec.paths(Writes)):
+        check_outputs(spec, overwrite=overwrite)
+        step = find_step(type(spec))
+        return step(spec, provenance=provenance or make_provenance(spec), progress=progress)

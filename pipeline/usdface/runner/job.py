@@ -1,0 +1,208 @@
+"""Run the steps of a job that are missing or out of date; look a job over without running it."""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from usdface.core.errors import CheckFailedError, InputError
+from usdface.core.progress import Progress, part, silent
+from usdface.core.provenance import Provenance
+from usdface.runner.chunk_state import specs_of_parts
+from usdface.runner.execute import execute
+from usdface.runner.outputs import (
+    check_may_be_read,
+    foreign_beside,
+    make_provenance,
+    provenance_of,
+    twin_of,
+)
+from usdface.runner.result import Report
+from usdface.specs.base import LAYER_SUFFIXES, Reads, Spec, Writes
+from usdface.specs.job import JobSpec
+from usdface.usdio.referenced_files import lost_sublayers
+
+log = logging.getLogger(__name__)
+
+State = Literal["done", "stale", "missing"]
+
+
+@dataclass(frozen=True)
+class StepState:
+    """Where one step of a job stands.
+
+    Attributes
+    ----------
+    spec : Spec
+    state : {'done', 'stale', 'missing'}
+        Whether its outputs are there, and made from the inputs as they are now.
+    reason : str
+    """
+
+    spec: Spec
+    state: State
+    reason: str
+
+
+def run_job(job: JobSpec, *, progress: Progress = silent, overwrite: bool = False) -> list[Report]:
+    """Run what a job lacks, in order; a step whose outputs are up to date is skipped.
+
+    Parameters
+    ----------
+    job : JobSpec
+    progress : callable
+    overwrite : bool
+        Replace outputs that this package did not write.
+
+    Raises
+    ------
+    InputError
+        If a step fails; what earlier steps wrote stays, and running again goes on from there.
+    CheckFailedError
+        If a step was done and what it checked is not in order.
+    """
+    reports = []
+    for index, spec in enumerate(job.steps):
+        label = f"step {index + 1} of {len(job.steps)}, {spec.step}"
+        own = part(progress, index / len(job.steps), (index + 1) / len(job.steps))
+        try:
+            check_may_be_read(spec)
+        except InputError as error:
+            raise InputError(f"{label}: {error}") from error
+        missing = [path for path in spec.paths(Reads) if not path.exists()]
+        if missing:
+            raise InputError(f"{label}: {missing[0]}: no such file; check the path")
+        provenance = make_provenance(spec)
+        state = _state(spec, provenance)
+        if state.state == "done":
+            log.info("%s: up to date", label)
+            reports.append(Report(spec.outputs(), f"{spec.step}: up to date", fresh=False))
+            own(1.0, f"{spec.step}: up to date")
+            continue
+        log.info("%s: %s", label, state.reason)
+        if not overwrite:
+            _refuse_foreign_outputs(spec, label)
+        try:
+            report = execute(
+                spec, overwrite=True, progress=_labelled(own, spec.step), provenance=provenance
+            )
+        except InputError as error:
+            raise InputError(f"{label}: {error}") from error
+        try:
+            report.require_success()
+        except CheckFailedError as error:
+            raise CheckFailedError(f"{label}: {error}") from error
+        reports.append(report)
+    return reports
+
+
+def make_folders(job: JobSpec) -> None:
+    """Make the folders that a job writes to: a farm's worker may have none of them.
+
+    Raises
+    ------
+    InputError
+        If one cannot be made.
+    """
+    for folder in {path.parent for step in job.steps for path in step.paths(Writes)}:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be made: {error.strerror}") from error
+
+
+def check_job(job: JobSpec) -> list[StepState]:
+    """Say of each step whether it is done, stale or missing.
+
+    Raises
+    ------
+    InputError
+        If a step reads a file that neither exists nor is made by an earlier step, or writes where
+        it cannot; every fault is named.
+    """
+    faults: list[str] = []
+    states: list[StepState] = []
+    to_come: set[Path] = set()
+    for number, spec in enumerate(job.steps, start=1):
+        label = f"step {number}, {spec.step}"
+        reads = spec.paths(Reads)
+        check_may_be_read(spec)
+        faults += [
+            f"{label}: {path}: no such file, and no earlier step makes it"
+            for path in reads
+            if not path.exists() and path not in to_come
+        ]
+        faults += [
+            f"{label}: {path}: folder {path.parent} does not exist"
+            for path in spec.paths(Writes)
+            if not path.parent.is_dir()
+        ]
+        waits_for = [path for path in reads if path in to_come or not path.exists()]
+        if waits_for and all(path.exists() for path in spec.outputs()):
+            state = StepState(spec, "stale", f"an earlier step makes {waits_for[0].name} anew")
+        elif waits_for:
+            state = StepState(spec, "missing", "waits for an earlier step")
+        else:
+            state = _state(spec, make_provenance(spec))
+        if state.state != "done":
+            to_come.update(spec.changes())
+        states.append(state)
+    if faults:
+        raise InputError("\n".join(faults))
+    return states
+
+
+def _state(spec: Spec, provenance: Provenance) -> StepState:
+    if not spec.outputs():
+        return StepState(spec, "missing", "writes nothing that could tell it was done")
+    for path in spec.outputs():
+        if not path.exists():
+            return StepState(spec, "missing", f"{path.name} is not there")
+        made = provenance_of(path)
+        if made is not None and (apart := specs_of_parts(spec, made, path)):
+            states = [_state_of_part(each) for each in apart]
+            return next(
+                (StepState(spec, s.state, s.reason) for s in states if s.state != "done"),
+                StepState(spec, "done", "up to date, made in parts"),
+            )
+        if made is None or made.step != provenance.step:
+            return StepState(spec, "stale", f"{path.name} was made by something else")
+        if made.spec != provenance.spec:
+            return StepState(spec, "stale", f"{path.name} was made with other settings")
+        changed = [
+            name for name, value in provenance.inputs.items() if made.inputs.get(name) != value
+        ]
+        if changed:
+            return StepState(spec, "stale", f"{changed[0]} has changed since")
+        if path.suffix in LAYER_SUFFIXES and (lost := lost_sublayers(path)):
+            return StepState(spec, "missing", f"{lost[0]} is not there")
+    return StepState(spec, "done", "up to date")
+
+
+def _state_of_part(spec: Spec) -> StepState:
+    check_may_be_read(spec)
+    if missing := [path for path in spec.paths(Reads) if not path.exists()]:
+        return StepState(spec, "missing", f"{missing[0].name} is not there")
+    return _state(spec, make_provenance(spec))
+
+
+def _refuse_foreign_outputs(spec: Spec, label: str) -> None:
+    for path in spec.paths(Writes):
+        there = path if path.exists() and provenance_of(path) is None else None
+        if there := there or foreign_beside(spec, path):
+            raise InputError(
+                f"{label}: {there}: exists and was not written by usdface; move it away, or run "
+                "with --overwrite"
+            )
+        if twin := twin_of(spec, path):
+            raise InputError(
+                f"{label}: {twin}: has the same layers beneath as {path.name} would have; name "
+                "another output, or run with --overwrite"
+            )
+
+
+def _labelled(progress: Progress, step: str) -> Progress:
+    def report(fraction: float, message: str) -> None:
+        progress(fraction, f"{step}: {message}")
+
+    return report

@@ -1,0 +1,52 @@
+"""What a step says when it is done."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from usdface.core.errors import CheckFailedError
+
+
+@dataclass(frozen=True)
+class Report:
+    """The result of a step, for people and scripts.
+
+    Attributes
+    ----------
+    outputs : tuple of Path
+        Files written; empty where the step only looked.
+    summary : str
+        One line that says what came out.
+    notes : tuple of str
+        What the user should know: things dropped, assumed, repaired, doubtful.
+    figures : dict
+        Numbers and names worth keeping, ready for JSON.
+    table : tuple of str
+        Lines for people; scripts find the same in `figures`.
+    failures : tuple of str
+        What was checked and is not in order.
+    fresh : bool
+        False where the outputs were up to date, and nothing was written.
+    """
+
+    outputs: tuple[Path, ...]
+    summary: str
+    notes: tuple[str, ...] = ()
+    figures: dict[str, object] = field(default_factory=dict)
+    table: tuple[str, ...] = ()
+    failures: tuple[str, ...] = ()
+    fresh: bool = True
+
+    def require_success(self) -> None:
+        """Raise CheckFailedError, naming every failure, if there is one."""
+        if self.failures:
+            raise CheckFailedError("; ".join(self.failures))
+
+    def as_data(self) -> dict[str, object]:
+        """Return the report as plain data for ``--json``."""
+        return {
+            "outputs": [str(path) for path in self.outputs],
+            "summary": self.summary,
+            "notes": list(self.notes),
+            "figures": self.figures,
+            "failures": list(self.failures),
+        }

@@ -1,0 +1,258 @@
+"""A take in, the same take out: it now says where its video lies in time."""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+from usdface.core.arrays import Float32Array
+from usdface.core.assets import Take, Video
+from usdface.core.errors import CheckFailedError, InputError
+from usdface.core.progress import Progress, part, silent
+from usdface.core.provenance import Provenance
+from usdface.media.charts.alignment import AlignmentPage, ShiftMark, draw_alignment
+from usdface.media.film.image_sequence import open_video
+from usdface.media.film.sound import read_audio
+from usdface.media.film.video import VideoReader
+from usdface.media.picture.image import write_image
+from usdface.numerics.timing.audio_alignment import SoundAlignment, align_sounds
+from usdface.runner.outputs import make_provenance, provenance_metadata, provenance_of
+from usdface.runner.result import Report
+from usdface.specs.capture import AlignSpec
+from usdface.steps.capture.timecode_offset import TimecodeShift, timecode_shift
+from usdface.usdio.take.read import TakeReader
+from usdface.usdio.take.sync import VideoSync, write_video_sync
+
+log = logging.getLogger(__name__)
+
+RATE = 16000
+"""Samples per second at which sounds are compared: speech ends at 7 kHz."""
+
+UNCHECKED_CONFIDENCE = 0.5
+"""Of a timecode that no sound confirms: clocks that were never set look like any other."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What is known of a shift.
+
+    Attributes
+    ----------
+    sound : SoundAlignment or None
+    deaf : str
+        Why there is no sound to compare.
+    timecode : TimecodeShift
+    """
+
+    sound: SoundAlignment | None
+    deaf: str
+    timecode: TimecodeShift
+
+    @property
+    def trusted(self) -> SoundAlignment | None:
+        """What the sound says, where that is beyond doubt."""
+        return None if self.sound is None or self.sound.doubts else self.sound
+
+    @property
+    def doubts(self) -> str:
+        """Why the sound tells nothing."""
+        return self.deaf if self.sound is None else "; ".join(self.sound.doubts)
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What is written, or why nothing is.
+
+    Attributes
+    ----------
+    sync : VideoSync or None
+    source : str
+        What it rests on, or why nothing was accepted.
+    notes : tuple of str
+    """
+
+    sync: VideoSync | None
+    source: str
+    notes: tuple[str, ...] = ()
+
+
+def run(
+    spec: AlignSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Find the video's shift and drift, draw the evidence, and write the take if it convinces."""
+    progress(0.0, f"reading {spec.take.name}")
+    picture = spec.picture_path()
+    _refuse_foreign_picture(spec)
+    reader = TakeReader(spec.take)
+    take = reader.read(reader.first_frame, reader.first_frame)
+    if take.video is None:
+        raise InputError(f"{spec.take}: has no video to align; ingest the capture with --video")
+    evidence = _gather(take, take.video, part(progress, 0.05, 0.9))
+    decision = decide(spec, evidence)
+    progress(0.9, f"writing {picture.name}")
+    page = _page(spec, take, evidence, decision)
+    if decision.sync is None:
+        refused = Provenance(step="align refused")  # a job must not take it for done
+        write_image(picture, draw_alignment(page), metadata=provenance_metadata(refused))
+        raise CheckFailedError(
+            f"{spec.take}: the video cannot be aligned: {decision.source}. Look at {picture}; set "
+            "the shift with --offset SECONDS"
+        )
+    write_video_sync(spec.take, decision.sync)
+    # The take is another file now: the picture, written last, tells that it is aligned.
+    made = make_provenance(spec) if provenance is not None else Provenance(step=spec.step)
+    write_image(picture, draw_alignment(page), metadata=provenance_metadata(made))
+    progress(1.0, "aligned")
+    log.info("%s: %s", spec.take, page.verdict)
+    return Report(
+        outputs=(spec.take, picture),
+        summary=f"{take.name}: {page.verdict}",
+        notes=decision.notes,
+        figures=_figures(decision, evidence),
+    )
+
+
+def decide(spec: AlignSpec, evidence: Evidence) -> Decision:
+    """Weigh what is known: by hand, by timecode, by sound."""
+    if spec.offset is not None:
+        sync = VideoSync(spec.offset, spec.drift or 0.0, 1.0)
+        return Decision(sync, "set by hand", _difference(spec.offset, evidence))
+    sound, labels = evidence.trusted, evidence.timecode
+    if spec.by == "timecode" and labels.offset is None:
+        return Decision(None, labels.reason)
+    if spec.by == "sound" or labels.offset is None:
+        if sound is None:
+            return Decision(None, evidence.doubts)
+        return Decision(_sync_of(sound), "by sound", _difference(sound.offset, evidence))
+    if sound is None:
+        sync = VideoSync(labels.offset, 0.0, UNCHECKED_CONFIDENCE)
+        note = f"the timecode could not be checked against the sound: {evidence.doubts}"
+        return Decision(sync, "by timecode, unchecked", (note,))
+    apart = sound.offset - labels.offset
+    if spec.by == "auto" and abs(apart) > labels.tolerance:
+        return Decision(
+            None,
+            f"the timecode says {labels.offset:+.3f} s and the sound {sound.offset:+.3f} s: "
+            f"{1000 * abs(apart):.0f} ms apart, where frames explain {1000 * labels.tolerance:.0f} "
+            "at most; say which to believe with --by timecode or --by sound",
+        )
+    sync = VideoSync(labels.offset, 1e6 * sound.drift, _confirmed(sound, apart, labels))
+    return Decision(sync, "by timecode", _difference(labels.offset, evidence))
+
+
+def _confirmed(sound: SoundAlignment, apart: float, labels: TimecodeShift) -> float:
+    if abs(apart) > labels.tolerance:
+        return UNCHECKED_CONFIDENCE
+    return UNCHECKED_CONFIDENCE + (1 - UNCHECKED_CONFIDENCE) * sound.confidence
+
+
+def _sync_of(sound: SoundAlignment) -> VideoSync:
+    return VideoSync(sound.offset, 1e6 * sound.drift, sound.confidence)
+
+
+def _difference(offset: float, evidence: Evidence) -> tuple[str, ...]:
+    """Say how far what was not taken lies from what was."""
+    sound, labels = evidence.trusted, evidence.timecode.offset
+    others = {"sound": None if sound is None else sound.offset, "timecode": labels}
+    return tuple(
+        f"the {name} says {other:+.4f} s, {1000 * (other - offset):+.1f} ms from it"
+        for name, other in others.items()
+        if other is not None and other != offset
+    )
+
+
+def _gather(take: Take, video: Video, progress: Progress) -> Evidence:
+    with open_video(video.file, video.rate) as movie:
+        silent_pictures = not isinstance(movie, VideoReader)
+        labels = timecode_shift(
+            take.timecode_start,
+            take.rate,
+            movie.timecode,
+            movie.rate,
+            first_picture=float(movie.times[0]),
+        )
+    if take.audio is None:
+        deaf = "the take has no sound recorded with the capture (ingest it with --audio)"
+        return Evidence(None, deaf, labels)
+    if silent_pictures:
+        return Evidence(None, f"{video.file}: pictures carry no sound", labels)
+    try:
+        progress(0.0, f"listening to {video.file.name}")
+        camera = read_audio(video.file, rate=RATE)
+        progress(0.25, f"listening to {take.audio.name}")
+        capture = read_audio(take.audio, rate=RATE)
+    except InputError as error:
+        return Evidence(None, str(error), labels)
+    return Evidence(_compare(camera, capture, part(progress, 0.5, 1.0)), "", labels)
+
+
+def _compare(camera: Float32Array, capture: Float32Array, progress: Progress) -> SoundAlignment:
+    return align_sounds(
+        camera, capture, rate=RATE, names=("camera's", "capture's"), progress=progress
+    )
+
+
+def _page(spec: AlignSpec, take: Take, evidence: Evidence, decision: Decision) -> AlignmentPage:
+    sync, sound, labels = decision.sync, evidence.sound, evidence.timecode
+    facts = [f"{note[:1].upper()}{note[1:]}." for note in decision.notes]
+    if sound is None and evidence.deaf not in decision.source:
+        facts.append(f"No sound compared: {evidence.deaf}.")
+    elif sound is not None:
+        facts.append(
+            f"Sound: best shift {sound.peak:.1f} deviations above chance, {sound.ratio:.2f} times "
+            f"the second best; {sound.agreement:.0%} of windows agree, to "
+            f"{1000 * sound.deviation:.3f} ms; confidence {sound.confidence:.2f}."
+        )
+    if labels.offset is None:
+        facts.append(f"Timecode: not used, {labels.reason}.")
+    marks = []
+    if sync is not None:
+        marks.append(ShiftMark(decision.source, sync.offset, chosen=True))
+    if labels.offset is not None and (sync is None or sync.offset != labels.offset):
+        marks.append(ShiftMark("timecode", labels.offset))
+    if evidence.trusted is not None and (sync is None or sync.offset != evidence.trusted.offset):
+        marks.append(ShiftMark("sound", evidence.trusted.offset))
+    if sync is None:
+        verdict = f"Not aligned: {decision.source}"
+    else:
+        verdict = (
+            f"video starts {sync.offset:+.4f} s into the take, drift {sync.drift:+.1f} ppm, "
+            f"{decision.source}, confidence {sync.confidence:.2f}"
+        )
+    file = "" if take.video is None else f", {take.video.file.name}"
+    return AlignmentPage(
+        title=f"{take.name}{file}: video against capture",
+        verdict=verdict,
+        accepted=sync is not None,
+        facts=tuple(facts),
+        sound=sound,
+        marks=tuple(marks),
+    )
+
+
+def _figures(decision: Decision, evidence: Evidence) -> dict[str, object]:
+    sync, sound = decision.sync, evidence.sound
+    figures: dict[str, object] = {"source": decision.source}
+    if sync is not None:
+        figures |= {"offset": sync.offset, "drift_ppm": sync.drift, "confidence": sync.confidence}
+    if evidence.timecode.offset is not None:
+        figures["timecode_offset"] = evidence.timecode.offset
+    if sound is not None:
+        figures["sound"] = {
+            "offset": sound.offset,
+            "drift_ppm": 1e6 * sound.drift,
+            "confidence": sound.confidence,
+            "peak": sound.peak,
+            "agreement": sound.agreement,
+            "doubts": list(sound.doubts),
+        }
+    return figures
+
+
+def _refuse_foreign_picture(spec: AlignSpec) -> None:
+    """Never replace a picture that someone else put where ours would go by default."""
+    path: Path = spec.picture_path()
+    if spec.picture is None and path.exists() and provenance_of(path) is None:
+        raise InputError(f"{path}: was not written by usdface; move it, or name another --picture")
+
+
+__all__ = ["Decision", "Evidence", "decide", "run"]

@@ -1,0 +1,211 @@
+"""A captured take in, a cleaned one out: stronger, over the captured one."""
+
+import numpy as np
+
+from usdface.core.arrays import ByteImage
+from usdface.core.assets import Markers, Take
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, part, silent
+from usdface.core.provenance import Provenance
+from usdface.core.text import counted
+from usdface.media.charts.repair import RepairKind, draw_repairs
+from usdface.media.picture.image import write_image
+from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
+from usdface.numerics.rigid.rigid_markers import find_rigid_markers
+from usdface.runner.outputs import provenance_metadata
+from usdface.runner.result import Report
+from usdface.specs.capture import CleanSpec
+from usdface.usdio.take.read import read_take
+from usdface.usdio.take.write import samples_path, write_take
+
+LONGEST_GAP_SECONDS = 2.0
+"""What is filled by default: beyond, the other markers hardly tell what one did."""
+
+FEWEST_RIGID = 3
+"""Seen at once, they tell the head's pose."""
+
+POSE_COLOR, FILLED_COLOR, SWAPPED_COLOR = (92, 98, 110), (86, 156, 214), (232, 178, 66)
+STRAY_COLOR, LEFT_COLOR = (206, 96, 190), (226, 74, 66)
+
+SWAPS_TOLD = 20
+"""More repairs than this are counted, not listed."""
+
+
+def run(
+    spec: CleanSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Stabilise, relabel, fill and smooth the markers of a take."""
+    progress(0.0, f"reading {spec.take.name}")
+    take = read_take(spec.take)
+    markers = take.markers
+    if markers is None:
+        raise InputError(f"{spec.take}: has no markers to clean")
+    if (
+        markers.space == "stabilized" and take.head_motion is not None
+    ):  # a second one would hide it, and the face lose its head's
+        raise InputError(
+            f"{spec.take}: is clean already, its head's motion taken out; clean the captured take, "
+            "the layer below it, with the options that you want"
+        )
+    notes: list[str] = []
+    rigid = _rigid_names(spec, markers, notes)
+    neutral = markers.neutral_frame if spec.neutral is None else spec.neutral
+    row = neutral - take.first_frame
+    if not 0 <= row < take.frame_count:
+        raise InputError(
+            f"{spec.take}: neutral frame {neutral} is outside the take, {take.first_frame}-"
+            f"{take.first_frame + take.frame_count - 1}; name one with --neutral"
+        )
+    shown = int(markers.visible[row, [markers.names.index(name) for name in rigid]].sum())
+    if shown < FEWEST_RIGID:
+        raise InputError(
+            f"{spec.take}: {shown} of the rigid markers {', '.join(rigid)} are seen at the neutral "
+            f"frame {neutral}, {FEWEST_RIGID} are needed; choose another with --neutral, or name "
+            "more with --rigid"
+        )
+    max_gap = spec.max_gap
+    if max_gap is None:
+        max_gap = round(LONGEST_GAP_SECONDS * float(take.rate))
+    try:
+        cleaned = clean_markers(
+            markers.positions,
+            markers.visible,
+            rigid=[markers.names.index(name) for name in rigid],
+            neutral=row,
+            max_gap=max_gap,
+            smooth=spec.smooth,
+            relabel=spec.relabel,
+            progress=part(progress, 0.1, 0.9),
+        )
+    except ValueError as error:
+        raise InputError(f"{spec.take}: cannot be cleaned: {error}") from error
+    notes += _repairs(cleaned, markers, take)
+    progress(0.9, f"writing {spec.out.name}")
+    still = Markers(
+        names=markers.names,
+        positions=cleaned.positions,
+        visible=cleaned.visible,
+        confidence=cleaned.confidence,
+        rigid=rigid,
+        neutral_frame=neutral,
+        anchor=markers.anchor,
+        space="stabilized",
+    )
+    written = Take(
+        name=take.name,
+        rate=take.rate,
+        first_frame=take.first_frame,
+        markers=still,
+        head_motion=cleaned.head_motion,
+    )
+    write_take(spec.out, written, over=spec.take, provenance=provenance)
+    outputs = tuple(dict.fromkeys((spec.out, samples_path(spec.out))))
+    if spec.report is not None:
+        picture = _picture(cleaned, markers, take)
+        made = {} if provenance is None else provenance_metadata(provenance)
+        write_image(spec.report, picture, metadata=made)
+        outputs += (spec.report,)
+    progress(1.0, "done")
+    return Report(outputs, _summary(cleaned, take), tuple(notes), _figures(cleaned, rigid))
+
+
+def _rigid_names(spec: CleanSpec, markers: Markers, notes: list[str]) -> tuple[str, ...]:
+    named = spec.rigid or markers.rigid
+    unknown = [name for name in named if name not in markers.names]
+    if unknown:
+        raise InputError(
+            f"{spec.take}: rigid markers {', '.join(unknown)} are not in the take, which has "
+            f"{', '.join(markers.names[:5])}, ...; correct --rigid"
+        )
+    if named:
+        return named
+    try:
+        found = find_rigid_markers(markers.positions, markers.visible)
+    except ValueError as error:
+        raise InputError(
+            f"{spec.take}: no rigid markers are named and none could be found: {error}"
+        ) from error
+    names = tuple(markers.names[index] for index in found.indices)
+    notes.append(
+        f"no rigid markers were named; {', '.join(names)} keep their mutual distances to "
+        f"{found.deviation_mm:.2f} mm and are used"
+    )
+    return names
+
+
+def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]:
+    notes = []
+    for swap in cleaned.swaps[:SWAPS_TOLD]:
+        notes.append(
+            f"frames {take.first_frame + swap.start}-{take.first_frame + swap.stop - 1}: labels "
+            f"{markers.names[swap.first]} and {markers.names[swap.second]} had changed places"
+        )
+    if len(cleaned.swaps) > SWAPS_TOLD:
+        notes.append(f"and {len(cleaned.swaps) - SWAPS_TOLD} more swaps")
+    if cleaned.strays.any():
+        worst = int(cleaned.strays.sum(axis=0).argmax())
+        notes.append(
+            f"replaced {counted(int(cleaned.strays.sum()), 'stray sample')}, the most of "
+            f"{markers.names[worst]}"
+        )
+    left = ~cleaned.visible
+    if left.any():
+        names = [markers.names[i] for i in np.flatnonzero(left.any(axis=0))[:5]]
+        notes.append(
+            f"{counted(int(left.sum()), 'sample')} in gaps too long to fill, with confidence 0 "
+            f"({', '.join(names)}): raise --max-gap to fill them all the same"
+        )
+    doubtful = np.flatnonzero(cleaned.pose_confidence < 1.0)
+    if len(doubtful):
+        notes.append(
+            f"{counted(len(doubtful), 'frame')}, the first {take.first_frame + int(doubtful[0])}, "
+            "saw too few rigid markers; the head's pose is interpolated there"
+        )
+    return notes
+
+
+def _picture(cleaned: CleanedMarkers, markers: Markers, take: Take) -> ByteImage:
+    swapped = np.zeros_like(cleaned.strays)
+    for swap in cleaned.swaps:
+        swapped[swap.start : swap.stop, [swap.first, swap.second]] = True
+    interpolated = np.zeros_like(cleaned.strays)
+    interpolated[cleaned.pose_confidence < 1.0] = True
+    kinds = (
+        RepairKind("head pose interpolated", POSE_COLOR, interpolated),
+        RepairKind("gap filled", FILLED_COLOR, cleaned.filled & ~cleaned.strays),
+        RepairKind("label put back", SWAPPED_COLOR, swapped),
+        RepairKind("stray replaced", STRAY_COLOR, cleaned.strays),
+        RepairKind("gap left", LEFT_COLOR, ~cleaned.visible),
+    )
+    return draw_repairs(
+        markers.names,
+        kinds,
+        title=f"{take.name}: what was repaired",
+        facts=(
+            f"frames {take.first_frame}-{take.first_frame + take.frame_count - 1}",
+            f"{float(take.rate):g} fps",
+            f"{len(markers.names)} markers",
+            f"noise {cleaned.noise_mm:.2f} mm",
+        ),
+        first_frame=take.first_frame,
+    )
+
+
+def _summary(cleaned: CleanedMarkers, take: Take) -> str:
+    return (
+        f"{take.name}: head motion out, {counted(len(cleaned.swaps), 'swap')}, "
+        f"{counted(int(cleaned.strays.sum()), 'stray')} and "
+        f"{counted(int(cleaned.filled.sum()), 'missing sample')} mended, noise "
+        f"{cleaned.noise_mm:.2f} mm"
+    )
+
+
+def _figures(cleaned: CleanedMarkers, rigid: tuple[str, ...]) -> dict[str, object]:
+    return {
+        "swaps": len(cleaned.swaps),
+        "strays": int(cleaned.strays.sum()),
+        "filled": int(cleaned.filled.sum()),
+        "left": int((~cleaned.visible).sum()),
+        "noise_mm": cleaned.noise_mm,
+        "rigid": list(rigid),
+    }

@@ -1,0 +1,195 @@
+"""Capture files in, one USD take out."""
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+from usdface.capture.marker_labels import match_names, settle_labels
+from usdface.capture.marker_take import Capture, CaptureOptions, build_marker_take
+from usdface.capture.sniff import read_capture
+from usdface.core.assets import Take, Video
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.rates import exact_rate
+from usdface.core.text import counted
+from usdface.core.timecode import frames_of
+from usdface.media.film.image_sequence import open_video
+from usdface.runner.result import Report
+from usdface.specs.capture import IngestSpec
+from usdface.steps.capture.capture_audio import CaptureSound, extract_sound
+from usdface.steps.capture.merge_captures import join_captures
+from usdface.usdio.layers import LAYER_SUFFIXES
+from usdface.usdio.take.foreign import read_foreign_take
+from usdface.usdio.take.read import TakeReader, is_take, read_take
+from usdface.usdio.take.write import samples_path, write_take
+
+log = logging.getLogger(__name__)
+
+
+def run(
+    spec: IngestSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Read captures of one take and write it as USD."""
+    captures = []
+    for index, source in enumerate(spec.sources):
+        progress(0.6 * index / len(spec.sources), f"reading {source.name}")
+        captures.append(_read_source(source, spec))
+    joined = join_captures(_labelled([capture.take for capture in captures], spec), spec.sources)
+    take = joined.take
+    timecode, doubts = _timecode(take)
+    sound = _capture_sound(spec)
+    take = replace(
+        take,
+        name=spec.take or take.name,
+        performer=spec.performer or take.performer,
+        emotion=spec.emotion or take.emotion,
+        timecode_start=timecode,
+        audio=spec.audio or take.audio or (sound.file if sound else None),
+        video=take.video if spec.video is None else _open_video(spec.video, spec),
+    )
+    progress(0.7, f"writing {spec.out.name}")
+    write_take(spec.out, take, provenance=provenance)
+    progress(1.0, f"wrote {spec.out.name}")
+    notes = (*(note for capture in captures for note in capture.notes), *joined.notes, *doubts)
+    notes += (sound.note,) if sound else ()
+    log.info("%s: %d frames", spec.out, take.frame_count)
+    return _report(spec, take, notes, (sound.file,) if sound else ())
+
+
+def _labelled(takes: list[Take], spec: IngestSpec) -> list[Take]:
+    """Give the timecode that the user names to the capture whose frames the take will have."""
+    if not spec.timecode:
+        return takes
+    first = next((at for at, take in enumerate(takes) if take.markers is not None), 0)
+    try:
+        frames_of(spec.timecode, takes[first].rate)
+    except InputError as error:
+        raise InputError(f"--timecode: {error}") from error
+    named = replace(takes[first], timecode_start=spec.timecode)
+    return [named if at == first else take for at, take in enumerate(takes)]
+
+
+def _read_source(source: Path, spec: IngestSpec) -> Capture:
+    if source.suffix.lower() in (*LAYER_SUFFIXES, ".usdz"):
+        return _read_usd(source, spec)
+    return read_capture(
+        source,
+        format=spec.format,
+        units=spec.units,
+        up=spec.up,
+        rigid=spec.rigid,
+        neutral=spec.neutral,
+    )
+
+
+def _read_usd(source: Path, spec: IngestSpec) -> Capture:
+    if spec.units is not None or spec.up is not None:
+        raise InputError(
+            f"{source}: a USD file states its own units and up axis; author metersPerUnit and "
+            "upAxis in it instead of --units and --up"
+        )
+    if is_take(source):
+        return Capture(_with_options(read_take(source), spec, source), "usd")
+    found = read_foreign_take(source, prim=spec.prim)
+    if not found.names:
+        take = Take(source.stem, found.rate, found.first_frame, source=found.source)
+        return Capture(take, "usd", ("no markers, only blendshape weights",))
+    labels = settle_labels(found.names, where=f"{source} {found.kind}")
+    notes = [f"markers were found as {found.kind}", *labels.notes()]
+    columns = list(labels.columns)
+    capture = build_marker_take(
+        source,
+        labels.names,
+        found.positions[:, columns],
+        found.visible[:, columns],
+        rate=found.rate,
+        first_frame=found.first_frame,
+        options=CaptureOptions(rigid=spec.rigid, neutral=spec.neutral),
+        notes=notes,
+        format_name="usd",
+    )
+    return replace(capture, take=replace(capture.take, source=found.source))
+
+
+def _with_options(take: Take, spec: IngestSpec, source: Path) -> Take:
+    """Return a take that was ingested before with the rigid markers and neutral frame asked for."""
+    markers = take.markers
+    if markers is None:
+        return take
+    if spec.rigid:
+        named = match_names(spec.rigid, markers.names, where=str(source), role="rigid marker")
+        markers = replace(markers, rigid=named)
+    if spec.neutral is not None:
+        last = take.first_frame + take.frame_count - 1
+        if not take.first_frame <= spec.neutral <= last:
+            raise InputError(
+                f"{source}: neutral frame {spec.neutral} is outside the take, {take.first_frame} "
+                f"to {last}; name a frame number of the take with --neutral"
+            )
+        markers = replace(markers, neutral_frame=spec.neutral)
+    return replace(take, markers=markers)
+
+
+def _timecode(take: Take) -> tuple[str, tuple[str, ...]]:
+    """Return the label of the first frame, and a note where a capture's own is none."""
+    start = take.timecode_start
+    try:
+        if start:
+            frames_of(start, take.rate)
+    except InputError as error:
+        return "", (f"the capture's timecode was left out: {error}; name another with --timecode",)
+    return start, ()
+
+
+def _capture_sound(spec: IngestSpec) -> CaptureSound | None:
+    if spec.audio is not None:
+        return None
+    out = spec.out.with_name(f"{spec.out.stem}.sound.wav")
+    ours = out.exists() and spec.out.exists() and _is_sound_of(spec.out, out)
+    return extract_sound(spec.sources, out, channel=spec.audio_channel, ours=ours)
+
+
+def _is_sound_of(path: Path, sound: Path) -> bool:
+    try:
+        reader = TakeReader(path)
+        take = reader.read(reader.first_frame, reader.first_frame, head_motion=False)
+    except InputError:  # a damaged take is replaced, and says nothing of its sound
+        return False
+    return take.audio is not None and take.audio.resolve() == sound.resolve()
+
+
+def _open_video(file: Path, spec: IngestSpec) -> Video:
+    rate = None if spec.video_rate is None else exact_rate(spec.video_rate, where=str(file))
+    with open_video(file, rate) as video:
+        return Video(file=file, rate=video.rate, offset=spec.video_offset)
+
+
+def _report(spec: IngestSpec, take: Take, notes: tuple[str, ...], made: tuple[Path, ...]) -> Report:
+    rate = float(take.rate)
+    figures: dict[str, object] = {
+        "frames": take.frame_count,
+        "rate": rate,
+        "first_frame": take.first_frame,
+    }
+    parts = [
+        f"{counted(take.frame_count, 'frame')} at {rate:g} per second "
+        f"({take.frame_count / rate:.1f} s)"
+    ]
+    if take.markers is not None:
+        gaps = float(1 - take.markers.visible.mean())
+        figures |= {
+            "markers": len(take.markers.names),
+            "rigid": list(take.markers.rigid),
+            "neutral_frame": take.markers.neutral_frame,
+            "gap_share": gaps,
+        }
+        parts.append(f"{counted(len(take.markers.names), 'marker')}, {100 * gaps:.2f} % gaps")
+    if take.source is not None:
+        figures["channels"] = len(take.source.names)
+        parts.append(counted(len(take.source.names), "weight"))
+    outputs = tuple(dict.fromkeys((spec.out, samples_path(spec.out), *made)))
+    if take.events:
+        figures["events"] = [[event.label, event.frame] for event in take.events]
+        parts.append(counted(len(take.events), "event"))
+    return Report(outputs, f"{take.name}: {', '.join(parts)}", notes, figures)

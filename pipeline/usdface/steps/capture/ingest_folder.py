@@ -1,0 +1,177 @@
+"""Every take in a folder: files of one stem belong together."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from usdface.capture.marker_labels import list_some
+from usdface.capture.sniff import recognise_format
+from usdface.core.errors import CheckFailedError, InputError
+from usdface.core.progress import Progress, part, silent
+from usdface.core.text import counted
+from usdface.runner.execute import execute
+from usdface.runner.result import Report
+from usdface.specs.base import LAYER_SUFFIXES
+from usdface.specs.capture import IngestSpec
+
+VIDEO_SUFFIXES = (".mov", ".mp4", ".mxf", ".mkv", ".avi", ".webm", ".m4v")
+CAPTURE_SUFFIXES = (".c3d", ".trc")
+"""Whatever such a file holds, it was meant as a capture: a damaged one must not go unseen."""
+AUDIO_SUFFIXES = (".wav", ".flac", ".aif", ".aiff", ".mp3", ".m4a")
+
+_OWN = ("take", "video", "audio", "timecode")
+"""What every take of a folder has of its own."""
+
+_TAKES = (".take.usda", ".samples.usdc")
+"""What ingesting wrote before."""
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """What a folder holds of one take.
+
+    Attributes
+    ----------
+    name : str
+        The files' common stem.
+    captures : tuple of Path
+    video, audio : Path or None
+    """
+
+    name: str
+    captures: tuple[Path, ...]
+    video: Path | None
+    audio: Path | None
+
+
+def find_bundles(folder: Path) -> list[Bundle]:
+    """Group a folder's files by stem; files that are no capture and stand alone are left out."""
+    captures: dict[str, list[Path]] = {}
+    media: dict[tuple[str, tuple[str, ...]], Path] = {}
+    for path in sorted(folder.iterdir()):
+        if not path.is_file() or path.name.startswith("."):
+            continue
+        suffix = path.suffix.lower()
+        for kind in (VIDEO_SUFFIXES, AUDIO_SUFFIXES):
+            if suffix in kind:
+                media.setdefault((path.stem, kind), path)
+        if suffix not in (*VIDEO_SUFFIXES, *AUDIO_SUFFIXES) and _is_capture(path):
+            captures.setdefault(path.stem, []).append(path)
+    return [
+        Bundle(
+            stem,
+            tuple(paths),
+            media.get((stem, VIDEO_SUFFIXES)),
+            media.get((stem, AUDIO_SUFFIXES)),
+        )
+        for stem, paths in captures.items()
+    ]
+
+
+def ingest_folder(
+    folder: Path,
+    out: Path,
+    shared: IngestSpec,
+    *,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> Report:
+    """Ingest every take in a folder; one that fails does not stop the others.
+
+    Parameters
+    ----------
+    folder : Path
+    out : Path
+        Folder for the takes; made if it is not there.
+    shared : IngestSpec
+        Units, rigid markers and so on for every take; its files are not used.
+    overwrite : bool
+    progress : callable
+
+    Raises
+    ------
+    InputError
+        If `shared` names what each take has of its own, the folder holds no capture, or `out`
+        cannot be made.
+    CheckFailedError
+        If a take could not be ingested; each is named with its reason.
+    """
+    for name in _OWN:
+        if getattr(shared, name):
+            raise InputError(
+                f"{folder}: --{name} is of one take, and a folder holds several: each is named by "
+                "its files, which tell its timecode, and video and audio of the same name go with "
+                "it; leave it out"
+            )
+    bundles = find_bundles(folder)
+    if not bundles:
+        raise InputError(
+            f"{folder}: holds no capture file that is known; name the folder that holds the "
+            "captures, or a file with --format"
+        )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{out}: cannot be made: {error.strerror}; choose another --out"
+        ) from error
+    done: list[Report] = []
+    failed: list[str] = []
+    for index, bundle in enumerate(bundles):
+        spec = shared.model_copy(
+            update={
+                "sources": bundle.captures,
+                "out": out / f"{bundle.name}.take.usda",
+                "video": bundle.video,
+                "audio": bundle.audio,
+                "take": bundle.name,
+            }
+        )
+        own = part(progress, index / len(bundles), (index + 1) / len(bundles))
+        try:
+            done.append(execute(spec, overwrite=overwrite, progress=own))
+        except InputError as error:
+            failed.append(str(error))
+    if failed:
+        told = "\n".join(f"  {message}" for message in failed)
+        raise CheckFailedError(
+            f"{counted(len(done), 'take')} of {folder} ingested, "
+            f"{len(failed)} could not be:\n{told}"
+        )
+    return Report(
+        tuple(path for report in done for path in report.outputs),
+        f"{counted(len(done), 'take')} of {folder}",
+        (
+            *(line for report in done for line in (report.summary, *report.notes)),
+            *_left_out(folder, bundles),
+        ),
+        {"takes": [report.as_data() for report in done]},
+    )
+
+
+def _left_out(folder: Path, bundles: list[Bundle]) -> tuple[str, ...]:
+    """Say which files of a folder are in no take."""
+    used = {path for each in bundles for path in (*each.captures, each.video, each.audio) if path}
+    others = [
+        path.name
+        for path in sorted(folder.iterdir())
+        if path not in used
+        and path.is_file()
+        and not path.name.startswith(".")
+        and not path.name.endswith(_TAKES)
+    ]
+    if not others:
+        return ()
+    return (f"in no take, as no capture is known by their content: {list_some(others)}",)
+
+
+def _is_capture(path: Path) -> bool:
+    suffix = path.suffix.lower()
+    if suffix in CAPTURE_SUFFIXES:
+        return True
+    if suffix in (*LAYER_SUFFIXES, ".usdz"):
+        return not path.name.endswith(_TAKES)
+    try:
+        recognise_format(path)
+    except (InputError, OSError):
+        return False
+    return True

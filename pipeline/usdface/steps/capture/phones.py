@@ -1,0 +1,139 @@
+"""Sound and transcript in, phones out."""
+
+import numpy as np
+
+from usdface.core.assets import Take
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, part, silent
+from usdface.core.provenance import Provenance
+from usdface.core.text import counted
+from usdface.media.film.sound import read_audio
+from usdface.runner.outputs import provenance_metadata
+from usdface.runner.result import Report
+from usdface.specs.base import LAYER_SUFFIXES
+from usdface.specs.capture import PhonesSpec
+from usdface.speech.coverage_of_sound import INCOMPLETE_SHARE, share_outside
+from usdface.speech.dictionary import read_dictionary, read_text
+from usdface.speech.forced_alignment import DOUBTFUL_SCORE, RATE, Alignment, align_phones
+from usdface.speech.phone_track import PhoneTrack, Span
+from usdface.speech.track_files import write_phone_track
+from usdface.speech.transcript import spoken_words
+from usdface.speech.visemes import viseme_of
+from usdface.usdio.take.read import read_take
+
+LARGEST_TRANSCRIPT_BYTES = 1 << 20
+"""A day of speech."""
+
+NAMED_WORDS = 8
+
+
+def run(
+    spec: PhonesSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Align the words with the sound and write the phones."""
+    text = spec.text
+    if spec.transcript is not None:
+        text = read_text(spec.transcript, LARGEST_TRANSCRIPT_BYTES)
+    words = _words(spec, text or "")
+    own = {} if spec.dictionary is None else read_dictionary(spec.dictionary)
+    progress(0.0, "reading the sound")
+    take = read_take(spec.audio) if spec.audio.suffix in (*LAYER_SUFFIXES, ".usdz") else None
+    if take is None:
+        samples, clock = read_audio(spec.audio, rate=RATE), (0.0, 1.0)
+    elif take.audio is not None:
+        samples, clock = read_audio(take.audio, rate=RATE), (0.0, 1.0)
+    else:
+        samples, clock = _video_sound(spec, take)
+    found = align_phones(samples, words, pronunciations=own, progress=part(progress, 0.1, 0.95))
+    outside = share_outside(samples, found.track.words, rate=RATE)
+    track = _on_clock(found.track, *clock)
+    origin = None if provenance is None else provenance_metadata(provenance)
+    write_phone_track(spec.out, track, origin=origin)
+    progress(1.0, "done")
+    said = [span for span in track.phones if viseme_of(span.label) != "pau"]
+    visemes = sorted({viseme_of(span.label) or "" for span in said})
+    return Report(
+        (spec.out,),
+        f"{len(said)} phones of {len(track.words)} words in {track.duration:.1f} s, "
+        f"{len(visemes)} of the 14 visemes of speech",
+        tuple(_notes(found, outside)),
+        {
+            "phones": len(said),
+            "sound_outside_words": round(outside, 3),
+            "words": len(track.words),
+            "visemes": visemes,
+            "score": round(found.score, 2),
+            "beam": found.beam,
+            "guessed": {word: " ".join(said) for word, said in found.guessed.items()},
+            "doubtful_words": [
+                {"word": span.label, "seconds": round(span.start, 2)}
+                for span in found.doubtful_words
+            ],
+        },
+    )
+
+
+def _words(spec: PhonesSpec, text: str) -> tuple[str, ...]:
+    try:
+        return spoken_words(text)
+    except InputError as error:
+        raise InputError(f"{spec.transcript}: {error}" if spec.transcript else str(error)) from None
+
+
+def _video_sound(spec: PhonesSpec, take: Take) -> tuple[np.ndarray, tuple[float, float]]:
+    """Return the camera's sound, and how its clock runs on the take's."""
+    if take.video is None:
+        raise InputError(
+            f"{spec.audio}: the take has no sound and no video; ingest it with --audio or "
+            "--video, or give the sound file"
+        )
+    samples = read_audio(take.video.file, rate=RATE)
+    return samples, (take.video.offset, 1.0 + take.video.drift * 1e-6)
+
+
+def _on_clock(track: PhoneTrack, offset: float, speed: float) -> PhoneTrack:
+    """Move spans onto the take's clock; what lies before its first frame is left out."""
+    if (offset, speed) == (0.0, 1.0):
+        return track
+
+    def moved(spans: tuple[Span, ...]) -> tuple[Span, ...]:
+        placed = (Span(offset + speed * s.start, offset + speed * s.end, s.label) for s in spans)
+        return tuple(Span(max(s.start, 0.0), s.end, s.label) for s in placed if s.end > 0)
+
+    return PhoneTrack(
+        moved(track.phones),
+        moved(track.words),
+        moved(track.emotions),
+        max(offset + speed * track.duration, 0.0),
+    )
+
+
+def _notes(found: Alignment, outside: float) -> list[str]:
+    notes = []
+    if outside > INCOMPLETE_SHARE:
+        notes.append(
+            f"{outside:.0%} of the sound lies outside the words: the transcript lacks much of what "
+            "is said, or is of something else; write down every word"
+        )
+    if found.guessed:
+        shown = [f"{word} ({' '.join(said)})" for word, said in found.guessed.items()]
+        notes.append(
+            f"in no dictionary, and guessed from the letters: {counted(len(shown), 'word')}, "
+            f"{', '.join(shown[:NAMED_WORDS])}; say it better with --dictionary"
+        )
+    if found.score < DOUBTFUL_SCORE:
+        notes.append(
+            f"the words hardly fit the sound (score {found.score:.0f} a frame): look at the phones "
+            "before you rely on them"
+        )
+    if found.beam:
+        notes.append(
+            "some of what is said is not in the transcript, or the other way round: the words "
+            "were found only by a wider search"
+        )
+    if found.doubtful_words:
+        shown = [f"{span.label} ({span.start:.1f} s)" for span in found.doubtful_words]
+        notes.append(
+            f"at a bad fit: {counted(len(shown), 'word')}, {', '.join(shown[:NAMED_WORDS])}"
+        )
+    return notes

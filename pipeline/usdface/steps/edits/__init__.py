@@ -1,0 +1,1 @@
+"""Edits of a performance, and its publishing."""

@@ -1,0 +1,147 @@
+"""Take an animation that was changed in another tool as edits."""
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.text import counted
+from usdface.numerics.motion.edit_curve import EditCurve, no_edit
+from usdface.runner.result import Report
+from usdface.specs.edits import EditsImportSpec
+from usdface.steps.edits.edit import all_frames, renewed, solved_over
+from usdface.steps.inputs.weight_tables import (
+    WeightTable,
+    changed_elsewhere,
+    elsewhere_notes,
+    read_weight_table,
+    weights_meant,
+)
+from usdface.usdio.performance.edits import (
+    ShapeEdit,
+    edited_weights,
+    edits_stamp,
+    read_edits,
+    write_edits,
+)
+from usdface.usdio.performance.write import PerformanceReader
+
+
+def run(
+    spec: EditsImportSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Set edits so that the performance shows what the file shows, at the frames that it has."""
+    stamp = edits_stamp(spec.performance)
+    reader = PerformanceReader(spec.performance, prim=spec.prim)
+    table = read_weight_table(spec.changed, known=reader.names)
+    known = _known_shapes(spec, reader, table)
+    # What is said of the last frame is not meant for those that a longer take would add.
+    frames = all_frames(reader, reach=(reader.first_frame - 1, reader.last_frame + 1))
+    given = _rows(spec, reader, table)
+    progress(0.3, "comparing with the solve")
+    edits = read_edits(reader.animation, frames)
+    solved = solved_over(reader, frames)
+    rows = given[:, 0] - int(frames[0])
+    shown = edited_weights(reader.names, solved, edits) if table.meshes else solved
+    changed: dict[str, ShapeEdit] = {}
+    elsewhere: dict[str, list[str]] = {}
+    differing = np.zeros(len(rows), dtype=bool)
+    for shape in known:
+        beneath = solved[:, reader.names.index(shape)]
+        before = shown[rows, reader.names.index(shape)]
+        now = weights_meant(table, shape, given[:, 1], before)
+        wanted = now - beneath[rows]
+        meshes = changed_elsewhere(
+            table,
+            shape,
+            given[:, 1],
+            meant=now,
+            shown=before,
+            solved=beneath[rows],
+            least=spec.least,
+        )
+        if meshes:
+            elsewhere[shape] = meshes
+        meant = np.abs(wanted) > spec.least
+        old = edits.get(shape, ShapeEdit(no_edit(len(frames)), np.full(len(frames), np.nan)))
+        if not meant.any() and not old.curve.active[rows].any():
+            continue
+        differing |= meant
+        touched = np.zeros(len(frames), dtype=bool)
+        touched[rows] = True
+        curve = _replaced(old.curve, rows, np.where(meant, wanted, 0.0))
+        changed[shape] = renewed(old, curve, beneath, touched)
+    notes = _notes(reader, table) + elsewhere_notes(table, elsewhere)
+    if not changed:
+        return Report((), "nothing differs from the solve; no edits were made", notes)
+    if 2 * int(differing.sum()) > len(rows) > 1:
+        notes += (
+            "most frames differ: if the take was mapped again after this file was baked, what the "
+            "new solve changed is taken for edits, too; bake again, change that and import it",
+        )
+    path = write_edits(
+        spec.performance, reader.animation, changed, frames, stamp=stamp, provenance=provenance
+    )
+    progress(1.0, "written")
+    return Report(
+        (path,),
+        f"{int(differing.sum())} of {len(rows)} frames differ from the solve, in {len(changed)} "
+        "shapes",
+        notes,
+        {"frames": int(differing.sum()), "shapes": sorted(changed)},
+    )
+
+
+def _replaced(curve: EditCurve, rows: FloatArray, wanted: FloatArray) -> EditCurve:
+    """Return a curve that at some frames is an offset alone."""
+    offset, mask = curve.offset.copy(), curve.mask.copy()
+    offset[rows], mask[rows] = wanted, 0.0
+    return EditCurve(offset, curve.override, mask)
+
+
+def _known_shapes(
+    spec: EditsImportSpec, reader: PerformanceReader, table: WeightTable
+) -> list[str]:
+    if table.rate is not None and table.rate != reader.rate:
+        raise InputError(
+            f"{spec.changed}: is at {float(table.rate):g} frames per second, the performance at "
+            f"{float(reader.rate):g}; export it at the performance's rate, so that frames match"
+        )
+    known = [name for name in table.names if name in reader.names]
+    if not known:
+        raise InputError(
+            f"{spec.changed}: none of its {len(table.names)} shapes ({', '.join(table.names[:3])}, "
+            f"...) is in the performance ({', '.join(reader.names[:3])}, ...); rename them"
+        )
+    return known
+
+
+def _rows(spec: EditsImportSpec, reader: PerformanceReader, table: WeightTable) -> np.ndarray:
+    """Return (frame number, row of the table) of the frames that both have."""
+    pairs = [
+        (frame, row)
+        for row, frame in enumerate(table.frames)
+        if reader.first_frame <= frame <= reader.last_frame
+    ]
+    if not pairs:
+        raise InputError(
+            f"{spec.changed} (frames {min(table.frames)}-{max(table.frames)}) and "
+            f"{spec.performance} (frames {reader.first_frame}-{reader.last_frame}) share no frame; "
+            "was the animation shifted in the other tool?"
+        )
+    return np.array(pairs, dtype=np.int64)
+
+
+def _notes(reader: PerformanceReader, table: WeightTable) -> tuple[str, ...]:
+    notes = []
+    unknown = [name for name in table.names if name not in reader.names]
+    if unknown:
+        notes.append(
+            f"left out {counted(len(unknown), 'shape')} that the performance does not have: "
+            f"{', '.join(unknown[:5])}"
+        )
+    outside = sum(not reader.first_frame <= f <= reader.last_frame for f in table.frames)
+    if outside:
+        notes.append(f"left out {counted(outside, 'frame')} outside the performance")
+    return tuple(notes)

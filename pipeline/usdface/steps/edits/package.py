@@ -1,0 +1,36 @@
+"""Pack a performance for review into one .usdz."""
+
+import tempfile
+from pathlib import Path
+
+from usdface.core.progress import Progress, part, silent
+from usdface.core.provenance import Provenance
+from usdface.core.replacing import replacing
+from usdface.runner.result import Report
+from usdface.specs.edits import BakeSpec, PackageSpec
+from usdface.steps.edits import bake
+from usdface.usdio.performance.package import write_package
+from usdface.usdio.performance.write import PerformanceReader
+
+
+def run(
+    spec: PackageSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Bake the edits in, and pack the result with the rig and all that it refers to."""
+    reader = PerformanceReader(spec.performance, prim=spec.prim)
+    with replacing(spec.out) as temporary, tempfile.TemporaryDirectory() as name:
+        baked = Path(name) / "weights.usdc"
+        report = bake.run(
+            BakeSpec(performance=spec.performance, out=baked, prim=spec.prim),
+            provenance=provenance,
+            progress=part(progress, 0.0, 0.7),
+        )
+        write_package(temporary, reader, baked, provenance=provenance)
+    progress(1.0, "packed")
+    size = spec.out.stat().st_size / 1e6
+    return Report(
+        (spec.out,),
+        f"{report.summary}; {size:.1f} MB",
+        report.notes,
+        {"bytes": spec.out.stat().st_size, "frames": report.figures["frames"]},
+    )

@@ -1,0 +1,32 @@
+"""Look for what is not in order in layers."""
+
+from dataclasses import asdict
+from pathlib import Path
+
+from usdface.core.text import counted
+from usdface.runner.result import Report
+from usdface.runner.sandbox import confine
+from usdface.usdio.validation import validate
+
+
+def validate_layers(layers: tuple[Path, ...]) -> Report:
+    """Run USD's validators and ours on layers; errors are failures, warnings are not.
+
+    Raises
+    ------
+    InputError
+        If a layer cannot be opened.
+    """
+    confine("validate", reads=layers)
+    found = {str(layer): validate(layer) for layer in layers}
+    findings = [finding for each in found.values() for finding in each]
+    errors = [finding for finding in findings if finding.severity == "error"]
+    warnings = len(findings) - len(errors)
+    told, wrong = counted(len(layers), "layer"), counted(len(errors), "error")
+    return Report(
+        (),
+        f"{told}: {wrong}, {counted(warnings, 'warning')}",
+        table=tuple(f"{f.severity}: {f.where}: {f.message} [{f.check}]" for f in findings),
+        figures={name: [asdict(finding) for finding in each] for name, each in found.items()},
+        failures=(f"{wrong} in {told}",) if errors else (),
+    )

@@ -1,0 +1,190 @@
+"""What became of a performance's edits: listed, and looked at again after another mapping."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.sidecars import edits_path
+from usdface.core.text import counted
+from usdface.runner.result import Report
+from usdface.runner.sandbox import confine
+from usdface.usdio.performance.edits import edited_frames, edits_elsewhere, read_edits
+from usdface.usdio.performance.write import PerformanceReader
+
+CHANGED = 0.1
+"""Change of the solved weight beneath an edit that an animator should look at: a tenth of a shape's
+whole way is seen at once."""
+
+LISTED = 60
+"""Ranges that `edits list` prints; where an import left thousands, nobody reads the small ones."""
+
+
+@dataclass(frozen=True)
+class EditedRange:
+    """Consecutive frames at which one shape is edited.
+
+    Attributes
+    ----------
+    shape : str
+    first, last : int
+        Frame numbers, inclusive.
+    change : float
+        What the edits change at most, with its sign.
+    solve_change : float
+        How far the solve beneath is from where it was when the edit was made, at most, with its
+        sign; NaN where that is not known.
+    solve_frame : int
+        Frame of the latter.
+    """
+
+    shape: str
+    first: int
+    last: int
+    change: float
+    solve_change: float
+    solve_frame: int
+
+
+def find_edited_ranges(reader: PerformanceReader) -> list[EditedRange]:
+    """Return every edited range of a performance, by shape and frame; unknown shapes left out."""
+    edits = {name: edit for name, edit in reader.edits.items() if name in reader.names}
+    if not edits:
+        return []
+    solved, edited = reader.solved(), reader.edited()
+    found = []
+    for name, edit in sorted(edits.items()):
+        column = reader.names.index(name)
+        change = edited[:, column].astype(np.float64) - solved[:, column]
+        moved = solved[:, column] - edit.beneath
+        for part in runs(edit.curve.active):
+            worst = _largest(moved[part])
+            found.append(
+                EditedRange(
+                    name,
+                    int(reader.frames[part.start]),
+                    int(reader.frames[part.stop - 1]),
+                    float(change[part][_largest(change[part])]),
+                    float(moved[part][worst]),
+                    int(reader.frames[part.start + worst]),
+                )
+            )
+    return found
+
+
+def edits_beyond(reader: PerformanceReader) -> list[str]:
+    """Return the shapes and frames of edits that lie outside a performance, as "jawOpen 10-20"."""
+    reach = edited_frames(reader.animation)
+    if reach is None or (reach[0] >= reader.first_frame and reach[1] <= reader.last_frame):
+        return []
+    frames = np.arange(reach[0], reach[1] + 1, dtype=np.int64)
+    outside = (frames < reader.first_frame) | (frames > reader.last_frame)
+    return [
+        f"{shape} {frames[part.start]}-{frames[part.stop - 1]}"
+        for shape, edit in sorted(read_edits(reader.animation, frames).items())
+        for part in runs(edit.curve.active)
+        if outside[part].all()
+    ]
+
+
+def edit_notes(performance: Path) -> list[str]:
+    """Say how a new solve meets the edits above it: where it changed much, what finds no shape."""
+    if not edits_path(performance).is_file():
+        return []
+    reader = PerformanceReader(performance)
+    ranges = find_edited_ranges(reader)
+    shapes = {each.shape for each in ranges}
+    notes = (
+        [f"kept the edits of {counted(len(shapes), 'shape')}: {_some(sorted(shapes))}"]
+        if shapes
+        else []
+    )
+    notes += [
+        f"{each.shape} {each.first}-{each.last}: the solve beneath the edit changed by up to "
+        f"{each.solve_change:+.2f} at frame {each.solve_frame}; look at the edit again"
+        for each in ranges
+        if abs(each.solve_change) > CHANGED
+    ]
+    beyond = edits_beyond(reader)
+    if beyond:
+        notes.append(
+            f"edits beyond frames {reader.first_frame}-{reader.last_frame} do not show: "
+            f"{_some(beyond)}; they are kept, and show again when those frames are mapped"
+        )
+    unknown = sorted(set(reader.edits) - set(reader.names))
+    if unknown:
+        notes.append(
+            f"edits of {_some(unknown)} find no such shape in this solve; they are kept, and show "
+            "again when the shape does"
+        )
+    notes += [
+        f"edits at <{path}> find no animation there; they are kept: map with that --prim again, or "
+        "move them"
+        for path in edits_elsewhere(performance, reader.animation)
+    ]
+    return notes
+
+
+def list_edits(performance: Path, *, prim: str | None = None) -> Report:
+    """Return what was edited of a performance, and where the solve beneath has changed since.
+
+    Parameters
+    ----------
+    performance : Path
+    prim : str, optional
+        The face, where the layer holds several.
+    """
+    confine("edits list", reads=[performance])
+    reader = PerformanceReader(performance, prim=prim)
+    ranges = find_edited_ranges(reader)
+    largest = sorted(ranges, key=_weight, reverse=True)[:LISTED]
+    table = tuple(
+        f"{each.shape} {each.first}-{each.last}: {each.change:+.2f}"
+        + (
+            f", the solve beneath has since changed by {each.solve_change:+.2f} at frame "
+            f"{each.solve_frame}"
+            if abs(each.solve_change) > CHANGED
+            else ""
+        )
+        for each in ranges
+        if each in largest
+    )
+    if len(ranges) > LISTED:
+        table += (f"and {len(ranges) - LISTED} smaller ones; --json lists them all",)
+    changed = sum(abs(each.solve_change) > CHANGED for each in ranges)
+    shapes = {each.shape for each in ranges}
+    summary = f"{counted(len(ranges), 'edited range')} of {counted(len(shapes), 'shape')}"
+    if changed:
+        summary += f", {changed} over a solve that changed much since"
+    figures = [
+        {
+            "shape": each.shape,
+            "first": each.first,
+            "last": each.last,
+            "change": each.change,
+            "solve_change": each.solve_change if np.isfinite(each.solve_change) else None,
+            "solve_frame": each.solve_frame,
+        }
+        for each in ranges
+    ]
+    return Report((), summary, table=table, figures={"edits": figures})
+
+
+def runs(active: BoolArray) -> list[slice]:
+    """Return the runs of True as slices, in order."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], active, [False]]).astype(np.int8)))
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _weight(edited: EditedRange) -> float:
+    """How much there is to see of a range: what was edited, or what the solve did beneath."""
+    return float(np.nanmax(np.abs([edited.change, edited.solve_change])))
+
+
+def _largest(values: FloatArray) -> int:
+    return int(np.argmax(np.where(np.isfinite(values), np.abs(values), -1.0)))
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")

@@ -1,0 +1,160 @@
+"""Phones and visemes at the frames of takes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.arrays import IntArray
+from usdface.core.assets import Take
+from usdface.core.errors import InputError
+from usdface.model.selection.visemes import Segment
+from usdface.specs.references import SelectSpec
+from usdface.speech.phone_track import PhoneTrack, label_at
+from usdface.speech.track_files import read_phone_track, unknown_symbols
+from usdface.speech.visemes import SILENCE, arpabet_of, viseme_label, viseme_of
+from usdface.steps.inputs.cleaned_takes import CleanedTakes
+
+MARGIN_SECONDS = 5.0
+"""By how much phones may outlast their take before they are thought to be of another."""
+
+
+@dataclass(frozen=True)
+class Spoken:
+    """What is known of the frames of all takes.
+
+    Attributes
+    ----------
+    segments : tuple of Segment
+        Every phone that has a frame.
+    viseme_of : tuple of str
+        Of each frame; empty where unknown.
+    emotion_of : tuple of str
+        Of each frame; empty where unknown.
+    notes : tuple of str
+    """
+
+    segments: tuple[Segment, ...]
+    viseme_of: tuple[str, ...]
+    emotion_of: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def read_spoken(spec: SelectSpec, takes: CleanedTakes) -> Spoken:
+    """Read the phones of every take and lay them on its frames.
+
+    Raises
+    ------
+    InputError
+        If a file of phones cannot be read or does not belong to its take.
+    """
+    segments: list[Segment] = []
+    visemes: list[str] = []
+    emotions: list[str] = []
+    notes: list[str] = []
+    unmarked = []
+    start = 0
+    for index, source in enumerate(takes.sources):
+        count = len(takes.positions[index])
+        rate = float(source.rate)
+        felt = spec.emotions[index] if spec.emotions else source.emotion
+        seconds = (np.arange(count) / rate).tolist()
+        track = PhoneTrack(())
+        if spec.phones:
+            track = read_phone_track(spec.phones[index])
+            if track.duration > count / rate + MARGIN_SECONDS:
+                raise InputError(
+                    f"{spec.phones[index]}: lasts {track.duration:.1f} s and its take "
+                    f"{source.name} {count / rate:.1f} s; give --phones in the order of the takes"
+                )
+            unknown = unknown_symbols(track)
+            if unknown:
+                notes.append(
+                    f"{spec.phones[index].name}: {len(unknown)} symbols are no phone and were "
+                    f"left out: {', '.join(map(repr, unknown[:5]))}"
+                )
+        own = [felt] * count
+        if track.emotions:
+            own = [label_at(track.emotions, at) or felt for at in seconds]
+        if not any(own):
+            unmarked.append(source.name)
+        said = [viseme_of(label) or "" if label else "" for label in _labels(track, seconds)]
+        for span in track.phones:
+            row = round(span.middle * rate)
+            viseme = viseme_of(span.label)
+            if viseme is not None and 0 <= row < count:
+                length = max(round((span.end - span.start) * rate), 1)
+                segments.append(Segment(start + row, length, viseme, own[row]))
+        visemes += said
+        emotions += own
+        start += count
+    if unmarked and (spec.phones or len(takes.sources) > 1):
+        notes.append(
+            f"no emotion is marked in {', '.join(unmarked[:5])}: its frames count as one; say it "
+            "with --emotions, at `usdface ingest --emotion`, or in a tier `emotions`"
+        )
+    return Spoken(tuple(segments), tuple(visemes), tuple(emotions), tuple(notes))
+
+
+def _labels(track: PhoneTrack, seconds: Sequence[float]) -> list[str]:
+    """Return the phone at each moment; silences keep a mark, moments outside have none."""
+    if not track.phones:
+        return [""] * len(seconds)
+    starts = np.array([span.start for span in track.phones])
+    ends = np.array([span.end for span in track.phones])
+    at = np.asarray(seconds)
+    place = np.searchsorted(starts, at, side="right") - 1
+    inside = (place >= 0) & (at < ends[np.maximum(place, 0)])
+    return [
+        (track.phones[k].label or "sil") if held else ""
+        for k, held in zip(place.tolist(), inside.tolist(), strict=True)
+    ]
+
+
+"""By how much phones may outlast their take before they are thought to be of another."""
+
+
+def said_at(phones: Path | None, take: Take, frames: IntArray) -> tuple[str, ...]:
+    """Return the phone and the viseme of each frame, such as ``M  /b/ /p/ /m/``.
+
+    Parameters
+    ----------
+    phones : Path or None
+        On the take's clock; None leaves every label empty.
+    take : Take
+    frames : (frames,) int array
+
+    Returns
+    -------
+    tuple of str
+        Empty outside of the phones; with the emotion, where one is marked.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or lasts longer than the take.
+    """
+    if phones is None:
+        return ("",) * len(frames)
+    track = read_phone_track(phones)
+    lasts = take.frame_count / float(take.rate)
+    if track.duration > lasts + MARGIN_SECONDS:
+        raise InputError(
+            f"{phones}: lasts {track.duration:.1f} s and take {take.name} {lasts:.1f} s; give the "
+            "phones of this take"
+        )
+    seconds = (np.asarray(frames) - take.first_frame) / float(take.rate)
+    return tuple(_label(track, at) for at in seconds.tolist())
+
+
+def _label(track: PhoneTrack, seconds: float) -> str:
+    phone = label_at(track.phones, seconds)
+    viseme = viseme_of(phone) if phone else None
+    if viseme is None:
+        said = ""
+    elif viseme == SILENCE:
+        said = "silent"
+    else:
+        said = f"{(arpabet_of(phone) or phone).upper()}  {viseme_label(viseme)}"
+    return ", ".join(part for part in (said, label_at(track.emotions, seconds)) if part)

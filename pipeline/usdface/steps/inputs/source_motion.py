@@ -1,0 +1,147 @@
+"""Source weights from a take or a performance, brought to the shapes that somebody asks for."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.core.errors import InputError
+from usdface.core.text import counted
+from usdface.model.retarget.shape_names import match_names
+from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.take.read import TakeReader, is_take
+
+MOVES = 0.02
+"""Weight beyond which a shape counts as used by a performance."""
+
+
+@dataclass(frozen=True)
+class SourceMotion:
+    """Source weights over consecutive frames.
+
+    Attributes
+    ----------
+    names : tuple of str
+    weights : (frames, shapes) float array
+    first_frame : int
+    rate : Fraction
+    timecode_start : str
+        SMPTE timecode of the first frame, empty when unknown.
+    emotion : str
+        Of the take, empty when unknown.
+    """
+
+    names: tuple[str, ...]
+    weights: FloatArray
+    first_frame: int
+    rate: Fraction
+    timecode_start: str = ""
+    emotion: str = ""
+
+    @property
+    def last_frame(self) -> int:
+        """Frame number of the last row."""
+        return self.first_frame + len(self.weights) - 1
+
+
+def read_source_motion(path: Path, frames: tuple[int, int] | None = None) -> SourceMotion:
+    """Read the weights that a take carries, or those of a performance, edits included.
+
+    Raises
+    ------
+    InputError
+        If there are none, or the frames are not all there.
+    """
+    if is_take(path):
+        return _from_take(TakeReader(path), frames)
+    reader = PerformanceReader(path)
+    first, last = _limits(path, frames, reader.first_frame, reader.last_frame)
+    return SourceMotion(
+        names=reader.names,
+        weights=reader.edited(first, last).astype(np.float64),
+        first_frame=first,
+        rate=reader.rate,
+        timecode_start=reader.timecode_at(first),
+    )
+
+
+def source_columns(
+    path: Path, motion: SourceMotion, wanted: tuple[str, ...]
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return a motion's weights in the order of other names, and what to tell of that.
+
+    Names that are the same go first; the rest is matched by what they mean, so that Live Link's
+    ``EyeBlinkLeft`` drives a rig's ``eyeBlink_L``.
+
+    Raises
+    ------
+    InputError
+        If no name matches.
+    """
+    place = {name: index for index, name in enumerate(wanted)}
+    out = np.zeros((len(motion.weights), len(wanted)))
+    column = {name: index for index, name in enumerate(motion.names)}
+    same = [name for name in motion.names if name in place]
+    for name in same:
+        out[:, place[name]] = motion.weights[:, column[name]]
+    meant = match_names(
+        [name for name in motion.names if name not in place],
+        [name for name in wanted if name not in column],
+    )
+    for match in meant:
+        for name, share in match.target:
+            out[:, place[name]] += share * motion.weights[:, column[match.source[0][0]]]
+    if not same and not meant:
+        raise InputError(
+            f"{path}: none of its {len(motion.names)} shapes ({', '.join(motion.names[:3])}, ...) "
+            f"is one of {', '.join(wanted[:3])}, ...; are they of another character?"
+        )
+    matched = {*same, *(match.source[0][0] for match in meant)}
+    moving = [
+        name
+        for name in motion.names
+        if name not in matched and np.abs(motion.weights[:, column[name]]).max() > MOVES
+    ]
+    notes = []
+    if meant:
+        example = meant[0]
+        notes.append(
+            f"matched by what names mean: {counted(len(meant), 'shape')}, such as {example.name} "
+            f"to {example.target[0][0]}"
+        )
+    if moving:
+        notes.append(
+            f"{path.name}: nothing is driven by {counted(len(moving), 'moving shape')}: "
+            f"{', '.join(moving[:5])}"
+        )
+    return out, tuple(notes)
+
+
+def _from_take(reader: TakeReader, frames: tuple[int, int] | None) -> SourceMotion:
+    first, last = _limits(reader.path, frames, reader.first_frame, reader.last_frame)
+    take = reader.read(first, last)
+    if take.source is None:
+        raise InputError(
+            f"{reader.path}: the take carries no blendshape weights; retarget the performance that "
+            "`usdface map` made of it"
+        )
+    return SourceMotion(
+        names=take.source.names,
+        weights=take.source.values.astype(np.float64),
+        first_frame=first,
+        rate=take.rate,
+        timecode_start=take.timecode_start,
+        emotion=take.emotion,
+    )
+
+
+def _limits(path: Path, frames: tuple[int, int] | None, first: int, last: int) -> tuple[int, int]:
+    if frames is None:
+        return first, last
+    if frames[0] < first or frames[1] > last:
+        raise InputError(
+            f"{path}: frames {frames[0]}-{frames[1]} are not all there; it has {first}-{last}"
+        )
+    return frames

@@ -1,0 +1,45 @@
+"""A take's markers as a mapping reads them, in pieces: one head space for the whole take."""
+
+import numpy as np
+
+from usdface.core.assets import Mapping, Markers
+from usdface.core.errors import InputError
+from usdface.model.mapping.head_space import HeadSpace, find_head_space
+from usdface.usdio.take.read import TakeReader
+
+SAMPLE_FRAMES = 512
+"""Frames spread over the take from which its head space is found: a median needs no more."""
+
+
+def find_take_space(take: TakeReader, mapping: Mapping) -> HeadSpace:
+    """Find how a take's markers become a mapping's, from frames spread over all of it.
+
+    Raises
+    ------
+    InputError
+        If the take is not stabilised, or has too few of the mapping's markers.
+    """
+    count = take.last_frame - take.first_frame + 1
+    picks = np.linspace(take.first_frame, take.last_frame, min(count, SAMPLE_FRAMES))
+    sample = _there(take, take.read_markers_at(picks.astype(int).tolist()))
+    try:
+        return find_head_space(mapping, sample)
+    except InputError as error:
+        raise InputError(f"{take.path}: {error}") from error
+
+
+def read_markers(take: TakeReader, first: int, last: int) -> Markers:
+    """Read the markers of some frames.
+
+    Raises
+    ------
+    InputError
+        If the take has none.
+    """
+    return _there(take, take.read(first, last, head_motion=False).markers)
+
+
+def _there(take: TakeReader, markers: Markers | None) -> Markers:
+    if markers is None:
+        raise InputError(f"{take.path}: has no markers; ingest a capture that has")
+    return markers

@@ -1,0 +1,167 @@
+"""Pairs of a references asset that an animator set: on the page, in a DCC, or earlier."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.arrays import IntArray
+from usdface.core.assets import References, Rig
+from usdface.core.errors import InputError
+from usdface.specs.references import SelectSpec, proposed_path, tuned_path
+from usdface.steps.inputs.cleaned_takes import CleanedTakes
+from usdface.usdio.references.read import TunedPair, read_references, read_tuned_pairs
+from usdface.usdio.references.tuning import check_tuned_layer, read_proposals
+
+SAME = 1e-6
+"""Weights that differ by less are one: layers hold single precision."""
+
+
+def keyed_pairs(path: Path, references: References) -> list[int]:
+    """Return the pairs whose weights are neither those proposed nor those marked as tuned.
+
+    Parameters
+    ----------
+    path : Path
+        The asset.
+    references : References
+        As it composes.
+
+    Raises
+    ------
+    InputError
+        If a layer beneath the asset cannot be read, or is of another selection.
+    """
+    check_tuned_layer(tuned_path(path), references)
+    shown = read_proposals(proposed_path(path), references).copy()
+    for each in read_tuned_pairs(tuned_path(path)):
+        shown[each.pair] = [each.weights.get(name, 0.0) for name in references.shape_names]
+    away = np.abs(references.weights - shown).max(axis=1, initial=0.0) > SAME
+    return list(np.flatnonzero(away).tolist())
+
+
+def read_set_references(path: Path) -> References:
+    """Read references of which those count as tuned that a person set, on the page or in a DCC.
+
+    Where the layers beneath the asset cannot be read, those that are marked.
+    """
+    references = read_references(path)
+    try:
+        keyed = keyed_pairs(path, references)
+    except InputError:
+        return references
+    tuned = references.tuned.copy()
+    tuned[keyed] = True
+    return replace(references, tuned=tuned)
+
+
+@dataclass(frozen=True)
+class KeptPair:
+    """A tuned pair: its place, its row among all frames, and what was tuned.
+
+    `is_keyed` says that a DCC keyed it, which marks no pair as tuned.
+    """
+
+    pair: int
+    row: int
+    tuned: TunedPair
+    is_keyed: bool = False
+
+
+def find_kept_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[KeptPair]:
+    """Find the frames of tuned pairs again; they must not move, or their weights would lie.
+
+    Raises
+    ------
+    InputError
+        If one is of a take that is not given, or of another rig, or there is no room for it.
+    """
+    layer = tuned_path(spec.out)
+    marked = {each.pair: each for each in read_tuned_pairs(layer)}
+    keyed = _keyed_pairs(spec.out, marked)
+    together = marked | keyed
+    tuned = [together[pair] for pair in sorted(together)]
+    rows = find_rows(takes, [(each.take, each.frame) for each in tuned])
+    lost = [each for each, row in zip(tuned, rows, strict=True) if row is None]
+    if lost:
+        raise InputError(
+            f"{layer}: pair {lost[0].pair + 1} was tuned for frame {lost[0].frame} of "
+            f"{lost[0].take}, which is not among the takes given; give that take as well, or "
+            "write to another --out"
+        )
+    beyond = [each for each in tuned if each.pair >= spec.count]
+    if beyond:
+        raise InputError(
+            f"{layer}: pair {beyond[-1].pair + 1} is tuned, so --count must be at least "
+            f"{beyond[-1].pair + 1}, not {spec.count}"
+        )
+    for each in tuned:
+        strange = [name for name in each.weights if name not in rig.shapes]
+        if strange:
+            raise InputError(
+                f"{layer}: pair {each.pair + 1} was tuned for another rig: "
+                f"{len(strange)} of its {len(each.weights)} shapes are not on {rig.file} "
+                f"({', '.join(strange[:3])}); give that rig, or write to another --out"
+            )
+    return [
+        KeptPair(each.pair, row, each, each.pair in keyed)
+        for each, row in zip(tuned, rows, strict=True)
+        if row is not None
+    ]
+
+
+def _keyed_pairs(out: Path, marked: dict[int, TunedPair]) -> dict[int, TunedPair]:
+    """Return pairs of the asset there is whose weights are neither proposed nor marked as tuned.
+
+    A DCC that opened the asset keyed them. An asset that cannot be read tells nothing: to select
+    again is how it is mended.
+    """
+    if not out.is_file():
+        return {}
+    try:
+        old = read_references(out)
+        keyed = keyed_pairs(out, old)
+    except InputError:
+        return {}
+    return {
+        pair: TunedPair(
+            pair,
+            old.takes[pair],
+            int(old.frames[pair]),
+            dict(zip(old.shape_names, old.weights[pair].tolist(), strict=True)),
+            done=pair in marked and marked[pair].done,
+        )
+        for pair in keyed
+    }
+
+
+def find_rows(takes: CleanedTakes, places: list[tuple[str, int]]) -> list[int | None]:
+    """Return the row, among the frames of all takes, of each take and frame; None where it is not.
+
+    A take's frames follow one another without a gap, so nothing is searched.
+    """
+    starts = np.cumsum([0, *(len(clip) for clip in takes.positions)]).tolist()
+    first = {
+        source.name: (start, end, int(takes.frames[start]))
+        for source, start, end in zip(takes.sources, starts, starts[1:], strict=False)
+        if end > start
+    }
+    rows: list[int | None] = []
+    for take, frame in places:
+        start, end, begins = first.get(take, (0, 0, 0))
+        row = start + frame - begins
+        rows.append(row if start <= row < end else None)
+    return rows
+
+
+def rows_in_place(count: int, kept: list[KeptPair], chosen: IntArray) -> list[int]:
+    """Return the row of each pair: kept ones where they are, chosen ones in the gaps."""
+    place = {each.pair: each.row for each in kept}
+    free = iter(chosen.tolist())
+    rows = []
+    for pair in range(count):
+        row = place[pair] if pair in place else next(free, None)
+        if row is None:
+            break
+        rows.append(row)
+    return rows

@@ -1,0 +1,242 @@
+"""Weights by frame from files of any tool: CSV, JSON or USD."""
+
+import csv
+import json
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.errors import InputError
+from usdface.usdio.layers import LAYER_SUFFIXES
+from usdface.usdio.performance.blender_export import (
+    BlenderWeights,
+    blender_names,
+    read_blender_weights,
+)
+from usdface.usdio.performance.write import PerformanceReader
+from usdface.usdio.take.frame_span import FARTHEST_FRAME
+
+LARGEST_TABLE_BYTES = 1 << 30
+
+
+@dataclass(frozen=True)
+class WeightTable:
+    """Weights of named shapes at frames.
+
+    Attributes
+    ----------
+    names : tuple of str
+    frames : tuple of int
+    weights : (frames, shapes) float array
+    rate : Fraction or None
+        Frames per second; None where the file does not say.
+    keyed : frozenset of int
+        Frames that the file itself holds; at the others, of USD, it is interpolated.
+    meshes : tuple of str
+        By shape, the mesh whose weights these are, of a tool that keys shapes on every mesh apart;
+        empty of other tools.
+    elsewhere : mapping of str to mapping of str to (frames,) float array
+        By shape and mesh, the weights of the other meshes that have it.
+    """
+
+    names: tuple[str, ...]
+    frames: tuple[int, ...]
+    weights: FloatArray
+    rate: Fraction | None = None
+    keyed: frozenset[int] = frozenset()
+    meshes: tuple[str, ...] = ()
+    elsewhere: Mapping[str, Mapping[str, FloatArray]] = field(default_factory=dict)
+
+    def columns(self, names: tuple[str, ...]) -> FloatArray:
+        """Return the weights in another order of shapes; 0 for those the table lacks."""
+        place = {name: index for index, name in enumerate(self.names)}
+        out = np.zeros((len(self.frames), len(names)))
+        for index, name in enumerate(names):
+            if name in place:
+                out[:, index] = self.weights[:, place[name]]
+        return out
+
+
+def read_weight_table(path: Path, *, known: tuple[str, ...] = ()) -> WeightTable:
+    """Read weights from .csv or .json (a ``frame`` column, then one per shape), or from USD.
+
+    Parameters
+    ----------
+    path : Path
+    known : tuple of str
+        Shapes that are expected: where a tool made identifiers of these names, they are undone.
+
+    Raises
+    ------
+    InputError
+        If the file is no such table; the line and the column are named.
+    """
+    if path.suffix in (*LAYER_SUFFIXES, ".usdz"):
+        exported = read_blender_weights(path)
+        if exported is not None:
+            return _blender_table(exported, known)
+        reader = PerformanceReader(path)
+        weights = reader.edited().astype(np.float64)
+        numbers = tuple(reader.frames.tolist())
+        return WeightTable(reader.names, numbers, weights, reader.rate, reader.keyed_frames)
+    text = _read_text(path)
+    rows = _json_rows(path, text) if path.suffix == ".json" else _csv_rows(path, text)
+    if not rows:
+        raise InputError(f"{path}: holds no rows of weights")
+    names = tuple(name for name in rows[0][1] if name != "frame")
+    frames: list[int] = []
+    weights = np.zeros((len(rows), len(names)))
+    for index, (where, row) in enumerate(rows):
+        frame = _number(path, where, "frame", row.get("frame"))
+        if abs(frame) >= FARTHEST_FRAME:
+            raise InputError(f"{path} {where}: {frame:g} is no frame; correct it")
+        frames.append(round(frame))
+        for column, name in enumerate(names):
+            weights[index, column] = _number(path, where, name, row.get(name))
+    twice, count = Counter(frames).most_common(1)[0]
+    if count > 1:
+        raise InputError(f"{path}: frame {twice} is there {count} times; keep one row")
+    return WeightTable(names, tuple(frames), weights, keyed=frozenset(frames))
+
+
+def _blender_table(exported: BlenderWeights, known: tuple[str, ...]) -> WeightTable:
+    made = Counter(each for name in known for each in set(blender_names(name)))
+    real = {each: name for name in known for each in blender_names(name) if made[each] == 1}
+    names = tuple(real.get(name, name) for name in exported.names)
+    return WeightTable(
+        names,
+        exported.frames,
+        np.stack([curves[0].values for curves in exported.curves], axis=1),
+        exported.rate,
+        exported.keyed,
+        tuple(curves[0].mesh for curves in exported.curves),
+        {
+            name: {curve.mesh: curve.values for curve in curves[1:]}
+            for name, curves in zip(names, exported.curves, strict=True)
+        },
+    )
+
+
+def _read_text(path: Path) -> str:
+    try:
+        if path.stat().st_size > LARGEST_TABLE_BYTES:
+            raise InputError(f"{path}: {path.stat().st_size} bytes are too many for a table")
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not UTF-8 at byte {error.start}; save it as UTF-8") from error
+
+
+def _csv_rows(path: Path, text: str) -> list[tuple[str, dict[str, object]]]:
+    reader = csv.DictReader(text.splitlines())
+    header = reader.fieldnames or []
+    if "frame" not in header:
+        raise InputError(
+            f"{path} line 1: has no `frame` column; the first line must name the columns: frame, "
+            "then one per shape"
+        )
+    repeated = sorted({name for name in header if header.count(name) > 1})
+    if repeated:
+        raise InputError(f"{path} line 1: column {repeated[0]!r} is there twice; keep one")
+    rows: list[tuple[str, dict[str, object]]] = []
+    try:
+        for row in reader:
+            surplus = row.pop(None, None) or []
+            if any(value.strip() for value in surplus):  # all that stand before it are in doubt
+                raise InputError(
+                    f"{path} line {reader.line_num}: has {len(header) + len(surplus)} values for "
+                    f"{len(header)} columns; write decimals with a point, not a comma"
+                )
+            rows.append((f"line {reader.line_num}", dict(row)))
+        return rows
+    except csv.Error as error:
+        raise InputError(f"{path} line {reader.line_num}: {error}") from error
+
+
+def _json_rows(path: Path, text: str) -> list[tuple[str, dict[str, object]]]:
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is no valid JSON: {error}") from error
+    if not isinstance(data, list) or not all(isinstance(row, dict) for row in data):
+        raise InputError(f'{path}: must be a list of rows like {{"frame": 12, "jawOpen": 0.4}}')
+    names = list(dict.fromkeys(name for row in data for name in row))
+    filled = [{name: row.get(name, 0.0) for name in names} | row for row in data]
+    return [(f"row {index + 1}", row) for index, row in enumerate(filled)]
+
+
+def _number(path: Path, where: str, column: str, value: object) -> float:
+    try:
+        number = float(str(value))
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(f"{path} {where}, column {column!r}: {value!r} is no number; correct it")
+    return number
+
+
+CUT_TO = (0.0, 1.0)
+"""Blender's sliders after an import: weights beyond come back as these."""
+CUT_WITHIN = 1e-5
+"""float32 there and back."""
+
+
+def weights_meant(table: WeightTable, name: str, rows: IntArray, shown: FloatArray) -> FloatArray:
+    """Return a shape's weights at some rows, those that a tool had cut as they are shown.
+
+    Parameters
+    ----------
+    table : WeightTable
+    name : str
+        One of the table's.
+    rows : (n,) int array
+        Of the table.
+    shown : (n,) float array
+        What the shape is now. Where that lies beyond `CUT_TO` and the tool's weight is at the end,
+        it was cut and not changed.
+    """
+    weights: FloatArray = table.weights[rows, table.names.index(name)]
+    if not table.meshes:
+        return weights
+    end = np.clip(shown, *CUT_TO)
+    return np.where((end != shown) & (np.abs(weights - end) < CUT_WITHIN), shown, weights)
+
+
+def changed_elsewhere(
+    table: WeightTable,
+    name: str,
+    rows: IntArray,
+    *,
+    meant: FloatArray,
+    shown: FloatArray,
+    solved: FloatArray,
+    least: float,
+) -> list[str]:
+    """Return the meshes on which a shape was changed at a frame where the mesh that counts was not.
+
+    A mesh that shows the solve was left as it was given.
+    """
+    found = []
+    still = np.abs(meant - shown) <= least
+    for mesh, weights in table.elsewhere.get(name, {}).items():
+        other = weights[rows]
+        changed = (np.abs(other - shown) > least) & (np.abs(other - solved) > least)
+        if (still & changed & ((other > CUT_TO[0]) & (other < CUT_TO[1]))).any():
+            found.append(mesh)
+    return found
+
+
+def elsewhere_notes(table: WeightTable, found: Mapping[str, list[str]]) -> tuple[str, ...]:
+    """Return what to tell of shapes that were changed on meshes that do not count, by shape."""
+    return tuple(
+        f"{name} differs between {', '.join(meshes)} and {table.meshes[table.names.index(name)]}, "
+        "which counts, as it has the most shapes; change it there"
+        for name, meshes in list(found.items())[:5]
+    )

@@ -1,0 +1,1 @@
+"""References to a mapping, takes to performances."""

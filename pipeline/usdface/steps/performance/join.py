@@ -1,0 +1,102 @@
+"""Make one performance of parts that were mapped apart."""
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.sidecars import weights_path
+from usdface.core.text import counted
+from usdface.runner.result import Report
+from usdface.specs.performance import JoinSpec
+from usdface.steps.inputs.edit_ranges import edit_notes
+from usdface.steps.performance.map import LARGEST_LAYER_BYTES
+from usdface.usdio.performance.clips import Part, write_clips
+from usdface.usdio.performance.weights_layer import WeightsHeader, writing_weights
+from usdface.usdio.performance.write import PerformanceReader, header_of, writing_top
+from usdface.usdio.rig.read import read_rig
+
+
+def run(
+    spec: JoinSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Merge the parts, or play them as value clips, whichever their size asks for."""
+    readers = sorted(map(PerformanceReader, spec.parts), key=lambda each: each.first_frame)
+    headers = [header_of(reader) for reader in readers]
+    _check_parts(spec, readers, headers)
+    file, prim = readers[0].rig()
+    rig = read_rig(file, prim=prim)
+    whole = replace(headers[0], last_frame=headers[-1].last_frame)
+    size = 4 * whole.frame_count * len(whole.shape_names)
+    clips = spec.clips == "always" or (spec.clips == "auto" and size > LARGEST_LAYER_BYTES)
+    target = weights_path(spec.out)
+
+    def told(last: int) -> None:
+        progress((last - whole.first_frame + 1) / whole.frame_count, f"joined to frame {last}")
+
+    with writing_top(spec.out, whole, rig, provenance=provenance):
+        if clips:
+            parts = [_part(reader) for reader in readers]
+            write_clips(target, whole, rig, parts, provenance=provenance)
+        else:
+            with writing_weights(target, whole, rig, provenance=provenance) as writer:
+                for reader in readers:
+                    writer.copy(
+                        reader.animation, reader.first_frame, reader.last_frame, copied_to=told
+                    )
+    notes = edit_notes(spec.out)
+    notes += [
+        f"{reader.path}: its edits of {', '.join(sorted(reader.edits)[:5])} stay there; edits "
+        "belong to the joined performance"
+        for reader in readers
+        if reader.edits
+    ]
+    how = "played as value clips" if clips else "merged"
+    return Report(
+        (spec.out, target),
+        f"{counted(len(readers), 'part')} {how}: frames {whole.first_frame}-{whole.last_frame}",
+        tuple(notes),
+        {"frames": whole.frame_count, "parts": len(readers), "clips": clips},
+    )
+
+
+def _check_parts(
+    spec: JoinSpec, readers: list[PerformanceReader], headers: list[WeightsHeader]
+) -> None:
+    """Raise InputError naming every part that does not fit the first, or leaves a gap."""
+    faults = []
+    for reader, header in zip(readers[1:], headers[1:], strict=True):
+        for what, own, wanted in (
+            ("shapes", header.shape_names, headers[0].shape_names),
+            ("rate", header.rate, headers[0].rate),
+            ("prim", header.place, headers[0].place),
+            ("regions", header.regions, headers[0].regions),
+            ("rig", reader.rig(), readers[0].rig()),
+        ):
+            if own != wanted:
+                faults.append(f"{reader.path}: has another {what} than {readers[0].path}")
+    for before, after in itertools.pairwise(readers):
+        gap = after.first_frame - before.last_frame - 1
+        if gap > 0:
+            faults.append(
+                f"frames {before.last_frame + 1}-{after.first_frame - 1} are in no part: between "
+                f"{before.path} and {after.path}"
+            )
+        elif gap < 0:
+            faults.append(
+                f"frames {after.first_frame}-{min(before.last_frame, after.last_frame)} are in two "
+                f"parts: {before.path} and {after.path}"
+            )
+    if faults:
+        raise InputError("; ".join(faults) + "; map those parts again")
+
+
+def _part(reader: PerformanceReader) -> Part:
+    file = weights_path(Path(reader.path))
+    if not file.is_file():
+        raise InputError(
+            f"{file}: no such file; a part is played from where `map` wrote its weights"
+        )
+    return Part(file, reader.first_frame, reader.last_frame, str(reader.animation.GetPath()))

@@ -1,0 +1,91 @@
+"""Blocks of frames solved while earlier ones are written, with a fixed or a keyed blend."""
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from itertools import tee
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.assets import Mapping
+from usdface.core.errors import InputError
+from usdface.model.mapping.head_space import MappedMarkers
+from usdface.model.mapping.predict import Prediction, WeightPredictor
+from usdface.numerics.array_namespace import CPU, ArrayDevice
+from usdface.steps.inputs.alpha_curve import read_alpha
+
+MOST_SOLVERS = 4
+"""Threads at most: one that writes keeps no more of them busy."""
+
+Block = Callable[[], MappedMarkers]
+"""Brings the markers of some frames into the mapping's space: the thread that solves them does."""
+
+AHEAD = 2
+"""Blocks beyond those being solved that wait to be written at most: memory stays bounded."""
+
+
+def solve_ahead(
+    mapping: Mapping, blocks: Iterator[Block], *, device: ArrayDevice = CPU
+) -> Iterator[Prediction]:
+    """Yield a mapping's answer to each block, in order, the next ones under way meanwhile.
+
+    Arithmetic on arrays leaves Python free, and writing samples is Python: threads do both at
+    once. What comes out does not depend on who is faster, nor on how many there are.
+    """
+    predictor = WeightPredictor(mapping, device=device)
+
+    def solve(block: Block) -> Prediction:
+        markers = block()
+        return predictor.predict(markers.positions, visible=markers.visible)
+
+    solvers = min(MOST_SOLVERS, os.cpu_count() or 1) if device is CPU else 1
+    with ThreadPoolExecutor(max_workers=solvers, thread_name_prefix="solve") as pool:
+        under_way: deque[Future[Prediction]] = deque()
+        for block in blocks:
+            under_way.append(pool.submit(solve, block))
+            if len(under_way) >= solvers + AHEAD:
+                yield under_way.popleft().result()
+        while under_way:
+            yield under_way.popleft().result()
+
+
+def check_blend(path: Path, mapping: Mapping) -> None:
+    """Refuse to blend what has only one part.
+
+    Raises
+    ------
+    InputError
+        If the mapping is no hybrid.
+    """
+    if mapping.method != "hybrid":
+        raise InputError(
+            f"{path}: alpha blends the two parts of a hybrid, and this mapping is "
+            f"{mapping.method}; train with --method hybrid"
+        )
+
+
+def solve_blended(
+    mapping: Mapping,
+    placed: Iterator[Block],
+    alpha: Path,
+    blocks: list[range],
+    *,
+    device: ArrayDevice = CPU,
+) -> Iterator[Prediction]:
+    """Yield the answer to each block, blended as `alpha` says at each of its frames.
+
+    Both parts are solved on their own, so that this takes twice the time of a constant blend.
+    """
+    keyed = [read_alpha(alpha, np.arange(block.start, block.stop)) for block in blocks]
+    parts = [
+        solve_ahead(
+            replace(mapping, settings=mapping.settings | {"alpha": share}), own, device=device
+        )
+        for share, own in zip((1.0, 0.0), tee(placed), strict=True)
+    ]
+    for share, network, regression in zip(keyed, *parts, strict=True):
+        blend = share[:, None] * network.weights + (1 - share[:, None]) * regression.weights
+        yield replace(regression, weights=blend)

@@ -1,0 +1,129 @@
+"""References in, a mapping out."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from usdface.core.assets import Mapping, References
+from usdface.core.deformer import Deformer
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.text import counted
+from usdface.model.mapping.regions import sample_skin
+from usdface.model.mapping.rig_match import rig_summary
+from usdface.model.mapping.train import train_mapping
+from usdface.runner.result import Report
+from usdface.specs.performance import TrainSpec
+from usdface.steps.inputs.tuned_pairs import read_set_references
+from usdface.usdio.mapping import write_mapping
+from usdface.usdio.rig.read import read_rig
+
+
+def run(
+    spec: TrainSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Learn the mapping that the references show."""
+    references = read_set_references(spec.references)
+    notes = []
+    tuned = references.tuned
+    if spec.tuned_only:
+        if not tuned.any():
+            raise InputError(
+                f"{spec.references}: no pair is tuned; tune some, or train without --tuned-only"
+            )
+        references = _only(references, tuned)
+    elif not tuned.all():
+        notes.append(
+            f"{int((~tuned).sum())} of {len(tuned)} pairs are proposals that nobody has tuned"
+        )
+    rig = read_rig(references.rig_file, prim=references.rig_prim)
+    missing = [name for name in references.shape_names if name not in rig.shapes]
+    if missing:
+        raise InputError(
+            f"{spec.references}: {len(missing)} of its shapes are not on {rig.file}: "
+            f"{', '.join(missing[:5])}; select again for this rig"
+        )
+    columns = [rig.shapes.index(name) for name in references.shape_names]
+    shapes = Deformer(rig).shapes
+    mapping = train_mapping(
+        references,
+        ranges=rig.ranges[columns],
+        gram=shapes.gram()[np.ix_(columns, columns)],
+        skin=sample_skin(shapes.target_offsets())[columns],
+        method=spec.method,
+        dimensions=spec.dimensions,
+        progress=progress,
+    )
+    mapping = replace(
+        mapping,
+        references=spec.references.name,
+        arrays=mapping.arrays | rig_summary(rig, mapping.shape_names),
+    )
+    write_mapping(spec.out, mapping, provenance=provenance)
+    notes += _mended(mapping, references)
+    return Report(
+        (spec.out,), _summary(mapping, references), tuple(notes), describe_figures(mapping)
+    )
+
+
+def describe_figures(mapping: Mapping) -> dict[str, object]:
+    """Return what a mapping is, as plain data."""
+    return {
+        "method": mapping.method,
+        "markers": len(mapping.marker_names),
+        "shapes": len(mapping.shape_names),
+        "settings": dict(mapping.settings),
+        "scores": [
+            {
+                "method": score.method,
+                "settings": score.settings,
+                "weight_rmse": score.weight_rmse,
+                "vertex_rms_mm": score.vertex_rms_mm,
+            }
+            for score in mapping.scores
+        ],
+        "references": mapping.references,
+    }
+
+
+def _mended(mapping: Mapping, references: References) -> list[str]:
+    """Say what of the pairs was not taken as it is."""
+    notes = []
+    limited = int(mapping.settings.get("limited_weights", 0))
+    if limited:
+        notes.append(
+            f"{counted(limited, 'weight')} of the pairs beyond the shape's range on the rig, "
+            "limited to it; tune them again if that is not meant"
+        )
+    repeated = len(references.frames) - int(mapping.settings["pairs"])
+    if repeated:
+        notes.append(
+            f"left out {counted(repeated, 'pair')} that others repeat, markers and weights alike"
+        )
+    return notes
+
+
+def _summary(mapping: Mapping, references: References) -> str:
+    summary = (
+        f"{mapping.method} on {len(references.frames)} pairs, {len(mapping.marker_names)} markers "
+        f"to {len(mapping.shape_names)} shapes"
+    )
+    if mapping.scores:
+        best = mapping.scores[0]
+        summary += (
+            f"; cross-validated error {best.vertex_rms_mm:.2f} mm on the surface, "
+            f"{best.weight_rmse:.3f} in the weights"
+        )
+    return summary
+
+
+def _only(references: References, keep: np.ndarray) -> References:
+    return replace(
+        references,
+        markers=references.markers[keep],
+        weights=references.weights[keep],
+        frames=references.frames[keep],
+        takes=tuple(take for take, kept in zip(references.takes, keep, strict=True) if kept),
+        tuned=references.tuned[keep],
+    )

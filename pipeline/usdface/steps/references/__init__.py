@@ -1,0 +1,1 @@
+"""Reference frames: chosen, tuned, measured."""

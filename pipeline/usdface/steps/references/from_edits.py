@@ -1,0 +1,320 @@
+"""Turn frames that an animator corrected into tuned pairs."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.assets import Mapping, References
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.text import counted
+from usdface.numerics.motion.edit_curve import EditCurve
+from usdface.numerics.regression.reference_design import design_k_centre
+from usdface.runner.result import Report
+from usdface.specs.references import ReferencesFromEditsSpec, proposed_path, tuned_path
+from usdface.steps.inputs.edit_ranges import runs
+from usdface.steps.inputs.take_head_space import find_take_space, read_markers
+from usdface.steps.inputs.tuned_pairs import SAME
+from usdface.steps.references.tuning_guard import nobody_tunes
+from usdface.usdio.layers import read_provenance
+from usdface.usdio.mapping import read_mapping
+from usdface.usdio.performance.write import PerformanceReader
+from usdface.usdio.references.read import (
+    TunedPair,
+    read_references,
+    read_tuned_pairs,
+    write_references,
+)
+from usdface.usdio.references.tuning import read_pair_notes, read_proposals
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.take.read import TakeReader
+
+LEAST_CHANGE = 0.02
+"""A change of every weight below this teaches nothing."""
+
+FULL_STRENGTH = 0.8
+"""Share of an edit's peak from which a frame counts as meant, not as its fade."""
+
+MINOR = 0.25
+"""Edits below this share of a frame's largest do not count."""
+
+MOSTLY = 0.5
+"""The same of all edits of a frame together, where no frame has every one at full strength."""
+
+
+def run(
+    spec: ReferencesFromEditsSpec,
+    *,
+    provenance: Provenance | None = None,
+    progress: Progress = silent,
+) -> Report:
+    """Add the corrected frames to the references as pairs, and mark them as tuned."""
+    old = read_references(spec.references)
+    notes: list[str] = []
+    lessons: list[_Lessons] = []
+    for index, performance in enumerate(spec.performances):
+        lessons.append(_learn(spec, performance, old, notes))
+        progress(0.8 * (index + 1) / len(spec.performances), f"looked at {performance.name}")
+    references = _together(old, lessons, notes)
+    added = len(references.frames) - len(old.frames)
+    if not any(len(each.frames) for each in lessons):
+        raise InputError(
+            f"{', '.join(map(str, spec.performances))}: no frame was corrected by more than "
+            f"{LEAST_CHANGE:g} with its markers seen; edit the performance first"
+        )
+    rig = read_rig(references.rig_file, prim=references.rig_prim)
+    images = [note.image for note in read_pair_notes(spec.references, len(old.frames))]
+    images += [None] * (len(references.frames) - len(images))
+    with nobody_tunes(spec.out):
+        notes += _left_out(spec.out, references)
+        tuned = _tuned(spec, references, notes)
+        write_references(
+            spec.out,
+            references,
+            rig,
+            tuned_path=tuned_path(spec.out),
+            proposed_path=proposed_path(spec.out),
+            tuned=tuned,
+            images=images,
+            provenance=provenance,
+        )
+    progress(1.0, "written")
+    return Report(
+        (spec.out, tuned_path(spec.out), proposed_path(spec.out)),
+        f"{counted(added, 'corrected frame')} added to {counted(len(old.frames), 'pair')}",
+        tuple(notes),
+        {
+            "added": added,
+            "pairs": len(references.frames),
+            "frames": references.frames[len(old.frames) :].tolist(),
+            "takes": list(references.takes[len(old.frames) :]),
+        },
+    )
+
+
+@dataclass(frozen=True)
+class _Lessons:
+    """What one performance teaches: frames with their markers and the weights wanted there."""
+
+    take: str
+    frames: IntArray
+    markers: FloatArray
+    weights: FloatArray
+
+
+_NO_LESSONS = _Lessons("", np.zeros(0, np.int64), np.zeros((0, 0, 3)), np.zeros((0, 0)))
+
+
+def _learn(
+    spec: ReferencesFromEditsSpec, performance: Path, old: References, notes: list[str]
+) -> _Lessons:
+    reader = PerformanceReader(performance)
+    missing = [name for name in reader.names if name not in old.shape_names]
+    if missing:
+        raise InputError(
+            f"{performance}: its shapes {', '.join(missing[:5])} are not in {spec.references}; "
+            "are these the references its mapping was trained on?"
+        )
+    edited = reader.edited().astype(np.float64)
+    changes = np.abs(edited - reader.solved())
+    own = [reader.names.index(name) for name in reader.edits]
+    curves = [edit.curve for edit in reader.edits.values()]
+    change, rows = changes.max(axis=1), np.flatnonzero(meant_frames(curves, changes[:, own].T))
+    if not len(rows):
+        notes.append(f"{performance}: no frame was corrected; nothing to learn from it")
+        return _NO_LESSONS
+    take, mapping = _made_from(performance)
+    markers, seen = _markers_at(take, mapping, old, reader.frames[rows])
+    rows, markers = rows[seen], markers[seen]
+    if not seen.all():
+        notes.append(
+            f"{performance}: left out, lacking a marker: "
+            f"{counted(int((~seen).sum()), 'corrected frame')}"
+        )
+    if not len(rows):
+        return _NO_LESSONS
+    chosen = spread_out(edited[rows], change[rows], spec.count)
+    if len(chosen) < len(rows):
+        notes.append(f"{performance}: taken {len(chosen)} of {len(rows)} corrected frames")
+    weights = np.zeros((len(chosen), len(old.shape_names)))
+    columns = [old.shape_names.index(name) for name in reader.names]
+    weights[:, columns] = edited[rows[chosen]]
+    return _Lessons(take.name, reader.frames[rows[chosen]], markers[chosen], weights)
+
+
+def meant_frames(edits: Sequence[EditCurve], changes: FloatArray) -> BoolArray:
+    """Return the corrected frames at which every edit that counts is near its full strength.
+
+    In a fade the weight is half the solve's and half the animator's: nobody wants exactly that.
+    Curves of a DCC seldom peak at the same frame. Where no frame has all at their peaks, those are
+    returned at which the edits are near them on average, each counted by how much it changes.
+
+    Parameters
+    ----------
+    edits : sequence of EditCurve
+    changes : (edits, frames) float array
+        How far each moves its weight at each frame.
+    """
+    share = np.ones_like(changes)
+    for row, edit in enumerate(edits):
+        strength = np.maximum(np.abs(edit.offset), edit.mask)
+        for part in runs(edit.active):
+            share[row, part] = strength[part] / strength[part].max()
+    largest = changes.max(axis=0, initial=0.0)
+    counts = changes > MINOR * largest
+    meant: BoolArray = ((share >= FULL_STRENGTH) | ~counts).all(axis=0) & (largest > LEAST_CHANGE)
+    if not meant.any():
+        whole = changes.sum(axis=0)
+        meant = ((changes * share).sum(axis=0) > MOSTLY * whole) & (largest > LEAST_CHANGE)
+    return meant
+
+
+def spread_out(weights: FloatArray, change: FloatArray, count: int) -> IntArray:
+    """Choose up to `count` rows: the most changed, and those farthest from any chosen one."""
+    first = int(change.argmax())
+    wanted = min(count, len(weights)) - 1
+    if not wanted:
+        return np.array([first], dtype=np.int64)
+    further = design_k_centre(weights, wanted, already=np.array([first])).chosen
+    return np.sort(np.concatenate([[first], further]))
+
+
+def _made_from(performance: Path) -> tuple[TakeReader, Mapping]:
+    """Return the take and the mapping that a performance, or its parts, say they were made from."""
+    file, spec = performance, _spec_of(performance, "map")
+    seen = set[Path]()
+    while spec is None and file not in seen:
+        seen.add(file)
+        parts = (_spec_of(file, "join") or {}).get("parts")
+        if isinstance(parts, list) and parts:
+            part = file.resolve().parent / str(parts[0])
+            if part.is_file():
+                file, spec = part, _spec_of(part, "map")
+    if spec is None or "take" not in spec or "mapping" not in spec:
+        raise InputError(
+            f"{performance}: does not say from which take and mapping it was made; give a "
+            "performance that `usdface map` wrote, or one joined of such parts, with the parts "
+            "still there"
+        )
+    folder = file.resolve().parent
+    return TakeReader(folder / str(spec["take"])), read_mapping(folder / str(spec["mapping"]))
+
+
+def _spec_of(file: Path, step: str) -> dict[str, object] | None:
+    """Return the spec that a file was made by; None where another step made it, or nobody says."""
+    made = read_provenance(file)
+    try:
+        spec = json.loads(made.spec) if made is not None and made.step == step else None
+    except (ValueError, RecursionError):
+        return None
+    return spec if isinstance(spec, dict) else None
+
+
+def _markers_at(
+    take: TakeReader, mapping: Mapping, old: References, frames: IntArray
+) -> tuple[FloatArray, BoolArray]:
+    """Return the markers at frames as the references have them, and which frames can be used."""
+    lacking = [name for name in old.marker_names if name not in mapping.marker_names]
+    if lacking:
+        raise InputError(
+            f"{take.path}: its mapping does not know the references' markers "
+            f"{', '.join(lacking[:5])}; give the references that it was trained on"
+        )
+    space = find_take_space(take, mapping)
+    order = [mapping.marker_names.index(name) for name in old.marker_names]
+    positions = np.zeros((len(frames), len(order), 3))
+    seen = np.zeros(len(frames), dtype=bool)
+    for index, frame in enumerate(frames.tolist()):
+        placed = space.place(read_markers(take, frame, frame))
+        positions[index] = placed.positions[0, order]
+        seen[index] = placed.visible[0, order].all()
+    return positions, seen
+
+
+def _tuned(
+    spec: ReferencesFromEditsSpec, references: References, notes: list[str]
+) -> list[TunedPair]:
+    """Return the pairs that are tuned, as somebody tuned them in the asset that is replaced."""
+    by_hand = {} if spec.out.resolve() == spec.references.resolve() else _by_hand(spec.out)
+    tuned, kept = [], 0
+    for pair, take in enumerate(references.takes):
+        frame = int(references.frames[pair])
+        weights = by_hand.get((take, frame))
+        if weights is not None:
+            kept += 1
+        elif references.tuned[pair]:
+            row = references.weights[pair].tolist()
+            weights = dict(zip(references.shape_names, row, strict=True))
+        if weights is not None:
+            tuned.append(TunedPair(pair, take, frame, weights))
+    if kept:
+        notes.append(f"{spec.out}: kept as somebody tuned them there: {counted(kept, 'pair')}")
+    return tuned
+
+
+def _by_hand(out: Path) -> dict[tuple[str, int], dict[str, float]]:
+    """Return weights, by take and frame, that differ from what an asset was written with."""
+    if not out.is_file():
+        return {}
+    try:
+        there = read_references(out)
+        written = read_proposals(proposed_path(out), there)
+    except InputError:  # damaged, so that nobody could tune it
+        return {}
+    away = np.abs(there.weights - written).max(axis=1, initial=0.0) > SAME
+    return {
+        (there.takes[pair], int(there.frames[pair])): dict(
+            zip(there.shape_names, there.weights[pair].tolist(), strict=True)
+        )
+        for pair in np.flatnonzero(away).tolist()
+    }
+
+
+def _left_out(out: Path, references: References) -> list[str]:
+    """Name what was tuned in the asset that is replaced and is no pair of the new one."""
+    here = set(zip(references.takes, references.frames.tolist(), strict=True))
+    lost = [
+        each for each in read_tuned_pairs(tuned_path(out)) if (each.take, each.frame) not in here
+    ]
+    if not lost:
+        return []
+    frames = ", ".join(str(each.frame) for each in lost[:5])
+    return [
+        f"{out}: gone, being none of these: {counted(len(lost), 'pair')} tuned there before, "
+        f"frames {frames}"
+    ]
+
+
+def _together(old: References, lessons: list[_Lessons], notes: list[str]) -> References:
+    keys = zip(old.takes, old.frames.tolist(), strict=True)
+    known = {key: pair for pair, key in enumerate(keys)}
+    weights, tuned = old.weights.copy(), old.tuned.copy()
+    new: dict[tuple[str, int], tuple[FloatArray, FloatArray]] = {}
+    renewed = 0
+    for each in lessons:
+        for row, frame in enumerate(each.frames.tolist()):
+            key = (each.take, frame)
+            pair = known.get(key)
+            if pair is None:  # of a frame corrected in two performances, the later one counts
+                new[key] = (each.markers[row], each.weights[row])
+            else:
+                weights[pair], tuned[pair] = each.weights[row], True
+                renewed += 1
+    if renewed:
+        notes.append(f"pairs already, with new weights now: {counted(renewed, 'corrected frame')}")
+    nothing_said = ("",) * len(new)
+    return replace(
+        old,
+        markers=np.concatenate([old.markers, *(markers[None] for markers, _ in new.values())]),
+        weights=np.concatenate([weights, *(row[None] for _, row in new.values())]),
+        frames=np.concatenate([old.frames, np.array([f for _, f in new], dtype=np.int64)]),
+        takes=(*old.takes, *(take for take, _ in new)),
+        tuned=np.concatenate([tuned, np.ones(len(new), dtype=bool)]),
+        visemes=(*old.visemes, *nothing_said) if old.visemes else (),
+        emotions=(*old.emotions, *nothing_said) if old.emotions else (),
+    )

@@ -1,0 +1,152 @@
+"""The video frame of each pair, kept as a picture beside the references."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from usdface.core.assets import References, Take
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.media.film.image_sequence import open_video
+from usdface.media.picture.image import read_image_metadata, write_image
+from usdface.specs.references import SelectSpec
+
+
+@dataclass(frozen=True)
+class PairImages:
+    """Pictures of pairs.
+
+    Attributes
+    ----------
+    files : tuple of Path or None
+        One a pair; None where there is none.
+    notes : tuple of str
+        Why there is none, once for each take.
+    """
+
+    files: tuple[Path | None, ...]
+    notes: tuple[str, ...]
+
+
+def images_folder(references: Path) -> Path:
+    """Return the folder that holds the pictures of a references asset."""
+    return references.with_name(f"{references.stem}.images")
+
+
+def write_pair_images(
+    path: Path,
+    references: References,
+    sources: tuple[Take, ...],
+    *,
+    metadata: Mapping[str, object],
+    progress: Progress = silent,
+) -> PairImages:
+    """Write a picture for every pair whose take has a video that shows it.
+
+    A picture lasts where a video moves or is archived: whoever tunes still sees what was captured,
+    also after another selection.
+
+    Parameters
+    ----------
+    path : Path
+        The references asset; pictures lie in `images_folder` of it, named by take and frame.
+    references : References
+    sources : tuple of Take
+        Need no samples.
+    metadata : mapping
+        Kept in each picture.
+    progress : callable
+    """
+    files: list[Path | None] = [None] * len(references.frames)
+    notes = []
+    folder = images_folder(path)
+    for number, take in enumerate(sources):
+        progress(number / len(sources), f"pictures of {take.name}")
+        pairs = [i for i, name in enumerate(references.takes) if name == take.name]
+        if not pairs:
+            continue
+        shown: dict[int, Path] = {}
+        if take.video is None:
+            shown = _kept(folder, references, take, pairs)
+        else:
+            try:
+                shown = _write_take(folder, references, take, pairs, metadata)
+                if len(shown) < len(pairs):
+                    unseen = len(pairs) - len(shown)
+                    notes.append(
+                        f"the video of {take.name} does not show {unseen} of {len(pairs)} pairs"
+                    )
+            except (InputError, OSError) as error:
+                shown = _kept(folder, references, take, pairs)
+                notes.append(_unread(take, len(shown), len(pairs), error))
+        for pair, file in shown.items():
+            files[pair] = file
+    return PairImages(tuple(files), tuple(notes))
+
+
+def _unread(take: Take, kept: int, pairs: int, error: Exception) -> str:
+    if not kept:
+        return f"the pairs of {take.name} have no pictures: {error}"
+    return (
+        f"{kept} of {pairs} pairs of {take.name} keep the pictures they had, as the video cannot "
+        f"be read: {error}"
+    )
+
+
+def _kept(folder: Path, references: References, take: Take, pairs: list[int]) -> dict[int, Path]:
+    """Return the pictures there are of earlier selections, of frames that can be read no more."""
+    there = {pair: folder / _file_name(take, int(references.frames[pair])) for pair in pairs}
+    return {pair: file for pair, file in there.items() if file.is_file()}
+
+
+def _file_name(take: Take, frame: int) -> str:
+    name = re.sub(r"[^\w.-]", "_", take.name)
+    return f"{name}.{frame}.jpg"
+
+
+def _write_take(
+    folder: Path,
+    references: References,
+    take: Take,
+    pairs: list[int],
+    metadata: Mapping[str, object],
+) -> dict[int, Path]:
+    """Write the pictures of one take's pairs, in the order of the video; return those there are."""
+    if take.video is None:
+        return {}
+    shown = {}
+    with open_video(take.video.file, take.video.rate) as video:
+        for pair in sorted(pairs, key=lambda each: int(references.frames[each])):
+            frame = int(references.frames[pair])
+            seconds = (frame - take.first_frame) / float(take.rate)
+            at = (seconds - take.video.offset) / (1.0 + take.video.drift * 1e-6)
+            picture = video.frame_at(at)
+            if picture is not None:
+                folder.mkdir(exist_ok=True)
+                shown[pair] = folder / _file_name(take, frame)
+                write_image(shown[pair], picture, metadata=metadata)
+    return shown
+
+
+def remove_unused_images(path: Path, files: tuple[Path | None, ...]) -> None:
+    """Remove the pictures of pairs that are gone, and nothing that somebody else put there."""
+    used = {file.name for file in files if file is not None}
+    folder = images_folder(path)
+    for file in folder.glob("*.jpg") if folder.is_dir() else ():
+        if file.name not in used and _is_ours(file):
+            file.unlink(missing_ok=True)
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
+
+
+def _is_ours(file: Path) -> bool:
+    """Say whether a file is named as a pair's picture, and says that a selection wrote it."""
+    if not re.fullmatch(r"[\w.-]+\.-?\d+\.jpg", file.name):
+        return False
+    try:
+        return bool(
+            read_image_metadata(file).get("step") == SelectSpec.model_fields["step"].default
+        )
+    except (InputError, OSError):
+        return False

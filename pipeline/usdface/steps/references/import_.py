@@ -1,0 +1,107 @@
+"""Bring tuned weights into a references asset, by frame and shape name."""
+
+import numpy as np
+
+from usdface.core.assets import References
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.text import counted
+from usdface.runner.result import Report
+from usdface.specs.references import ReferencesImportSpec, tuned_path
+from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table, weights_meant
+from usdface.steps.references.conflict_notes import tuned_conflicts
+from usdface.usdio.references.read import TunedPair, read_references, write_tuned_weights
+
+
+def run(
+    spec: ReferencesImportSpec,
+    *,
+    provenance: Provenance | None = None,
+    progress: Progress = silent,
+) -> Report:
+    """Match the file's rows to pairs and its columns to shapes, and write the tuned layer."""
+    references = read_references(spec.references)
+    table = read_weight_table(spec.weights, known=references.shape_names)
+    known = [name for name in table.names if name in references.shape_names]
+    if not known:
+        raise InputError(
+            f"{spec.weights}: none of its {len(table.names)} columns "
+            f"({', '.join(table.names[:3])}, ...) is a shape of the rig "
+            f"({', '.join(references.shape_names[:3])}, ...); rename the columns"
+        )
+    pairs = _pairs(spec, references, table, known)
+    if not pairs:
+        raise InputError(
+            f"{spec.weights}: none of its {len(table.frames)} frames "
+            f"({table.frames[0]}-{table.frames[-1]}) is one of the {len(references.frames)} pairs; "
+            "is --at right?"
+        )
+    write_tuned_weights(
+        references, pairs, tuned_path=tuned_path(spec.references), provenance=provenance
+    )
+    progress(1.0, "imported")
+    notes = []
+    unknown = [name for name in table.names if name not in references.shape_names]
+    if unknown:
+        notes.append(
+            f"left out {counted(len(unknown), 'column')}, of no shape of the rig: "
+            f"{', '.join(unknown[:5])}"
+        )
+    missing = [name for name in references.shape_names if name not in table.names]
+    if missing:
+        notes.append(
+            f"not in the file, with the weights they had: {counted(len(missing), 'shape')}, "
+            f"{', '.join(missing[:5])}"
+        )
+    between = sum(_key(spec, pair) not in table.keyed for pair in pairs)
+    if between:
+        notes.append(
+            f"given what lies between two keys, as {spec.weights.name} has no key there: "
+            f"{counted(between, 'pair')}"
+        )
+    rest = len(references.frames) - len(pairs)
+    if rest:
+        notes.append(f"not in the file, and as before: {counted(rest, 'pair')}")
+    texts, conflicts = tuned_conflicts(spec.references)
+    notes += texts
+    return Report(
+        (tuned_path(spec.references),),
+        f"{len(pairs)} of {len(references.frames)} pairs tuned, "
+        f"{counted(len(known), 'shape')} each",
+        tuple(notes),
+        {"pairs": len(pairs), "shapes": len(known), "conflicts": conflicts},
+    )
+
+
+def _key(spec: ReferencesImportSpec, pair: TunedPair) -> int:
+    return pair.frame if spec.at == "frames" else pair.pair + 1
+
+
+def _pairs(
+    spec: ReferencesImportSpec, references: References, table: WeightTable, known: list[str]
+) -> list[TunedPair]:
+    row_of = {frame: row for row, frame in enumerate(table.frames)}
+    keys = (
+        references.frames
+        if spec.at == "frames"
+        else np.arange(1, len(references.frames) + 1, dtype=np.int64)
+    )
+    if spec.at == "frames" and len(set(references.takes)) > 1:
+        raise InputError(
+            f"{spec.references}: its pairs are of {len(set(references.takes))} takes, so a frame "
+            "number alone does not tell which; number the rows by pair and use --at pairs"
+        )
+    pairs = []
+    for pair, key in enumerate(keys.tolist()):
+        if key not in row_of:
+            continue
+        if spec.at == "pairs" and key not in table.keyed:
+            continue  # between two pairs lies nothing that anybody meant
+        # A shape the file does not name keeps what composes now.
+        weights = dict(zip(references.shape_names, references.weights[pair].tolist(), strict=True))
+        row = np.array([row_of[key]])
+        for name in known:
+            weights[name] = float(weights_meant(table, name, row, np.array([weights[name]]))[0])
+        pairs.append(TunedPair(pair, references.takes[pair], int(references.frames[pair]), weights))
+    return pairs

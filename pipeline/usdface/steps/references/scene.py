@@ -1,0 +1,221 @@
+"""Takes seen through a rig: what selection and coverage both work on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.assets import Mapping, Markers, MotionSpace, Rig
+from usdface.core.deformer import Deformer
+from usdface.core.progress import Progress
+from usdface.model.mapping.head_space import HeadSpace, find_head_space
+from usdface.model.mapping.motion_space import fit_motion_space
+from usdface.model.mapping.predict import predict_weights
+from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
+from usdface.model.selection.design import StandIns
+from usdface.model.selection.features import SelectionSpace, selection_space
+from usdface.specs.base import frame_range
+from usdface.steps.inputs.cleaned_takes import CleanedTakes
+
+USABLE_SHARE = 0.9
+"""A frame with fewer markers than this is no example to learn from."""
+
+MOTION_FRAMES = 60_000
+"""Frames from which the space of the motion is measured."""
+
+BLOCK_FRAMES = 2048
+"""Small enough that a block stays near the processor between centring and projecting."""
+
+
+@dataclass(frozen=True)
+class SelectionScene:
+    """Takes of a performer, a rig, and the space in which their frames are compared.
+
+    Attributes
+    ----------
+    takes : CleanedTakes
+    rig : Rig
+    deformer : Deformer
+    motion : MotionSpace
+    equation : BlendshapeEquation
+    space : SelectionSpace
+    features : (frames, d) float32 array
+        Of every frame of the takes; half the memory and time of double precision, and rounded
+        far below what markers are known to.
+    stand_ins : StandIns
+    """
+
+    takes: CleanedTakes
+    rig: Rig
+    deformer: Deformer
+    motion: MotionSpace
+    equation: BlendshapeEquation
+    space: SelectionSpace
+    features: Float32Array
+    stand_ins: StandIns
+
+    def positions(self, rows: IntArray) -> FloatArray:
+        """Return markers at rows of all takes, without putting the takes together."""
+        return _rows_of(self.takes, rows)
+
+    def usable(self, rows: IntArray) -> BoolArray:
+        """Return which markers were measured or repaired at rows of all takes."""
+        places = zip(*_places(self.takes, rows), strict=True)
+        return np.array([self.takes.usable[clip][row] for clip, row in places], dtype=np.bool_)
+
+    def coordinates(self, rows: IntArray) -> FloatArray:
+        """Return rows of all takes in the motion space."""
+        return self.coordinates_of(self.positions(rows))
+
+    def coordinates_of(self, positions: FloatArray) -> FloatArray:
+        """Return stabilised markers, (frames, markers, 3), in the motion space."""
+        return _coordinates(self.motion, positions)
+
+
+def set_up_scene(takes: CleanedTakes, rig: Rig, *, progress: Progress) -> SelectionScene:
+    """Measure the motion, place the markers on the rig and bring every frame into one space.
+
+    Parameters
+    ----------
+    takes : CleanedTakes
+    rig : Rig
+    progress : callable
+
+    Raises
+    ------
+    InputError
+        If no marker moves, or the markers cannot be placed on the rig.
+    """
+    progress(0.2, "measuring the motion")
+    # Of an hour every eighth frame says as much of how a face moves as all of them.
+    step = -(-len(takes.frames) // MOTION_FRAMES)
+    motion = fit_motion_space([clip[::step] for clip in takes.positions])
+    progress(0.35, "placing the markers on the rig")
+    deformer = Deformer(rig)
+    equation = _equation(takes, rig, deformer)
+
+    def stand_in(coordinates: FloatArray) -> FloatArray:
+        packed = motion.mean + coordinates @ motion.components
+        return equation.propose(packed.reshape(len(packed), -1, 3))
+
+    weights = stand_in(motion.sample)
+    space = selection_space(motion, weights, rig.shapes)
+    stand_ins = StandIns(
+        features=space.features(motion.sample),
+        weights=weights,
+        of_rows=lambda rows: stand_in(_coordinates(motion, _rows_of(takes, rows))),
+        gram=deformer.shapes.gram(),
+    )
+    features = _features(takes, motion, space)
+    return SelectionScene(takes, rig, deformer, motion, equation, space, features, stand_ins)
+
+
+def candidate_frames(takes: CleanedTakes, frames: str | None) -> BoolArray:
+    """Return which frames of all takes may be tuned: with most markers, within a range."""
+    markers = len(takes.marker_names)
+    seen = np.concatenate([np.count_nonzero(each, axis=1) for each in takes.usable])
+    candidates: BoolArray = seen >= USABLE_SHARE * markers
+    limits = frame_range(frames)
+    if limits is not None:
+        candidates &= (takes.frames >= limits[0]) & (takes.frames <= limits[1])
+    return candidates
+
+
+def _features(takes: CleanedTakes, motion: MotionSpace, space: SelectionSpace) -> Float32Array:
+    """Return every frame's features, straight from its markers.
+
+    A long recording's coordinates would be another large array, and another pass over it.
+    """
+    projection = motion.components.T @ space.projection
+    mean = motion.mean.astype(np.float32)
+    narrow, offset = projection.astype(np.float32), space.offset.astype(np.float32)
+    out = np.empty((len(takes.frames), projection.shape[1]), np.float32)
+    centred = np.empty((BLOCK_FRAMES, len(mean)), np.float32)
+    start = 0
+    for clip in takes.positions:
+        for first in range(0, len(clip), BLOCK_FRAMES):
+            part = clip[first : first + BLOCK_FRAMES].reshape(-1, len(mean))
+            rows = slice(start + first, start + first + len(part))
+            # Centred first: of hundreds of millimetres single precision would lose the last digits.
+            np.subtract(part, mean, out=centred[: len(part)])
+            np.matmul(centred[: len(part)], narrow, out=out[rows])
+            out[rows] -= offset
+        start += len(clip)
+    return out
+
+
+def _equation(takes: CleanedTakes, rig: Rig, deformer: Deformer) -> BlendshapeEquation:
+    one = len(takes.positions) == 1
+    return set_up_equation(
+        rig,
+        deformer,
+        neutral=takes.neutral,
+        positions=takes.positions[0] if one else np.concatenate(takes.positions),
+        visible=takes.usable[0] if one else np.concatenate(takes.usable),
+        rigid=tuple(takes.marker_names.index(name) for name in takes.rigid),
+    )
+
+
+def _coordinates(motion: MotionSpace, positions: FloatArray) -> FloatArray:
+    packed = positions.reshape(len(positions), -1)
+    return np.asarray((packed - motion.mean) @ motion.components.T)
+
+
+def _places(takes: CleanedTakes, rows: IntArray) -> tuple[list[int], list[int]]:
+    """Return the take of each row, and its row there."""
+    starts = np.cumsum([0, *(len(clip) for clip in takes.positions)])
+    clip = np.searchsorted(starts, rows, side="right") - 1
+    return clip.tolist(), (rows - starts[clip]).tolist()
+
+
+def _rows_of(takes: CleanedTakes, rows: IntArray) -> FloatArray:
+    places = zip(*_places(takes, rows), strict=True)
+    return np.array([takes.positions[clip][row] for clip, row in places], dtype=np.float64).reshape(
+        len(rows), len(takes.marker_names), 3
+    )
+
+
+GLANCE_FRAMES = 2000
+"""Frames spread over a take by which its head is put where the mapping's was."""
+
+
+@dataclass(frozen=True)
+class MappedRows:
+    """A mapping laid on takes that were brought together."""
+
+    mapping: Mapping
+    takes: CleanedTakes
+    space: HeadSpace
+
+    @property
+    def shape_names(self) -> tuple[str, ...]:
+        """Order of the weights."""
+        return self.mapping.shape_names
+
+    def weights(self, rows: IntArray) -> FloatArray:
+        """Return the mapping's weights at rows of all takes: (rows, shapes)."""
+        placed = self.space.place(_markers(self.takes, rows))
+        return predict_weights(self.mapping, placed.positions, visible=placed.visible).weights
+
+
+def mapped_rows(mapping: Mapping, takes: CleanedTakes) -> MappedRows:
+    """Find the head space of takes that share one, by frames spread over them."""
+    count = len(takes.frames)
+    rows = np.unique(np.linspace(0, count - 1, min(count, GLANCE_FRAMES)).astype(np.int64))
+    return MappedRows(mapping, takes, find_head_space(mapping, _markers(takes, rows)))
+
+
+def _markers(takes: CleanedTakes, rows: IntArray) -> Markers:
+    starts = np.cumsum([0, *(len(clip) for clip in takes.positions)])
+    clip = np.searchsorted(starts, rows, side="right") - 1
+    own = rows - starts[clip]
+    at = list(zip(clip.tolist(), own.tolist(), strict=True))
+    visible = np.array([takes.usable[i][row] for i, row in at])
+    return Markers(
+        names=takes.marker_names,
+        positions=np.array([takes.positions[i][row] for i, row in at], dtype=np.float32),
+        visible=visible,
+        confidence=visible.astype(np.float32),
+        rigid=takes.rigid,
+        space="stabilized",
+    )

@@ -1,0 +1,331 @@
+"""Choose reference frames and propose weights for them."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.assets import Mapping, References, Rig
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.text import counted
+from usdface.media.picture.image import write_image
+from usdface.model.selection.design import (
+    Choice,
+    choose_by_design,
+    choose_next,
+    choose_visemes,
+    in_order_of_worth,
+)
+from usdface.model.selection.lip_contact import find_lips, keep_lip_contact
+from usdface.numerics.regression.linear_ridge import fit_linear_ridge
+from usdface.runner.outputs import provenance_metadata
+from usdface.runner.result import Report
+from usdface.specs.references import SelectSpec, proposed_path, tuned_path
+from usdface.steps.inputs.cleaned_takes import CleanedTakes, read_cleaned_takes
+from usdface.steps.inputs.coverage_report import cover, coverage_figures, coverage_picture
+from usdface.steps.inputs.phone_labels import Spoken, read_spoken
+from usdface.steps.inputs.tuned_pairs import KeptPair, find_kept_pairs, rows_in_place
+from usdface.steps.references.conflict_notes import tuned_conflicts
+from usdface.steps.references.images import (
+    PairImages,
+    remove_unused_images,
+    write_pair_images,
+)
+from usdface.steps.references.scene import (
+    MappedRows,
+    SelectionScene,
+    candidate_frames,
+    mapped_rows,
+    set_up_scene,
+)
+from usdface.steps.references.tuning_guard import check_nobody_tunes, nobody_tunes
+from usdface.usdio.mapping import read_mapping
+from usdface.usdio.references.read import read_tuned_pairs, write_references
+from usdface.usdio.rig.read import read_rig
+
+FEWEST_TUNED = 2
+"""Tuned pairs from which one can learn where a mapping errs."""
+
+
+@dataclass(frozen=True)
+class _Selection:
+    """What is chosen from, and for what."""
+
+    spec: SelectSpec
+    scene: SelectionScene
+    spoken: Spoken
+    kept: list[KeptPair]
+    candidates: BoolArray
+
+    @property
+    def already(self) -> IntArray:
+        """Rows of the tuned pairs."""
+        return np.array([each.row for each in self.kept], dtype=np.int64)
+
+    @property
+    def wanted(self) -> int:
+        """How many pairs are to be found."""
+        return self.spec.count - len(self.kept)
+
+
+def run(
+    spec: SelectSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Choose pairs, propose weights to start from, write the asset and draw its coverage."""
+    progress(0.0, "reading the takes")
+    check_nobody_tunes(spec.out)
+    takes = read_cleaned_takes(spec.takes)
+    rig = read_rig(spec.rig, prim=spec.prim)
+    spoken = read_spoken(spec, takes)
+    kept = find_kept_pairs(spec, takes, rig)
+    mapping = None if spec.mapping is None else _mapping_for(spec, rig)
+    asked = _set_up(spec, takes, rig, spoken, kept, progress)
+    progress(0.5, "choosing frames")
+    mapped = None if mapping is None else mapped_rows(mapping, takes)
+    choice = _choose(asked, mapped)
+    rows = np.array(rows_in_place(spec.count, kept, choice.rows), dtype=np.int64)
+    progress(0.7, "proposing weights")
+    weights = _propose(asked, mapped, rows)
+    references = _references(asked, choice, rows, weights)
+    metadata = {} if provenance is None else provenance_metadata(provenance)
+    images = PairImages((), ())
+    if spec.images:
+        progress(0.75, "keeping the video frames of the pairs")
+        images = write_pair_images(spec.out, references, takes.sources, metadata=metadata)
+    progress(0.85, f"writing {spec.out.name}")
+    with nobody_tunes(spec.out):
+        _check_tuning_is_as_read(spec, kept)
+        write_references(
+            spec.out,
+            references,
+            rig,
+            tuned_path=tuned_path(spec.out),
+            proposed_path=proposed_path(spec.out),
+            tuned=[each.tuned for each in kept if each.is_keyed],
+            images=images.files,
+            provenance=provenance,
+        )
+    remove_unused_images(spec.out, images.files)
+    progress(0.9, "measuring the coverage")
+    covered = cover(asked.scene.space, asked.scene.features, rows, candidates=asked.candidates)
+    write_image(
+        spec.picture_path(),
+        coverage_picture(covered, takes, rows, tuned=asked.already, title=spec.out.stem),
+        metadata=metadata,
+    )
+    progress(1.0, "done")
+    contradictions, conflicts = tuned_conflicts(spec.out)
+    outputs = (spec.out, proposed_path(spec.out), tuned_path(spec.out), spec.picture_path())
+    summary = (
+        f"{len(rows)} pairs of {len(takes.frames)} frames, {len(rig.shapes)} shapes proposed; "
+        f"they cover {covered.coverage.share:.0%} of the takes"
+    )
+    figures: dict[str, object] = {
+        "pairs": len(rows),
+        "frames": [int(takes.frames[row]) for row in rows],
+        "takes": [takes.takes[row] for row in rows],
+        "kept": len(kept),
+        "conflicts": conflicts,
+        "design": choice.design,
+        "measured_mm": {name: round(mm, 4) for name, mm in choice.measured_mm.items()},
+        "visemes": list(references.visemes),
+        "emotions": list(references.emotions),
+        "images": sum(file is not None for file in images.files),
+        **coverage_figures(covered, takes),
+    }
+    notes = (*_notes(asked, choice, mapping), *images.notes, *contradictions)
+    return Report(outputs, summary, notes, figures)
+
+
+def _check_tuning_is_as_read(spec: SelectSpec, kept: list[KeptPair]) -> None:
+    """Refuse to write where pairs were tuned while frames were chosen.
+
+    Raises
+    ------
+    InputError
+        Nothing is changed.
+    """
+    now = {(each.pair, each.take, each.frame) for each in read_tuned_pairs(tuned_path(spec.out))}
+    before = {(each.tuned.pair, each.tuned.take, each.tuned.frame) for each in kept}
+    if now - before:
+        raise InputError(
+            f"{tuned_path(spec.out)}: somebody tuned {counted(len(now - before), 'pair')} while "
+            "frames were chosen; nothing was changed. Select again, which keeps what is tuned"
+        )
+
+
+def _mapping_for(spec: SelectSpec, rig: Rig) -> Mapping:
+    """Read a mapping that is to say something of this rig.
+
+    Raises
+    ------
+    InputError
+        If it was trained for another rig.
+    """
+    if spec.mapping is None:
+        raise InputError("no mapping is given")
+    mapping = read_mapping(spec.mapping)
+    strange = [name for name in mapping.shape_names if name not in rig.shapes]
+    if strange:
+        raise InputError(
+            f"{spec.mapping}: was trained for another rig: {len(strange)} of its "
+            f"{len(mapping.shape_names)} shapes are not on {rig.file} "
+            f"({', '.join(strange[:3])}); give the mapping of this rig"
+        )
+    return mapping
+
+
+def _set_up(
+    spec: SelectSpec,
+    takes: CleanedTakes,
+    rig: Rig,
+    spoken: Spoken,
+    kept: list[KeptPair],
+    progress: Progress,
+) -> _Selection:
+    candidates = candidate_frames(takes, spec.frames)
+    free = candidates.copy()
+    free[[each.row for each in kept]] = False
+    if int(free.sum()) < spec.count - len(kept):
+        raise InputError(
+            f"{spec.count} pairs are asked for and {int(free.sum()) + len(kept)} frames can be "
+            "used; lower --count, widen --frames or give more takes"
+        )
+    scene = set_up_scene(takes, rig, progress=progress)
+    return _Selection(spec, scene, spoken, kept, candidates)
+
+
+def _choose(asked: _Selection, mapped: MappedRows | None) -> Choice:
+    """Choose the frames that are to be found, by the method asked for."""
+    spec = asked.spec
+    if spec.method == "active":
+        return _choose_next(asked, mapped)
+    spoken = Choice(np.zeros(0, dtype=np.int64))
+    if asked.spoken.segments and spec.method in ("viseme", "both"):
+        spoken = choose_visemes(
+            asked.scene.features,
+            # With both, half of the pairs are left to design, whatever is spoken.
+            asked.wanted if spec.method == "viseme" else asked.wanted // 2,
+            segments=asked.spoken.segments,
+            emotion_of=asked.spoken.emotion_of,
+            extremes=spec.extremes if spec.method == "viseme" else 0,
+            already=asked.already,
+            candidates=asked.candidates,
+        )
+    rest = asked.wanted - len(spoken.rows)
+    if not rest:
+        return spoken
+    designed = choose_by_design(
+        asked.scene.features,
+        rest,
+        already=np.concatenate([asked.already, spoken.rows]),
+        candidates=asked.candidates,
+        stand_ins=asked.scene.stand_ins,
+    )
+    together = np.concatenate([spoken.rows, designed.rows])
+    return replace(
+        designed,
+        rows=in_order_of_worth(asked.scene.features, together, asked.already),
+        visemes=spoken.visemes,
+        missing=spoken.missing,
+    )
+
+
+def _choose_next(asked: _Selection, mapped: MappedRows | None) -> Choice:
+    if mapped is None or len(asked.kept) < FEWEST_TUNED:
+        raise InputError(
+            f"{tuned_path(asked.spec.out)}: {len(asked.kept)} pairs are tuned, and active needs "
+            f"at least {FEWEST_TUNED} to see what would help next; tune some, or choose --method "
+            "design"
+        )
+    shapes = mapped.shape_names
+    tuned = np.array([[each.tuned.weights.get(s, 0.0) for s in shapes] for each in asked.kept])
+    line = fit_linear_ridge(asked.scene.coordinates(asked.already), tuned)
+    columns = [asked.scene.rig.shapes.index(name) for name in shapes]
+    gram = asked.scene.stand_ins.gram[np.ix_(columns, columns)]
+
+    def disagreement_mm(rows: IntArray) -> FloatArray:
+        """Return how far the mapping is from a straight line through the same pairs: doubt."""
+        coordinates = asked.scene.coordinates(rows)
+        straight = (coordinates - line.mean) @ line.coefficients + line.intercept
+        error = mapped.weights(rows) - straight
+        return np.asarray(np.sqrt(np.maximum(np.einsum("fs,st,ft->f", error, gram, error), 0.0)))
+
+    return choose_next(
+        asked.scene.features,
+        asked.wanted,
+        already=asked.already,
+        candidates=asked.candidates,
+        expected_error=disagreement_mm,
+    )
+
+
+def _propose(asked: _Selection, mapped: MappedRows | None, rows: IntArray) -> FloatArray:
+    """Return weights to start from: the mapping's where there is one, else the rig's geometry."""
+    scene = asked.scene
+    positions = scene.positions(rows)
+    weights = scene.equation.propose(positions, visible=scene.usable(rows))
+    lips = find_lips(scene.equation, scene.deformer, scene.rig.shapes)
+    if lips is not None:
+        weights = keep_lip_contact(scene.equation, scene.deformer, lips, positions, weights)
+    if mapped is not None:
+        columns = [scene.rig.shapes.index(name) for name in mapped.shape_names]
+        weights[:, columns] = mapped.weights(rows)
+    return weights
+
+
+def _references(
+    asked: _Selection, choice: Choice, rows: IntArray, weights: FloatArray
+) -> References:
+    scene, takes, spoken = asked.scene, asked.scene.takes, asked.spoken
+    return References(
+        marker_names=takes.marker_names,
+        shape_names=scene.rig.shapes,
+        markers=scene.positions(rows),
+        weights=weights,
+        frames=takes.frames[rows],
+        takes=tuple(takes.takes[row] for row in rows),
+        tuned=np.zeros(len(rows), dtype=np.bool_),
+        rigid=takes.rigid,
+        neutral=takes.neutral,
+        rig_file=scene.rig.file,
+        rig_prim=scene.rig.prim,
+        motion=scene.motion,
+        visemes=tuple(choice.visemes.get(row, spoken.viseme_of[row]) for row in rows.tolist()),
+        emotions=tuple(spoken.emotion_of[row] for row in rows.tolist()),
+    )
+
+
+def _notes(asked: _Selection, choice: Choice, mapping: Mapping | None) -> list[str]:
+    notes, dropped = list(asked.spoken.notes), asked.scene.takes.dropped
+    if dropped:
+        notes.append(
+            f"left out {counted(len(dropped), 'marker')}, not in every take: "
+            f"{', '.join(dropped[:5])}"
+        )
+    if asked.kept:
+        notes.append(f"kept in place: {counted(len(asked.kept), 'tuned pair')}")
+    keyed = sum(each.is_keyed for each in asked.kept)
+    if keyed:
+        notes.append(f"keyed in the asset itself, and tuned from now on: {counted(keyed, 'pair')}")
+    if choice.missing:
+        shown = [f"{viseme} {emotion}".strip() for emotion, viseme in choice.missing]
+        notes.append(
+            f"not spoken in every emotion: {counted(len(shown), 'viseme')}, {', '.join(shown[:8])}"
+        )
+    if asked.spec.method == "viseme" and choice.design:
+        spoken = len(choice.rows) - len([r for r in choice.rows if int(r) not in choice.visemes])
+        notes.append(
+            f"chosen by viseme: {counted(spoken, 'frame')}; the rest of {asked.spec.count} by "
+            "design"
+        )
+    if asked.spec.method == "both" and not asked.spec.phones:
+        notes.append(
+            "no phones are given, so frames were chosen by design alone; that costs nothing in "
+            "accuracy, but pairs carry no viseme"
+        )
+    if mapping is not None:
+        notes.append("weights to start from are the mapping's own predictions")
+    return notes

@@ -1,0 +1,174 @@
+"""Pairs and a performance in; how well each method brings it there and back out."""
+
+import json
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import Rig
+from usdface.core.controls import ExpressionPairs
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.replacing import replacing
+from usdface.media.charts.motion_curves import PALETTE, Curve, Panel, draw_motion_curves
+from usdface.media.picture.image import write_image
+from usdface.model.regressions.retarget_methods import find_retarget_method
+from usdface.model.retarget.checks import check_pairs
+from usdface.model.retarget.cyclic import POSITIONS, CyclicError, evaluate_cyclic
+from usdface.runner.outputs import provenance_metadata
+from usdface.runner.result import Report
+from usdface.specs.base import frame_range
+from usdface.specs.retarget import METHODS, CyclicSpec
+from usdface.steps.inputs.source_motion import SourceMotion, read_source_motion, source_columns
+from usdface.steps.inputs.weight_tables import read_weight_table
+from usdface.steps.retarget.train import pair_notes, target_ranges
+from usdface.usdio.retarget.pairs import read_pairs
+from usdface.usdio.rig.read import read_rig
+
+
+def run(
+    spec: CyclicSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Measure every method and write what was asked for."""
+    for method in spec.methods:
+        if method not in ("auto", POSITIONS):
+            find_retarget_method(method)
+    pairs = read_pairs(spec.pairs)
+    check_pairs(pairs, str(spec.pairs))
+    source_rig = _rig(spec, pairs.source_rig, pairs.source_prim, "source")
+    target_rig = _rig(spec, pairs.target_rig, pairs.target_prim, "target")
+    motion = read_source_motion(spec.source, frame_range(spec.frames))
+    weights, said = source_columns(spec.source, motion, pairs.source_shapes)
+    picks = np.arange(0, len(weights), spec.every)
+    truth = None if spec.truth is None else _truth(spec, spec.truth, motion, picks, pairs)
+    measure = partial(
+        evaluate_cyclic,
+        pairs,
+        weights[picks],
+        rig=source_rig,
+        target_rig=target_rig,
+        shape_ranges=target_ranges(pairs),
+        truth=truth,
+    )
+    methods = tuple(method for method in spec.methods if method != POSITIONS)
+    found = measure(methods=methods, progress=progress)
+    notes = [*said, *pair_notes(pairs)]
+    if POSITIONS in spec.methods:
+        try:
+            found += measure(methods=(POSITIONS,))
+        except InputError as error:
+            if spec.methods != METHODS:  # asked for by name, not by default
+                raise
+            notes.append(f"positions were not matched: {error}")
+    figures = _figures(spec, found, picks + motion.first_frame)
+    _write(spec, found, figures, motion, provenance)
+    best = min(found, key=lambda each: float(each.mean_vertex_mm.mean()))
+    return Report(
+        spec.out,
+        f"{len(picks)} frames there and back; least error {best.mean_vertex_mm.mean():.3f} mm with "
+        f"{best.method}",
+        tuple(notes),
+        figures,
+        table=tuple(_line(each) for each in found),
+    )
+
+
+def _rig(spec: CyclicSpec, file: Path | None, prim: str, side: str) -> Rig:
+    if file is None or not file.is_file():
+        raise InputError(
+            f"{spec.pairs}: its {side} rig {file or ''} is not there, and errors in mm need it; "
+            "put it back"
+        )
+    return read_rig(file, prim=prim)
+
+
+def _truth(
+    spec: CyclicSpec, path: Path, motion: SourceMotion, picks: np.ndarray, pairs: ExpressionPairs
+) -> FloatArray:
+    table = read_weight_table(path)
+    row_of = {frame: row for row, frame in enumerate(table.frames)}
+    frames = (picks + motion.first_frame).tolist()
+    missing = [frame for frame in frames if frame not in row_of]
+    if missing:
+        raise InputError(
+            f"{path}: holds nothing at {len(missing)} of the frames to measure, the first "
+            f"{missing[0]}; narrow --frames"
+        )
+    return table.columns(pairs.target.shapes)[[row_of[frame] for frame in frames]]
+
+
+def _line(each: CyclicError) -> str:
+    errors = each.mean_vertex_mm
+    told = f"{each.method}: {errors.mean():.4f} mm, 95 % below {np.percentile(errors, 95):.4f} mm"
+    if each.direct_mm is not None:
+        told += f"; direct {each.direct_mm.mean():.4f} mm"
+    return told + (f" ({each.settings})" if each.settings else "")
+
+
+def _figures(
+    spec: CyclicSpec, found: tuple[CyclicError, ...], frames: np.ndarray
+) -> dict[str, object]:
+    return {
+        "frames": [int(frames[0]), int(frames[-1])],
+        "every": spec.every,
+        "methods": {
+            each.method: {
+                "settings": each.settings,
+                "mean_mm": float(each.mean_vertex_mm.mean()),
+                "p95_mm": float(np.percentile(each.mean_vertex_mm, 95)),
+                "worst_frame": int(frames[each.mean_vertex_mm.argmax()]),
+            }
+            | ({} if each.direct_mm is None else {"direct_mm": float(each.direct_mm.mean())})
+            for each in found
+        },
+    }
+
+
+def _write(
+    spec: CyclicSpec,
+    found: tuple[CyclicError, ...],
+    figures: dict[str, object],
+    motion: SourceMotion,
+    provenance: Provenance | None,
+) -> None:
+    made = {} if provenance is None else provenance_metadata(provenance)
+    for path in spec.out:
+        if path.suffix.lower() == ".json":
+            data = {"pairs": str(spec.pairs), **figures, "provenance": made}
+            with replacing(path) as temporary:
+                text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
+                temporary.write_text(text + "\n", encoding="utf-8")
+        else:
+            title = f"{spec.source.stem}: there and back with {spec.pairs.stem}"
+            facts = tuple(_line(each) for each in found[:1])
+            picture = draw_motion_curves(
+                title,
+                facts,
+                _panels(found),
+                first_frame=motion.first_frame,
+                step=spec.every,
+                from_zero=True,
+            )
+            write_image(path, picture, metadata=made)
+
+
+def _panels(found: tuple[CyclicError, ...]) -> tuple[Panel, ...]:
+    """Return one plot of all cyclic errors, and one of direct errors where the truth is known."""
+    colors = [PALETTE[index % len(PALETTE)] for index in range(len(found))]
+
+    def curves(values: list[FloatArray]) -> tuple[Curve, ...]:
+        drawn = [
+            Curve(f"{each.method} {value.mean():.3f} mm", value, color)
+            for each, value, color in zip(found, values, colors, strict=True)
+        ]
+        return tuple(sorted(drawn, key=lambda each: -float(each.values.mean())))
+
+    unit = "mean distance of the surface's points, mm"
+    panels = [Panel("source to target to source", unit, curves([e.mean_vertex_mm for e in found]))]
+    direct = [each.direct_mm for each in found if each.direct_mm is not None]
+    if len(direct) == len(found):
+        panels.append(Panel("target against truth", unit, curves(direct)))
+    return tuple(panels)

@@ -1,0 +1,153 @@
+"""A source performance and sequences in, the places where it holds them out."""
+
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+from usdface.core.arrays import FloatArray
+from usdface.core.controls import EmotionalSequence, SequenceMatch
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.text import counted
+from usdface.numerics.motion.sequence_search import Matches, best_match, find_sequence
+from usdface.runner.result import Report
+from usdface.specs.base import frame_range
+from usdface.specs.retarget import FindSequencesSpec
+from usdface.steps.inputs.source_motion import SourceMotion, read_source_motion, source_columns
+from usdface.usdio.retarget.sequences import check_sequence_rate, read_sequence, write_matches
+
+
+@dataclass(frozen=True)
+class _Found:
+    match: SequenceMatch
+    nearness: float
+    """Distance over the threshold: comparable between sequences."""
+
+
+def run(
+    spec: FindSequencesSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Look for every sequence; where two of them overlap, keep the nearer."""
+    motion = read_source_motion(spec.source, frame_range(spec.frames))
+    asked = _asked(spec, motion)
+    notes: list[str] = []
+    found: list[_Found] = []
+    for number, (path, sequence) in enumerate(asked, start=1):
+        told = check_sequence_rate(path, motion.rate)
+        notes += [told] if told else []
+        here, said = _find(spec, path, sequence, motion)
+        found += here
+        notes += said
+        progress(number / len(asked), f"looked for {sequence.label}")
+    kept, dropped = _apart(found)
+    notes += [
+        f"frames {d.first_frame}-{d.last_frame} are like {d.label} ({d.sequence.name}) as well, "
+        "and less so than the sequence kept there"
+        for d in dropped
+    ]
+    write_matches(spec.out, kept, provenance=provenance)
+    return Report(
+        (spec.out,),
+        f"{counted(len(asked), 'sequence')} at {counted(len(kept), 'place')} in "
+        f"{len(motion.weights)} frames",
+        tuple(notes),
+        {
+            "matches": [
+                {
+                    "sequence": str(each.sequence),
+                    "label": each.label,
+                    "frames": [each.first_frame, each.last_frame],
+                    "distance": each.distance,
+                }
+                for each in kept
+            ]
+        },
+        table=tuple(
+            f"{each.first_frame}-{each.last_frame} {each.label}: {each.distance:.3f} off in the "
+            "mean weight"
+            for each in kept
+        ),
+    )
+
+
+def _asked(spec: FindSequencesSpec, motion: SourceMotion) -> list[tuple[Path, EmotionalSequence]]:
+    sequences = [(path, read_sequence(path)) for path in spec.sequence]
+    label = spec.label or (motion.emotion if spec.by == "label" else None)
+    if spec.by == "label" and not label:
+        raise InputError(
+            f"{spec.source}: says nothing of its emotion, so --by label needs --label NAME"
+        )
+    if label:
+        wanted = [each for each in sequences if each[1].label.lower() == label.lower()]
+        if not wanted:
+            known = ", ".join(sorted({each.label for _, each in sequences}))
+            raise InputError(f"no sequence is labelled {label!r}; there are {known}")
+        sequences = wanted
+    for path, sequence in sequences:
+        if len(sequence.source) > len(motion.weights):
+            raise InputError(
+                f"{path}: the sequence {sequence.label!r} is {len(sequence.source)} frames long, "
+                f"and {spec.source} has {len(motion.weights)} ({motion.first_frame}-"
+                f"{motion.last_frame}); look in a longer take or cut the sequence"
+            )
+    return sequences
+
+
+def _find(
+    spec: FindSequencesSpec, path: Path, sequence: EmotionalSequence, motion: SourceMotion
+) -> tuple[list[_Found], list[str]]:
+    weights, notes = source_columns(spec.source, motion, sequence.source_shapes)
+    columns = _columns(spec, path, sequence)
+    taken, wanted = weights[:, columns], sequence.source[:, columns]
+    try:
+        matches = _search(spec, taken, wanted)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}; compare other --shapes or cut it anew") from error
+    length = len(wanted)
+    found = []
+    for start, distance in zip(matches.starts.tolist(), matches.distances.tolist(), strict=True):
+        first = motion.first_frame + start
+        match = SequenceMatch(path, sequence.label, first, first + length - 1, distance)
+        found.append(_Found(match, distance / max(matches.threshold, 1e-12)))
+    if not found:
+        notes = (
+            *notes,
+            f"{path.name}: nothing in the take is within {matches.threshold:.3f} of it",
+        )
+    return found, list(notes)
+
+
+def _search(spec: FindSequencesSpec, motion: FloatArray, sequence: FloatArray) -> Matches:
+    if spec.by == "label":
+        return best_match(motion, sequence)
+    return find_sequence(motion, sequence, threshold=spec.threshold)
+
+
+def _columns(spec: FindSequencesSpec, path: Path, sequence: EmotionalSequence) -> list[int]:
+    if not spec.shapes:
+        return list(range(len(sequence.source_shapes)))
+    chosen = [
+        index
+        for index, name in enumerate(sequence.source_shapes)
+        if any(fnmatchcase(name.lower(), pattern.lower()) for pattern in spec.shapes)
+    ]
+    if not chosen:
+        raise InputError(
+            f"{path}: none of its {len(sequence.source_shapes)} shapes is one of --shapes "
+            f"{', '.join(spec.shapes)}"
+        )
+    return chosen
+
+
+def _apart(found: list[_Found]) -> tuple[tuple[SequenceMatch, ...], tuple[SequenceMatch, ...]]:
+    kept: list[SequenceMatch] = []
+    dropped: list[SequenceMatch] = []
+    for each in sorted(found, key=lambda item: item.nearness):
+        overlaps = any(
+            each.match.first_frame <= other.last_frame
+            and other.first_frame <= each.match.last_frame
+            for other in kept
+        )
+        (dropped if overlaps else kept).append(each.match)
+    return tuple(sorted(kept, key=lambda each: each.first_frame)), tuple(dropped)

@@ -1,0 +1,120 @@
+"""Two animations in, pairs of what both hold at the same frames out."""
+
+from pathlib import Path
+
+from usdface.core.assets import Rig
+from usdface.core.controls import ControlClip, Controls, ExpressionPairs, bare_controls
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.text import counted
+from usdface.model.retarget.checks import check_pairs, unused_shapes
+from usdface.runner.result import Report
+from usdface.specs.retarget import PairsImportSpec
+from usdface.steps.inputs.weight_tables import read_weight_table
+from usdface.usdio.layers import LAYER_SUFFIXES
+from usdface.usdio.retarget.control_attributes import find_control_attributes
+from usdface.usdio.retarget.controls import read_control_clip
+from usdface.usdio.retarget.pairs import keyed_above, samples_path, write_pairs
+from usdface.usdio.rig.read import read_rig
+
+
+def run(
+    spec: PairsImportSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Read both sides, pair them by frame, and write the asset."""
+    _check_nothing_hides(spec.out)
+    source_rig = read_rig(spec.source_rig, prim=spec.source_prim)
+    target_rig = read_rig(spec.target_rig, prim=spec.target_prim)
+    table = read_weight_table(spec.source)
+    unknown = [name for name in table.names if name not in source_rig.shapes]
+    if len(unknown) == len(table.names):
+        raise InputError(
+            f"{spec.source}: none of its shapes ({', '.join(unknown[:3])}, ...) is on "
+            f"{spec.source_rig} ({', '.join(source_rig.shapes[:3])}, ...); rename them"
+        )
+    frames, target = _read_target(spec, target_rig)
+    _check_sides(spec, table.frames, frames)
+    progress(0.5, "read")
+    order = [frames.index(frame) for frame in table.frames]
+    pairs = ExpressionPairs(
+        names=tuple(f"frame {frame}" for frame in table.frames),
+        source_shapes=source_rig.shapes,
+        source=table.columns(source_rig.shapes),
+        target=target.rows(order),
+        source_rig=source_rig.file,
+        source_prim=source_rig.prim,
+        target_rig=target_rig.file,
+        target_prim=target_rig.prim,
+    )
+    check_pairs(pairs, f"{spec.source} and {spec.target}")
+    write_pairs(
+        spec.out, pairs, source_rig=source_rig, target_rig=target_rig, provenance=provenance
+    )
+    progress(1.0, "done")
+    notes = []
+    if unknown:
+        notes.append(
+            f"left out {counted(len(unknown), 'column')}, of no shape of {spec.source_rig}: "
+            f"{', '.join(unknown[:5])}"
+        )
+    unused = unused_shapes(pairs)
+    if unused:
+        notes.append(
+            f"in no pair and without effect: {counted(len(unused), 'source shape')}, "
+            f"{', '.join(unused[:5])}"
+        )
+    return Report(
+        (spec.out, samples_path(spec.out)),
+        f"{counted(len(pairs), 'pair')} of {counted(len(source_rig.shapes), 'source shape')} "
+        f"and {target.summary}",
+        tuple(notes),
+        {"pairs": len(pairs), "unused": list(unused)},
+    )
+
+
+def _check_nothing_hides(out: Path) -> None:
+    """Refuse an asset with keys of its own: they would be seen instead of what is imported."""
+    keyed = keyed_above(out) if out.is_file() else ()
+    if keyed:
+        raise InputError(
+            f"{out}: keys made in it by hand, of {counted(len(keyed), 'attribute')} "
+            f"({', '.join(keyed[:3])}), would hide what is imported; nothing was changed. Write "
+            "to another --out, or remove these keys"
+        )
+
+
+def _read_target(spec: PairsImportSpec, rig: Rig) -> tuple[list[int], Controls]:
+    if spec.target.suffix in LAYER_SUFFIXES:
+        names = find_control_attributes(rig, spec.attributes)
+        clip = read_control_clip(spec.target, attributes=names).clip
+        _check_target(spec.target, clip, rig)
+        return list(range(clip.first_frame, clip.last_frame + 1)), clip.controls
+    if spec.attributes:
+        raise InputError(
+            f"{spec.target}: attributes are read from USD; give the target as a .usd animation"
+        )
+    table = read_weight_table(spec.target)
+    return list(table.frames), bare_controls(rig.shapes, table.columns(rig.shapes))
+
+
+def _check_target(path: Path, clip: ControlClip, rig: Rig) -> None:
+    unknown = [name for name in clip.controls.shapes if name not in rig.shapes]
+    if unknown:
+        raise InputError(
+            f"{path}: {len(unknown)} of its shapes are not on {rig.file}: {', '.join(unknown[:5])}"
+        )
+
+
+def _check_sides(spec: PairsImportSpec, source: tuple[int, ...], target: list[int]) -> None:
+    for these, those, path, side in (
+        (source, target, spec.target, "target"),
+        (target, source, spec.source, "source"),
+    ):
+        lacking = sorted(set(these) - set(those))
+        if lacking:
+            numbers = ", ".join(map(str, lacking[:5])) + (", ..." if len(lacking) > 5 else "")
+            raise InputError(
+                f"{path}: {len(lacking)} pairs have no {side} side: it holds nothing at frames "
+                f"{numbers}; key both sides at the same frames"
+            )

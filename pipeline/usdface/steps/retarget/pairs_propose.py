@@ -1,0 +1,156 @@
+"""Two characters in, pairs of expressions that mean the same out."""
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import Rig
+from usdface.core.controls import Controls, ExpressionPairs, bare_controls
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.text import counted
+from usdface.model.retarget.checks import dead_controls
+from usdface.model.retarget.shape_matching import ShapeMatch, match_deformations
+from usdface.model.retarget.shape_names import NameMatch, match_names
+from usdface.runner.result import Report
+from usdface.specs.retarget import PairsProposeSpec
+from usdface.usdio.retarget.pairs import (
+    keyed_above,
+    merge_pairs,
+    read_pairs,
+    samples_path,
+    write_pairs,
+)
+from usdface.usdio.retarget.rest_controls import rest_controls
+from usdface.usdio.rig.read import read_rig
+
+REST = "rest"
+
+
+def run(
+    spec: PairsProposeSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Match shapes, and write a pair for rest and one for each match."""
+    source = read_rig(spec.source, prim=spec.source_prim)
+    target = read_rig(spec.target, prim=spec.target_prim)
+    matches, notes = _match(spec, source, target, progress)
+    if not matches:
+        raise InputError(
+            f"{spec.source} and {spec.target}: no shape of the one is like one of the other; key "
+            "pairs by hand and bring them in with `usdface pairs import`"
+        )
+    rest = rest_controls(target, attributes=spec.attributes, joints=spec.joints)
+    pairs = _pairs(source, target, matches, rest)
+    kept = 0
+    if spec.out.is_file():
+        old = read_pairs(spec.out)
+        kept = len(old)
+        try:
+            merged = merge_pairs(old, pairs)
+        except InputError as error:
+            raise InputError(f"{spec.out}: {error}") from error
+        keyed = keyed_above(spec.out)
+        if keyed and len(merged) > kept:
+            notes.append(
+                f"left out {counted(len(merged) - kept, 'new pair')} "
+                f"({', '.join(merged.names[kept:][:3])}): keys made by hand, of {keyed[0]}, hide "
+                "what lies beneath at every time code; key them there, or propose to another --out"
+            )
+        pairs = old if keyed else merged
+    progress(0.9, f"writing {spec.out.name}")
+    write_pairs(spec.out, pairs, source_rig=source, target_rig=target, provenance=provenance)
+    progress(1.0, "done")
+    dead = dead_controls(pairs)
+    if dead:
+        notes.append(
+            f"{len(dead)} controls of the target are at rest in every pair: {', '.join(dead[:5])}; "
+            "key expressions that use them"
+        )
+    if kept:
+        notes.append(f"kept {counted(kept, 'pair')} at the time codes they had")
+    return Report(
+        (spec.out, samples_path(spec.out)),
+        f"{len(pairs)} pairs of {len(source.shapes)} source shapes and {pairs.target.summary}; "
+        "starting points to be tuned",
+        tuple(notes),
+        {"pairs": len(pairs), "names": list(pairs.names), "dead": list(dead)},
+    )
+
+
+def _match(
+    spec: PairsProposeSpec, source: Rig, target: Rig, progress: Progress
+) -> tuple[list[NameMatch], list[str]]:
+    progress(0.1, "matching names")
+    named = [] if spec.match == "deformation" else list(match_names(source.shapes, target.shapes))
+    notes = [f"matched {counted(len(named), 'shape')} by name"] if named else []
+    if spec.match != "name":
+        progress(0.2, "laying one face onto the other")
+        alike = _alike(spec, source, target, named, notes)
+        for each in alike:
+            named.append(NameMatch(each.source, ((each.source, 1.0),), ((each.target, 1.0),)))
+            notes.append(
+                f"{each.source} and {each.target} move the faces alike ({each.similarity:.2f})"
+            )
+    unmatched = [name for name in source.shapes if name not in {match.name for match in named}]
+    if unmatched:
+        notes.append(
+            f"in no pair and without effect: {counted(len(unmatched), 'source shape')}, "
+            f"{', '.join(unmatched[:5])}"
+        )
+    return named, notes
+
+
+def _alike(
+    spec: PairsProposeSpec, source: Rig, target: Rig, named: list[NameMatch], notes: list[str]
+) -> tuple[ShapeMatch, ...]:
+    """Match by deformation what names left; where names sufficed, a face that fails is a note."""
+    spoken = {match.name for match in named}
+    driven = {name for match in named for name, _ in match.target}
+    try:
+        return match_deformations(
+            source,
+            target,
+            source_shapes=tuple(name for name in source.shapes if name not in spoken),
+            target_shapes=tuple(name for name in target.shapes if name not in driven),
+        )
+    except InputError as error:
+        if spec.match == "deformation" or not named:
+            raise
+        notes.append(f"what shapes do could not be compared: {error}")
+        return ()
+
+
+def _pairs(source: Rig, target: Rig, matches: list[NameMatch], rest: Controls) -> ExpressionPairs:
+    count = len(matches) + 1
+    left = _rows([match.source for match in matches], source.shapes)
+    right = _rows([match.target for match in matches], target.shapes)
+    low, high = target.ranges.T
+    controls = bare_controls(target.shapes, np.clip(right, np.minimum(low, 0), high))
+    return ExpressionPairs(
+        names=(REST, *(match.name for match in matches)),
+        source_shapes=source.shapes,
+        source=left,
+        target=Controls(
+            shapes=controls.shapes,
+            weights=controls.weights,
+            joints=rest.joints,
+            translations=np.repeat(rest.translations, count, axis=0),
+            rotations=np.repeat(rest.rotations, count, axis=0),
+            scales=np.repeat(rest.scales, count, axis=0),
+            attributes=rest.attributes,
+            values=np.repeat(rest.values, count, axis=0),
+        ),
+        source_rig=source.file,
+        source_prim=source.prim,
+        target_rig=target.file,
+        target_prim=target.prim,
+    )
+
+
+def _rows(expressions: list[tuple[tuple[str, float], ...]], names: tuple[str, ...]) -> FloatArray:
+    place = {name: index for index, name in enumerate(names)}
+    out = np.zeros((len(expressions) + 1, len(names)))
+    for row, expression in enumerate(expressions, start=1):
+        for name, weight in expression:
+            out[row, place[name]] = weight
+    return out

@@ -1,0 +1,147 @@
+"""Expression pairs in, a retargeting out."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.core.controls import ExpressionPairs, Retargeting
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.text import counted
+from usdface.model.retarget.checks import check_pairs, dead_controls, find_conflicts, unused_shapes
+from usdface.model.retarget.cyclic import spread_displacements
+from usdface.model.retarget.train import train_retargeting
+from usdface.runner.result import Report
+from usdface.specs.retarget import TrainRetargetSpec
+from usdface.steps.inputs.source_motion import read_source_motion, source_columns
+from usdface.usdio.retarget.mapping import write_retargeting
+from usdface.usdio.retarget.pairs import read_pairs
+from usdface.usdio.rig.read import read_rig
+
+SHOWN = 5
+"""How many of a kind a note names."""
+
+
+def run(
+    spec: TrainRetargetSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Learn what the pairs show."""
+    pairs = read_pairs(spec.pairs)
+    check_pairs(pairs, str(spec.pairs))
+    if spec.alpha is not None and spec.method != "hybrid":
+        raise InputError(f"--alpha is for --method hybrid, and the method is {spec.method}")
+    notes = pair_notes(pairs)
+    performance = None
+    if spec.source is not None:
+        motion = read_source_motion(spec.source)
+        performance, said = source_columns(spec.source, motion, pairs.source_shapes)
+        notes += said
+    surface = source_surface(pairs)
+    if surface is None:
+        notes.append(
+            "the source's rig is not known, so errors were compared in weights, not millimetres"
+        )
+    trained = train_retargeting(
+        pairs,
+        method=spec.method,
+        shape_ranges=target_ranges(pairs),
+        surface=surface,
+        performance=performance,
+        alpha=spec.alpha,
+        progress=progress,
+    )
+    trained = replace(trained, pairs=spec.pairs.name)
+    write_retargeting(spec.out, trained, provenance=provenance)
+    return Report(
+        (spec.out,),
+        _summary(trained, pairs, millimetres=surface is not None),
+        tuple(notes),
+        describe_retargeting_figures(trained)
+        | {
+            "unused": list(unused_shapes(pairs)),
+            "conflicts": [[each.first + 1, each.second + 1] for each in find_conflicts(pairs)],
+        },
+        table=retargeting_table(trained),
+    )
+
+
+def source_surface(pairs: ExpressionPairs) -> FloatArray | None:
+    """Return what source shapes do to the source's surface; None where its rig is not known."""
+    if pairs.source_rig is None or not pairs.source_rig.is_file():
+        return None
+    rig = read_rig(pairs.source_rig, prim=pairs.source_prim)
+    if any(name not in rig.shapes for name in pairs.source_shapes):
+        return None
+    return spread_displacements(rig, pairs.source_shapes)
+
+
+def target_ranges(pairs: ExpressionPairs) -> FloatArray | None:
+    """Return the limits of the target's weights, widened to what the pairs use."""
+    if pairs.target_rig is None or not pairs.target_rig.is_file():
+        return None
+    rig = read_rig(pairs.target_rig, prim=pairs.target_prim)
+    own = dict(zip(rig.shapes, rig.ranges, strict=True))
+    ranges = np.array([own.get(name, (0.0, 1.0)) for name in pairs.target.shapes]).reshape(-1, 2)
+    low, high = pairs.target.weights.min(axis=0), pairs.target.weights.max(axis=0)
+    return np.stack([np.minimum(ranges[:, 0], low), np.maximum(ranges[:, 1], high)], axis=1)
+
+
+def pair_notes(pairs: ExpressionPairs) -> list[str]:
+    """Say what is doubtful about pairs, though they can be learned from."""
+    notes = []
+    for each in find_conflicts(pairs)[:SHOWN]:
+        notes.append(
+            f"pairs {_pair(pairs, each.first)} and {_pair(pairs, each.second)} conflict: the "
+            f"sources are {each.source:.2f} of the usual distance apart, the targets "
+            f"{each.target:.2f}; keep one, or make the sources differ"
+        )
+    for names, noun, what in (
+        (unused_shapes(pairs), "source shape", "in no pair and without effect"),
+        (dead_controls(pairs), "target control", "the same in every pair and in the result"),
+    ):
+        if names:
+            more = ", ..." if len(names) > SHOWN else ""
+            notes.append(f"{what}: {counted(len(names), noun)}, {', '.join(names[:SHOWN])}{more}")
+    return notes
+
+
+def describe_retargeting_figures(trained: Retargeting) -> dict[str, object]:
+    """Return what a retargeting is, as plain data."""
+    return {
+        "method": trained.method,
+        "source_shapes": len(trained.source_shapes),
+        "shapes": len(trained.shapes),
+        "joints": len(trained.joints),
+        "attributes": len(trained.attributes),
+        "settings": dict(trained.settings),
+        "scores": [vars(score) for score in trained.scores],
+        "pairs": trained.pairs,
+    }
+
+
+def retargeting_table(trained: Retargeting) -> tuple[str, ...]:
+    """Return the best candidate of each method, for people."""
+    seen: dict[str, str] = {}
+    for score in trained.scores:
+        told = f" ({score.settings})" if score.settings else ""
+        seen.setdefault(
+            score.method,
+            f"{score.method}{told}: there and back {score.cyclic_mm:.4f}, pairs missed by "
+            f"{score.pair_error:.4f} of their range",
+        )
+    return tuple(seen.values())
+
+
+def _pair(pairs: ExpressionPairs, index: int) -> str:
+    name = pairs.names[index]
+    return f"{index + 1} ({name})" if name else f"{index + 1}"
+
+
+def _summary(trained: Retargeting, pairs: ExpressionPairs, *, millimetres: bool) -> str:
+    unit = " mm on the source's surface" if millimetres else " in the weights"
+    return (
+        f"{trained.method} on {len(pairs)} pairs, {len(trained.source_shapes)} shapes to "
+        f"{pairs.target.summary}; there and back {trained.scores[0].cyclic_mm:.3f}{unit}"
+    )

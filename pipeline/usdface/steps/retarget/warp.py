@@ -1,0 +1,291 @@
+"""A target's performance and where its sequences go in, the warped performance out."""
+
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import Rig
+from usdface.core.controls import Controls, EmotionalSequence, SequenceMatch
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, part, silent
+from usdface.core.provenance import Provenance
+from usdface.core.text import counted
+from usdface.media.charts.motion_curves import (
+    Span,
+    before_and_after,
+    draw_motion_curves,
+    windows_around,
+)
+from usdface.media.picture.image import write_image
+from usdface.model.retarget.control_space import ControlSpace, control_space
+from usdface.numerics.motion.laplacian_warp import Insertion, ease_weights, warp_motion
+from usdface.numerics.motion.retiming import stretch_motion
+from usdface.runner.outputs import provenance_metadata
+from usdface.runner.result import Report
+from usdface.specs.retarget import WarpSpec
+from usdface.steps.inputs.edit_ranges import edit_notes
+from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.performance.write import header_of, weights_path
+from usdface.usdio.retarget.control_performance import controls_path, writing_control_performance
+from usdface.usdio.retarget.controls import ReadControls, read_control_clip
+from usdface.usdio.retarget.sequences import check_sequence_rate, read_matches, read_sequence
+from usdface.usdio.rig.read import read_rig
+
+PUBLISHED_KEEP = 1.0
+CHUNK_FRAMES = 8192
+
+
+@dataclass(frozen=True)
+class _Placement:
+    """A sequence and the frames of the performance that it takes."""
+
+    match: SequenceMatch
+    sequence: EmotionalSequence
+    first_frame: int
+    frame_count: int
+
+    @property
+    def last_frame(self) -> int:
+        return self.first_frame + self.frame_count - 1
+
+
+def run(
+    spec: WarpSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Warp every control round the sequences and write the result."""
+    progress(0.0, "reading")
+    reader = PerformanceReader(spec.performance)
+    rig_file, rig_prim = reader.rig()
+    rig = read_rig(rig_file, prim=rig_prim)
+    read = read_control_clip(spec.performance)
+    placements = _placements(spec, read)
+    space = control_space(read.clip.controls)
+    before = space.encode(read.clip.controls)
+    progress(0.3, "warping")
+    insertions = [_insertion(spec, each, read, space, before) for each in placements]
+    keep = math.inf if spec.outside == "exact" else PUBLISHED_KEEP
+    after = warp_motion(before, insertions, blend=spec.blend, keep=keep)
+    _limit(after, before, insertions, rig, space)
+    # Where nothing changed, the controls are taken as they were: a rotation that goes through its
+    # vector and back would not be the same to the last bit.
+    warped = _replace_changed(read.clip.controls, space.decode(after), after != before)
+    progress(0.6, "writing")
+    _write(spec, rig, header_of(reader).place, read, warped, part(progress, 0.6, 0.95), provenance)
+    if spec.curves is not None:
+        _draw(spec, spec.curves, placements, space, before, after, read, provenance)
+    progress(1.0, "done")
+    changed = int((after != before).any(axis=1).sum())
+    outputs = [spec.out, weights_path(spec.out)]
+    if warped.joints or warped.attributes:
+        outputs.append(controls_path(spec.out))
+    return Report(
+        (*outputs, *([spec.curves] if spec.curves else [])),
+        f"{counted(len(placements), 'sequence')} in {len(before)} frames; "
+        f"{counted(changed, 'frame')} changed, the "
+        f"others are as they were",
+        (*_rate_notes(placements, read), *edit_notes(spec.out)),
+        {
+            "frames": len(before),
+            "changed": changed,
+            "sequences": [
+                {
+                    "label": each.sequence.label,
+                    "found": [each.match.first_frame, each.match.last_frame],
+                    "placed": [each.first_frame, each.last_frame],
+                }
+                for each in placements
+            ],
+        },
+        table=tuple(
+            f"{each.first_frame}-{each.last_frame} {each.sequence.label}, found at "
+            f"{each.match.first_frame}-{each.match.last_frame}"
+            for each in placements
+        ),
+    )
+
+
+def _placements(spec: WarpSpec, read: ReadControls) -> list[_Placement]:
+    matches = read_matches(spec.matches)
+    if not matches:
+        raise InputError(
+            f"{spec.matches}: holds no active match, so there is nothing to warp; find sequences "
+            "again or activate one"
+        )
+    first, last = read.clip.first_frame, read.clip.last_frame
+    sequences: dict[Path, EmotionalSequence] = {}
+    placed = []
+    for match in sorted(matches, key=lambda each: each.first_frame):
+        if match.sequence not in sequences:
+            sequences[match.sequence] = read_sequence(match.sequence)
+        sequence = sequences[match.sequence]
+        _check_controls(match, sequence, read.clip.controls, spec.performance)
+        found = match.last_frame - match.first_frame + 1
+        count = len(sequence.target) if spec.timing == "own" else found
+        where = f"{match.sequence.name} at frame {match.first_frame}"
+        if count > last - first + 1:
+            raise InputError(
+                f"{where}: {count} frames are more than all of {spec.performance}, which has "
+                f"{first}-{last}; leave it out"
+            )
+        stop = match.first_frame + count - 1
+        if match.first_frame < first or stop > last:
+            raise InputError(
+                f"{where}: would take frames {match.first_frame}-{stop}, and {spec.performance} "
+                f"has {first}-{last}; deactivate the match, move it, or use --timing fit"
+            )
+        placed.append(_Placement(match, sequence, match.first_frame, count))
+    for one, other in pairwise(placed):
+        if other.first_frame <= one.last_frame:
+            raise InputError(
+                f"{spec.matches}: {one.sequence.label} at {one.first_frame}-{one.last_frame} and "
+                f"{other.sequence.label} at {other.first_frame}-{other.last_frame} overlap; "
+                "deactivate one, move it, or use --timing fit"
+            )
+    return placed
+
+
+def _rate_notes(placements: list[_Placement], read: ReadControls) -> tuple[str, ...]:
+    files = dict.fromkeys(each.match.sequence for each in placements)
+    notes = (check_sequence_rate(file, read.rate) for file in files)
+    return tuple(note for note in notes if note)
+
+
+def _check_controls(
+    match: SequenceMatch, sequence: EmotionalSequence, controls: Controls, performance: Path
+) -> None:
+    target = sequence.target
+    for what, theirs, ours in (
+        ("shapes", target.shapes, controls.shapes),
+        ("joints", target.joints, controls.joints),
+        ("attributes", target.attributes, controls.attributes),
+    ):
+        unknown = [name for name in theirs if name not in ours]
+        if unknown:
+            raise InputError(
+                f"{match.sequence}: {len(unknown)} of its {what} are not in {performance}: "
+                f"{', '.join(unknown[:5])}; is it of another character?"
+            )
+
+
+def _insertion(
+    spec: WarpSpec, each: _Placement, read: ReadControls, space: ControlSpace, before: FloatArray
+) -> Insertion:
+    """Turn a sequence into keys in the performance's own controls and coordinates.
+
+    Controls that the sequence does not hold ask for what the performance has there.
+    """
+    target = each.sequence.target
+    start = each.first_frame - read.clip.first_frame
+    rows = slice(start, start + each.frame_count)
+    own = ControlSpace(
+        target.shapes,
+        target.joints,
+        target.attributes,
+        space.mean_rotations[[space.joints.index(name) for name in target.joints]],
+    )
+    motion = own.encode(target)
+    weights = each.sequence.key_weights[:, None]
+    if len(motion) != each.frame_count:
+        motion = stretch_motion(motion, each.frame_count)
+        weights = stretch_motion(weights, each.frame_count)
+    keys = before[rows].copy()
+    place = {name: index for index, name in enumerate(space.names)}
+    keys[:, [place[name] for name in own.names]] = motion
+    ease = min(spec.blend, each.frame_count // 4)
+    eased = ease_weights(each.frame_count, spec.weight, ease=ease)
+    return Insertion(start, keys, eased * np.maximum(weights[:, 0], 0.0))
+
+
+def _limit(
+    after: FloatArray,
+    before: FloatArray,
+    insertions: list[Insertion],
+    rig: Rig,
+    space: ControlSpace,
+) -> None:
+    """Keep weights within what the rig, the performance and the sequences have: no overshoot."""
+    count = len(space.shapes)
+    ranges = dict(zip(rig.shapes, rig.ranges, strict=True))
+    own = np.array([ranges.get(name, (0.0, 1.0)) for name in space.shapes]).reshape(-1, 2)
+    parts = [before[:, :count], *(each.keys[:, :count] for each in insertions)]
+    low = np.min([own[:, 0], *(part.min(axis=0) for part in parts)], axis=0)
+    high = np.max([own[:, 1], *(part.max(axis=0) for part in parts)], axis=0)
+    np.clip(after[:, :count], low, high, out=after[:, :count])
+
+
+def _replace_changed(old: Controls, new: Controls, changed: np.ndarray) -> Controls:
+    rows = changed.any(axis=1)
+    if rows.all():
+        return new
+
+    def pick(one: FloatArray, other: FloatArray) -> FloatArray:
+        return np.where(rows.reshape(-1, *(1,) * (one.ndim - 1)), other, one)
+
+    return replace(
+        old,
+        weights=pick(old.weights, new.weights),
+        translations=pick(old.translations, new.translations),
+        rotations=pick(old.rotations, new.rotations),
+        scales=pick(old.scales, new.scales),
+        values=pick(old.values, new.values),
+    )
+
+
+def _write(
+    spec: WarpSpec,
+    rig: Rig,
+    place: str,
+    read: ReadControls,
+    warped: Controls,
+    progress: Progress,
+    provenance: Provenance | None,
+) -> None:
+    with writing_control_performance(
+        spec.out,
+        rig,
+        shapes=warped.shapes,
+        joints=warped.joints,
+        attributes=warped.attributes,
+        rate=read.rate,
+        first_frame=read.clip.first_frame,
+        last_frame=read.clip.last_frame,
+        place=place,
+        timecode_start=read.timecode_start,
+        provenance=provenance,
+    ) as writer:
+        for start in range(0, len(warped), CHUNK_FRAMES):
+            writer.append(warped.rows(slice(start, start + CHUNK_FRAMES)))
+            progress(start / len(warped), f"writing frame {read.clip.first_frame + start}")
+
+
+def _draw(
+    spec: WarpSpec,
+    path: Path,
+    placements: list[_Placement],
+    space: ControlSpace,
+    before: FloatArray,
+    after: FloatArray,
+    read: ReadControls,
+    provenance: Provenance | None,
+) -> None:
+    labels = ", ".join(dict.fromkeys(each.sequence.label for each in placements))
+    spans = [Span(p.first_frame, p.last_frame, p.sequence.label) for p in placements]
+    picture = draw_motion_curves(
+        f"{spec.performance.stem}: before and after warping",
+        (
+            f"{counted(len(placements), 'sequence')}: {labels}",
+            f"weight {spec.weight:g}, blend {spec.blend}",
+        ),
+        before_and_after(space.names, before, after),
+        first_frame=read.clip.first_frame,
+        windows=windows_around(
+            spans, first_frame=read.clip.first_frame, last_frame=read.clip.last_frame
+        ),
+        spans=spans,
+    )
+    made = {} if provenance is None else provenance_metadata(provenance)
+    write_image(path, picture, metadata=made)

@@ -1,0 +1,1 @@
+"""Sheets, movies, reports and figures to judge a performance by."""

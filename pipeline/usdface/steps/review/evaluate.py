@@ -1,0 +1,185 @@
+"""A performance and what it should have been in; figures, curves and a verdict out."""
+
+import json
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.assets import Performance, Rig
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.replacing import replacing
+from usdface.core.text import counted
+from usdface.media.charts.evaluation import draw_evaluation
+from usdface.media.picture.image import write_image
+from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
+from usdface.runner.outputs import provenance_metadata
+from usdface.runner.result import Report
+from usdface.specs.base import frame_range
+from usdface.specs.review import EvaluateSpec
+from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table
+from usdface.steps.review.evaluation_tables import (
+    evaluation_figures,
+    evaluation_page,
+    evaluation_summary,
+    evaluation_table,
+    failures,
+    observable_shapes,
+)
+from usdface.usdio.performance.write import read_performance
+from usdface.usdio.rig.read import read_rig
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    """Both sides over the frames they share, in the rig's order of shapes."""
+
+    frames: IntArray
+    solved: FloatArray
+    truth: FloatArray
+    compared: BoolArray
+    notes: tuple[str, ...]
+
+
+def run(
+    spec: EvaluateSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Measure the performance and write what was asked for."""
+    progress(0.0, "reading")
+    performance = read_performance(spec.performance)
+    rig = read_rig(performance.rig_file, prim=performance.rig_prim)
+    comparison = _compare(spec, performance, read_weight_table(spec.against), rig)
+    observable, notes = _observable(spec, rig)
+    progress(0.4, "measuring")
+    evaluation = evaluate_weights(
+        rig,
+        comparison.solved,
+        comparison.truth,
+        frames=comparison.frames,
+        compared=comparison.compared,
+        observable=observable,
+    )
+    figures = evaluation_figures(evaluation)
+    failed = failures(spec, figures)
+    progress(0.8, "writing")
+    _write(spec, evaluation, figures, failed, provenance)
+    progress(1.0, "done")
+    return Report(
+        spec.out,
+        evaluation_summary(evaluation),
+        (*comparison.notes, *notes),
+        figures,
+        table=evaluation_table(evaluation),
+        failures=tuple(f"{spec.performance}: {each}" for each in failed),
+    )
+
+
+def _compare(
+    spec: EvaluateSpec, performance: Performance, truth: WeightTable, rig: Rig
+) -> _Comparison:
+    clip = performance.weights
+    if truth.rate is not None and truth.rate != clip.rate:
+        raise InputError(
+            f"{spec.against}: runs at {float(truth.rate):g} frames per second, {spec.performance} "
+            f"at {float(clip.rate):g}; compare performances of one rate"
+        )
+    driven = [name for name in truth.names if name in rig.shapes]
+    if not driven:
+        raise InputError(
+            f"{spec.against}: none of its {len(truth.names)} shapes ({', '.join(truth.names[:3])}, "
+            f"...) is on {rig.file} ({', '.join(rig.shapes[:3])}, ...); rename its columns"
+        )
+    own = np.arange(clip.first_frame, clip.first_frame + len(clip.values), dtype=np.int64)
+    theirs = np.array(truth.frames, dtype=np.int64)
+    frames, mine, other = np.intersect1d(own, theirs, assume_unique=True, return_indices=True)
+    limits = frame_range(spec.frames)
+    if limits is not None:
+        inside = (frames >= limits[0]) & (frames <= limits[1])
+        frames, mine, other = frames[inside], mine[inside], other[inside]
+    if not len(frames):
+        within = f" in {spec.frames}" if spec.frames else ""
+        raise InputError(
+            f"{spec.performance} (frames {own[0]}-{own[-1]}) and {spec.against} (frames "
+            f"{theirs.min()}-{theirs.max()}) share no frame{within}; are they of one take?"
+        )
+    solved = WeightTable(clip.names, (), clip.values[mine].astype(np.float64))
+    names = np.array(rig.shapes)
+    either = np.isin(names, clip.names) | np.isin(names, driven)
+    return _Comparison(
+        frames=frames,
+        solved=_in_order(solved, rig.shapes),
+        truth=_in_order(replace(truth, weights=truth.weights[other]), rig.shapes),
+        compared=either,
+        notes=_notes(spec, clip.names, truth.names, rig),
+    )
+
+
+def _in_order(table: WeightTable, names: tuple[str, ...]) -> FloatArray:
+    return replace(table, frames=tuple(range(len(table.weights)))).columns(names)
+
+
+def _notes(
+    spec: EvaluateSpec, solved: tuple[str, ...], truth: tuple[str, ...], rig: Rig
+) -> tuple[str, ...]:
+    """Say which shapes only one side drives: there the other counts as 0."""
+    notes = []
+    unknown = [name for name in truth if name not in rig.shapes]
+    if unknown:
+        notes.append(
+            f"left out {counted(len(unknown), 'shape')} of {spec.against}, not on the rig: "
+            f"{', '.join(unknown[:5])}"
+        )
+    for label, these, those in (
+        (spec.performance, truth, solved),
+        (spec.against, solved, truth),
+    ):
+        lacking = [name for name in these if name not in those and name in rig.shapes]
+        if lacking:
+            notes.append(
+                f"{label} lacks {counted(len(lacking), 'shape')}, taken as 0: "
+                f"{', '.join(lacking[:5])}"
+            )
+    return tuple(notes)
+
+
+def _observable(spec: EvaluateSpec, rig: Rig) -> tuple[BoolArray, tuple[str, ...]]:
+    """Return which of the rig's shapes count, and a note for each pattern that names none."""
+    seen = observable_shapes(rig.shapes, spec.unobservable)
+    notes = [
+        f"--unobservable {pattern} names no shape of the rig"
+        for pattern in spec.unobservable
+        if "unobservable" in spec.model_fields_set
+        and observable_shapes(rig.shapes, [pattern]).all()
+    ]
+    return seen, tuple(notes)
+
+
+def _write(
+    spec: EvaluateSpec,
+    evaluation: Evaluation,
+    figures: dict[str, object],
+    failed: tuple[str, ...],
+    provenance: Provenance | None,
+) -> None:
+    made: dict[str, object] = {}
+    if provenance is not None:
+        # What failed is never up to date: run again, a job stops here again.
+        made = provenance_metadata(replace(provenance, spec="") if failed else provenance)
+    for path in spec.out:
+        if path.suffix.lower() == ".json":
+            data = {
+                "performance": str(spec.performance),
+                "against": str(spec.against),
+                **figures,
+                "failures": list(failed),
+                "provenance": made,
+            }
+            with replacing(path) as temporary:
+                text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
+                temporary.write_text(text + "\n", encoding="utf-8")
+        else:
+            title = f"{spec.performance.stem} against {spec.against.stem}"
+            page = evaluation_page(evaluation, title=title)
+            write_image(path, draw_evaluation(page), metadata=made)

@@ -1,0 +1,214 @@
+"""What an evaluation says, as lines for people, data for scripts and a page to draw."""
+
+import math
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
+
+import numpy as np
+
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.text import counted
+from usdface.media.charts.evaluation import EvaluationPage, ShapeBar
+from usdface.media.picture.error_strip import ErrorCurve
+from usdface.model.mapping.evaluation import Evaluation
+from usdface.numerics.measure.performance_error import SurfaceError
+from usdface.specs.review import EvaluateSpec
+
+WORST_FRAMES = 8
+WORST_SHAPES = 10
+
+
+def observable_shapes(
+    shapes: Sequence[str],
+    unobservable: Sequence[str] = EvaluateSpec.model_fields["unobservable"].default,
+) -> BoolArray:
+    """Return which shapes markers can show, by default those that `usdface evaluate` counts."""
+    return np.array(
+        [
+            not any(fnmatchcase(name.lower(), pattern.lower()) for pattern in unobservable)
+            for name in shapes
+        ],
+        dtype=np.bool_,
+    )
+
+
+def evaluation_summary(evaluation: Evaluation) -> str:
+    """Return one line that says how good the performance is."""
+    return (
+        f"{counted(len(evaluation.frames), 'frame')}: "
+        f"{evaluation.surface.rms_mm:.3f} mm on the surface "
+        f"({evaluation.surface.p95_mm:.3f} mm in 95 of 100 frames), "
+        f"{_number(evaluation.weight_rmse)} in the weights"
+    )
+
+
+def evaluation_table(evaluation: Evaluation) -> tuple[str, ...]:
+    """Return the figures as lines of a table: by region, then what eyes see, then by shape."""
+    lines = [f"{'region':<17}{'weights':>9}{'RMS mm':>9}{'95 % mm':>9}{'worst mm':>10}"]
+    parts: list[tuple[str, float, SurfaceError]] = [
+        ("face", evaluation.weight_rmse, evaluation.surface)
+    ]
+    parts += [(region.name, region.weight_rmse, region.surface) for region in evaluation.regions]
+    for name, weights, surface in parts:
+        lines.append(
+            f"{name:<17}{_number(weights):>9}{surface.rms_mm:>9.3f}{surface.p95_mm:>9.3f}"
+            f"{surface.max_mm:>10.3f}"
+        )
+    lines.append("")
+    if evaluation.lips is not None:
+        closed = evaluation.lips.closed_bias_mm
+        told = "" if math.isnan(closed) else f"; {closed:+.2f} mm where they should be closed"
+        lines.append(f"lips: distance off by {evaluation.lips.rms_mm:.2f} mm{told}")
+    if not math.isnan(evaluation.blink_bias):
+        lines.append(f"blinks at their peaks: {evaluation.blink_bias:+.3f}")
+    if not math.isnan(evaluation.jitter):
+        lines.append(f"jitter: {evaluation.jitter:.2f} of the truth's")
+    lines.append("worst frames: " + ", ".join(map(str, worst_frames(evaluation))))
+    lines += ["", f"{'shape':<24}{'RMSE':>8}{'bias':>9}{'largest':>9}{'alone mm':>10}"]
+    for column in _by_surface(evaluation)[:WORST_SHAPES]:
+        lines.append(
+            f"{evaluation.shape_names[column]:<24}{evaluation.shapes.rmse[column]:>8.3f}"
+            f"{evaluation.shapes.bias[column]:>+9.3f}{evaluation.shapes.largest[column]:>9.3f}"
+            f"{evaluation.shape_mm[column]:>10.3f}"
+        )
+    return tuple(lines)
+
+
+def evaluation_figures(evaluation: Evaluation) -> dict[str, object]:
+    """Return every figure as plain data; None where one is not known."""
+    lips = evaluation.lips
+    return {
+        "frames": {
+            "count": len(evaluation.frames),
+            "first": int(evaluation.frames[0]),
+            "last": int(evaluation.frames[-1]),
+        },
+        "weight_rmse": _known(evaluation.weight_rmse),
+        "vertex_rms_mm": evaluation.surface.rms_mm,
+        "vertex_p95_mm": evaluation.surface.p95_mm,
+        "vertex_max_mm": evaluation.surface.max_mm,
+        "lip_error_mm": None if lips is None else lips.rms_mm,
+        "lip_closed_bias_mm": None if lips is None else _known(lips.closed_bias_mm),
+        "blink_bias": _known(evaluation.blink_bias),
+        "jitter": _known(evaluation.jitter),
+        "worst_frames": list(worst_frames(evaluation)),
+        "unobservable": [
+            name
+            for name, seen in zip(evaluation.shape_names, evaluation.observable, strict=True)
+            if not seen
+        ],
+        "regions": [
+            {
+                "region": region.name,
+                "shapes": region.shape_count,
+                "weight_rmse": _known(region.weight_rmse),
+                "vertex_rms_mm": region.surface.rms_mm,
+                "vertex_p95_mm": region.surface.p95_mm,
+                "vertex_max_mm": region.surface.max_mm,
+            }
+            for region in evaluation.regions
+        ],
+        "shapes": [
+            {
+                "shape": evaluation.shape_names[column],
+                "rmse": float(evaluation.shapes.rmse[column]),
+                "bias": float(evaluation.shapes.bias[column]),
+                "largest": float(evaluation.shapes.largest[column]),
+                "surface_mm": float(evaluation.shape_mm[column]),
+            }
+            for column in _by_surface(evaluation)
+        ],
+    }
+
+
+def evaluation_page(evaluation: Evaluation, *, title: str) -> EvaluationPage:
+    """Return the page that shows the errors over time and by shape."""
+    frames = evaluation.frames
+    curves = [ErrorCurve("face", _over_time(frames, evaluation.surface.frames_mm))]
+    curves += [
+        ErrorCurve(region.name.split(" and ")[0], _over_time(frames, region.surface.frames_mm))
+        for region in evaluation.regions
+    ]
+    facts = [f"frames {frames[0]}-{frames[-1]}", f"{_number(evaluation.weight_rmse)} in weights"]
+    if not math.isnan(evaluation.blink_bias):
+        facts.append(f"blinks {evaluation.blink_bias:+.3f}")
+    if not math.isnan(evaluation.jitter):
+        facts.append(f"jitter {evaluation.jitter:.2f}")
+    lips = evaluation.lips
+    return EvaluationPage(
+        title=title,
+        facts=(
+            f"{evaluation.surface.rms_mm:.3f} mm RMS, 95 % {evaluation.surface.p95_mm:.3f} mm",
+            *facts,
+        ),
+        curves=tuple(curves),
+        first_frame=int(frames[0]),
+        worst=worst_frames(evaluation),
+        lips_truth=None if lips is None else _over_time(frames, lips.truth_mm),
+        lips_solved=None if lips is None else _over_time(frames, lips.solved_mm),
+        shapes=tuple(
+            ShapeBar(
+                evaluation.shape_names[column],
+                float(evaluation.shapes.rmse[column]),
+                float(evaluation.shapes.bias[column]),
+                float(evaluation.shape_mm[column]),
+            )
+            for column in _by_surface(evaluation)
+        ),
+    )
+
+
+def failures(spec: EvaluateSpec, figures: Mapping[str, object]) -> tuple[str, ...]:
+    """Return which of a spec's limits are passed; a figure that is not known passes none."""
+    limits = (
+        ("weight_rmse", "error of the weights", spec.max_weight_rmse, ""),
+        ("vertex_rms_mm", "error of the surface", spec.max_vertex_rms, " mm"),
+        ("vertex_p95_mm", "95th percentile of the surface's error", spec.max_vertex_p95, " mm"),
+        ("lip_error_mm", "error of the distance of the lips", spec.max_lip_error, " mm"),
+        ("blink_bias", "error of blinks at their peaks", spec.max_blink_bias, ""),
+        ("jitter", "jitter", spec.max_jitter, ""),
+    )
+    found = []
+    for name, label, limit, unit in limits:
+        value = figures[name]
+        if limit is None:
+            continue
+        if not isinstance(value, float):
+            found.append(f"{label} is limited to {limit:g}{unit} but cannot be measured here")
+        elif abs(value) > limit:
+            found.append(f"{label} is {value:.4g}{unit}, more than {limit:g}{unit}")
+    return tuple(found)
+
+
+def worst_frames(evaluation: Evaluation) -> tuple[int, ...]:
+    """Return the frames that err most, none a neighbour of another."""
+    error = evaluation.surface.frames_mm
+    apart = max(len(error) // (3 * WORST_FRAMES), 1)
+    chosen: list[int] = []
+    for row in np.argsort(-error, kind="stable").tolist():
+        if all(abs(row - other) >= apart for other in chosen):
+            chosen.append(row)
+        if len(chosen) == WORST_FRAMES:
+            break
+    return tuple(int(evaluation.frames[row]) for row in chosen)
+
+
+def _by_surface(evaluation: Evaluation) -> list[int]:
+    """Return columns of shapes, what shows most first."""
+    order: list[int] = np.lexsort((-evaluation.shapes.rmse, -evaluation.shape_mm)).tolist()
+    return order
+
+
+def _over_time(frames: IntArray, values: FloatArray) -> FloatArray:
+    """Spread values over all frames from first to last; NaN where nothing was compared."""
+    out = np.full(int(frames[-1] - frames[0]) + 1, np.nan)
+    out[frames - frames[0]] = values
+    return out
+
+
+def _number(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.4f}"
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value

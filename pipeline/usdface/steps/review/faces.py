@@ -1,0 +1,131 @@
+"""Performances of several characters in, one sheet with all of their faces out."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.text import counted
+from usdface.media.face.camera import Camera, frame_rig
+from usdface.media.face.render import FaceRenderer
+from usdface.media.picture.image import write_image
+from usdface.media.picture.sheet import SheetPage, SheetRow, Tile, compose_sheet
+from usdface.runner.outputs import provenance_metadata
+from usdface.runner.result import Report
+from usdface.specs.base import frame_range
+from usdface.specs.review import FacesSpec
+from usdface.usdio.rig.posed_points import PosedRig
+
+MOVES_MM = 2.0
+"""Points that go further than this between the frames belong in the picture."""
+
+ROOM = 1.06
+"""Between what moves and the picture's edge."""
+
+MOST_POSES = 4000
+"""Frames among which those that differ most are looked for."""
+
+
+def run(
+    spec: FacesSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Choose frames, draw every face at each of them, and write the sheet."""
+    actors = [PosedRig(path) for path in spec.performances]
+    frames = _shared(spec, actors)
+    chosen = _most_different(actors[0], frames, spec.rows)
+    rows = []
+    columns = [_Column(actor, chosen, spec) for actor in actors]
+    first = actors[0].reader
+    for number, frame in enumerate(chosen.tolist()):
+        rows.append(
+            SheetRow(
+                frame, first.timecode_at(frame), tuple(column.tile(frame) for column in columns)
+            )
+        )
+        progress((number + 1) / len(chosen), f"drew frame {frame}")
+    page = SheetPage(
+        title=" · ".join(dict.fromkeys(actor.rig.file.stem for actor in actors)),
+        facts=(f"frames {frames[0]}-{frames[-1]}", "the frames that differ most from each other"),
+        columns=tuple(path.stem for path in spec.performances),
+        rows=tuple(rows),
+        first_frame=int(frames[0]),
+        tile_height=spec.tile,
+    )
+    made = {} if provenance is None else provenance_metadata(provenance)
+    write_image(spec.out, compose_sheet(page), metadata=made)
+    return Report(
+        (spec.out,),
+        f"{counted(len(actors), 'face')} at {counted(len(chosen), 'frame')}",
+        (),
+        {"frames": chosen.tolist(), "performances": [str(path) for path in spec.performances]},
+    )
+
+
+class _Column:
+    """One character's pictures: its camera and renderer are set up once."""
+
+    def __init__(self, actor: PosedRig, frames: IntArray, spec: FacesSpec) -> None:
+        self._spec = spec
+        self._posed = {frame: actor.points(frame) for frame in frames.tolist()}
+        self._renderer = FaceRenderer(actor.rig.meshes)
+        camera = frame_rig(actor.rig.meshes, yaw_degrees=spec.yaw)
+        self._camera = _with_all_that_moves(camera, np.stack(list(self._posed.values())))
+
+    def tile(self, frame: int) -> Tile:
+        size = self._spec.tile
+        pixels = self._renderer.render(
+            self._posed[frame],
+            camera=self._camera,
+            width=size,
+            height=size,
+            quality=self._spec.quality,
+        )
+        return Tile(pixels)
+
+
+def _with_all_that_moves(camera: Camera, posed: FloatArray) -> Camera:
+    """Step back until what moves in some frame is in the picture: ears turn by joints alone."""
+    moving = np.ptp(posed, axis=0).max(axis=1) > MOVES_MM
+    if not moving.any():
+        return camera
+    right, up, back = camera.axes()
+    away = posed[:, moving].reshape(-1, 3) - np.array(camera.target)
+    wide = np.tan(np.deg2rad(camera.fov_degrees / 2))
+    across = np.maximum(np.abs(away @ right), np.abs(away @ up))
+    needed = ROOM * across / wide + away @ back  # distance from which each point is just inside
+    distance = float(np.linalg.norm(np.subtract(camera.eye, camera.target)))
+    share = max(float(needed.max()) / distance, 1.0)
+    x, y, z = np.array(camera.target) + share * np.subtract(camera.eye, camera.target)
+    return replace(camera, eye=(float(x), float(y), float(z)))
+
+
+def _shared(spec: FacesSpec, actors: list[PosedRig]) -> IntArray:
+    first = max(actor.reader.first_frame for actor in actors)
+    last = min(actor.reader.last_frame for actor in actors)
+    limits = frame_range(spec.frames)
+    if limits is not None:
+        first, last = max(first, limits[0]), min(last, limits[1])
+    if last < first:
+        told = ", ".join(
+            f"{actor.path.name} {actor.reader.first_frame}-{actor.reader.last_frame}"
+            for actor in actors
+        )
+        within = f" in {spec.frames}" if spec.frames else ""
+        raise InputError(f"the performances share no frame{within}: {told}")
+    return np.arange(first, last + 1, dtype=np.int64)
+
+
+def _most_different(actor: PosedRig, frames: IntArray, count: int) -> IntArray:
+    """Return frames spread over what the face does: each the furthest from those before."""
+    picks = frames[:: -(-len(frames) // MOST_POSES)]
+    weights: FloatArray = actor.reader.edited(int(frames[0]), int(frames[-1])).astype(np.float64)
+    poses = weights[picks - frames[0]]
+    chosen = [int(np.linalg.norm(poses, axis=1).argmax())]
+    nearest = np.linalg.norm(poses - poses[chosen[0]], axis=1)
+    while len(chosen) < min(count, len(poses)) and nearest.max() > 0:
+        chosen.append(int(nearest.argmax()))
+        nearest = np.minimum(nearest, np.linalg.norm(poses - poses[chosen[-1]], axis=1))
+    return np.sort(picks[chosen])

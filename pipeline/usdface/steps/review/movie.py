@@ -1,0 +1,256 @@
+"""A review movie, drawn in parallel in stretches that a later run can take up again."""
+
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import ExitStack
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from usdface.core.arrays import ByteImage
+from usdface.core.assets import Take
+from usdface.core.errors import InputError
+from usdface.core.interpreter import can_start_again
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance, canonical_json, hash_text
+from usdface.core.rates import exact_rate
+from usdface.core.text import counted
+from usdface.media.film.movie import write_movie
+from usdface.media.film.movie_frame import MoviePanel, compose_movie_frame
+from usdface.media.film.movie_join import join_movies
+from usdface.runner.outputs import make_provenance, provenance_metadata
+from usdface.runner.result import Report
+from usdface.specs.review import MovieSpec, Panel
+from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
+from usdface.steps.review.pictures import Shot, ShotPictures, open_shot, undrawn
+
+STRETCH_PICTURES = 48
+"""Drawn and encoded by one process at a time, and lost at most when a run is stopped."""
+
+LABELS: dict[Panel, str] = {"video": "video", "markers": "markers", "performance": "usdface"}
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What every stretch is drawn by; small enough to send to another process."""
+
+    spec: MovieSpec
+    panels: tuple[Panel, ...]
+    clock: MovieClock
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """Pictures `start` to `stop` of a movie, and the file they go to."""
+
+    start: int
+    stop: int
+    file: Path
+
+
+def run(
+    spec: MovieSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Draw the movie, stretch by stretch, and join them with the sound."""
+    progress(0.0, "reading")
+    shot = open_shot(spec.performance, spec.take, frames=spec.frames)
+    take = shot.take
+    notes: list[str] = []
+    panels = _panels(spec, take, notes)
+    rate = movie_rate(take) if spec.rate is None else exact_rate(spec.rate, where="--rate")
+    clock = MovieClock(
+        rate=rate,
+        take_rate=take.rate,
+        first_frame=int(shot.frames[0]),
+        frame_count=len(shot.frames),
+    )
+    provenance = provenance or make_provenance(spec)
+    folder = _stretches_folder(spec.out)
+    stretches = _stretches(spec, clock, folder, provenance)
+    _make_folder(folder, keep={stretch.file for stretch in stretches})
+    waiting = [stretch for stretch in stretches if not stretch.file.is_file()]
+    if len(waiting) < len(stretches):
+        notes.append(f"{len(stretches) - len(waiting)} of {len(stretches)} stretches were there")
+    if "performance" in panels:
+        notes += [
+            *shot.camera(spec.camera, spec.camera_stage).notes(clock.first_frame),
+            *undrawn(shot.rig),
+        ]
+    _draw_all(_Plan(spec, panels, clock), waiting, shot, progress)
+    progress(0.97, "joining the stretches")
+    sound = take_sound(take, clock, notes) if spec.sound else None
+    comment = provenance_metadata(provenance) | {
+        "rate": str(rate),
+        "first_frame": clock.first_frame,
+        "pictures": clock.picture_count,
+    }
+    join_movies(
+        spec.out,
+        [stretch.file for stretch in stretches],
+        audio=sound,
+        sample_rate=SAMPLE_RATE,
+        rate=rate,
+        timecode=clock.timecode(take.timecode_start, take.first_frame),
+        comment=json.dumps(comment),
+    )
+    shutil.rmtree(folder, ignore_errors=True)
+    progress(1.0, "done")
+    seconds = clock.picture_count / float(rate)
+    return Report(
+        (spec.out,),
+        f"{counted(clock.picture_count, 'picture')} at {float(rate):g} per second "
+        f"({seconds:.1f} s), {' beside '.join(panels)}, "
+        f"{'with' if sound is not None else 'without'} sound",
+        tuple(notes),
+        {
+            "pictures": clock.picture_count,
+            "rate": float(rate),
+            "panels": list(panels),
+            "sound": sound is not None,
+        },
+    )
+
+
+def _panels(spec: MovieSpec, take: Take, notes: list[str]) -> tuple[Panel, ...]:
+    if spec.panels is not None:
+        if "video" in spec.panels and take.video is None:
+            raise InputError(
+                f"{spec.take}: has no video to show; leave it out of --panels, or ingest with "
+                "--video"
+            )
+        return spec.panels
+    if take.video is not None:
+        return ("video", "performance")
+    notes.append("the take has no video: its markers are shown in its place")
+    return ("markers", "performance")
+
+
+def _stretches_folder(out: Path) -> Path:
+    """Return where a movie's stretches wait: no two movies of a folder, however alike, share it."""
+    return out.with_name(f".{out.stem[:40]}.{hash_text(out.name)[:8]}.stretches")
+
+
+def _stretches(
+    spec: MovieSpec, clock: MovieClock, folder: Path, provenance: Provenance
+) -> list[_Stretch]:
+    """Cut the movie; a stretch's name tells what it was made from, so that none is mistaken."""
+    made_from = provenance_metadata(provenance) | {"rate": str(clock.rate)}
+    key = hash_text(canonical_json(made_from))[:16]
+    return [
+        _Stretch(
+            start,
+            min(start + STRETCH_PICTURES, clock.picture_count),
+            folder / f"{key}.{start:07d}{spec.out.suffix}",
+        )
+        for start in range(0, clock.picture_count, STRETCH_PICTURES)
+    ]
+
+
+def _make_folder(folder: Path, *, keep: set[Path]) -> None:
+    """Make the folder of stretches; those of another spec or of older inputs are removed."""
+    try:
+        folder.mkdir(exist_ok=True)
+        for old in folder.iterdir():
+            if old not in keep:
+                old.unlink()
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written to ({error.strerror})") from error
+
+
+def _draw_all(plan: _Plan, stretches: list[_Stretch], shot: Shot, progress: Progress) -> None:
+    count = min(plan.spec.workers or _cores(), len(stretches))
+    if count <= 1 or not can_start_again():  # a pool within a DCC would start the DCC
+        for number, stretch in enumerate(stretches):
+            progress(0.02 + 0.95 * number / len(stretches), f"drawing picture {stretch.start}")
+            _draw_stretch(plan, shot, stretch)
+        return
+    context = get_context("spawn")  # a fork would copy locks that ray tracer and codecs hold
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_set_up, initargs=(plan,))
+    try:
+        left: set[Future[None]] = {pool.submit(_work, stretch) for stretch in stretches}
+        while left:
+            done, left = wait(left, return_when=FIRST_COMPLETED)
+            for future in done:
+                future.result()
+            share = 1 - len(left) / len(stretches)
+            progress(0.02 + 0.95 * share, f"{len(left)} stretches left to draw")
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _cores() -> int:
+    """Return how many cores this process may use, which on a farm are fewer than there are."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on macOS or Windows
+        return os.cpu_count() or 1
+
+
+_shared: tuple[_Plan, Shot] | None = None
+"""What a worker process holds on to from stretch to stretch."""
+
+
+def _set_up(plan: _Plan) -> None:
+    global _shared
+    spec = plan.spec
+    _shared = plan, open_shot(spec.performance, spec.take, frames=spec.frames)
+
+
+def _work(stretch: _Stretch) -> None:
+    if _shared is None:
+        raise RuntimeError("the worker was not set up")
+    _draw_stretch(*_shared, stretch)
+
+
+def _draw_stretch(plan: _Plan, shot: Shot, stretch: _Stretch) -> None:
+    with ExitStack() as open_files:
+        pictures = ShotPictures(
+            shot,
+            height=plan.spec.height,
+            quality=plan.spec.quality,
+            camera=shot.camera(plan.spec.camera, plan.spec.camera_stage),
+        )
+        open_files.enter_context(pictures)
+        write_movie(stretch.file, _pictures(plan, shot, pictures, stretch), rate=plan.clock.rate)
+
+
+def _pictures(
+    plan: _Plan, shot: Shot, pictures: ShotPictures, stretch: _Stretch
+) -> Iterator[ByteImage]:
+    height = plan.spec.height
+    widths = {panel: height for panel in plan.panels}
+    if "video" in plan.panels:
+        widths["video"] = round(height * pictures.video_aspect / 2) * 2
+    if "performance" in plan.panels:
+        widths["performance"] = pictures.face_width
+    title = f"{shot.take.name}  ·  {shot.rig.file.stem}"
+    confidence = shot.performance.confidence
+    for number in range(stretch.start, stretch.stop):
+        row = plan.clock.row(number)
+        frame = int(shot.frames[row])
+        panels = []
+        for panel in plan.panels:
+            missing, pixels = "", None
+            if panel == "video":
+                tile = pictures.video(frame)
+                pixels, missing = tile.pixels, tile.caption
+            elif panel == "markers":
+                pixels = pictures.markers(row)
+            else:
+                pixels = pictures.face(row, shot.weights[row])
+            panels.append(MoviePanel(widths[panel], pixels, LABELS[panel], missing))
+        trust = None
+        if confidence is not None:
+            trust = float(confidence[frame - shot.performance.weights.first_frame])
+        # What a player shows of the file: the take's own labels may count at another rate.
+        label = plan.clock.timecode(shot.take.timecode_start, shot.take.first_frame, number)
+        yield compose_movie_frame(
+            panels,
+            height=height,
+            title=title,
+            clock="  ".join(filter(None, (label or shot.timecode(frame), str(frame)))),
+            confidence=trust,
+        )

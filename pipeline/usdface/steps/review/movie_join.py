@@ -1,0 +1,145 @@
+"""Parts of a movie, made on several machines, as one."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.text import counted
+from usdface.media.film.movie import read_movie_comment
+from usdface.media.film.movie_join import join_movies
+from usdface.runner.outputs import make_provenance, provenance_metadata
+from usdface.runner.result import Report
+from usdface.specs.review import MovieJoinSpec
+from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, take_sound
+from usdface.usdio.take.read import TakeReader
+
+
+def run(
+    spec: MovieJoinSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Join the parts' pictures; the sound is put in whole."""
+    progress(0.0, "reading")
+    said = [_said(path.name, read_movie_comment(path)) for path in spec.parts]
+    rate = said[0].rate
+    for path, part, before in zip(spec.parts[1:], said[1:], said[:-1], strict=True):
+        if part.rate != rate:
+            raise InputError(
+                f"{path}: has {float(part.rate):g} pictures a second, not {float(rate):g}"
+            )
+        if part.first <= before.first:
+            raise InputError(
+                f"{path}: begins at frame {part.first}, before the part that it follows; name the "
+                "parts in order"
+            )
+    pictures = [part.pictures for part in said]
+    count = sum(pictures)
+    notes: list[str] = []
+    sound, timecode = None, ""
+    if spec.take is not None:
+        reader = TakeReader(spec.take)
+        take = reader.read(reader.first_frame, reader.first_frame)
+        _check_nothing_between(spec.parts, said, take.rate)
+        pictures = _in_step(said, take.rate)
+        if sum(pictures) < count:
+            notes.append(
+                f"{counted(count - sum(pictures), 'picture')} at the ends of parts left out, so "
+                "that sound and picture stay together: parts were no whole number of pictures long"
+            )
+        count = sum(pictures)
+        clock = MovieClock(
+            rate=rate,
+            take_rate=take.rate,
+            first_frame=said[0].first,
+            frame_count=round(count * take.rate / rate),
+        )
+        sound = take_sound(take, clock, notes)
+        timecode = clock.timecode(reader.timecode_at(reader.first_frame), reader.first_frame)
+    progress(0.3, "joining")
+    written = provenance_metadata(provenance or make_provenance(spec))
+    written |= {"rate": str(rate), "first_frame": said[0].first, "pictures": count}
+    written["movie_parts"] = sum(part.movies for part in said)
+    join_movies(
+        spec.out,
+        spec.parts,
+        pictures=pictures,
+        audio=sound,
+        sample_rate=SAMPLE_RATE,
+        rate=rate,
+        timecode=timecode,
+        comment=json.dumps(written),
+    )
+    progress(1.0, "done")
+    return Report(
+        (spec.out,),
+        f"{counted(len(spec.parts), 'part')}, {counted(count, 'picture')} at "
+        f"{float(rate):g} per second",
+        tuple(notes),
+        {"pictures": count, "rate": float(rate), "sound": sound is not None},
+    )
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What a part says of itself; `movies` were joined to make it, each of whole pictures."""
+
+    rate: Fraction
+    first: int
+    pictures: int
+    movies: int
+
+
+def _check_nothing_between(
+    parts: tuple[Path, ...], said: Sequence[_Part], take_rate: Fraction
+) -> None:
+    """Refuse parts that leave frames out or show some twice.
+
+    The last picture of a part may last longer than its frames, so less than one is no fault.
+    """
+    for path, part, before in zip(parts[1:], said[1:], said[:-1], strict=True):
+        shown = part.first - before.first
+        surplus = before.pictures - shown * part.rate / take_rate
+        if -1 < surplus < before.movies:
+            continue
+        end = before.first + math.floor(before.pictures * take_rate / part.rate)
+        low, high = sorted((end, part.first))
+        frames = f"frame {low}" if high - low == 1 else f"frames {low}-{high - 1}"
+        what = "in no part" if surplus < 0 else "in both parts"
+        raise InputError(
+            f"{path}: begins at frame {part.first}, and the part before ends with frame "
+            f"{end - 1}: {frames} would be {what}; give parts that follow one another"
+        )
+
+
+def _in_step(said: Sequence[_Part], take_rate: Fraction) -> list[int]:
+    """Return how many pictures of each part to show, so that each begins nearest its moment.
+
+    A part that is no whole number of pictures long has its last one for less than a picture's time;
+    shown in full, these would add up, and the sound would run ahead of the pictures.
+    """
+    shown: list[int] = []
+    for part, after in pairwise(said):
+        end = math.floor((after.first - said[0].first) * part.rate / take_rate + Fraction(1, 2))
+        shown.append(min(max(end - sum(shown), 0), part.pictures))
+    return [*shown, said[-1].pictures]
+
+
+def _said(name: str, comment: str) -> _Part:
+    """Return rate, first frame and number of pictures, as `usdface movie` wrote them."""
+    try:
+        data = json.loads(comment)
+        rate, first, count = Fraction(data["rate"]), int(data["first_frame"]), int(data["pictures"])
+        movies = int(data.get("movie_parts", 1))
+        if not 0 < rate <= 1000 or not 0 < count < 1 << 31 or not 0 < movies <= count:
+            raise ValueError
+    except (ValueError, KeyError, TypeError, ArithmeticError, RecursionError) as error:
+        raise InputError(
+            f"{name}: does not say which frames it shows; give parts that `usdface movie` made"
+        ) from error
+    return _Part(rate, first, count, movies)

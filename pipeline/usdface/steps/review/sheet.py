@@ -1,0 +1,279 @@
+"""Contact sheets: video, markers, the equation-solving baseline, performances, differences."""
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.arrays import IntArray
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.text import counted
+from usdface.media.picture.display_view import display_view
+from usdface.media.picture.error_strip import ErrorCurve
+from usdface.media.picture.image import write_image
+from usdface.media.picture.sheet import SheetPage, SheetRow, compose_sheet, round_range
+from usdface.runner.outputs import provenance_metadata
+from usdface.runner.result import Report
+from usdface.specs.review import AUTO, FramePick, SheetLayout, SheetSpec
+from usdface.steps.inputs.phone_labels import said_at
+from usdface.steps.review.frame_choice import ChosenFrame, choose_frames
+from usdface.steps.review.pictures import (
+    EXAGGERATION,
+    Shot,
+    ShotPictures,
+    open_shot,
+    undrawn,
+)
+from usdface.steps.review.scoring import (
+    Judged,
+    doubt,
+    judge,
+    place_markers,
+    read_truth,
+    surface_distance,
+)
+from usdface.steps.review.sheet_columns import sheet_columns
+
+PICKS: dict[SheetLayout, FramePick] = {
+    "comparison": "expression",
+    "worst": "residual",
+    "strip": "even",
+    "characters": "expression",
+}
+STRIP_ROWS, STRIP_TILE = 48, 192
+OTHER_ROWS, OTHER_TILE = 12, 320
+
+
+def run(
+    spec: SheetSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Draw the sheet and write it."""
+    progress(0.0, "reading")
+    shots = _open_shots(spec)
+    shot = shots[0]
+    progress(0.1, "placing the markers on the rig")
+    equations = [place_markers(each) for each in shots]
+    truth = read_truth(spec.against, shot.rig, shot.frames)
+    judged = [judge("usdface", shot, shot.weights, truth, equations[0])]
+    if spec.baseline and spec.layout in ("comparison", "worst"):
+        solved = equations[0].solve_published(shot.positions)
+        judged.insert(0, judge("equation", shot, solved, truth, equations[0]))
+    labels = _labels([each.performance_file for each in shots[1:]])
+    for other, equation, label in zip(shots[1:], equations[1:], labels, strict=True):
+        known = truth if _same_face(other, shot) else None
+        judged.append(judge(label, other, other.weights, known, equation))
+    chosen = _choose(spec, shot, next(each for each in judged if each.label == "usdface"))
+    said = said_at(spec.phones, shot.take, shot.frames[[frame.row for frame in chosen]])
+    high = round_range(np.concatenate([each.error_mm for each in judged]))
+    tile = spec.tile or (STRIP_TILE if spec.layout == "strip" else OTHER_TILE)
+    show = display_view(spec.view)
+    cameras = [each.camera(spec.camera, spec.camera_stage) for each in shots]
+    with ExitStack() as open_files:
+        pictures = [
+            ShotPictures(s, height=tile, quality=spec.quality, display=show, camera=camera)
+            for s, camera in zip(shots, cameras, strict=True)
+        ]
+        for each in pictures:
+            open_files.enter_context(each)
+        columns = sheet_columns(spec, shots, pictures, judged, equations[0], truth, chosen, high)
+        page = SheetPage(
+            title=f"{shot.take.name} on {', '.join(dict.fromkeys(s.rig.file.stem for s in shots))}",
+            facts=_facts(spec, shot),
+            columns=tuple(column.head for column in columns),
+            rows=(),
+            curves=(
+                *(ErrorCurve(_told(each, judged), each.error_mm) for each in judged),
+                *doubt(shot),
+            ),
+            first_frame=int(shot.frames[0]),
+            notes=_notes(
+                truth is not None,
+                judged,
+                stand_in_eyes=any(each.stand_in_eyes for each in pictures),
+                doubted=shot.performance.confidence is not None,
+                plain=any(undrawn(each.rig) for each in shots),
+                spoken=any(said),
+                markers=spec.layout != "strip",
+            ),
+            tile_height=tile,
+            high=high,
+        )
+
+        def draw(number: int) -> SheetRow:
+            frame = chosen[number]
+            at = int(shot.frames[frame.row])
+            progress(0.2 + 0.75 * number / len(chosen), f"drawing frame {at}")
+            return SheetRow(
+                frame=at,
+                timecode=shot.timecode(at),
+                tiles=tuple(column.draw(frame.row) for column in columns),
+                note=frame.reason,
+                said=said[number],
+            )
+
+        written = _write_pages(spec, page, len(chosen), draw, shot, provenance)
+    progress(1.0, "done")
+    told = dict.fromkeys(note for each in cameras for note in each.notes(int(shot.frames[0])))
+    told |= dict.fromkeys(note for each in shots for note in undrawn(each.rig))
+    return _report(written, shot.frames, judged, chosen, truth is not None, tuple(told))
+
+
+def _open_shots(spec: SheetSpec) -> list[Shot]:
+    """Open every performance over the frames that all of them have."""
+    files = (spec.performance, *spec.also)
+    shots = [open_shot(file, spec.take, frames=spec.frames) for file in files]
+    first = max(int(shot.frames[0]) for shot in shots)
+    last = min(int(shot.frames[-1]) for shot in shots)
+    if last < first:
+        raise InputError(f"{', '.join(map(str, files))}: share no frame of {spec.take}")
+    return [
+        replace(
+            shot,
+            frames=shot.frames[(shot.frames >= first) & (shot.frames <= last)],
+            weights=shot.weights[(shot.frames >= first) & (shot.frames <= last)],
+        )
+        for shot in shots
+    ]
+
+
+def _labels(files: list[Path]) -> list[str]:
+    """Return what each further performance is called: its name, with its folder where need be."""
+    stems = [file.stem.split(".usd")[0] for file in files]
+    taken, found = {"equation", "usdface"}, list[str]()
+    for file, stem in zip(files, stems, strict=True):
+        alone = stems.count(stem) == 1 and stem not in taken
+        label = wanted = stem if alone else f"{file.resolve().parent.name}/{stem}"
+        number = 1
+        while label in taken:
+            number += 1
+            label = f"{wanted} ({number})"
+        taken.add(label)
+        found.append(label)
+    return found
+
+
+def _same_face(shot: Shot, other: Shot) -> bool:
+    """Say whether weights of one mean the same on the other."""
+    faces = [(each.rig.file.resolve(), each.rig.prim) for each in (shot, other)]
+    return faces[0] == faces[1]
+
+
+def _told(judged: Judged, beside: list[Judged]) -> str:
+    """Return a label that says so where this one is measured otherwise than those beside it."""
+    by_markers = not judged.against_truth and any(each.against_truth for each in beside)
+    return f"{judged.label} (left by its markers)" if by_markers else judged.label
+
+
+def _choose(spec: SheetSpec, shot: Shot, judged: Judged) -> list[ChosenFrame]:
+    confidence = shot.performance.confidence
+    if confidence is not None:
+        confidence = confidence[shot.frames - shot.performance.weights.first_frame]
+    steps = np.diff(shot.weights, axis=0, prepend=shot.weights[:1])
+    return choose_frames(
+        spec.pick or PICKS[spec.layout],
+        spec.rows or (STRIP_ROWS if spec.layout == "strip" else OTHER_ROWS),
+        strength=surface_distance(shot, shot.weights),
+        error_mm=judged.error_mm,
+        confidence=confidence,
+        jump_mm=surface_distance(shot, steps),
+    )
+
+
+def _write_pages(
+    spec: SheetSpec,
+    page: SheetPage,
+    count: int,
+    draw: Callable[[int], SheetRow],
+    shot: Shot,
+    provenance: Provenance | None,
+) -> tuple[Path, ...]:
+    """Draw and write page by page, so that thousands of tiles are not held at once.
+
+    The first page carries the name that was asked for.
+    """
+    pages = -(-count // spec.page_rows)
+    written = []
+    for number in range(pages):
+        first = number * spec.page_rows
+        rows = tuple(draw(row) for row in range(first, min(first + spec.page_rows, count)))
+        title = page.title if pages == 1 else f"{page.title}, page {number + 1} of {pages}"
+        file = spec.out
+        if number:
+            file = spec.out.with_name(f"{spec.out.stem}.{number + 1}{spec.out.suffix}")
+        write_image(
+            file,
+            compose_sheet(replace(page, title=title, rows=rows)),
+            metadata={} if provenance is None else provenance_metadata(provenance),
+            timecode=shot.timecode(int(shot.frames[0])) or None,
+            rate=shot.take.rate,
+        )
+        written.append(file)
+    return tuple(written)
+
+
+def _facts(spec: SheetSpec, shot: Shot) -> tuple[str, ...]:
+    facts = [f"frames {shot.frames[0]}-{shot.frames[-1]}", f"{float(shot.take.rate):g} fps"]
+    if spec.camera != AUTO:
+        facts.append(f"camera {spec.camera}")
+    if shot.take.performer:
+        facts.insert(0, shot.take.performer)
+    if shot.performance.confidence is not None:
+        facts.append(f"mean confidence {float(shot.performance.confidence.mean()):.2f}")
+    return tuple(facts)
+
+
+def _notes(
+    truth_known: bool,
+    judged: list[Judged],
+    *,
+    stand_in_eyes: bool,
+    doubted: bool,
+    plain: bool,
+    spoken: bool,
+    markers: bool,
+) -> tuple[str, ...]:
+    what = (
+        "error: RMS distance of the surface from what was keyed"
+        if truth_known
+        else "error: RMS distance of the markers from what the weights explain; not the truth"
+    )
+    means = ", ".join(
+        f"{_told(each, judged)} {np.nanmean(each.error_mm):.2f} mm" for each in judged
+    )
+    eyes = ("the rig has no eyes: stand-ins are drawn",) if stand_in_eyes else ()
+    doubt = ("doubt: 1 less the confidence",) if doubted else ()
+    phones = ("beside frames: phone and viseme",) if spoken else ()
+    textures = ("textures are not drawn",) if plain else ()
+    lines = (
+        (f"lines at markers: what is left unexplained, {EXAGGERATION:g} times as long",)
+        if markers
+        else ()
+    )
+    return (what, f"mean: {means}", *lines, *doubt, *phones, *eyes, *textures)
+
+
+def _report(
+    written: tuple[Path, ...],
+    frames: IntArray,
+    judged: list[Judged],
+    chosen: list[ChosenFrame],
+    truth_known: bool,
+    notes: tuple[str, ...],
+) -> Report:
+    means = {each.label: float(np.nanmean(each.error_mm)) for each in judged}
+    told = ", ".join(f"{_told(each, judged)} {means[each.label]:.2f} mm" for each in judged)
+    what = "surface error against the truth" if truth_known else "marker residual"
+    return Report(
+        written,
+        f"{counted(len(chosen), 'row')}; mean {what}: {told}",
+        notes,
+        {
+            "frames": [int(frames[frame.row]) for frame in chosen],
+            "mean_error_mm": means,
+            "against_truth": truth_known,
+        },
+    )

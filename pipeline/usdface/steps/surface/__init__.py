@@ -1,0 +1,1 @@
+"""Meshes without shapes, moved by markers."""

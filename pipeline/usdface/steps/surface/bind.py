@@ -1,0 +1,143 @@
+"""A take and a mesh in, the place of every marker on the mesh out."""
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.text import counted
+from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
+from usdface.media.picture.image import write_image
+from usdface.model.surface.binding import DOUBTFUL, facing_yaw
+from usdface.numerics.registration.marker_binding import MarkerBinding
+from usdface.runner.outputs import provenance_metadata
+from usdface.runner.result import Report
+from usdface.specs.surface import BindSpec, corrected_path, proposed_path
+from usdface.steps.surface.bound_take import TakeSample, bind_take, landmark_places, sample_take
+from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
+from usdface.usdio.surface.binding import has_binding, read_binding, write_binding
+from usdface.usdio.take.read import TakeReader
+
+MANY_DOUBTFUL = 0.25
+"""Share of doubtful markers from which a landmark is suspected. On the demo's face 4 of 102 are
+doubtful, and 44 where one of three landmarks is on the neck."""
+
+
+def run(
+    spec: BindSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Propose a binding, keep what people corrected, and write both."""
+    progress(0.0, "reading")
+    face = read_face_mesh(spec.mesh, prim=spec.mesh_prim)
+    sample = sample_take(TakeReader(spec.take))
+    pinned = landmark_places(spec.landmarks, sample.names, face, spec.take)
+    sources = dict.fromkeys(pinned, "landmark")
+    corrections, left_out = _corrections(spec, sample, face)
+    pinned |= corrections
+    sources |= dict.fromkeys(corrections, "corrected")
+    progress(0.2, "placing the markers")
+    binding = bind_take(sample, face, pinned=pinned, sources=sources)
+    write_binding(
+        spec.out,
+        binding,
+        face,
+        corrected_path=corrected_path(spec.out),
+        proposed_path=proposed_path(spec.out),
+        provenance=provenance,
+    )
+    at = binding.places.positions(face.mesh.points)
+    if spec.picture is not None:
+        progress(0.7, f"drawing {spec.picture.name}")
+        write_image(
+            spec.picture,
+            draw_binding(
+                face.mesh,
+                BoundMarkers(
+                    binding.names,
+                    at,
+                    binding.confidence,
+                    np.array([source != "proposed" for source in binding.sources]),
+                    DOUBTFUL,
+                ),
+                title=f"{TakeReader(spec.take).name} on {spec.mesh.stem}",
+                facts=_facts(binding),
+                yaw_degrees=facing_yaw(face.mesh, at),
+                quality=spec.quality,
+            ),
+            metadata={} if provenance is None else provenance_metadata(provenance),
+        )
+    progress(1.0, "done")
+    return _report(spec, binding, face, left_out)
+
+
+def _corrections(
+    spec: BindSpec, sample: TakeSample, face: FaceMesh
+) -> tuple[dict[int, FloatArray], tuple[str, ...]]:
+    """Return where people put markers in an earlier binding, and which they left out."""
+    if not has_binding(spec.out):
+        return {}, ()
+    before = read_binding(spec.out, face)
+    at = before.binding.places.positions(face.mesh.points)
+    kept = {
+        sample.names.index(name): at[index]
+        for index, (name, source) in enumerate(
+            zip(before.binding.names, before.binding.sources, strict=True)
+        )
+        if source == "corrected" and name in sample.names
+    }
+    return kept, before.left_out
+
+
+def _facts(binding: MarkerBinding) -> tuple[str, ...]:
+    doubtful = int((binding.confidence < DOUBTFUL).sum())
+    placed = sum(source != "proposed" for source in binding.sources)
+    return (
+        f"{len(binding.names)} markers",
+        f"{placed} placed by a person",
+        f"{doubtful} doubtful",
+        f"median {np.median(binding.distance_mm):.1f} mm from the performer's proportions",
+    )
+
+
+def _report(
+    spec: BindSpec, binding: MarkerBinding, face: FaceMesh, left_out: tuple[str, ...]
+) -> Report:
+    doubtful = [
+        binding.names[index]
+        for index in np.argsort(binding.confidence).tolist()
+        if binding.confidence[index] < DOUBTFUL
+    ]
+    notes = []
+    if doubtful:
+        notes.append(
+            f"doubtful: {counted(len(doubtful), 'marker')}, {', '.join(doubtful[:8])}; look at "
+            f"them and correct them in {corrected_path(spec.out).name}"
+        )
+    if spec.landmarks and len(doubtful) > MANY_DOUBTFUL * len(binding.names):
+        notes.append(
+            f"{len(doubtful)} of {len(binding.names)} markers are doubtful: is a landmark on the "
+            f"wrong point? {', '.join(spec.landmarks)}"
+        )
+    if left_out:
+        notes.append(
+            f"still left out: {counted(len(left_out), 'marker')}, {', '.join(left_out[:8])}"
+        )
+    if face.others:
+        notes.append(f"{len(face.others)} other meshes of {spec.mesh.name} carry no marker")
+    outputs = (spec.out, proposed_path(spec.out), corrected_path(spec.out))
+    return Report(
+        outputs if spec.picture is None else (*outputs, spec.picture),
+        f"{len(binding.names)} markers on {len(face.mesh.points)} points, {len(doubtful)} doubtful",
+        tuple(notes),
+        {
+            "markers": len(binding.names),
+            "doubtful": doubtful,
+            "median_distance_mm": float(np.median(binding.distance_mm)),
+            "left_out": list(left_out),
+            "corrected": [
+                name
+                for name, source in zip(binding.names, binding.sources, strict=True)
+                if source == "corrected"
+            ],
+        },
+    )

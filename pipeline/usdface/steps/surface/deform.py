@@ -1,0 +1,141 @@
+"""A cleaned take and a mesh in, the mesh moving over time out; any take in bounded memory."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, part, silent
+from usdface.core.provenance import Provenance
+from usdface.core.text import counted
+from usdface.numerics.surface.turned_normals import NormalTurner, turner_of
+from usdface.runner.result import Report
+from usdface.specs.base import frame_range
+from usdface.specs.surface import DeformSpec
+from usdface.steps.surface.picture import write_comparison
+from usdface.steps.surface.plan import SurfacePlan, plan_surface
+from usdface.usdio.rig.mesh import FaceMesh
+from usdface.usdio.surface.point_cache import PointsFormat, points_path, writing_points
+from usdface.usdio.take.read import TakeReader
+
+CHUNK_FRAMES = 2048
+"""Frames whose markers are read at once."""
+
+
+def run(
+    spec: DeformSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Move every point of the mesh at every frame of the take, and write it as it goes."""
+    take = TakeReader(spec.take)
+    first, last = _frames(spec, take)
+    plan = plan_surface(spec, take, out=spec.out, progress=part(progress, 0.0, 0.2))
+    face = plan.face
+    turner = _normal_turner(face)
+    uncertain = spec.uncertainty and spec.method == "gp"
+    spread: list[float] = []
+    with writing_points(
+        spec.out,
+        face,
+        rate=take.rate,
+        first_frame=first,
+        last_frame=last,
+        format_=PointsFormat(
+            normals=turner is not None, uncertainty=uncertain, clip_bytes=spec.clip_mb << 20
+        ),
+        place=spec.prim,
+        method=_method(spec, plan),
+        timecode_start=take.timecode_at(first),
+        provenance=provenance,
+    ) as writer:
+        for start in range(first, last + 1, CHUNK_FRAMES):
+            stop = min(start + CHUNK_FRAMES - 1, last)
+            for moved in plan.stream(_displacements(plan, take, start, stop)):
+                points = face.local + face.into_mesh(moved.mean.astype(np.float64))
+                writer.append(
+                    points,
+                    normals=None if turner is None else np.stack(list(_turned(turner, points))),
+                    uncertainty_mm=moved.sd if uncertain else None,
+                )
+                if moved.sd is not None:
+                    spread.extend(np.sqrt((moved.sd**2).mean(axis=1)).tolist())
+                done = (writer.next_frame - first) / (last - first + 1)
+                progress(0.2 + 0.7 * done, f"moved to frame {writer.next_frame - 1}")
+    if spec.picture is not None:
+        write_comparison(
+            spec, plan, take, (first, last), provenance=provenance, progress=part(progress, 0.9, 1)
+        )
+    progress(1.0, "done")
+    return _report(spec, plan, first, last, spread)
+
+
+def _frames(spec: DeformSpec, take: TakeReader) -> tuple[int, int]:
+    first, last = frame_range(spec.frames) or (take.first_frame, take.last_frame)
+    if first < take.first_frame or last > take.last_frame:
+        raise InputError(
+            f"{spec.take}: holds frames {take.first_frame}-{take.last_frame}, not all of "
+            f"{spec.frames}; ask for fewer with --frames"
+        )
+    return first, last
+
+
+def _displacements(plan: SurfacePlan, take: TakeReader, first: int, last: int) -> FloatArray:
+    markers = take.read(first, last).markers
+    if markers is None:
+        raise InputError(f"{take.path}: has no markers; ingest a capture that has")
+    return plan.displacements(markers.positions)
+
+
+def _normal_turner(face: FaceMesh) -> NormalTurner | None:
+    """Return what turns the mesh's own normals; None where no renderer would use them."""
+    if face.authored_normals is None or face.mesh.subdivision != "none":
+        return None
+    return turner_of(
+        face.local,
+        face.mesh.face_counts,
+        face.mesh.face_indices,
+        face.authored_normals,
+        per_corner=face.normals == "faceVarying",
+    )
+
+
+def _turned(turner: NormalTurner, points: FloatArray) -> Iterator[FloatArray]:
+    for each in points:
+        yield turner.turn(each)
+
+
+def _method(spec: DeformSpec, plan: SurfacePlan) -> str:
+    name = spec.method if spec.method == "rbf" else f"{spec.method}-{spec.sampler}"
+    return f"{name}, blend {plan.regression.blend:g}, {spec.metric}"
+
+
+def _report(
+    spec: DeformSpec, plan: SurfacePlan, first: int, last: int, spread: list[float]
+) -> Report:
+    count, points = last - first + 1, len(plan.face.mesh.points)
+    regression = plan.regression
+    told = (
+        f"{counted(count, 'frame')} of {counted(points, 'point')} moved by "
+        f"{counted(len(plan.columns), 'marker')}"
+    )
+    if spread:
+        told += f", standard deviation {np.median(spread):.2f} mm"
+    outputs = [spec.out, points_path(spec.out)]
+    if spec.picture is not None:
+        outputs.append(spec.picture)
+    return Report(
+        tuple(outputs),
+        told,
+        plan.notes,
+        {
+            "frames": count,
+            "points": points,
+            "markers": len(plan.columns),
+            "blend": regression.blend,
+            "length_scale_mm": regression.length_scale,
+            "left_out_rms_mm": regression.diagnostics.left_out_rms_mm,
+            "covariance_clipped": regression.diagnostics.clipped,
+            "uncertainty_mm": float(np.median(spread)) if spread else None,
+            "points_without_marker": int(plan.distances.unreached.points.sum()),
+        },
+    )

@@ -1,0 +1,119 @@
+"""Chosen frames of a take become the shapes of a mesh that has none."""
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, part, silent
+from usdface.core.provenance import Provenance
+from usdface.runner.result import Report
+from usdface.specs.surface import MakeShapesSpec
+from usdface.steps.surface.frames import LOOKED_AT, ShapeFrame, choose_frames, given_frames
+from usdface.steps.surface.picture import write_shapes_picture
+from usdface.steps.surface.plan import SurfacePlan, plan_surface
+from usdface.usdio.surface.shape_rig import NewShape, WrittenShape, write_shape_rig
+from usdface.usdio.take.read import TakeReader
+
+
+def run(
+    spec: MakeShapesSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+) -> Report:
+    """Choose frames, move the mesh there, and write the rig."""
+    take = TakeReader(spec.take)
+    chosen = given_frames(spec, take)
+    plan = plan_surface(spec, take, out=spec.out, progress=part(progress, 0.0, 0.6))
+    chosen = chosen or _most_different(spec, plan, take)
+    progress(0.6, f"making {len(chosen)} shapes")
+    moved = plan.deform(np.concatenate([_displacement(plan, take, each.frame) for each in chosen]))
+    shapes = [
+        NewShape(each.name, moved.mean[index].astype(np.float64), take.name, each.frame)
+        for index, each in enumerate(chosen)
+    ]
+    written = write_shape_rig(
+        spec.out,
+        plan.face,
+        shapes,
+        name=spec.name,
+        least_mm=spec.least_mm,
+        provenance=provenance,
+    )
+    if spec.picture is not None:
+        progress(0.8, f"drawing {spec.picture.name}")
+        write_shapes_picture(
+            spec.picture,
+            plan,
+            [
+                (
+                    shape.name,
+                    given.frame,
+                    given.moved_mm,
+                    None if moved.sd is None else moved.sd[index].astype(np.float64),
+                )
+                for index, (shape, given) in enumerate(zip(written, shapes, strict=True))
+            ],
+            title=f"shapes of {take.name} on {spec.mesh.stem}",
+            quality=spec.quality,
+            provenance=provenance,
+        )
+    progress(1.0, "done")
+    return _report(spec, plan, chosen, written)
+
+
+def _most_different(
+    spec: MakeShapesSpec, plan: SurfacePlan, take: TakeReader
+) -> tuple[ShapeFrame, ...]:
+    count = take.last_frame - take.first_frame + 1
+    picks = np.unique(
+        np.linspace(take.first_frame, take.last_frame, min(count, LOOKED_AT)).astype(int)
+    )
+    rows, usable = [], []
+    for start in range(0, len(picks), 512):
+        span = picks[start : start + 512]
+        markers = take.read(int(span[0]), int(span[-1])).markers
+        if markers is None:
+            raise InputError(f"{spec.take}: has no markers; ingest a capture that has")
+        inside = span - span[0]
+        rows.append(plan.displacements(markers.positions[inside]))
+        seen = markers.visible[inside] | (markers.confidence[inside] > 0)
+        usable.append(seen[:, plan.columns])
+    return choose_frames(
+        picks.tolist(), np.concatenate(rows), np.concatenate(usable), count=spec.count
+    )
+
+
+def _displacement(plan: SurfacePlan, take: TakeReader, frame: int) -> FloatArray:
+    markers = take.read(frame, frame).markers
+    if markers is None:
+        raise InputError(f"{take.path}: has no markers; ingest a capture that has")
+    return plan.displacements(markers.positions)
+
+
+def _report(
+    spec: MakeShapesSpec,
+    plan: SurfacePlan,
+    chosen: tuple[ShapeFrame, ...],
+    written: tuple[WrittenShape, ...],
+) -> Report:
+    notes = list(plan.notes)
+    renamed = [
+        f"{frame.name} as {shape.name}"
+        for frame, shape in zip(chosen, written, strict=True)
+        if frame.name != shape.name
+    ]
+    if renamed:
+        notes.append(f"names that a shape may not have were changed: {', '.join(renamed[:5])}")
+    share = np.mean([shape.points for shape in written]) / len(plan.face.mesh.points)
+    return Report(
+        (spec.out,) if spec.picture is None else (spec.out, spec.picture),
+        f"{len(written)} shapes on {len(plan.face.mesh.points)} points, each moving "
+        f"{100 * share:.0f} % of them",
+        tuple(notes),
+        {
+            "shapes": {
+                shape.name: {"frame": frame.frame, "points": shape.points}
+                for frame, shape in zip(chosen, written, strict=True)
+            },
+            "blend": plan.regression.blend,
+            "length_scale_mm": plan.regression.length_scale,
+        },
+    )

@@ -1,0 +1,1 @@
+"""Performances and their edits."""

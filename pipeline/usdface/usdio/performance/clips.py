@@ -1,0 +1,269 @@
+"""Weights in several layers, played as one by USD's value clips.
+
+A value clip holds its last sample until the next clip begins: half way between two frames, where
+motion blur looks, a seam would show. So the frames on both sides of every seam are also in a layer
+of their own, which is the active clip just there.
+"""
+
+import contextlib
+import itertools
+import re
+import shutil
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pxr import Gf, Sdf, Usd, Vt
+
+from usdface.core.arrays import Float32Array, FloatArray
+from usdface.core.assets import Rig
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance, hash_text
+from usdface.core.replacing import replacing
+from usdface.core.timecode import shift_timecode
+from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
+from usdface.usdio.performance.weights_layer import (
+    CONFIDENCE,
+    RESIDUAL,
+    WEIGHTS,
+    WeightsHeader,
+    author_header,
+    writing_weights,
+)
+
+CLIP_SET = "parts"
+
+
+@dataclass(frozen=True)
+class Part:
+    """A layer that holds some frames of a performance's weights.
+
+    Attributes
+    ----------
+    file : Path
+    first_frame, last_frame : int
+        Inclusive.
+    animation : str
+        Path of the animation prim in it.
+    """
+
+    file: Path
+    first_frame: int
+    last_frame: int
+    animation: str
+
+
+class PartsWriter:
+    """Appends solved frames to one part after the other; made by `writing_parts`."""
+
+    def __init__(
+        self,
+        path: Path,
+        header: WeightsHeader,
+        rig: Rig,
+        part_frames: int,
+        provenance: Provenance | None,
+    ) -> None:
+        self._path, self._header, self._rig = path, header, rig
+        self._part_frames, self._provenance = part_frames, provenance
+        self._open = contextlib.ExitStack()
+        self._start(header.first_frame)
+        self.parts: list[Part] = []
+        self.next_frame = header.first_frame
+
+    def append(
+        self,
+        weights: FloatArray | Float32Array,
+        *,
+        confidence: FloatArray | None = None,
+        residual_mm: FloatArray | None = None,
+    ) -> None:
+        """Append frames: (frames, shapes), and if known (frames,) and (frames, regions)."""
+        done = 0
+        while done < len(weights):
+            if self.next_frame > self._last:
+                self.close()
+                self._start(self.next_frame)
+            count = min(len(weights) - done, self._last - self.next_frame + 1)
+            part = slice(done, done + count)
+            self._writer.append(
+                weights[part],
+                confidence=None if confidence is None else confidence[part],
+                residual_mm=None if residual_mm is None else residual_mm[part],
+            )
+            done += count
+            self.next_frame += count
+
+    def close(self) -> None:
+        """Finish the part that is open."""
+        self._open.close()
+        self.parts.append(Part(self._file, self._first, self._last, str(self._header.animation)))
+
+    def discard(self) -> None:
+        """Drop the part that is open; an exception is on its way."""
+        self._open.__exit__(*sys.exc_info())
+
+    def _start(self, first: int) -> None:
+        header = self._header
+        self._first = first
+        self._last = min(first + self._part_frames - 1, header.last_frame)
+        self._file = part_path(self._path, self._first, self._last, self._provenance)
+        start = shift_timecode(header.timecode_start, first - header.first_frame, header.rate)
+        own = replace(header, first_frame=first, last_frame=self._last, timecode_start=start)
+        self._writer = self._open.enter_context(
+            writing_weights(self._file, own, self._rig, provenance=self._provenance)
+        )
+
+
+@contextlib.contextmanager
+def writing_parts(
+    path: Path,
+    header: WeightsHeader,
+    rig: Rig,
+    *,
+    part_frames: int,
+    provenance: Provenance | None = None,
+) -> Iterator[PartsWriter]:
+    """Write weights as parts of `part_frames` frames, and at `path` the layer that plays them."""
+    writer = PartsWriter(path, header, rig, part_frames, provenance)
+    try:
+        yield writer
+        writer.close()
+    except BaseException:
+        writer.discard()
+        raise
+    write_clips(path, header, rig, writer.parts, provenance=provenance)
+
+
+def part_path(path: Path, first: int, last: int, provenance: Provenance | None) -> Path:
+    """Return the name of a part beside a weights layer.
+
+    It tells what the part was made from: a new mapping never writes over a part that an old
+    performance still plays.
+    """
+    return path.with_name(f"{path.stem}.{first}-{last}.{_making(provenance)}{path.suffix}")
+
+
+def _making(provenance: Provenance | None) -> str:
+    """Return eight letters that are others when the spec or an input is."""
+    made = "" if provenance is None else f"{provenance.spec}{sorted(provenance.inputs.items())}"
+    return hash_text(made)[:8]
+
+
+def clear_parts(path: Path) -> None:
+    """Remove parts beside a weights layer that it does not play any more."""
+    played = {Path(asset).name for asset in _clip_assets(open_layer(path))}
+    stem, suffix = re.escape(path.stem), re.escape(path.suffix)
+    ours = re.compile(rf"{stem}\.(-?\d+--?\d+|seams)\.[0-9a-f]{{8}}{suffix}")
+    for each in path.parent.iterdir():
+        if ours.fullmatch(each.name) and each.name not in played:
+            each.unlink(missing_ok=True)
+
+
+def _clip_assets(layer: Sdf.Layer) -> list[str]:
+    found: list[str] = []
+
+    def look(path: Sdf.Path) -> None:
+        prim = layer.GetPrimAtPath(path) if path.IsPrimPath() else None
+        if prim is not None and prim.HasInfo("clips"):
+            for clip_set in prim.GetInfo("clips").values():
+                found.extend(asset.path for asset in clip_set.get("assetPaths", ()))
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, look)
+    return found
+
+
+def write_clips(
+    path: Path,
+    header: WeightsHeader,
+    rig: Rig,
+    parts: Sequence[Part],
+    *,
+    provenance: Provenance | None = None,
+) -> None:
+    """Write a weights layer that plays parts, wherever they lie, as value clips.
+
+    Parameters
+    ----------
+    path : Path
+    header : WeightsHeader
+    rig : Rig
+    parts : sequence of Part
+        In order, each following on the one before.
+    provenance : Provenance, optional
+    """
+    parts = [own for part in parts for own in _own_parts(part, path, provenance)]
+    seams = path.with_name(f"{path.stem}.seams.{_making(provenance)}{path.suffix}")
+    with new_layer(seams, provenance) as layer:
+        author_header(layer, header, rig)
+        for before, after in itertools.pairwise(parts):
+            _copy_sample(layer, header, before, before.last_frame)
+            _copy_sample(layer, header, after, after.first_frame)
+    with new_layer(path, provenance) as layer:
+        prim = author_header(layer, header, rig)
+        assets, active = [Sdf.AssetPath(relative_path(seams, path))], []
+        for index, part in enumerate(parts, start=1):
+            assets.append(Sdf.AssetPath(relative_path(part.file, path)))
+            is_last = index == len(parts)
+            if part.first_frame < part.last_frame or is_last:
+                active.append(Gf.Vec2d(part.first_frame, index))
+            if not is_last:
+                active.append(Gf.Vec2d(part.last_frame, 0))
+        ends = (header.first_frame, header.last_frame)
+        prim.SetInfo(
+            "clips",
+            {
+                CLIP_SET: {
+                    "primPath": str(header.animation),
+                    "assetPaths": Sdf.AssetPathArray(assets),
+                    "manifestAssetPath": Sdf.AssetPath(relative_path(seams, path)),
+                    "active": Vt.Vec2dArray(active),
+                    "times": Vt.Vec2dArray([Gf.Vec2d(end, end) for end in ends]),
+                }
+            },
+        )
+
+
+def _own_parts(part: Part, path: Path, provenance: Provenance | None) -> list[Part]:
+    """Return the layers to play for a part: itself, or copies of those that it plays itself.
+
+    What a clip plays by clips of its own USD does not see. Copies, as the part's own layers go when
+    it is mapped again.
+    """
+    inner = _inner_parts(part)
+    if inner == [part]:
+        return inner
+    own = []
+    for each in inner:
+        file = part_path(path, each.first_frame, each.last_frame, provenance)
+        with replacing(file) as temporary:
+            shutil.copyfile(each.file, temporary)
+        own.append(replace(each, file=file))
+    return own
+
+
+def _inner_parts(part: Part) -> list[Part]:
+    """Return the parts that a part plays as clips itself; the part alone where it holds samples.
+
+    One level is all there is: what was written as clips plays none that have clips.
+    """
+    stage = open_stage(part.file)
+    clips = Usd.ClipsAPI(stage.GetPrimAtPath(part.animation))
+    found = []
+    for asset in list(clips.GetClipAssetPaths(CLIP_SET) or ())[1:]:  # the first has the seams
+        file = part.file.parent / asset.path
+        inner = open_layer(file)
+        first, last = round(inner.startTimeCode), round(inner.endTimeCode)
+        found.append(Part(file, first, last, str(clips.GetClipPrimPath(CLIP_SET))))
+    return found or [part]
+
+
+def _copy_sample(layer: Sdf.Layer, header: WeightsHeader, part: Part, frame: int) -> None:
+    source = open_layer(part.file)
+    for name in (WEIGHTS, CONFIDENCE, RESIDUAL):
+        value = source.QueryTimeSample(Sdf.Path(part.animation).AppendProperty(name), frame)
+        if value is not None:
+            layer.SetTimeSample(header.animation.AppendProperty(name), frame, value)
+        elif name == WEIGHTS:
+            raise InputError(f"{part.file} frame {frame}: has no weights; map that part again")

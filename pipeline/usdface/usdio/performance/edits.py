@@ -1,0 +1,399 @@
+"""An animator's edits: per shape, in a layer above the weights that `map` never writes.
+
+``face:edit:SHAPE`` is added to the weight; ``face:override:SHAPE`` is taken instead of it as far as
+``face:mask:SHAPE`` says (fully, over the samples the override has, where there is no mask).
+``face:beneath:SHAPE`` is the solved weight at the time of the edit: after another mapping it tells
+whether the edit still means what it meant.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pxr import Sdf, Tf, Usd, UsdSkel
+
+from usdface.core.arrays import Float32Array, FloatArray, IntArray
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance, hash_files
+from usdface.core.sidecars import edits_path
+from usdface.numerics.motion.edit_curve import EditCurve, apply_edit, needed_samples, no_edit
+from usdface.numerics.motion.key_reduction import reduce_keys
+from usdface.usdio.layers import (
+    author_timing,
+    author_units,
+    new_layers,
+    open_layer,
+    relative_path,
+)
+from usdface.usdio.performance.retimed_layer import retime_layer
+from usdface.usdio.take.frame_span import check_span
+
+OFFSET = "face:edit:"
+OVERRIDE = "face:override:"
+MASK = "face:mask:"
+BENEATH = "face:beneath:"
+PREFIXES = (OFFSET, OVERRIDE, MASK, BENEATH)
+
+BENEATH_TOLERANCE = 1e-3
+"""The solve beneath an edit is kept as closely as this: it is only compared, never shown."""
+
+
+@dataclass(frozen=True)
+class ShapeEdit:
+    """What is changed of one shape over a range of frames.
+
+    Attributes
+    ----------
+    curve : EditCurve
+    beneath : (frames,) float array
+        The solved weight when the edit was made; NaN where that is not known.
+    """
+
+    curve: EditCurve
+    beneath: FloatArray
+
+    def during(self, part: slice) -> "ShapeEdit":
+        """Return the same edit over a part of its frames."""
+        curve = self.curve
+        cut = EditCurve(curve.offset[part], curve.override[part], curve.mask[part])
+        return ShapeEdit(cut, self.beneath[part])
+
+
+def read_edits(animation: Usd.Prim, frames: IntArray) -> dict[str, ShapeEdit]:
+    """Read the edits of a performance as they compose, whichever layers they are in.
+
+    Parameters
+    ----------
+    animation : Usd.Prim
+        The animation that they change.
+    frames : (n,) int array
+        Ascending frame numbers at which they are wanted.
+
+    Raises
+    ------
+    InputError
+        If an edit is no float, or is not finite.
+    """
+    found: dict[str, dict[str, Usd.Attribute]] = {}
+    for attribute in animation.GetAuthoredPropertiesInNamespace("face"):
+        for prefix in PREFIXES:
+            if attribute.GetName().startswith(prefix):
+                shape = attribute.GetDisplayName() or attribute.GetName().removeprefix(prefix)
+                found.setdefault(shape, {})[prefix] = attribute
+    edits = {shape: _read_shape(parts, frames) for shape, parts in found.items()}
+    return {shape: edit for shape, edit in edits.items() if edit.curve.active.any()}
+
+
+def _read_shape(parts: Mapping[str, Usd.Attribute], frames: IntArray) -> ShapeEdit:
+    nothing = no_edit(len(frames))
+    offset = _read_curve(parts.get(OFFSET), frames)
+    override = _read_curve(parts.get(OVERRIDE), frames)
+    mask = _read_curve(parts.get(MASK), frames)
+    if override is None:
+        mask = None
+    elif mask is None:
+        mask = _sampled(parts[OVERRIDE], frames).astype(np.float64)
+    beneath = _read_curve(parts.get(BENEATH), frames)
+    hidden = _blocked(parts.get(OVERRIDE), frames) | _blocked(parts.get(MASK), frames)
+    curve = EditCurve(
+        nothing.offset
+        if offset is None
+        else np.where(_blocked(parts.get(OFFSET), frames), 0.0, offset),
+        nothing.override if override is None else override,
+        nothing.mask if mask is None else np.where(hidden, 0.0, np.clip(mask, 0.0, 1.0)),
+    )
+    if beneath is None:
+        return ShapeEdit(curve, np.full(len(frames), np.nan))
+    return ShapeEdit(curve, np.where(_sampled(parts[BENEATH], frames), beneath, np.nan))
+
+
+def _read_curve(attribute: Usd.Attribute | None, frames: IntArray) -> FloatArray | None:
+    """Return an attribute's value at frames, held and interpolated as USD does it."""
+    if attribute is None:
+        return None
+    times = attribute.GetTimeSamples()
+    told = [(time, attribute.Get(time)) for time in times] or [(0.0, attribute.Get())]
+    first = next((value for _, value in told if value is not None), None)
+    if first is None:
+        return None
+    for index, (time, value) in enumerate(told):
+        if value is None:  # held up to where it is blocked
+            told[index] = (time, told[index - 1][1] if index else first)
+    try:
+        values = np.array([float(value) for _, value in told])
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{_where(attribute)}: is no number; make it a float") from error
+    if not np.isfinite(values).all():
+        time = told[int(np.argmin(np.isfinite(values)))][0]
+        raise InputError(f"{_where(attribute)} time code {time:g}: is not finite; correct the key")
+    curve: FloatArray = np.interp(frames, [time for time, _ in told], values)
+    return curve
+
+
+def _blocked(attribute: Usd.Attribute | None, frames: IntArray) -> np.ndarray:
+    """Return which frames a value is blocked at, from a blocked sample to the next that is not."""
+    if attribute is None:
+        return np.zeros(len(frames), dtype=bool)
+    times = attribute.GetTimeSamples()
+    blocks = np.array([attribute.Get(time) is None for time in times])
+    if not blocks.any():
+        return np.zeros(len(frames), dtype=bool)
+    latest: np.ndarray = blocks[np.maximum(np.searchsorted(times, frames, side="right") - 1, 0)]
+    return latest
+
+
+def _sampled(attribute: Usd.Attribute, frames: IntArray) -> np.ndarray:
+    """Return which frames lie within an attribute's samples; all, where it is constant."""
+    times = attribute.GetTimeSamples()
+    if not times:
+        return np.ones(len(frames), dtype=bool)
+    within: np.ndarray = (frames >= times[0]) & (frames <= times[-1])
+    return within
+
+
+def _where(attribute: Usd.Attribute) -> str:
+    spec = attribute.GetPropertyStack(Usd.TimeCode.Default())
+    return f"{spec[0].layer.realPath if spec else ''} <{attribute.GetPath()}>"
+
+
+def edited_frames(animation: Usd.Prim) -> tuple[int, int] | None:
+    """Return the first and the last frame that any edit has a sample at; None without edits.
+
+    Raises
+    ------
+    InputError
+        If they are no range of frames.
+    """
+    times = [
+        time
+        for attribute in animation.GetAuthoredPropertiesInNamespace("face")
+        if attribute.GetName().startswith(PREFIXES)
+        for time in attribute.GetTimeSamples()
+    ]
+    if not times:
+        return None
+    check_span(f"<{animation.GetPath()}> edits", min(times), max(times), samples=None)
+    return int(np.floor(min(times))), int(np.ceil(max(times)))
+
+
+def edits_elsewhere(performance: Path, animation: Usd.Prim) -> list[str]:
+    """Return the prims of a performance's edits that are not the animation, so that none shows."""
+    layer = open_layer(edits_path(performance))
+    found = []
+
+    def look(path: Sdf.Path) -> None:
+        prim = layer.GetPrimAtPath(path) if path.IsPrimPath() else None
+        if prim is not None and path != animation.GetPath():
+            if any(name.startswith((OFFSET, OVERRIDE)) for name in prim.attributes.keys()):
+                found.append(str(path))
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, look)
+    return found
+
+
+def edited_weights(
+    names: Iterable[str],
+    solved: FloatArray | Float32Array,
+    edits: Mapping[str, ShapeEdit],
+    *,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+) -> FloatArray:
+    """Return weights with edits applied, (frames, shapes) as `solved`.
+
+    Where `ranges` names a shape, its edited frames are kept within; frames that nobody edited are
+    left as they are solved.
+    """
+    edited = np.array(solved, dtype=np.float64)
+    for column, name in enumerate(names):
+        edit = edits.get(name)
+        if edit is None:
+            continue
+        touched = edit.curve.active
+        values = apply_edit(edited[:, column], edit.curve)
+        if ranges is not None and name in ranges:
+            values = np.clip(values, *ranges[name])
+        edited[touched, column] = values[touched]
+    return edited
+
+
+def write_edits(
+    performance: Path,
+    animation: Usd.Prim,
+    edits: Mapping[str, ShapeEdit],
+    frames: IntArray,
+    *,
+    stamp: str | None = None,
+    provenance: Provenance | None = None,
+) -> Path:
+    """Write edits into NAME.edits.usda, and make that the strongest sublayer of NAME.usda.
+
+    Shapes that are not given keep what the layer says of them, as do other prims.
+
+    Parameters
+    ----------
+    performance : Path
+        The layer to open.
+    animation : Usd.Prim
+        The animation that they change.
+    edits : mapping of str to ShapeEdit
+        By shape; one that is active nowhere is taken out.
+    frames : (n,) int array
+        Frame numbers of the curves: every frame from the first to the last.
+    stamp : str, optional
+        From `edits_stamp`, before the edits were read that these replace.
+    provenance : Provenance, optional
+
+    Raises
+    ------
+    InputError
+        If a layer cannot be written, two shapes would share an attribute, a stronger layer has
+        edits of a shape, so that these would not show, or another process changed them meanwhile.
+    """
+    path = edits_path(performance)
+    top = animation.GetStage().GetRootLayer()
+    names = UsdSkel.Animation(animation).GetBlendShapesAttr().Get() or ()
+    tokens = _attribute_names([*map(str, names), *edits])
+    elsewhere = {shape: _edited_elsewhere(animation, path, tokens[shape]) for shape in edits}
+    asset = relative_path(path, performance)
+    made: dict[Path, Provenance | None] = {path: provenance}
+    if asset not in list(open_layer(performance).subLayerPaths):
+        made[performance] = (
+            None  # both or none: a change that was made and is refused is made twice
+        )
+    with new_layers(made) as (layer, *above):
+        if stamp is not None and edits_stamp(performance) != stamp:
+            raise InputError(
+                f"{path}: another process changed it since it was read; nothing was written: give "
+                "the command again"
+            )
+        if path.is_file():
+            layer.TransferContent(open_layer(path))
+            retime_layer(layer, top.timeCodesPerSecond)
+        else:
+            author_units(layer, like=performance)
+            layer.defaultPrim = animation.GetPath().GetPrefixes()[0].name
+        author_timing(
+            layer,
+            rate=top.timeCodesPerSecond,
+            first=min(top.startTimeCode, int(frames[0])),
+            last=max(top.endTimeCode, int(frames[-1])),
+        )
+        prim = Sdf.CreatePrimInLayer(layer, animation.GetPath())
+        for shape, edit in edits.items():
+            _write_shape(prim, shape, tokens[shape], edit, frames, beneath=elsewhere[shape])
+        for opened in above:
+            opened.TransferContent(open_layer(performance))
+            if asset not in list(opened.subLayerPaths):
+                opened.subLayerPaths.insert(0, asset)
+    return path
+
+
+def edits_stamp(performance: Path) -> str:
+    """Return what differs when a performance's edits are others; empty without any."""
+    path = edits_path(performance)
+    return hash_files([path]) if path.is_file() else ""
+
+
+def _attribute_names(shapes: Iterable[str]) -> dict[str, str]:
+    """Return what each shape is called in an attribute's name, where not every letter may stand."""
+    names: dict[str, str] = {}
+    owner: dict[str, str] = {}
+    for shape in shapes:
+        valid = Sdf.Path.IsValidNamespacedIdentifier(shape)
+        name = shape if valid else ":".join(map(Tf.MakeValidIdentifier, shape.split(":")))
+        if owner.setdefault(name, shape) != shape:
+            raise InputError(
+                f"shapes {owner[name]!r} and {shape!r} would share the attribute {OFFSET}{name}; "
+                "rename one on the rig"
+            )
+        names[shape] = name
+    return names
+
+
+def _edited_elsewhere(animation: Usd.Prim, path: Path, name: str) -> frozenset[str]:
+    """Return which kinds of edits weaker layers than `path` have of a shape.
+
+    Raises
+    ------
+    InputError
+        If a stronger one has any.
+    """
+    local = animation.GetStage().GetLayerStack(includeSessionLayers=False)
+    files = [Path(layer.realPath).resolve() for layer in local]
+    own = path.resolve()
+    strength = files.index(own) if own in files else 1  # it will be the first below the top layer
+    found = set[str]()
+    for prefix in (OFFSET, OVERRIDE, MASK):
+        attribute = animation.GetAttribute(prefix + name)
+        for spec in attribute.GetPropertyStack(Usd.TimeCode.Default()) if attribute else ():
+            if spec.layer in local[:strength]:
+                raise InputError(
+                    f"{spec.layer.realPath} <{spec.path}>: is stronger than {path}, where edits "
+                    "are written, so that no change would show; take it out there, or move it to "
+                    "that layer"
+                )
+            if Path(spec.layer.realPath).resolve() != own:
+                found.add(prefix)
+    return frozenset(found)
+
+
+def _write_shape(
+    prim: Sdf.PrimSpec,
+    shape: str,
+    name: str,
+    edit: ShapeEdit,
+    frames: IntArray,
+    *,
+    beneath: frozenset[str],
+) -> None:
+    """Write all attributes of a shape; `beneath` are the kinds that weaker layers have of it.
+
+    What is nothing is left out, but for those: they would show through.
+    """
+    curve = edit.curve
+    active = np.flatnonzero(curve.active)
+    overridden = curve.mask > 0
+    offset = curve.offset if curve.offset.any() or OFFSET in beneath else None
+    _write_curve(prim, OFFSET + name, shape, frames, offset)
+    held = None
+    if overridden.any():
+        held = np.interp(frames, frames[overridden], curve.override[overridden])
+    _write_curve(prim, OVERRIDE + name, shape, frames, held)
+    mask = curve.mask if overridden.any() or OVERRIDE in beneath else None
+    _write_curve(prim, MASK + name, shape, frames, mask)
+    if not len(active):
+        _write_curve(prim, BENEATH + name, shape, frames, None)
+        return
+    told = np.flatnonzero(curve.active & np.isfinite(edit.beneath))
+    if not len(told):
+        return
+    part = slice(int(told[0]), int(told[-1]) + 1)  # beyond, there was no solve to be seen
+    filled = np.interp(np.arange(part.start, part.stop), told, edit.beneath[told])
+    keys = reduce_keys(filled[:, None], BENEATH_TOLERANCE)
+    _write_samples(prim, BENEATH + name, shape, frames[part][keys], filled[keys])
+
+
+def _write_curve(
+    prim: Sdf.PrimSpec, name: str, shape: str, frames: IntArray, values: FloatArray | None
+) -> None:
+    if values is None:
+        if name in prim.attributes:
+            prim.RemoveProperty(prim.attributes[name])
+        return
+    rounded = values.astype(np.float32).astype(np.float64)
+    needed = needed_samples(rounded)
+    _write_samples(prim, name, shape, frames[needed], rounded[needed])
+
+
+def _write_samples(
+    prim: Sdf.PrimSpec, name: str, shape: str, frames: IntArray, values: FloatArray
+) -> None:
+    if name in prim.attributes:
+        prim.RemoveProperty(prim.attributes[name])
+    attribute = Sdf.AttributeSpec(prim, name, Sdf.ValueTypeNames.Float)
+    attribute.custom = True
+    if not name.endswith(f":{shape}"):
+        attribute.displayName = shape
+    for frame, value in zip(frames.tolist(), values.tolist(), strict=True):
+        prim.layer.SetTimeSample(attribute.path, frame, value)

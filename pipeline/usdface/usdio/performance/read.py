@@ -1,0 +1,259 @@
+"""Read a performance: its solve, the edits above it, the rig it drives."""
+
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Usd, UsdSkel
+
+from usdface.core.arrays import Float32Array, FloatArray, IntArray
+from usdface.core.assets import Performance, WeightsClip
+from usdface.core.errors import InputError
+from usdface.core.rates import exact_rate
+from usdface.core.timecode import shift_timecode
+from usdface.usdio.layers import open_stage
+from usdface.usdio.performance.edits import ShapeEdit, edited_weights, read_edits
+from usdface.usdio.rig.reference import rig_of
+from usdface.usdio.take.frame_span import span_of_samples
+from usdface.usdio.wrong_types import refusing_wrong_types
+
+
+class PerformanceReader:
+    """A performance on disk: its header at once, its frames when asked for.
+
+    Parameters
+    ----------
+    path : Path
+        Any USD file that holds one face whose weights are animated.
+    animation : Sdf.Path, optional
+        The animation, where a file has several for one face.
+    prim : str, optional
+        The face, or a prim above it alone, where a file has several.
+
+    Raises
+    ------
+    InputError
+        If there is no such animation, or more than one.
+    """
+
+    @refusing_wrong_types
+    def __init__(
+        self, path: Path, *, animation: Sdf.Path | None = None, prim: str | None = None
+    ) -> None:
+        self.path = path
+        self.stage = open_stage(path)
+        self.animation = (
+            find_animation(self.stage, path, prim=prim)
+            if animation is None
+            else self.stage.GetPrimAtPath(animation)
+        )
+        weights = UsdSkel.Animation(self.animation)
+        self.names = tuple(map(str, weights.GetBlendShapesAttr().Get() or ()))
+        self._weights = weights.GetBlendShapeWeightsAttr()
+        self.first_frame, self.last_frame = span_of_samples(
+            f"{path} <{self._weights.GetPath()}>", self._weights.GetTimeSamples()
+        )
+
+    @property
+    def rate(self) -> Fraction:
+        """Frames per second."""
+        rate = self.stage.GetTimeCodesPerSecond()
+        return exact_rate(rate, where=f"{self.path}: timeCodesPerSecond")
+
+    @property
+    def place(self) -> str:
+        """Prim path of the rig in the performance: the animation is its child."""
+        return str(self.animation.GetPath().GetParentPath())
+
+    @property
+    def frames(self) -> IntArray:
+        """Frame numbers, one per sample."""
+        return np.arange(self.first_frame, self.last_frame + 1, dtype=np.int64)
+
+    @property
+    def moved(self) -> float:
+        """By how many frames layer offsets move the weights from where they were mapped to."""
+        stack = self._weights.GetPropertyStackWithLayerOffsets(Usd.TimeCode.EarliestTime())
+        sampled = (offset for spec, offset in stack if spec.HasInfo("timeSamples"))
+        return float(next(sampled, Sdf.LayerOffset()).offset)
+
+    @property
+    def keyed_frames(self) -> frozenset[int]:
+        """Frames at which the solve has a sample of its own; it is interpolated between them."""
+        times = self._weights.GetTimeSamples()
+        return frozenset(int(time) for time in times if float(time).is_integer())
+
+    @property
+    @refusing_wrong_types
+    def regions(self) -> tuple[str, ...]:
+        """Names of the residual's regions."""
+        return tuple(map(str, self._get("face:residual:regions") or ()))
+
+    @property
+    def timecode_start(self) -> str:
+        """SMPTE timecode of the first frame; empty when unknown."""
+        return str(self._get("face:timecode:start") or "")
+
+    def timecode_at(self, frame: int) -> str:
+        """Return the SMPTE timecode of a frame; empty when unknown."""
+        try:
+            return shift_timecode(self.timecode_start, frame - self.first_frame, self.rate)
+        except InputError as error:
+            raise InputError(f"{self.path}: face:timecode:start: {error}") from error
+
+    @cached_property
+    @refusing_wrong_types
+    def edits(self) -> dict[str, ShapeEdit]:
+        """What was edited, by shape, over all frames of the performance."""
+        return read_edits(self.animation, self.frames)
+
+    def rig(self) -> tuple[Path, str]:
+        """Return the file and the SkelRoot of the rig that the performance drives."""
+        return rig_of(self.stage, self.animation)
+
+    @refusing_wrong_types
+    def solved(self, first: int | None = None, last: int | None = None) -> Float32Array:
+        """Return the weights as they were solved, (frames, shapes) float32.
+
+        Raises
+        ------
+        InputError
+            If a sample does not fit the names, or is not finite.
+        """
+        first = self.first_frame if first is None else first
+        last = self.last_frame if last is None else last
+        values = np.empty((last - first + 1, len(self.names)), dtype=np.float32)
+        query = Usd.AttributeQuery(self._weights)  # half the time of asking the attribute
+        for index, frame in enumerate(range(first, last + 1)):
+            row = query.Get(frame)
+            if row is None or len(row) != len(self.names):
+                raise self._unfit(frame, f"{0 if row is None else len(row)}")
+            values[index] = row
+        finite = np.isfinite(values).all(axis=1)
+        if not finite.all():
+            frame = int(np.argmin(finite))
+            bad = self.names[int(np.argmin(np.isfinite(values[frame])))]
+            raise self._unfit(first + frame, f"one of {bad} that is not")
+        return values
+
+    def _unfit(self, frame: int, got: str) -> InputError:
+        return InputError(
+            f"{self.path} <{self._weights.GetPath()}> time code {frame}: needs {len(self.names)} "
+            f"finite weights, one per shape, got {got}; map again"
+        )
+
+    def edited(self, first: int | None = None, last: int | None = None) -> Float32Array:
+        """Return the weights as they are to be seen: solved, with the edits, as `solved` does."""
+        values = self.solved(first, last)
+        if not self.edits:
+            return values
+        start = (self.first_frame if first is None else first) - self.first_frame
+        part = slice(start, start + len(values))
+        edits = {name: edit.during(part) for name, edit in self.edits.items()}
+        return edited_weights(self.names, values, edits).astype(np.float32)
+
+    @refusing_wrong_types
+    def series(self, name: str, first: int, last: int) -> FloatArray | None:
+        """Return an attribute of the animation at frames; None where it has no samples."""
+        attribute = self.animation.GetAttribute(name)
+        if not attribute or not attribute.GetNumTimeSamples():
+            return None
+        query = Usd.AttributeQuery(attribute)
+        return np.array(
+            [np.array(query.Get(frame)) for frame in range(first, last + 1)], np.float64
+        )
+
+    def _get(self, name: str) -> Any:
+        attribute = self.animation.GetAttribute(name)
+        return attribute.Get() if attribute else None
+
+
+def find_animation(stage: Usd.Stage, path: Path, *, prim: str | None = None) -> Usd.Prim:
+    """Return the one animation with weights over time that a skeleton of the stage follows.
+
+    Parameters
+    ----------
+    stage : Usd.Stage
+    path : Path
+        What messages call it.
+    prim : str, optional
+        Only skeletons at or below it count; by default all do.
+
+    Raises
+    ------
+    InputError
+        If there is none, or more than one.
+    """
+    top = Sdf.Path(prim or "/")
+    found = animations_of_skeletons(stage, below=top)
+    if not found:
+        found = {
+            str(each.GetPath()): each
+            for each in stage.TraverseAll()  # a layer of weights alone has only overs above
+            if each.GetPath().HasPrefix(top)
+            and each.IsA(UsdSkel.Animation)
+            and _weight_samples(each)
+        }
+    if not found:
+        where = f" at or below <{prim}>; check --prim" if prim else ""
+        raise InputError(f"{path}: no SkelAnimation with blendShapeWeights over time{where}")
+    if len(found) > 1:
+        raise InputError(
+            f"{path}: {len(found)} animations with blendShapeWeights, {', '.join(found)}; "
+            "open one face at a time (`edit`, `edits`, `bake` and `package` take --prim)"
+        )
+    return next(iter(found.values()))
+
+
+def animations_of_skeletons(
+    stage: Usd.Stage, *, below: Sdf.Path = Sdf.Path.absoluteRootPath
+) -> dict[str, Usd.Prim]:
+    """Return the animations with weights over time that skeletons of a stage follow, by path."""
+    found: dict[str, Usd.Prim] = {}
+    for prim in stage.Traverse():
+        if prim.IsA(UsdSkel.Skeleton) and prim.GetPath().HasPrefix(below):
+            source = UsdSkel.BindingAPI(prim).GetInheritedAnimationSource()
+            if source and _weight_samples(source):
+                found[str(source.GetPath())] = source
+    return found
+
+
+def read_weights(path: Path) -> WeightsClip:
+    """Read the animated weights, edits included, of any USD file that holds one face.
+
+    Raises
+    ------
+    InputError
+        If there is no such animation, or a sample does not fit the names.
+    """
+    reader = PerformanceReader(path)
+    return WeightsClip(reader.names, reader.edited(), reader.first_frame, reader.rate)
+
+
+def read_performance(path: Path) -> Performance:
+    """Read a performance, edits included, and what it says of its rig and its trust.
+
+    Raises
+    ------
+    InputError
+        If the file is no performance, or the rig it refers to is gone.
+    """
+    reader = PerformanceReader(path)
+    rig_file, rig_prim = reader.rig()
+    first, last = reader.first_frame, reader.last_frame
+    return Performance(
+        weights=WeightsClip(reader.names, reader.edited(), first, reader.rate),
+        rig_file=rig_file,
+        rig_prim=rig_prim,
+        confidence=reader.series("face:confidence", first, last),
+        residual_mm=reader.series("face:residual", first, last),
+        regions=reader.regions,
+        timecode_start=reader.timecode_start,
+    )
+
+
+def _weight_samples(prim: Usd.Prim) -> bool:
+    attribute = UsdSkel.Animation(prim).GetBlendShapeWeightsAttr()
+    return bool(attribute) and attribute.GetNumTimeSamples() > 0

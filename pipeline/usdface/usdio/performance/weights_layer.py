@@ -1,0 +1,330 @@
+"""One layer of weights over time: a SkelAnimation, and overs that make a rig's skeletons follow."""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from pxr import Sdf, Usd, Vt
+
+from usdface.core.arrays import Float32Array, FloatArray, IntArray
+from usdface.core.assets import Rig
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
+from usdface.numerics.motion.sparse_samples import sparse_rows
+from usdface.usdio.authoring import apply_api, author_uniform, define_prim
+from usdface.usdio.layers import (
+    FRAMES_IN_MEMORY,
+    VALUES_IN_MEMORY,
+    author_provenance,
+    author_timing,
+    author_units,
+    new_layer,
+    open_stage,
+    save_layer,
+)
+from usdface.usdio.rig.read import faces_below
+from usdface.usdio.rig.reference import point_skeletons_at
+
+ANIMATION = "FaceSolve"
+"""Name of the animation prim, a child of the referenced rig."""
+
+WEIGHTS = "blendShapeWeights"
+CONFIDENCE = "face:confidence"
+RESIDUAL = "face:residual"
+
+COPIED_TOGETHER = 4096
+"""Frames whose samples are in memory at once when they are copied."""
+
+CONFIDENCE_WITHIN = 0.005
+RESIDUAL_WITHIN_MM = 0.01
+"""Samples of confidence and residual are left out where USD's line between those kept is as near:
+nobody sees the difference, and a sample costs as much as a frame of weights. Weights are all
+written."""
+
+
+@dataclass(frozen=True)
+class WeightsHeader:
+    """What a weights layer says beside its samples.
+
+    Attributes
+    ----------
+    place : str
+        Prim path of the rig in the performance.
+    shape_names : tuple of str
+        Order of the weights.
+    rate : Fraction
+        Frames per second.
+    first_frame, last_frame : int
+        Inclusive.
+    regions : tuple of str
+        Names of the residual's regions.
+    timecode_start : str
+        SMPTE timecode of the first frame, empty when unknown.
+    name : str
+        Of the animation prim.
+    """
+
+    place: str
+    shape_names: tuple[str, ...]
+    rate: Fraction
+    first_frame: int
+    last_frame: int
+    regions: tuple[str, ...] = ()
+    timecode_start: str = ""
+    name: str = ANIMATION
+
+    @property
+    def animation(self) -> Sdf.Path:
+        """Path of the animation prim."""
+        return Sdf.Path(self.place).AppendChild(self.name)
+
+    @property
+    def frame_count(self) -> int:
+        """Number of frames, first and last included."""
+        return self.last_frame - self.first_frame + 1
+
+
+class WeightsWriter:
+    """Appends solved frames to a weights layer; made by `writing_weights`.
+
+    Parameters
+    ----------
+    path : Path
+        What messages call the layer, which has a temporary name.
+    layer : Sdf.Layer
+        An empty one.
+    header : WeightsHeader
+    text : str
+        From `without_samples`.
+    """
+
+    def __init__(self, path: Path, layer: Sdf.Layer, header: WeightsHeader, text: str) -> None:
+        start = Sdf.Layer.CreateAnonymous()
+        start.ImportFromString(text)
+        layer.TransferContent(start)
+        self._path = path
+        self._layer = layer
+        self._weights = header.animation.AppendProperty(WEIGHTS)
+        self._confidence = header.animation.AppendProperty(CONFIDENCE)
+        self._residual = header.animation.AppendProperty(RESIDUAL)
+        self._lot = min(FRAMES_IN_MEMORY, VALUES_IN_MEMORY // max(len(header.shape_names), 1) + 1)
+        self._unsaved = 0
+        self._shapes = len(header.shape_names)
+        self.next_frame = header.first_frame
+
+    def append(
+        self,
+        weights: FloatArray | Float32Array,
+        *,
+        confidence: FloatArray | Float32Array | None = None,
+        residual_mm: FloatArray | Float32Array | None = None,
+        keys: IntArray | None = None,
+    ) -> None:
+        """Append frames.
+
+        Parameters
+        ----------
+        weights : (frames, shapes) float array
+        confidence : (frames,) float array, optional
+        residual_mm : (frames, regions) float array, optional
+        keys : (keys,) int array, optional
+            Rows whose weights are written; by default all are.
+        """
+        wanted = np.ones(len(weights), dtype=bool)
+        if keys is not None:
+            wanted[:] = False
+            wanted[keys] = True
+        for start in range(0, len(weights), self._lot):
+            part = slice(start, start + self._lot)
+            self._append_lot(
+                np.ascontiguousarray(weights[part], dtype=np.float32),
+                None if confidence is None else confidence[part],
+                None
+                if residual_mm is None
+                else np.ascontiguousarray(residual_mm[part], dtype=np.float32),
+                np.flatnonzero(wanted[part]),
+            )
+
+    def _append_lot(
+        self,
+        rows: Float32Array,
+        confidence: FloatArray | Float32Array | None,
+        residual: Float32Array | None,
+        keys: IntArray,
+    ) -> None:
+        # One attribute after the other, and names looked up once: this loop is what mapping waits
+        # for when the regression is a quick one. Nobody listens to a layer while it is written.
+        write, array, first = self._layer.SetTimeSample, Vt.FloatArray.FromNumpy, self.next_frame
+        with Sdf.ChangeBlock():
+            for index in keys.tolist():
+                write(self._weights, first + index, array(rows[index]))
+            if confidence is not None:
+                for index in _samples(confidence[:, None], CONFIDENCE_WITHIN):
+                    write(self._confidence, first + index, float(confidence[index]))
+            if residual is not None:
+                for index in _samples(residual, RESIDUAL_WITHIN_MM):
+                    write(self._residual, first + index, array(residual[index]))
+        self._count(len(rows))
+
+    def copy(
+        self,
+        animation: Usd.Prim,
+        first: int,
+        last: int,
+        *,
+        copied_to: Callable[[int], None] = lambda frame: None,
+    ) -> None:
+        """Append frames of an animation of the same shapes, sample by sample, as they are.
+
+        Parameters
+        ----------
+        animation : Usd.Prim
+        first, last : int
+            Inclusive.
+        copied_to : callable
+            Is told the last frame of every lot.
+
+        Raises
+        ------
+        ValueError
+            If they are not the next frames.
+        InputError
+            If a frame has no weights, or others than the shapes ask for.
+        """
+        if first != self.next_frame:
+            raise ValueError(f"frame {self.next_frame} comes next, not {first}")
+        write, lot = self._layer.SetTimeSample, min(self._lot, COPIED_TOGETHER)
+        copied = []
+        for path in (self._weights, self._confidence, self._residual):
+            attribute = animation.GetAttribute(path.name)
+            if attribute:  # times are asked for once: USD looks through all for any interval
+                times = np.array(attribute.GetTimeSamples())
+                copied.append((path, Usd.AttributeQuery(attribute), times))
+        for start in range(first, last + 1, lot):
+            stop = min(start + lot, last + 1)
+            with Sdf.ChangeBlock():
+                for path, query, sampled in copied:
+                    own = sampled[slice(*np.searchsorted(sampled, (start, stop)))].tolist()
+                    values = [query.Get(time) for time in own]
+                    if path == self._weights:
+                        self._check_samples(animation, values, stop - start)
+                    for time, value in zip(own, values, strict=True):
+                        write(path, time, value)
+            self._count(stop - start)
+            copied_to(stop - 1)
+
+    def _check_samples(self, animation: Usd.Prim, values: list[Vt.FloatArray], frames: int) -> None:
+        sizes = set(map(len, values))
+        if len(values) != frames or sizes != {self._shapes}:
+            raise InputError(
+                f"<{animation.GetPath()}> from frame {self.next_frame}: {len(values)} samples of "
+                f"{', '.join(map(str, sorted(sizes)))} weights where {frames} of {self._shapes} "
+                "are needed; map that part again"
+            )
+
+    def _count(self, frames: int) -> None:
+        self.next_frame += frames
+        self._unsaved += frames
+        if self._unsaved >= self._lot:
+            # A saved binary layer reads its samples back from disk when asked.
+            save_layer(self._layer, self._path)
+            self._unsaved = 0
+
+
+def _samples(values: FloatArray | Float32Array, within: float) -> list[int]:
+    kept: list[int] = sparse_rows(values, within).tolist()
+    return kept
+
+
+@contextlib.contextmanager
+def writing_weights(
+    path: Path, header: WeightsHeader, rig: Rig, *, provenance: Provenance | None = None
+) -> Iterator[WeightsWriter]:
+    """Write a weights layer frame by frame; the file appears when the block ends without error.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written, or the rig's skeletons cannot be pointed at the animation.
+    ValueError
+        If other frames were appended than the header says.
+    """
+    with new_layer(path, None) as layer:
+        writer = WeightsWriter(path, layer, header, without_samples(header, rig, provenance))
+        yield writer
+        check_count(path, header, writer.next_frame)
+
+
+def without_samples(header: WeightsHeader, rig: Rig, provenance: Provenance | None) -> str:
+    """Return a weights layer but for its samples, as text that another process can be given.
+
+    Raises
+    ------
+    InputError
+        If the rig's skeletons cannot be pointed at the animation.
+    """
+    layer = Sdf.Layer.CreateAnonymous()
+    author_header(layer, header, rig)
+    author_provenance(layer, provenance)
+    return str(layer.ExportToString())
+
+
+def check_count(path: Path, header: WeightsHeader, next_frame: int) -> None:
+    """Refuse a layer to which other frames were appended than its header says."""
+    if next_frame != header.last_frame + 1:
+        raise ValueError(
+            f"{path}: {next_frame - header.first_frame} frames were appended where "
+            f"{header.frame_count} were announced"
+        )
+
+
+def animation_name(rig: Rig) -> str:
+    """Return what a rig's animation prim is called.
+
+    Faces of one file stand below one prim: each has an animation of its own there, or a shot with
+    two of them would move both by the stronger one's weights.
+    """
+    path = Sdf.Path(rig.prim)
+    if path.pathElementCount == 1:
+        return ANIMATION
+    top = path.GetPrefixes()[0]
+    stage = open_stage(rig.file)
+    if len(faces_below(stage.GetPrimAtPath(top))) < 2:
+        return ANIMATION
+    return "_".join([ANIMATION, *str(path.MakeRelativePath(top)).split("/")])
+
+
+def place_in(layer: Sdf.Layer) -> str:
+    """Return where the rig stands that a weights layer moves; empty where it says nothing of it."""
+    places: list[str] = []
+
+    def look(path: Sdf.Path) -> None:
+        if path.IsPrimPath() and path.name.startswith(ANIMATION):
+            places.append(str(path.GetParentPath()))
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, look)
+    return places[0] if len(places) == 1 else ""
+
+
+def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.PrimSpec:
+    """Write all of a weights layer but its samples; return the animation prim."""
+    author_units(layer, like=rig.file)
+    author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
+    layer.defaultPrim = Sdf.Path(header.place).GetPrefixes()[0].name
+    prim = define_prim(layer, header.animation, "SkelAnimation")
+    apply_api(prim, "FaceSolveAPI")
+    tokens = Sdf.ValueTypeNames.TokenArray
+    author_uniform(prim, "blendShapes", tokens, list(header.shape_names))
+    Sdf.AttributeSpec(prim, WEIGHTS, Sdf.ValueTypeNames.FloatArray)
+    Sdf.AttributeSpec(prim, CONFIDENCE, Sdf.ValueTypeNames.Float)
+    if header.regions:
+        Sdf.AttributeSpec(prim, RESIDUAL, Sdf.ValueTypeNames.FloatArray)
+        author_uniform(prim, "face:residual:regions", tokens, list(header.regions))
+    if header.timecode_start:
+        text = Sdf.ValueTypeNames.String
+        author_uniform(prim, "face:timecode:start", text, header.timecode_start)
+    point_skeletons_at(layer, header.place, rig, header.animation)
+    return prim

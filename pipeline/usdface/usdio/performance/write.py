@@ -1,0 +1,212 @@
+"""Performances: a layer to open, and a weights layer beneath it that is written as it is solved."""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+from pxr import Sdf, Usd
+
+from usdface.core.assets import Rig
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
+from usdface.core.replacing import check_not_written_since
+from usdface.core.sidecars import edits_path, weights_path
+from usdface.usdio.layers import (
+    author_timing,
+    author_units,
+    new_layer,
+    open_layer,
+    read_provenance,
+    relative_path,
+)
+from usdface.usdio.performance.clips import clear_parts, writing_parts
+from usdface.usdio.performance.read import (
+    PerformanceReader,
+    find_animation,
+    read_performance,
+    read_weights,
+)
+from usdface.usdio.performance.weights_layer import (
+    ANIMATION,
+    WeightsHeader,
+    animation_name,
+    place_in,
+)
+from usdface.usdio.performance.weights_process import FrameWriter, writing_frames
+from usdface.usdio.rig.reference import (
+    default_place,
+    define_reference,
+    forget_reference,
+    place_of,
+)
+from usdface.usdio.rig.variants import carry_variants
+
+__all__ = [
+    "PerformanceReader",
+    "find_animation",
+    "header_of",
+    "read_performance",
+    "read_weights",
+    "weights_path",
+    "writing_performance",
+    "writing_top",
+]
+
+
+@contextlib.contextmanager
+def writing_performance(
+    path: Path,
+    rig: Rig,
+    *,
+    shape_names: tuple[str, ...],
+    rate: Fraction,
+    first_frame: int,
+    last_frame: int,
+    place: str | None = None,
+    regions: tuple[str, ...] = (),
+    timecode_start: str = "",
+    part_frames: int | None = None,
+    provenance: Provenance | None = None,
+) -> Iterator[FrameWriter]:
+    """Write a performance frame by frame; the files appear when the block ends without error.
+
+    Parameters
+    ----------
+    path : Path
+        The layer to open. If it exists, what others put into it (edits, further sublayers) stays.
+    rig : Rig
+    shape_names : tuple of str
+        Order of the weights that will be appended.
+    rate : Fraction
+    first_frame, last_frame : int
+        Inclusive.
+    place : str, optional
+        Prim path of the rig in the performance; its own top prim's by default.
+    regions : tuple of str
+        Names of the residual's regions.
+    timecode_start : str
+    part_frames : int, optional
+        Write the weights as parts of this many frames, played as value clips; one layer by default.
+    provenance : Provenance, optional
+
+    Raises
+    ------
+    InputError
+        If the files cannot be written; what was there is then left as it was.
+    """
+    header = WeightsHeader(
+        place=place or default_place(rig),
+        shape_names=shape_names,
+        rate=rate,
+        first_frame=first_frame,
+        last_frame=last_frame,
+        regions=regions,
+        timecode_start=timecode_start,
+        name=animation_name(rig),
+    )
+    with writing_top(path, header, rig, provenance=provenance):
+        weights_file = weights_path(path)
+        if part_frames is None:
+            with writing_frames(weights_file, header, rig, provenance=provenance) as writer:
+                yield writer
+        else:
+            with writing_parts(
+                weights_file, header, rig, part_frames=part_frames, provenance=provenance
+            ) as parts:
+                yield parts
+
+
+@contextlib.contextmanager
+def writing_top(
+    path: Path,
+    header: WeightsHeader,
+    rig: Rig,
+    *,
+    shown: Usd.Stage | None = None,
+    provenance: Provenance | None = None,
+) -> Iterator[None]:
+    """Write the layer to open around what writes its weights.
+
+    It is locked from the start: nobody else can write this performance meanwhile.
+
+    Parameters
+    ----------
+    path : Path
+    header : WeightsHeader
+    rig : Rig
+    shown : Usd.Stage, optional
+        Has the rig at the same place: what it chose of the rig's variants is chosen here.
+    provenance : Provenance, optional
+    """
+    with new_layer(path, provenance) as layer:
+        check_not_written_since(path)
+        before = _before(path)
+        yield
+        if path.is_file():
+            layer.TransferContent(open_layer(path))
+        author_units(layer, like=rig.file)
+        layer.defaultPrim = Sdf.Path(header.place).GetPrefixes()[0].name
+        weights_asset = relative_path(weights_path(path), path)
+        below = list(layer.subLayerPaths)
+        again = weights_asset in below
+        moved = layer.subLayerOffsets[below.index(weights_asset)] if again else Sdf.LayerOffset()
+        ends = (header.first_frame, header.last_frame)
+        first, last = (moved.offset + moved.scale * each for each in ends)
+        author_timing(layer, rate=header.rate, first=first, last=last)
+        define_reference(layer, header.place, rig, path, again=again)
+        if shown is not None:
+            carry_variants(layer, shown, header.place, rig.file, default_place(rig))
+        if before.place not in ("", header.place):
+            forget_reference(layer, before.place, {rig.file.resolve(), *before.files}, path)
+        if not again:
+            layer.subLayerPaths.append(weights_asset)
+        edits_asset = relative_path(edits_path(path), path)
+        if edits_path(path).is_file() and edits_asset not in list(layer.subLayerPaths):
+            # The layer to open was lost or made anew; what was edited is not.
+            layer.subLayerPaths.insert(0, edits_asset)
+    clear_parts(weights_path(path))
+
+
+@dataclass(frozen=True)
+class _Before:
+    """What is known of a performance that is written again.
+
+    Attributes
+    ----------
+    place : str
+        Where its rig stands; empty where that is not known.
+    files : frozenset of Path
+        What it was made from, resolved.
+    """
+
+    place: str = ""
+    files: frozenset[Path] = frozenset()
+
+
+def _before(path: Path) -> _Before:
+    if not (path.is_file() and weights_path(path).is_file()):
+        return _Before()
+    try:
+        place = place_in(open_layer(weights_path(path)))
+        made = read_provenance(path)
+    except InputError:  # damaged, and about to be replaced
+        return _Before()
+    folder, inputs = path.resolve().parent, () if made is None else made.inputs
+    return _Before(place, frozenset((folder / each).resolve() for each in inputs))
+
+
+def header_of(reader: PerformanceReader) -> WeightsHeader:
+    """Return what a weights layer says that stands for a performance."""
+    place, own = place_of(reader.stage, reader.animation), reader.animation.GetPath()
+    return WeightsHeader(
+        place=place,
+        shape_names=reader.names,
+        rate=reader.rate,
+        first_frame=reader.first_frame,
+        last_frame=reader.last_frame,
+        regions=reader.regions,
+        timecode_start=reader.timecode_start,
+        name=own.name if own.GetParentPath() == Sdf.Path(place) else ANIMATION,
+    )

@@ -1,0 +1,53 @@
+"""What every layer of pairs begins with: pair *i* at time code *i*, so that a DCC scrubs pairs."""
+
+from fractions import Fraction
+from pathlib import Path
+
+from pxr import Sdf, Usd
+
+from usdface.core.errors import InputError
+from usdface.usdio.layers import author_timing, author_units, open_stage
+
+PAIRS_PER_SECOND = 24
+"""Only a viewer's playback speed: pairs have no time of their own."""
+
+
+def author_pair_header(layer: Sdf.Layer, root: Sdf.Path, count: int) -> None:
+    """Set units, default prim and the range of the pairs: 1 to `count`."""
+    author_units(layer)
+    author_timing(layer, rate=Fraction(PAIRS_PER_SECOND), first=1, last=max(count, 1))
+    layer.defaultPrim = root.name
+
+
+def open_pair_stage(path: Path, root: Sdf.Path, *, api: str, kind: str, command: str) -> Usd.Stage:
+    """Open an asset of pairs as it composes.
+
+    Parameters
+    ----------
+    path : Path
+    root : Sdf.Path
+        Where its pairs are.
+    api : str
+        The schema that says so.
+    kind : str
+        What it is, for people.
+    command : str
+        What makes one.
+
+    Raises
+    ------
+    InputError
+        If it is something else.
+    """
+    stage = open_stage(path)
+    prim = stage.GetPrimAtPath(root)
+    if not prim or not prim.HasAPI(api):
+        whole = path.with_name(f"{Path(path.stem).stem}.usda")
+        if prim and whole != path and whole.is_file():
+            raise InputError(
+                f"{path}: only a layer of a {kind} asset; give the asset itself: {whole}"
+            )
+        raise InputError(
+            f"{path}: not a {kind} asset: no <{root}> with {api}; make one with `{command}`"
+        )
+    return stage

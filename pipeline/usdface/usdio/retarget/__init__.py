@@ -1,0 +1,1 @@
+"""Pairs, control vectors and sequences."""

@@ -1,0 +1,179 @@
+"""A performance of a whole control vector: weights, joints and attributes over one rig.
+
+Weights are where every performance has them. Joints and attributes lie in a layer of their own
+beside it, NAME.controls.usdc: joints on the same animation, attributes as overs on the rig's prims.
+"""
+
+import contextlib
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+
+from pxr import Sdf
+
+from usdface.core.assets import Rig
+from usdface.core.controls import Controls
+from usdface.core.provenance import Provenance
+from usdface.usdio.authoring import author_uniform
+from usdface.usdio.layers import (
+    author_timing,
+    author_units,
+    new_layer,
+    open_layer,
+    open_stage,
+    relative_path,
+    save_layer,
+)
+from usdface.usdio.performance.weights_layer import animation_name
+from usdface.usdio.performance.weights_process import FrameWriter
+from usdface.usdio.performance.write import writing_performance
+from usdface.usdio.retarget.control_attributes import attribute_path, control_attribute
+from usdface.usdio.retarget.controls import NAMES, author_joints, set_joint_samples
+from usdface.usdio.rig.reference import default_place
+
+_LOT = 1 << 14
+"""Frames between two saves: saved samples are read back from disk, so that memory stays bounded."""
+
+
+def controls_path(path: Path) -> Path:
+    """Return where joints and attributes go: NAME.controls.usdc beside NAME.usda."""
+    return path.with_name(f"{path.stem}.controls.usdc")
+
+
+class ControlsLayer:
+    """Joints and attributes in a layer that is being written."""
+
+    def __init__(
+        self,
+        layer: Sdf.Layer,
+        path: Path,
+        *,
+        place: Sdf.Path,
+        rig: Rig,
+        joints: tuple[str, ...],
+        attributes: tuple[str, ...],
+    ) -> None:
+        self._layer, self._path, self._unsaved = layer, path, 0
+        self._animation = place.AppendChild(animation_name(rig))
+        prim = Sdf.CreatePrimInLayer(layer, self._animation)
+        if joints:
+            author_joints(prim, joints)
+        if attributes:
+            author_uniform(prim, NAMES, Sdf.ValueTypeNames.StringArray, list(attributes))
+        stage = open_stage(rig.file)
+        top = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])
+        self._attributes = []
+        for name in attributes:
+            kind = control_attribute(top, name, rig.file).GetTypeName()
+            where = attribute_path(place, name)
+            if where is not None:
+                over = Sdf.CreatePrimInLayer(layer, where.GetPrimPath())
+                self._attributes.append(Sdf.AttributeSpec(over, where.name, kind).path)
+
+    def append(self, controls: Controls, first_frame: int) -> None:
+        """Append frames of joints and attributes."""
+        if controls.joints:
+            set_joint_samples(self._layer, self._animation, controls, first_frame)
+        for column, place in enumerate(self._attributes):
+            for frame, value in enumerate(controls.values[:, column].tolist(), start=first_frame):
+                self._layer.SetTimeSample(place, frame, value)
+        self._unsaved += len(controls)
+        if self._unsaved >= _LOT:
+            save_layer(self._layer, self._path)
+            self._unsaved = 0
+
+
+class ControlsWriter:
+    """Appends frames; made by `writing_control_performance`."""
+
+    def __init__(
+        self, weights: FrameWriter, beside: ControlsLayer | None, first_frame: int
+    ) -> None:
+        self._weights, self._beside = weights, beside
+        self.next_frame = first_frame
+
+    def append(self, controls: Controls) -> None:
+        """Append frames of every control."""
+        self._weights.append(controls.weights)
+        if self._beside is not None:
+            self._beside.append(controls, self.next_frame)
+        self.next_frame += len(controls)
+
+
+@contextlib.contextmanager
+def writing_control_performance(
+    path: Path,
+    rig: Rig,
+    *,
+    shapes: tuple[str, ...],
+    joints: tuple[str, ...],
+    attributes: tuple[str, ...],
+    rate: Fraction,
+    first_frame: int,
+    last_frame: int,
+    place: str | None = None,
+    timecode_start: str = "",
+    provenance: Provenance | None = None,
+) -> Iterator[ControlsWriter]:
+    """Write a performance of any controls; the files appear when the block ends without error.
+
+    Parameters
+    ----------
+    path : Path
+        The layer to open; what others put into it stays.
+    rig : Rig
+    shapes, joints, attributes : tuples of str
+        What will be appended, in this order.
+    rate : Fraction
+    first_frame, last_frame : int
+        Inclusive.
+    place : str, optional
+        Prim path of the rig in the performance; its own top prim's by default.
+    timecode_start : str
+    provenance : Provenance, optional
+
+    Raises
+    ------
+    InputError
+        If the files cannot be written, or an attribute is not on the rig.
+    """
+    beside = controls_path(path) if joints or attributes else None
+    with contextlib.ExitStack() as stack:
+        weights = stack.enter_context(
+            writing_performance(
+                path,
+                rig,
+                shape_names=shapes,
+                rate=rate,
+                first_frame=first_frame,
+                last_frame=last_frame,
+                place=place,
+                timecode_start=timecode_start,
+                provenance=provenance,
+            )
+        )
+        others = None
+        if beside is not None:
+            layer = stack.enter_context(new_layer(beside, provenance))
+            top = Sdf.Path(place or default_place(rig))
+            author_units(layer, like=rig.file)
+            author_timing(layer, rate=rate, first=first_frame, last=last_frame)
+            layer.defaultPrim = top.GetPrefixes()[0].name
+            others = ControlsLayer(
+                layer, beside, place=top, rig=rig, joints=joints, attributes=attributes
+            )
+        yield ControlsWriter(weights, others, first_frame)
+    _attach(path, beside, provenance)
+
+
+def _attach(path: Path, beside: Path | None, provenance: Provenance | None) -> None:
+    """Make the performance's layer open the controls' layer, or no longer open an older one."""
+    asset = relative_path(controls_path(path), path)
+    old = open_layer(path)  # what a layer lends does not outlive it
+    present = list(old.subLayerPaths)
+    wanted = [each for each in present if each != asset] + ([asset] if beside else [])
+    if wanted == present:
+        return
+    with new_layer(path, provenance) as layer:
+        layer.TransferContent(old)
+        layer.subLayerPaths = wanted

@@ -1,0 +1,138 @@
+"""A trained retargeting as a typed prim: every number it needs is an attribute."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Usd, Vt
+
+from usdface.core.arrays import FloatArray
+from usdface.core.controls import Retargeting, RetargetScore
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
+from usdface.usdio.authoring import author_uniform, define_prim, doubles
+from usdface.usdio.layers import author_units, new_layer, open_stage, relative_path
+from usdface.usdio.wrong_types import refusing_wrong_types
+
+ROOT = Sdf.Path("/Retargeting")
+TYPE = "FaceRetargeting"
+ARRAY = "face:array:"
+
+
+def write_retargeting(
+    path: Path, trained: Retargeting, *, provenance: Provenance | None = None
+) -> None:
+    """Write a retargeting; read back, it predicts the same to the last bit."""
+    kinds = Sdf.ValueTypeNames
+    rig = "" if trained.target_rig is None else relative_path(trained.target_rig, path)
+    with new_layer(path, provenance) as layer:
+        prim = define_prim(layer, ROOT, TYPE)
+        layer.defaultPrim = ROOT.name
+        author_units(layer)
+        for name, kind, value in (
+            ("method", kinds.Token, trained.method),
+            ("source", kinds.TokenArray, list(trained.source_shapes)),
+            ("channels", kinds.TokenArray, list(trained.shapes)),
+            ("joints", kinds.TokenArray, list(trained.joints)),
+            ("attributes", kinds.StringArray, list(trained.attributes)),
+            ("settings", kinds.String, json.dumps(trained.settings)),
+            ("scores", kinds.String, json.dumps([asdict(each) for each in trained.scores])),
+            ("pairs", kinds.String, trained.pairs),
+            ("rig", kinds.Asset, Sdf.AssetPath(rig)),
+            ("rigPrim", kinds.String, trained.target_prim),
+        ):
+            author_uniform(prim, f"face:retargeting:{name}", kind, value)
+        fixed = {
+            "mean_rotations": trained.mean_rotations,
+            "rest": trained.rest,
+            "ranges": trained.ranges,
+        }
+        for name, array in (fixed | {f"fit_{k}": v for k, v in trained.arrays.items()}).items():
+            author_uniform(prim, f"{ARRAY}{name}", kinds.DoubleArray, doubles(array))
+            shape = Vt.IntArray([int(size) for size in array.shape])
+            author_uniform(prim, f"{ARRAY}{name}:shape", kinds.IntArray, shape)
+
+
+def is_retargeting(path: Path) -> bool:
+    """Whether a USD file holds a trained retargeting."""
+    stage = open_stage(path)  # a prim does not keep its stage alive
+    prim = stage.GetDefaultPrim()
+    return bool(prim) and prim.GetTypeName() == TYPE
+
+
+@refusing_wrong_types
+def read_retargeting(path: Path) -> Retargeting:
+    """Read a retargeting.
+
+    Raises
+    ------
+    InputError
+        If the file holds none, or its arrays do not have the shapes they claim.
+    """
+    stage = open_stage(path)
+    prim = stage.GetDefaultPrim()
+    if not prim or prim.GetTypeName() != TYPE:
+        raise InputError(
+            f"{path}: not a retargeting: its default prim is no {TYPE}; make one with "
+            "`usdface train-retarget`"
+        )
+    arrays = _arrays(path, prim)
+    missing = [name for name in ("mean_rotations", "rest", "ranges") if name not in arrays]
+    if missing:
+        raise InputError(f"{path} <{prim.GetPath()}>: {ARRAY}{missing[0]} is missing; train again")
+    try:
+        settings = json.loads(str(_value(prim, "settings") or "{}"))
+        scores = tuple(RetargetScore(**e) for e in json.loads(str(_value(prim, "scores") or "[]")))
+    except (ValueError, TypeError, RecursionError) as error:
+        raise InputError(
+            f"{path} <{prim.GetPath()}>: its settings or scores are no valid JSON: {error}; "
+            "train again"
+        ) from error
+    rig = _value(prim, "rig")
+    asset = str(getattr(rig, "path", ""))
+    return Retargeting(
+        method=str(_value(prim, "method")),
+        source_shapes=_names(prim, "source"),
+        shapes=_names(prim, "channels"),
+        joints=_names(prim, "joints"),
+        attributes=_names(prim, "attributes"),
+        mean_rotations=arrays.pop("mean_rotations"),
+        rest=arrays.pop("rest"),
+        ranges=arrays.pop("ranges"),
+        arrays={name.removeprefix("fit_"): array for name, array in arrays.items()},
+        settings=settings,
+        scores=scores,
+        pairs=str(_value(prim, "pairs") or ""),
+        target_rig=(path.parent / asset) if asset else None,
+        target_prim=str(_value(prim, "rigPrim") or ""),
+    )
+
+
+def _names(prim: Usd.Prim, name: str) -> tuple[str, ...]:
+    return tuple(map(str, _value(prim, name) or ()))
+
+
+def _value(prim: Usd.Prim, name: str) -> Any:
+    attribute = prim.GetAttribute(f"face:retargeting:{name}")
+    return attribute.Get() if attribute else None
+
+
+def _arrays(path: Path, prim: Usd.Prim) -> dict[str, FloatArray]:
+    arrays = {}
+    for attribute in prim.GetAttributes():
+        name = attribute.GetName()
+        if not name.startswith(ARRAY) or name.endswith(":shape"):
+            continue
+        beside = prim.GetAttribute(f"{name}:shape").Get()
+        value = attribute.Get()
+        array = np.array(value if value is not None else [], np.float64)
+        shape = tuple(int(size) for size in beside) if beside is not None else array.shape
+        if array.size != int(np.prod(shape)) or not np.isfinite(array).all():
+            raise InputError(
+                f"{path} <{attribute.GetPath()}>: {array.size} numbers make no finite array of "
+                f"shape {shape}; train again"
+            )
+        arrays[name.removeprefix(ARRAY)] = array.reshape(shape)
+    return arrays

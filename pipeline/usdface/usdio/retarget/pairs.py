@@ -1,0 +1,274 @@
+"""Expression pairs: pair *i* at time code *i*, both faces in one file to scrub through.
+
+``/Pairs/Source`` and ``/Pairs/Target`` are the two characters, ``/Pairs/SourceWeights`` and
+``/Pairs/TargetControls`` the animations that pose them; deformer attributes are keyed on the
+target's own prims. What this package proposes lies in a layer of its own beneath the one to open,
+so that what people key above it stays when pairs are proposed again.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from pxr import Kind, Sdf, Usd, UsdSkel
+
+from usdface.core.assets import Rig
+from usdface.core.controls import ExpressionPairs
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
+from usdface.usdio.authoring import apply_api, author_uniform, define_prim
+from usdface.usdio.layers import (
+    new_layers,
+    open_layer,
+    open_stage,
+    relative_path,
+)
+from usdface.usdio.references.pair_layers import author_pair_header, open_pair_stage
+from usdface.usdio.retarget.control_attributes import attribute_path, control_attribute
+from usdface.usdio.retarget.controls import (
+    NAMES,
+    attribute_names,
+    author_joints,
+    controls_at,
+    set_joint_samples,
+    set_weight_samples,
+)
+from usdface.usdio.rig.reference import (
+    define_reference,
+    point_skeletons_at,
+    rig_of,
+    turn_to_our_units,
+)
+from usdface.usdio.wrong_types import refusing_wrong_types
+
+ROOT = Sdf.Path("/Pairs")
+SOURCE = ROOT.AppendChild("Source")
+TARGET = ROOT.AppendChild("Target")
+SOURCE_WEIGHTS = ROOT.AppendChild("SourceWeights")
+TARGET_CONTROLS = ROOT.AppendChild("TargetControls")
+NAME = ROOT.AppendProperty("face:pair:name")
+
+
+def samples_path(path: Path) -> Path:
+    """Return the layer that holds what was proposed or imported, beneath the one to open."""
+    return path.with_name(f"{path.stem}.proposed.usda")
+
+
+def write_pairs(
+    path: Path,
+    pairs: ExpressionPairs,
+    *,
+    source_rig: Rig,
+    target_rig: Rig,
+    provenance: Provenance | None = None,
+) -> None:
+    """Write a pairs asset; what people keyed in the layer to open stays.
+
+    Parameters
+    ----------
+    path : Path
+        The layer to open; `samples_path` lies beneath it.
+    pairs : ExpressionPairs
+    source_rig, target_rig : Rig
+    provenance : Provenance, optional
+    """
+    samples = samples_path(path)
+    with new_layers({samples: provenance, path: provenance}) as (below, layer):
+        _author_samples(below, samples, pairs, source_rig, target_rig)
+        if path.is_file():
+            layer.TransferContent(open_layer(path))
+        author_pair_header(layer, ROOT, len(pairs))
+        asset = relative_path(samples, path)
+        if asset not in list(layer.subLayerPaths):
+            layer.subLayerPaths.append(asset)
+        root = define_prim(layer, ROOT, "Xform")
+        root.SetInfo("kind", Kind.Tokens.component)
+        apply_api(root, "FacePairsAPI")
+
+
+@refusing_wrong_types
+def read_pairs(path: Path) -> ExpressionPairs:
+    """Read pairs as they compose.
+
+    Raises
+    ------
+    InputError
+        If the file is no pairs asset, a pair lacks a side, or a control is not there.
+    """
+    stage = open_pair_stage(
+        path, ROOT, api="FacePairsAPI", kind="pairs", command="usdface pairs propose"
+    )
+    root = stage.GetPrimAtPath(ROOT)
+    source, target = (stage.GetPrimAtPath(place) for place in (SOURCE_WEIGHTS, TARGET_CONTROLS))
+    for place, prim in ((SOURCE_WEIGHTS, source), (TARGET_CONTROLS, target)):
+        if not prim or not prim.IsA(UsdSkel.Animation):
+            raise InputError(f"{path} <{place}>: there is no such animation; propose pairs again")
+    attributes = attribute_names(target)
+    top = stage.GetPrimAtPath(TARGET)
+    times = _times(stage, source, target, attributes, path)
+    left = controls_at(source, None, (), times, path)
+    right = controls_at(target, top, attributes, times, path)
+    source_rig, source_prim = _rig(stage, source)
+    target_rig, target_prim = _rig(stage, target)
+    names = root.GetAttribute(NAME.name)
+    return ExpressionPairs(
+        names=tuple(str((names.Get(time) if names else None) or "") for time in times),
+        source_shapes=left.shapes,
+        source=left.weights,
+        target=right,
+        source_rig=source_rig,
+        source_prim=source_prim,
+        target_rig=target_rig,
+        target_prim=target_prim,
+    )
+
+
+@refusing_wrong_types
+def keyed_above(path: Path) -> tuple[str, ...]:
+    """Return what is keyed over time in a pairs asset above the layer that this package writes.
+
+    As USD has it, samples of a stronger layer hide all that are beneath.
+    """
+    samples = samples_path(path).resolve()
+    found: list[str] = []
+    for layer in open_stage(path).GetLayerStack(includeSessionLayers=False):
+        if Path(layer.realPath).resolve() == samples:
+            continue
+
+        def look(place: Sdf.Path, layer: Sdf.Layer = layer) -> None:
+            if place.IsPropertyPath() and layer.GetNumTimeSamplesForPath(place):
+                found.append(str(place))
+
+        layer.Traverse(Sdf.Path.absoluteRootPath, look)
+    return tuple(dict.fromkeys(found))
+
+
+def _author_samples(
+    layer: Sdf.Layer, path: Path, pairs: ExpressionPairs, source_rig: Rig, target_rig: Rig
+) -> None:
+    tokens = Sdf.ValueTypeNames.TokenArray
+    target = pairs.target
+    author_pair_header(layer, ROOT, len(pairs))
+    root = Sdf.CreatePrimInLayer(layer, ROOT)
+    Sdf.AttributeSpec(root, NAME.name, Sdf.ValueTypeNames.String)
+    for time, name in enumerate(pairs.names, start=1):
+        layer.SetTimeSample(NAME, time, name)
+    for place, rig, animation in (
+        (SOURCE, source_rig, SOURCE_WEIGHTS),
+        (TARGET, target_rig, TARGET_CONTROLS),
+    ):
+        define_reference(layer, str(place), rig, path)
+        turn_to_our_units(layer, str(place), rig)
+        point_skeletons_at(layer, str(place), rig, animation)
+    for place, shapes, weights in (
+        (SOURCE_WEIGHTS, pairs.source_shapes, pairs.source),
+        (TARGET_CONTROLS, target.shapes, target.weights),
+    ):
+        prim = define_prim(layer, place, "SkelAnimation")
+        author_uniform(prim, "blendShapes", tokens, list(shapes))
+        Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
+        set_weight_samples(layer, place, weights, 1)
+    if target.joints:
+        author_joints(layer.GetPrimAtPath(TARGET_CONTROLS), target.joints)
+        set_joint_samples(layer, TARGET_CONTROLS, target, 1)
+    if target.attributes:
+        prim = layer.GetPrimAtPath(TARGET_CONTROLS)
+        names = list(target.attributes)
+        author_uniform(prim, NAMES, Sdf.ValueTypeNames.StringArray, names)
+        _author_attributes(layer, pairs, target_rig)
+
+
+def _author_attributes(layer: Sdf.Layer, pairs: ExpressionPairs, rig: Rig) -> None:
+    stage = open_stage(rig.file)
+    top = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])
+    for column, name in enumerate(pairs.target.attributes):
+        kind = control_attribute(top, name, rig.file).GetTypeName()
+        where = attribute_path(TARGET, name)
+        if where is None:
+            continue
+        over = Sdf.CreatePrimInLayer(layer, where.GetPrimPath())
+        place = Sdf.AttributeSpec(over, where.name, kind).path
+        for time, value in enumerate(pairs.target.values[:, column].tolist(), start=1):
+            layer.SetTimeSample(place, time, value)
+
+
+def _times(
+    stage: Usd.Stage,
+    source: Usd.Prim,
+    target: Usd.Prim,
+    attributes: tuple[str, ...],
+    path: Path,
+) -> list[int]:
+    """Return the time codes of the pairs: both sides must be keyed at each."""
+    top = stage.GetPrimAtPath(TARGET)
+    keyed = {place: _sampled(prim) for place, prim in ((SOURCE, source), (TARGET, target))}
+    for name in attributes:
+        found = control_attribute(top, name, path)
+        keyed[TARGET] |= {round(time) for time in found.GetTimeSamples()}
+    times = sorted(keyed[SOURCE] | keyed[TARGET])
+    if not times:
+        raise InputError(f"{path}: holds no pair; key both faces at time code 1, 2, ...")
+    for time in times:
+        for place, side in ((SOURCE, "source"), (TARGET, "target")):
+            if time not in keyed[place]:
+                animation = SOURCE_WEIGHTS if place == SOURCE else TARGET_CONTROLS
+                raise InputError(
+                    f"{path} <{animation}>: pair {time} has no {side} side: nothing is keyed at "
+                    f"time code {time}; key the {side} there, or remove the pair"
+                )
+    return times
+
+
+def _sampled(animation: Usd.Prim) -> set[int]:
+    skel = UsdSkel.Animation(animation)
+    found: set[int] = set()
+    for attribute in (
+        skel.GetBlendShapeWeightsAttr(),
+        skel.GetRotationsAttr(),
+        skel.GetTranslationsAttr(),
+        skel.GetScalesAttr(),
+    ):
+        found |= {round(time) for time in attribute.GetTimeSamples()}
+    return found
+
+
+def _rig(stage: Usd.Stage, animation: Usd.Prim) -> tuple[Path | None, str]:
+    try:
+        return rig_of(stage, animation)
+    except InputError:
+        return None, ""
+
+
+def merge_pairs(old: ExpressionPairs, new: ExpressionPairs) -> ExpressionPairs:
+    """Keep old pairs at their time codes and add those new ones whose names they lack."""
+    added = [i for i, name in enumerate(new.names) if name not in old.names]
+    if old.source_shapes != new.source_shapes or old.target.attributes != new.target.attributes:
+        raise InputError(
+            "the source's shapes or the target's attributes are not those of the pairs that are "
+            "there; choose another --out"
+        )
+    if old.target.shapes != new.target.shapes or old.target.joints != new.target.joints:
+        raise InputError(
+            "the target's shapes or joints are not those of the pairs that are there; choose "
+            "another --out"
+        )
+    more = new.rows(np.array(added, dtype=np.int64))
+    both = (old.target, more.target)
+    return ExpressionPairs(
+        names=(*old.names, *more.names),
+        source_shapes=old.source_shapes,
+        source=np.concatenate([old.source, more.source]),
+        target=type(old.target)(
+            shapes=old.target.shapes,
+            weights=np.concatenate([each.weights for each in both]),
+            joints=old.target.joints,
+            translations=np.concatenate([each.translations for each in both]),
+            rotations=np.concatenate([each.rotations for each in both]),
+            scales=np.concatenate([each.scales for each in both]),
+            attributes=old.target.attributes,
+            values=np.concatenate([each.values for each in both]),
+        ),
+        source_rig=new.source_rig,
+        source_prim=new.source_prim,
+        target_rig=new.target_rig,
+        target_prim=new.target_prim,
+    )

@@ -1,0 +1,201 @@
+"""Emotional sequences, and the places of a take that hold them."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from pxr import Sdf, Usd, UsdSkel
+
+from usdface.core.controls import Controls, EmotionalSequence, SequenceMatch
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
+from usdface.usdio.authoring import apply_api, author_uniform, define_prim
+from usdface.usdio.layers import (
+    author_timing,
+    author_units,
+    new_layer,
+    open_layer,
+    open_stage,
+    relative_path,
+)
+from usdface.usdio.retarget.controls import (
+    author_joints,
+    controls_at,
+    set_joint_samples,
+    set_weight_samples,
+)
+from usdface.usdio.take.frame_span import span_of_samples
+from usdface.usdio.wrong_types import refusing_wrong_types
+
+ROOT = Sdf.Path("/Sequence")
+SOURCE = ROOT.AppendChild("Source")
+TARGET = ROOT.AppendChild("Target")
+LABEL = "face:sequence:label"
+ATTRIBUTES = "face:sequence:attributes"
+VALUES = ROOT.AppendProperty("face:sequence:values")
+KEY_WEIGHT = ROOT.AppendProperty("face:sequence:keyWeight")
+
+MATCHES = Sdf.Path("/Matches")
+
+RATES_ALIKE = 1e-3
+"""Frames per second that a rate may lose where a layer holds it as a float."""
+
+
+def write_sequence(
+    path: Path,
+    sequence: EmotionalSequence,
+    *,
+    rate: Fraction,
+    provenance: Provenance | None = None,
+) -> None:
+    """Write a sequence: source and target each from time code 1, as long as they are."""
+    kinds = Sdf.ValueTypeNames
+    target = sequence.target
+    with new_layer(path, provenance) as layer:
+        author_units(layer)
+        last = max(len(sequence.source), len(target))
+        author_timing(layer, rate=rate, first=1, last=last)
+        layer.defaultPrim = ROOT.name
+        root = define_prim(layer, ROOT, "Scope")
+        apply_api(root, "FaceSequenceAPI")
+        author_uniform(root, LABEL, kinds.Token, sequence.label)
+        for place, shapes, weights in (
+            (SOURCE, sequence.source_shapes, sequence.source),
+            (TARGET, target.shapes, target.weights),
+        ):
+            prim = define_prim(layer, place, "SkelAnimation")
+            author_uniform(prim, "blendShapes", kinds.TokenArray, list(shapes))
+            Sdf.AttributeSpec(prim, "blendShapeWeights", kinds.FloatArray)
+            set_weight_samples(layer, place, weights, 1)
+        if target.joints:
+            author_joints(layer.GetPrimAtPath(TARGET), target.joints)
+            set_joint_samples(layer, TARGET, target, 1)
+        author_uniform(root, ATTRIBUTES, kinds.StringArray, list(target.attributes))
+        if target.attributes:
+            Sdf.AttributeSpec(root, VALUES.name, kinds.FloatArray)
+            for time, row in enumerate(target.values.tolist(), start=1):
+                layer.SetTimeSample(VALUES, time, row)
+        Sdf.AttributeSpec(root, KEY_WEIGHT.name, kinds.Float)
+        for time, weight in enumerate(sequence.key_weights.tolist(), start=1):
+            layer.SetTimeSample(KEY_WEIGHT, time, weight)
+
+
+@refusing_wrong_types
+def read_sequence(path: Path) -> EmotionalSequence:
+    """Read a sequence.
+
+    Raises
+    ------
+    InputError
+        If the file is no sequence, or one of its sides is missing.
+    """
+    stage = open_stage(path)
+    root = stage.GetPrimAtPath(ROOT)
+    if not root or not root.HasAPI("FaceSequenceAPI"):
+        raise InputError(
+            f"{path}: not a sequence: no </Sequence> with FaceSequenceAPI; make one with "
+            "`usdface make-sequence`"
+        )
+    source, _ = _read_side(stage, SOURCE, path)
+    target, times = _read_side(stage, TARGET, path)
+    names = tuple(map(str, root.GetAttribute(ATTRIBUTES).Get() or ()))
+    if names:
+        rows = [root.GetAttribute(VALUES.name).Get(time) for time in times]
+        if any(row is None or len(row) != len(names) for row in rows):
+            raise InputError(f"{path} <{VALUES}>: needs {len(names)} values at every time code")
+        target = Controls(**{**vars(target), "attributes": names, "values": np.array(rows, float)})
+    weight = root.GetAttribute(KEY_WEIGHT.name)
+    weights = [weight.Get(time) if weight else None for time in times]
+    return EmotionalSequence(
+        label=str(root.GetAttribute(LABEL).Get() or ""),
+        source_shapes=source.shapes,
+        source=source.weights,
+        target=target,
+        key_weights=np.array([1.0 if value is None else float(value) for value in weights]),
+    )
+
+
+def check_sequence_rate(path: Path, rate: Fraction) -> str:
+    """Return what to tell where a sequence runs at another rate than its use; empty if it fits."""
+    own = open_layer(path).timeCodesPerSecond
+    if abs(own - float(rate)) < RATES_ALIKE:
+        return ""
+    return (
+        f"{path.name} runs at {own:g} frames per second, and this performance at {float(rate):g}; "
+        "its frames are taken as they are, so it is faster or slower here"
+    )
+
+
+def _read_side(stage: Usd.Stage, place: Sdf.Path, path: Path) -> tuple[Controls, range]:
+    prim = stage.GetPrimAtPath(place)
+    times = UsdSkel.Animation(prim).GetBlendShapeWeightsAttr().GetTimeSamples() if prim else []
+    if len(times) < 2:
+        raise InputError(f"{path} <{place}>: needs at least 2 time codes, has {len(times)}")
+    first, last = span_of_samples(f"{path} <{place}>", times)
+    span = range(first, last + 1)
+    return controls_at(prim, None, (), span, path), span
+
+
+def write_matches(
+    path: Path, matches: tuple[SequenceMatch, ...], *, provenance: Provenance | None = None
+) -> None:
+    """Write where a take holds sequences: a prim each, to be deactivated or moved by people."""
+    kinds = Sdf.ValueTypeNames
+    with new_layer(path, provenance) as layer:
+        author_units(layer)
+        layer.defaultPrim = MATCHES.name
+        define_prim(layer, MATCHES, "Scope")
+        for number, match in enumerate(matches, start=1):
+            prim = define_prim(layer, MATCHES.AppendChild(f"match_{number:03d}"), "Scope")
+            apply_api(prim, "FaceMatchAPI")
+            asset = Sdf.AssetPath(relative_path(match.sequence, path))
+            for name, kind, value in (
+                ("sequence", kinds.Asset, asset),
+                ("label", kinds.Token, match.label),
+                ("firstFrame", kinds.Int, match.first_frame),
+                ("lastFrame", kinds.Int, match.last_frame),
+                ("distance", kinds.Double, match.distance),
+            ):
+                author_uniform(prim, f"face:match:{name}", kind, value)
+
+
+@refusing_wrong_types
+def read_matches(path: Path) -> tuple[SequenceMatch, ...]:
+    """Read the places that are active.
+
+    Raises
+    ------
+    InputError
+        If the file holds no list of matches, or a match lacks a value.
+    """
+    stage = open_stage(path)
+    root = stage.GetPrimAtPath(MATCHES)
+    if not root:
+        raise InputError(f"{path}: no </Matches>; make the file with `usdface find-sequences`")
+    found = []
+    for prim in root.GetChildren():
+        if not prim.HasAPI("FaceMatchAPI"):
+            continue
+        values = {
+            name: prim.GetAttribute(f"face:match:{name}").Get()
+            for name in ("sequence", "firstFrame", "lastFrame")
+        }
+        absent = [name for name, value in values.items() if value is None]
+        if absent:
+            raise InputError(f"{path} <{prim.GetPath()}>: face:match:{absent[0]} has no value")
+        asset, first, last = values["sequence"], int(values["firstFrame"]), int(values["lastFrame"])
+        if not isinstance(asset, Sdf.AssetPath) or last < first:
+            raise InputError(
+                f"{path} <{prim.GetPath()}>: frames {first}-{last} of {asset!s} are no match of a "
+                "sequence; correct it, or find sequences again"
+            )
+        found.append(
+            SequenceMatch(
+                sequence=path.parent / asset.path,
+                label=str(prim.GetAttribute("face:match:label").Get() or ""),
+                first_frame=first,
+                last_frame=last,
+                distance=float(prim.GetAttribute("face:match:distance").Get() or 0.0),
+            )
+        )
+    return tuple(found)

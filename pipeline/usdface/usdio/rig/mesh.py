@@ -1,0 +1,249 @@
+"""Read one mesh of any USD file, rig or not, and know how to put moved points back into it."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdSkel
+
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.assets import RigMesh
+from usdface.core.errors import InputError
+from usdface.usdio.layers import open_stage
+from usdface.usdio.rig.rest_pose import RestPose
+from usdface.usdio.rig.space import column_matrix, stage_to_ours, transform_points
+from usdface.usdio.wrong_types import refusing_wrong_types
+
+
+@dataclass(frozen=True)
+class FaceMesh:
+    """A mesh to deform, as it is at rest.
+
+    Attributes
+    ----------
+    file : Path
+    mesh : RigMesh
+        In millimetres, Y up; its shapes are left out.
+    local : (points, 3) float array
+        Its points as the file has them.
+    linear : (3, 3) or (points, 3, 3) float array
+        Turns a movement in the mesh's own space into ours [mm].
+    world : (4, 4) float array
+        Its transform in its stage, for column vectors and in the stage's unit.
+    meters_per_unit : float
+        Of its stage [m].
+    up_axis : str
+        Of its stage: ``'Y'`` or ``'Z'``.
+    normals : str
+        How authored normals follow the surface: ``'vertex'``, ``'faceVarying'``, ``'other'`` or,
+        where there are none, ``''``.
+    normals_attribute : str
+        ``'normals'`` or ``'primvars:normals'``.
+    authored_normals : (n, 3) float array or None
+        Per point or per corner of a face, as the file has them.
+    others : tuple of str
+        Paths of the file's other meshes: they stay still.
+    """
+
+    file: Path
+    mesh: RigMesh
+    local: FloatArray
+    linear: FloatArray
+    world: FloatArray
+    meters_per_unit: float
+    up_axis: str
+    normals: str = ""
+    normals_attribute: str = "normals"
+    authored_normals: FloatArray | None = None
+    others: tuple[str, ...] = ()
+
+    @property
+    def path(self) -> str:
+        """Prim path of the mesh."""
+        return self.mesh.path
+
+    @property
+    def hash(self) -> str:
+        """Hash of the surface at rest: of its points and faces, of nothing else."""
+        total = hashlib.sha256()
+        total.update(np.ascontiguousarray(self.mesh.points, dtype="<f4").tobytes())
+        for indices in (self.mesh.face_counts, self.mesh.face_indices):
+            total.update(np.ascontiguousarray(indices, dtype="<i4").tobytes())
+        return total.hexdigest()
+
+    def into_mesh(self, moved_mm: FloatArray) -> FloatArray:
+        """Turn movements in millimetres into the mesh's own space: (..., points, 3)."""
+        inverse = np.linalg.inv(self.linear)
+        if inverse.ndim == 2:
+            return np.asarray(moved_mm @ inverse.T)
+        return np.asarray(np.einsum("nij,...nj->...ni", inverse, moved_mm))
+
+
+@refusing_wrong_types
+def read_face_mesh(path: Path, *, prim: str | None = None) -> FaceMesh:
+    """Read the mesh that is to be deformed.
+
+    Parameters
+    ----------
+    path : Path
+        Any USD file with a polygon mesh.
+    prim : str, optional
+        The mesh, or a prim with only one mesh below it, where the file holds several.
+
+    Raises
+    ------
+    InputError
+        If there is no such mesh or several, it has no faces, its faces name points that are not
+        there, a point is NaN, or its topology changes over time.
+    """
+    stage = open_stage(path)
+    chosen, others = _find_mesh(stage, path, prim)
+    where = f"{path} <{chosen.GetPath()}>"
+    if chosen.IsInstanceProxy():
+        raise InputError(
+            f"{where}: lies inside an instanceable prim, and USD ignores what is said below one; "
+            "set instanceable = false there"
+        )
+    geometry = UsdGeom.Mesh(chosen)
+    _refuse_changing_topology(geometry, where)
+    local = np.array(_at_rest(geometry.GetPointsAttr()) or [], np.float64).reshape(-1, 3)
+    counts = np.array(_at_rest(geometry.GetFaceVertexCountsAttr()) or [], np.int64)
+    indices = np.array(_at_rest(geometry.GetFaceVertexIndicesAttr()) or [], np.int64)
+    _check_surface(local, counts, indices, where)
+    world = column_matrix(UsdGeom.XformCache().GetLocalToWorldTransform(chosen))
+    points, linear = _place(stage, chosen, local, world)
+    kind, attribute, authored = _authored_normals(geometry, len(local), len(indices))
+    mesh = RigMesh(
+        path=str(chosen.GetPath()),
+        points=points,
+        face_counts=counts,
+        face_indices=indices,
+        colors=_colors(geometry, len(local)),
+        subdivision=str(geometry.GetSubdivisionSchemeAttr().Get()),
+    )
+    return FaceMesh(
+        file=path,
+        mesh=mesh,
+        local=local,
+        linear=linear,
+        world=world,
+        meters_per_unit=float(UsdGeom.GetStageMetersPerUnit(stage)),
+        up_axis=str(UsdGeom.GetStageUpAxis(stage)),
+        normals=kind,
+        normals_attribute=attribute,
+        authored_normals=authored,
+        others=others,
+    )
+
+
+def _at_rest(attribute: Usd.Attribute) -> Any:
+    """Return the default value, else the first sample: what a mesh is before it moves."""
+    value = attribute.Get()
+    return attribute.Get(Usd.TimeCode.EarliestTime()) if value is None else value
+
+
+def _find_mesh(stage: Usd.Stage, path: Path, prim: str | None) -> tuple[Usd.Prim, tuple[str, ...]]:
+    top = stage.GetPseudoRoot() if prim is None else stage.GetPrimAtPath(prim)
+    if not top:
+        raise InputError(f"{path}: there is no prim <{prim}>; check --mesh-prim")
+    every = [
+        each
+        for each in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
+        if each.IsA(UsdGeom.Mesh)
+    ]
+    found = [each for each in every if each.GetPath().HasPrefix(top.GetPath())]
+    if not found:
+        raise InputError(f"{path} <{top.GetPath()}>: holds no mesh; is it the face's file?")
+    if len(found) > 1:
+        sizes = {each: len(_at_rest(UsdGeom.Mesh(each).GetPointsAttr()) or ()) for each in found}
+        named = sorted(found, key=lambda each: -sizes[each])
+        told = ", ".join(f"<{each.GetPath()}> ({sizes[each]} points)" for each in named[:6])
+        raise InputError(
+            f"{path}: holds {len(found)} meshes, {told}{', ...' if len(found) > 6 else ''}; name "
+            "the one with the face's skin with --mesh-prim"
+        )
+    others = tuple(str(each.GetPath()) for each in every if each != found[0])
+    return found[0], others
+
+
+def _refuse_changing_topology(geometry: UsdGeom.Mesh, where: str) -> None:
+    for attribute in (geometry.GetFaceVertexCountsAttr(), geometry.GetFaceVertexIndicesAttr()):
+        times = attribute.GetTimeSamples()
+        first = attribute.Get(times[0]) if times else None
+        for time in times[1:]:
+            if attribute.Get(time) != first:
+                raise InputError(
+                    f"{where}: its topology changes over time ({attribute.GetName()} at time code "
+                    f"{time:g}); markers are bound to faces that stay: give one frame of it"
+                )
+    points = geometry.GetPointsAttr()
+    sizes = {len(points.Get(time) or ()) for time in points.GetTimeSamples()}
+    if len(sizes) > 1:
+        raise InputError(
+            f"{where}: its number of points changes over time ({min(sizes)} to {max(sizes)}); "
+            "markers are bound to faces that stay: give one frame of it"
+        )
+
+
+def _check_surface(local: FloatArray, counts: IntArray, indices: IntArray, where: str) -> None:
+    if not len(counts) or not (counts >= 3).any():
+        raise InputError(
+            f"{where}: has {len(local)} points and no faces; distances on a surface need one: "
+            "mesh the points first"
+        )
+    fits = counts.min() >= 0 and counts.sum() == len(indices)
+    if not fits or indices.min() < 0 or indices.max() >= len(local):
+        raise InputError(f"{where}: its faces name points that are not there; repair the mesh")
+    bad = np.flatnonzero(~np.isfinite(local).all(axis=1))
+    if len(bad):
+        raise InputError(
+            f"{where}: {len(bad)} points hold NaN or infinity (first: point {bad[0]}); repair the "
+            "mesh"
+        )
+
+
+def _place(
+    stage: Usd.Stage, prim: Usd.Prim, local: FloatArray, world: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the points at rest in our space, and what turns a movement into our space."""
+    ours = stage_to_ours(stage)
+    root = UsdSkel.Root.Find(prim)
+    if root:
+        placed = RestPose(root, ours).place(prim, local)
+        return placed.points, placed.linear
+    return transform_points(world, local) @ ours.T, ours @ world[:3, :3]
+
+
+def _authored_normals(
+    geometry: UsdGeom.Mesh, point_count: int, corner_count: int
+) -> tuple[str, str, FloatArray | None]:
+    """Return how normals follow the surface, the attribute that holds them, and their values."""
+    primvar = UsdGeom.PrimvarsAPI(geometry).GetPrimvar("normals")
+    if primvar and primvar.HasAuthoredValue():
+        attribute, interpolation = "primvars:normals", primvar.GetInterpolation()
+        values = primvar.ComputeFlattened()
+    else:
+        attribute, interpolation = "normals", geometry.GetNormalsInterpolation()
+        values = _at_rest(geometry.GetNormalsAttr())
+    if not values:
+        return "", attribute, None
+    normals = np.array(values, np.float64).reshape(-1, 3)
+    if interpolation in ("vertex", "varying") and len(normals) == point_count:
+        return "vertex", attribute, normals
+    if interpolation == "faceVarying" and len(normals) == corner_count:
+        return "faceVarying", attribute, normals
+    return "other", attribute, None
+
+
+def _colors(geometry: UsdGeom.Mesh, point_count: int) -> FloatArray | None:
+    """Return a linear colour per point; where the file has them otherwise, pictures go without."""
+    primvar = geometry.GetDisplayColorPrimvar()
+    values = primvar.ComputeFlattened() if primvar and primvar.HasAuthoredValue() else None
+    if values is None:
+        return None
+    colors = np.array(values, np.float64).reshape(-1, 3)
+    if len(colors) == 1:
+        return np.repeat(colors, point_count, axis=0)
+    return colors if len(colors) == point_count else None

@@ -1,0 +1,111 @@
+"""A performance as UsdSkel poses it: shapes and joints together, frame by frame."""
+
+from pathlib import Path
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
+
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import Rig
+from usdface.core.errors import InputError
+from usdface.usdio.layers import open_stage
+from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.rig.read import find_face, read_rig
+from usdface.usdio.rig.reference import place_of
+from usdface.usdio.rig.space import column_matrix, stage_to_ours, transform_points
+from usdface.usdio.wrong_types import refusing_wrong_types
+
+
+class PosedRig:
+    """A performance's meshes, posed when asked for.
+
+    Parameters
+    ----------
+    path : Path
+        A performance; its rig is read as well.
+
+    Raises
+    ------
+    InputError
+        If the file is no performance, or its rig is gone.
+    """
+
+    @refusing_wrong_types
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.reader = PerformanceReader(path)
+        file, prim = self.reader.rig()
+        self.rig: Rig = read_rig(file, prim=prim)
+        self._stage = open_stage(path)
+        # A file of several faces is shown whole; the one that moves is meant.
+        place = place_of(self._stage, self._stage.GetPrimAtPath(self.reader.animation.GetPath()))
+        face = Sdf.Path(prim).ReplacePrefix(Sdf.Path(prim).GetPrefixes()[0], Sdf.Path(place))
+        told = str(face) if self._stage.GetPrimAtPath(face) else None
+        root = UsdSkel.Root(find_face(self._stage, path, told))
+        predicate = Usd.TraverseInstanceProxies()
+        self._cache = UsdSkel.Cache()
+        self._cache.Populate(root, predicate)
+        self._bound = {
+            str(target.GetPrim().GetPath()): (binding.GetSkeleton(), target)
+            for binding in self._cache.ComputeSkelBindings(root, predicate)
+            for target in binding.GetSkinningTargets()
+        }
+        self._meshes = [
+            prim for prim in Usd.PrimRange(root.GetPrim(), predicate) if prim.IsA(UsdGeom.Mesh)
+        ]
+        # The rig's own units: a performance references it as it is.
+        self._ours = stage_to_ours(open_stage(file))
+        if [len(mesh.points) for mesh in self.rig.meshes] != [
+            len(UsdGeom.Mesh(prim).GetPointsAttr().Get() or ()) for prim in self._meshes
+        ]:
+            raise InputError(f"{path}: its meshes are not those of {file}; map or retarget again")
+
+    @refusing_wrong_types
+    def points(self, frame: int) -> FloatArray:
+        """Return every mesh's points at a frame, one mesh after the other [mm], Y up."""
+        transforms = UsdGeom.XformCache(frame)
+        weights = dict(zip(self.reader.names, self.reader.edited(frame, frame)[0], strict=True))
+        return np.concatenate(
+            [self._posed(prim, frame, transforms, weights) for prim in self._meshes]
+        )
+
+    def _posed(
+        self, prim: Usd.Prim, frame: int, transforms: UsdGeom.XformCache, weights: dict[str, float]
+    ) -> FloatArray:
+        points = Vt.Vec3fArray(UsdGeom.Mesh(prim).GetPointsAttr().Get(frame))
+        skeleton, target = self._bound.get(str(prim.GetPath()), (None, None))
+        if target is None:
+            return _place(transforms.GetLocalToWorldTransform(prim), points, self._ours)
+        _deform(prim, points, weights)
+        query = self._cache.GetSkelQuery(skeleton)
+        joints = query.ComputeSkinningTransforms(frame)
+        if target.HasJointInfluences() and joints:
+            mapper = target.GetJointMapper()
+            if mapper and not mapper.IsIdentity():
+                joints = mapper.RemapTransforms(joints)
+            if target.ComputeSkinnedPoints(joints, points, frame):
+                world = transforms.GetLocalToWorldTransform(query.GetPrim())
+                return _place(world, points, self._ours)
+        return _place(transforms.GetLocalToWorldTransform(prim), points, self._ours)
+
+
+def _deform(prim: Usd.Prim, points: Vt.Vec3fArray, weights: dict[str, float]) -> None:
+    """Move points by the mesh's shapes, in place."""
+    binding = UsdSkel.BindingAPI(prim)
+    names = list(map(str, binding.GetBlendShapesAttr().Get() or ()))
+    if not names:
+        return
+    query = UsdSkel.BlendShapeQuery(binding)
+    own = Vt.FloatArray([float(weights.get(name, 0.0)) for name in names])
+    computed = query.ComputeSubShapeWeights(own)
+    query.ComputeDeformedPoints(
+        *computed,
+        query.ComputeBlendShapePointIndices(),
+        query.ComputeSubShapePointOffsets(),
+        points,
+    )
+
+
+def _place(world: object, points: Vt.Vec3fArray, ours: FloatArray) -> FloatArray:
+    placed = transform_points(column_matrix(world), np.array(points, np.float64))
+    return np.asarray(placed @ ours.T)

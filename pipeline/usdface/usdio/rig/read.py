@@ -1,0 +1,270 @@
+"""Read a rig as it is found: meshes bound to BlendShapes, over any number of meshes."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom, UsdSkel
+
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
+from usdface.core.errors import InputError
+from usdface.usdio.layers import open_stage
+from usdface.usdio.rig.materials import read_look
+from usdface.usdio.rig.rest_pose import PlacedMesh, RestPose
+from usdface.usdio.rig.space import stage_to_ours
+from usdface.usdio.wrong_types import refusing_wrong_types
+
+RANGE_ATTRIBUTE = "face:range"
+"""Optional double2 on a BlendShape prim: lowest and highest weight an animator may give."""
+
+
+@refusing_wrong_types
+def read_rig(path: Path, *, prim: str | None = None) -> Rig:
+    """Read a character's face.
+
+    Parameters
+    ----------
+    path : Path
+        A USD file with a SkelRoot, a Skeleton and meshes bound to BlendShapes.
+    prim : str, optional
+        Path of the SkelRoot, or of a prim above it, where the file holds several faces.
+
+    Raises
+    ------
+    InputError
+        If the file holds no such face, several, or one that is not consistent.
+    """
+    stage = open_stage(path)
+    root = _find_skel_root(stage, path, prim)
+    ours = stage_to_ours(stage)
+    rest = RestPose(UsdSkel.Root(root), ours)
+    meshes = tuple(_read_mesh(mesh, rest, path) for mesh in _meshes_below(root))
+    shapes = tuple(dict.fromkeys(shape.name for mesh in meshes for shape in mesh.shapes))
+    ranges = _read_ranges(root, shapes)
+    return Rig(file=path, prim=str(root.GetPath()), shapes=shapes, meshes=meshes, ranges=ranges)
+
+
+def skeletons_of(root: Usd.Prim) -> list[Usd.Prim]:
+    """Return the skeletons that the meshes with BlendShapes below a SkelRoot are bound to."""
+    found: dict[str, Usd.Prim] = {}
+    for mesh in _meshes_below(root):
+        if UsdSkel.BindingAPI(mesh).GetBlendShapesAttr().HasAuthoredValue():
+            skeleton = UsdSkel.BindingAPI(mesh).GetInheritedSkeleton()
+            if skeleton:
+                found[str(skeleton.GetPath())] = skeleton.GetPrim()
+    return list(found.values())
+
+
+def faces_below(top: Usd.Prim) -> list[Usd.Prim]:
+    """Return the SkelRoots with BlendShapes in a prim; one inside another belongs to that."""
+    faces = [root for root in _skel_roots(top) if any(map(_has_shapes, _meshes_below(root)))]
+    return [
+        each
+        for each in faces
+        if not any(each.GetPath().HasPrefix(other.GetPath()) and each != other for other in faces)
+    ]
+
+
+def find_face(stage: Usd.Stage, path: Path, prim: str | None) -> Usd.Prim:
+    """Return the one SkelRoot with BlendShapes in a stage, or below a prim of it."""
+    return _find_skel_root(stage, path, prim)
+
+
+def _find_skel_root(stage: Usd.Stage, path: Path, prim: str | None) -> Usd.Prim:
+    top = stage.GetPseudoRoot() if prim is None else stage.GetPrimAtPath(prim)
+    if not top:
+        raise InputError(f"{path}: there is no prim <{prim}>; check --prim")
+    faces = faces_below(top)
+    if not faces:
+        orphans = [each for each in Usd.PrimRange(top) if _has_shapes(each)]
+        if orphans:
+            raise InputError(
+                f"{path} <{orphans[0].GetPath()}>: has BlendShapes but no SkelRoot above it, so "
+                "nothing can animate it; put it under a SkelRoot"
+            )
+        what = (
+            "no SkelRoot" if not _skel_roots(top) else "no mesh with BlendShapes under its SkelRoot"
+        )
+        raise InputError(f"{path}: {what}; a rig needs meshes bound to BlendShapes (UsdSkel)")
+    if len(faces) > 1:
+        names = ", ".join(f"<{each.GetPath()}>" for each in faces)
+        raise InputError(
+            f"{path}: holds {len(faces)} faces, {names}; name one with --prim (`map`: --rig-prim)"
+        )
+    face = faces[0]
+    if not skeletons_of(face):
+        raise InputError(
+            f"{path} <{face.GetPath()}>: its meshes have BlendShapes but no skel:skeleton; UsdSkel "
+            "animates them only through a Skeleton: bind the meshes to one, a single joint will do"
+        )
+    return face
+
+
+def _skel_roots(top: Usd.Prim) -> list[Usd.Prim]:
+    prims = Usd.PrimRange(top, Usd.TraverseInstanceProxies())
+    return [each for each in prims if each.IsA(UsdSkel.Root)]
+
+
+def _meshes_below(root: Usd.Prim) -> Iterator[Usd.Prim]:
+    for each in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
+        if each.IsA(UsdGeom.Mesh):
+            yield each
+
+
+def _has_shapes(prim: Usd.Prim) -> bool:
+    return prim.IsA(UsdGeom.Mesh) and bool(UsdSkel.BindingAPI(prim).GetBlendShapesAttr().Get())
+
+
+def _read_mesh(prim: Usd.Prim, rest: RestPose, path: Path) -> RigMesh:
+    mesh = UsdGeom.Mesh(prim)
+    local = np.array(mesh.GetPointsAttr().Get() or [], dtype=np.float64).reshape(-1, 3)
+    counts = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=np.int64)
+    indices = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=np.int64)
+    where = f"{path} <{prim.GetPath()}>"
+    fits = counts.min(initial=0) >= 0 and counts.sum() == len(indices)
+    if not fits or indices.min(initial=0) < 0 or indices.max(initial=-1) >= len(local):
+        raise InputError(f"{where}: its faces name points that are not there; repair the mesh")
+    if not np.isfinite(local).all():
+        raise InputError(f"{where}: points hold NaN or infinity; repair the mesh")
+    placed = rest.place(prim, local)
+    look = read_look(prim, len(counts))
+    bare = RigMesh(
+        path=str(prim.GetPath()),
+        points=placed.points,
+        face_counts=counts,
+        face_indices=indices,
+        colors=_read_colors(mesh, len(local), indices),
+        normals=_read_normals(mesh, placed),
+        subdivision=str(mesh.GetSubdivisionSchemeAttr().Get()),
+        visible=mesh.ComputeVisibility() != UsdGeom.Tokens.invisible
+        and mesh.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render),
+        face_colors=look.face_colors,
+        undrawn=look.undrawn,
+    )
+    binding = UsdSkel.BindingAPI(prim)
+    names = [str(name) for name in binding.GetBlendShapesAttr().Get() or []]
+    targets = binding.GetBlendShapeTargetsRel().GetTargets()
+    if len(names) != len(targets):
+        raise InputError(
+            f"{where}: {len(names)} skel:blendShapes but {len(targets)} skel:blendShapeTargets; "
+            "they must pair up"
+        )
+    shapes = []
+    for name, target in zip(names, targets, strict=True):
+        shape = UsdSkel.BlendShape(prim.GetStage().GetPrimAtPath(target))
+        if not shape:
+            raise InputError(f"{where}: shape {name} targets <{target}>, which is no BlendShape")
+        keys = tuple(
+            ShapeKey(
+                weight=weight,
+                points=points,
+                offsets=placed.offsets(points, offsets),
+                normal_offsets=None if normals is None else placed.normals(normals, points),
+            )
+            for weight, points, offsets, normals in _shape_keys(shape, len(local), path)
+        )
+        shapes.append(MeshShape(name, keys))
+    return replace(bare, shapes=tuple(shapes))
+
+
+def _shape_keys(
+    shape: UsdSkel.BlendShape, point_count: int, path: Path
+) -> list[tuple[float, NDArray[np.int64], FloatArray, FloatArray | None]]:
+    """Return (weight, points, offsets, normal offsets) by ascending weight."""
+    where = f"{path} <{shape.GetPath()}>"
+    authored = shape.GetPointIndicesAttr().Get()
+    points = np.arange(point_count) if not authored else np.array(authored, dtype=np.int64)
+    if len(points) and (points.min() < 0 or points.max() >= point_count):
+        raise InputError(f"{where}: pointIndices name a point beyond the mesh's {point_count}")
+
+    def check(values: object, what: str) -> FloatArray:
+        array = np.array(values if values is not None else [], dtype=np.float64).reshape(-1, 3)
+        if len(array) != len(points):
+            raise InputError(
+                f"{where}: {len(array)} {what} for {len(points)} points; they must pair up"
+            )
+        if not np.isfinite(array).all():
+            raise InputError(f"{where}: {what} hold NaN or infinity; repair the shape")
+        return array
+
+    def normals(values: object) -> FloatArray | None:
+        return check(values, "normalOffsets") if values else None
+
+    offsets = shape.GetOffsetsAttr().Get()
+    keys = [
+        (
+            1.0,
+            points,
+            # A shape may turn normals alone, and then has no offsets.
+            check(offsets, "offsets") if offsets else np.zeros((len(points), 3)),
+            normals(shape.GetNormalOffsetsAttr().Get()),
+        )
+    ]
+    for between in shape.GetInbetweens():
+        weight = between.GetWeight()
+        # UsdSkel ignores an in-between at 0 or 1, where the neutral and the target are.
+        if weight is None or weight in (0.0, 1.0):
+            continue
+        keys.append(
+            (
+                float(weight),
+                points,
+                check(between.GetOffsets(), f"offsets of in-between {weight:g}"),
+                normals(between.GetNormalOffsets()),
+            )
+        )
+    return sorted(keys, key=lambda key: key[0])
+
+
+def _read_ranges(root: Usd.Prim, shapes: tuple[str, ...]) -> FloatArray:
+    ranges = {name: (0.0, 1.0) for name in shapes}
+    for mesh in _meshes_below(root):
+        binding = UsdSkel.BindingAPI(mesh)
+        for name, target in zip(
+            binding.GetBlendShapesAttr().Get() or [],
+            binding.GetBlendShapeTargetsRel().GetTargets(),
+            strict=True,
+        ):
+            attribute = root.GetStage().GetPrimAtPath(target).GetAttribute(RANGE_ATTRIBUTE)
+            value = attribute.Get() if attribute else None
+            if value is not None and value[0] < value[1]:
+                ranges[str(name)] = (float(value[0]), float(value[1]))
+    return np.array([ranges[name] for name in shapes], dtype=np.float64).reshape(-1, 2)
+
+
+def _read_colors(
+    mesh: UsdGeom.Mesh, point_count: int, indices: NDArray[np.int64]
+) -> FloatArray | None:
+    primvar = mesh.GetDisplayColorPrimvar()
+    values = primvar.ComputeFlattened() if primvar and primvar.HasAuthoredValue() else None
+    if values is None:
+        return None
+    colors = np.array(values, dtype=np.float64).reshape(-1, 3)
+    if len(colors) == 1:
+        return np.repeat(colors, point_count, axis=0)
+    if len(colors) == point_count:
+        return colors
+    if len(colors) == len(indices):  # one per face corner: a point takes their mean
+        sums = np.zeros((point_count, 3))
+        np.add.at(sums, indices, colors)
+        used = np.bincount(indices, minlength=point_count)
+        return sums / np.maximum(used, 1)[:, None]
+    return None
+
+
+def _read_normals(mesh: UsdGeom.Mesh, placed: PlacedMesh) -> FloatArray | None:
+    """Return a unit normal of each point, where they are given so; ``primvars:normals`` first."""
+    primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")
+    values = primvar.ComputeFlattened() if primvar and primvar.HasAuthoredValue() else None
+    if values is None:
+        values = mesh.GetNormalsAttr().Get()
+    if values is None or len(values) != len(placed.points):
+        return None
+    normals = np.array(values, dtype=np.float64).reshape(-1, 3)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    if not np.isfinite(normals).all() or not (length > 0).all():
+        return None
+    return placed.normals(normals / length)

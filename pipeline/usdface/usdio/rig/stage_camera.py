@@ -1,0 +1,187 @@
+"""A stage's camera, as it sees a character's face: in the rig's own space, whatever the shot did.
+
+A shot moves, scales and units its characters; pictures of a face are drawn in the space its rig is
+read in. So the camera is carried there: from the shot through the character's place in it.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from pxr import Gf, Usd, UsdGeom, UsdSkel
+
+from usdface.core.arrays import FloatArray
+from usdface.core.errors import InputError
+from usdface.usdio.layers import millimetres, open_stage
+from usdface.usdio.rig.space import column_matrix, stage_to_ours
+from usdface.usdio.wrong_types import refusing_wrong_types
+
+CAMERAS_TOLD = 6
+_TENTHS = 0.1  # apertures and focal lengths count tenths of a scene unit
+
+
+@dataclass(frozen=True)
+class StageView:
+    """What a stage's camera sees at one frame.
+
+    Attributes
+    ----------
+    eye : (3,) float array
+        In the rig's space [mm], Y up.
+    forward, up : (3,) float arrays
+        Unit.
+    fov_degrees : float
+        Vertical field of view [degrees].
+    shift : tuple of two floats
+        Lens shift, right and up [half heights].
+    span_mm : float or None
+        Height of what an orthographic camera sees [mm].
+    aspect : float
+        Width over height of the film.
+    """
+
+    eye: FloatArray
+    forward: FloatArray
+    up: FloatArray
+    fov_degrees: float
+    shift: tuple[float, float]
+    span_mm: float | None
+    aspect: float
+
+
+class StageCamera:
+    """A camera of a stage, sampled where it is asked for; the stage is opened once.
+
+    Parameters
+    ----------
+    path : Path
+        The stage that holds the camera.
+    prim : str
+        Path of the camera.
+    rig_file : Path
+    rig_prim : str
+        The character: where it stands in the stage is taken off the camera.
+    rate : Fraction
+        Of the frames asked for, per second; a stage that counts time otherwise is asked in its own.
+
+    Attributes
+    ----------
+    path : Path
+    holds_character : bool
+        False where the stage has no such character: it stands at the stage's origin then.
+
+    Raises
+    ------
+    InputError
+        If there is no such camera, or the character is there more than once.
+    """
+
+    @refusing_wrong_types
+    def __init__(
+        self, path: Path, prim: str, *, rig_file: Path, rig_prim: str, rate: Fraction
+    ) -> None:
+        self.path = path
+        self._stage = open_stage(path)
+        self._camera = UsdGeom.Camera(_camera(self._stage, path, prim))
+        self._time_codes = self._stage.GetTimeCodesPerSecond() / float(rate)
+        rig = open_stage(rig_file)
+        home = rig.GetPrimAtPath(rig_prim)
+        self._root = _character(self._stage, path, home)
+        self.holds_character = self._root is not None
+        # A character that is referenced keeps its own units: USD converts none.
+        unit = rig if self.holds_character else self._stage
+        self._ours = stage_to_ours(unit)
+        self._millimetres = millimetres(unit)
+        self._home = UsdGeom.XformCache().GetLocalToWorldTransform(home)
+
+    @refusing_wrong_types
+    def at(self, frame: int) -> StageView:
+        """Return what the camera sees at a frame.
+
+        Raises
+        ------
+        InputError
+            If the camera, or the character's place, is degenerate there.
+        """
+        time = Usd.TimeCode(frame * self._time_codes)
+        camera = self._camera.GetCamera(time)
+        placed = self._into_rig(camera.transform, time)
+        up, back = placed[:3, 1], placed[:3, 2]
+        scale = float(np.linalg.norm(up))
+        where = f"{self.path} <{self._camera.GetPath()}> frame {frame}"
+        if not np.isfinite(placed).all() or abs(np.linalg.det(placed[:3, :3])) < 1e-18:
+            raise InputError(f"{where}: its transform has no inverse; repair the camera's place")
+        wide, high, focal = camera.horizontalAperture, camera.verticalAperture, camera.focalLength
+        flat = camera.projection == Gf.Camera.Orthographic
+        if not (wide > 0 and high > 0 and (flat or focal > 0)):
+            raise InputError(
+                f"{where}: an aperture of {wide:g} × {high:g} and a focal length of {focal:g} see "
+                "nothing; repair the camera, or use --camera auto"
+            )
+        return StageView(
+            eye=self._ours @ placed[:3, 3],
+            forward=_unit(self._ours @ -back),
+            up=_unit(self._ours @ up),
+            fov_degrees=45.0 if flat else float(np.degrees(2 * np.arctan(high / 2 / focal))),
+            shift=(
+                2 * camera.horizontalApertureOffset / high,
+                2 * camera.verticalApertureOffset / high,
+            ),
+            span_mm=_TENTHS * high * scale * self._millimetres if flat else None,
+            aspect=float(wide / high),
+        )
+
+    def _into_rig(self, transform: Gf.Matrix4d, time: Usd.TimeCode) -> FloatArray:
+        """Return the camera's place as the rig's own stage would have it, for column vectors."""
+        if self._root is None:
+            return column_matrix(transform)
+        world = UsdGeom.XformCache(time).GetLocalToWorldTransform(self._root)
+        if abs(world.GetDeterminant()) < 1e-18:
+            raise InputError(
+                f"{self.path} <{self._root.GetPath()}> time code {time.GetValue():g}: its "
+                "transform has no inverse; repair the character's place, or use --camera auto"
+            )
+        return column_matrix(transform * world.GetInverse() * self._home)
+
+
+def _camera(stage: Usd.Stage, path: Path, name: str) -> Usd.Prim:
+    prim = stage.GetPrimAtPath(name)
+    if prim and prim.IsA(UsdGeom.Camera):
+        return prim
+    found = [
+        f"<{each.GetPath()}>"
+        for each in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
+        if each.IsA(UsdGeom.Camera)
+    ]
+    kind = prim.GetTypeName() or "prim without a type" if prim else ""
+    what = f"<{name}> is a {kind}, no camera" if prim else f"there is no prim <{name}>"
+    told = ", ".join(found[:CAMERAS_TOLD]) + (", ..." if len(found) > CAMERAS_TOLD else "")
+    remedy = (
+        f"its cameras are {told}"
+        if found
+        else "it has no camera: name the shot with --camera-stage, or use --camera auto"
+    )
+    raise InputError(f"{path}: {what}; {remedy}")
+
+
+def _character(stage: Usd.Stage, path: Path, home: Usd.Prim) -> Usd.Prim | None:
+    """Return the SkelRoot that is composed of the rig's own; None where there is none."""
+    own = {(spec.layer.realPath, spec.path) for spec in home.GetPrimStack()}
+    found = [
+        prim
+        for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
+        if prim.IsA(UsdSkel.Root)
+        and any((spec.layer.realPath, spec.path) in own for spec in prim.GetPrimStack())
+    ]
+    if len(found) > 1:
+        told = ", ".join(f"<{prim.GetPath()}>" for prim in found[:CAMERAS_TOLD])
+        raise InputError(
+            f"{path}: the character is there {len(found)} times, {told}; give a stage with one of "
+            "them as --camera-stage"
+        )
+    return found[0] if found else None
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    return np.asarray(vector / np.linalg.norm(vector))

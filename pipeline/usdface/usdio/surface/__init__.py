@@ -1,0 +1,1 @@
+"""Bindings, point caches and generated rigs."""

@@ -1,0 +1,313 @@
+"""Marker bindings as layers that people read and correct: what was proposed, and what they said.
+
+The layer to open shows the mesh with a ball at every marker. Beneath it lie two layers: the
+stronger holds corrections and is never rewritten, the weaker holds the proposal. A marker is
+corrected by any one of: moving its ball, another face, other weights on the face, the index of a
+point, or deactivating its prim, which leaves the marker out.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pxr import Gf, Sdf, Tf, Usd, Vt
+
+from usdface.core.arrays import FloatArray
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
+from usdface.numerics.registration.marker_binding import MarkerBinding
+from usdface.numerics.registration.surface_places import (
+    SurfacePlaces,
+    nearest_places,
+    place_on_polygon,
+    places_at_points,
+    polygon_weights,
+)
+from usdface.usdio.authoring import apply_api, author_uniform, define_prim
+from usdface.usdio.layers import (
+    MM_PER_STAGE_UNIT,
+    author_units,
+    new_layers,
+    open_layer,
+    open_stage,
+    relative_path,
+)
+from usdface.usdio.rig.mesh import FaceMesh
+from usdface.usdio.rig.space import stage_to_ours
+from usdface.usdio.wrong_types import refusing_wrong_types
+
+ROOT = Sdf.Path("/Binding")
+MARKERS = ROOT.AppendChild("Markers")
+MESH = ROOT.AppendChild("Mesh")
+BALL_RADIUS = 0.15
+"""As large as a marker [cm]."""
+
+TRANSLATE = "xformOp:translate"
+HOW_TO_CORRECT = """Corrections of a marker binding: usdface never rewrites this layer. Write an
+over of the marker, with one of: xformOp:translate (move its ball), face:binding:point (index of a
+point of the mesh), face:binding:face with or without face:binding:weights (one weight per corner
+of that face), or `active = false` to leave the marker out."""
+
+
+@dataclass(frozen=True)
+class ReadBinding:
+    """A binding as it composes.
+
+    Attributes
+    ----------
+    binding : MarkerBinding
+        Sources are ``'corrected'`` where a stronger layer spoke.
+    left_out : tuple of str
+        Markers whose prim somebody deactivated.
+    """
+
+    binding: MarkerBinding
+    left_out: tuple[str, ...]
+
+
+def write_binding(
+    path: Path,
+    binding: MarkerBinding,
+    face: FaceMesh,
+    *,
+    corrected_path: Path,
+    proposed_path: Path,
+    provenance: Provenance | None = None,
+) -> None:
+    """Write a binding and its proposal; corrections stay as they are.
+
+    Parameters
+    ----------
+    path, corrected_path, proposed_path : Path
+        The layer to open, and the two beneath it.
+    binding : MarkerBinding
+    face : FaceMesh
+    provenance : Provenance, optional
+    """
+    stage = open_stage(face.file)
+    made: dict[Path, Provenance | None] = {proposed_path: provenance, path: provenance}
+    if not corrected_path.is_file():
+        made = {corrected_path: None, **made}
+    with new_layers(made) as layers:
+        *corrected, proposed, layer = layers
+        for each in corrected:
+            author_units(each)
+            each.defaultPrim = ROOT.name
+            each.comment = HOW_TO_CORRECT
+            for place in (ROOT, MARKERS):
+                Sdf.CreatePrimInLayer(each, place)
+        _author_proposed(proposed, binding, face)
+        author_units(layer)
+        layer.defaultPrim = ROOT.name
+        layer.subLayerPaths = [
+            relative_path(each, path) for each in (corrected_path, proposed_path)
+        ]
+        root = define_prim(layer, ROOT, "Xform")
+        apply_api(root, "FaceBindingAPI")
+        asset = Sdf.AssetPath(relative_path(face.file, path))
+        author_uniform(root, "face:binding:mesh", Sdf.ValueTypeNames.Asset, asset)
+        author_uniform(root, "face:binding:prim", Sdf.ValueTypeNames.String, face.path)
+        author_uniform(root, "face:binding:hash", Sdf.ValueTypeNames.String, face.hash)
+        _show_mesh(layer, face, stage, path)
+
+
+@refusing_wrong_types
+def read_binding(path: Path, face: FaceMesh) -> ReadBinding:
+    """Read a binding as it composes, corrections over proposals.
+
+    Parameters
+    ----------
+    path : Path
+    face : FaceMesh
+        The mesh it is to be used on.
+
+    Raises
+    ------
+    InputError
+        If the file holds no binding, it was made on another surface, or a marker's place is not on
+        the mesh.
+    """
+    stage = open_stage(path)
+    root = stage.GetDefaultPrim()
+    if not root or not root.HasAPI("FaceBindingAPI"):
+        raise InputError(
+            f"{path}: not a binding: its default prim has no FaceBindingAPI; make one with "
+            "`usdface bind`"
+        )
+    made_on = str(root.GetAttribute("face:binding:hash").Get() or "")
+    if made_on != face.hash:
+        raise InputError(
+            f"{path}: was made on another surface than {face.file} <{face.path}>, whose points or "
+            "faces differ; bind again, under another name if its corrections are to be kept"
+        )
+    names, kept, left_out = [], [], []
+    holder = stage.GetPrimAtPath(MARKERS)
+    for prim in holder.GetAllChildren() if holder else ():
+        name = str(_value(prim, "face:binding:marker") or prim.GetName())
+        if not prim.IsActive():
+            left_out.append(name)
+            continue
+        names.append(name)
+        kept.append(_read_place(path, prim, face))
+    if not kept:
+        raise InputError(f"{path} <{MARKERS}>: binds no marker; bind again")
+    binding = MarkerBinding(
+        names=tuple(names),
+        places=_joined([each.places for each in kept]),
+        confidence=np.array([each.confidence for each in kept]),
+        distance_mm=np.array([each.distance_mm for each in kept]),
+        sources=tuple(each.source for each in kept),
+    )
+    return ReadBinding(binding, tuple(left_out))
+
+
+@dataclass(frozen=True)
+class _MarkerPlace:
+    places: SurfacePlaces
+    confidence: float
+    distance_mm: float
+    source: str
+
+
+def _author_proposed(layer: Sdf.Layer, binding: MarkerBinding, face: FaceMesh) -> None:
+    mesh = face.mesh
+    at = binding.places.positions(mesh.points) / MM_PER_STAGE_UNIT
+    shares = polygon_weights(binding.places, mesh.face_counts, mesh.face_indices)
+    kinds = Sdf.ValueTypeNames
+    author_units(layer)
+    layer.defaultPrim = ROOT.name
+    define_prim(layer, ROOT, "Xform")
+    define_prim(layer, MARKERS, "Scope")
+    taken: set[str] = set()
+    for index, name in enumerate(binding.names):
+        prim = define_prim(layer, MARKERS.AppendChild(_prim_name(name, taken)), "Sphere")
+        apply_api(prim, "FaceMarkerBindingAPI")
+        confidence = float(binding.confidence[index])
+        weights = Vt.FloatArray([round(float(w), 6) for w in shares[index]])
+        for key, kind, value in (
+            ("face:binding:marker", kinds.Token, name),
+            ("face:binding:face", kinds.Int, int(binding.places.faces[index])),
+            ("face:binding:weights", kinds.FloatArray, weights),
+            ("face:binding:confidence", kinds.Float, round(confidence, 4)),
+            ("face:binding:distance", kinds.Float, round(float(binding.distance_mm[index]), 3)),
+            ("face:binding:source", kinds.Token, binding.sources[index]),
+            ("xformOpOrder", kinds.TokenArray, Vt.TokenArray([TRANSLATE])),
+        ):
+            author_uniform(prim, key, kind, value)
+        place = Gf.Vec3d(*(round(float(c), 6) for c in at[index]))
+        Sdf.AttributeSpec(prim, TRANSLATE, kinds.Double3).default = place
+        Sdf.AttributeSpec(prim, "radius", kinds.Double).default = BALL_RADIUS
+        extent = [Gf.Vec3f(-BALL_RADIUS), Gf.Vec3f(BALL_RADIUS)]
+        Sdf.AttributeSpec(prim, "extent", kinds.Float3Array).default = extent
+        color = [Gf.Vec3f(0.9 - 0.8 * confidence, 0.15 + 0.6 * confidence, 0.1)]
+        Sdf.AttributeSpec(prim, "primvars:displayColor", kinds.Color3fArray).default = color
+
+
+def _prim_name(name: str, taken: set[str]) -> str:
+    """Return a name that a prim may have and no other marker took.
+
+    A name in any script is kept as it is: corrections find their marker by it, and what is left of
+    two Japanese names in ASCII would depend on which marker comes first.
+    """
+    base = unique = name if Sdf.Path.IsValidIdentifier(name) else str(Tf.MakeValidIdentifier(name))
+    number = 2
+    while unique in taken:
+        unique = f"{base}_{number}"
+        number += 1
+    taken.add(unique)
+    return unique
+
+
+def _show_mesh(layer: Sdf.Layer, face: FaceMesh, stage: Usd.Stage, path: Path) -> None:
+    """Show the mesh among the balls by a reference, turned and sized into their space."""
+    holder = define_prim(layer, MESH, "Xform")
+    turn = np.eye(4)
+    turn[:3, :3] = stage_to_ours(stage) / MM_PER_STAGE_UNIT
+    matrix = Sdf.AttributeSpec(holder, "xformOp:transform", Sdf.ValueTypeNames.Matrix4d)
+    matrix.default = Gf.Matrix4d(*turn.T.ravel().tolist())
+    order = Vt.TokenArray(["xformOp:transform"])
+    author_uniform(holder, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order)
+    shown = Sdf.CreatePrimInLayer(layer, MESH.AppendChild("Asset"))
+    shown.specifier = Sdf.SpecifierDef
+    top = Sdf.Path(face.path).GetPrefixes()[0]
+    shown.referenceList.prependedItems = [Sdf.Reference(relative_path(face.file, path), top)]
+
+
+def _read_place(path: Path, prim: Usd.Prim, face: FaceMesh) -> _MarkerPlace:
+    mesh = face.mesh
+    counts, indices = mesh.face_counts, mesh.face_indices
+    point = _value(prim, "face:binding:point")
+    said = {
+        key: _corrected(prim, key)
+        for key in ("face:binding:face", "face:binding:weights", TRANSLATE)
+    }
+    source = str(_value(prim, "face:binding:source") or "proposed")
+    corrected = point is not None or any(said.values())
+    try:
+        if point is not None:
+            places = places_at_points(counts, indices, np.array([int(str(point))]))
+        elif said[TRANSLATE] and not said["face:binding:face"] and not said["face:binding:weights"]:
+            places = nearest_places(mesh.points, counts, indices, _ball(prim))
+        else:
+            number = int(str(_value(prim, "face:binding:face")))
+            weights = np.array(_value(prim, "face:binding:weights"), np.float64).reshape(-1)
+            if said["face:binding:face"] and not said["face:binding:weights"]:
+                known = 0 <= number < len(counts)
+                corners = int(counts[number]) if known else 3
+                weights = np.full(corners, 1 / corners)  # of a face alone its middle is meant
+            places = place_on_polygon(mesh.points, counts, indices, face=number, weights=weights)
+    except (ValueError, TypeError) as error:
+        raise InputError(
+            f"{path} <{prim.GetPath()}>: marker {prim.GetName()} is not on the mesh: {error}; "
+            "correct its face and weights, or deactivate it"
+        ) from error
+    if corrected:
+        return _MarkerPlace(places, 1.0, 0.0, "corrected")
+    confidence, distance = (
+        float(str(_value(prim, f"face:binding:{key}") or 0)) for key in ("confidence", "distance")
+    )
+    return _MarkerPlace(places, confidence, distance, source)
+
+
+def _ball(prim: Usd.Prim) -> FloatArray:
+    """Return where a marker's ball is: (1, 3) float array [mm]."""
+    at = np.array(prim.GetAttribute(TRANSLATE).Get(), np.float64).reshape(1, 3)
+    if not np.isfinite(at).all():
+        raise ValueError(f"its ball is at {at[0].tolist()}")
+    return np.asarray(at @ stage_to_ours(prim.GetStage()).T)
+
+
+def _corrected(prim: Usd.Prim, name: str) -> bool:
+    """Whether a layer stronger than the proposal gives an attribute a value."""
+    attribute = prim.GetAttribute(name)
+    stack = attribute.GetPropertyStack() if attribute else []
+    return any(spec.HasDefaultValue() for spec in stack[:-1])
+
+
+def _value(prim: Usd.Prim, name: str) -> object:
+    """Return an attribute's value; of a prim that is not active, what its layers say."""
+    if prim.IsActive():
+        attribute = prim.GetAttribute(name)
+        return attribute.Get() if attribute else None
+    for spec in prim.GetPrimStack():
+        if name in spec.properties and spec.properties[name].default is not None:
+            found: object = spec.properties[name].default
+            return found
+    return None
+
+
+def _joined(parts: list[SurfacePlaces]) -> SurfacePlaces:
+    return SurfacePlaces(
+        np.concatenate([each.faces for each in parts]),
+        np.concatenate([each.corners for each in parts]),
+        np.concatenate([each.weights for each in parts]),
+    )
+
+
+def has_binding(path: Path) -> bool:
+    """Whether a file exists and holds a binding."""
+    if not path.is_file():
+        return False
+    layer = open_layer(path)  # a prim's spec does not keep its layer
+    spec = layer.GetPrimAtPath(ROOT)
+    return spec is not None and "face:binding:hash" in spec.properties

@@ -1,0 +1,86 @@
+"""Distances over a mesh as a layer: found once for a surface and its markers, read ever after."""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Sdf, Vt
+
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
+from usdface.usdio.authoring import apply_api, author_uniform, define_prim
+from usdface.usdio.layers import author_units, new_layer, open_layer
+
+ROOT = Sdf.Path("/Distances")
+ARRAY = "face:array:"
+KEY = "face:distances:key"
+FACTS = "face:distances:facts"
+
+AnyArray = NDArray[np.float64] | NDArray[np.float32] | NDArray[np.bool_]
+
+_KINDS = {
+    "float64": (Sdf.ValueTypeNames.DoubleArray, Vt.DoubleArray),
+    "float32": (Sdf.ValueTypeNames.FloatArray, Vt.FloatArray),
+    "bool": (Sdf.ValueTypeNames.BoolArray, Vt.BoolArray),
+}
+
+
+@dataclass(frozen=True)
+class CachedDistances:
+    """What is kept: arrays by name, in the precision they came in, and plain facts.
+
+    Attributes
+    ----------
+    arrays : dict of str to array
+        float64, float32 or bool, of any shape; lengths in millimetres.
+    facts : dict of str to int
+    """
+
+    arrays: dict[str, AnyArray]
+    facts: dict[str, int] = field(default_factory=dict)
+
+
+def write_distances(
+    path: Path, cached: CachedDistances, *, key: str, provenance: Provenance | None = None
+) -> None:
+    """Write distances under a key that says of which surface and markers they are."""
+    kinds = Sdf.ValueTypeNames
+    with new_layer(path, provenance or Provenance(step="distances")) as layer:
+        author_units(layer)
+        layer.defaultPrim = ROOT.name
+        prim = define_prim(layer, ROOT, "Scope")
+        apply_api(prim, "FaceDistancesAPI")
+        author_uniform(prim, KEY, kinds.String, key)
+        author_uniform(prim, FACTS, kinds.String, json.dumps(cached.facts))
+        for name, array in cached.arrays.items():
+            kind, container = _KINDS[array.dtype.name]
+            values = container.FromNumpy(np.ascontiguousarray(array).ravel())
+            author_uniform(prim, f"{ARRAY}{name}", kind, values)
+            shape = Vt.IntArray([int(size) for size in array.shape])
+            author_uniform(prim, f"{ARRAY}{name}:shape", kinds.IntArray, shape)
+
+
+def read_distances(path: Path, *, key: str) -> CachedDistances | None:
+    """Return the distances of a key; None where the file is absent, unreadable or of another."""
+    if not path.is_file():
+        return None
+    try:
+        layer = open_layer(path)
+    except InputError:
+        return None  # a cache that cannot be read is made again
+    prim = layer.GetPrimAtPath(ROOT)
+    if prim is None or KEY not in prim.attributes or prim.attributes[KEY].default != key:
+        return None
+    values = {name: attribute.default for name, attribute in prim.attributes.items()}
+    arrays: dict[str, AnyArray] = {}
+    try:
+        for name, value in values.items():
+            if name.startswith(ARRAY) and not name.endswith(":shape"):
+                shape = tuple(int(size) for size in values[f"{name}:shape"])
+                arrays[name.removeprefix(ARRAY)] = np.array(value).reshape(shape)
+        facts = json.loads(values[FACTS])
+    except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError):
+        return None
+    return CachedDistances(arrays, facts)

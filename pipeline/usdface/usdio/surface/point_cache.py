@@ -1,0 +1,377 @@
+"""A mesh that moves: points over time as overs on the mesh's own asset, in one layer or in clips.
+
+NAME.usda is what to open: it references the mesh's asset and sublayers NAME.points.usdc, which
+holds only overs. A long take's samples go into value clips beside that layer, so that neither
+writing nor reading holds more than one of them.
+"""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from pxr import Sdf, Vt
+
+from usdface.core.arrays import Float32Array, FloatArray
+from usdface.core.assets import Rig
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance, hash_text
+from usdface.usdio.authoring import apply_api, author_uniform
+from usdface.usdio.layers import author_timing, new_layer, open_layer, relative_path
+from usdface.usdio.rig.mesh import FaceMesh
+from usdface.usdio.rig.reference import default_place, define_reference
+
+UNCERTAINTY = "primvars:face:uncertainty"
+BYTES_IN_MEMORY = 128 << 20
+"""Samples are saved to disk in lots of this size."""
+
+
+def points_path(path: Path) -> Path:
+    """Return where the points go: NAME.points.usdc beside NAME.usda."""
+    return path.with_name(f"{path.stem}.points.usdc")
+
+
+@dataclass(frozen=True)
+class PointsFormat:
+    """What is written of each frame.
+
+    Attributes
+    ----------
+    normals : bool
+        Normals over time, where the mesh has authored ones that a renderer would use.
+    uncertainty : bool
+        The primvar ``face:uncertainty`` [mm].
+    clip_bytes : int
+        Takes whose samples are larger go into value clips of about this size.
+    """
+
+    normals: bool = False
+    uncertainty: bool = False
+    clip_bytes: int = 512 << 20
+
+
+class PointsWriter:
+    """Appends frames of a moving mesh; made by `writing_points`."""
+
+    def __init__(self, face: FaceMesh, place: Sdf.Path, format_: PointsFormat) -> None:
+        self._face = face
+        self._place = place
+        self._format = format_
+        self._layer: Sdf.Layer | None = None
+        self._unsaved = 0
+        self.next_frame = 0
+
+    def append(
+        self,
+        points: FloatArray,
+        *,
+        normals: FloatArray | None = None,
+        uncertainty_mm: FloatArray | Float32Array | None = None,
+    ) -> None:
+        """Append frames.
+
+        Parameters
+        ----------
+        points : (frames, points, 3) float array
+            In the mesh's own space and unit.
+        normals : (frames, n, 3) float array, optional
+            As many as the mesh has.
+        uncertainty_mm : (frames, points) float array, optional
+            Predictive standard deviation.
+        """
+        for index in range(len(points)):
+            rows: list[tuple[str, FloatArray | Float32Array]] = [
+                ("points", points[index]),
+                ("extent", np.stack([points[index].min(axis=0), points[index].max(axis=0)])),
+            ]
+            if self._format.normals and normals is not None:
+                rows.append((self._face.normals_attribute, normals[index]))
+            if self._format.uncertainty and uncertainty_mm is not None:
+                rows.append((UNCERTAINTY, uncertainty_mm[index]))
+            self._put(self.next_frame, rows)
+            self.next_frame += 1
+
+    def _put(self, frame: int, rows: list[tuple[str, FloatArray | Float32Array]]) -> None:
+        if self._layer is None:
+            raise ValueError("the writer is closed")
+        for name, values in rows:
+            value = _sample(values)
+            self._layer.SetTimeSample(self._place.AppendProperty(name), frame, value)
+            self._unsaved += 4 * values.size
+        if self._unsaved >= BYTES_IN_MEMORY:
+            # A saved binary layer reads its samples back from disk when asked.
+            self._layer.Save()
+            self._unsaved = 0
+
+
+class _ClipsWriter(PointsWriter):
+    """Writes one clip after the other, each closed and renamed when the next begins."""
+
+    def __init__(
+        self,
+        face: FaceMesh,
+        place: Sdf.Path,
+        format_: PointsFormat,
+        timing: "_Timing",
+        played: set[Path],
+    ) -> None:
+        super().__init__(face, place, format_)
+        self._played = played
+        self.files: list[Path] = []
+        self.starts: list[int] = []
+        self._timing = timing
+        self._open: contextlib.ExitStack | None = None
+
+    def begin(self) -> None:
+        self.next_frame = self._timing.first
+
+    def _put(self, frame: int, rows: list[tuple[str, FloatArray | Float32Array]]) -> None:
+        offset = frame - self._timing.first
+        if offset % self._timing.clip_frames == 0:
+            if self._open is not None:
+                # The next clip's first frame, too: between clips motion is interpolated as within.
+                super()._put(frame, rows)
+                self.close()
+            self._begin_clip(frame)
+        super()._put(frame, rows)
+
+    def _begin_clip(self, frame: int) -> None:
+        path = self._timing.clip_name(len(self.files) + 1)
+        last = min(frame + self._timing.clip_frames, self._timing.last)
+        self._open = contextlib.ExitStack()
+        layer = self._open.enter_context(new_layer(path))
+        _author_header(layer, self._face, self._place, self._timing.rate, frame, last)
+        _declare(layer, self._face, self._place, self._format)
+        self._layer, self._unsaved = layer, 0
+        self.files.append(path)
+        self.starts.append(frame)
+
+    def close(self) -> None:
+        self._layer = None
+        if self._open is not None:
+            self._open.close()
+        self._open = None
+
+    def abandon(self, error: BaseException) -> None:
+        """Leave nothing of a clip that was not finished, nor of those before it.
+
+        What is made again from the same has the names of what the asset still plays: that stays.
+        """
+        self._layer = None
+        if self._open is not None:
+            with contextlib.suppress(BaseException):
+                self._open.__exit__(type(error), error, error.__traceback__)
+        for file in self.files:
+            if file not in self._played:
+                file.unlink(missing_ok=True)
+
+
+@dataclass(frozen=True)
+class _Timing:
+    rate: Fraction
+    first: int
+    last: int
+    clip_frames: int
+    stem: Path
+
+    def clip_name(self, number: int) -> Path:
+        return self.stem.with_name(f"{self.stem.name}.{number:04d}.usdc")
+
+    @property
+    def manifest(self) -> Path:
+        return self.stem.with_name(f"{self.stem.name}.manifest.usda")
+
+
+@contextlib.contextmanager
+def writing_points(
+    path: Path,
+    face: FaceMesh,
+    *,
+    rate: Fraction,
+    first_frame: int,
+    last_frame: int,
+    format_: PointsFormat,
+    place: str | None = None,
+    method: str = "",
+    timecode_start: str = "",
+    provenance: Provenance | None = None,
+) -> Iterator[PointsWriter]:
+    """Write a moving mesh frame by frame; what to open appears when the block ends well.
+
+    Parameters
+    ----------
+    path : Path
+        The layer to open. If it exists, what others put into it stays.
+    face : FaceMesh
+    rate : Fraction
+    first_frame, last_frame : int
+        Inclusive.
+    format_ : PointsFormat
+    place : str, optional
+        Prim path of the mesh's asset in the new layer; its own by default.
+    method : str
+        What made the points; kept on the mesh.
+    timecode_start : str
+    provenance : Provenance, optional
+
+    Raises
+    ------
+    InputError
+        If the files cannot be written; what was there is then left as it was.
+    """
+    asset = Rig(face.file, face.path, (), (), np.zeros((0, 2)))
+    top = place or default_place(asset)
+    at = Sdf.Path(face.path).ReplacePrefix(Sdf.Path(default_place(asset)), Sdf.Path(top))
+    points_file = points_path(path)
+    outdated = _clip_files(points_file, at)
+    frame_bytes = _frame_bytes(face, format_)
+    frames = last_frame - first_frame + 1
+    if frames * frame_bytes > format_.clip_bytes:
+        timing = _Timing(
+            rate,
+            first_frame,
+            last_frame,
+            max(format_.clip_bytes // frame_bytes, 1),
+            points_file.with_name(f"{points_file.stem}.{_key(provenance)}"),
+        )
+        writer: PointsWriter = _ClipsWriter(face, at, format_, timing, outdated)
+    else:
+        timing = None
+        writer = PointsWriter(face, at, format_)
+    with new_layer(points_file, provenance) as layer:
+        _author_header(layer, face, at, rate, first_frame, last_frame)
+        _declare(layer, face, at, format_)
+        _say_method(layer, at, method, timecode_start)
+        writer.next_frame = first_frame
+        if not isinstance(writer, _ClipsWriter) or timing is None:
+            writer._layer = layer
+            yield writer
+        else:
+            try:
+                yield writer
+                writer.close()
+            except BaseException as error:
+                writer.abandon(error)
+                raise
+            _write_manifest(timing, face, at, format_)
+            _author_clips(layer, at, timing, writer, points_file)
+        if writer.next_frame != last_frame + 1:
+            raise ValueError(
+                f"{path}: {writer.next_frame - first_frame} frames were appended where {frames} "
+                "were announced"
+            )
+    with new_layer(path, provenance) as layer:
+        if path.is_file():
+            layer.TransferContent(open_layer(path))
+        _author_header(layer, face, at, rate, first_frame, last_frame)
+        name = relative_path(points_file, path)
+        again = name in list(layer.subLayerPaths)
+        define_reference(layer, top, asset, path, again=again)
+        if not again:
+            layer.subLayerPaths.append(name)
+    for file in outdated - _clip_files(points_file, at):
+        file.unlink(missing_ok=True)
+
+
+def _frame_bytes(face: FaceMesh, format_: PointsFormat) -> int:
+    normals = (
+        0 if face.authored_normals is None or not format_.normals else len(face.authored_normals)
+    )
+    count = len(face.local)
+    return 4 * (3 * (count + normals + 2) + (count if format_.uncertainty else 0))
+
+
+def _key(provenance: Provenance | None) -> str:
+    """Return a name for what clips are made of: other clips never take their place half-way."""
+    if provenance is None:
+        return "clips"
+    return hash_text(provenance.spec + repr(sorted(provenance.inputs.items())))[:8]
+
+
+def _sample(values: FloatArray | Float32Array) -> Vt.FloatArray | Vt.Vec3fArray:
+    array = np.ascontiguousarray(values, dtype=np.float32)
+    if not np.isfinite(array).all():
+        raise InputError("points to write hold NaN or infinity; check the take and the mesh")
+    return Vt.FloatArray.FromNumpy(array) if array.ndim == 1 else Vt.Vec3fArray.FromNumpy(array)
+
+
+def _author_header(
+    layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, rate: Fraction, first: int, last: int
+) -> None:
+    """Set timing and units: those of the mesh's own stage, which a reference does not convert."""
+    author_timing(layer, rate=rate, first=first, last=last)
+    layer.defaultPrim = at.GetPrefixes()[0].name
+    layer.pseudoRoot.SetInfo("metersPerUnit", face.meters_per_unit)
+    layer.pseudoRoot.SetInfo("upAxis", face.up_axis)
+
+
+def _declare(layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, format_: PointsFormat) -> None:
+    """Write an over of the mesh with the attributes that move; none has a default value.
+
+    A default here would be stronger than the samples of a clip.
+    """
+    prim = Sdf.CreatePrimInLayer(layer, at)
+    kinds = Sdf.ValueTypeNames
+    Sdf.AttributeSpec(prim, "points", kinds.Point3fArray)
+    Sdf.AttributeSpec(prim, "extent", kinds.Float3Array)
+    if face.normals:
+        normals = Sdf.AttributeSpec(prim, face.normals_attribute, kinds.Normal3fArray)
+        if format_.normals:
+            normals.SetInfo("interpolation", face.normals)
+        else:  # better none than those of the face at rest
+            normals.default = Sdf.ValueBlock()
+        if face.normals_attribute.startswith("primvars:"):
+            indices = Sdf.AttributeSpec(prim, "primvars:normals:indices", kinds.IntArray)
+            indices.default = Sdf.ValueBlock()
+    if format_.uncertainty:
+        uncertainty = Sdf.AttributeSpec(prim, UNCERTAINTY, kinds.FloatArray)
+        uncertainty.SetInfo("interpolation", "vertex")
+
+
+def _say_method(layer: Sdf.Layer, at: Sdf.Path, method: str, timecode_start: str) -> None:
+    prim = layer.GetPrimAtPath(at)
+    apply_api(prim, "FaceDeformAPI")
+    author_uniform(prim, "face:deform:method", Sdf.ValueTypeNames.Token, method)
+    if timecode_start:
+        kind = Sdf.ValueTypeNames.String
+        author_uniform(prim, "face:timecode:start", kind, timecode_start)
+
+
+def _write_manifest(timing: _Timing, face: FaceMesh, at: Sdf.Path, format_: PointsFormat) -> None:
+    with new_layer(timing.manifest) as layer:
+        _author_header(layer, face, at, timing.rate, timing.first, timing.last)
+        _declare(layer, face, at, format_)
+
+
+def _author_clips(
+    layer: Sdf.Layer, at: Sdf.Path, timing: _Timing, writer: _ClipsWriter, points_file: Path
+) -> None:
+    files = [Sdf.AssetPath(relative_path(file, points_file)) for file in writer.files]
+    layer.GetPrimAtPath(at).SetInfo(
+        "clips",
+        {
+            "default": {
+                "assetPaths": Sdf.AssetPathArray(files),
+                "primPath": str(at),
+                "manifestAssetPath": Sdf.AssetPath(relative_path(timing.manifest, points_file)),
+                "active": Vt.Vec2dArray([(start, i) for i, start in enumerate(writer.starts)]),
+                "times": Vt.Vec2dArray([(timing.first, timing.first), (timing.last, timing.last)]),
+            }
+        },
+    )
+
+
+def _clip_files(points_file: Path, at: Sdf.Path) -> set[Path]:
+    """Return the clips and the manifest that a points layer of ours names beside itself."""
+    if not points_file.is_file():
+        return set()
+    layer = open_layer(points_file)  # a prim's spec does not keep its layer
+    prim = layer.GetPrimAtPath(at)
+    clips = dict(prim.GetInfo("clips")).get("default") if prim and prim.HasInfo("clips") else None
+    if not clips:
+        return set()
+    named = [*clips.get("assetPaths", ()), clips.get("manifestAssetPath", Sdf.AssetPath())]
+    found = {points_file.parent / Path(each.path).name for each in named if each.path}
+    return {file for file in found if file.name.startswith(f"{points_file.stem}.")}

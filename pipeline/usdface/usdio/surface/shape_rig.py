@@ -1,0 +1,234 @@
+"""Shapes for a mesh that has none: a new rig asset that references the mesh and adds BlendShapes.
+
+The mesh's own file is not written: its materials, texture coordinates and other meshes come along
+by reference. Shapes it had are switched off in the new asset, so that the new ones are all it has.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
+
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
+from usdface.usdio.authoring import apply_api, author_uniform, define_prim
+from usdface.usdio.layers import new_layer, open_stage, relative_path
+from usdface.usdio.rig.mesh import FaceMesh
+from usdface.usdio.rig.space import stage_to_ours, transform_points
+
+ASSET = "asset"
+SHAPES = "shapes"
+SKELETON = "skeleton"
+LONGEST_NAME = 63
+"""Some DCCs cut names of shapes that are longer."""
+
+
+@dataclass(frozen=True)
+class NewShape:
+    """One frame's face, to be kept as a shape.
+
+    Attributes
+    ----------
+    name : str
+        As people call it; made a valid prim name when it is written.
+    moved_mm : (points, 3) float array
+        From the mesh at rest [mm], Y up.
+    take : str
+    frame : int
+    """
+
+    name: str
+    moved_mm: FloatArray
+    take: str
+    frame: int
+
+
+@dataclass(frozen=True)
+class WrittenShape:
+    """What became of a shape.
+
+    Attributes
+    ----------
+    name : str
+        Of the channel and of its prim.
+    points : int
+        How many points it moves.
+    """
+
+    name: str
+    points: int
+
+
+def shape_names(wanted: list[str]) -> list[str]:
+    """Return names that a channel and a prim may have, no two alike, in the same order."""
+    taken: set[str] = set()
+    names = []
+    for each in wanted:
+        base = str(Tf.MakeValidIdentifier(each.strip() or "shape"))[:LONGEST_NAME]
+        unique, number = base, 2
+        while unique in taken:
+            ending = f"_{number}"
+            unique = base[: LONGEST_NAME - len(ending)] + ending
+            number += 1
+        taken.add(unique)
+        names.append(unique)
+    return names
+
+
+def write_shape_rig(
+    path: Path,
+    face: FaceMesh,
+    shapes: list[NewShape],
+    *,
+    name: str = "Face",
+    least_mm: float = 0.02,
+    provenance: Provenance | None = None,
+) -> tuple[WrittenShape, ...]:
+    """Write a rig: a SkelRoot with a one-joint Skeleton, the mesh's asset, and shapes on the mesh.
+
+    Parameters
+    ----------
+    path : Path
+    face : FaceMesh
+    shapes : list of NewShape
+    name : str
+        Of the SkelRoot, the new default prim.
+    least_mm : float
+        Points that a shape moves less are left out of it [mm].
+    provenance : Provenance, optional
+
+    Raises
+    ------
+    InputError
+        If there is no shape, or one moves no point.
+    """
+    if not shapes:
+        raise InputError(f"{path}: there is no shape to write; choose at least one frame")
+    root = Sdf.Path(f"/{Tf.MakeValidIdentifier(name)}")
+    source = open_stage(face.file)
+    top = Sdf.Path(face.path).GetPrefixes()[0]
+    mesh = Sdf.Path(face.path).ReplacePrefix(top, root.AppendChild(ASSET))
+    with new_layer(path, provenance) as layer:
+        layer.pseudoRoot.SetInfo("metersPerUnit", face.meters_per_unit)
+        layer.pseudoRoot.SetInfo("upAxis", face.up_axis)
+        layer.defaultPrim = root.name
+        define_prim(layer, root, "SkelRoot").SetInfo("kind", Kind.Tokens.component)
+        _define_skeleton(layer, root.AppendChild(SKELETON))
+        _reference_asset(layer, root.AppendChild(ASSET), source.GetPrimAtPath(top), face, path)
+        _quieten(layer, source, top, root.AppendChild(ASSET))
+        points = _bind_mesh(layer, face, mesh, root.AppendChild(SKELETON), source)
+        into_mesh = np.linalg.inv(stage_to_ours(source) @ face.world[:3, :3])
+        define_prim(layer, root.AppendChild(SHAPES), "Scope")
+        written, targets, reach = [], [], [points]
+        for shape, given in zip(shapes, shape_names([each.name for each in shapes]), strict=True):
+            target = root.AppendPath(f"{SHAPES}/{given}")
+            moved = np.flatnonzero(np.linalg.norm(shape.moved_mm, axis=1) >= least_mm)
+            if not len(moved):
+                raise InputError(
+                    f"{path}: shape {given} (frame {shape.frame} of {shape.take}) moves no point "
+                    f"by {least_mm:g} mm; choose a frame that differs from the neutral face"
+                )
+            offsets = shape.moved_mm[moved] @ into_mesh.T
+            _define_shape(layer, target, shape, moved, offsets)
+            written.append(WrittenShape(given, len(moved)))
+            targets.append(target)
+            reach.append(points[moved] + offsets)
+        binding = layer.GetPrimAtPath(mesh)
+        names = Vt.TokenArray([each.name for each in written])
+        author_uniform(binding, "skel:blendShapes", Sdf.ValueTypeNames.TokenArray, names)
+        relation = Sdf.RelationshipSpec(binding, "skel:blendShapeTargets", False)
+        relation.targetPathList.explicitItems = targets
+        everything = transform_points(face.world, np.concatenate(reach))
+        extent = _vectors(np.stack([everything.min(axis=0), everything.max(axis=0)]))
+        attribute = Sdf.AttributeSpec(
+            layer.GetPrimAtPath(root), "extent", Sdf.ValueTypeNames.Float3Array
+        )
+        attribute.default = extent
+    return tuple(written)
+
+
+def _define_skeleton(layer: Sdf.Layer, path: Sdf.Path) -> None:
+    prim = define_prim(layer, path, "Skeleton")
+    # Some DCCs skip a skeleton without joints, and the shapes with it.
+    kinds = Sdf.ValueTypeNames
+    author_uniform(prim, "joints", kinds.TokenArray, Vt.TokenArray(["head"]))
+    for name in ("bindTransforms", "restTransforms"):
+        author_uniform(prim, name, kinds.Matrix4dArray, Vt.Matrix4dArray([Gf.Matrix4d(1)]))
+    apply_api(prim, "SkelBindingAPI")
+
+
+def _reference_asset(
+    layer: Sdf.Layer, path: Sdf.Path, source: Usd.Prim, face: FaceMesh, rig: Path
+) -> None:
+    prim = Sdf.CreatePrimInLayer(layer, path)
+    prim.specifier = Sdf.SpecifierDef
+    reference = Sdf.Reference(relative_path(face.file, rig), source.GetPath())
+    prim.referenceList.prependedItems = [reference]
+    if Usd.ModelAPI(source).GetKind():
+        prim.SetInfo("kind", Kind.Tokens.subcomponent)  # it lies in a component now
+
+
+def _quieten(layer: Sdf.Layer, source: Usd.Stage, top: Sdf.Path, place: Sdf.Path) -> None:
+    """Take the part of a rig from what the asset already has: one SkelRoot, new shapes only."""
+    for prim in Usd.PrimRange(source.GetPrimAtPath(top)):
+        at = prim.GetPath().ReplacePrefix(top, place)
+        if prim.IsA(UsdSkel.Root):
+            Sdf.CreatePrimInLayer(layer, at).typeName = "Xform"
+        if prim.IsA(UsdGeom.Mesh) and prim.GetAttribute("skel:blendShapes").HasAuthoredValue():
+            over = Sdf.CreatePrimInLayer(layer, at)
+            kind = Sdf.ValueTypeNames.TokenArray
+            author_uniform(over, "skel:blendShapes", kind, Sdf.ValueBlock())
+            relation = Sdf.RelationshipSpec(over, "skel:blendShapeTargets", False)
+            relation.targetPathList.ClearEditsAndMakeExplicit()
+
+
+def _bind_mesh(
+    layer: Sdf.Layer, face: FaceMesh, path: Sdf.Path, skeleton: Sdf.Path, source: Usd.Stage
+) -> FloatArray:
+    """Bind the mesh to the new skeleton where it stands; return its points in its own space."""
+    prim = Sdf.CreatePrimInLayer(layer, path)
+    for name in ("skel:blendShapes", "skel:blendShapeTargets"):
+        if name in prim.properties:
+            prim.RemoveProperty(prim.properties[name])
+    apply_api(prim, "SkelBindingAPI")
+    kinds = Sdf.ValueTypeNames
+    relation = Sdf.RelationshipSpec(prim, "skel:skeleton", False)
+    relation.targetPathList.explicitItems = [skeleton]
+    transform = Gf.Matrix4d(*face.world.T.ravel().tolist())
+    Sdf.AttributeSpec(prim, "primvars:skel:geomBindTransform", kinds.Matrix4d).default = transform
+    for name, kind, value in (
+        ("primvars:skel:jointIndices", kinds.IntArray, Vt.IntArray([0])),
+        ("primvars:skel:jointWeights", kinds.FloatArray, Vt.FloatArray([1.0])),
+    ):
+        attribute = Sdf.AttributeSpec(prim, name, kind)
+        attribute.default = value
+        attribute.SetInfo("interpolation", "constant")
+        attribute.SetInfo("elementSize", 1)
+    if "skel:joints" in {
+        each.GetName() for each in source.GetPrimAtPath(face.path).GetAttributes()
+    }:
+        author_uniform(prim, "skel:joints", kinds.TokenArray, Sdf.ValueBlock())
+    ours = stage_to_ours(source)
+    home = np.asarray(np.linalg.inv(face.world), np.float64)
+    rest = transform_points(home, face.mesh.points @ np.linalg.inv(ours).T)
+    if not np.allclose(rest, face.local, atol=1e-5 * max(float(np.ptp(face.local)), 1e-9)):
+        # Its own skeleton held it elsewhere; the new one does not, so its points go there.
+        Sdf.AttributeSpec(prim, "points", kinds.Point3fArray).default = _vectors(rest)
+    return rest
+
+
+def _define_shape(
+    layer: Sdf.Layer, path: Sdf.Path, shape: NewShape, points: IntArray, offsets: FloatArray
+) -> None:
+    prim = define_prim(layer, path, "BlendShape")
+    kinds = Sdf.ValueTypeNames
+    indices = Vt.IntArray.FromNumpy(np.ascontiguousarray(points, dtype=np.int32))
+    author_uniform(prim, "pointIndices", kinds.IntArray, indices)
+    author_uniform(prim, "offsets", kinds.Vector3fArray, _vectors(offsets))
+    prim.customData = {"usdface": {"take": shape.take, "frame": shape.frame, "name": shape.name}}
+
+
+def _vectors(values: FloatArray) -> Vt.Vec3fArray:
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float32))

@@ -1,0 +1,298 @@
+"""Markers and weights from USD files of other makers: Points, Skeleton joints or Xforms."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom, UsdSkel
+
+from usdface.core.assets import WeightsClip
+from usdface.core.errors import InputError
+from usdface.core.rates import exact_rate
+from usdface.usdio.layers import open_stage
+from usdface.usdio.rig.space import column_matrix, stage_to_ours, transform_points
+from usdface.usdio.take.frame_span import check_span
+from usdface.usdio.wrong_types import refusing_wrong_types
+
+NAME_ATTRIBUTES = (
+    "face:markers:names",
+    "primvars:names",
+    "primvars:markerNames",
+    "primvars:labels",
+    "primvars:name",
+)
+"""Where other tools keep one label per point."""
+
+FEWEST_XFORMS = 3
+"""Fewer moving Xforms than this are a camera or a prop, not a marker set."""
+
+
+@dataclass(frozen=True)
+class ForeignTake:
+    """What a foreign USD file holds of a take.
+
+    Attributes
+    ----------
+    rate : Fraction
+    first_frame : int
+    kind : str
+        What the markers were found as, with their prim path; empty without markers.
+    names : tuple of str
+    positions : (frames, markers, 3) float32 array
+        [mm], Y up, in world space. Anything where not visible.
+    visible : (frames, markers) bool array
+    source : WeightsClip or None
+    """
+
+    rate: Fraction
+    first_frame: int
+    kind: str
+    names: tuple[str, ...]
+    positions: NDArray[np.float32]
+    visible: NDArray[np.bool_]
+    source: WeightsClip | None
+
+
+@refusing_wrong_types
+def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
+    """Read markers and weights from a USD file that does not follow the take contract.
+
+    Parameters
+    ----------
+    path : Path
+    prim : str, optional
+        The prim that holds the markers, or one above it, where the file holds several sets.
+
+    Raises
+    ------
+    InputError
+        If there is neither, or several sets of markers, or the samples make no sense.
+    """
+    stage = open_stage(path)
+    top = stage.GetPseudoRoot() if prim is None else stage.GetPrimAtPath(prim)
+    if not top:
+        raise InputError(f"{path}: there is no prim <{prim}>; check --prim")
+    found: list[_MarkerSet] = [*_points_sets(top), *_joint_sets(top)]
+    found = found or [*_xform_sets(top)]
+    if len(found) > 1:
+        places = ", ".join(f"<{each.path}> ({each.kind})" for each in found)
+        raise InputError(f"{path}: {len(found)} sets of markers: {places}; name one with --prim")
+    weights = _weights_prim(top, path)
+    if not found and weights is None:
+        raise InputError(
+            f"{path}: holds no markers (time-sampled Points, Skeleton joints or Xforms) and no "
+            "blendShapeWeights; check that the file is the capture"
+        )
+    times = found[0].times if found else _weights_times(weights)
+    grid = _frame_grid(stage, times, path)
+    positions = np.zeros((len(grid.stage_times), 0, 3), dtype=np.float32)
+    visible = np.zeros((len(grid.stage_times), 0), dtype=np.bool_)
+    names: tuple[str, ...] = ()
+    kind = ""
+    if found:
+        marker_set = found[0]
+        names, kind = marker_set.names, f"{marker_set.kind} <{marker_set.path}>"
+        positions = np.empty((len(grid.stage_times), len(names), 3), dtype=np.float32)
+        ours = stage_to_ours(stage)
+        for index, time in enumerate(grid.stage_times):
+            row = marker_set.at(time)
+            if len(row) != len(names):
+                raise InputError(
+                    f"{path} <{marker_set.path}> time code {time:g}: {len(row)} points for "
+                    f"{len(names)} markers; every marker must keep its slot over the take"
+                )
+            positions[index] = row @ ours.T
+        visible = np.repeat(grid.sampled[:, None], len(names), axis=1)
+    source = None
+    if weights is not None:
+        animation = UsdSkel.Animation(weights)
+        channels = tuple(map(str, animation.GetBlendShapesAttr().Get() or ()))
+        attribute = animation.GetBlendShapeWeightsAttr()
+        values = [np.array(attribute.Get(t) or [], np.float32) for t in grid.stage_times]
+        if any(len(row) != len(channels) for row in values):
+            raise InputError(
+                f"{path} <{attribute.GetPath()}>: weights and names differ in number; "
+                "export the animation again"
+            )
+        source = WeightsClip(channels, np.array(values), grid.first_frame, grid.rate)
+    return ForeignTake(grid.rate, grid.first_frame, kind, names, positions, visible, source)
+
+
+@dataclass(frozen=True)
+class _Grid:
+    rate: Fraction
+    first_frame: int
+    stage_times: NDArray[np.float64]
+    sampled: NDArray[np.bool_]
+
+
+def _frame_grid(stage: Usd.Stage, times: list[float], path: Path) -> _Grid:
+    """Lay samples on whole frames: the usual spacing is the frame, missing ones are gaps."""
+    at = np.array(sorted(times))
+    if len(at) < 2:
+        raise InputError(f"{path}: {len(at)} time samples; a take needs at least two frames")
+    check_span(f"{path}: time samples", times[0], times[-1], samples=None)
+    spacing = float(np.median(np.diff(at)))
+    per_second = stage.GetTimeCodesPerSecond()
+    if not (per_second > 0 and spacing > 0):
+        raise InputError(
+            f"{path}: timeCodesPerSecond {per_second:g} and a sample every {spacing:g} time codes "
+            "give no rate; author timeCodesPerSecond"
+        )
+    first, last = (float(end) / spacing for end in (at[0], at[-1]))
+    check_span(f"{path}: time samples", first, last, samples=len(at))
+    steps = np.round((at - at[0]) / spacing).astype(np.int64)
+    uneven = np.abs(at - at[0] - steps * spacing).max() > 0.25 * spacing
+    if uneven or (np.diff(steps) < 1).any():
+        raise InputError(
+            f"{path}: samples are not evenly spaced (usually {spacing:g} time codes apart); "
+            "resample the capture to whole frames"
+        )
+    sampled = np.zeros(steps[-1] + 1, dtype=np.bool_)
+    sampled[steps] = True
+    return _Grid(
+        rate=exact_rate(per_second / spacing, where=f"{path}: sample spacing"),
+        first_frame=round(at[0] / spacing),
+        stage_times=at[0] + spacing * np.arange(len(sampled)),
+        sampled=sampled,
+    )
+
+
+class _MarkerSet(Protocol):
+    """Markers of one kind at one place: their names, when they are sampled, where they are."""
+
+    kind: str
+    path: str
+    names: tuple[str, ...]
+    times: list[float]
+
+    def at(self, time: float) -> NDArray[np.float64]: ...
+
+
+class _PointsSet:
+    kind = "Points"
+
+    def __init__(self, prim: Usd.Prim) -> None:
+        self.path = str(prim.GetPath())
+        self._prim = prim
+        self._attribute = UsdGeom.Points(prim).GetPointsAttr()
+        self.times: list[float] = self._attribute.GetTimeSamples()
+        count = len(self._attribute.Get(self.times[0]) or ())
+        self.names = _labels(prim, count)
+
+    def at(self, time: float) -> NDArray[np.float64]:
+        points = np.array(self._attribute.Get(time) or [], dtype=np.float64).reshape(-1, 3)
+        world = UsdGeom.Xformable(self._prim).ComputeLocalToWorldTransform(time)
+        return transform_points(column_matrix(world), points)
+
+
+def _labels(prim: Usd.Prim, count: int) -> tuple[str, ...]:
+    for name in NAME_ATTRIBUTES:
+        attribute = prim.GetAttribute(name)
+        value = attribute.Get() if attribute else None
+        if value is not None and len(value) == count:
+            return tuple(map(str, value))
+    ids = UsdGeom.Points(prim).GetIdsAttr().Get()
+    numbers = ids if ids is not None and len(ids) == count else range(count)
+    return tuple(f"marker_{number:03d}" for number in numbers)
+
+
+class _JointSet:
+    kind = "Skeleton joints"
+
+    def __init__(
+        self, skeleton: Usd.Prim, query: UsdSkel.SkeletonQuery, times: list[float]
+    ) -> None:
+        self.path = str(skeleton.GetPath())
+        self.times = times
+        self._query = query
+        self._skeleton = skeleton
+        joints = [str(joint) for joint in query.GetJointOrder()]
+        # Markers are what hangs below: a root joint that only gathers them is not one.
+        parents = {joint.rpartition("/")[0] for joint in joints}
+        self._leaves = [index for index, joint in enumerate(joints) if joint not in parents]
+        short = [joints[index].rpartition("/")[2] for index in self._leaves]
+        full = [joints[index] for index in self._leaves]
+        self.names = tuple(short if len(set(short)) == len(short) else full)
+
+    def at(self, time: float) -> NDArray[np.float64]:
+        cache = UsdGeom.XformCache(time)
+        matrices = self._query.ComputeJointWorldTransforms(cache)
+        positions = [matrices[index].ExtractTranslation() for index in self._leaves]
+        return np.array(positions, dtype=np.float64).reshape(-1, 3)
+
+
+class _XformSet:
+    kind = "Xforms"
+
+    def __init__(self, parent: Usd.Prim, prims: list[Usd.Prim]) -> None:
+        self.path = str(parent.GetPath())
+        self._prims = prims
+        self.names = tuple(prim.GetName() for prim in prims)
+        times: set[float] = set()
+        for prim in prims:
+            times.update(UsdGeom.Xformable(prim).GetTimeSamples())
+        self.times = sorted(times)
+
+    def at(self, time: float) -> NDArray[np.float64]:
+        cache = UsdGeom.XformCache(time)
+        return np.array(
+            [cache.GetLocalToWorldTransform(prim).ExtractTranslation() for prim in self._prims],
+            dtype=np.float64,
+        )
+
+
+def _points_sets(top: Usd.Prim) -> Iterator[_PointsSet]:
+    for prim in Usd.PrimRange(top):
+        if prim.IsA(UsdGeom.Points) and UsdGeom.Points(prim).GetPointsAttr().GetNumTimeSamples():
+            yield _PointsSet(prim)
+
+
+def _joint_sets(top: Usd.Prim) -> Iterator[_JointSet]:
+    cache = UsdSkel.Cache()
+    for prim in Usd.PrimRange(top):
+        if prim.IsA(UsdSkel.Root):
+            cache.Populate(UsdSkel.Root(prim), Usd.PrimDefaultPredicate)
+    for prim in Usd.PrimRange(top):
+        if not prim.IsA(UsdSkel.Skeleton):
+            continue
+        query = cache.GetSkelQuery(UsdSkel.Skeleton(prim))
+        animation = query.GetAnimQuery() if query else None
+        times = animation.GetJointTransformTimeSamples() if animation else None
+        if times:
+            yield _JointSet(prim, query, list(times))
+
+
+def _xform_sets(top: Usd.Prim) -> Iterator[_XformSet]:
+    for parent in Usd.PrimRange(top):
+        moving = [
+            child
+            for child in parent.GetChildren()
+            if child.IsA(UsdGeom.Xformable) and UsdGeom.Xformable(child).GetTimeSamples()
+        ]
+        if len(moving) >= FEWEST_XFORMS:
+            yield _XformSet(parent, moving)
+
+
+def _weights_prim(top: Usd.Prim, path: Path) -> Usd.Prim | None:
+    found = [
+        prim
+        for prim in Usd.PrimRange(top)
+        if prim.IsA(UsdSkel.Animation)
+        and UsdSkel.Animation(prim).GetBlendShapeWeightsAttr().GetNumTimeSamples() > 1
+    ]
+    if len(found) > 1:
+        places = ", ".join(f"<{prim.GetPath()}>" for prim in found)
+        raise InputError(
+            f"{path}: {len(found)} animations with blendShapeWeights: {places}; name one, or a "
+            "prim above it and its markers, with --prim"
+        )
+    return found[0] if found else None
+
+
+def _weights_times(prim: Usd.Prim) -> list[float]:
+    return list(UsdSkel.Animation(prim).GetBlendShapeWeightsAttr().GetTimeSamples())

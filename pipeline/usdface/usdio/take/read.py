@@ -1,0 +1,378 @@
+"""Read a take that follows our contract, whole or by ranges of frames."""
+
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdSkel
+
+from usdface.core.arrays import Float32Array
+from usdface.core.assets import Event, Markers, Take, Video, WeightsClip
+from usdface.core.errors import InputError
+from usdface.core.rates import exact_rate
+from usdface.core.timecode import shift_timecode
+from usdface.usdio.layers import open_stage
+from usdface.usdio.rig.space import column_matrix, stage_to_ours
+from usdface.usdio.take.frame_span import check_span
+from usdface.usdio.take.write import AUDIO, CONFIDENCE, HEAD_MOTION, MARKERS, SOURCE, VISIBLE
+from usdface.usdio.wrong_types import refusing_wrong_types
+
+
+@refusing_wrong_types
+def is_take(path: Path) -> bool:
+    """Whether a USD file follows the take contract."""
+    stage = open_stage(path)  # a prim does not keep its stage alive
+    root = stage.GetDefaultPrim()
+    return bool(root) and root.HasAPI("FaceTakeAPI")
+
+
+FARTHEST_SECONDS = 1e9
+LARGEST_DRIFT = 990_000.0
+"""[ppm] By minus a million a video would stand still."""
+
+
+class TakeReader:
+    """A take on disk: its header at once, its frames when asked for.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    InputError
+        If the file is no take, or its contract is broken.
+    """
+
+    @refusing_wrong_types
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._stage = open_stage(path)
+        root = self._stage.GetDefaultPrim()
+        if not root or not root.HasAPI("FaceTakeAPI"):
+            raise InputError(
+                f"{path}: not a take: its default prim has no FaceTakeAPI; "
+                "make one from it with `usdface ingest`"
+            )
+        self._root = root
+        rate = self._stage.GetTimeCodesPerSecond()
+        if not rate > 0:
+            raise InputError(f"{path}: timeCodesPerSecond is {rate:g}; a take needs a rate above 0")
+        self.rate = exact_rate(rate, where=f"{path}: timeCodesPerSecond")
+        start, end = self._stage.GetStartTimeCode(), self._stage.GetEndTimeCode()
+        self._ours = stage_to_ours(self._stage)
+        self._prims = {
+            place.name: self._stage.GetPrimAtPath(root.GetPath().AppendChild(place.name))
+            for place in (MARKERS, HEAD_MOTION, SOURCE, AUDIO)
+        }
+        self._times: dict[str, np.ndarray] = {}
+        self._queries: dict[str, Usd.AttributeQuery] = {}
+        check_span(f"{path}: startTimeCode to endTimeCode", start, end, samples=self._samples())
+        self.first_frame, self.last_frame = round(start), round(end)
+
+    def _samples(self) -> int | None:
+        """Return how many samples what is read frame by frame has; None without any such."""
+        markers, head, source = (
+            self._prims[place.name] for place in (MARKERS, HEAD_MOTION, SOURCE)
+        )
+        counts = []
+        if markers:
+            counts.append(UsdGeom.Points(markers).GetPointsAttr().GetNumTimeSamples())
+        if head:  # its operations one by one: the union of their times is as long as the take
+            operations = UsdGeom.Xformable(head).GetOrderedXformOps()
+            counts += [operation.GetNumTimeSamples() for operation in operations]
+        if source:
+            weights = UsdSkel.Animation(source).GetBlendShapeWeightsAttr()
+            counts.append(weights.GetNumTimeSamples())
+        return max(counts) if counts else None
+
+    @property
+    def name(self) -> str:
+        """The take's name; the file's, where the take has none."""
+        return str(self._value("face:take") or self.path.name.split(".")[0])
+
+    @functools.cached_property
+    def marker_names(self) -> tuple[str, ...]:
+        """Names of the markers; empty where the take has none."""
+        prim = self._prims[MARKERS.name]
+        names = prim.GetAttribute("face:markers:names").Get() if prim else None
+        return tuple(map(str, names or ()))
+
+    def timecode_at(self, frame: int) -> str:
+        """Return the SMPTE timecode of a frame; empty where the take has none."""
+        start = str(self._value("face:timecode:start") or "")
+        try:
+            return shift_timecode(start, frame - self.first_frame, self.rate)
+        except InputError as error:
+            raise InputError(f"{self.path}: face:timecode:start: {error}") from error
+
+    @refusing_wrong_types
+    def read(
+        self, first: int | None = None, last: int | None = None, *, head_motion: bool = True
+    ) -> Take:
+        """Read the frames `first` to `last`, inclusive; all by default.
+
+        `head_motion` may stay on disk where it is not needed: a matrix a frame takes USD as long
+        to hand over as all the markers.
+
+        Raises
+        ------
+        InputError
+            If the range holds no frame of the take, or a frame is broken.
+        """
+        first = self.first_frame if first is None else first
+        last = self.last_frame if last is None else last
+        if not self.first_frame <= first <= last <= self.last_frame:
+            raise InputError(
+                f"{self.path}: frames {first}-{last} are not all in the take, which has "
+                f"{self.first_frame}-{self.last_frame}"
+            )
+        frames = range(first, last + 1)
+        return Take(
+            name=self.name,
+            rate=self.rate,
+            first_frame=first,
+            markers=self._read_markers(frames),
+            source=self._read_source(frames),
+            head_motion=self._read_head_motion(frames) if head_motion else None,
+            video=self._read_video(),
+            audio=self._read_audio(),
+            performer=str(self._value("face:performer") or ""),
+            emotion=str(self._value("face:emotion") or ""),
+            timecode_start=self.timecode_at(first),
+            events=tuple(e for e in self._read_events() if first <= e.frame <= last),
+        )
+
+    @refusing_wrong_types
+    def read_markers_at(self, frames: Sequence[int]) -> Markers | None:
+        """Read the markers of some frames of the take, in ascending order, and nothing else.
+
+        Raises
+        ------
+        InputError
+            If a frame is broken.
+        """
+        return self._read_markers(frames)
+
+    def _value(self, name: str) -> object:
+        attribute = self._root.GetAttribute(name)
+        return attribute.Get() if attribute else None
+
+    def _read_markers(self, frames: Sequence[int]) -> Markers | None:
+        prim = self._prims[MARKERS.name]
+        if not prim:
+            return None
+        names = self.marker_names
+        if not names:
+            raise InputError(
+                f"{self.path} <{prim.GetPath()}>: face:markers:names is empty; "
+                "ingest the capture again"
+            )
+        read = self._read_vectors(prim, frames, len(names))
+        shape = read.shape[:2]
+        positions = self._to_ours(read)
+        visible = self._read_primvar(prim, VISIBLE, frames, shape, np.dtype(np.bool_))
+        confidence = self._read_primvar(prim, CONFIDENCE, frames, shape, np.dtype(np.float32))
+        rigid = prim.GetAttribute("face:markers:rigid").Get() or ()
+        anchor = prim.GetAttribute("face:markers:anchor").Get() or ""
+        space = str(prim.GetAttribute("face:markers:space").Get())
+        neutral = prim.GetAttribute("face:markers:neutralFrame").Get()
+        return Markers(
+            names=names,
+            positions=positions,
+            visible=visible,
+            confidence=confidence,
+            rigid=tuple(map(str, rigid)),
+            neutral_frame=self.first_frame if neutral is None else int(neutral),
+            anchor=str(anchor),
+            space="stabilized" if space == "stabilized" else "captured",
+        )
+
+    def _to_ours(self, read: Float32Array) -> Float32Array:
+        ours = self._ours.astype(np.float32)
+        if np.array_equal(ours, ours[0, 0] * np.eye(3)):  # a Y-up stage differs by its unit alone
+            read *= ours[0, 0]
+            return read
+        return np.asarray((read.reshape(-1, 3) @ ours.T).reshape(read.shape))
+
+    def _read_vectors(self, prim: Usd.Prim, frames: Sequence[int], count: int) -> np.ndarray:
+        attribute = UsdGeom.Points(prim).GetPointsAttr()
+        out = np.empty((len(frames), count, 3), dtype=np.float32)
+        query = self._query(attribute)
+        for index, frame in enumerate(frames):
+            value = query.Get(frame)
+            if value is None or len(value) != count:
+                got = 0 if value is None else len(value)
+                raise InputError(
+                    f"{self.path} <{attribute.GetPath()}> frame {frame}: {got} points for "
+                    f"{count} marker names; ingest the capture again"
+                )
+            out[index] = value
+        with np.errstate(over="ignore", invalid="ignore"):
+            doubtful = not np.isfinite(out.sum())  # one sum tells of all
+        if doubtful:
+            self._check_finite(out, attribute, frames)
+        return out
+
+    def _check_finite(
+        self, read: np.ndarray, attribute: Usd.Attribute, frames: Sequence[int]
+    ) -> None:
+        bad = ~np.isfinite(read).all(axis=2)
+        if bad.any():
+            frame, marker = np.argwhere(bad)[0]
+            raise InputError(
+                f"{self.path} <{attribute.GetPath()}> frame {frames[frame]}: marker {marker} is "
+                "NaN or infinite; a marker that is not seen must keep its last position"
+            )
+
+    def _read_primvar(
+        self,
+        prim: Usd.Prim,
+        name: str,
+        frames: Sequence[int],
+        shape: tuple[int, int],
+        kind: np.dtype,
+    ) -> np.ndarray:
+        attribute = prim.GetAttribute(name)
+        if not attribute or not attribute.HasAuthoredValue():
+            return np.broadcast_to(np.ones((), kind), shape)
+        # Values are written where they change, so between samples there is nothing to ask for.
+        times = self._sample_times(attribute)
+        if not len(times):
+            times = np.array([frames[0]])
+        asked = np.asarray(frames)
+        before = np.searchsorted(times, asked, "right") - 1
+        around = np.concatenate([before, before + (times[before] != asked)])
+        times = times[np.unique(np.clip(around, 0, len(times) - 1))]
+        told = np.empty((len(times), shape[1]), kind)
+        query = self._query(attribute)
+        for index, time in enumerate(times.tolist()):
+            value = query.Get(time)
+            if value is None or len(value) != shape[1]:
+                raise InputError(
+                    f"{self.path} <{attribute.GetPath()}> frame {time:g}: needs one value per "
+                    f"marker, {shape[1]}; ingest the capture again"
+                )
+            told[index] = value
+        if len(told) == 1:
+            return np.broadcast_to(told[0], shape)
+        return _between(times, told, asked)
+
+    def _query(self, attribute: Usd.Attribute) -> Usd.AttributeQuery:
+        """Return what reads an attribute in half the time: it looks for its layer only once."""
+        if attribute.GetName() not in self._queries:
+            self._queries[attribute.GetName()] = Usd.AttributeQuery(attribute)
+        return self._queries[attribute.GetName()]
+
+    def _sample_times(self, attribute: Usd.Attribute) -> np.ndarray:
+        """Return when an attribute has samples; USD lists them all each time, however many."""
+        if attribute.GetName() not in self._times:
+            self._times[attribute.GetName()] = np.array(attribute.GetTimeSamples())
+        return self._times[attribute.GetName()]
+
+    def _read_source(self, frames: range) -> WeightsClip | None:
+        prim = self._prims[SOURCE.name]
+        if not prim:
+            return None
+        animation = UsdSkel.Animation(prim)
+        names = tuple(map(str, animation.GetBlendShapesAttr().Get() or ()))
+        attribute = animation.GetBlendShapeWeightsAttr()
+        values = np.zeros((len(frames), len(names)), dtype=np.float32)
+        query = self._query(attribute)
+        for index, frame in enumerate(frames):
+            row = query.Get(frame)
+            if row is None or len(row) != len(names):
+                raise InputError(
+                    f"{self.path} <{attribute.GetPath()}> frame {frame}: "
+                    f"{0 if row is None else len(row)} weights for {len(names)} names"
+                )
+            values[index] = row
+        return WeightsClip(names, values, frames[0], self.rate)
+
+    def _read_head_motion(self, frames: range) -> np.ndarray | None:
+        prim = self._prims[HEAD_MOTION.name]
+        if not prim:
+            return None
+        transform = UsdGeom.Xformable(prim)
+        motion = np.array(
+            [column_matrix(transform.GetLocalTransformation(frame)) for frame in frames]
+        )
+        turn = self._ours / np.linalg.norm(self._ours[0])
+        motion[:, :3, :3] = turn @ motion[:, :3, :3] @ turn.T
+        motion[:, :3, 3] = motion[:, :3, 3] @ self._ours.T
+        return motion
+
+    def _read_events(self) -> list[Event]:
+        labels = self._root.GetAttribute("face:events:labels").Get() or ()
+        times = self._root.GetAttribute("face:events:times").Get() or ()
+        if len(labels) != len(times):
+            raise InputError(
+                f"{self.path}: {len(labels)} face:events:labels for {len(times)} face:events:times;"
+                " author one of each per event"
+            )
+        return [
+            Event(str(label), float(getattr(time, "GetValue", lambda time=time: time)()))
+            for label, time in zip(labels, times, strict=True)
+        ]
+
+    def _read_video(self) -> Video | None:
+        asset = self._value("face:video:file")
+        if asset is None or not str(getattr(asset, "path", "")):
+            return None
+        rate = self._value("face:video:rate")
+        where = f"{self.path}: face:video:rate"
+        offset, drift = (
+            float(str(self._value(f"face:video:{name}") or 0)) for name in ("offset", "drift")
+        )
+        if not (abs(offset) < FARTHEST_SECONDS and abs(drift) < LARGEST_DRIFT):  # also catches NaN
+            raise InputError(
+                f"{self.path}: face:video:offset {offset:g} s and face:video:drift {drift:g} ppm "
+                "are no place in time; align the video again"
+            )
+        return Video(
+            file=self._resolve(asset),
+            rate=exact_rate(rate, where=where) if isinstance(rate, float) and rate > 0 else None,
+            offset=offset,
+            drift=drift,
+        )
+
+    def _read_audio(self) -> Path | None:
+        prim = self._prims[AUDIO.name]
+        asset = prim.GetAttribute("filePath").Get() if prim else None
+        return None if asset is None else self._resolve(asset)
+
+    def _resolve(self, asset: object) -> Path:
+        """Return where an asset is, or would be: it may be missing, and that is not our error."""
+        resolved = str(getattr(asset, "resolvedPath", ""))
+        if resolved:
+            return Path(resolved)
+        return (self.path.parent / str(getattr(asset, "path", ""))).resolve()
+
+
+def _between(times: np.ndarray, told: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """Return values at frames as USD does: numbers are interpolated, the rest is held."""
+    if np.array_equal(times, frames):
+        return told
+    before = np.clip(np.searchsorted(times, frames, "right") - 1, 0, len(times) - 1)
+    out = told[before]
+    if np.issubdtype(told.dtype, np.floating):
+        after = np.minimum(before + 1, len(times) - 1)
+        part = np.clip((frames - times[before]) / np.maximum(times[after] - times[before], 1), 0, 1)
+        jumps = np.append((told[1:] != told[:-1]).any(axis=1), False)
+        moving = np.flatnonzero((part > 0) & jumps[before])
+        step = told[after[moving]] - told[before[moving]]
+        out[moving] += (part[moving, None] * step).astype(told.dtype)
+    return out
+
+
+@refusing_wrong_types
+def read_take(
+    path: Path,
+    *,
+    first: int | None = None,
+    last: int | None = None,
+    head_motion: bool = True,
+) -> Take:
+    """Read a take, or a range of its frames; see `TakeReader.read`."""
+    return TakeReader(path).read(first, last, head_motion=head_motion)

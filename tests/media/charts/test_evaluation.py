@@ -1,0 +1,89 @@
+import numpy as np
+import pytest
+
+from usdface.core.errors import InputError
+from usdface.media.charts.evaluation import (
+    COLUMNS,
+    MOST_SHAPES,
+    WIDTH,
+    EvaluationPage,
+    ShapeBar,
+    draw_evaluation,
+)
+from usdface.media.picture.color import bytes_from_linear, heat_ramp
+from usdface.media.picture.error_strip import ErrorCurve
+
+ORANGE = (255, 178, 92)
+
+
+def page(**changes: object) -> EvaluationPage:
+    time = np.linspace(0, 20, 500)
+    given: dict[str, object] = {
+        "title": "hero against keys",
+        "facts": ("0.3 mm RMS",),
+        "curves": (ErrorCurve("face", np.abs(np.sin(time))),),
+        "first_frame": 101,
+        "worst": (200, 444),
+        "lips_truth": 5 + 4 * np.sin(time),
+        "lips_solved": 5 + 4 * np.sin(time) + 3,
+        "shapes": tuple(ShapeBar(f"shape{i}", 0.1 / (i + 1), 0.01, 0.2) for i in range(7)),
+    }
+    return EvaluationPage(**(given | changes))  # type: ignore[arg-type]
+
+
+def lit(picture: np.ndarray, color: tuple[int, int, int]) -> int:
+    return int((picture == color).all(axis=2).sum())
+
+
+def test_what_is_not_known_takes_no_room() -> None:
+    whole = draw_evaluation(page())
+    without_lips = draw_evaluation(page(lips_truth=None, lips_solved=None))
+    without_shapes = draw_evaluation(page(shapes=()))
+    assert whole.shape[1] == without_lips.shape[1] == without_shapes.shape[1]
+    assert without_lips.shape[0] < whole.shape[0]
+    assert without_shapes.shape[0] < whole.shape[0]
+    assert lit(whole, ORANGE) > lit(without_lips, ORANGE) == 0
+
+
+def test_frames_that_were_not_compared_leave_gaps() -> None:
+    lips = page().lips_solved
+    assert lips is not None
+    sparse = np.where(np.arange(500) < 250, lips, np.nan)
+    part, whole = draw_evaluation(page(lips_solved=sparse)), draw_evaluation(page())
+    assert 0.3 < lit(part, ORANGE) / lit(whole, ORANGE) < 0.7
+
+
+def test_a_longer_bar_is_a_larger_error() -> None:
+    bars = tuple(ShapeBar(str(i), rmse, 0.0, 0.2) for i, rmse in enumerate((0.2, 0.1)))
+    picture = draw_evaluation(page(shapes=bars))[-80:]
+    red, green, blue = (int(value) for value in bytes_from_linear(heat_ramp([1.0]))[0])
+    first, second = (
+        lit(
+            picture[:, third * WIDTH // COLUMNS : (third + 1) * WIDTH // COLUMNS],
+            (red, green, blue),
+        )
+        for third in (0, 1)
+    )
+    assert first == pytest.approx(2 * second, rel=0.1)
+
+
+def test_a_hundred_shapes_stay_on_one_page() -> None:
+    many = tuple(ShapeBar(f"shape{i}", 0.1, 0.0, 0.2) for i in range(400))
+    most = tuple(many[:MOST_SHAPES])
+    assert draw_evaluation(page(shapes=many)).shape == draw_evaluation(page(shapes=most)).shape
+    assert MOST_SHAPES % COLUMNS == 0
+
+
+def test_without_a_curve_there_is_no_page() -> None:
+    with pytest.raises(InputError, match="no error curve"):
+        draw_evaluation(page(curves=()))
+
+
+def test_a_performance_without_error_draws() -> None:
+    none = np.zeros(500)
+    flat = tuple(ShapeBar(f"shape{i}", 0.0, 0.0, 0.0) for i in range(3))
+    same = page().lips_truth
+    picture = draw_evaluation(
+        page(curves=(ErrorCurve("face", none),), shapes=flat, lips_solved=same)
+    )
+    assert picture.dtype == np.uint8

@@ -1,0 +1,46 @@
+"""The picture of what cleaning mended."""
+
+import numpy as np
+import pytest
+
+from usdface.core.errors import InputError
+from usdface.media.charts.repair import HEAD_HEIGHT, LABEL_WIDTH, MARGIN, RepairKind, draw_repairs
+
+
+def kind(label: str, color: tuple[int, int, int], *cells: tuple[int, int]) -> RepairKind:
+    where = np.zeros((5000, 3), dtype=np.bool_)
+    for frame, marker in cells:
+        where[frame, marker] = True
+    return RepairKind(label, color, where)
+
+
+def draw(*kinds: RepairKind) -> np.ndarray:
+    return draw_repairs(["a", "b", "c"], kinds, title="t", facts=("f",), first_frame=1)
+
+
+def test_a_single_repaired_sample_of_a_long_take_shows() -> None:
+    picture = draw(kind("stray", (255, 0, 255), (4321, 1)))
+    lanes = picture[HEAD_HEIGHT:, MARGIN + LABEL_WIDTH :]
+    columns = np.flatnonzero((lanes == (255, 0, 255)).all(axis=2).any(axis=0))
+    assert len(columns) == 1
+    assert columns[0] / lanes[:, :-MARGIN].shape[1] == pytest.approx(4321 / 5000, abs=0.002)
+
+
+def test_only_repaired_markers_have_a_lane_and_the_worst_comes_first() -> None:
+    few = draw(kind("x", (1, 2, 3), (0, 0)))
+    more = draw(kind("x", (1, 2, 3), (0, 0), (5, 2), (9, 2)))
+    assert more.shape[0] > few.shape[0]
+    rows = np.flatnonzero((more[HEAD_HEIGHT:] == (1, 2, 3)).all(axis=2).any(axis=1))
+    first_lane = (more[HEAD_HEIGHT + rows[0]] == (1, 2, 3)).all(axis=1).sum()
+    last_lane = (more[HEAD_HEIGHT + rows[-1]] == (1, 2, 3)).all(axis=1).sum()
+    assert first_lane == 2
+    assert last_lane == 1
+
+
+def test_nothing_repaired_is_said() -> None:
+    assert draw(kind("x", (1, 2, 3))).shape[0] > HEAD_HEIGHT
+
+
+def test_kinds_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(InputError, match=r"must be \(frames, 2\) arrays"):
+        draw_repairs(["a", "b"], [kind("x", (1, 2, 3))], title="", facts=(), first_frame=1)

@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+
+from usdface.core.errors import InputError
+from usdface.media.face.markers_view import draw_markers, frame_markers
+
+CLOUD = np.array([[-40.0, 30, 0], [40, 30, 0], [0, -50, 30]])
+
+
+def marked(picture: np.ndarray) -> np.ndarray:
+    return np.abs(picture.astype(int) - np.median(picture, axis=1, keepdims=True)).max(axis=2) > 25
+
+
+def test_dots_lie_where_the_markers_project() -> None:
+    frame = frame_markers(CLOUD, margin=1.5)
+    picture = draw_markers(CLOUD, width=400, height=400, frame=frame)
+    found = marked(picture)
+    scale = 400 / frame.height
+    for x, y, _ in CLOUD - frame.center:
+        column, row = int(200 + x * scale), int(200 - y * scale)
+        assert found[row - 1 : row + 2, column - 1 : column + 2].all()
+    assert found.sum() < 700
+
+
+def test_nearer_markers_are_brighter() -> None:
+    cloud = np.array([[-20.0, 0, -30], [20, 0, 30]])
+    picture = draw_markers(cloud, width=160, height=120, frame=frame_markers(cloud, aspect=4 / 3))
+    assert picture[:, 80:].max() > picture[:, :80].max() + 40
+
+
+def test_unseen_markers_are_hollow() -> None:
+    frame = frame_markers(CLOUD, margin=1.5)
+    seen = draw_markers(CLOUD, width=400, height=400, frame=frame)
+    hidden = draw_markers(CLOUD, width=400, height=400, frame=frame, visible=[True, True, False])
+    row, column = 200 + int((CLOUD[2, 1] - frame.center[1]) * -400 / frame.height), 200
+    assert marked(seen)[row, column]
+    assert not marked(hidden)[row, column]
+    assert marked(hidden).sum() > 0
+
+
+def test_residual_runs_from_the_marker_to_what_explains_it() -> None:
+    frame = frame_markers(CLOUD, margin=2)
+    away = CLOUD + np.array([[0, 0, 0], [0, 0, 0], [0, 20.0, 0]])
+    plain = draw_markers(CLOUD, width=300, height=300, frame=frame)
+    lines = draw_markers(CLOUD, width=300, height=300, frame=frame, explained=away)
+    changed = np.argwhere(np.any(plain != lines, axis=2))
+    scale = 300 / frame.height
+    top = 150 - (away[2, 1] - frame.center[1]) * scale
+    assert changed[:, 0].min() == pytest.approx(top, abs=3)
+    assert np.ptp(changed[:, 1]) < 10
+
+
+def test_a_stray_sample_does_not_shrink_the_face() -> None:
+    cloud = np.random.default_rng(0).normal(0, 40, (200, 50, 3))
+    stray = cloud.copy()
+    stray[3, 4] = 9e4
+    assert frame_markers(stray).height == pytest.approx(frame_markers(cloud).height, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"positions": np.zeros((3, 2))}, "are \\(markers, 3\\)"),
+        ({"positions": np.full((3, 3), np.nan)}, "no position"),
+        ({"positions": CLOUD, "visible": [True]}, "one for each marker"),
+    ],
+    ids=["shape", "nothing", "visibility"],
+)
+def test_markers_that_cannot_be_drawn_say_why(arguments: dict, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        draw_markers(arguments.pop("positions"), width=50, height=50, **arguments)

@@ -1,0 +1,45 @@
+"""Numbered pictures read as a movie."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from usdface.core.errors import InputError
+from usdface.media.film.image_sequence import ImageSequence, open_video
+from usdface.media.picture.image import write_image
+
+
+@pytest.fixture
+def sequence(tmp_path: Path) -> Path:
+    for number in (998, 999, 1000, 1002):  # 1001 is missing; the width of the number grows
+        write_image(tmp_path / f"plate.{number}.png", np.full((8, 8, 3), number % 256, np.uint8))
+    write_image(tmp_path / "other.1001.png", np.zeros((8, 8, 3), np.uint8))
+    return tmp_path / "plate.999.png"
+
+
+def test_pictures_appear_at_their_time_and_a_missing_one_holds_the_last(sequence: Path) -> None:
+    with open_video(sequence, Fraction(25)) as video:
+        shown = [video.frame_at(i / 25)[0, 0, 0] for i in range(5)]
+        assert shown == [998 % 256, 999 % 256, 1000 % 256, 1000 % 256, 1002 % 256]
+        assert video.frame_at(5 / 25) is None
+        assert video.frame_at(-0.01) is None
+        assert video.duration == pytest.approx(0.2)
+
+
+def test_linear_exr_and_one_channel_become_srgb(tmp_path: Path) -> None:
+    grey = np.full((8, 8, 3), 100, np.uint8)
+    write_image(tmp_path / "a.1.exr", grey)
+    picture = ImageSequence(tmp_path / "a.1.exr", Fraction(24)).frame_at(0.0)
+    np.testing.assert_allclose(picture, grey, atol=1)
+
+
+def test_a_sequence_needs_a_rate_a_number_and_pictures(tmp_path: Path, sequence: Path) -> None:
+    with pytest.raises(InputError, match="give it with --video-rate"):
+        open_video(sequence)
+    with pytest.raises(InputError, match="needs a number in its name"):
+        open_video(tmp_path / "plate.png", Fraction(24))
+    (tmp_path / "bad.1.png").write_bytes(b"no picture")
+    with pytest.raises(InputError, match=r"bad\.1\.png"):
+        open_video(tmp_path / "bad.1.png", Fraction(24)).frame_at(0.0)

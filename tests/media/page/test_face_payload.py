@@ -1,0 +1,185 @@
+"""What a page unpacks is the rig: read back here by a second route, and by a real browser."""
+
+import json
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.browser import chromium
+from tests.usdio.small_rig import small_rig
+from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
+from usdface.core.deformer import Deformer
+from usdface.media.face.camera import Camera
+from usdface.media.face.surface import build_surface
+from usdface.media.page.face_payload import FacePayload, pack_face, viewer_source
+from usdface.usdio.rig.read import read_rig
+
+ROUNDING_MM = 0.6e-3
+
+
+def far_rig() -> Rig:
+    """The small rig with a shape that moves a point further than sixteen bits of micrometres."""
+    rig = small_rig()
+    skin = rig.meshes[0]
+    offsets = np.array([[0.0, -41.7, 3.2], [50.0, 0.25, 0.0]])
+    far = MeshShape("jawOpen", (ShapeKey(1.0, np.array([0, 11]), offsets),))
+    mesh = RigMesh(**(vars(skin) | {"shapes": (far, *skin.shapes[1:])}))
+    return Rig(**(vars(rig) | {"meshes": (mesh, *rig.meshes[1:])}))
+
+
+def unpack(payload: FacePayload) -> dict[str, Any]:
+    raw = zlib.decompress(payload.data)
+    arrays = {}
+    for name, place in payload.header["arrays"].items():
+        arrays[name] = np.frombuffer(
+            raw, f"<{place['type']}", place["count"], offset=place["start"]
+        )
+    return arrays
+
+
+def key_offsets(payload: FacePayload) -> np.ndarray:
+    """Every key's offsets, dense: (keys, points, 3) [mm]."""
+    arrays, count = unpack(payload), payload.header["points"]
+    starts = {"keyPoints": 0, False: 0, True: 0}
+    dense = []
+    for track in payload.header["tracks"]:
+        for moved, wide in zip(track["counts"], track["wide"], strict=True):
+            source = arrays["offsets32" if wide else "offsets16"]
+            first = starts[wide]
+            planes = source[first : first + 3 * moved].reshape(3, moved)
+            points = arrays["keyPoints"][starts["keyPoints"] :][:moved].cumsum()
+            starts[wide] += 3 * moved
+            starts["keyPoints"] += moved
+            one = np.zeros((count, 3))
+            one[points] = np.cumsum(planes, axis=1, dtype=source.dtype).T * 1e-3
+            dense.append(one)
+    return np.array(dense)
+
+
+def drawn(rig: Rig, weights: np.ndarray) -> np.ndarray:
+    """Where the renderer puts the drawn points: the second route."""
+    surface = build_surface(rig.meshes)
+    points = np.asarray(surface.matrix @ Deformer(rig).points(weights[None])[0])
+    return points[np.unique(surface.triangles)]
+
+
+@pytest.mark.parametrize("rig", [small_rig(), far_rig()], ids=["narrow", "wide"])
+def test_keys_come_back_within_rounding(rig: Rig) -> None:
+    payload = pack_face(rig)
+    surface = build_surface(rig.meshes)
+    used = np.unique(surface.triangles)
+    cage = Deformer(rig).shapes.key_offsets.toarray().reshape(-1, surface.matrix.shape[1], 3)
+    expected = np.array([(surface.matrix @ key)[used] for key in cage])
+    assert np.abs(key_offsets(payload) - expected).max() <= ROUNDING_MM
+    assert any(any(t["wide"]) for t in payload.header["tracks"]) == (np.abs(cage).max() > 32.767)
+
+
+def test_the_neutral_comes_back_within_rounding() -> None:
+    rig = small_rig()
+    payload = pack_face(rig)
+    planes = unpack(payload)["neutral"].reshape(3, -1)
+    neutral = planes.cumsum(axis=1).T * 1e-3
+    assert np.abs(neutral - drawn(rig, np.zeros(3))).max() <= ROUNDING_MM
+
+
+def test_shapes_carry_names_and_ranges() -> None:
+    payload = pack_face(small_rig())
+    smile = payload.header["shapes"][2]
+    assert smile == {"name": "smile", "region": "mouth", "low": -0.5, "high": 1.5}
+
+
+def test_arrays_are_aligned_so_that_a_browser_may_view_them() -> None:
+    for place in pack_face(far_rig()).header["arrays"].values():
+        assert place["start"] % int(place["type"][1:]) == 0
+
+
+def test_a_header_cannot_end_the_script_it_stands_in() -> None:
+    payload = FacePayload({"shapes": [{"name": "</script><script>alert(1)//"}]}, b"")
+    assert "</script" not in payload.header_json()
+    assert json.loads(payload.header_json()) == payload.header
+
+
+def test_the_viewer_as_one_module_imports_nothing() -> None:
+    source = viewer_source()
+    assert "import " not in "\n".join(
+        line for line in source.splitlines() if not line.lstrip().startswith(("//", "*"))
+    )
+    assert source.count("class FaceViewer") == 1
+
+
+def embed(folder: Path, rig: Rig, *, camera: Camera | None = None) -> Path:
+    """A page that carries everything inside, as a report does."""
+    payload = pack_face(rig, camera=camera)
+    page = folder / "face.html"
+    page.write_text(
+        "<!doctype html><meta charset='utf-8'>"
+        "<style>canvas{width:300px;height:300px;background:#222}</style>"
+        "<canvas tabindex='0'></canvas>"
+        f"<script id='header' type='application/json'>{payload.header_json()}</script>"
+        f"<script id='data' type='text/plain'>{payload.data_base64()}</script>"
+        f"<script type='module'>{viewer_source()}\n"
+        "const text = (id) => document.getElementById(id).textContent;"
+        "const face = await unpackFace(JSON.parse(text('header')), bytesFromBase64(text('data')));"
+        "window.viewer = new FaceViewer(document.querySelector('canvas'), face);"
+        "</script>",
+        encoding="utf-8",
+    )
+    return page
+
+
+def test_a_browser_poses_the_face_as_the_deformer_does(tmp_path: Path, shared_rig: Rig) -> None:
+    rig = shared_rig
+    weights = np.random.default_rng(0).uniform(-0.2, 1.1, len(rig.shapes)).astype(np.float32)
+    with chromium() as browser:
+        page = browser.new_page()
+        faults: list[str] = []
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.goto(embed(tmp_path, rig).as_uri())
+        page.wait_for_function("window.viewer")
+        posed = page.evaluate(
+            "w => { viewer.setWeights(Float32Array.from(w)); viewer.draw();"
+            " return Array.from(viewer.face.positions); }",
+            weights.tolist(),
+        )
+        shown = page.evaluate("viewer.thumbnail(viewer.weights, 64, 64).data.some((v) => v > 60)")
+        page.evaluate(
+            "window.lose = viewer.gl.getExtension('WEBGL_lose_context'); lose.loseContext()"
+        )
+        page.wait_for_function("viewer.gl.isContextLost()")
+        page.evaluate("lose.restoreContext()")
+        page.wait_for_function("!viewer.gl.isContextLost()")
+        again = page.evaluate("viewer.thumbnail(viewer.weights, 64, 64).data.some((v) => v > 60)")
+    away = np.reshape(posed, (-1, 3)) - drawn(rig, weights.astype(np.float64))
+    assert not faults
+    assert np.abs(away).max() < 0.02  # rounding of every key in play, and single precision
+    assert shown
+    assert again
+
+
+def test_a_page_first_sees_the_face_from_where_the_camera_stands(tmp_path: Path) -> None:
+    camera = Camera(eye=(90.0, 60.0, 200.0), target=(15.0, 10.0, 0.0), fov_degrees=30.0)
+    flat = Camera(eye=(0.0, 0.0, 100.0), target=(0.0, 0.0, 0.0), span_mm=80.0)
+    home = pack_face(small_rig(), camera=flat).header["camera"]
+    assert 2 * home["distance"] * np.tan(np.radians(home["fov"] / 2)) == pytest.approx(80.0)
+    with chromium() as browser:
+        page = browser.new_page()
+        page.goto(embed(tmp_path, small_rig(), camera=camera).as_uri())
+        page.wait_for_function("window.viewer")
+        view = np.reshape(page.evaluate("[...viewer.camera.view()]"), (4, 4)).T
+        page.evaluate("viewer.draw()")
+        column, row, away = page.evaluate("viewer.project(15, 10, 0)")
+    eye = -view[:3, :3].T @ view[:3, 3]
+    np.testing.assert_allclose(eye, camera.eye, atol=0.05)
+    assert (column, row) == pytest.approx((150, 150), abs=0.1)
+    assert away == pytest.approx(np.linalg.norm(np.subtract(camera.eye, camera.target)), abs=0.05)
+
+
+@pytest.fixture(params=["small", "recorded"])
+def shared_rig(request: pytest.FixtureRequest) -> Rig:
+    if request.param == "small":
+        return small_rig()
+    data: Path = request.getfixturevalue("shared_data")
+    return read_rig(data / "rigs" / "facecap_head.usdc")

@@ -1,0 +1,114 @@
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio  # noqa: N813
+import pytest
+
+from usdface.core.errors import InputError
+from usdface.media.picture.image import read_image_metadata, write_image
+from usdface.media.picture.smpte import pack_timecode, unpack_timecode
+
+PICTURE = np.random.default_rng(0).integers(0, 256, (24, 32, 3), dtype=np.uint8)
+
+
+def read_pixels(path: Path) -> np.ndarray:
+    return np.asarray(oiio.ImageBuf(str(path)).get_pixels("float"))
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "jpeg", "png", "exr", "tif", "tiff"])
+def test_metadata_survives_in_every_format(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"sheet.{suffix}"
+    said = {"performer": "Jürgen Groß", "frames": [1001, 1105], "inputs": {"take.usda": "ab" * 32}}
+    write_image(path, PICTURE, metadata=said, timecode="01:02:03:14", rate=Fraction(24000, 1001))
+    assert read_image_metadata(path) == said | {"timecode": "01:02:03:14", "rate": "24000/1001"}
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png", "exr", "tif"])
+def test_a_picture_that_the_disk_cut_short_takes_no_ones_place(tmp_path: Path, suffix: str) -> None:
+    resource = pytest.importorskip("resource")
+    path = tmp_path / f"sheet.{suffix}"
+    picture = np.random.default_rng(0).integers(0, 256, (200, 300, 3), dtype=np.uint8)
+    write_image(path, picture)
+    whole = path.read_bytes()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        for size in (1, len(whole) // 2, len(whole) - 1):
+            resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+            with pytest.raises(InputError, match=r"sheet.*cannot be written"):
+                write_image(path, 255 - picture)
+            assert path.read_bytes() == whole
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert [each.name for each in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+def test_lossless_formats_keep_every_pixel(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"sheet.{suffix}"
+    write_image(path, PICTURE)
+    np.testing.assert_array_equal(np.round(read_pixels(path) * 255), PICTURE)
+
+
+def test_exr_is_linear_and_carries_time_code_and_rate(tmp_path: Path) -> None:
+    path = tmp_path / "sheet.exr"
+    grey = np.full((16, 16, 3), 188, np.uint8)  # sRGB 188 is half the light
+    write_image(path, grey, timecode="01:02:03:14", rate=Fraction(24))
+    assert read_pixels(path).mean() == pytest.approx(0.503, abs=0.003)
+    spec = oiio.ImageBuf(str(path)).spec()
+    packed, _ = spec.getattribute("smpte:TimeCode")
+    assert packed == 0x01020314
+    assert spec.getattribute("oiio:ColorSpace") in ("lin_rec709", "lin_rec709_scene", "Linear")
+
+
+@pytest.mark.parametrize("label", ["00:00:00:00", "23:59:07:29", "10:00:00;28"])
+def test_packed_timecode_unpacks_to_itself(label: str) -> None:
+    assert unpack_timecode(pack_timecode(label)) == label
+
+
+def test_picture_of_someone_else_says_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "holiday.png"
+    buffer = oiio.ImageBuf(PICTURE)
+    buffer.specmod()["ImageDescription"] = "[the sea, and {me}"
+    buffer.write(str(path))
+    assert read_image_metadata(path) == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "message"),
+    [
+        ("sheet.bmpx", {}, "pictures end in"),
+        ("nowhere/sheet.png", {}, "does not exist"),
+        ("sheet.exr", {"timecode": "1:2:3"}, "not hh:mm:ss:ff"),
+        ("sheet.png", {"pixels": np.zeros((4, 4, 3))}, "uint8"),
+        ("sheet.jpg", {"pixels": np.zeros((70000, 2, 3), np.uint8)}, "JPEG ends at"),
+    ],
+    ids=["extension", "folder", "timecode", "floats", "too tall for JPEG"],
+)
+def test_picture_that_cannot_be_written_says_why(
+    tmp_path: Path, name: str, arguments: dict, message: str
+) -> None:
+    pixels = arguments.pop("pixels", PICTURE)
+    with pytest.raises(InputError, match=message):
+        write_image(tmp_path / name, pixels, **arguments)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_failing_write_leaves_the_old_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "sheet.png"
+    write_image(path, PICTURE, metadata={"version": 1})
+    before = path.read_bytes()
+    monkeypatch.setattr(oiio.ImageOutput, "create", lambda *_: None)
+    with pytest.raises(InputError, match=r"sheet\.png"):
+        write_image(path, PICTURE, metadata={"version": 2})
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["sheet.png"]
+
+
+def test_broken_picture_is_refused_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "broken.png"
+    path.write_bytes(b"not a picture")
+    with pytest.raises(InputError, match=r"broken\.png"):
+        read_image_metadata(path)

@@ -1,0 +1,200 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from usdface.core.errors import InputError
+from usdface.media.picture import sheet as sheet_module
+from usdface.media.picture.color import bytes_from_linear, heat_ramp
+from usdface.media.picture.error_strip import ErrorCurve, draw_error_strip
+from usdface.media.picture.sheet import (
+    SheetPage,
+    SheetRow,
+    Tile,
+    compose_sheet,
+    draw_legend,
+    round_range,
+)
+from usdface.media.picture.sheet_layout import lay_out, legend_lines
+from usdface.media.picture.tiles import empty_tile, fit_picture
+
+COLUMNS = ("video", "markers", "baseline", "ours")
+
+
+def make_spec(row_count: int = 12, **changes) -> SheetPage:
+    rng = np.random.default_rng(0)
+    rows = tuple(
+        SheetRow(
+            frame=100 + 10 * n,
+            timecode=f"01:00:00:{n:02d}",
+            tiles=(
+                Tile(np.full((90, 160, 3), 80, np.uint8), "camera A"),
+                Tile(None, "no markers"),
+                Tile(np.full((96, 96, 3), 120, np.uint8), value=2.0),
+                Tile(np.full((96, 96, 3), 120 + n, np.uint8), value=0.5),
+            ),
+            note="größter Fehler",
+        )
+        for n in range(row_count)
+    )
+    spec = SheetPage(
+        title="Küche_v003",
+        columns=COLUMNS,
+        rows=rows,
+        facts=("take 3", "performer Jürgen"),
+        curves=(
+            ErrorCurve("baseline", rng.uniform(1, 3, 500)),
+            ErrorCurve("ours", rng.random(500)),
+        ),
+        first_frame=1,
+        notes=("hollow: not seen",),
+        tile_height=96,
+    )
+    return dataclasses.replace(spec, **changes)
+
+
+def test_every_tile_is_on_the_sheet_unchanged() -> None:
+    sheet = compose_sheet(make_spec())
+    for n in range(12):
+        inside = np.all(sheet == 120 + n, axis=2).sum()
+        assert inside >= 94 * 94  # all but the frame about it
+
+
+@pytest.mark.parametrize("row_count", [1, 2, 5, 12, 25, 60])
+def test_sheet_is_neither_a_tower_nor_a_ribbon(row_count: int) -> None:
+    height, width, _ = compose_sheet(make_spec(row_count)).shape
+    assert 0.6 < width / height < 3.2
+
+
+def test_groups_can_be_asked_for() -> None:
+    assert lay_out(make_spec(groups=1)).groups == 1
+    tower, wide = compose_sheet(make_spec(groups=1)), compose_sheet(make_spec(groups=4))
+    assert tower.shape[0] > 2 * wide.shape[0]
+
+
+@pytest.mark.parametrize("tile_height", [64, 160, 320])
+def test_nothing_is_drawn_over_the_page_margin(tile_height: int) -> None:
+    sheet = compose_sheet(make_spec(3, tile_height=tile_height, title="long title " * 40))
+    page = sheet[0, 0]
+    for edge in (sheet[:20], sheet[-20:], sheet[:, :20], sheet[:, -20:]):
+        assert np.all(edge == page)
+
+
+@pytest.mark.parametrize("tile_height", [64, 96, 320])
+def test_an_error_is_never_cut_to_other_digits(tile_height: int, monkeypatch) -> None:
+    """0.53 mm below a small tile was drawn as 0."""
+    drawn: list[tuple[str, int | None]] = []
+    draw = sheet_module.draw_text
+
+    def keep(page, text, *, max_width=None, **more):
+        drawn.append((text, max_width))
+        return draw(page, text, max_width=max_width, **more)
+
+    monkeypatch.setattr(sheet_module, "draw_text", keep)
+    tile = Tile(np.full((96, 60, 3), 120, np.uint8), value=12.53)
+    compose_sheet(make_spec(columns=("ours",), rows=(SheetRow(1, "", (tile,)),), tile_height=64))
+    compose_sheet(make_spec(tile_height=tile_height))
+    wanted = ("12.53", "2.00", "0.50")
+    values = [(text, width) for text, width in drawn if text.startswith(wanted)]
+    assert len(values) == 1 + 24
+    assert all(width is None for _, width in values)
+
+
+@pytest.mark.parametrize("width", [800, 1000, 1600, 4000])
+def test_notes_are_told_whole_whatever_the_width(width: int, monkeypatch) -> None:
+    notes = ("error: RMS distance of the markers from what the weights explain; not the truth",) * 3
+    lines = legend_lines(notes, width)
+    assert " ".join(lines).replace("   ·   ", " ") == " ".join(notes)
+    cut: list[str] = []
+    monkeypatch.setattr(
+        "usdface.media.picture.text._cut", lambda text, kept: cut.append(text) or ""
+    )
+    page = np.zeros((400, width, 3), np.uint8)
+    draw_legend(page, lines, x=36, y=10, width=width - 72, high=1.5, unit="mm")
+    assert not cut
+
+
+def test_sheet_without_curves_values_and_facts_is_still_made() -> None:
+    rows = (SheetRow(7, "", tuple(Tile(None) for _ in COLUMNS)),)
+    sheet = compose_sheet(SheetPage("bare", COLUMNS, rows, tile_height=64))
+    assert sheet.dtype == np.uint8
+
+
+def test_strip_keeps_the_peak_of_a_single_frame() -> None:
+    values = np.zeros(100_000)
+    values[61_803] = 2.0
+    page = np.zeros((120, 700, 3), np.uint8)
+    draw_error_strip(page, [ErrorCurve("", values)], x=0, y=0, width=696, first_frame=0, high=2.0)
+    hot = bytes_from_linear(heat_ramp(np.array([2.0]), high=2.0))[0]
+    columns = np.flatnonzero(np.all(page == hot, axis=2).any(axis=0))
+    assert len(columns) == 1
+    assert columns[0] == pytest.approx(112 + 0.61803 * 584, abs=1)
+
+
+def test_strip_marks_the_frames_of_the_rows() -> None:
+    page = np.zeros((120, 696, 3), np.uint8)
+    marked = page.copy()
+    curve = ErrorCurve("", np.ones(600))
+    options = {"x": 0, "y": 0, "width": 696, "first_frame": 1000, "high": 2.0}
+    draw_error_strip(page, [curve], **options)
+    draw_error_strip(marked, [curve], **options, marks=[(1300, "1")])
+    columns = np.flatnonzero(np.any(page != marked, axis=(0, 2)))
+    assert abs(columns.mean() - (112 + 292)) < 4
+
+
+def test_unknown_errors_leave_a_gap() -> None:
+    values = np.ones(600)
+    values[200:400] = np.nan
+    page = np.zeros((120, 696, 3), np.uint8)
+    draw_error_strip(page, [ErrorCurve("", values)], x=0, y=0, width=696, first_frame=0, high=1.0)
+    lane = page[60]
+    assert np.all(lane[112 + 210 : 112 + 380] == lane[112 + 300])
+    assert np.any(lane[112 + 100] != lane[112 + 300])
+
+
+def test_range_is_round_and_holds_nearly_all() -> None:
+    errors = np.random.default_rng(0).uniform(0, 2.3, 1000)
+    assert round_range(errors) == 3.0
+    assert round_range(np.append(errors, 500.0)) == 3.0
+    assert round_range(np.array([np.nan])) == 1.0
+    assert round_range(np.zeros(5)) == 1.0
+
+
+def test_fitted_picture_keeps_its_shape_and_its_mean() -> None:
+    rng = np.random.default_rng(0)
+    smooth = np.clip(rng.normal(120, 30, (9, 16, 3)), 0, 255).astype(np.uint8)
+    picture = np.kron(smooth, np.ones((40, 40, 1), np.uint8))
+    fitted = fit_picture(picture, width=160, height=160, color=(0, 0, 0))
+    assert np.all(fitted[:34] == 0)
+    assert np.all(fitted[-34:] == 0)
+    inside = fitted[35:125]
+    np.testing.assert_allclose(inside.mean(axis=(0, 1)), picture.mean(axis=(0, 1)), atol=1.0)
+
+
+def test_picture_of_the_right_size_is_not_touched() -> None:
+    picture = np.random.default_rng(0).integers(0, 256, (50, 70, 3), dtype=np.uint8)
+    np.testing.assert_array_equal(fit_picture(picture, width=70, height=50), picture)
+
+
+def test_empty_tile_says_why() -> None:
+    assert np.any(empty_tile(200, 100, "video ends") != empty_tile(200, 100, ""))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"rows": ()}, "at least one frame"),
+        ({"columns": ("video",)}, "row of frame 100 has 4 tiles and the sheet 1 columns"),
+        ({"tile_height": 10}, "choose 48 to 4096"),
+    ],
+    ids=["no rows", "columns", "tiny"],
+)
+def test_sheet_that_cannot_be_laid_out_says_why(changes: dict, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        compose_sheet(make_spec(**changes))
+
+
+def test_tile_of_floats_is_refused() -> None:
+    rows = (SheetRow(1, "", (Tile(np.zeros((8, 8, 3))),)),)
+    with pytest.raises(InputError, match="uint8"):
+        compose_sheet(SheetPage("x", ("a",), rows))

@@ -1,0 +1,132 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.model.synthetic import markers_of, references_of, synthetic_face
+from usdface.core.assets import Mapping
+from usdface.core.errors import InputError
+from usdface.model import into_head_space, predict_weights, train_mapping
+
+
+def trained() -> Mapping:
+    face = synthetic_face()
+    return train_mapping(
+        references_of(face, np.arange(0, 1200, 30)),
+        ranges=face.ranges,
+        gram=face.gram,
+        method="ridge",
+    )
+
+
+def test_a_take_in_another_head_space_is_moved_back() -> None:
+    other = synthetic_face(seed=5)
+    turn = Rotation.from_euler("xyz", [8, -12, 4], degrees=True).as_matrix()
+    moved = other.positions @ turn.T + [30.0, -20.0, 5.0]
+    mapped = into_head_space(trained(), markers_of(other, positions=moved.astype(np.float32)))
+    np.testing.assert_allclose(mapped.positions, other.positions, atol=0.05)
+    weights = predict_weights(trained(), mapped.positions, visible=mapped.visible).weights
+    assert np.sqrt(((weights - other.weights) ** 2).mean()) < 0.02
+
+
+def test_markers_are_matched_by_name_in_any_order() -> None:
+    face = synthetic_face()
+    order = np.random.default_rng(0).permutation(len(face.names))
+    shuffled = markers_of(
+        face,
+        names=(*(face.names[i] for i in order), "nose_extra"),
+        positions=np.concatenate([face.positions[:, order], face.positions[:, :1]], axis=1).astype(
+            np.float32
+        ),
+        visible=np.ones((1200, 25), dtype=bool),
+        confidence=np.ones((1200, 25), dtype=np.float32),
+    )
+    mapped = into_head_space(trained(), shuffled)
+    np.testing.assert_allclose(mapped.positions, face.positions, atol=0.02)
+    assert mapped.extra == ("nose_extra",)
+    assert mapped.missing == ()
+
+
+def test_missing_markers_are_marked_unseen() -> None:
+    face = synthetic_face()
+    kept = [i for i in range(len(face.names)) if i not in (9, 14)]
+    fewer = markers_of(
+        face,
+        names=tuple(face.names[i] for i in kept),
+        positions=face.positions[:, kept].astype(np.float32),
+        visible=np.ones((1200, 22), dtype=bool),
+        confidence=np.ones((1200, 22), dtype=np.float32),
+    )
+    mapped = into_head_space(trained(), fewer)
+    assert mapped.missing == ("m09", "m14")
+    assert not mapped.visible[:, [9, 14]].any()
+    prediction = predict_weights(trained(), mapped.positions, visible=mapped.visible)
+    assert np.sqrt(((prediction.weights - face.weights) ** 2).mean()) < 0.03
+
+
+def test_a_repaired_sample_is_used_and_a_lost_one_is_not() -> None:
+    face = synthetic_face()
+    visible = np.ones((1200, 24), dtype=bool)
+    confidence = np.ones((1200, 24), dtype=np.float32)
+    visible[10:20, 8] = False
+    confidence[10:15, 8] = 0.6
+    confidence[15:20, 8] = 0.0
+    mapped = into_head_space(trained(), markers_of(face, visible=visible, confidence=confidence))
+    assert mapped.visible[10:15, 8].all()
+    assert not mapped.visible[15:20, 8].any()
+
+
+def test_one_slipped_rigid_marker_does_not_turn_the_head() -> None:
+    face = synthetic_face()
+    slipped = face.positions.copy()
+    slipped[:, 2] += [0.0, 9.0, 0.0]
+    mapped = into_head_space(trained(), markers_of(face, positions=slipped.astype(np.float32)))
+    rest = np.delete(np.arange(24), 2)
+    np.testing.assert_allclose(mapped.positions[:, rest], face.positions[:, rest], atol=0.5)
+
+
+def test_takes_that_cannot_be_mapped_say_what_to_do() -> None:
+    face, mapping = synthetic_face(), trained()
+    with pytest.raises(InputError, match="still holds head motion; run the clean step"):
+        into_head_space(mapping, markers_of(face, space="captured"))
+    renamed = tuple(f"x{i}" for i in range(24))
+    with pytest.raises(InputError, match="has 0 of the mapping's 24 markers, at least 12"):
+        into_head_space(mapping, markers_of(face, names=renamed))
+    few = tuple(f"x{i}" if i < 3 else face.names[i] for i in range(24))
+    with pytest.raises(InputError, match="has 2 of the mapping's 5 rigid markers, at least 3"):
+        into_head_space(mapping, markers_of(face, names=few))
+    stranger = face.positions * 1.6
+    with pytest.raises(InputError, match=r"mm from where the mapping had them.*another performer"):
+        into_head_space(mapping, markers_of(face, positions=stranger.astype(np.float32)))
+
+
+def test_a_mapping_without_its_arrays_asks_to_be_trained_again() -> None:
+    face, mapping = synthetic_face(), trained()
+    arrays = {k: v for k, v in mapping.arrays.items() if k != "motion_mean"}
+    with pytest.raises(InputError, match="lacks the array 'motion_mean'; train it again"):
+        predict_weights(replace(mapping, arrays=arrays), face.positions[:2])
+
+
+def test_rigid_markers_on_a_line_do_not_tell_how_the_head_is_turned() -> None:
+    face = synthetic_face()
+    neutral = face.neutral.copy()
+    neutral[:4] = np.outer([-50, -20, 10, 50], [0.8, 0.6, 0.0]) + np.array([0, 60, 10])
+    face = replace(face, neutral=neutral, positions=face.positions - face.neutral + neutral)
+    mapping = train_mapping(
+        references_of(face, np.arange(0, 1200, 30)), ranges=face.ranges, gram=None, method="ridge"
+    )
+    turned = face.positions @ Rotation.from_rotvec([0.08, 0.06, 0.0]).as_matrix().T
+    whole = markers_of(face, positions=turned.astype(np.float32))
+    found = into_head_space(mapping, whole)
+    np.testing.assert_allclose(found.positions, face.positions, atol=0.05)
+    lacking = np.ones((1200, len(face.names)), dtype=bool)
+    lacking[:, 4] = False  # the one rigid marker beside the line
+    line = markers_of(
+        face,
+        positions=turned.astype(np.float32),
+        visible=lacking,
+        confidence=lacking.astype(np.float32),
+    )
+    with pytest.raises(InputError, match="m00, m01, m02, m03, lie on a line"):
+        into_head_space(mapping, line)

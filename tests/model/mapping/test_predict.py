@@ -1,0 +1,194 @@
+from dataclasses import replace
+
+import array_api_strict
+import numpy as np
+import pytest
+
+from tests.model.synthetic import MARKERS, SyntheticFace, references_of, synthetic_face
+from usdface.core.assets import Mapping
+from usdface.core.errors import InputError
+from usdface.model import predict_weights, train_mapping
+from usdface.model.mapping.coordinates import marker_coordinates, noise_variance
+from usdface.model.mapping.head_space import MINIMUM_SHARE
+from usdface.model.mapping.predict import WeightPredictor
+from usdface.model.mapping.train import motion_of
+from usdface.model.regressions import AUTO, METHODS, find_method
+from usdface.numerics.array_namespace import CPU, ArrayDevice, open_device
+
+
+def trained(face: SyntheticFace, method: str = "ridge") -> Mapping:
+    chosen = np.arange(0, len(face.positions), 30)
+    return train_mapping(
+        references_of(face, chosen), ranges=face.ranges, gram=face.gram, method=method
+    )
+
+
+def test_weights_stay_within_their_ranges() -> None:
+    face = synthetic_face(bend=0.5)
+    weights = predict_weights(trained(face), face.positions * 1.2).weights
+    assert weights.min() >= 0.0
+    assert weights.max() <= 1.0
+
+
+def test_frames_do_not_depend_on_their_neighbours() -> None:
+    face = synthetic_face()
+    mapping = trained(face, "rbf")
+    whole = predict_weights(mapping, face.positions)
+    part = predict_weights(mapping, face.positions[500:510])
+    np.testing.assert_allclose(part.weights, whole.weights[500:510], atol=1e-12)
+    np.testing.assert_allclose(part.confidence, whole.confidence[500:510], atol=1e-9)
+
+
+def test_unseen_markers_are_spoken_for_by_the_others() -> None:
+    face = synthetic_face(noise=0.01)
+    mapping = trained(face)
+    visible = np.ones(face.positions.shape[:2], dtype=bool)
+    visible[:, [6, 11, 17]] = False
+    hidden = face.positions.copy()
+    hidden[~visible] = np.nan
+    prediction = predict_weights(mapping, hidden, visible=visible)
+    whole = predict_weights(mapping, face.positions)
+    assert np.sqrt(((prediction.weights - whole.weights) ** 2).mean()) < 0.02
+    assert prediction.confidence.mean() < whole.confidence.mean()
+    assert prediction.confidence.mean() > 0.8 * whole.confidence.mean()
+
+
+def test_with_no_marker_seen_nothing_is_certain() -> None:
+    face = synthetic_face()
+    prediction = predict_weights(
+        trained(face),
+        np.full((3, MARKERS, 3), np.nan),
+        visible=np.zeros((3, MARKERS), dtype=bool),
+    )
+    assert np.isfinite(prediction.weights).all()
+    np.testing.assert_allclose(prediction.confidence, 0.0, atol=1e-3)
+
+
+def test_a_frame_below_the_stated_share_of_markers_has_no_confidence() -> None:
+    face = synthetic_face()
+    visible = np.ones((3, MARKERS), dtype=bool)
+    least = int(np.ceil(MINIMUM_SHARE * MARKERS))
+    visible[1, least:] = False
+    visible[2, least - 1 :] = False
+    prediction = predict_weights(trained(face), face.positions[:3], visible=visible)
+    assert prediction.lacking.tolist() == [False, False, True]
+    assert (prediction.region_confidence[:2, 0] > 0).all()
+    assert (prediction.region_confidence[2] == 0).all()
+
+
+def test_confidence_is_high_at_references_and_falls_with_strange_faces() -> None:
+    face = synthetic_face()
+    mapping = trained(face)
+    at_references = predict_weights(mapping, face.positions[::30]).confidence
+    assert at_references.min() > 0.95
+    medians = []
+    for gain in (1.0, 2.0, 4.0, 8.0):
+        strange = face.neutral + gain * (face.positions - face.neutral)
+        medians.append(np.median(predict_weights(mapping, strange).confidence))
+    assert medians == sorted(medians, reverse=True)
+    assert medians[0] > 0.9
+    assert medians[-1] < 0.5
+
+
+def test_residual_tells_a_swapped_pair_of_markers() -> None:
+    face = synthetic_face()
+    mapping = trained(face)
+    swapped = face.positions.copy()
+    swapped[:, [8, 15]] = swapped[:, [15, 8]]
+    clean = predict_weights(mapping, face.positions).residual_mm
+    assert predict_weights(mapping, swapped).residual_mm.min() > 5 * clean.max()
+
+
+def test_no_frames_give_no_weights() -> None:
+    face = synthetic_face()
+    assert predict_weights(trained(face), face.positions[:0]).weights.shape == (0, 6)
+
+
+def test_positions_that_do_not_fit_are_refused() -> None:
+    face = synthetic_face()
+    mapping = trained(face)
+    with pytest.raises(InputError, match=r"the mapping reads \(frames, 24, 3\)"):
+        predict_weights(mapping, face.positions[:, :5])
+    broken = face.positions.copy()
+    broken[7, 3] = np.nan
+    with pytest.raises(InputError, match="marker m03 of frame index 7 is not finite; clean"):
+        predict_weights(mapping, broken)
+    with pytest.raises(InputError, match="visible has shape"):
+        predict_weights(mapping, face.positions, visible=np.ones((2, 2), dtype=bool))
+
+
+@pytest.mark.parametrize("method", ["ridge", "rbf", "ensemble"])
+def test_takes_in_single_precision_are_told_as_in_double(method: str) -> None:
+    face = synthetic_face(noise=0.05)
+    mapping = trained(face, method)
+    single = face.positions.astype(np.float32)
+    found = predict_weights(mapping, single)
+    wanted = predict_weights(mapping, single.astype(np.float64))
+    np.testing.assert_allclose(found.weights, wanted.weights, atol=1e-5)
+    np.testing.assert_allclose(found.region_confidence, wanted.region_confidence, atol=1e-4)
+    np.testing.assert_allclose(found.residual_mm, wanted.residual_mm, atol=1e-4)
+
+
+ANYWHERE = ("ridge", "rbf", "d06", "ensemble", "regional")
+STRICT = ArrayDevice("strict", array_api_strict, array_api_strict.Device("CPU_DEVICE"))
+
+
+@pytest.mark.parametrize("name", sorted(METHODS))
+def test_a_mapping_whose_arrays_do_not_fit_is_refused_or_read(name: str) -> None:
+    """Each array missing, one row short, and empty: nothing but InputError may escape."""
+    face = synthetic_face(frames=300)
+    mapping = trained(face, name)
+    refused = 0
+    for array, value in mapping.arrays.items():
+        left = {other: each for other, each in mapping.arrays.items() if other != array}
+        for arrays in (left, left | {array: value[1:]}, left | {array: np.zeros((0,))}):
+            try:
+                predict_weights(replace(mapping, arrays=arrays), face.positions[:4])
+            except InputError:
+                refused += 1
+    assert refused > len(mapping.arrays)
+
+
+@pytest.mark.parametrize("name", ANYWHERE)
+def test_many_frames_on_any_device_agree_with_what_the_method_was_judged_by(name: str) -> None:
+    face = synthetic_face(bend=0.5)
+    mapping = trained(face, name)
+    z = marker_coordinates(motion_of(mapping), face.positions).values
+    exact = find_method(name).predict(mapping.arrays, mapping.settings, z)
+    exact = np.clip(exact, mapping.ranges[:, 0], mapping.ranges[:, 1])
+    for device in (CPU, STRICT):
+        found = WeightPredictor(mapping, device=device).predict(face.positions)
+        np.testing.assert_allclose(found.weights, exact, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ANYWHERE)
+def test_torch_maps_as_numpy_does(name: str) -> None:
+    pytest.importorskip("torch", reason="torch is not installed; nothing here requires it")
+    face = synthetic_face(bend=0.5)
+    mapping = trained(face, name)
+    here = WeightPredictor(mapping).predict(face.positions).weights
+    there = WeightPredictor(mapping, device=open_device("torch")).predict(face.positions).weights
+    np.testing.assert_allclose(there, here, atol=1e-6)
+
+
+def test_what_auto_tries_runs_on_any_device_and_others_say_that_they_do_not() -> None:
+    assert set(AUTO) <= set(ANYWHERE)
+    mapping = trained(synthetic_face(), "multiquadric")
+    with pytest.raises(InputError, match="multiquadric runs on the processor alone, not on 'stri"):
+        WeightPredictor(mapping, device=STRICT)
+
+
+def test_unseen_markers_are_told_by_the_gaussian_of_the_motion_given_the_seen_ones() -> None:
+    face = synthetic_face(bend=0.5, noise=0.3)
+    motion = references_of(face, np.arange(0, 1200, 100)).motion
+    assert motion is not None
+    visible = np.ones((20, MARKERS), bool)
+    visible[:, 7:15] = False
+    found = marker_coordinates(motion, face.positions[:20], visible=visible).values
+    # the textbook's conditional mean: cov(z, x) cov(x, x)^-1 (x - mean), x = components' z + noise
+    seen = np.repeat(visible[0], 3)
+    basis = motion.components[:, seen]
+    between = motion.variances[:, None] * basis
+    within = basis.T @ between + noise_variance(motion) * np.eye(seen.sum())
+    offsets = (face.positions[:20].reshape(20, -1) - motion.mean)[:, seen]
+    np.testing.assert_allclose(found, offsets @ np.linalg.solve(within, between.T), atol=1e-8)

@@ -1,0 +1,202 @@
+"""What is particular to the default method; what all methods share is in test_train."""
+
+from dataclasses import replace
+
+import array_api_strict
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.model.synthetic import RIGID, SyntheticFace, references_of, synthetic_face
+from usdface.core.assets import Mapping
+from usdface.core.errors import InputError
+from usdface.model import fit_motion_space, predict_weights, sample_skin, train_mapping
+from usdface.model.mapping.predict import WeightPredictor
+from usdface.model.regressions import corrections
+from usdface.model.regressions.target_curve import bend, unbend
+from usdface.model.regressions.voices import REGION_WIDE, affordable_choices
+from usdface.numerics.array_namespace import ArrayDevice
+
+STRICT = ArrayDevice("strict", array_api_strict, array_api_strict.Device("CPU_DEVICE"))
+CHOSEN = np.arange(0, 1200, 30)
+
+
+def trained(*, skin: bool, bent: float = 0.0, chosen: np.ndarray = CHOSEN) -> Mapping:
+    face = synthetic_face(bend=bent)
+    return train_mapping(
+        references_of(face, chosen),
+        ranges=face.ranges,
+        gram=face.gram,
+        skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)) if skin else None,
+        method="ensemble",
+    )
+
+
+def rms(mapping: Mapping, *, seed: int, bent: float = 0.0) -> float:
+    face = synthetic_face(bend=bent, seed=seed)
+    error = predict_weights(mapping, face.positions).weights - face.weights
+    return float(np.sqrt((error**2).mean()))
+
+
+def test_geometry_helps_where_pairs_are_few() -> None:
+    few = np.arange(0, 1200, 150)
+    with_skin = rms(trained(skin=True, chosen=few), seed=3)
+    without = rms(trained(skin=False, chosen=few), seed=3)
+    assert with_skin < 0.8 * without
+
+
+@pytest.mark.parametrize("skin", [False, True])
+def test_more_dimensions_than_the_take_moves_in_do_no_harm(skin: bool) -> None:
+    """Six shapes without noise move in six dimensions; the other components are still."""
+    face = synthetic_face(noise=0.0)
+    pairs = references_of(face, CHOSEN)
+    assert pairs.motion is not None
+    still = np.where(np.arange(len(pairs.motion.variances)) < 6, pairs.motion.variances, 0.0)
+    mapping = train_mapping(
+        replace(pairs, motion=replace(pairs.motion, variances=still)),
+        ranges=face.ranges,
+        gram=face.gram,
+        skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)) if skin else None,
+        method="ensemble",
+        dimensions=20,
+    )
+    error = predict_weights(mapping, face.positions).weights - face.weights
+    assert np.sqrt((error**2).mean()) < 0.02
+
+
+def saturating(seed: int) -> SyntheticFace:
+    """Skin that gives way the less the further it has moved."""
+    face = synthetic_face(seed=seed)
+    moved = face.positions - face.neutral
+    far = np.linalg.norm(moved, axis=2, keepdims=True)
+    return replace(face, positions=face.neutral + moved / (1 + far / 15))
+
+
+@pytest.mark.parametrize("skin", [False, True])
+def test_it_is_better_than_a_line_on_skin_that_saturates(skin: bool) -> None:
+    face, new = saturating(0), saturating(3)
+    errors = []
+    for method in ("ridge", "ensemble"):
+        mapping = train_mapping(
+            references_of(face, CHOSEN),
+            ranges=face.ranges,
+            gram=face.gram,
+            skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)) if skin else None,
+            method=method,
+        )
+        error = predict_weights(mapping, new.positions).weights - new.weights
+        errors.append(np.sqrt((error**2).mean()))
+    assert errors[1] < 0.8 * errors[0]
+
+
+def test_skin_that_slows_down_is_told_by_the_curve() -> None:
+    face = synthetic_face()
+    slowing = 1.4 * face.weights - 0.4 * face.weights**2
+    positions = face.neutral + np.einsum("fs,smc->fmc", slowing, face.shapes)
+    mapping = train_mapping(
+        references_of(replace(face, positions=positions), CHOSEN),
+        ranges=face.ranges,
+        gram=face.gram,
+        skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)),
+        method="ensemble",
+    )
+    assert 0.25 < float(mapping.settings["curve"]) < 0.5
+
+
+def test_a_shape_has_a_bend_of_its_own() -> None:
+    """Of six shapes one slows down, the others do not."""
+    face = synthetic_face()
+    acted = face.weights.copy()
+    acted[:, 2] = 1.5 * acted[:, 2] - 0.5 * acted[:, 2] ** 2
+    positions = face.neutral + np.einsum("fs,smc->fmc", acted, face.shapes)
+    mapping = train_mapping(
+        references_of(replace(face, positions=positions), CHOSEN),
+        ranges=face.ranges,
+        gram=face.gram,
+        skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)),
+        method="ensemble",
+    )
+    curve = mapping.arrays["curve"]
+    assert curve[2] >= 0.3
+    assert np.delete(curve, 2).max() <= 0.15
+
+
+@pytest.mark.parametrize("low", [-1.0, 0.0])
+def test_ranges_of_any_width_give_the_same_face(low: float) -> None:
+    """A shape of range [low, low + 2] at twice the weight is the same shape."""
+    face = synthetic_face(bend=0.2)
+    first = trained(skin=True, bent=0.2)
+    wide = replace(
+        face,
+        weights=2 * face.weights + low,
+        ranges=2 * face.ranges + low,
+        shapes=face.shapes / 2,
+        gram=face.gram / 4,
+    )
+    second = train_mapping(
+        references_of(wide, CHOSEN),
+        ranges=wide.ranges,
+        gram=wide.gram,
+        skin=sample_skin(wide.shapes.reshape(len(wide.shapes), -1)),
+        method="ensemble",
+    )
+    new = synthetic_face(bend=0.2, seed=3).positions[:200]
+    expected = 2 * predict_weights(first, new).weights + low
+    np.testing.assert_allclose(predict_weights(second, new).weights, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_corrections_come_to_the_same_condensed(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    monkeypatch.setattr(corrections, "FEW_KERNELS", 0)
+    face = synthetic_face(bend=0.3, frames=6000)
+    pairs = replace(
+        references_of(face, np.arange(0, 6000, 60)), motion=fit_motion_space([face.positions])
+    )
+    mapping = train_mapping(pairs, ranges=face.ranges, gram=face.gram, method="ensemble")
+    dear = {name: value for name, value in mapping.arrays.items() if "condensed" not in name}
+    assert len(dear) < len(mapping.arrays)
+    new = synthetic_face(bend=0.3, seed=seed)
+    found = predict_weights(mapping, new.positions).weights
+    there = WeightPredictor(mapping, device=STRICT).predict(new.positions).weights
+    np.testing.assert_allclose(there, found, atol=1e-6)
+    wanted = predict_weights(replace(mapping, arrays=dear), new.positions).weights
+    away = np.abs(found - wanted)
+    assert 0 < away.max() < 0.01
+    assert np.sqrt((away**2).mean()) < 0.1 * rms(mapping, seed=seed, bent=0.3)
+
+
+def test_skin_of_other_shapes_is_refused() -> None:
+    face = synthetic_face()
+    skin = sample_skin(face.shapes.reshape(len(face.shapes), -1))
+    pairs = references_of(face, CHOSEN)
+    with pytest.raises(InputError, match="references have 6 shapes; sample the rig's shapes"):
+        train_mapping(pairs, ranges=face.ranges, gram=face.gram, skin=skin[:4])
+    with pytest.raises(InputError, match="skin holds values that are not finite"):
+        train_mapping(pairs, ranges=face.ranges, gram=face.gram, skin=skin * np.nan)
+
+
+def test_skin_samples_are_points_that_move() -> None:
+    face = synthetic_face()
+    flat = face.shapes.reshape(len(face.shapes), -1)
+    whole = sample_skin(flat)
+    np.testing.assert_array_equal(whole, face.shapes[:, RIGID:])
+    assert sample_skin(flat, count=7).shape == (len(face.shapes), 7, 3)
+
+
+@given(
+    weight=st.floats(-0.5, 1.5, allow_nan=False),
+    curve=st.sampled_from([0.0, 0.15, 0.3, 0.45, 0.9]),
+)
+def test_unbending_undoes_bending(weight: float, curve: float) -> None:
+    there = bend(np.array([weight]), curve)
+    np.testing.assert_allclose(unbend(there, curve), weight, atol=1e-9)
+    assert bend(np.array([0.0, 1.0]), curve).tolist() == [0.0, 1.0]
+
+
+def test_choices_are_thinned_only_where_there_is_much_to_compare() -> None:
+    assert affordable_choices(REGION_WIDE, pairs=100, shapes=60) == REGION_WIDE
+    fewer = affordable_choices(REGION_WIDE, pairs=100, shapes=1500)
+    assert 1 < len(fewer) < len(REGION_WIDE)
+    assert set(fewer) <= set(REGION_WIDE)
+    assert len(affordable_choices(REGION_WIDE, pairs=2000, shapes=1000)) == 1

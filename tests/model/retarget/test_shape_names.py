@@ -1,0 +1,69 @@
+"""Names of the same motion, as rigs and tools write them."""
+
+import pytest
+
+from usdface.model.retarget.shape_names import match_names, motion_and_side
+
+ARKIT = """
+eyeBlinkLeft eyeLookDownLeft eyeLookInLeft eyeLookOutLeft eyeLookUpLeft eyeSquintLeft eyeWideLeft
+eyeBlinkRight eyeLookDownRight eyeLookInRight eyeLookOutRight eyeLookUpRight eyeSquintRight
+eyeWideRight jawForward jawLeft jawRight jawOpen mouthClose mouthFunnel mouthPucker mouthLeft
+mouthRight mouthSmileLeft mouthSmileRight mouthFrownLeft mouthFrownRight mouthDimpleLeft
+mouthDimpleRight mouthStretchLeft mouthStretchRight mouthRollLower mouthRollUpper mouthShrugLower
+mouthShrugUpper mouthPressLeft mouthPressRight mouthLowerDownLeft mouthLowerDownRight
+mouthUpperUpLeft mouthUpperUpRight browDownLeft browDownRight browInnerUp browOuterUpLeft
+browOuterUpRight cheekPuff cheekSquintLeft cheekSquintRight noseSneerLeft noseSneerRight tongueOut
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "meaning"),
+    [
+        ("EyeBlinkLeft", ("eyeblink", "L")),
+        ("eyeBlink_L", ("eyeblink", "L")),
+        ("L_eye_blink", ("eyeblink", "L")),
+        ("AU45_blink_left", ("eyeblink", "L")),
+        ("blink_R", ("eyeblink", "R")),
+        ("head:eyeBlinkRight", ("eyeblink", "R")),
+        ("AU12_R", ("mouthsmile", "R")),
+        ("lipCornerPuller_L", ("mouthsmile", "L")),
+        ("AU_26", ("jawopen", "")),
+        ("JAWOPEN", ("jawopen", "")),
+        ("jawLeft", ("jawleft", "")),
+        ("mouth_R", ("mouthright", "")),
+        ("browInnerUp", ("browinnerup", "")),
+        ("cheekRaiser_L", ("cheeksquint", "L")),
+        ("bs_noseSneer_R", ("nosesneer", "R")),
+        ("l", ("l", "")),
+        ("", ("", "")),
+    ],
+)
+def test_a_name_is_a_motion_and_a_side(name: str, meaning: tuple[str, str]) -> None:
+    assert motion_and_side(name) == meaning
+
+
+def test_arkit_and_its_other_spelling_match_one_to_one() -> None:
+    matches = match_names(("EyeBlinkLeft", "EyeBlinkRight", "JawOpen"), ("jawOpen", "eyeBlink_R"))
+    assert [(m.name, m.target) for m in matches] == [
+        ("EyeBlinkRight", (("eyeBlink_R", 1.0),)),
+        ("JawOpen", (("jawOpen", 1.0),)),
+    ]
+
+
+def test_one_shape_drives_both_halves_and_two_halves_one_shape() -> None:
+    (whole,) = match_names(("browInnerUp",), ("browInnerUp_L", "browInnerUp_R"))
+    assert whole.target == (("browInnerUp_L", 1.0), ("browInnerUp_R", 1.0))
+    halves = match_names(("cheekPuff_L", "cheekPuff_R"), ("cheekPuff",))
+    assert sum(match.target[0][1] for match in halves) == 1.0
+
+
+def test_left_is_never_right() -> None:
+    assert match_names(("mouthSmileLeft",), ("mouthSmile_R",)) == ()
+    assert match_names(("jawLeft",), ("jawRight",)) == ()
+
+
+def test_every_arkit_shape_has_its_own_meaning() -> None:
+    names = ARKIT.split()
+    assert len(names) == 52
+    assert len({motion_and_side(name) for name in names}) == 52
+    assert all(match.source == match.target for match in match_names(names, names))

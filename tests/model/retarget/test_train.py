@@ -1,0 +1,253 @@
+"""Retargeting: laws that hold for every method, and what each promises."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.usdio.small_creature import creature_acts, human_moves
+from usdface.core.controls import Controls, ExpressionPairs, bare_controls
+from usdface.core.errors import InputError
+from usdface.model.regressions.retarget_methods import RETARGET_METHODS
+from usdface.model.retarget.checks import check_pairs, dead_controls, find_conflicts, unused_shapes
+from usdface.model.retarget.control_space import control_space
+from usdface.model.retarget.train import (
+    SAME_MM,
+    make_examples,
+    retarget,
+    there_and_back,
+    train_retargeting,
+)
+
+SHAPES = ("jawOpen", "eyeBlink", "smile")
+
+
+def pairs_of(
+    source: np.ndarray, target: Controls, shapes: tuple[str, ...] = SHAPES
+) -> ExpressionPairs:
+    return ExpressionPairs(("",) * len(source), shapes, source, target)
+
+
+def creature_pairs(count: int = 34) -> ExpressionPairs:
+    source = np.random.default_rng(0).random((count, 3)) ** 2
+    source[0] = 0.0
+    return pairs_of(source, creature_acts(source))
+
+
+def linear_pairs(count: int = 30, shapes: int = 6) -> tuple[ExpressionPairs, np.ndarray]:
+    rng = np.random.default_rng(0)
+    matrix = rng.random((shapes, 9)) / shapes
+    source = np.concatenate([np.zeros((1, shapes)), np.eye(shapes), rng.random((count, shapes))])
+    names = tuple(f"s{i}" for i in range(shapes))
+    target = bare_controls(tuple(f"t{i}" for i in range(9)), source @ matrix)
+    return pairs_of(source, target, names), matrix
+
+
+@pytest.mark.parametrize("method", ["rbf", "additive"])
+def test_every_pair_is_met(method: str) -> None:
+    pairs = creature_pairs()
+    made = retarget(train_retargeting(pairs, method=method), pairs.source)
+    np.testing.assert_allclose(made.weights, pairs.target.weights, atol=1e-8)
+    np.testing.assert_allclose(made.values, pairs.target.values, atol=1e-8)
+    np.testing.assert_allclose(made.translations, pairs.target.translations, atol=1e-8)
+    np.testing.assert_allclose(
+        np.abs(np.einsum("fji,fji->fj", made.rotations, pairs.target.rotations)), 1.0, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("method", ["ridge", "additive"])
+def test_a_linear_relation_is_recovered_between_and_beyond_the_pairs(method: str) -> None:
+    pairs, matrix = linear_pairs()
+    trained = train_retargeting(pairs, method=method)
+    unseen = np.random.default_rng(1).random((200, 6))
+    np.testing.assert_allclose(retarget(trained, unseen).weights, unseen @ matrix, atol=2e-3)
+
+
+@pytest.mark.parametrize("method", list(RETARGET_METHODS))
+def test_rotations_stay_rotations_and_scales_positive(method: str) -> None:
+    trained = train_retargeting(creature_pairs(), method=method)
+    wild = np.random.default_rng(0).normal(0, 3, (500, 3))
+    made = retarget(trained, wild)
+    np.testing.assert_allclose(np.linalg.norm(made.rotations, axis=2), 1.0, atol=1e-12)
+    assert (made.scales > 0).all()
+    assert all(np.isfinite(part).all() for part in (made.weights, made.translations, made.values))
+
+
+@pytest.mark.parametrize("method", list(RETARGET_METHODS))
+def test_a_control_in_other_units_leaves_all_others_as_they_are(method: str) -> None:
+    pairs = creature_pairs()
+    target = replace(
+        pairs.target, values=pairs.target.values * 180, translations=pairs.target.translations * 10
+    )
+    made, again = (
+        retarget(train_retargeting(each, method=method), human_moves(60))
+        for each in (pairs, replace(pairs, target=target))
+    )
+    np.testing.assert_allclose(again.weights, made.weights, atol=1e-6)
+    np.testing.assert_allclose(again.values / 180, made.values, atol=1e-6)
+    np.testing.assert_allclose(again.translations / 10, made.translations, atol=1e-6)
+
+
+def test_halfway_between_two_turned_ears_is_half_the_turn() -> None:
+    source = np.array([[0.0, 0, 0], [0, 0, 1.0]])
+    trained = train_retargeting(pairs_of(source, creature_acts(source)), method="ridge")
+    made = retarget(trained, np.array([[0.0, 0, 0.5]])).rotations[0, 1]
+    assert 2 * np.arccos(made[0]) == pytest.approx(0.6, abs=1e-3)
+
+
+def test_joints_and_attributes_never_run_far_beyond_the_pairs() -> None:
+    pairs = creature_pairs()
+    trained = train_retargeting(pairs, method="ridge")
+    values = retarget(trained, np.full((1, 3), 100.0)).values
+    span = np.ptp(pairs.target.values, axis=0)
+    assert (values <= pairs.target.values.max(axis=0) + 0.5 * span + 1e-9).all()
+
+
+def test_alpha_one_is_the_network_and_zero_the_correlation() -> None:
+    pairs = creature_pairs()
+    trained = train_retargeting(pairs, method="hybrid", alpha=0.5)
+    frames = human_moves(60)
+    keyed = np.linspace(0, 1, 60)
+    network = train_retargeting(pairs, method="rbf")
+    kernel = replace(trained, method="kernel_cca")
+    one = control_space(pairs.target)
+    blend = one.encode(retarget(trained, frames, alpha=keyed))
+    parts = [one.encode(retarget(each, frames)) for each in (network, kernel)]
+    free = [one.encode(retarget(trained, frames, alpha=np.full(60, a))) for a in (1.0, 0.0)]
+    np.testing.assert_allclose(free[0], parts[0], atol=1e-9)
+    np.testing.assert_allclose(free[1], parts[1], atol=1e-9)
+    middle = keyed[:, None] * parts[0] + (1 - keyed[:, None]) * parts[1]
+    inside = np.abs(blend - middle).max(axis=1) < 1e-9
+    assert inside.mean() > 0.9  # the rest touches a limit
+
+
+@pytest.mark.parametrize("method", list(RETARGET_METHODS))
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_a_retargeting_whose_arrays_do_not_fit_is_refused_or_read(method: str) -> None:
+    """Each array missing, one row short, and empty: nothing but InputError may escape."""
+    trained = train_retargeting(creature_pairs(), method=method)
+    source = creature_pairs().source[:3]
+    refused = 0
+    for array, value in trained.arrays.items():
+        left = {other: each for other, each in trained.arrays.items() if other != array}
+        for arrays in (left, left | {array: value[1:]}, left | {array: np.zeros((0,))}):
+            try:
+                retarget(replace(trained, arrays=arrays), source)
+            except InputError:
+                refused += 1
+    assert refused >= len(trained.arrays)
+
+
+def test_alpha_is_refused_by_what_is_no_hybrid() -> None:
+    trained = train_retargeting(creature_pairs(), method="rbf")
+    with pytest.raises(InputError, match="train with --method hybrid"):
+        retarget(trained, human_moves(5), alpha=np.ones(5))
+
+
+@pytest.mark.parametrize("which", ["creature", "linear"])
+def test_auto_returns_expressions_no_worse_than_any_method(which: str) -> None:
+    pairs = creature_pairs() if which == "creature" else linear_pairs()[0]
+    performance = np.random.default_rng(3).random((100, pairs.source.shape[1])) ** 3
+    trained = train_retargeting(pairs, performance=performance)
+    examples = make_examples(pairs)
+
+    def cyclic(method: str, settings: dict) -> float:
+        error = there_and_back(examples, method, settings, performance) - performance
+        return float(np.sqrt((error**2).mean(axis=1)).mean())
+
+    best = cyclic(trained.method, trained.settings)
+    for name, method in RETARGET_METHODS.items():
+        for settings in method.candidates:
+            assert best <= cyclic(name, settings) + SAME_MM, name
+    assert best == pytest.approx(trained.scores[0].cyclic_mm)
+
+
+def test_there_and_back_is_nothing_lost_where_the_target_is_the_source() -> None:
+    source = np.concatenate([np.zeros((1, 5)), np.eye(5), np.random.default_rng(0).random((20, 5))])
+    names = tuple("abcde")
+    pairs = pairs_of(source, bare_controls(names, source), names)
+    unseen = np.random.default_rng(1).random((50, 5))
+    back = there_and_back(make_examples(pairs), "additive", {"shrink": 1e-8}, unseen)
+    np.testing.assert_allclose(back, unseen, atol=1e-6)
+
+
+def test_conflicting_pairs_are_named_and_others_are_not() -> None:
+    pairs = creature_pairs(20)
+    assert find_conflicts(pairs) == ()
+    source = np.concatenate([pairs.source, pairs.source[[7]] + 0.005])
+    target = creature_acts(np.concatenate([pairs.source, 1 - pairs.source[[7]]]))
+    conflicts = find_conflicts(pairs_of(source, target))
+    assert [(each.first, each.second) for each in conflicts] == [(7, 20)]
+    assert conflicts[0].target > 3 * conflicts[0].source
+
+
+def test_pairs_at_the_same_place_that_disagree_do_not_stop_the_training() -> None:
+    pairs = creature_pairs(12)
+    source = np.concatenate([pairs.source, pairs.source[[3]]])
+    target = creature_acts(np.concatenate([pairs.source, 1 - pairs.source[[3]]]))
+    trained = train_retargeting(pairs_of(source, target))
+    assert np.isfinite(retarget(trained, human_moves(20)).weights).all()
+
+
+def test_shapes_and_controls_that_nothing_uses_are_named() -> None:
+    pairs = creature_pairs()
+    source = np.concatenate([pairs.source, np.zeros((34, 1))], axis=1)
+    still = replace(pairs.target, values=pairs.target.values * [1, 0] + [0, 0.3])
+    pairs = pairs_of(source, still, (*SHAPES, "tongueOut"))
+    assert unused_shapes(pairs) == ("tongueOut",)
+    assert dead_controls(pairs) == ("rig/lattice.dfm:curl",)
+    assert train_retargeting(pairs, method="ridge").arrays["unused"].tolist() == [0, 0, 0, 1]
+
+
+def test_order_of_pairs_does_not_matter() -> None:
+    pairs = creature_pairs()
+    turned = np.random.default_rng(2).permutation(34)
+    frames = human_moves(50)
+    for method in ("rbf", "ridge", "additive"):
+        one = retarget(train_retargeting(pairs, method=method), frames)
+        other = retarget(train_retargeting(pairs.rows(turned), method=method), frames)
+        np.testing.assert_allclose(one.weights, other.weights, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda p: p.rows(np.array([0])), "1 pair; at least two"),
+        (lambda p: p.rows(np.zeros(5, int)), "same source expression"),
+        (lambda p: replace(p, target=p.target.rows([3] * 34)), "same target expression"),
+        (
+            lambda p: replace(p, source=np.where(p.source > 0.5, np.nan, p.source)),
+            "NaN on its source",
+        ),
+        (
+            lambda p: replace(p, target=replace(p.target, values=p.target.values + np.nan)),
+            "NaN on its target",
+        ),
+    ],
+)
+def test_pairs_that_teach_nothing_are_refused(change, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        check_pairs(change(creature_pairs()), "x.pairs.usda")
+
+
+def test_a_method_that_is_not_there_is_refused_with_those_that_are() -> None:
+    with pytest.raises(InputError, match="choose one of auto, ridge, rbf"):
+        train_retargeting(creature_pairs(), method="magic")
+
+
+def test_controls_of_another_character_are_refused() -> None:
+    pairs = creature_pairs()
+    with pytest.raises(ValueError, match="not those of the space"):
+        control_space(pairs.target).encode(bare_controls(SHAPES, np.zeros((1, 3))))
+
+
+def test_controls_come_back_from_their_coordinates_whatever_their_size() -> None:
+    target = creature_pairs().target
+    sizes = np.exp(np.random.default_rng(0).normal(size=target.scales.shape))
+    given = replace(target, scales=sizes)
+    space = control_space(given)
+    back = space.decode(space.encode(given))
+    np.testing.assert_allclose(back.scales, sizes, rtol=1e-12)
+    np.testing.assert_allclose(back.translations, given.translations, atol=1e-12)
+    np.testing.assert_allclose(back.weights, given.weights)
+    np.testing.assert_allclose(back.values, given.values)

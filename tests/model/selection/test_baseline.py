@@ -1,0 +1,103 @@
+"""What the blendshape equation says of weights: where they put the markers, and how far off."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.usdio.small_rig import small_rig
+from usdface.core.deformer import Deformer
+from usdface.model.retarget.cyclic import SurfaceMeter
+from usdface.model.selection.baseline import BlendshapeEquation
+from usdface.numerics.registration.registration import VirtualMarkers
+from usdface.numerics.solve.blendshape_equation import MarkerKeys
+from usdface.numerics.solve.blendshapes import BlendShapes, Key, Track
+
+MARKERS = 12
+
+
+def bent_equation(
+    *, scale: tuple[float, float, float] = (1.0, 1.0, 1.0), turn: np.ndarray | None = None
+) -> tuple[BlendshapeEquation, BlendShapes]:
+    """Three shapes, the first with an in-between that lies off its straight way."""
+    rng = np.random.default_rng(0)
+    everywhere = np.arange(MARKERS)
+    full, aside = 5 * rng.normal(size=(3, MARKERS, 3)), rng.normal(size=(MARKERS, 3))
+    tracks = [Track(channel, [Key(1.0, everywhere, full[channel])]) for channel in range(3)]
+    tracks[0] = Track(0, [*tracks[0].keys, Key(0.5, everywhere, 0.7 * full[0] + aside)])
+    shapes = BlendShapes(MARKERS, 3, tracks)
+    virtual = VirtualMarkers(
+        points=np.repeat(everywhere[:, None], 3, axis=1),
+        weights=np.repeat([[1.0, 0.0, 0.0]], MARKERS, axis=0),
+        scale=np.array(scale),
+        rotation=np.eye(3) if turn is None else turn,
+        translation=np.zeros(3),
+        distance_mm=np.zeros(MARKERS),
+        agreement=np.ones(MARKERS),
+    )
+    equation = BlendshapeEquation(
+        virtual=virtual,
+        deltas=shapes.target_offsets().toarray().reshape(3, MARKERS, 3),
+        keys=MarkerKeys(
+            shapes.key_offsets.toarray().reshape(-1, MARKERS, 3),
+            shapes.key_channels,
+            shapes.key_weights,
+        ),
+        neutral=rng.normal(size=(MARKERS, 3)) * 50,
+        ranges=np.tile([0.0, 1.0], (3, 1)),
+        trust=np.ones(MARKERS),
+        gain=np.ones(MARKERS),
+    )
+    return equation, shapes
+
+
+def test_weights_explain_what_the_deformer_shows_in_betweens_included() -> None:
+    equation, shapes = bent_equation()
+    weights = np.random.default_rng(1).random((20, 3))
+    shown = equation.neutral + shapes.offsets(weights)
+    np.testing.assert_allclose(equation.explained(weights), shown, atol=1e-9)
+    np.testing.assert_allclose(equation.residual_mm(shown, weights), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["explained", "residual_mm"])
+def test_the_performer_has_other_proportions_and_looks_elsewhere(method: str) -> None:
+    quarter = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    scale = (1.2, 0.8, 1.5)
+    equation, shapes = bent_equation(scale=scale, turn=quarter)
+    weights = np.random.default_rng(1).random((20, 3))
+    # character = scale * (performer turned): so the performer's is the inverse turn, unscaled
+    moved = np.einsum("ij,fmj->fmi", quarter.T, shapes.offsets(weights) / scale)
+    if method == "explained":
+        found = equation.explained(weights) - equation.neutral
+        np.testing.assert_allclose(found, moved, atol=1e-9)
+    else:
+        away = equation.residual_mm(equation.neutral + moved, weights)
+        np.testing.assert_allclose(away, 0.0, atol=1e-9)
+
+
+def test_what_is_proposed_for_a_pose_is_that_pose() -> None:
+    equation, shapes = bent_equation()
+    weights = np.random.default_rng(1).random((20, 3))
+    proposed = equation.propose(equation.neutral + shapes.offsets(weights))
+    assert np.abs(proposed - weights).max() < 0.05
+
+
+def test_motion_is_enlarged_by_the_gain_before_it_is_explained() -> None:
+    equation, shapes = bent_equation()
+    weights = np.random.default_rng(1).random((20, 3))
+    gained = replace(equation, gain=np.linspace(1.0, 2.5, MARKERS))
+    moved = shapes.offsets(weights) / gained.gain[:, None]
+    np.testing.assert_allclose(
+        gained.propose(equation.neutral + moved),
+        equation.propose(equation.neutral + shapes.offsets(weights)),
+        atol=1e-9,
+    )
+
+
+def test_errors_there_and_back_are_measured_where_shapes_bend() -> None:
+    rig = small_rig()  # eyeBlink has an in-between
+    deformer = Deformer(rig)
+    first, second = np.random.default_rng(0).random((2, 12, len(rig.shapes)))
+    apart = np.linalg.norm(deformer.points(first) - deformer.points(second), axis=2)
+    found = SurfaceMeter(rig).mean_vertex_mm(first, second)
+    np.testing.assert_allclose(found, apart.mean(axis=1), atol=1e-12)

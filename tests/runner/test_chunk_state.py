@@ -1,0 +1,88 @@
+"""What a farm made in parts is done for a job that names it whole, as long as each part is."""
+
+import pytest
+
+from tests.steps.small_shot import FRAMES, Shot
+from usdface.runner.execute import execute
+from usdface.runner.job import check_job
+from usdface.specs.base import Spec
+from usdface.specs.job import JobSpec
+from usdface.specs.performance import JoinSpec, MapSpec, TrainSpec
+from usdface.specs.review import MovieJoinSpec, MovieSpec
+
+
+def state(spec: Spec) -> tuple[str, str]:
+    found = check_job(JobSpec(job="shot", steps=(spec,)))[0]
+    return found.state, found.reason
+
+
+@pytest.fixture
+def whole(shot: Shot) -> MapSpec:
+    """A mapping that a farm did in two parts and joined."""
+    spec = MapSpec(
+        take=shot / "shot.clean.take.usda",
+        mapping=shot / "hero.mapping.usdc",
+        rig=shot / "hero.usdc",
+        out=shot / "parted.usda",
+        temporal="whole",
+    )
+    parts = []
+    for number, frames in enumerate(("1-200", f"201-{FRAMES}")):
+        parts.append(shot / f"part.{number}.usda")
+        execute(spec.model_copy(update={"frames": frames, "out": parts[-1]}))
+    execute(JoinSpec(parts=tuple(parts), out=spec.out))
+    return spec
+
+
+def test_parts_that_were_made_as_asked_are_the_whole(whole: MapSpec) -> None:
+    assert state(whole) == ("done", "up to date, made in parts")
+    assert state(whole.model_copy(update={"frames": f"1-{FRAMES}"}))[0] == "done"
+
+
+@pytest.mark.parametrize(
+    "change", [{"temporal": "none"}, {"frames": "1-200"}, {"cutoff": 5.0}], ids=str
+)
+def test_parts_of_other_settings_or_frames_are_not(
+    whole: MapSpec, change: dict[str, object]
+) -> None:
+    assert state(whole.model_copy(update=change))[0] == "stale"
+
+
+def test_parts_made_from_what_has_changed_since_are_not(whole: MapSpec, shot: Shot) -> None:
+    train = TrainSpec(references=shot / "hero.references.usda", out=whole.mapping, method="ridge")
+    execute(train, overwrite=True)
+    assert state(whole) == ("stale", "hero.mapping.usdc has changed since")
+
+
+def test_a_part_that_is_gone_or_was_made_anew_is_missed(whole: MapSpec, shot: Shot) -> None:
+    part = shot / "part.0.usda"
+    other = whole.model_copy(update={"frames": "1-200", "out": part, "temporal": "none"})
+    execute(other, overwrite=True)
+    assert state(whole)[0] == "stale"
+    part.unlink()
+    assert state(whole)[0] == "stale"
+
+
+def test_a_file_that_names_itself_as_its_part_is_no_whole(whole: MapSpec) -> None:
+    text = whole.out.read_text()
+    whole.out.write_text(text.replace("part.0.usda", "parted.usda"))
+    assert state(whole)[0] == "stale"
+
+
+def test_a_movie_drawn_in_parts_is_done_too(shot: Shot) -> None:
+    spec = MovieSpec(
+        performance=shot / "shot.hero.usda",
+        take=shot / "shot.clean.take.usda",
+        out=shot / "parted.mp4",
+        frames="1-20",
+        rate=24,
+        height=64,
+        panels=("performance",),
+    )
+    parts = []
+    for number, frames in enumerate(("1-10", "11-20")):
+        parts.append(shot / f"part.{number}.mp4")
+        execute(spec.model_copy(update={"frames": frames, "out": parts[-1], "sound": False}))
+    execute(MovieJoinSpec(parts=tuple(parts), take=spec.take, out=spec.out))
+    assert state(spec) == ("done", "up to date, made in parts")
+    assert state(spec.model_copy(update={"quality": "final"}))[0] == "stale"

@@ -1,0 +1,196 @@
+"""A job runs what it lacks, says where it stands, and goes on after a failure."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Sdf
+
+from tests.steps.small_shot import FRAMES, Shot
+from usdface.core.deformer import Deformer
+from usdface.core.errors import InputError
+from usdface.runner import job as jobs
+from usdface.runner.execute import execute
+from usdface.runner.job import check_job, run_job
+from usdface.specs.reading import read_job
+from usdface.steps.inputs.weight_tables import read_weight_table
+from usdface.usdio.performance.write import read_performance
+from usdface.usdio.references.read import read_references
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.take.read import read_take
+from usdface.usdio.validation import validate
+
+STEPS = ["ingest", "clean", "select", "references-import", "train", "map", "sheet"]
+
+
+def ran(shot: Shot, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Run the job and return the steps it really ran."""
+    done: list[str] = []
+    execute = jobs.execute
+
+    def spy(spec, **options):
+        done.append(spec.step)
+        return execute(spec, **options)
+
+    monkeypatch.setattr(jobs, "execute", spy)
+    run_job(read_job(shot / "shot.job.yaml"))
+    monkeypatch.setattr(jobs, "execute", execute)
+    return done
+
+
+def test_the_whole_way_gives_weights_near_the_animators(finished_shot: Shot) -> None:
+    performance = read_performance(finished_shot / "shot.hero.usda")
+    rig = read_rig(finished_shot / "hero.usdc")
+    truth = read_weight_table(finished_shot / "keys.csv").columns(performance.weights.names)
+    error = performance.weights.values - truth[:FRAMES]
+    order = [rig.shapes.index(name) for name in performance.weights.names]
+    gram = Deformer(rig).shapes.gram()[np.ix_(order, order)]
+    keyed = read_references(finished_shot / "hero.references.usda").frames - 1
+    new = np.setdiff1d(np.arange(FRAMES), keyed)
+
+    def surface(errors: np.ndarray) -> float:
+        return float(np.sqrt(np.einsum("fs,st,ft->f", errors, gram, errors)).mean())
+
+    at_rest = surface(truth[:FRAMES][new])
+    assert surface(error[new]) < 0.5 * at_rest
+    assert performance.timecode_start == "01:00:00:00"
+
+
+def test_every_layer_that_was_written_passes_every_validator(finished_shot: Shot) -> None:
+    layers = [
+        "hero.usdc",
+        "shot.take.usda",
+        "shot.clean.take.usda",
+        "hero.references.usda",
+        "hero.mapping.usdc",
+        "shot.hero.usda",
+    ]
+    for name in layers:
+        assert validate(finished_shot / name) == [], name
+
+
+def test_cleaning_keeps_the_heads_motion(finished_shot: Shot) -> None:
+    raw = read_take(finished_shot / "shot.take.usda")
+    clean = read_take(finished_shot / "shot.clean.take.usda")
+    still, motion = clean.markers.positions.astype(float), clean.head_motion
+    back = np.einsum("fij,fmj->fmi", motion[:, :3, :3], still) + motion[:, None, :3, 3]
+    away = np.linalg.norm(back - raw.markers.positions, axis=2)[raw.markers.visible]
+    assert np.median(away) < 0.5, "stabilised markers and head motion must give the capture back"
+    travel = np.ptp(motion[:, :3, 3], axis=0).max()
+    assert travel > 10, "the actor moved, so the motion must be there"
+
+
+def test_a_second_run_has_nothing_to_do(shot: Shot, monkeypatch) -> None:
+    # A moved folder changes no hash: paths are kept relative.
+    assert ran(shot, monkeypatch) == []
+    assert {state.state for state in check_job(read_job(shot / "shot.job.yaml"))} == {"done"}
+
+
+def test_a_job_that_ran_from_its_folder_is_done_when_it_is_named_from_elsewhere(
+    shot: Shot, monkeypatch
+) -> None:
+    # A take lies on others in several layers, and their hash must not depend on how paths sort.
+    monkeypatch.chdir(shot.folder)
+    near = check_job(read_job(Path("shot.job.yaml")))
+    monkeypatch.chdir("/")
+    far = check_job(read_job(shot / "shot.job.yaml"))
+    assert {state.state for state in (*near, *far)} == {"done"}
+
+
+def test_only_what_depends_on_a_change_runs_again(shot: Shot, monkeypatch) -> None:
+    keys = (shot / "keys.csv").read_text().splitlines()
+    keys[40] = keys[40].replace("0.0000", "0.0100")
+    (shot / "keys.csv").write_text("\n".join(keys))
+    states = check_job(read_job(shot / "shot.job.yaml"))
+    assert [state.state for state in states] == ["done"] * 3 + ["stale"] * 4
+    assert "keys.csv has changed" in states[3].reason
+    assert states[4].reason == "an earlier step makes hero.references.usda anew"
+    assert ran(shot, monkeypatch)[0] == "references-import"
+
+
+def test_other_settings_run_that_step_and_what_follows(shot: Shot, monkeypatch) -> None:
+    job = shot / "shot.job.yaml"
+    job.write_text(job.read_text().replace("rows: 2", "rows: 3"))
+    assert ran(shot, monkeypatch) == ["sheet"]
+
+
+def test_a_job_that_failed_goes_on_where_it_stopped(shot: Shot, monkeypatch) -> None:
+    for name in ("hero.mapping.usdc", "shot.hero.usda", "shot.hero.weights.usdc"):
+        (shot / name).unlink()
+    kept = (shot / "hero.usdc").rename(shot / "away.usdc")
+    with pytest.raises(InputError, match=r"hero\.usdc: no such file"):
+        run_job(read_job(shot / "shot.job.yaml"))
+    kept.rename(shot / "hero.usdc")
+    assert ran(shot, monkeypatch) == ["train", "map"]  # the same bytes: the sheet is up to date
+
+
+def test_a_job_never_replaces_a_file_of_someone_else(shot: Shot) -> None:
+    (shot / "shot.sheet.jpg").write_bytes(b"my drawing")
+    with pytest.raises(InputError, match=r"step 7 of 7, sheet:.*was not written by usdface"):
+        run_job(read_job(shot / "shot.job.yaml"))
+    assert (shot / "shot.sheet.jpg").read_bytes() == b"my drawing"
+
+
+@pytest.mark.parametrize(
+    ("main", "beside", "step"),
+    [
+        ("shot.take.usda", "shot.take.samples.usdc", "1 of 7, ingest"),
+        ("hero.references.usda", "hero.references.proposed.usda", "3 of 7, select"),
+        ("shot.hero.usda", "shot.hero.weights.usdc", "6 of 7, map"),
+    ],
+)
+def test_a_file_of_someone_else_stays_where_a_step_would_write_a_layer(
+    shot: Shot, main: str, beside: str, step: str
+) -> None:
+    (shot / main).unlink()
+    theirs = Sdf.Layer.CreateAnonymous()
+    theirs.Export(str(shot / beside))
+    before = (shot / beside).read_bytes()
+    job = read_job(shot / "shot.job.yaml")
+    with pytest.raises(InputError, match=rf"step {step}: .*{beside}: exists and was not written"):
+        run_job(job)
+    spec = next(each for each in job.steps if each.step == step.split(", ")[1])
+    with pytest.raises(InputError, match=f"{beside}: exists and was not written by usdface"):
+        execute(spec)
+    assert (shot / beside).read_bytes() == before
+
+
+def test_checking_names_every_file_that_is_missing(shot: Shot) -> None:
+    (shot / "shot.c3d").unlink()
+    (shot / "keys.csv").unlink()
+    with pytest.raises(InputError, match=r"shot\.c3d: no such file.*\n.*keys\.csv: no such file"):
+        check_job(read_job(shot / "shot.job.yaml"))
+
+
+def test_running_twice_gives_the_same_bytes(shot: Shot, monkeypatch) -> None:
+    names = ["shot.hero.weights.usdc", "hero.mapping.usdc", "shot.sheet.jpg"]
+    before = {name: (shot / name).read_bytes() for name in names}
+    for name in ("hero.mapping.usdc", "shot.hero.usda", "shot.hero.weights.usdc", "shot.sheet.jpg"):
+        (shot / name).unlink()
+    assert ran(shot, monkeypatch) == ["train", "map", "sheet"]
+    assert {name: (shot / name).read_bytes() for name in names} == before
+
+
+@pytest.mark.parametrize(
+    ("gone", "step"),
+    [("shot.hero.weights.usdc", "map"), ("shot.take.samples.usdc", "ingest")],
+)
+def test_a_step_is_run_again_when_a_layer_beneath_its_output_is_gone(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch, gone: str, step: str
+) -> None:
+    before = (shot / gone).read_bytes()
+    (shot / gone).unlink()
+    states = {each.spec.step: each for each in check_job(read_job(shot / "shot.job.yaml"))}
+    assert (states[step].state, states[step].reason) == ("missing", f"{gone} is not there")
+    assert step in ran(shot, monkeypatch)
+    assert (shot / gone).read_bytes() == before
+
+
+def test_no_temporary_file_is_left(finished_shot: Shot) -> None:
+    assert list(finished_shot.folder.glob(".*")) == []
+
+
+def test_steps_are_all_there() -> None:
+    folder = Path(jobs.__file__).parent
+    for step in STEPS:
+        assert (folder / f"{step.replace('-', '_')}.py").is_file()

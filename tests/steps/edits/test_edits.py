@@ -1,0 +1,636 @@
+"""Edits, as an animator meets them: set, kept through another mapping, baked, learned from."""
+
+import csv
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Sdf, Usd, UsdSkel
+
+from tests.steps.small_shot import FRAMES, Shot
+from usdface.core.deformer import Deformer
+from usdface.core.errors import InputError
+from usdface.core.replacing import replacing
+from usdface.core.sidecars import edits_path
+from usdface.numerics.motion.edit_curve import no_edit
+from usdface.runner.execute import execute
+from usdface.runner.result import Report
+from usdface.specs.base import Spec
+from usdface.specs.edits import BakeSpec, EditsImportSpec, EditSpec, PackageSpec
+from usdface.specs.performance import MapSpec, TrainSpec
+from usdface.specs.references import ReferencesFromEditsSpec, ReferencesImportSpec
+from usdface.steps.edits import bake
+from usdface.steps.edits import edit as edit_step
+from usdface.steps.inputs.edit_ranges import list_edits
+from usdface.steps.references.from_edits import FULL_STRENGTH, LEAST_CHANGE, MOSTLY, meant_frames
+from usdface.usdio.performance.write import PerformanceReader, read_performance, read_weights
+from usdface.usdio.references.read import read_references
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.take.read import read_take
+from usdface.usdio.take.write import write_take
+from usdface.usdio.validation import validate
+
+
+def run(spec: Spec) -> Report:
+    return execute(spec, overwrite=True)
+
+
+def edit(path: Path, shape: str = "jawOpen", **change: object) -> Report:
+    return run(EditSpec.model_validate({"performance": path, "shape": (shape,), **change}))
+
+
+def curve(path: Path, shape: str) -> np.ndarray:
+    clip = read_weights(path)
+    return clip.values[:, clip.names.index(shape)].astype(float)
+
+
+def remap(shot: Shot, *, method: str = "", **more: object) -> Report:
+    mapping = shot / "hero.mapping.usdc"
+    if method:
+        references, mapping = shot / "hero.references.usda", shot / "b.mapping.usdc"
+        run(TrainSpec(references=references, out=mapping, method=method))
+    given = {
+        "take": shot / "shot.clean.take.usda",
+        "mapping": mapping,
+        "rig": shot / "hero.usdc",
+        "out": shot / "shot.hero.usda",
+    }
+    return run(MapSpec.model_validate(given | more))
+
+
+def test_the_last_edit_wins_and_blends_in_its_fade(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    solved = curve(path, "jawOpen")
+    edit(path, add=0.2, frames="100-200")
+    edit(path, override=0.5, frames="150-170", fade=4)
+    shown = curve(path, "jawOpen")
+    np.testing.assert_allclose(shown[:99], solved[:99])
+    np.testing.assert_allclose(shown[99:145], solved[99:145] + 0.2, atol=1e-6)
+    np.testing.assert_allclose(shown[149:170], 0.5, atol=1e-6)
+    half = 0.5 + 0.5 * np.cos(np.pi * 2 / 5)
+    np.testing.assert_allclose(shown[147], (1 - half) * (solved[147] + 0.2) + half * 0.5, atol=1e-6)
+    edit(path, clear=True)
+    np.testing.assert_array_equal(curve(path, "jawOpen"), solved.astype(np.float32))
+    assert list_edits(path).figures == {"edits": []}
+
+
+def test_mapping_again_keeps_every_edit_and_says_where_the_solve_changed(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, add=0.2, frames="100-200", fade=8)
+    edit(
+        path,
+        "smileLeft" if "smileLeft" in read_weights(path).names else "mouthSmileLeft",
+        override=0.3,
+        frames="50-60",
+    )
+    before = edits_path(path).read_bytes()
+    notes = remap(shot, method="d06").notes
+    assert edits_path(path).read_bytes() == before
+    assert any("kept the edits of 2 shapes" in note for note in notes)
+    reader = PerformanceReader(path)
+    jaw = reader.names.index("jawOpen")
+    np.testing.assert_allclose(
+        reader.edited()[99:200, jaw], reader.solved()[99:200, jaw] + 0.2, atol=1e-6
+    )
+    (held,) = [e for e in list_edits(path).figures["edits"] if e["shape"] == "jawOpen"]
+    moved = abs(held["solve_change"])
+    told = [note for note in notes if note.startswith("jawOpen 92-208: the solve beneath")]
+    assert bool(told) == (moved > 0.1)
+
+
+def test_an_edit_to_the_last_frame_ends_there_when_the_take_is_mapped_further(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    solved = curve(path, "jawOpen")
+    remap(shot, frames="100-200")
+    edit(path, add=0.1, frames="150-200", fade=4)
+    edit(path, shape="eyeBlinkLeft", override=1.0, frames="90-120")
+    edit(path, shape="browInnerUp", add=0.1)
+    changed = replace(read_weights(path), values=read_weights(path).values.copy())
+    changed.values[-1, changed.names.index("jawRight")] += 0.3
+    csv_file = shot / "changed.csv"
+    with csv_file.open("w", newline="") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(["frame", *changed.names])
+        rows.writerows([f, *row] for f, row in zip(range(100, 201), changed.values, strict=True))
+    run(EditsImportSpec(performance=path, changed=csv_file))
+    remap(shot)
+    shown = curve(path, "jawOpen") - solved
+    fade = 0.5 + 0.5 * np.cos(np.pi * np.arange(6) / 5)
+    np.testing.assert_allclose(shown[149:200], 0.1, atol=1e-6)
+    np.testing.assert_allclose(shown[199:205], 0.1 * fade, atol=1e-6)
+    np.testing.assert_allclose(shown[205:], 0.0, atol=1e-6)
+    assert [
+        (each["shape"], each["first"], each["last"])
+        for each in list_edits(path).figures["edits"]
+        if each["shape"] in ("eyeBlinkLeft", "jawRight")
+    ] == [("eyeBlinkLeft", 90, 120), ("jawRight", 200, 200)]
+    brow = [each for each in list_edits(path).figures["edits"] if each["shape"] == "browInnerUp"]
+    assert [(each["first"], each["last"]) for each in brow] == [(1, FRAMES)]  # told of all frames
+
+
+def shot_above(performance: Path) -> Path:
+    """Return a layer of a shot that has a performance as its sublayer."""
+    layer = Sdf.Layer.CreateNew(str(performance.with_name("sq10.usda")))
+    below = Sdf.Layer.FindOrOpen(str(performance))
+    layer.timeCodesPerSecond = layer.framesPerSecond = below.timeCodesPerSecond
+    layer.startTimeCode, layer.endTimeCode = below.startTimeCode, below.endTimeCode
+    layer.subLayerPaths = [f"./{performance.name}"]
+    layer.Save()
+    return Path(layer.realPath)
+
+
+def test_in_a_shot_the_edits_of_the_performance_beneath_are_changed_as_well(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    solved = curve(path, "jawOpen")
+    edit(path, add=0.1)
+    edit(path, override=0.6, frames="300-320", fade=3)
+    above = shot_above(path)
+    edit(above, override=0.5)
+    np.testing.assert_allclose(curve(above, "jawOpen"), 0.5, atol=1e-6)
+    edit(above, clear=True)
+    np.testing.assert_allclose(curve(above, "jawOpen"), solved, atol=1e-6)
+    assert list_edits(above).figures == {"edits": []}
+    edit(above, add=0.2, frames="50-60")
+    np.testing.assert_allclose(curve(above, "jawOpen")[49:60], solved[49:60] + 0.2, atol=1e-6)
+    np.testing.assert_allclose(curve(above, "jawOpen")[60:], solved[60:], atol=1e-6)
+    np.testing.assert_allclose(curve(path, "jawOpen")[299:320], 0.6, atol=1e-6)  # as it was
+
+
+def test_of_two_characters_in_a_shot_each_is_edited_and_baked_by_its_prim(shot: Shot) -> None:
+    cast = ("anna", "bert")
+    for name in cast:
+        remap(shot, out=shot / f"{name}.usda", prim=f"/shot/{name}", frames="1-60")
+    solved = curve(shot / "anna.usda", "jawOpen")
+    both = shot_above(shot / "anna.usda")
+    layer = Sdf.Layer.FindOrOpen(str(both))
+    layer.subLayerPaths = [f"./{name}.usda" for name in cast]
+    layer.Save()
+    with pytest.raises(InputError, match=r"2 animations.*open one face at a time .*--prim"):
+        edit(both, add=0.1)
+    with pytest.raises(InputError, match="at or below </shot/carl>; check --prim"):
+        edit(both, add=0.1, prim="/shot/carl")
+    for name, add in zip(cast, (0.1, 0.2), strict=True):
+        edit(both, add=add, prim=f"/shot/{name}")
+        baked, changed = shot / f"{name}.published.usdc", shot / f"{name}.changed.usdc"
+        run(BakeSpec(performance=both, out=baked, prim=f"/shot/{name}"))
+        np.testing.assert_allclose(curve(baked, "jawOpen"), solved + add, atol=1e-6)
+        run(PackageSpec(performance=both, out=shot / f"{name}.usdz", prim=f"/shot/{name}"))
+        np.testing.assert_allclose(curve(shot / f"{name}.usdz", "jawOpen"), solved + add, atol=1e-6)
+        shutil.copy(baked, changed)
+        with_more = Sdf.Layer.FindOrOpen(str(changed))
+        at = f"/shot/{name}/FaceSolve.blendShapeWeights"
+        row = list(with_more.QueryTimeSample(at, 30))
+        row[read_weights(baked).names.index("jawOpen")] += 0.3
+        with_more.SetTimeSample(at, 30, row)
+        with_more.Save()
+        run(EditsImportSpec(performance=both, changed=changed, prim=f"/shot/{name}"))
+        (found,) = list_edits(both, prim=f"/shot/{name}").figures["edits"]
+        assert found["change"] == pytest.approx(add + 0.3, abs=1e-5)
+    stage = Usd.Stage.Open(str(both))
+    for name, add in zip(cast, (0.1, 0.2), strict=True):
+        attribute = stage.GetAttributeAtPath(f"/shot/{name}/FaceSolve.face:edit:jawOpen")
+        assert attribute.Get(10) == pytest.approx(add)
+
+
+def test_an_edit_that_a_stronger_layer_would_hide_is_refused(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, add=0.1)
+    top = Sdf.Layer.FindOrOpen(str(path))
+    prim = Sdf.CreatePrimInLayer(top, "/character/FaceSolve")
+    Sdf.AttributeSpec(prim, "face:edit:jawOpen", Sdf.ValueTypeNames.Float).default = 0.3
+    top.Save()
+    before = edits_path(path).read_bytes()
+    with pytest.raises(InputError, match=r"shot.hero.usda <.*face:edit:jawOpen>: is stronger"):
+        edit(path, clear=True)
+    assert edits_path(path).read_bytes() == before
+    edit(path, shape="jawLeft", add=0.1)  # of which the top layer says nothing
+
+
+def test_of_two_who_edit_at_once_one_is_told_and_the_other_s_edit_stays(
+    shot: Shot, monkeypatch
+) -> None:
+    path = shot / "shot.hero.usda"
+    read = edit_step.read_edits
+
+    def slowly(*args: object) -> object:
+        monkeypatch.setattr(edit_step, "read_edits", read)
+        found = read(*args)
+        edit(path, add=0.1, frames="10-20")
+        return found
+
+    monkeypatch.setattr(edit_step, "read_edits", slowly)
+    with pytest.raises(InputError, match="another process changed it since it was read"):
+        edit(path, add=0.2, frames="100-110")
+    edit(path, add=0.2, frames="100-110")
+    assert [(e["first"], e["last"]) for e in list_edits(path).figures["edits"]] == [
+        (10, 20),
+        (100, 110),
+    ]
+
+
+def test_a_first_edit_while_the_performance_is_written_is_refused_whole(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    with replacing(path), pytest.raises(InputError, match="another process is writing it"):
+        edit(path, add=0.1)
+    assert not edits_path(path).exists()  # or the next try would add it twice
+
+
+@pytest.mark.parametrize("frames", ["400-100000000", "-100000000-50"])
+def test_an_edit_far_beyond_both_ends_can_be_edited_again(shot: Shot, frames: str) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, add=0.1, frames=frames)
+    edit(path, add=0.1, frames=frames)
+    assert len(list_edits(path).figures["edits"]) == 1
+
+
+def test_edits_beyond_a_take_that_was_cut_are_kept_and_told_of(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, add=0.1, frames="20-30")
+    edit(path, add=0.2, frames="300-320")
+    edit(path, shape="browInnerUp", add=0.1)  # of all frames, whichever there are
+    notes = remap(shot, frames="1-100").notes
+    (told,) = [note for note in notes if "beyond" in note]
+    assert told.startswith("edits beyond frames 1-100 do not show: jawOpen 300-320; they are kept")
+    assert not [note for note in remap(shot).notes if "beyond" in note]
+    assert [e["first"] for e in list_edits(path).figures["edits"] if e["shape"] == "jawOpen"] == [
+        20,
+        300,
+    ]
+
+
+def test_a_large_change_beneath_an_edit_is_named_by_frame(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, add=0.2, frames="100-200")
+    layer = Sdf.Layer.FindOrOpen(str(edits_path(path)))
+    spec = layer.GetAttributeAtPath("/character/FaceSolve.face:beneath:jawOpen")
+    times = layer.ListTimeSamplesForPath(spec.path)
+    for time in times:
+        layer.SetTimeSample(spec.path, time, layer.QueryTimeSample(spec.path, time) - 0.4)
+    layer.Save()
+    notes = remap(shot).notes
+    (note,) = [note for note in notes if "solve beneath" in note]
+    assert note.startswith("jawOpen 100-200: the solve beneath the edit changed by up to +0.")
+    assert note.endswith("look at the edit again")
+
+
+def test_edits_are_found_again_when_the_layer_to_open_was_deleted(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, override=0.7, frames="100-110")
+    path.unlink()
+    remap(shot)
+    np.testing.assert_allclose(curve(path, "jawOpen")[99:110], 0.7)
+
+
+def test_a_place_that_changed_leaves_edits_behind_and_says_so(shot: Shot) -> None:
+    edit(shot / "shot.hero.usda", override=0.7, frames="100-110")
+    notes = remap(shot, prim="/shot/hero").notes
+    assert any("</character/FaceSolve> find no animation there" in note for note in notes)
+
+
+def test_the_progress_of_a_bake_is_of_all_frames(shot: Shot, monkeypatch) -> None:
+    monkeypatch.setattr(bake, "BLOCK_FRAMES", 120)
+    shares = list[float]()
+    given = BakeSpec(performance=shot / "shot.hero.usda", out=shot / "published.usdc")
+    bake.run(given, progress=lambda share, _: shares.append(share))
+    assert shares == [0.25, 0.5, 0.75, 1.0]
+
+
+def test_what_is_baked_is_what_is_shown_to_any_reader_of_usdskel(shot: Shot) -> None:
+    path, out = shot / "shot.hero.usda", shot / "published.usdc"
+    edit(path, add=0.2, frames="100-200", fade=9)
+    run(BakeSpec(performance=path, out=out))
+    shown = read_performance(path)
+    layer = Sdf.Layer.FindOrOpen(str(shot / "shot.hero.usda"))
+    layer.subLayerPaths.insert(0, "./published.usdc")
+    stage = Usd.Stage.Open(layer)
+    animation = UsdSkel.Animation(stage.GetPrimAtPath("/character/FaceSolve"))
+    for frame in (1, 95, 150, 480):
+        told = np.array(animation.GetBlendShapeWeightsAttr().Get(frame))
+        np.testing.assert_array_equal(told, shown.weights.values[frame - 1])
+    assert validate(out) == [] or all(f.severity == "warning" for f in validate(out))
+    layer.Reload(force=True)
+
+
+@pytest.mark.parametrize(("unit", "tolerance"), [("weight", 0.02), ("mm", 0.3)])
+def test_fewer_keys_stay_within_the_tolerance(shot: Shot, unit: str, tolerance: float) -> None:
+    path, out = shot / "shot.hero.usda", shot / "keys.usdc"
+    report = run(BakeSpec(performance=path, out=out, tolerance=tolerance, unit=unit))
+    assert report.figures["keys"] < 0.6 * 480
+    baked, shown = read_weights(out).values.astype(float), read_weights(path).values.astype(float)
+    assert len(baked) == 480
+    if unit == "weight":
+        assert np.abs(baked - shown).max() <= tolerance + 1e-6
+    else:
+        rig = read_rig(shot / "hero.usdc")
+        names = read_weights(path).names
+        place = [names.index(name) for name in rig.shapes]
+        deformer = Deformer(rig)
+        for start in range(0, 480, 60):
+            part = slice(start, start + 60)
+            off = deformer.points(baked[part][:, place]) - deformer.points(shown[part][:, place])
+            assert np.linalg.norm(off, axis=2).max() <= tolerance + 1e-4
+
+
+def test_limiting_touches_edited_frames_only(shot: Shot) -> None:
+    path, out = shot / "shot.hero.usda", shot / "limited.usdc"
+    report = edit(path, override=1.4, frames="100-110")
+    assert any("outside 0 to 1 at 11 frames" in note for note in report.notes)
+    run(BakeSpec(performance=path, out=out, limit=True))
+    np.testing.assert_array_equal(curve(out, "jawOpen")[99:110], 1.0)
+    solved = PerformanceReader(path).solved()
+    np.testing.assert_array_equal(read_weights(out).values[110:], solved[110:])
+
+
+def test_an_animation_changed_in_another_tool_comes_back_as_edits(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, override=0.9, frames="30-40")  # made before the export, so it is in the file
+    run(BakeSpec(performance=path, out=shot / "dcc.usdc"))
+    clip = read_weights(shot / "dcc.usdc")
+    wanted = clip.values.copy()
+    jaw, blink = clip.names.index("jawOpen"), clip.names.index("eyeBlinkLeft")
+    wanted[200:240, jaw] += 0.15
+    wanted[35, jaw] = 0.4  # over what was edited here
+    wanted[300:310, blink] = 1.0
+    with (shot / "dcc.csv").open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["frame", *clip.names, "someOtherShape"])
+        writer.writerows([i + 1, *row, 0] for i, row in enumerate(wanted.tolist()) if i >= 20)
+    report = run(EditsImportSpec(performance=path, changed=shot / "dcc.csv"))
+    assert set(report.figures["shapes"]) == {"jawOpen", "eyeBlinkLeft"}
+    assert "someOtherShape" in report.notes[0]
+    np.testing.assert_allclose(read_weights(path).values, wanted, atol=1e-6)
+    again = run(EditsImportSpec(performance=path, changed=shot / "dcc.csv"))
+    np.testing.assert_allclose(read_weights(path).values, wanted, atol=1e-6)
+    assert again.figures["frames"] == report.figures["frames"]
+    assert not any("mapped again" in note for note in report.notes)
+
+
+def test_a_file_that_was_baked_from_another_solve_is_suspected_and_listed_in_short(
+    shot: Shot, monkeypatch
+) -> None:
+    path, other = shot / "shot.hero.usda", shot / "other.csv"
+    clip = read_weights(path)
+    with other.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["frame", *clip.names])
+        odd = np.arange(len(clip.values)) % 3 > 0
+        rows = clip.values + 0.01 * odd[:, None]
+        rows[250, clip.names.index("jawOpen")] += 0.5
+        writer.writerows([i + 1, *row] for i, row in enumerate(rows.tolist()))
+    report = run(EditsImportSpec(performance=path, changed=other))
+    assert any("mapped again after this file was baked" in note for note in report.notes)
+    monkeypatch.setattr("usdface.steps.inputs.edit_ranges.LISTED", 5)
+    listed = list_edits(path)
+    assert len(listed.table) == 6
+    assert any(line.startswith("jawOpen 251-252: +0.51") for line in listed.table)
+    assert listed.table[-1].startswith(f"and {len(listed.figures['edits']) - 5} smaller ones")
+
+
+def test_corrected_frames_become_tuned_pairs_and_fades_do_not(shot: Shot) -> None:
+    path, out = shot / "shot.hero.usda", shot / "v2.references.usda"
+    edit(path, override=0.8, frames="100-102", fade=10)
+    edit(path, "eyeBlinkLeft", override=1.0, frames="300-300", fade=3)
+    before = read_references(shot / "hero.references.usda")
+    report = run(
+        ReferencesFromEditsSpec(
+            performances=(path,), references=shot / "hero.references.usda", out=out, count=3
+        )
+    )
+    after = read_references(out)
+    new = set(report.figures["frames"])
+    assert new <= {*range(97, 106), 300}
+    assert 300 in new
+    count = len(before.frames)
+    kept = ~np.isin(before.frames, [*range(97, 106), 300])  # one of these may be corrected
+    np.testing.assert_array_equal(after.weights[:count][kept], before.weights[kept])
+    np.testing.assert_array_equal(after.tuned[:count], before.tuned)
+    assert after.tuned[count:].all()
+    shown = read_weights(path)
+    for pair in range(count, len(after.frames)):
+        wanted = shown.values[after.frames[pair] - 1]
+        order = [shown.names.index(name) for name in after.shape_names]
+        np.testing.assert_allclose(after.weights[pair], wanted[order], atol=1e-6)
+    np.testing.assert_allclose(after.neutral, before.neutral)
+    run(TrainSpec(references=out, out=shot / "v2.mapping.usdc", method="ridge"))
+
+
+def test_curves_of_a_dcc_that_peak_at_different_frames_teach_where_they_are_strongest(
+    shot: Shot,
+) -> None:
+    path, dcc = shot / "shot.hero.usda", shot / "dcc.csv"
+    clip = read_weights(path)
+    wanted = clip.values.copy()
+    time = np.arange(200, 240)
+    for name, peak in (("jawOpen", 213), ("mouthSmileLeft", 226)):  # neither holds anywhere
+        wanted[time, clip.names.index(name)] += 0.4 * np.exp(-(((time - peak) / 9.0) ** 2))
+    wanted[:, clip.names.index("browInnerUp")] += 0.03 * np.sin(np.arange(len(wanted)) / 3)
+    with dcc.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["frame", *clip.names])
+        writer.writerows([i + 1, *row] for i, row in enumerate(wanted.tolist()))
+    run(EditsImportSpec(performance=path, changed=dcc))
+    report = run(
+        ReferencesFromEditsSpec(
+            performances=(path,),
+            references=shot / "hero.references.usda",
+            out=shot / "v2.references.usda",
+            count=4,
+        )
+    )
+    taken = np.array(report.figures["frames"])
+    assert len(taken) == 4
+    change = np.abs(wanted - clip.values).max(axis=1)
+    assert change[taken - 1].max() > 0.99 * change.max()
+
+
+def test_where_no_frame_has_all_edits_at_their_peaks_those_nearest_are_meant() -> None:
+    rising = np.interp(np.arange(120), [0, 10, 100, 119], [0.01, 0.4, 1.0, 0.01])
+    edits = [no_edit(120), no_edit(120)]
+    edits[0].offset[:], edits[1].offset[:] = rising, rising[::-1]
+    changes = np.array([each.offset for each in edits])
+    mean = (changes**2).sum(axis=0) / changes.sum(axis=0)
+    wanted = (mean > MOSTLY) & (changes.max(axis=0) > LEAST_CHANGE)
+    assert 0 < wanted.sum() < 120
+    np.testing.assert_array_equal(meant_frames(edits, changes), wanted)
+    edits[1].offset[80:111] = 1.0  # held, so that there are frames with both at full strength
+    changes = np.array([each.offset for each in edits])
+    both = (changes >= FULL_STRENGTH).all(axis=0)
+    assert both.any()
+    np.testing.assert_array_equal(meant_frames(edits, changes), both)
+
+
+def test_corrections_taken_in_place_twice_are_the_same_as_once(shot: Shot) -> None:
+    path, out = shot / "shot.hero.usda", shot / "hero.references.usda"
+    edit(path, override=0.8, frames="100-102", fade=10)
+    first = run(ReferencesFromEditsSpec(performances=(path,), references=out, out=out, count=3))
+    once = read_references(out)
+    again = run(ReferencesFromEditsSpec(performances=(path,), references=out, out=out, count=3))
+    twice = read_references(out)
+    assert first.figures["added"] > again.figures["added"] == 0
+    np.testing.assert_array_equal(twice.weights, once.weights)
+    np.testing.assert_array_equal(twice.tuned, once.tuned)
+
+
+def test_fewer_corrections_than_before_replace_them_and_say_so(shot: Shot) -> None:
+    path, out = shot / "shot.hero.usda", shot / "v2.references.usda"
+    edit(path, override=0.8, frames="100-160", fade=3)
+    count = len(read_references(shot / "hero.references.usda").frames)
+    reports = [
+        run(
+            ReferencesFromEditsSpec(
+                performances=(path,),
+                references=shot / "hero.references.usda",
+                out=out,
+                count=most,
+            )
+        )
+        for most in (6, 2)
+    ]
+    gone = set(reports[0].figures["frames"]) - set(reports[1].figures["frames"])
+    assert any(f"{len(gone)} pairs tuned there before" in note for note in reports[1].notes)
+    after = read_references(out)
+    assert list(after.frames[count:]) == reports[1].figures["frames"]
+    assert after.tuned[count:].all()
+
+
+def test_what_was_tuned_in_the_asset_that_is_written_again_stays(shot: Shot) -> None:
+    path, out = shot / "shot.hero.usda", shot / "v2.references.usda"
+    given = {
+        "performances": (path,),
+        "references": shot / "hero.references.usda",
+        "out": out,
+        "count": 3,
+    }
+    edit(path, override=0.8, frames="300-300")
+    run(ReferencesFromEditsSpec(**given))
+    made = read_references(out)
+    (shot / "mine.csv").write_text(f"frame,jawOpen\n{made.frames[4]},0.125\n300,0.125\n")
+    execute(ReferencesImportSpec(references=out, weights=shot / "mine.csv"), overwrite=True)
+    before = read_references(out)
+    other = next(frame for frame in range(100, 200) if frame not in before.frames)
+    edit(path, override=0.9, frames=f"{other}-{other}")  # 300 is the second that is added now
+    for _ in range(2):
+        report = run(ReferencesFromEditsSpec(**given))
+        after = read_references(out)
+        assert after.frames[-2:].tolist() == [other, 300]
+        np.testing.assert_array_equal(after.weights[4], before.weights[4])
+        np.testing.assert_array_equal(after.weights[-1], before.weights[-1])
+        assert any("kept as somebody tuned them there: 2 pairs" in note for note in report.notes)
+
+
+def test_corrections_whose_markers_are_not_seen_teach_nothing_and_stop_no_other(shot: Shot) -> None:
+    path, out = shot / "shot.hero.usda", shot / "v2.references.usda"
+    edit(path, override=0.8, frames="100-102", fade=3)
+    clean = shot / "shot.clean.take.usda"
+    take = read_take(clean)
+    assert take.markers is not None
+    visible, confidence = take.markers.visible.copy(), take.markers.confidence.copy()
+    free = [name not in take.markers.rigid for name in take.markers.names].index(True)
+    visible[90:110, free], confidence[90:110, free] = False, 0.0
+    markers = replace(take.markers, visible=visible, confidence=confidence)
+    write_take(clean, replace(take, markers=markers))
+    given = {"references": shot / "hero.references.usda", "out": out}
+    with pytest.raises(InputError, match=r"no frame was corrected by more than .* markers seen"):
+        run(ReferencesFromEditsSpec(performances=(path,), **given))
+    shutil.copy(path, shot / "other.usda")
+    shutil.copy(edits_path(path), edits_path(shot / "other.usda"))
+    edit(shot / "other.usda", "eyeBlinkLeft", override=1.0, frames="300-300")
+    report = run(ReferencesFromEditsSpec(performances=(path, shot / "other.usda"), **given))
+    assert report.figures["frames"] == [300]
+    assert sum("lacking a marker" in note for note in report.notes) == 2
+
+
+def test_what_is_said_in_old_pairs_is_not_said_in_new_ones(shot: Shot) -> None:
+    path, asset = shot / "shot.hero.usda", shot / "hero.references.usda"
+    layer = Sdf.Layer.FindOrOpen(str(asset))
+    for name in ("viseme", "emotion"):
+        root = layer.GetPrimAtPath("/References")
+        label = Sdf.AttributeSpec(root, f"face:reference:{name}", Sdf.ValueTypeNames.Token)
+        for time in range(1, 25):
+            layer.SetTimeSample(label.path, time, name)
+    layer.Save()
+    edit(path, override=0.8, frames="301-301")
+    run(ReferencesFromEditsSpec(performances=(path,), references=asset, out=shot / "v2.usda"))
+    after = read_references(shot / "v2.usda")
+    assert after.visemes == ("viseme",) * 24 + ("",)
+    assert after.emotions == ("emotion",) * 24 + ("",)
+
+
+def test_of_a_frame_corrected_twice_the_later_performance_counts(shot: Shot) -> None:
+    path, other, out = shot / "shot.hero.usda", shot / "other.usda", shot / "v2.usda"
+    edit(path, override=0.8, frames="301-301")
+    shutil.copy(path, other)
+    shutil.copy(edits_path(path), edits_path(other))
+    edit(other, override=0.3, frames="301-301")
+    asset = shot / "hero.references.usda"
+    run(ReferencesFromEditsSpec(performances=(path, other), references=asset, out=out))
+    after = read_references(out)
+    assert after.frames[24:].tolist() == [301]
+    assert after.weights[24, after.shape_names.index("jawOpen")] == pytest.approx(0.3)
+
+
+def test_edits_of_a_shape_that_the_solve_has_no_more_can_be_cleared(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, override=0.8, frames="100-120")
+    file = edits_path(path)
+    file.write_text(file.read_text(encoding="utf-8").replace("jawOpen", "gone"), encoding="utf-8")
+    edit(path, "gone", clear=True, frames="100-110")
+    assert PerformanceReader(path).edits["gone"].curve.active.sum() == 10
+    edit(path, "gone", clear=True)
+    assert "gone" not in PerformanceReader(path).edits
+
+
+def test_a_package_needs_nothing_beside_it(shot: Shot, tmp_path: Path) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, override=0.8, frames="100-102")
+    run(PackageSpec(performance=path, out=shot / "review.usdz"))
+    made = (shot / "review.usdz").read_bytes()
+    os.utime(shot / "hero.usdc", (1e9, 1e9))
+    run(PackageSpec(performance=path, out=shot / "review.usdz"))
+    assert (shot / "review.usdz").read_bytes() == made  # whenever it is made, and of whatever age
+    alone = tmp_path / "elsewhere" / "review.usdz"
+    alone.parent.mkdir()
+    (shot / "review.usdz").rename(alone)
+    np.testing.assert_array_equal(read_weights(alone).values, read_weights(path).values)
+    stage = Usd.Stage.Open(str(alone))
+    assert [each for each in stage.Traverse() if each.IsA(UsdSkel.Root)]
+    assert not [f for f in validate(alone) if f.severity == "error"]
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"shape": ("jawOpne",), "add": 0.1}, "did you mean jawOpen"),
+        ({"shape": ("jawOpen",), "add": 0.1, "frames": "900-1000"}, "which has 1-480"),
+        ({"shape": ("jawOpen; rm -rf ~",), "add": 0.1}, "has no shape 'jawOpen; rm -rf ~'"),
+    ],
+)
+def test_an_edit_that_cannot_be_made_is_refused(shot: Shot, change: dict, reason: str) -> None:
+    before = sorted(each.name for each in shot.folder.iterdir())
+    with pytest.raises(InputError, match=reason):
+        run(EditSpec(performance=shot / "shot.hero.usda", **change))
+    assert sorted(each.name for each in shot.folder.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({}, "one of --add, --override and --clear"),
+        ({"add": 0.1, "clear": True}, "one of --add"),
+        ({"add": float("nan")}, "finite"),
+        ({"add": 0.1, "fade": 4}, "fade needs --frames"),
+        ({"add": 0.1, "frames": "9-3"}, "precedes"),
+    ],
+)
+def test_an_edit_that_means_nothing_is_refused(change: dict, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        EditSpec(performance=Path("a.usda"), shape=("jawOpen",), **change)
+
+
+def test_a_rig_that_moved_since_is_named(shot: Shot) -> None:
+    (shot / "hero.usdc").rename(shot / "elsewhere.usdc")
+    with pytest.raises(InputError, match=r"hero\.usdc|rig's file still where it was"):
+        run(BakeSpec(performance=shot / "shot.hero.usda", out=shot / "x.usdc"))

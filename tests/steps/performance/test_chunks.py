@@ -1,0 +1,141 @@
+"""Mapped in chunks and joined: as if mapped in one go, value for value."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.steps.small_shot import Shot
+from usdface.core.errors import InputError
+from usdface.runner.execute import execute
+from usdface.runner.result import Report
+from usdface.specs.base import Spec
+from usdface.specs.edits import EditSpec
+from usdface.specs.performance import JoinSpec, MapSpec
+from usdface.specs.references import ReferencesFromEditsSpec
+from usdface.steps.performance import map as map_step
+from usdface.usdio.performance.weights_layer import CONFIDENCE_WITHIN, RESIDUAL_WITHIN_MM
+from usdface.usdio.performance.write import PerformanceReader
+from usdface.usdio.validation import validate
+
+
+def run(spec: Spec) -> Report:
+    return execute(spec, overwrite=True)
+
+
+def map_to(shot: Shot, out: str, **more: object) -> Path:
+    given = {
+        "take": shot / "shot.clean.take.usda",
+        "mapping": shot / "hero.mapping.usdc",
+        "rig": shot / "hero.usdc",
+        "out": shot / out,
+    }
+    run(MapSpec.model_validate(given | more))
+    return shot / out
+
+
+def all_values(path: Path) -> dict[str, np.ndarray]:
+    reader = PerformanceReader(path)
+    first, last = reader.first_frame, reader.last_frame
+    return {
+        "weights": reader.solved(),
+        "confidence": reader.series("face:confidence", first, last),
+        "residual": reader.series("face:residual", first, last),
+        "frames": reader.frames,
+        "timecode": np.array(reader.timecode_start),
+    }
+
+
+def assert_same(one: Path, other: Path, *, cut_anywhere: bool = False) -> None:
+    """All is equal; confidence and residual near where cuts make other samples of them be kept."""
+    within = {"confidence": CONFIDENCE_WITHIN, "residual": RESIDUAL_WITHIN_MM}
+    found, wanted = all_values(one), all_values(other)
+    for name, values in wanted.items():
+        if cut_anywhere and name in within:
+            np.testing.assert_allclose(found[name], values, rtol=0, atol=2 * within[name])
+        else:
+            np.testing.assert_array_equal(found[name], values, err_msg=name)
+
+
+@pytest.fixture
+def in_small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(map_step, "BLOCK_FRAMES", 64)
+
+
+@pytest.mark.usefixtures("in_small_blocks")
+@pytest.mark.parametrize("clips", ["never", "always"])
+def test_joined_parts_equal_the_whole_wherever_they_are_cut(shot: Shot, clips: str) -> None:
+    whole = map_to(shot, "whole.usda")
+    cuts = [1, 2, 65, 100, 229, 480 + 1]
+    parts = [
+        map_to(shot, f"part.{first}.usda", frames=f"{first}-{stop - 1}")
+        for first, stop in itertools.pairwise(cuts)
+    ]
+    run(JoinSpec(parts=tuple(parts[::-1]), out=shot / "joined.usda", clips=clips))
+    assert_same(shot / "joined.usda", whole, cut_anywhere=True)
+    assert validate(shot / "joined.usda") == []
+
+
+@pytest.mark.usefixtures("in_small_blocks")
+def test_chunks_on_one_machine_equal_one_layer(shot: Shot) -> None:
+    whole = map_to(shot, "whole.usda")
+    assert_same(map_to(shot, "chunks.usda", chunk=111), whole, cut_anywhere=True)
+    assert len(list(shot.folder.glob("chunks.weights.*-*.usdc"))) == 5
+
+
+@pytest.mark.usefixtures("in_small_blocks")
+@pytest.mark.parametrize("clips", ["never", "always"])
+def test_chunks_of_whole_blocks_equal_the_whole_in_all_they_say(shot: Shot, clips: str) -> None:
+    whole = map_to(shot, "whole.usda")
+    parts = [
+        map_to(shot, f"part.{first}.usda", frames=f"{first}-{min(first + 127, 480)}")
+        for first in range(1, 481, 128)
+    ]
+    run(JoinSpec(parts=tuple(parts), out=shot / "joined.usda", clips=clips))
+    assert_same(shot / "joined.usda", whole)
+
+
+def test_a_size_that_is_too_much_for_one_layer_makes_parts(shot: Shot, monkeypatch) -> None:
+    monkeypatch.setattr(map_step, "LARGEST_LAYER_BYTES", 480 * 52 * 4 - 1)
+    monkeypatch.setattr(map_step, "PART_BYTES", 200 * 52 * 4)
+    map_to(shot, "large.usda")
+    assert len(list(shot.folder.glob("large.weights.*-*.usdc"))) == 3
+
+
+def test_the_same_chunks_give_the_same_bytes(shot: Shot) -> None:
+    map_to(shot, "a.usda", chunk=200)
+    first = {each.name: each.read_bytes() for each in shot.folder.glob("a.*")}
+    map_to(shot, "a.usda", chunk=200)
+    assert {each.name: each.read_bytes() for each in shot.folder.glob("a.*")} == first
+
+
+def test_parts_that_do_not_fit_are_all_named(shot: Shot) -> None:
+    first = map_to(shot, "a.usda", frames="1-100")
+    gap = map_to(shot, "b.usda", frames="111-200")
+    twice = map_to(shot, "c.usda", frames="190-300")
+    moved = map_to(shot, "d.usda", frames="301-310", prim="/shot/hero")
+    with pytest.raises(InputError) as fault:
+        run(JoinSpec(parts=(first, gap, twice, moved), out=shot / "joined.usda"))
+    for told in ("frames 101-110 are in no part", "frames 190-200 are in two", "another prim"):
+        assert told in str(fault.value)
+    assert not (shot / "joined.usda").exists()
+
+
+def test_frames_outside_the_take_are_refused(shot: Shot) -> None:
+    with pytest.raises(InputError, match=r"frames 400-500 are not all in the take.* 1-480"):
+        map_to(shot, "x.usda", frames="400-500")
+
+
+def test_corrections_of_joined_parts_are_learned_from(shot: Shot) -> None:
+    parts = tuple(map_to(shot, f"part.{cut}.usda", frames=cut) for cut in ("1-200", "201-480"))
+    joined = shot / "joined.usda"
+    run(JoinSpec(parts=parts, out=joined))
+    run(EditSpec(performance=joined, shape=("jawOpen",), override=0.8, frames="301-301"))
+    learned = ReferencesFromEditsSpec(
+        performances=(joined,), references=shot / "hero.references.usda", out=shot / "v2.usda"
+    )
+    assert run(learned).figures["frames"] == [301]
+    parts[0].unlink()
+    with pytest.raises(InputError, match=r"joined\.usda: does not say .* with the parts"):
+        run(learned)

@@ -1,0 +1,79 @@
+"""A hybrid of markers whose blend is keyed: its ends are the parts, between them it is straight."""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.model.synthetic import SyntheticFace, references_of, synthetic_face
+from tests.steps.small_shot import Shot
+from usdface.core.assets import Mapping
+from usdface.core.errors import InputError
+from usdface.model.mapping.head_space import MappedMarkers
+from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.train import train_mapping
+from usdface.runner.execute import execute
+from usdface.specs.performance import MapSpec
+from usdface.steps.performance.predict_blocks import solve_blended
+
+
+@pytest.fixture(scope="module")
+def hybrid() -> tuple[SyntheticFace, Mapping]:
+    face = synthetic_face(frames=300, bend=0.2)
+    references = references_of(face, np.arange(0, 300, 12))
+    trained = train_mapping(
+        references, ranges=face.ranges, gram=face.gram, method="hybrid", dimensions=6
+    )
+    return face, trained
+
+
+def test_alpha_runs_from_one_part_to_the_other(
+    hybrid: tuple[SyntheticFace, Mapping], tmp_path: Path
+) -> None:
+    face, mapping = hybrid
+    (tmp_path / "alpha.csv").write_text("frame,alpha\n1,0\n100,1\n")
+    positions = face.positions[:100].astype(np.float32)
+    visible = np.ones(positions.shape[:2], bool)
+    blocks = [range(1, 61), range(61, 101)]
+    placed = (
+        partial(
+            MappedMarkers,
+            positions[b.start - 1 : b.stop - 1],
+            visible[b.start - 1 : b.stop - 1],
+            (),
+            (),
+            0,
+        )
+        for b in blocks
+    )
+    answers = list(solve_blended(mapping, placed, tmp_path / "alpha.csv", blocks))
+    blended = np.concatenate([each.weights for each in answers])
+    ends = [
+        predict_weights(
+            replace(mapping, settings=mapping.settings | {"alpha": share}),
+            positions,
+            visible=visible,
+        ).weights
+        for share in (0.0, 1.0)
+    ]
+    share = np.linspace(0, 1, 100)[:, None]
+    # Prediction projects in single precision.
+    straight = (1 - share) * ends[0] + share * ends[1]
+    np.testing.assert_allclose(blended, straight, rtol=0, atol=1e-6)
+    assert np.abs(ends[1] - ends[0]).max() > 1e-3
+    assert len(answers[0].confidence) == 60
+
+
+def test_what_is_no_hybrid_has_nothing_to_blend(shot: Shot) -> None:
+    (shot / "alpha.csv").write_text("frame,alpha\n1,0.5\n")
+    spec = MapSpec(
+        take=shot / "shot.clean.take.usda",
+        mapping=shot / "hero.mapping.usdc",
+        rig=shot / "hero.usdc",
+        out=shot / "keyed.usda",
+        alpha=shot / "alpha.csv",
+    )
+    with pytest.raises(InputError, match="train with --method hybrid"):
+        execute(spec)

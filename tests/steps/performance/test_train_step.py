@@ -1,0 +1,44 @@
+"""What the train step gives to training beyond the pairs."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.steps.small_shot import Shot
+from usdface.runner.execute import execute
+from usdface.specs.performance import TrainSpec
+from usdface.usdio.mapping import read_mapping
+from usdface.usdio.references.read import read_references
+
+
+def test_the_geometry_of_the_rig_takes_part_in_training(
+    finished_shot: Shot, tmp_path: Path
+) -> None:
+    references, out = finished_shot / "hero.references.usda", tmp_path / "x.mapping.usdc"
+    execute(TrainSpec(references=references, out=out, method="ensemble"))
+    assert read_mapping(out).settings["geometry"] is True
+
+
+def test_weights_beyond_the_range_and_pairs_that_repeat_are_told(
+    finished_shot: Shot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given, out = finished_shot / "hero.references.usda", tmp_path / "x.mapping.usdc"
+    pairs = read_references(given)
+    again = np.r_[np.arange(len(pairs.frames)), 3]
+    weights = pairs.weights.copy()
+    weights[0, pairs.shape_names.index("jawOpen")] = 1.4
+    changed = replace(
+        pairs,
+        markers=pairs.markers[again],
+        weights=weights[again],
+        frames=pairs.frames[again],
+        takes=(*pairs.takes, pairs.takes[3]),
+        tuned=pairs.tuned[again],
+    )
+    monkeypatch.setattr("usdface.steps.performance.train.read_set_references", lambda path: changed)
+    notes = execute(TrainSpec(references=given, out=out, method="ridge")).notes
+    assert any(note.startswith("1 weight of the pairs beyond") for note in notes)
+    assert any(note.startswith("left out 1 pair that others repeat") for note in notes)
+    assert read_mapping(out).settings["limited_weights"] == 1

@@ -1,0 +1,300 @@
+"""Selecting as a user does: every way of choosing, and what must never be lost."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
+from pydantic import ValidationError
+
+from tests.steps.small_shot import PAIRS, Shot
+from usdface.core.assets import Rig
+from usdface.core.errors import InputError
+from usdface.media.picture.image import read_image_metadata
+from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
+from usdface.runner.execute import execute
+from usdface.specs.references import (
+    ReferenceSheetSpec,
+    ReferencesImportSpec,
+    SelectSpec,
+    tuned_path,
+)
+from usdface.steps.inputs.tuned_pairs import read_set_references
+from usdface.steps.references import scene as selection_scene
+from usdface.usdio.references.read import read_references, read_tuned_pairs
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.write import write_rig
+from usdface.usdio.take.read import read_take
+from usdface.usdio.take.write import write_take
+from usdface.usdio.validation import validate
+
+EQUATIONS: dict[tuple[str, ...], BlendshapeEquation] = {}
+
+
+@pytest.fixture(autouse=True)
+def registered_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Placing markers on the rig takes most of a selection's time and is not what is tested."""
+
+    def remembered(rig: Rig, *rest: object, **given: object) -> BlendshapeEquation:
+        if rig.shapes not in EQUATIONS:
+            EQUATIONS[rig.shapes] = set_up_equation(rig, *rest, **given)  # type: ignore[arg-type]
+        return EQUATIONS[rig.shapes]
+
+    monkeypatch.setattr(selection_scene, "set_up_equation", remembered)
+
+
+def spec(shot: Shot, **changed: object) -> SelectSpec:
+    given: dict[str, object] = {
+        "takes": (shot / "shot.clean.take.usda",),
+        "rig": shot / "hero.usdc",
+        "out": shot / "new.references.usda",
+        "count": 12,
+    }
+    return SelectSpec(**(given | changed))  # type: ignore[arg-type]
+
+
+def make_phones(shot: Shot, name: str = "said.json", *, emotions: bool = True) -> Path:
+    """Four seconds of three visemes in two emotions."""
+    labels = ("M", "AA", "S", "sil")
+    phones = [{"start": 0.1 * i, "end": 0.1 * (i + 1), "label": labels[i % 4]} for i in range(40)]
+    moods = [
+        {"start": 0.0, "end": 2.0, "label": "joy"},
+        {"start": 2.0, "end": 4.0, "label": "anger"},
+    ]
+    data = {"phones": phones} | ({"emotions": moods} if emotions else {})
+    (shot / name).write_text(json.dumps(data), encoding="utf-8")
+    return shot / name
+
+
+def test_visemes_of_every_emotion_are_among_the_pairs_and_in_the_asset(shot: Shot) -> None:
+    report = execute(spec(shot, method="viseme", phones=(make_phones(shot),), extremes=2))
+    references = read_references(shot / "new.references.usda")
+    assert len(references.frames) == len(set(references.frames.tolist())) == 12
+    kinds = set(zip(references.visemes, references.emotions, strict=True))
+    assert {(v, e) for v in ("b", "ae", "s", "pau") for e in ("joy", "anger")} <= kinds
+    assert list(references.visemes) == report.figures["visemes"]
+    for frame, viseme in zip(references.frames.tolist(), references.visemes, strict=True):
+        moment = (frame - 1) / 120  # the shot runs at 120 frames a second
+        expected = ("b", "ae", "s", "pau")[min(int(moment / 0.1), 39) % 4]
+        assert viseme == expected
+    stage = Usd.Stage.Open(str(shot / "new.references.usda"))
+    root = stage.GetPrimAtPath("/References")
+    assert root.GetAttribute("face:reference:viseme").Get(1) == references.visemes[0]
+
+
+def test_both_gives_half_to_visemes_and_design_says_what_it_measured(shot: Shot) -> None:
+    both = execute(spec(shot, phones=(make_phones(shot),)))
+    assert both.figures["design"] in both.figures["measured_mm"]
+    assert {"b", "ae", "s", "pau"} <= set(both.figures["visemes"])
+    design = execute(spec(shot, method="design"), overwrite=True)
+    assert len(design.figures["measured_mm"]) == 3
+    assert set(design.figures["visemes"]) == {""}
+
+
+def test_without_phones_both_says_that_it_designs(shot: Shot) -> None:
+    report = execute(spec(shot))
+    assert any("no phones are given" in note for note in report.notes)
+
+
+def test_coverage_is_told_and_drawn_beside(shot: Shot) -> None:
+    report = execute(spec(shot))
+    assert 0.5 < report.figures["coverage"] < 1.0
+    assert set(report.figures["coverage_by_region"]) >= {"lids", "jaw", "mouth"}
+    assert len(report.figures["growth"]) == 13
+    assert report.figures["next"][0]["frame"] not in report.figures["frames"]
+    picture = shot / "new.references.coverage.png"
+    assert picture in report.outputs
+    assert read_image_metadata(picture)["step"] == "select"
+    more = execute(spec(shot, count=24), overwrite=True)
+    assert more.figures["coverage"] > report.figures["coverage"]
+
+
+def test_active_keeps_what_is_tuned_and_starts_from_the_mapping(shot: Shot) -> None:
+    out = shot / "hero.references.usda"
+    before = read_references(out)
+    report = execute(
+        spec(shot, out=out, count=PAIRS + 6, method="active", mapping=shot / "hero.mapping.usdc"),
+        overwrite=True,
+    )
+    after = read_references(out)
+    np.testing.assert_array_equal(after.frames[:PAIRS], before.frames)
+    np.testing.assert_array_equal(after.weights[:PAIRS], before.weights)
+    assert not after.tuned[PAIRS:].any()
+    assert not set(after.frames[PAIRS:].tolist()) & set(before.frames.tolist())
+    assert any("mapping's own predictions" in note for note in report.notes)
+
+
+def test_proposals_of_a_mapping_are_nearer_the_truth_than_the_geometrys(shot: Shot) -> None:
+    execute(spec(shot, method="design", out=shot / "a.references.usda"))
+    execute(
+        spec(
+            shot,
+            method="design",
+            out=shot / "b.references.usda",
+            mapping=shot / "hero.mapping.usdc",
+        )
+    )
+    execute(spec(shot, method="design", out=shot / "c.references.usda"))
+    execute(ReferencesImportSpec(references=shot / "c.references.usda", weights=shot / "keys.csv"))
+    solved, mapped, truth = (read_references(shot / f"{n}.references.usda") for n in "abc")
+    np.testing.assert_array_equal(solved.frames, mapped.frames)
+    error = [np.sqrt(np.mean((each.weights - truth.weights) ** 2)) for each in (solved, mapped)]
+    assert error[1] < 0.7 * error[0]
+
+
+def test_active_without_tuning_or_mapping_says_so(shot: Shot) -> None:
+    with pytest.raises(ValidationError, match="give the --mapping trained"):
+        spec(shot, method="active")
+    with pytest.raises(InputError, match="0 pairs are tuned, and active needs at least 2"):
+        execute(spec(shot, method="active", mapping=shot / "hero.mapping.usdc"))
+
+
+def test_phones_and_emotions_go_with_takes(shot: Shot) -> None:
+    said = make_phones(shot)
+    with pytest.raises(ValidationError, match="2 phones for 1 takes"):
+        spec(shot, phones=(said, said))
+    with pytest.raises(ValidationError, match="3 emotions for 1 takes"):
+        spec(shot, emotions=("joy", "anger", "fear"))
+    with pytest.raises(ValidationError, match="visemes need to be known"):
+        spec(shot, method="viseme")
+
+
+def test_unmarked_emotions_are_said_and_a_takes_own_emotion_counts(shot: Shot) -> None:
+    said = make_phones(shot, emotions=False)
+    report = execute(spec(shot, phones=(said,)))
+    assert any("no emotion is marked in shot" in note for note in report.notes)
+    report = execute(spec(shot, phones=(said,), emotions=("fear",)), overwrite=True)
+    assert set(report.figures["emotions"]) == {"fear"}
+    assert not any("no emotion is marked" in note for note in report.notes)
+
+
+def test_phones_of_another_take_are_refused(shot: Shot) -> None:
+    (shot / "long.lab").write_text("0.0 1.0 m\n1.0 60.0 aa\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"lasts 60\.0 s and its take shot 4\.0 s"):
+        execute(spec(shot, phones=(shot / "long.lab",)))
+
+
+def test_fewer_frames_than_pairs_are_refused(shot: Shot) -> None:
+    with pytest.raises(InputError, match="1000 pairs are asked for and"):
+        execute(spec(shot, count=1000))
+    assert not (shot / "new.references.usda").exists()
+
+
+def other_rig(shot: Shot) -> Path:
+    """The same head whose shapes are called otherwise."""
+    rig = read_rig(shot / "hero.usdc")
+    rename = {name: f"x_{name}" for name in rig.shapes}
+    meshes = tuple(
+        replace(m, shapes=tuple(replace(s, name=rename[s.name]) for s in m.shapes))
+        for m in rig.meshes
+    )
+    renamed = replace(rig, shapes=tuple(rename.values()), meshes=meshes)
+    write_rig(shot / "other.usdc", renamed)
+    return shot / "other.usdc"
+
+
+def test_pairs_tuned_on_one_rig_are_not_mixed_with_another(shot: Shot) -> None:
+    out = shot / "hero.references.usda"
+    tuned = tuned_path(out).read_bytes()
+    rig = other_rig(shot)
+    with pytest.raises(InputError, match=r"pair 1 was tuned for another rig: \d+ of its"):
+        execute(spec(shot, out=out, count=PAIRS, rig=rig), overwrite=True)
+    with pytest.raises(InputError, match="was trained for another rig"):
+        execute(spec(shot, rig=rig, mapping=shot / "hero.mapping.usdc"))
+    assert tuned_path(out).read_bytes() == tuned
+
+
+def test_tuning_of_an_older_selection_is_refused_and_not_touched(shot: Shot) -> None:
+    new = shot / "new.references.usda"
+    execute(spec(shot, method="design", count=PAIRS, frames="200-480"))
+    stale = tuned_path(shot / "hero.references.usda").read_bytes()
+    tuned_path(new).write_bytes(stale)
+    with pytest.raises(InputError, match="it is the tuning of an older selection"):
+        read_references(new)
+    assert tuned_path(new).read_bytes() == stale
+    # Selecting again takes the old tuning in, at the time codes it has.
+    execute(spec(shot, count=PAIRS), overwrite=True)
+    assert read_references(new).tuned.all()
+    kept = read_tuned_pairs(tuned_path(shot / "hero.references.usda"))
+    assert [e.weights for e in read_tuned_pairs(tuned_path(new))] == [e.weights for e in kept]
+
+
+def test_pairs_keyed_in_a_dcc_are_kept_as_tuned_ones_are(shot: Shot) -> None:
+    new = spec(shot)
+    execute(new)
+    before = read_references(new.out)
+    layer = Sdf.Layer.FindOrOpen(str(tuned_path(new.out)))
+    prim = Sdf.CreatePrimInLayer(layer, "/References/Weights")
+    names = Sdf.AttributeSpec(prim, "blendShapes", Sdf.ValueTypeNames.TokenArray)
+    names.default = list(before.shape_names)
+    place = Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray).path
+    keyed = before.weights.copy()
+    keyed[4] = 0.25  # the one that somebody changed; a DCC writes all
+    for pair, row in enumerate(keyed.astype(np.float32)):
+        layer.SetTimeSample(place, pair + 1, Vt.FloatArray.FromNumpy(row))
+    layer.Save()
+    assert np.flatnonzero(read_set_references(new.out).tuned).tolist() == [4]
+    report = execute(spec(shot, count=14, frames="1-300", method="design"), overwrite=True)
+    after = read_references(new.out)
+    assert np.flatnonzero(after.tuned).tolist() == [4]
+    assert after.frames[4] == before.frames[4]
+    assert (after.weights[4] == 0.25).all()
+    assert any("keyed in the asset itself" in note for note in report.notes)
+
+
+def test_references_hold_what_blender_needs(shot: Shot) -> None:
+    """As found by trying: a Skeleton, every prim typed, whole last time code, short names."""
+    execute(spec(shot, method="viseme", phones=(make_phones(shot),)))
+    path = shot / "new.references.usda"
+    stage = Usd.Stage.Open(str(path))
+    assert validate(path) == []
+    assert stage.GetEndTimeCode() == int(stage.GetEndTimeCode()) == 12
+    assert stage.GetDefaultPrim()
+    prims = list(stage.Traverse())
+    assert all(prim.GetTypeName() for prim in prims), [
+        str(p.GetPath()) for p in prims if not p.GetTypeName()
+    ]
+    skeletons = [prim for prim in prims if prim.IsA(UsdSkel.Skeleton)]
+    assert skeletons
+    for prim in skeletons:
+        source = UsdSkel.BindingAPI(prim).GetAnimationSourceRel().GetTargets()
+        assert [str(target) for target in source] == ["/References/Weights"]
+    for prim in prims:
+        if prim.IsA(UsdGeom.Mesh) and prim.HasAPI(UsdSkel.BindingAPI):
+            assert UsdSkel.BindingAPI(prim).GetInheritedSkeleton()
+    animation = UsdSkel.Animation(stage.GetPrimAtPath("/References/Weights"))
+    names = animation.GetBlendShapesAttr().Get()
+    assert max(len(name.encode()) for name in names) < 64
+    samples = animation.GetBlendShapeWeightsAttr().GetTimeSamples()
+    assert samples == [float(i) for i in range(1, 13)]
+
+
+def test_the_sheet_shows_pairs_as_they_are_now(shot: Shot) -> None:
+    for paper, name in ((False, "screen.png"), (True, "paper.png")):
+        report = execute(
+            ReferenceSheetSpec(
+                references=shot / "hero.references.usda",
+                takes=(shot / "shot.clean.take.usda",),
+                out=shot / name,
+                pairs="2-5",
+                paper=paper,
+                tile=64,
+                quality="draft",
+            )
+        )
+        assert report.figures["pairs"] == [2, 3, 4, 5]
+        assert report.summary == "4 pairs drawn, 4 of them tuned"
+        assert any("no video frame" in note for note in report.notes)
+        assert read_image_metadata(shot / name)["step"] == "references-sheet"
+
+
+def test_a_sheet_of_pairs_that_are_not_there_or_of_another_take_is_refused(shot: Shot) -> None:
+    given = {"references": shot / "hero.references.usda", "out": shot / "x.png", "tile": 64}
+    with pytest.raises(InputError, match="has pairs 1-24, none of 30-40"):
+        execute(ReferenceSheetSpec(**given, pairs="30-40"))
+    take = replace(read_take(shot / "shot.clean.take.usda"), name="other")
+    write_take(shot / "other.take.usda", take)
+    with pytest.raises(InputError, match="no pair is of take 'other', but of shot"):
+        execute(ReferenceSheetSpec(**given, takes=(shot / "other.take.usda",)))

@@ -1,0 +1,232 @@
+"""What a selection leaves beside the asset and must not touch: coverage, pictures, tuning."""
+
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd
+from scipy.spatial.transform import Rotation
+
+from tests.steps.references.test_select import registered_once, spec
+from tests.steps.small_shot import PAIRS, Shot
+from usdface.core.assets import Video
+from usdface.core.errors import InputError
+from usdface.core.locks import TuningLock
+from usdface.core.text import counted
+from usdface.media.picture.image import read_image_metadata, write_image
+from usdface.media.picture.read import read_picture
+from usdface.runner.execute import execute
+from usdface.specs.references import (
+    ReferencesCoverageSpec,
+    ReferenceSheetSpec,
+    ReferencesImportSpec,
+    lock_path,
+)
+from usdface.steps.references import select
+from usdface.tuning.journal import Change
+from usdface.tuning.session import TuningSession
+from usdface.usdio.references.read import read_references
+from usdface.usdio.references.tuning import read_pair_notes
+from usdface.usdio.take.read import read_take
+from usdface.usdio.take.write import write_take
+
+__all__ = ["registered_once"]  # a fixture that every test here uses
+
+
+def coverage_spec(shot: Shot, take: str, **changed: object) -> ReferencesCoverageSpec:
+    given: dict[str, object] = {
+        "references": shot / "hero.references.usda",
+        "takes": (shot / take,),
+        "out": shot / "covered.png",
+    }
+    return ReferencesCoverageSpec(**(given | changed))  # type: ignore[arg-type]
+
+
+def test_coverage_as_a_command_is_what_select_said(shot: Shot) -> None:
+    said = execute(spec(shot)).figures
+    told = execute(
+        coverage_spec(shot, "shot.clean.take.usda", references=shot / "new.references.usda")
+    )
+    for name in ("coverage", "coverage_by_region", "hole_share", "growth", "next"):
+        assert told.figures[name] == said[name]
+    assert told.figures["of_other_takes"] == 0
+    assert f"frame {said['next'][0]['frame']} of shot next" in told.notes[0]
+    assert read_image_metadata(shot / "covered.png")["step"] == "references-coverage"
+
+
+def test_pairs_cover_another_take_wherever_its_head_stands(shot: Shot) -> None:
+    own = execute(coverage_spec(shot, "shot.clean.take.usda")).figures
+    take = read_take(shot / "shot.clean.take.usda")
+    assert take.markers is not None
+    turn = Rotation.from_rotvec([0.1, -0.2, 0.05]).as_matrix().astype(np.float32)
+    moved = replace(take.markers, positions=take.markers.positions @ turn.T + np.float32(30.0))
+    write_take(shot / "other.take.usda", replace(take, name="other", markers=moved))
+    told = execute(coverage_spec(shot, "other.take.usda"), overwrite=True)
+    assert told.figures["of_other_takes"] == PAIRS
+    assert told.notes[0].startswith(f"{PAIRS} of {PAIRS} pairs are of other takes")
+    # Markers are stored in single precision and the head is found again: all but exact.
+    assert told.figures["coverage"] == pytest.approx(own["coverage"], abs=0.01)
+
+
+def test_only_tuned_pairs_may_count_and_strange_markers_are_refused(shot: Shot) -> None:
+    few = execute(
+        coverage_spec(shot, "shot.clean.take.usda", tuned_only=True), overwrite=True
+    ).figures
+    assert few["pairs"] == list(range(1, PAIRS + 1))
+    execute(spec(shot))
+    with pytest.raises(InputError, match="none of its 12 pairs is tuned"):
+        execute(
+            coverage_spec(
+                shot,
+                "shot.clean.take.usda",
+                references=shot / "new.references.usda",
+                tuned_only=True,
+            ),
+            overwrite=True,
+        )
+    take = read_take(shot / "shot.clean.take.usda")
+    assert take.markers is not None
+    names = tuple(f"x_{name}" for name in take.markers.names)
+    rigid = tuple(f"x_{name}" for name in take.markers.rigid)
+    strange = replace(take.markers, names=names, rigid=rigid)
+    write_take(shot / "strange.take.usda", replace(take, name="strange", markers=strange))
+    with pytest.raises(InputError, match=r"has 0 of the takes' \d+ markers"):
+        execute(coverage_spec(shot, "strange.take.usda"), overwrite=True)
+
+
+def filmed(shot: Shot) -> Path:
+    """The take with a camera's pictures: picture n of 24 a second is of brightness 2 n."""
+    (shot / "plate").mkdir()
+    for number in range(96):
+        plate = np.full((16, 16, 3), 2 * number, np.uint8)
+        write_image(shot / "plate" / f"plate.{number:04d}.png", plate)
+    video = Video(file=shot / "plate" / "plate.0000.png", rate=Fraction(24), offset=0.5)
+    take = replace(read_take(shot / "shot.clean.take.usda"), video=video)
+    write_take(shot / "filmed.take.usda", take)
+    return shot / "filmed.take.usda"
+
+
+def test_the_video_frame_of_each_pair_lies_beside_the_references(shot: Shot) -> None:
+    out = shot / "new.references.usda"
+    take = filmed(shot)
+    report = execute(spec(shot, takes=(take,)))
+    references = read_references(out)
+    notes = read_pair_notes(out, 12)
+    stage = Usd.Stage.Open(str(out))
+    attribute = stage.GetPrimAtPath("/References").GetAttribute("face:reference:image")
+    for pair, (frame, note) in enumerate(zip(references.frames.tolist(), notes, strict=True), 1):
+        seconds = (frame - 1) / 120 - 0.5
+        named = attribute.Get(pair).path
+        if seconds < 0:
+            assert not named
+            assert note.image is None
+            continue
+        assert named == f"./new.references.images/shot.{frame}.jpg"
+        assert note.image is not None
+        shown = read_picture(note.image).mean()
+        assert shown == pytest.approx(2 * int(seconds * 24 + 1e-6), abs=1.5)
+    before = sum(frame < 61 for frame in references.frames.tolist())
+    assert report.figures["images"] == 12 - before
+    told = [note for note in report.notes if "does not show" in note]
+    assert told == ([f"the video of shot does not show {before} of 12 pairs"] if before else [])
+    # A folder that moves takes its pictures along; a new selection leaves none behind.
+    execute(spec(shot, takes=(take,), count=6, frames="200-400"), overwrite=True)
+    kept = {path.name for path in (shot / "new.references.images").iterdir()}
+    assert kept == {f"shot.{frame}.jpg" for frame in read_references(out).frames.tolist()}
+    # What is not ours stays: somebody's picture, even one that is named like a pair's.
+    theirs = {shot / "new.references.images" / name for name in ("face.jpg", "plate.0007.jpg")}
+    for path in theirs:
+        write_image(path, np.zeros((8, 8, 3), np.uint8))
+    execute(spec(shot, takes=(take,), count=6, images=False), overwrite=True)
+    assert set((shot / "new.references.images").iterdir()) == theirs
+    for path in theirs:
+        path.unlink()
+    execute(spec(shot, takes=(take,), count=6, images=False), overwrite=True)
+    assert not (shot / "new.references.images").exists()
+
+
+def test_a_video_that_is_gone_costs_its_pictures_and_nothing_else(shot: Shot) -> None:
+    take = filmed(shot)
+    execute(spec(shot, takes=(take,)))
+    folder = shot / "new.references.images"
+    pictures = {path.name: path.read_bytes() for path in folder.iterdir()}
+    for path in (shot / "plate").iterdir():
+        path.unlink()
+    sheet = execute(
+        ReferenceSheetSpec(
+            references=shot / "new.references.usda",
+            out=shot / "kept.png",
+            tile=64,
+            quality="draft",
+        )
+    )
+    pairs_without = sum(n.image is None for n in read_pair_notes(shot / "new.references.usda", 12))
+    said = f"no video frame for {counted(pairs_without, 'pair')}"
+    assert any(said in note for note in sheet.notes) == bool(pairs_without)
+    report = execute(spec(shot, takes=(take,)), overwrite=True)
+    # No picture of a pair can be made again, so each is kept and still referred to.
+    assert any("pairs of shot keep the pictures they had, as" in note for note in report.notes)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == pictures
+    named = {note.image for note in read_pair_notes(shot / "new.references.usda", 12)}
+    assert named - {None} == set(folder.iterdir())
+    assert report.figures["images"] == len(pictures)
+    execute(spec(shot, takes=(take,), count=6), overwrite=True)
+    after = read_references(shot / "new.references.usda")
+    shown = {f"shot.{frame}.jpg" for frame in after.frames.tolist()}
+    assert {path.name for path in folder.iterdir()} == shown & pictures.keys()
+    report = execute(spec(shot, takes=(take,), out=shot / "other.references.usda"))
+    assert any("the pairs of shot have no pictures: " in note for note in report.notes)
+    assert report.figures["images"] == 0
+
+
+def asset_bytes(out: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in out.parent.glob("hero.references*")}
+
+
+def test_nothing_is_selected_under_the_hand_that_tunes(shot: Shot) -> None:
+    out = shot / "hero.references.usda"
+    before = asset_bytes(out)
+    lock = TuningLock(lock_path(out))
+    lock.acquire()
+    with pytest.raises(InputError, match=r"has been tuning it since .* under their hand"):
+        execute(spec(shot, out=out, count=PAIRS + 1), overwrite=True)
+    lock.release()
+    assert asset_bytes(out) == before
+    execute(spec(shot, out=out, count=PAIRS + 1), overwrite=True)
+    assert not lock_path(out).exists()
+
+
+def test_changes_of_a_page_that_was_killed_are_taken_in_before_pairs_move(shot: Shot) -> None:
+    out = shot / "hero.references.usda"
+    before = read_references(out)
+    session = TuningSession(out)
+    first = Change(0, before.takes[0], int(before.frames[0]), {before.shape_names[0]: 0.123})
+    session.apply([first], revision=session.revision)
+    session.lock.release()  # what the operating system does for a killed page: nothing was saved
+    with pytest.raises(InputError, match=r"holds changes of a tuning page that was killed"):
+        execute(spec(shot, out=out, count=PAIRS + 1), overwrite=True)
+    TuningSession(out).close()
+    execute(spec(shot, out=out, count=PAIRS + 1), overwrite=True)
+    assert read_references(out).weights[0, 0] == pytest.approx(0.123)
+
+
+def test_pairs_tuned_while_frames_are_chosen_are_not_moved(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    execute(spec(shot))
+    new = shot / "new.references.usda"
+    kept = read_references(new)
+    chosen = select.in_order_of_worth
+
+    def tuned_meanwhile(*given: object) -> object:
+        execute(ReferencesImportSpec(references=new, weights=shot / "keys.csv"), overwrite=True)
+        return chosen(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(select, "in_order_of_worth", tuned_meanwhile)
+    with pytest.raises(InputError, match="tuned 12 pairs while frames were chosen"):
+        execute(spec(shot, count=20), overwrite=True)
+    after = read_references(new)
+    np.testing.assert_array_equal(after.frames, kept.frames)
+    assert after.tuned.all()

@@ -1,0 +1,608 @@
+"""From face to face as a user does it, by the command line; and what users get wrong."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Sdf, Usd
+
+from tests.steps.small_shot import Shot
+from tests.usdio.small_creature import (
+    creature_acts,
+    human_moves,
+    write_creature,
+    write_creature_performance,
+    write_human,
+    write_human_performance,
+)
+from usdface.cli import main
+from usdface.core.assets import Rig
+from usdface.media.picture.image import read_image_metadata
+from usdface.steps.inputs.source_motion import read_source_motion
+from usdface.usdio.layers import read_provenance
+from usdface.usdio.retarget.controls import read_control_clip
+from usdface.usdio.retarget.pairs import read_pairs, samples_path
+from usdface.usdio.validation import validate
+
+FRAMES = 200
+FIRST = 101
+
+
+@dataclass(frozen=True)
+class Stall:
+    """A folder with two characters, a performance of the one, and pairs."""
+
+    folder: Path
+    human: Rig
+    beast: Rig
+    weights: np.ndarray
+
+    def __truediv__(self, name: str) -> Path:
+        return self.folder / name
+
+
+def poses(count: int = 30) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    return np.concatenate([np.zeros((1, 3)), np.eye(3), rng.random((count - 4, 3))])
+
+
+def usdface(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as stopped:
+        main([str(each) for each in arguments])
+    return int(stopped.value.code or 0)
+
+
+def build(folder: Path) -> Stall:
+    """Write both characters and what they act."""
+    human, beast = write_human(folder / "human.usda"), write_creature(folder / "beast.usda")
+    weights = human_moves(FRAMES)
+    write_human_performance(folder / "shot.usda", human, weights, first=FIRST)
+    write_human_performance(folder / "human_poses.usda", human, poses(), first=1)
+    write_creature_performance(folder / "beast_poses.usda", beast, creature_acts(poses()))
+    return Stall(folder, human, beast, weights)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Stall:
+    """Pairs imported, trained and retargeted once; read only."""
+    made = build(tmp_path_factory.mktemp("stall"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(made.folder)
+        assert import_pairs() == 0
+        assert usdface("train-retarget", "x.pairs.usda", "--out", "x.retarget.usdc") == 0
+        line = "retarget shot.usda --retargeting x.retarget.usdc --out beast.shot.usda"
+        assert usdface(*line.split()) == 0
+    return made
+
+
+def copied(made: Stall, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, but: str = "") -> Stall:
+    folder = tmp_path / "zwei Köpfe"  # a name as users give them
+    shutil.copytree(made.folder, folder, ignore=shutil.ignore_patterns(*but.split()))
+    monkeypatch.chdir(folder)
+    human, beast = (replace(rig, file=folder / rig.file.name) for rig in (made.human, made.beast))
+    return Stall(folder, human, beast, made.weights)
+
+
+@pytest.fixture
+def stall(finished: Stall, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Stall:
+    """Two characters and what they act: nothing has been run."""
+    return copied(finished, tmp_path, monkeypatch, but="x.* beast.shot.*")
+
+
+@pytest.fixture
+def trained(finished: Stall, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Stall:
+    """As `stall`, with pairs and a retargeting."""
+    return copied(finished, tmp_path, monkeypatch, but="beast.shot.*")
+
+
+@pytest.fixture
+def performed(finished: Stall, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Stall:
+    """As `trained`, with the performance of the target."""
+    return copied(finished, tmp_path, monkeypatch)
+
+
+def import_pairs(*flags: str, **changes: str) -> int:
+    given = {
+        "source": "human_poses.usda",
+        "target": "beast_poses.usda",
+        "source-rig": "human.usda",
+        "target-rig": "beast.usda",
+        "attributes": "rig/lattice.dfm:squash,rig/lattice.dfm:c*",
+        "out": "x.pairs.usda",
+    }
+    given |= changes
+    words = [word for name, value in given.items() for word in (f"--{name}", value)]
+    return usdface("pairs", "import", *words, *flags)
+
+
+def test_every_control_of_the_target_is_driven(performed: Stall, capsys) -> None:
+    read = read_control_clip(performed / "beast.shot.usda")
+    truth = creature_acts(performed.weights)
+    controls = read.clip.controls
+    assert read.clip.first_frame == FIRST
+    assert read.timecode_start == "01:00:04:05"
+    assert len(controls) == FRAMES
+    assert np.sqrt(((controls.weights - truth.weights) ** 2).mean()) < 0.06
+    assert np.sqrt(((controls.values - truth.values) ** 2).mean()) < 0.06
+    turn = np.abs(np.einsum("fji,fji->fj", controls.rotations, truth.rotations))
+    assert np.rad2deg(2 * np.arccos(np.clip(turn, 0, 1))).mean() < 3
+    np.testing.assert_allclose(np.linalg.norm(controls.rotations, axis=2), 1, atol=1e-6)
+    assert read_provenance(performed / "beast.shot.controls.usdc").step == "retarget"
+    assert not [e for e in validate(performed / "beast.shot.usda") if e.severity == "error"]
+
+
+def test_edits_are_told_of_when_a_target_is_retargeted_or_warped_again(
+    performed: Stall, capsys
+) -> None:
+    sequence_and_matches(performed)
+    warp = "warp beast.shot.usda --matches shot.matches.usda --out warped.usda --timing fit"
+    assert usdface(*warp.split()) == 0
+    shape = read_control_clip(Path("beast.shot.usda")).clip.controls.shapes[0]
+    again = "retarget shot.usda --retargeting x.retarget.usdc --out beast.shot.usda"
+    for line, name in ((again, "beast.shot.usda"), (warp, "warped.usda")):
+        assert usdface("edit", name, "--shape", shape, "--add", "0.1") == 0
+        edits = Path(name).with_suffix(".edits.usda")
+        before = edits.read_bytes()
+        capsys.readouterr()
+        assert usdface(*line.split(), "--overwrite") == 0
+        assert f"kept the edits of 1 shape: {shape}" in capsys.readouterr().out
+        assert edits.read_bytes() == before
+
+
+def test_one_source_drives_many_targets_at_once(trained: Stall, capsys) -> None:
+    assert import_pairs(out="y.pairs.usda", attributes="rig/lattice.dfm:squash") == 0
+    assert (
+        usdface("train-retarget", "y.pairs.usda", "--out", "y.retarget.usda", "--method", "rbf")
+        == 0
+    )
+    capsys.readouterr()
+    line = (
+        "retarget shot.usda --retargeting x.retarget.usdc --retargeting y.retarget.usda "
+        "--out one.usda --out two.usda --json"
+    )
+    assert usdface(*line.split()) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [each["attributes"] for each in told["figures"]["targets"]] == [2, 1]
+    for name in ("one.usda", "two.usda"):
+        assert len(read_control_clip(Path(name)).clip.controls) == FRAMES
+    assert usdface(*line.split()) == 2  # nothing is replaced unasked
+
+
+def test_pairs_are_proposed_by_name_and_by_hand_keyed_ones_stay(stall: Stall, capsys) -> None:
+    line = (
+        "pairs propose --source human.usda --target beast.usda --out p.pairs.usda --match name "
+        "--attributes rig/lattice.*"
+    )
+    assert usdface(*line.split()) == 0
+    pairs = read_pairs(Path("p.pairs.usda"))
+    assert pairs.names == ("rest", "jawOpen", "eyeBlink", "smile")
+    np.testing.assert_array_equal(pairs.source[1:], np.eye(3))
+    np.testing.assert_array_equal(pairs.target.weights[1:], np.eye(3))
+    assert pairs.target.attributes == ("rig/lattice.dfm:curl", "rig/lattice.dfm:squash")
+    np.testing.assert_array_equal(pairs.target.values, np.tile([0.0, 0.25], (4, 1)))
+    assert "2 controls of the target are at rest in every pair" in capsys.readouterr().out
+    stage = Usd.Stage.Open("p.pairs.usda")
+    squash = stage.GetAttributeAtPath("/Pairs/Target/rig/lattice.dfm:squash")
+    for time in (1, 2, 3, 4):
+        squash.Set(0.2 * time, time)
+    stage.GetRootLayer().Save()
+    assert usdface(*line.split(), "--overwrite") == 0
+    again = read_pairs(Path("p.pairs.usda"))
+    np.testing.assert_allclose(again.target.values[:, 1], 0.2 * np.arange(1, 5), atol=1e-6)
+    assert again.names == pairs.names
+    assert samples_path(Path("p.pairs.usda")).is_file()
+
+
+def test_nothing_is_proposed_where_keys_made_by_hand_would_hide_it(stall: Stall, capsys) -> None:
+    line = "pairs propose --source human.usda --target beast.usda --out p.pairs.usda --match name"
+    assert usdface(*line.split()) == 0
+    stage = Usd.Stage.Open("p.pairs.usda")
+    for prim in stage.Traverse():  # the first two pairs are keyed whole, the others taken out
+        for attribute in prim.GetAttributes():
+            if attribute.GetNumTimeSamples():
+                for time, value in [(time, attribute.Get(time)) for time in (1, 2)]:
+                    attribute.Set(value, time)
+    stage.GetRootLayer().Save()
+    del stage
+    capsys.readouterr()
+    assert usdface(*line.split(), "--overwrite") == 0
+    assert "left out 2 new pairs (eyeBlink, smile)" in capsys.readouterr().out
+    assert read_pairs(Path("p.pairs.usda")).names == ("rest", "jawOpen")
+
+
+def test_describe_says_what_was_tried(trained: Stall, capsys) -> None:
+    capsys.readouterr()
+    assert usdface("describe", "x.retarget.usdc") == 0
+    told = capsys.readouterr().out
+    for method in ("additive", "rbf", "kernel_cca", "hybrid", "ridge"):
+        assert method in told
+
+
+def test_cyclic_errors_are_figures_and_curves(trained: Stall, capsys) -> None:
+    truth = creature_acts(trained.weights).weights
+    rows = [",".join(["frame", "jawOpen", "eyeBlink", "smile"])]
+    rows += [",".join(map(str, [FIRST + i, *row])) for i, row in enumerate(truth.tolist())]
+    Path("truth.csv").write_text("\n".join(rows))
+    line = (
+        "cyclic x.pairs.usda --source shot.usda --truth truth.csv --every 3 "
+        "--methods auto,rbf,kernel_cca,hybrid,ridge --out c.json --out c.png"
+    )
+    assert usdface(*line.split()) == 0
+    figures = json.loads(Path("c.json").read_text())["methods"]
+    default = next(name for name in figures if name.startswith("default"))
+    for name, figure in figures.items():
+        assert figures[default]["mean_mm"] <= figure["mean_mm"] + 2e-3, name
+        assert figure["direct_mm"] < 1.0
+    assert read_image_metadata(Path("c.png"))["step"] == "cyclic"
+
+
+def sequence_and_matches(stall: Stall, target_frames: int = 61) -> None:
+    """A smile of the creature's own, found in the shot."""
+    time = np.linspace(0, 1, target_frames)[:, None]
+    own = creature_acts(np.sin(np.pi * time) * [0.1, 0.6, 1.0])
+    write_creature_performance(stall / "own.usda", stall.beast, own)
+    line = (
+        "make-sequence --source shot.usda --source-frames 150-190 --target own.usda "
+        "--label joy --out joy.sequence.usda"
+    )
+    assert usdface(*line.split()) == 0
+    line = (
+        "find-sequences shot.usda --sequence joy.sequence.usda --by threshold --threshold 0.01 "
+        "--out shot.matches.usda"
+    )
+    assert usdface(*line.split()) == 0
+
+
+@pytest.mark.parametrize("timing", ["own", "fit"])
+def test_a_sequence_is_put_in_and_the_rest_stays_to_the_last_bit(
+    performed: Stall, timing: str
+) -> None:
+    sequence_and_matches(performed)
+    line = (
+        "warp beast.shot.usda --matches shot.matches.usda --out warped.usda --weight 1000 "
+        f"--timing {timing} --blend 8 --curves warp.png"
+    )
+    assert usdface(*line.split()) == 0
+    before = read_control_clip(Path("beast.shot.usda")).clip.controls
+    after = read_control_clip(Path("warped.usda")).clip.controls
+    last = 190 if timing == "fit" else 150 + 60
+    outside = np.r_[0 : 150 - 8 - FIRST, last + 9 - FIRST : FRAMES]
+    for field in ("weights", "translations", "rotations", "scales", "values"):
+        assert np.array_equal(getattr(after, field)[outside], getattr(before, field)[outside]), (
+            field
+        )
+    middle = (150 + last) // 2 - FIRST
+    wanted = creature_acts(np.array([[0.1, 0.6, 1.0]]))
+    np.testing.assert_allclose(after.weights[middle], wanted.weights[0], atol=0.02)
+    np.testing.assert_allclose(after.values[middle], wanted.values[0], atol=0.02)
+    turn = abs(after.rotations[middle, 1] @ wanted.rotations[0, 1])
+    assert np.rad2deg(2 * np.arccos(min(turn, 1.0))) < 2
+    np.testing.assert_allclose(np.linalg.norm(after.rotations, axis=2), 1, atol=1e-6)
+    steps = np.abs(np.diff(after.weights, axis=0)).max()
+    assert steps < 3 * np.abs(np.diff(before.weights, axis=0)).max()
+    assert read_image_metadata(Path("warp.png"))["step"] == "warp"
+
+
+def test_a_sequence_of_another_rate_is_told(performed: Stall, capsys) -> None:
+    sequence_and_matches(performed)
+    assert "frames are taken as they are" not in capsys.readouterr().out
+    layer = Sdf.Layer.FindOrOpen("joy.sequence.usda")
+    rate = layer.timeCodesPerSecond
+    layer.timeCodesPerSecond = layer.framesPerSecond = 2 * rate
+    layer.Save()
+    told = f"joy.sequence.usda runs at {2 * rate:g} frames per second, and this performance at"
+    assert usdface(*"warp beast.shot.usda --matches shot.matches.usda --out w.usda".split()) == 0
+    assert told in capsys.readouterr().out
+    line = "find-sequences shot.usda --sequence joy.sequence.usda --out two.matches.usda"
+    assert usdface(*line.split()) == 0
+    assert told in capsys.readouterr().out
+
+
+def test_sequences_are_found_without_a_threshold_and_by_label(performed: Stall, capsys) -> None:
+    sequence_and_matches(performed)
+    capsys.readouterr()
+    line = "find-sequences shot.usda --sequence joy.sequence.usda --out m.usda --json"
+    assert usdface(*line.split()) == 0
+    found = json.loads(capsys.readouterr().out)["figures"]["matches"]
+    assert [150, 190] in [each["frames"] for each in found]
+    assert usdface(*line.split(), "--overwrite", "--by", "label", "--label", "JOY") == 0
+    (best,) = json.loads(capsys.readouterr().out)["figures"]["matches"]
+    assert best["frames"] == [150, 190]
+    assert best["distance"] == pytest.approx(0, abs=1e-6)
+    assert usdface(*line.split(), "--overwrite", "--shapes", "jaw*") == 0
+
+
+def test_faces_are_drawn_side_by_side(performed: Stall, capsys) -> None:
+    line = (
+        "faces shot.usda beast.shot.usda --out faces.png --rows 2 --tile 64 --quality draft --json"
+    )
+    assert usdface(*line.split()) == 0
+    frames = json.loads(capsys.readouterr().out)["figures"]["frames"]
+    assert len(frames) == 2
+    assert all(FIRST <= frame < FIRST + FRAMES for frame in frames)
+    assert read_image_metadata(Path("faces.png"))["step"] == "faces"
+    assert usdface(*line.split(), "--frames", "900-950", "--overwrite") == 2
+    assert "share no frame in 900-950" in capsys.readouterr().err
+
+
+def test_alpha_is_keyed_over_time(trained: Stall) -> None:
+    assert usdface("train-retarget", "x.pairs.usda", "--out", "h.usda", "--method", "hybrid") == 0
+    Path("alpha.csv").write_text("frame,alpha\n101,0\n150,1\n")
+    layer = Sdf.Layer.CreateNew("alpha.usda")
+    prim = Sdf.CreatePrimInLayer(layer, "/blend")
+    Sdf.AttributeSpec(prim, "face:mapping:alpha", Sdf.ValueTypeNames.Float)
+    layer.SetTimeSample("/blend.face:mapping:alpha", 101, 0.0)
+    layer.SetTimeSample("/blend.face:mapping:alpha", 150, 1.0)
+    layer.Save()
+    made = []
+    for number, extra in enumerate(("", "--alpha alpha.csv", "--alpha alpha.usda")):
+        line = f"retarget shot.usda --retargeting h.usda --out a{number}.usda {extra}"
+        assert usdface(*line.split()) == 0
+        made.append(read_control_clip(Path(f"a{number}.usda")).clip.controls.weights)
+    assert np.abs(made[1] - made[0]).max() > 1e-4
+    np.testing.assert_array_equal(made[1], made[2])
+
+
+def test_pairs_are_not_imported_beneath_keys_that_would_hide_them(stall: Stall, capsys) -> None:
+    assert import_pairs(out="k.pairs.usda") == 0
+    assert import_pairs("--overwrite", out="k.pairs.usda") == 0
+    before = samples_path(Path("k.pairs.usda")).read_bytes()
+    stage = Usd.Stage.Open("k.pairs.usda")
+    stage.GetAttributeAtPath("/Pairs/Target/rig/lattice.dfm:squash").Set(0.5, 3)
+    stage.GetRootLayer().Save()
+    capsys.readouterr()
+    assert import_pairs("--overwrite", out="k.pairs.usda") == 2
+    told = capsys.readouterr().err
+    assert "keys made in it by hand, of 1 attribute (/Pairs/Target/rig/lattice.dfm:squash)" in told
+    assert samples_path(Path("k.pairs.usda")).read_bytes() == before
+
+
+def no_target_side(stall: Stall) -> list[str]:
+    write_creature_performance(stall / "short.usda", stall.beast, creature_acts(poses()[:20]))
+    return ["short.usda"]
+
+
+def key(path: str, prim: str, name: str, values: list[object]) -> None:
+    layer = Sdf.Layer.FindOrOpen(path)
+    spec = layer.GetAttributeAtPath(f"{prim}.{name}")
+    for time in layer.ListTimeSamplesForPath(spec.path):
+        layer.EraseTimeSample(spec.path, time)
+    for time, value in enumerate(values, start=1):
+        layer.SetTimeSample(spec.path, time, value)
+    layer.Save()
+
+
+def test_pairs_without_a_side_are_refused(stall: Stall, capsys) -> None:
+    no_target_side(stall)
+    assert import_pairs(target="short.usda") == 2
+    assert (
+        "10 pairs have no target side: it holds nothing at frames 21, 22" in capsys.readouterr().err
+    )
+    assert import_pairs(attributes="rig/lattice.dfm:bend") == 2
+    assert "has no attribute 'dfm:bend'" in capsys.readouterr().err
+    assert import_pairs(attributes="rig/lattice.dfm:name") == 2
+    assert "is string, and a control must be one float" in capsys.readouterr().err
+    assert not Path("x.pairs.usda").exists()
+
+
+def test_one_pair_and_pairs_all_alike_are_refused(stall: Stall, capsys) -> None:
+    write_human_performance(stall / "one.usda", stall.human, poses()[3:4], first=1)
+    write_creature_performance(stall / "one_t.usda", stall.beast, creature_acts(poses()[3:4]))
+    assert import_pairs(source="one.usda", target="one_t.usda") == 2
+    assert "1 pair; at least two are needed" in capsys.readouterr().err
+    write_human_performance(
+        stall / "same.usda", stall.human, np.repeat(poses()[3:4], 9, 0), first=1
+    )
+    write_creature_performance(stall / "nine.usda", stall.beast, creature_acts(poses()[:9]))
+    assert import_pairs(source="same.usda", target="nine.usda") == 2
+    assert "all 9 pairs have the same source expression" in capsys.readouterr().err
+
+
+def test_a_source_shape_that_no_pair_uses_is_told_at_training_and_at_work(
+    stall: Stall, capsys
+) -> None:
+    still = poses() * [1, 0, 1]
+    write_human_performance(stall / "still.usda", stall.human, still, first=1)
+    write_creature_performance(stall / "still_t.usda", stall.beast, creature_acts(still))
+    assert import_pairs(source="still.usda", target="still_t.usda") == 0
+    assert usdface("train-retarget", "x.pairs.usda", "--out", "x.retarget.usdc") == 0
+    assert "in no pair and without effect: 1 source shape, eyeBlink" in capsys.readouterr().out
+    line = "retarget shot.usda --retargeting x.retarget.usdc --out b.usda"
+    assert usdface(*line.split()) == 0
+    assert "no pair uses them, so the target does not follow: eyeBlink" in capsys.readouterr().out
+
+
+def test_conflicting_pairs_are_reported(stall: Stall, capsys) -> None:
+    source = np.concatenate([poses(), poses()[[5]] + 0.004])
+    target = creature_acts(np.concatenate([poses(), 1 - poses()[[5]]]))
+    write_human_performance(stall / "c.usda", stall.human, source, first=1)
+    write_creature_performance(stall / "ct.usda", stall.beast, target)
+    assert import_pairs(source="c.usda", target="ct.usda") == 0
+    assert usdface("train-retarget", "x.pairs.usda", "--out", "x.retarget.usdc", "--json") == 0
+    told = capsys.readouterr().out
+    assert "pairs 6 (frame 6) and 31 (frame 31) conflict" in told
+
+
+JOB = """
+job: face_to_face
+steps:
+  - {step: pairs-import, source: human_poses.usda, target: beast_poses.usda,
+     source_rig: human.usda, target_rig: beast.usda, attributes: ["rig/lattice.dfm:[cs]*"],
+     out: x.pairs.usda}
+  - {step: train-retarget, pairs: x.pairs.usda, source: shot.usda, out: x.retarget.usdc}
+  - {step: retarget, source: shot.usda, retargeting: x.retarget.usdc, out: beast.shot.usda}
+  - {step: make-sequence, source: shot.usda, source_frames: 150-190, target: beast_poses.usda,
+     label: joy, out: joy.sequence.usda}
+  - {step: find-sequences, source: shot.usda, sequence: joy.sequence.usda, by: label, label: joy,
+     out: shot.matches.usda}
+  - {step: warp, performance: beast.shot.usda, matches: shot.matches.usda, out: warped.usda}
+"""
+
+
+def test_a_job_of_all_steps_runs_once_and_then_is_up_to_date(stall: Stall, capsys) -> None:
+    Path("x.job.yaml").write_text(JOB, encoding="utf-8")
+    assert usdface("run", "x.job.yaml") == 0
+    assert len(read_control_clip(Path("warped.usda")).clip.controls) == FRAMES
+    capsys.readouterr()
+    assert usdface("check", "x.job.yaml", "--json") == 0
+    states = [each["state"] for each in json.loads(capsys.readouterr().out)]
+    assert len(states) == 6
+    assert len(set(states)) == 1, states
+    first = Path("warped.usda").stat().st_mtime_ns
+    assert usdface("run", "x.job.yaml") == 0
+    assert Path("warped.usda").stat().st_mtime_ns == first
+
+
+Fault = Callable[[Stall], str]
+
+
+def longer_than_the_take(stall: Stall) -> str:
+    sequence_and_matches(stall)
+    write_human_performance(stall / "brief.usda", stall.human, stall.weights[:20], first=1)
+    return "find-sequences brief.usda --sequence joy.sequence.usda --out new.usda"
+
+
+def target_longer_than_the_performance(stall: Stall) -> str:
+    sequence_and_matches(stall, target_frames=FRAMES + 1)
+    return "warp beast.shot.usda --matches shot.matches.usda --out new.usda"
+
+
+def past_the_end(stall: Stall) -> str:
+    sequence_and_matches(stall, target_frames=FRAMES - 10)
+    return "warp beast.shot.usda --matches shot.matches.usda --out new.usda"
+
+
+def overlapping(stall: Stall) -> str:
+    sequence_and_matches(stall)
+    layer = Sdf.Layer.FindOrOpen("shot.matches.usda")
+    Sdf.CopySpec(layer, "/Matches/match_001", layer, "/Matches/mine")
+    first = layer.GetAttributeAtPath("/Matches/mine.face:match:firstFrame")
+    first.default = first.default + 30
+    layer.Save()
+    return "warp beast.shot.usda --matches shot.matches.usda --out new.usda"
+
+
+def all_deactivated(stall: Stall) -> str:
+    sequence_and_matches(stall)
+    layer = Sdf.Layer.FindOrOpen("shot.matches.usda")
+    for prim in layer.GetPrimAtPath("/Matches").nameChildren:
+        prim.active = False
+    layer.Save()
+    return "warp beast.shot.usda --matches shot.matches.usda --out new.usda"
+
+
+def another_character(stall: Stall) -> str:
+    sequence_and_matches(stall)
+    return "warp shot.usda --matches shot.matches.usda --out new.usda"
+
+
+def standing_still(stall: Stall) -> str:
+    write_human_performance(stall / "still.usda", stall.human, np.ones((30, 3)), first=1)
+    return "make-sequence --source still.usda --target beast.shot.usda --label x --out new.usda"
+
+
+def beyond_the_source(stall: Stall) -> str:
+    return (
+        "make-sequence --source shot.usda --source-frames 250-400 --target beast.shot.usda "
+        "--label x --out new.usda"
+    )
+
+
+def unknown_label(stall: Stall) -> str:
+    sequence_and_matches(stall)
+    return "find-sequences shot.usda --sequence joy.sequence.usda --label grief --out new.usda"
+
+
+def no_label(stall: Stall) -> str:
+    sequence_and_matches(stall)
+    return "find-sequences shot.usda --sequence joy.sequence.usda --by label --out new.usda"
+
+
+def lonely_threshold(stall: Stall) -> str:
+    sequence_and_matches(stall)
+    return "find-sequences shot.usda --sequence joy.sequence.usda --threshold 0.1 --out new.usda"
+
+
+def unmatched_targets(stall: Stall) -> str:
+    return "retarget shot.usda --retargeting x.retarget.usdc --out new.usda --out other.usda"
+
+
+def alpha_without_hybrid(stall: Stall) -> str:
+    Path("alpha.csv").write_text("frame,alpha\n1,0.5\n")
+    return "retarget shot.usda --retargeting x.retarget.usdc --out new.usda --alpha alpha.csv"
+
+
+def alpha_out_of_range(stall: Stall) -> str:
+    assert usdface("train-retarget", "x.pairs.usda", "--out", "h.usda", "--method", "hybrid") == 0
+    Path("alpha.csv").write_text("frame,alpha\n1,0.5\n9,1.5\n")
+    return "retarget shot.usda --retargeting h.usda --out new.usda --alpha alpha.csv"
+
+
+def alpha_without_numbers(stall: Stall) -> str:
+    assert usdface("train-retarget", "x.pairs.usda", "--out", "h.usda", "--method", "hybrid") == 0
+    Path("alpha.csv").write_text("time,value\n1,0.5\n")
+    return "retarget shot.usda --retargeting h.usda --out new.usda --alpha alpha.csv"
+
+
+def mapping_of_markers(stall: Stall) -> str:
+    return "retarget shot.usda --retargeting x.pairs.usda --out new.usda"
+
+
+def rig_gone(stall: Stall) -> str:
+    (stall / "beast.usda").rename(stall / "moved.usda")
+    return "retarget shot.usda --retargeting x.retarget.usdc --out new.usda"
+
+
+def another_source(stall: Stall) -> str:
+    layer = Sdf.Layer.FindOrOpen("shot.weights.usdc")
+    names = layer.GetAttributeAtPath("/Human/FaceSolve.blendShapes")
+    names.default = ["a", "b", "c"]
+    layer.Save()
+    return "retarget shot.usda --retargeting x.retarget.usdc --out new.usda"
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        (longer_than_the_take, "is 41 frames long, and brief.usda has 20"),
+        (target_longer_than_the_performance, "201 frames are more than all of beast.shot.usda"),
+        (past_the_end, "would take frames 150-339, and beast.shot.usda has 101-300"),
+        (overlapping, "joy at 150-210 and joy at 180-240 overlap"),
+        (all_deactivated, "holds no active match"),
+        (another_character, "3 of its joints are not in shot.usda"),
+        (standing_still, "stand still"),
+        (beyond_the_source, "frames 250-400 are not all there; it has 101-300"),
+        (unknown_label, "no sequence is labelled 'grief'; there are joy"),
+        (no_label, "needs --label"),
+        (lonely_threshold, "--by threshold and --threshold go together"),
+        (unmatched_targets, "1 retargetings, 2 outputs and 0 rigs"),
+        (alpha_without_hybrid, "train with --method hybrid"),
+        (alpha_out_of_range, "frame 9: alpha is 1.5"),
+        (alpha_without_numbers, "line 2: needs numbers in the columns"),
+        (mapping_of_markers, "not a retargeting"),
+        (rig_gone, "is not there; name it with --rig"),
+        (another_source, "none of its 3 shapes"),
+    ],
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+def test_what_users_get_wrong_is_named_and_nothing_is_written(
+    performed: Stall, fault: Fault, message: str, capsys
+) -> None:
+    line = fault(performed)
+    capsys.readouterr()
+    assert usdface(*line.split()) == 2
+    assert message in capsys.readouterr().err
+    assert not list(performed.folder.glob("new*"))
+
+
+def test_a_stretch_of_a_performance_keeps_the_timecode_of_its_first_frame(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    whole = read_source_motion(path)
+    assert whole.timecode_start == "01:00:00:00"
+    assert read_source_motion(path, (whole.first_frame, 50)).timecode_start == "01:00:00:00"
+    assert read_source_motion(path, (121, 240)).timecode_start == "01:00:01:00"
+    assert read_source_motion(path, (125, 240)).timecode_start == "01:00:01:01"

@@ -1,0 +1,262 @@
+"""Figures of a performance: right, readable by people and scripts, and able to stop a job."""
+
+import csv
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.steps.small_shot import FRAMES, Shot
+from usdface.cli import main
+from usdface.core.errors import CheckFailedError, InputError
+from usdface.media.picture.image import read_image_metadata
+from usdface.runner.execute import execute
+from usdface.runner.job import check_job, run_job
+from usdface.specs.reading import read_job
+from usdface.specs.review import EvaluateSpec
+from usdface.steps.inputs.weight_tables import read_weight_table
+from usdface.usdio.performance.write import read_performance, writing_performance
+from usdface.usdio.rig.read import read_rig
+
+
+def spec_of(shot: Shot, **changes: object) -> EvaluateSpec:
+    given: dict[str, object] = {
+        "performance": shot / "shot.hero.usda",
+        "against": shot / "keys.csv",
+    }
+    return EvaluateSpec(**(given | changes))  # type: ignore[arg-type]
+
+
+def told(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    captured = capsys.readouterr()
+    return int(stopped.value.code or 0), captured.out, captured.err
+
+
+def test_the_figures_are_those_of_the_shared_ruler(shared_data: Path, tmp_path: Path) -> None:
+    source, ruler_file = shared_data / "crosstake", shared_data.parent / "tools" / "score.py"
+    if not (source.is_dir() and ruler_file.is_file()):
+        pytest.skip("the shared data lack crosstake or its ruler")
+    found = importlib.util.spec_from_file_location("score", ruler_file)
+    assert found is not None
+    assert found.loader is not None
+    ruler = importlib.util.module_from_spec(found)
+    found.loader.exec_module(ruler)
+    truth = np.load(source / "truth.npz")
+    shapes = tuple(map(str, truth["shapes"]))
+    weights = truth["weights"][:600].astype(np.float64)
+    noise = np.random.default_rng(0).normal(0, 0.05, weights.shape)
+    rig_file = shared_data / "rigs" / "facecap_head.usdc"
+    with writing_performance(
+        tmp_path / "p.usda",
+        read_rig(rig_file),
+        shape_names=shapes[::-1],
+        rate=60,
+        first_frame=101,
+        last_frame=700,
+    ) as writer:
+        writer.append((weights + noise)[:, ::-1])
+    with (tmp_path / "truth.csv").open("w", newline="", encoding="utf-8") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(["frame", *shapes])
+        rows.writerows([101 + i, *map(repr, map(float, row))] for i, row in enumerate(weights))
+    figures = execute(
+        EvaluateSpec(performance=tmp_path / "p.usda", against=tmp_path / "truth.csv")
+    ).figures
+    written = read_performance(tmp_path / "p.usda").weights.values[:, ::-1].astype(float)
+    observable = np.array([not name.lower().startswith("eyelook") for name in shapes])
+    expected = ruler.metrics(
+        written, weights, shapes, ruler.rig_shapes(str(rig_file)), 60.0, observable
+    )
+    for name, value in expected.items():
+        assert figures[name] == pytest.approx(value, abs=1e-9), name
+
+
+def test_the_table_goes_by_region_and_by_shape(finished_shot: Shot) -> None:
+    report = execute(spec_of(finished_shot))
+    first = [line.split()[0] for line in report.table if line]
+    for part in ("region", "face", "brows", "lids", "cheeks", "mouth", "jaw", "lips:", "blinks"):
+        assert part in first
+    assert report.failures == ()
+    regions = report.figures["regions"]
+    assert isinstance(regions, list)
+    assert [each["region"] for each in regions] == [
+        "brows",
+        "lids",
+        "cheeks and nose",
+        "mouth",
+        "jaw",
+    ]
+    assert json.loads(json.dumps(report.figures, allow_nan=False)) == report.figures
+
+
+def test_a_performance_against_itself_is_without_error(finished_shot: Shot) -> None:
+    figures = execute(spec_of(finished_shot, against=finished_shot / "shot.hero.usda")).figures
+    assert figures["vertex_max_mm"] == 0.0
+    assert figures["weight_rmse"] == 0.0
+    assert figures["jitter"] == 1.0
+
+
+def test_frames_limit_what_is_measured(finished_shot: Shot) -> None:
+    figures = execute(spec_of(finished_shot, frames="100-199")).figures
+    assert figures["frames"] == {"count": 100, "first": 100, "last": 199}
+    worst = figures["worst_frames"]
+    assert isinstance(worst, list)
+    assert all(100 <= frame <= 199 for frame in worst)
+
+
+def test_a_truth_at_a_few_frames_is_enough(shot: Shot) -> None:
+    table = read_weight_table(shot / "keys.csv")
+    rows = table.weights[9:FRAMES:40]
+    data = [
+        {"frame": 10 + 40 * i} | dict(zip(table.names, row, strict=True))
+        for i, row in enumerate(rows.tolist())
+    ]
+    (shot / "few.json").write_text(json.dumps(data))
+    report = execute(spec_of(shot, against=shot / "few.json", out=(shot / "few.png",)))
+    assert report.figures["jitter"] is None  # no four frames follow each other
+    frames = report.figures["frames"]
+    assert isinstance(frames, dict)
+    assert frames["count"] == len(rows)
+
+
+def test_shapes_that_markers_cannot_show_are_named(finished_shot: Shot) -> None:
+    usual, more = (
+        execute(spec_of(finished_shot, **changes)).figures
+        for changes in ({}, {"unobservable": ("eyelook*", "tongueOut", "nothing*")})
+    )
+    assert isinstance(usual["unobservable"], list)
+    assert all(name.startswith("eyeLook") for name in usual["unobservable"])
+    assert isinstance(more["unobservable"], list)
+    assert set(more["unobservable"]) == {*usual["unobservable"], "tongueOut"}
+    report = execute(spec_of(finished_shot, unobservable=("nothing*",)))
+    assert "--unobservable nothing* names no shape of the rig" in report.notes
+
+
+def test_shapes_of_one_side_count_as_0_on_the_other_and_are_told(shot: Shot) -> None:
+    lines = ["frame,jawOpen,grin", *(f"{frame},0.5,0" for frame in range(1, FRAMES + 1))]
+    (shot / "jaw.csv").write_text("\n".join(lines))
+    notes = execute(spec_of(shot, against=shot / "jaw.csv")).notes
+    assert any("left out 1 shape of" in note and "grin" in note for note in notes)
+    assert any("jaw.csv lacks" in note and "taken as 0" in note for note in notes)
+
+
+def test_json_and_picture_say_where_they_come_from(shot: Shot) -> None:
+    outputs = (shot / "error.json", shot / "error.png")
+    report = execute(spec_of(shot, out=outputs))
+    assert report.outputs == outputs
+    data = json.loads(outputs[0].read_text(encoding="utf-8"))
+    assert data["vertex_rms_mm"] == report.figures["vertex_rms_mm"]
+    assert data["provenance"]["step"] == "evaluate"
+    assert read_image_metadata(outputs[1])["step"] == "evaluate"
+    with pytest.raises(InputError, match="newer than what it is made from"):
+        execute(spec_of(shot, out=outputs))
+    outputs[0].write_text("{}")
+    with pytest.raises(InputError, match="not written by usdface"):
+        execute(spec_of(shot, out=outputs[:1]))
+
+
+@pytest.mark.parametrize(
+    ("limit", "value", "words"),
+    [
+        ("max_vertex_rms", 0.01, "error of the surface is"),
+        ("max_vertex_p95", 0.01, "95th percentile"),
+        ("max_weight_rmse", 0.001, "error of the weights is"),
+        ("max_lip_error", 0.001, "distance of the lips"),
+        ("max_blink_bias", 0.0, "blinks at their peaks"),
+        ("max_jitter", 0.1, "jitter is"),
+    ],
+)
+def test_each_limit_fails_where_it_is_passed_and_not_before(
+    finished_shot: Shot, limit: str, value: float, words: str
+) -> None:
+    report = execute(spec_of(finished_shot, **{limit: value}))
+    assert len(report.failures) == 1
+    assert words in report.failures[0]
+    assert execute(spec_of(finished_shot, **{limit: 1e3})).failures == ()
+
+
+def test_the_command_fails_with_1_and_still_tells_the_figures(shot: Shot, capsys) -> None:
+    arguments = ["evaluate", str(shot / "shot.hero.usda"), "--against", str(shot / "keys.csv")]
+    code, out, err = told([*arguments, "--max-vertex-rms", "0.01", "--json"], capsys)
+    assert code == 1
+    assert "error of the surface is" in err
+    assert json.loads(out)["failures"]
+    code, out, err = told([*arguments, "--max-vertex-rms", "100"], capsys)
+    assert (code, err) == (0, "")
+    assert "RMS mm" in out
+
+
+def test_a_job_stops_at_a_limit_each_time_and_goes_on_once_it_is_kept(shot: Shot) -> None:
+    text = (
+        "job: guard\nsteps:\n  - {step: evaluate, performance: shot.hero.usda, against: keys.csv, "
+        "out: error.json, max_vertex_rms: 0.01}\n"
+    )
+    (shot / "guard.yaml").write_text(text)
+    for _ in range(2):
+        with pytest.raises(CheckFailedError, match=r"step 1 of 1, evaluate: .*surface is"):
+            run_job(read_job(shot / "guard.yaml"))
+    (shot / "guard.yaml").write_text(text.replace("0.01", "100"))
+    run_job(read_job(shot / "guard.yaml"))
+    assert check_job(read_job(shot / "guard.yaml"))[0].state == "done"
+
+
+def test_in_a_job_an_evaluation_that_writes_nothing_is_never_done(shot: Shot) -> None:
+    text = "{step: evaluate, performance: shot.hero.usda, against: keys.csv}"
+    (shot / "look.yaml").write_text(text)
+    run_job(read_job(shot / "look.yaml"))
+    assert check_job(read_job(shot / "look.yaml"))[0].state == "missing"
+
+
+def other_frames(shot: Shot) -> list[str]:
+    (shot / "late.csv").write_text("frame,jawOpen\n9001,0.5\n")
+    return ["--against", "late.csv"]
+
+
+def no_shape_in_common(shot: Shot) -> list[str]:
+    (shot / "names.csv").write_text("frame,grin\n1,0.5\n")
+    return ["--against", "names.csv"]
+
+
+def frames_outside(shot: Shot) -> list[str]:
+    return ["--against", "keys.csv", "--frames", "900-999"]
+
+
+def another_rate(shot: Shot) -> list[str]:
+    performance = read_performance(shot / "shot.hero.usda")
+    with writing_performance(
+        shot / "slow.usda",
+        read_rig(shot / "hero.usdc"),
+        shape_names=performance.weights.names,
+        rate=24,
+        first_frame=1,
+        last_frame=5,
+    ) as writer:
+        writer.append(performance.weights.values[:5].astype(float))
+    return ["--against", "slow.usda"]
+
+
+def wrong_ending(shot: Shot) -> list[str]:
+    return ["--against", "keys.csv", "--out", "error.txt"]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (other_frames, ("late.csv", "9001", "share no frame")),
+        (no_shape_in_common, ("names.csv", "grin", "rename")),
+        (frames_outside, ("share no frame in 900-999",)),
+        (another_rate, ("slow.usda", "24 frames per second", "one rate")),
+        (wrong_ending, ("error.txt", ".json", ".png")),
+    ],
+)
+def test_bad_input_is_told(shot: Shot, spoil, words, monkeypatch, capsys) -> None:
+    arguments = spoil(shot)
+    monkeypatch.chdir(shot.folder)
+    code, _, err = told(["evaluate", "shot.hero.usda", *arguments], capsys)
+    assert code == 2
+    for word in words:
+        assert word in err

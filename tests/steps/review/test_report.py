@@ -1,0 +1,292 @@
+"""The report in a real browser: opened from disk, it shows exactly what was solved."""
+
+import html
+import json
+import re
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pxr import Sdf
+
+from tests.browser import chromium
+from tests.media.bar_code import read_number, write_numbered
+from tests.steps.small_shot import Shot
+from usdface.core.errors import InputError
+from usdface.media.page.report_page import (
+    WEIGHT_STEPS,
+    Listing,
+    ReviewPage,
+    WeightCurves,
+    build_page,
+)
+from usdface.runner.execute import execute
+from usdface.specs.review import EvaluateSpec, ReportSpec
+from usdface.steps.review import report as review_page
+from usdface.usdio.performance.read import PerformanceReader
+
+EARLY_PICTURES = 5
+"""By how many pictures the camera of these tests started before the capture."""
+
+
+def spec_of(shot: Shot, **options: object) -> ReportSpec:
+    given = {"height": 180, "baseline": False} | options
+    return ReportSpec(
+        performance=shot / "shot.hero.usda",
+        take=shot / "shot.clean.take.usda",
+        out=shot / "shot.html",
+        **given,
+    )
+
+
+def give_video(shot: Shot, *, pictures: int = 120) -> None:
+    """Give the take a movie whose pictures carry their numbers, begun a little before it."""
+    rate = Fraction(25)
+    write_numbered(shot / "camera.mp4", list(range(pictures)), base=1 / rate, rate=rate)
+    layer = Sdf.Layer.FindOrOpen(str(shot / "shot.clean.take.usda"))
+    prim = layer.GetPrimAtPath("/Take")
+    video = Sdf.AttributeSpec(prim, "face:video:file", Sdf.ValueTypeNames.Asset)
+    video.default = Sdf.AssetPath("./camera.mp4")
+    Sdf.AttributeSpec(prim, "face:video:rate", Sdf.ValueTypeNames.Double).default = 25.0
+    offset = Sdf.AttributeSpec(prim, "face:video:offset", Sdf.ValueTypeNames.Double)
+    offset.default = -EARLY_PICTURES / 25
+    layer.Save()
+
+
+def open_page(browser: Any, file: Path, faults: list[str]) -> Any:
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.on("console", lambda said: faults.append(said.text) if said.type == "error" else None)
+    page.on("request", lambda asked: check_request(asked.url, faults))
+    page.goto(file.as_uri())
+    page.wait_for_selector("body[data-ready=true]", timeout=60_000)
+    return page
+
+
+def check_request(url: str, faults: list[str]) -> None:
+    if not url.startswith(("file:", "blob:", "data:")):
+        faults.append(f"asked for {url}")
+
+
+def test_each_of_fifty_seeks_shows_the_pictures_and_weights_of_its_frame(shot: Shot) -> None:
+    give_video(shot)
+    execute(spec_of(shot))
+    reader = PerformanceReader(shot / "shot.hero.usda")
+    weights = reader.edited()
+    faults: list[str] = []
+    with chromium() as browser:
+        page = open_page(browser, shot / "shot.html", faults)
+        names = page.evaluate("report.viewer.face.names")
+        order = [reader.names.index(name) for name in names]
+        rng = np.random.default_rng(0)
+        for picture in rng.permutation(100)[:50].tolist():
+            got = page.evaluate(SEEK, picture)
+            assert read_number(np.array(got["pixels"]).reshape(1, -1, 4)[[0] * 41]) == (
+                picture + EARLY_PICTURES
+            )
+            frame = round(picture / 25 * 120 + 1e-9)
+            assert got["frame"] == reader.first_frame + frame
+            np.testing.assert_allclose(
+                got["weights"], weights[frame][order], atol=0.51 / WEIGHT_STEPS
+            )
+        page.close()
+    assert not faults
+
+
+SEEK = """async (picture) => {
+  report.show(picture);
+  const video = document.getElementById("video");
+  const deadline = performance.now() + 20000;
+  while (report.seeking || video.seeking || video.readyState < 2) {
+    if (performance.now() > deadline) throw new Error("the video does not seek");
+    await new Promise((next) => setTimeout(next, 5));
+  }
+  const canvas = document.createElement("canvas");
+  canvas.width = video.videoWidth; canvas.height = video.videoHeight;
+  const context = canvas.getContext("2d");
+  context.drawImage(video, 0, 0);
+  const pixels = [...context.getImageData(0, 40, canvas.width, 1).data];
+  const { frames } = JSON.parse(document.getElementById("data").textContent);
+  return { pixels, frame: frames[picture], weights: [...report.weights] };
+}"""
+
+
+def test_the_page_is_worked_by_keyboard_and_by_address(shot: Shot) -> None:
+    report = execute(spec_of(shot, against=shot / "keys.csv", baseline=True, worst=4))
+    assert len(report.figures["worst_frames"]) == 4
+    faults: list[str] = []
+    with chromium() as browser:
+        page = open_page(browser, shot / "shot.html", faults)
+        frame = "Number(document.getElementById('clock').textContent.split(/\\s+/).at(-1))"
+        page.evaluate("location.hash = '#101'")
+        assert polled(page, frame) == 101
+        page.keyboard.press("ArrowRight")
+        assert polled(page, frame) == 103  # shown at 60 per second
+        page.keyboard.press("End")
+        assert polled(page, frame) == 479
+        page.click("#worst a >> nth=0")
+        assert polled(page, frame) == report.figures["worst_frames"][0]
+        page.keyboard.press(" ")
+        assert (
+            page.evaluate("document.getElementById('play').getAttribute('aria-label')") == "Pause"
+        )
+        page.keyboard.press(" ")
+        page.locator("#scrub").focus()
+        page.keyboard.press(" ")
+        assert (
+            page.evaluate("document.getElementById('play').getAttribute('aria-label')") == "Pause"
+        )
+        page.keyboard.press(" ")
+        page.fill("#find", "jawopen")
+        rows = page.locator(".curve:visible")
+        assert rows.count() == 1
+        page.wait_for_selector(".curve:visible path.s0")
+        assert page.locator("h2", has_text="Measured against the truth").count() == 1
+        assert page.locator("button:not([aria-label])").count() == 0
+        page.emulate_media(media="print")
+        page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        filled = page.evaluate(
+            "(() => { const s = document.getElementById('still'); "
+            "const d = s.getContext('2d').getImageData(0, 0, s.width, s.height).data; "
+            "return new Set(d).size; })()"
+        )
+        assert filled > 50, "the face is not on paper"
+        page.close()
+    assert not faults
+
+
+@pytest.mark.parametrize("width", [390, 480, 760])
+def test_nothing_of_the_page_is_outside_a_narrow_window(shot: Shot, width: int) -> None:
+    execute(spec_of(shot, against=shot / "keys.csv", baseline=True))
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": width, "height": 900})
+        page.goto((shot / "shot.html").as_uri())
+        page.wait_for_selector("body[data-ready=true]", timeout=60_000)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        scrub = page.evaluate("document.getElementById('scrub').getBoundingClientRect().width")
+        page.close()
+    assert scrub > width / 2
+
+
+def test_the_page_and_evaluate_tell_one_error_of_the_weights(shot: Shot) -> None:
+    """Both leave out what markers cannot show: the eyes' directions."""
+    execute(spec_of(shot, against=shot / "keys.csv"))
+    told = EvaluateSpec(
+        performance=shot / "shot.hero.usda", against=shot / "keys.csv", out=(shot / "e.json",)
+    )
+    error = execute(told).figures["weight_rmse"]
+    assert f"<td>{error:.3f}</td>" in (shot / "shot.html").read_text(encoding="utf-8")
+
+
+def test_the_page_prints_without_one_thing_over_another(shot: Shot) -> None:
+    execute(spec_of(shot, worst=12))
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": 794, "height": 1123})  # A4 at 96 dots an inch
+        page.goto((shot / "shot.html").as_uri())
+        page.wait_for_selector("body[data-ready=true]", timeout=60_000)
+        page.emulate_media(media="print")
+        page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        boxes = page.evaluate(BOXES)
+        links = page.evaluate(
+            "(() => { const box = document.querySelector('aside').getBoundingClientRect();"
+            "return [...document.querySelectorAll('#worst a')].filter((a) => "
+            "a.getBoundingClientRect().bottom <= box.bottom + 1).length; })()"
+        )
+        page.close()
+    for (_, bottom), (top, _) in pairwise(boxes):
+        assert bottom <= top + 1
+    assert links == 12, "frames to look at first are cut off"
+
+
+BOXES = """[...document.querySelectorAll("main > *")].map((part) => {
+  const inner = [part, ...part.querySelectorAll("figure, aside, .strip, .curve, table, img")];
+  const boxes = inner.map((each) => each.getBoundingClientRect()).filter((box) => box.height);
+  return [Math.min(...boxes.map((b) => b.top)), Math.max(...boxes.map((b) => b.bottom))];
+}).filter(([top, bottom]) => Number.isFinite(top))"""
+
+
+def test_the_page_tells_what_the_mappings_references_cover(shot: Shot) -> None:
+    report = execute(spec_of(shot, worst=6))
+    text = (shot / "shot.html").read_text(encoding="utf-8")
+    data = json.loads(re.search(r'id="data">(.*?)</script>', text)[1])
+    strip = next(each for each in data["strips"] if each["name"] == "covered")
+    values = np.array(strip["values"])
+    assert ((values >= 0) & (values <= 1)).all()
+    assert "<h2>Covered by hero.references.usda</h2>" in text
+    table = text.split("<h2>Tune these next</h2>")[1].split("</table>")[0]
+    frames = [int(frame) for frame in re.findall(r'href="#(\d+)"', table)]
+    # What to tune next is covered worse than most.
+    shown = np.array(data["frames"])
+    at = [int(np.abs(shown - frame).argmin()) for frame in frames]
+    assert values[at].mean() < np.median(values)
+    assert 'alt="Coverage by hero.references.usda"' in text
+    assert "<h2>Markers that were repaired</h2>" in text
+    assert len(report.figures["worst_frames"]) == 6
+    doubts = [w["reason"] for w in data["worst"] if w["reason"].startswith("confidence")]
+    assert all(float(reason.split()[1]) < review_page.SURE for reason in doubts)
+
+
+def test_references_that_are_gone_leave_the_coverage_out(shot: Shot) -> None:
+    (shot / "hero.references.usda").rename(shot / "elsewhere.usda")
+    report = execute(spec_of(shot))
+    assert not any("coverage" in note for note in report.notes)
+    assert "Covered by" not in (shot / "shot.html").read_text(encoding="utf-8")
+    with pytest.raises(InputError, match="no such file"):
+        execute(spec_of(shot, references=shot / "hero.references.usda"), overwrite=True)
+
+
+def polled(page: Any, expression: str) -> int:
+    page.wait_for_timeout(150)
+    return int(page.evaluate(expression))
+
+
+def test_nothing_in_the_data_becomes_part_of_the_page(shot: Shot) -> None:
+    from usdface.media.page.face_payload import pack_face
+    from usdface.usdio.rig.read import read_rig
+
+    evil = "</script><img src=x onerror=alert(1)> @DATA@"
+    made = build_page(
+        ReviewPage(
+            title=evil,
+            facts=(evil,),
+            rate=25.0,
+            frames=[1],
+            timecodes=[evil],
+            shapes=(evil,),
+            regions=(evil,),
+            curves=(WeightCurves("solve", np.zeros((1, 1))),),
+            strips=(),
+            worst=((0, evil),),
+            listings=(Listing(evil, (evil,), ((evil,),), (1,)),),
+            face=pack_face(read_rig(shot / "hero.usdc")),
+            origin={"usdface": evil, "spec": '">' + evil, "inputs": {evil: evil}},
+        )
+    )
+    assert "<img src=x" not in made
+    assert html.escape(evil) in made
+    assert made.count("</script>") == len(re.findall(r"<script", made))
+    assert "default-src 'none'" in made
+    assert "unsafe" not in made.split("<style>")[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"frames": "9000-9100"}, "shares no frame"),
+        ({"sheet": "hero.usdc"}, r"browsers show \.jpg"),
+    ],
+)
+def test_what_cannot_be_shown_is_said(shot: Shot, change: dict[str, str], message: str) -> None:
+    given = {key: shot / value if key == "sheet" else value for key, value in change.items()}
+    with pytest.raises(InputError, match=message):
+        execute(spec_of(shot, **given))
+    assert not (shot / "shot.html").exists()
+
+
+def test_a_performance_too_long_for_a_page_is_refused(shot: Shot, monkeypatch) -> None:
+    monkeypatch.setattr(review_page, "LONGEST_PICTURES", 100)
+    with pytest.raises(InputError, match=r"240 pictures are too many.*--frames"):
+        execute(spec_of(shot))

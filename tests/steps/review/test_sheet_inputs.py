@@ -1,0 +1,103 @@
+"""Videos that end early or are damaged, and sheets of more tiles than memory would hold."""
+
+import weakref
+
+import numpy as np
+import pytest
+
+from tests.steps.review.test_report import give_video
+from tests.steps.small_shot import Shot
+from usdface.core.errors import InputError
+from usdface.media.film.video import VideoReader
+from usdface.media.picture.sheet import Tile
+from usdface.runner.execute import execute
+from usdface.specs.edits import EditSpec
+from usdface.specs.performance import MapSpec
+from usdface.specs.review import SheetSpec
+from usdface.steps.review.pictures import ShotPictures, open_shot
+
+
+def pictures_of(shot: Shot) -> ShotPictures:
+    opened = open_shot(shot / "shot.hero.usda", shot / "shot.clean.take.usda")
+    return ShotPictures(opened, height=64, quality="draft")
+
+
+def test_tiles_without_video_say_why(shot: Shot, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pictures_of(shot) as drawn:
+        assert drawn.video(1) == Tile(None, caption="no video")
+    give_video(shot, pictures=40)  # 1.6 s, begun 0.2 s before a take of 4 s
+    with pictures_of(shot) as drawn:
+        assert drawn.video(120).pixels is not None
+        assert drawn.video(300) == Tile(None, caption="no video here")
+
+        def damaged(self: VideoReader, seconds: float) -> np.ndarray:
+            raise InputError("camera.mp4: cannot be decoded here")
+
+        monkeypatch.setattr(VideoReader, "frame_at", damaged)
+        assert drawn.video(120) == Tile(None, caption="cannot be decoded")
+
+
+def test_ten_thousand_tiles_are_drawn_page_by_page(shot: Shot, monkeypatch) -> None:
+    made: list[weakref.ref[np.ndarray]] = []
+    most = 0
+
+    def draw(self: ShotPictures, row: int, weights: np.ndarray) -> np.ndarray:
+        nonlocal most
+        picture = np.full((64, 64, 3), 90, np.uint8)
+        made.append(weakref.ref(picture))
+        most = max(most, sum(each() is not None for each in made[-200:]))
+        return picture
+
+    monkeypatch.setattr(ShotPictures, "face", draw)
+    monkeypatch.setattr(ShotPictures, "markers", lambda self, row, **_: np.zeros((64, 64, 3), "u1"))
+    report = execute(
+        SheetSpec(
+            performance=shot / "shot.hero.usda",
+            take=shot / "shot.clean.take.usda",
+            out=shot / "all.jpg",
+            layout="worst",
+            rows=10_000,
+            page_rows=50,
+            tile=64,
+            baseline=False,
+        )
+    )
+    # As many rows as the shot has frames, whatever is asked for.
+    assert len(report.figures["frames"]) == len(made) == 480
+    assert len(report.outputs) == 10
+    assert most <= 101, "a page and the one before it, not all of them"
+
+
+def test_performances_of_one_name_have_an_error_each(shot: Shot) -> None:
+    (shot / "b").mkdir()
+    for name in ("shot.hero.usda", "b/shot.hero.usda"):
+        execute(
+            MapSpec(
+                take=shot / "shot.clean.take.usda",
+                mapping=shot / "hero.mapping.usdc",
+                rig=shot / "hero.usdc",
+                out=shot / name,
+            ),
+            overwrite=True,
+        )
+    other = shot / "b/shot.hero.usda"
+    execute(EditSpec(performance=other, shape=("jawOpen",), add=0.3))
+    report = execute(
+        SheetSpec(
+            performance=shot / "shot.hero.usda",
+            take=shot / "shot.clean.take.usda",
+            also=(other, shot / "shot.hero.usda", shot / "shot.hero.usda"),
+            out=shot / "all.jpg",
+            rows=1,
+            tile=64,
+            quality="draft",
+            baseline=False,
+        )
+    )
+    means = report.figures["mean_error_mm"]
+    folder = shot.folder.name
+    same = ("usdface", f"{folder}/shot.hero", f"{folder}/shot.hero (2)")
+    assert list(means) == ["usdface", "b/shot.hero", *same[1:]]
+    assert means["b/shot.hero"] > 2 * means["usdface"]
+    assert {means[name] for name in same} == {means["usdface"]}
+    assert f"b/shot.hero {means['b/shot.hero']:.2f} mm" in report.summary

@@ -1,0 +1,204 @@
+"""Every layout of a sheet, on a shot that has been solved."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio  # noqa: N813
+import pytest
+from pxr import Gf, Usd, UsdGeom
+
+from tests.steps.small_shot import Shot
+from usdface.core.errors import InputError
+from usdface.media.picture.color import bytes_from_linear
+from usdface.media.picture.display_view import display_view
+from usdface.media.picture.image import read_image_metadata
+from usdface.media.picture.sheet import Tile
+from usdface.runner.execute import execute
+from usdface.specs.review import SheetSpec
+from usdface.speech.visemes import viseme_label, viseme_of
+from usdface.steps.review import sheet as sheet_step
+
+
+def spec_of(shot: Shot, **options: object) -> SheetSpec:
+    given = {"out": shot / "new.png", "tile": 64, "quality": "draft", "rows": 2} | options
+    return SheetSpec(
+        performance=shot / "shot.hero.usda", take=shot / "shot.clean.take.usda", **given
+    )
+
+
+def columns_of(shot: Shot, monkeypatch: pytest.MonkeyPatch, **options: object) -> tuple[str, ...]:
+    pages = []
+    compose = sheet_step.compose_sheet
+    monkeypatch.setattr(
+        sheet_step, "compose_sheet", lambda page: (pages.append(page), compose(page))[1]
+    )
+    execute(spec_of(shot, **options))
+    return pages[0].columns
+
+
+def test_a_comparison_shows_how_far_the_result_is_from_the_truth(shot, monkeypatch) -> None:
+    columns = columns_of(shot, monkeypatch, against=shot / "keys.csv")
+    assert columns == ("markers", "equation solving", "this performance", "away from truth")
+
+
+def test_worst_frames_come_with_their_reason(shot: Shot, monkeypatch) -> None:
+    report = execute(spec_of(shot, layout="worst", rows=3))
+    assert len(report.figures["frames"]) == 3
+    columns = columns_of(shot, monkeypatch, layout="worst", baseline=False, out=shot / "b.png")
+    assert columns == ("markers", "this performance")
+
+
+def test_a_strip_does_not_explain_lines_that_it_does_not_show(shot: Shot, monkeypatch) -> None:
+    pages = []
+    compose = sheet_step.compose_sheet
+    monkeypatch.setattr(
+        sheet_step, "compose_sheet", lambda page: (pages.append(page), compose(page))[1]
+    )
+    execute(spec_of(shot, layout="strip"))
+    execute(spec_of(shot, layout="worst", out=shot / "b.png"))
+    told = ["lines at markers" in " ".join(page.notes) for page in pages]
+    assert told == ["markers" in page.columns for page in pages] == [False, True]
+
+
+def second_performance(shot: Shot) -> Path:
+    for name in ("usda", "weights.usdc"):
+        shutil.copy(shot / f"shot.hero.{name}", shot / f"other.{name}")
+    text = (shot / "other.usda").read_text(encoding="utf-8")
+    (shot / "other.usda").write_text(text.replace("shot.hero.weights", "other.weights"))
+    return shot / "other.usda"
+
+
+def test_several_characters_stand_side_by_side(shot: Shot, monkeypatch) -> None:
+    also = (second_performance(shot),)
+    columns = columns_of(shot, monkeypatch, layout="characters", also=also)
+    assert columns == ("markers", "this performance", "other")
+
+
+def test_every_performance_of_a_face_is_judged_by_the_truth_and_another_face_says_how(
+    shot: Shot, monkeypatch
+) -> None:
+    given = {"also": (second_performance(shot),), "against": shot / "keys.csv", "rows": 1}
+    told = execute(spec_of(shot, layout="characters", **given))
+    means = told.figures["mean_error_mm"]
+    assert means["other"] == pytest.approx(means["usdface"])
+    assert "left by its markers" not in told.summary
+    monkeypatch.setattr(sheet_step, "_same_face", lambda *_: False)
+    told = execute(spec_of(shot, layout="characters", out=shot / "b.png", **given))
+    assert told.figures["mean_error_mm"]["other"] != pytest.approx(means["usdface"])
+    assert "other (left by its markers) " in told.summary
+
+
+def test_doubt_has_a_strip_of_its_own_scale(shot: Shot, monkeypatch) -> None:
+    pages = []
+    compose = sheet_step.compose_sheet
+    monkeypatch.setattr(
+        sheet_step, "compose_sheet", lambda page: (pages.append(page), compose(page))[1]
+    )
+    execute(spec_of(shot))
+    doubt = pages[0].curves[-1]
+    assert (doubt.label, doubt.high, doubt.unit) == ("doubt", 1.0, "")
+    assert ((doubt.values >= 0) & (doubt.values <= 1)).all()
+    assert pages[0].high == sheet_step.round_range(
+        np.concatenate([curve.values for curve in pages[0].curves[:-1]])
+    )
+
+
+def test_rows_that_do_not_fit_go_to_further_pages(shot: Shot) -> None:
+    report = execute(spec_of(shot, layout="strip", rows=5, page_rows=2))
+    assert [path.name for path in report.outputs] == ["new.png", "new.2.png", "new.3.png"]
+    for path in report.outputs:
+        assert read_image_metadata(path)["step"] == "sheet"
+        pixels = oiio.ImageBuf(str(path)).get_pixels(oiio.UINT8)
+        assert np.asarray(pixels).std() > 10
+
+
+def test_a_view_of_the_built_in_configuration_changes_light_as_it_says(monkeypatch) -> None:
+    monkeypatch.delenv("OCIO", raising=False)
+    ramp = np.linspace(0, 1, 48, dtype=np.float32).reshape(4, 4, 3)
+    plain = display_view("sRGB - Display/Un-tone-mapped")(ramp)
+    assert np.abs(plain.astype(int) - bytes_from_linear(ramp)).max() <= 1
+    toned = display_view("ACES 2.0 - SDR 100 nits (Rec.709)")(ramp)
+    assert np.abs(toned.astype(int) - plain).max() > 20
+
+
+def test_a_view_that_is_not_there_is_refused_by_name(monkeypatch, tmp_path) -> None:
+    monkeypatch.delenv("OCIO", raising=False)
+    with pytest.raises(InputError, match=r"no view 'nope'; it has 'ACES"):
+        display_view("nope")
+    with pytest.raises(InputError, match="no display 'TV'"):
+        display_view("TV/Raw")
+    monkeypatch.setenv("OCIO", str(tmp_path / "none.ocio"))
+    with pytest.raises(InputError, match=r"none\.ocio"):
+        display_view("Raw")
+
+
+def test_a_camera_of_the_shot_gives_the_picture_its_width_and_its_view(shot, monkeypatch) -> None:
+    stage = Usd.Stage.CreateNew(str(shot / "cut 1.usda"))
+    stage.GetRootLayer().subLayerPaths.append("./shot.hero.usda")
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    stage.SetTimeCodesPerSecond(120)
+    for name, focal in (("near", 60.0), ("far", 6.0), ("away", 60.0)):
+        camera = UsdGeom.Camera.Define(stage, f"/{name}")
+        camera.AddTranslateOp().Set(Gf.Vec3d(0, 3, 70))
+        camera.CreateFocalLengthAttr(focal)
+        camera.CreateHorizontalApertureAttr(36)
+        camera.CreateVerticalApertureAttr(24)
+        if name == "away":
+            camera.AddRotateYOp().Set(180)
+    stage.Save()
+    pages = []
+    compose = sheet_step.compose_sheet
+    monkeypatch.setattr(
+        sheet_step, "compose_sheet", lambda page: (pages.append(page), compose(page))[1]
+    )
+    notes = {}
+    for name in ("near", "far", "away"):
+        given = {"camera": f"/{name}", "camera_stage": shot / "cut 1.usda", "rows": 1}
+        report = execute(spec_of(shot, out=shot / f"{name}.png", baseline=False, **given))
+        notes[name] = report.notes
+    assert notes["near"] == ()
+    assert "% of the height" in notes["far"][0]
+    assert notes["away"] == ("/away does not see the face at frame 1",)
+    near, far = (page.rows[0].tiles[-1].pixels for page in pages[:2])
+    assert near.shape == far.shape == (64, 96, 3)
+    assert "camera /near" in pages[0].facts
+    wall = far[:, :20].astype(int)
+    assert np.ptp(wall, axis=1).max() < 12, "the far face does not reach the side"
+    assert near[20:44, 30:66].std() > 10
+    with pytest.raises(InputError, match=r"no prim </none>; its cameras are </near>, </far>"):
+        execute(spec_of(shot, camera="/none", camera_stage=shot / "cut 1.usda"), overwrite=True)
+
+
+def write_phones(path: Path, spans: list[tuple[float, float, str]]) -> Path:
+    rows = [{"start": a, "end": b, "label": label} for a, b, label in spans]
+    path.write_text(json.dumps({"phones": rows}), encoding="utf-8")
+    return path
+
+
+def test_rows_tell_what_is_said_where_phones_are_known(shot: Shot, monkeypatch) -> None:
+    pages = []
+    compose = sheet_step.compose_sheet
+    monkeypatch.setattr(
+        sheet_step, "compose_sheet", lambda page: (pages.append(page), compose(page))[1]
+    )
+    phones = write_phones(shot / "x.json", [(0.0, 1.0, "sil"), (1.0, 2.0, "M"), (2.0, 3.0, "AA1")])
+    execute(spec_of(shot, layout="strip", pick="even", rows=5, phones=phones, out=shot / "a.png"))
+    # frames 1, 121, 241, 360 and 480 at 120 per second
+    assert [row.said for row in pages[0].rows] == [
+        "silent",
+        "M  /b/ /p/ /m/",
+        "AA  " + viseme_label(viseme_of("aa") or ""),
+        "AA  " + viseme_label(viseme_of("aa") or ""),
+        "",
+    ]
+    assert "phone and viseme" in " ".join(pages[0].notes)
+    row = replace(pages[0].rows[1], tiles=(Tile(np.zeros((320, 560, 3), np.uint8)),))
+    wide = replace(pages[0], rows=(row,), tile_height=320)
+    mute = replace(wide, rows=(replace(row, said=""),))
+    assert np.any(compose(wide) != compose(mute)), "the label is drawn"
+    late = write_phones(shot / "y.json", [(0.0, 100.0, "M")])
+    with pytest.raises(InputError, match=r"lasts 100.0 s and take .* 4.0 s"):
+        execute(spec_of(shot, phones=late), overwrite=True)

@@ -1,0 +1,452 @@
+"""A scan without a rig: bound, moved, given shapes, and sent down the pipeline."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
+
+from tests.small_scan import (
+    FIRST,
+    FRAMES,
+    Scan,
+    landmarks,
+    small_scan,
+    small_scan_take,
+    write_scan,
+)
+from usdface.core.errors import InputError
+from usdface.media.picture.image import read_image_metadata
+from usdface.numerics.registration.marker_binding import MarkerBinding
+from usdface.runner.execute import execute
+from usdface.runner.job import check_job, run_job
+from usdface.runner.result import Report
+from usdface.specs.base import Spec
+from usdface.specs.reading import read_job
+from usdface.specs.references import SelectSpec
+from usdface.specs.surface import BindSpec, DeformSpec, MakeShapesSpec, corrected_path
+from usdface.usdio.performance.write import read_performance
+from usdface.usdio.rig.mesh import read_face_mesh
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.surface.binding import read_binding
+from usdface.usdio.take.write import write_take
+from usdface.usdio.validation import validate
+
+
+@pytest.fixture(scope="module")
+def scan() -> Scan:
+    return small_scan()
+
+
+@pytest.fixture(scope="module")
+def moved(tmp_path_factory: pytest.TempPathFactory, scan: Scan) -> Path:
+    """A folder with a take, a scan in metres with Z up, its binding and what moves; read only."""
+    made = tmp_path_factory.mktemp("scan")
+    write_take(made / "talk.take.usda", small_scan_take(scan))
+    write_scan(made / "scan.usdc", scan, z_up=True)
+    run(bind(made, scan))
+    run(deform(made))
+    return made
+
+
+@pytest.fixture
+def folder(moved: Path, tmp_path: Path) -> Path:
+    """A copy that a test may change."""
+    shutil.copytree(moved, tmp_path / "scan")
+    return tmp_path / "scan"
+
+
+def run(spec: Spec) -> Report:
+    return execute(spec, overwrite=True)
+
+
+def bind(folder: Path, scan: Scan, **more: object) -> BindSpec:
+    return BindSpec(
+        take=folder / "talk.take.usda",
+        mesh=folder / "scan.usdc",
+        out=folder / "scan.binding.usda",
+        landmarks=landmarks(scan),
+        **more,
+    )
+
+
+def deform(folder: Path, **more: object) -> DeformSpec:
+    given: dict[str, object] = {
+        "take": folder / "talk.take.usda",
+        "mesh": folder / "scan.usdc",
+        "binding": folder / "scan.binding.usda",
+        "out": folder / "talk.scan.usda",
+    }
+    return DeformSpec(**(given | more))
+
+
+def make_shapes(folder: Path, **more: object) -> MakeShapesSpec:
+    given: dict[str, object] = {
+        "take": folder / "talk.take.usda",
+        "mesh": folder / "scan.usdc",
+        "binding": folder / "scan.binding.usda",
+        "out": folder / "scan.rig.usda",
+    }
+    return MakeShapesSpec(**(given | more))
+
+
+def test_a_landmark_on_the_wrong_point_is_suspected(folder: Path, scan: Scan) -> None:
+    right = bind(folder, scan)
+    assert not any("wrong point" in note for note in run(right).notes)
+    name = right.landmarks[0].partition("=")[0]
+    wrong = (f"{name}={len(scan.points) - 1}", *right.landmarks[1:])
+    other = folder / "other.binding.usda"
+    report = run(right.model_copy(update={"landmarks": wrong, "out": other}))
+    assert any("wrong point" in note and wrong[0] in note for note in report.notes), report
+
+
+def points_at(path: Path, frame: float) -> np.ndarray:
+    """The moving mesh in millimetres, Y up, as any USD reader finds it."""
+    stage = Usd.Stage.Open(str(path))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Scan/head"))
+    local = np.array(mesh.GetPointsAttr().Get(frame), np.float64)
+    matrix = np.array(UsdGeom.XformCache(frame).GetLocalToWorldTransform(mesh.GetPrim()))
+    world = (local @ matrix[:3, :3] + matrix[3, :3]) * 1000
+    return np.stack([world[:, 0], world[:, 2], -world[:, 1]], axis=1)
+
+
+def open_frame() -> int:
+    return FIRST + FRAMES // 2
+
+
+def lips_apart(scan: Scan, points: np.ndarray) -> float:
+    return float(np.linalg.norm(points[scan.upper] - points[scan.lower], axis=1).mean())
+
+
+def test_markers_find_their_places_from_five_landmarks(folder: Path, scan: Scan) -> None:
+    binding = binding_of(folder)
+    face = read_face_mesh(folder / "scan.usdc")
+    at = binding.places.positions(face.mesh.points)
+    order = [scan.names.index(name) for name in binding.names]
+    wrong = np.linalg.norm(at - face.mesh.points[scan.markers[order]], axis=1)
+    assert np.median(wrong) < 1.5
+    assert wrong.max() < 6.0
+
+
+def binding_of(folder: Path) -> MarkerBinding:
+    return read_binding(folder / "scan.binding.usda", read_face_mesh(folder / "scan.usdc")).binding
+
+
+def test_the_mouth_opens_along_the_surface_and_not_through_the_air(
+    folder: Path, scan: Scan
+) -> None:
+    blended = lips_apart(scan, points_at(folder / "talk.scan.usda", open_frame()))
+    run(deform(folder, blend=0.0))
+    euclidean = lips_apart(scan, points_at(folder / "talk.scan.usda", open_frame()))
+    truth = lips_apart(scan, scan.moved(1.0))
+    assert blended > 0.8 * truth
+    assert euclidean < blended
+
+
+def test_points_between_the_markers_follow_what_the_face_did(folder: Path, scan: Scan) -> None:
+    """Against the surface that the markers were taken from, in whatever unit and turn it is."""
+    report = run(deform(folder, reach=1000.0))
+    rest, moved = (points_at(folder / "talk.scan.usda", f) for f in (FIRST, open_frame()))
+    turn = np.array(
+        [
+            [np.cos(np.pi / 6), 0, np.sin(np.pi / 6)],
+            [0, 1, 0],
+            [-np.sin(np.pi / 6), 0, np.cos(np.pi / 6)],
+        ]
+    )
+    acted = (scan.moved(1.0) - scan.points) @ turn.T
+    error = np.sqrt(((moved - rest - acted) ** 2).sum(axis=1).mean())
+    assert error < 0.25 * np.sqrt((acted**2).sum(axis=1).mean())
+    assert report.figures["points"] == len(scan.points)
+
+
+def test_the_moving_mesh_says_its_timing_and_passes_the_validators(folder: Path) -> None:
+    stage = Usd.Stage.Open(str(folder / "talk.scan.usda"))
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (FIRST, FIRST + FRAMES - 1)
+    assert stage.GetTimeCodesPerSecond() == stage.GetFramesPerSecond() == 60
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 1.0
+    assert UsdGeom.GetStageUpAxis(stage) == "Z"
+    mesh = stage.GetPrimAtPath("/Scan/head")
+    assert mesh.HasAPI("FaceDeformAPI")
+    assert mesh.GetAttribute("face:timecode:start").Get() == "10:00:00:00"
+    sure = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("face:uncertainty")
+    assert sure.GetInterpolation() == "vertex"
+    assert len(sure.Get(FIRST)) == len(UsdGeom.Mesh(mesh).GetPointsAttr().Get(FIRST))
+    assert 0.05 < np.median(sure.Get(FIRST)) < 2.0
+    extent = np.array(UsdGeom.Mesh(mesh).GetExtentAttr().Get(FIRST + 5))
+    at = np.array(UsdGeom.Mesh(mesh).GetPointsAttr().Get(FIRST + 5))
+    np.testing.assert_array_equal(extent, [at.min(axis=0), at.max(axis=0)])
+    assert not validate(folder / "talk.scan.usda")
+
+
+def test_distances_are_kept_by_the_hash_of_the_surface_and_read_again(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = list(folder.glob("scan.*.distances.usdc"))
+    assert [path.name for path in kept] == [
+        f"scan.{read_face_mesh(folder / 'scan.usdc').hash[:8]}.distances.usdc"
+    ]
+    before = points_at(folder / "talk.scan.usda", FIRST + 9)
+    monkeypatch.setattr(
+        "usdface.steps.surface.plan.surface_distances",
+        lambda *a, **k: pytest.fail("measured again"),
+    )
+    run(deform(folder))
+    np.testing.assert_array_equal(points_at(folder / "talk.scan.usda", FIRST + 9), before)
+    monkeypatch.undo()
+    kept[0].write_bytes(b"torn")
+    run(deform(folder))
+    np.testing.assert_array_equal(points_at(folder / "talk.scan.usda", FIRST + 9), before)
+
+
+def test_a_scan_without_a_rig_becomes_an_animated_face_in_one_job(folder: Path, scan: Scan) -> None:
+    mesh = {"take": "talk.take.usda", "mesh": "scan.usdc"}
+    rig = {"rig": "job.rig.usda"}
+    steps = [
+        {"step": "bind", **mesh, "out": "job.binding.usda", "landmarks": list(landmarks(scan))},
+        {
+            "step": "make-shapes",
+            **mesh,
+            "binding": "job.binding.usda",
+            "count": 4,
+            "out": "job.rig.usda",
+        },
+        {
+            "step": "select",
+            "takes": ["talk.take.usda"],
+            **rig,
+            "count": 16,
+            "out": "job.references.usda",
+        },
+        {
+            "step": "train",
+            "references": "job.references.usda",
+            "method": "ridge",
+            "out": "job.mapping.usdc",
+        },
+        {
+            "step": "map",
+            "take": "talk.take.usda",
+            "mapping": "job.mapping.usdc",
+            **rig,
+            "out": "job.acted.usda",
+        },
+    ]
+    job = folder / "scan.job.yaml"
+    job.write_text(yaml.safe_dump({"job": "scan", "steps": steps}), encoding="utf-8")
+    run_job(read_job(job))
+    weights = read_performance(folder / "job.acted.usda").weights.values
+    assert weights.shape == (FRAMES, 4)
+    assert weights.max() > 0.8
+    assert {state.state for state in check_job(read_job(job))} == {"done"}
+
+
+def test_a_shape_at_one_is_the_frame_it_was_made_of(folder: Path) -> None:
+    run(deform(folder, reach=12.0))
+    run(
+        make_shapes(folder, reach=12.0, shape_frames=(f"{open_frame()}=mouth open", f"{FIRST + 5}"))
+    )
+    rig = read_rig(folder / "scan.rig.usda")
+    assert rig.shapes == ("mouth_open", f"frame_{FIRST + 5}")
+    mesh = rig.meshes[0]
+    key = mesh.shapes[0].keys[-1]
+    at_one = mesh.points.copy()
+    at_one[key.points] += key.offsets
+    wanted = points_at(folder / "talk.scan.usda", open_frame())
+    assert np.abs(at_one - wanted).max() < 0.05
+    assert len(key.points) < len(mesh.points)
+
+
+def test_usdskel_itself_moves_the_new_rig_as_deform_moves_the_mesh(folder: Path) -> None:
+    run(make_shapes(folder, shape_frames=(f"{open_frame()}=open",)))
+    stage = Usd.Stage.Open(str(folder / "scan.rig.usda"))
+    animation = UsdSkel.Animation.Define(stage, "/Face/weights")
+    animation.CreateBlendShapesAttr(["open"])
+    animation.CreateBlendShapeWeightsAttr([1.0])
+    UsdSkel.BindingAPI(stage.GetPrimAtPath("/Face/skeleton")).CreateAnimationSourceRel().SetTargets(
+        [animation.GetPath()]
+    )
+    assert UsdSkel.BakeSkinning(UsdSkel.Root(stage.GetPrimAtPath("/Face")))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Face/asset/head"))
+    baked = np.array(mesh.GetPointsAttr().Get(), np.float64)
+    moving = Usd.Stage.Open(str(folder / "talk.scan.usda"))
+    wanted = np.array(
+        UsdGeom.Mesh(moving.GetPrimAtPath("/Scan/head")).GetPointsAttr().Get(open_frame())
+    )
+    np.testing.assert_allclose(baked, wanted, atol=5e-5)  # metres over a scale of 2
+
+
+def test_shapes_are_named_from_a_csv(folder: Path) -> None:
+    names = folder / "names.csv"
+    names.write_text("frame,name\n110,smile\n120,smile\n", encoding="utf-8")
+    report = run(make_shapes(folder, names=names))
+    assert list(report.figures["shapes"]) == ["smile", "smile_2"]
+    assert read_rig(folder / "scan.rig.usda").shapes == ("smile", "smile_2")
+
+
+def test_shapes_are_made_of_the_references_of_a_take(folder: Path) -> None:
+    run(make_shapes(folder, count=3))
+    select = SelectSpec(
+        takes=(folder / "talk.take.usda",),
+        rig=folder / "scan.rig.usda",
+        count=5,
+        out=folder / "scan.references.usda",
+    )
+    run(select)
+    layer = Sdf.Layer.FindOrOpen(str(folder / "scan.references.usda"))
+    frames = sorted(
+        layer.QueryTimeSample("/References.face:reference:frame", time)
+        for time in layer.ListTimeSamplesForPath("/References.face:reference:frame")
+    )
+    out = folder / "more.rig.usda"
+    run(make_shapes(folder, references=folder / "scan.references.usda", out=out))
+    stage = Usd.Stage.Open(str(out))
+    made = stage.GetPrimAtPath("/Face/shapes").GetChildren()
+    told = sorted(prim.GetCustomData()["usdface"]["frame"] for prim in made)
+    assert told == [frame for frame in frames if frame != FIRST]
+
+
+def test_corrections_by_hand_outlive_binding_again(folder: Path, scan: Scan) -> None:
+    moved, pointed, left = "skin_5_10", "skin_13_6", "skin_17_18"
+    layer = Sdf.Layer.FindOrOpen(str(corrected_path(folder / "scan.binding.usda")))
+    stage = Usd.Stage.Open(layer)
+    over = stage.OverridePrim(f"/Binding/Markers/{pointed}")
+    over.CreateAttribute("face:binding:point", Sdf.ValueTypeNames.Int).Set(300)
+    ball = stage.OverridePrim(f"/Binding/Markers/{moved}")
+    face = read_face_mesh(folder / "scan.usdc")
+    wanted = face.mesh.points[310] / 10
+    ball.CreateAttribute("xformOp:translate", Sdf.ValueTypeNames.Double3).Set(tuple(wanted))
+    stage.OverridePrim(f"/Binding/Markers/{left}").SetActive(False)
+    layer.Save()
+    before = layer.ExportToString()
+    report = run(bind(folder, scan))
+    assert Sdf.Layer.FindOrOpen(layer.realPath).ExportToString() == before
+    binding = binding_of(folder)
+    at = binding.places.positions(face.mesh.points)
+    np.testing.assert_allclose(at[binding.names.index(pointed)], face.mesh.points[300], atol=1e-6)
+    np.testing.assert_allclose(at[binding.names.index(moved)], face.mesh.points[310], atol=1e-2)
+    assert left not in binding.names
+    assert report.figures["corrected"] == [moved, pointed]
+    assert report.figures["left_out"] == [left]
+
+
+def test_a_picture_compares_the_ways_of_measuring(folder: Path) -> None:
+    run(deform(folder, picture=folder / "moving.png", rows=1, quality="draft"))
+    metadata = read_image_metadata(folder / "moving.png")
+    assert metadata["step"] == "deform"
+
+
+def test_three_markers_are_too_few(folder: Path, scan: Scan) -> None:
+    take = small_scan_take(scan)
+    assert take.markers is not None
+    few = replace(
+        take.markers,
+        names=take.markers.names[:3],
+        positions=take.markers.positions[:, :3],
+        visible=take.markers.visible[:, :3],
+        confidence=take.markers.confidence[:, :3],
+        rigid=(),
+    )
+    write_take(folder / "few.take.usda", replace(take, markers=few))
+    with pytest.raises(InputError, match="the take has 3 markers; at least 4 are needed"):
+        run(
+            BindSpec(
+                take=folder / "few.take.usda", mesh=folder / "scan.usdc", out=folder / "b.usda"
+            )
+        )
+    with pytest.raises(InputError, match=r"3 of its 3 markers are bound .* at least 4 are needed"):
+        run(deform(folder, take=folder / "few.take.usda"))
+
+
+def test_a_mesh_without_shapes_asks_for_landmarks(folder: Path) -> None:
+    with pytest.raises(InputError, match=r"no shapes to tell where its face is.*at least 3"):
+        run(deform(folder, binding=None))
+
+
+def test_landmarks_that_are_not_there_are_named_all_at_once(folder: Path, scan: Scan) -> None:
+    spec = bind(folder, scan).model_copy(update={"landmarks": ("nobody=3", "nose tip=99999")})
+    with pytest.raises(InputError, match=r"no marker 'nobody'.*; .*no point 99999 for nose tip"):
+        run(spec)
+
+
+def test_a_mirrored_face_is_refused(folder: Path, scan: Scan) -> None:
+    wrong = (
+        "skin_13_2=" + str(scan.markers[scan.names.index("skin_13_22")]),
+        "skin_13_22=" + str(scan.markers[scan.names.index("skin_13_2")]),
+        *[mark for mark in landmarks(scan) if mark.startswith(("nose", "chin_L"))],
+    )
+    with pytest.raises(InputError, match="mirrored"):
+        run(bind(folder, scan).model_copy(update={"landmarks": wrong}))
+
+
+def test_a_marker_off_the_mesh_is_named(folder: Path) -> None:
+    stage = Usd.Stage.Open(str(corrected_path(folder / "scan.binding.usda")))
+    prim = stage.OverridePrim("/Binding/Markers/skin_5_10")
+    prim.CreateAttribute("face:binding:face", Sdf.ValueTypeNames.Int).Set(123456)
+    stage.GetRootLayer().Save()
+    with pytest.raises(InputError, match="marker skin_5_10 is not on the mesh: there is no face"):
+        run(deform(folder))
+
+
+def test_a_binding_of_another_surface_is_refused(folder: Path, scan: Scan) -> None:
+    stage = Usd.Stage.Open(str(folder / "scan.usdc"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Scan/head"))
+    points = np.array(mesh.GetPointsAttr().Get())
+    points[5] += 0.01
+    mesh.GetPointsAttr().Set(points)
+    stage.Save()
+    with pytest.raises(InputError, match="was made on another surface"):
+        run(deform(folder))
+
+
+def test_an_island_without_a_marker_is_told(folder: Path, scan: Scan) -> None:
+    stage = Usd.Stage.Open(str(folder / "scan.usdc"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Scan/head"))
+    points = np.array(mesh.GetPointsAttr().Get())
+    tooth = points[scan.upper[:3]] + [0, 0.01, 0]
+    mesh.GetPointsAttr().Set(np.concatenate([points, tooth]))
+    counts = np.append(np.array(mesh.GetFaceVertexCountsAttr().Get()), 3)
+    mesh.GetFaceVertexCountsAttr().Set(counts)
+    indices = np.append(np.array(mesh.GetFaceVertexIndicesAttr().Get()), len(points) + np.arange(3))
+    mesh.GetFaceVertexIndicesAttr().Set(indices)
+    stage.Save()
+    (folder / "scan.binding.usda").unlink()
+    run(bind(folder, scan))
+    report = run(deform(folder))
+    assert any("3 of 783 points lie on 1 islands without a marker" in n for n in report.notes)
+    assert report.figures["points_without_marker"] == 3
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"frames": "1-20"}, "holds frames 101-140, not all of 1-20"),
+        ({"landmarks": ("a=1",)}, "--landmarks are for binding anew"),
+        ({"blend": 1.5}, "less than or equal to 1"),
+        ({"device": "gpu"}, "should match pattern"),
+        ({"device": "cuda:99"}, "device 'cuda:99' cannot be used: .* Use device 'cpu'"),
+    ],
+)
+def test_what_deform_cannot_do_is_said(moved: Path, more: dict[str, object], message: str) -> None:
+    with pytest.raises((InputError, ValueError), match=message):
+        run(deform(moved, **more))
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"shape_frames": ("7",)}, "has no frame 7; it holds 101-140"),
+        ({"shape_frames": ("110=a", "110=b")}, "frame 110 is to become two shapes"),
+        ({"shape_frames": ("101",)}, "moves no point"),
+        ({"count": 500}, "the take shows only"),
+        ({"shape_frames": ("110",), "names": Path("x.csv")}, "chosen by one of"),
+    ],
+)
+def test_what_make_shapes_cannot_do_is_said(
+    moved: Path, more: dict[str, object], message: str
+) -> None:
+    with pytest.raises((InputError, ValueError), match=message):
+        run(make_shapes(moved, out=moved / "bad.rig.usda", least_mm=0.6, **more))

@@ -1,0 +1,265 @@
+"""References: pairs on a timeline, and tuning that no proposal can touch."""
+
+import contextlib
+import errno
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
+
+from tests.usdio.small_rig import small_rig
+from usdface.core.assets import MotionSpace, References
+from usdface.core.errors import InputError
+from usdface.usdio.references.read import (
+    TunedPair,
+    read_references,
+    read_tuned_pairs,
+    write_references,
+    write_tuned_weights,
+)
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.write import write_rig
+from usdface.usdio.validation import validate
+
+
+def small_references(folder: Path, pairs: int = 5, seed: int = 0) -> References:
+    rng = np.random.default_rng(seed)
+    components = np.linalg.qr(rng.normal(size=(12, 3)))[0].T
+    return References(
+        marker_names=("a", "b", "c", "d"),
+        shape_names=("jawOpen", "eyeBlink", "smile"),
+        markers=rng.normal(0, 50, (pairs, 4, 3)),
+        weights=rng.random((pairs, 3)).astype(np.float32).astype(np.float64),
+        frames=np.arange(pairs) * 7 + 100 * seed,
+        takes=("kitchen",) * pairs,
+        tuned=np.zeros(pairs, dtype=np.bool_),
+        rigid=("a", "b", "c"),
+        neutral=rng.normal(0, 50, (4, 3)),
+        rig_file=folder / "rig.usda",
+        rig_prim="/Hero",
+        motion=MotionSpace(
+            mean=rng.normal(0, 50, 12),
+            components=components,
+            variances=np.array([9.0, 4.0, 1.0]),
+            total_variance=15.0,
+            sample=rng.normal(size=(20, 3)),
+        ),
+    )
+
+
+def write(folder: Path, references: References) -> Path:
+    if not (folder / "rig.usda").exists():
+        write_rig(folder / "rig.usda", small_rig())
+    path = folder / "hero.references.usda"
+    write_references(
+        path,
+        references,
+        read_rig(folder / "rig.usda"),
+        tuned_path=folder / "hero.references.tuned.usda",
+        proposed_path=folder / "hero.references.proposed.usda",
+    )
+    return path
+
+
+def tune(folder: Path, references: References, pairs: dict[int, float]) -> None:
+    tuned = [
+        TunedPair(
+            pair,
+            references.takes[pair],
+            int(references.frames[pair]),
+            dict.fromkeys(references.shape_names, value),
+        )
+        for pair, value in pairs.items()
+    ]
+    write_tuned_weights(references, tuned, tuned_path=folder / "hero.references.tuned.usda")
+
+
+def test_references_read_back_the_same(tmp_path: Path) -> None:
+    references = small_references(tmp_path)
+    back = read_references(write(tmp_path, references))
+    for field in ("marker_names", "shape_names", "takes", "rigid", "rig_prim"):
+        assert getattr(back, field) == getattr(references, field)
+    for field in ("weights", "frames", "tuned"):
+        np.testing.assert_array_equal(getattr(back, field), getattr(references, field))
+    np.testing.assert_allclose(back.markers, references.markers, rtol=1e-6)
+    np.testing.assert_allclose(back.neutral, references.neutral, rtol=1e-12)
+    assert back.rig_file.resolve() == references.rig_file.resolve()
+    for field in ("mean", "components", "variances", "sample", "total_variance"):
+        np.testing.assert_allclose(
+            getattr(back.motion, field), getattr(references.motion, field), rtol=1e-12
+        )
+
+
+def test_a_viewer_that_scrubs_sees_each_pair_on_the_rig(tmp_path: Path) -> None:
+    references = small_references(tmp_path)
+    stage = Usd.Stage.Open(str(write(tmp_path, references)))
+    skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath("/References/Rig/rig/skeleton"))
+    cache = UsdSkel.Cache()
+    cache.Populate(UsdSkel.Root(stage.GetPrimAtPath("/References/Rig")), Usd.PrimDefaultPredicate)
+    query = cache.GetSkelQuery(skeleton).GetAnimQuery()
+    assert tuple(query.GetBlendShapeOrder()) == references.shape_names
+    for pair, row in enumerate(references.weights):
+        np.testing.assert_array_equal(query.ComputeBlendShapeWeights(pair + 1), row)
+
+
+def test_a_rig_in_other_units_stands_at_its_size_beside_the_markers(tmp_path: Path) -> None:
+    references = small_references(tmp_path)
+    write_rig(references.rig_file, small_rig())
+    before = read_rig(references.rig_file).meshes[0].points
+    rig = Usd.Stage.Open(str(references.rig_file))
+    UsdGeom.SetStageMetersPerUnit(rig, 1.0)
+    UsdGeom.SetStageUpAxis(rig, "Z")
+    top = UsdGeom.Xformable(rig.GetDefaultPrim())
+    top.ClearXformOpOrder()
+    top.AddScaleOp(opSuffix="small").Set((0.01, 0.01, 0.01))
+    top.AddRotateXOp(opSuffix="up").Set(90)
+    rig.Save()
+    np.testing.assert_allclose(read_rig(references.rig_file).meshes[0].points, before, atol=1e-4)
+    stage = Usd.Stage.Open(str(write(tmp_path, references)))
+    mesh = next(prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh))
+    world = UsdGeom.XformCache().GetLocalToWorldTransform(mesh)
+    shown = [world.Transform(point) for point in UsdGeom.Mesh(mesh).GetPointsAttr().Get()]
+    np.testing.assert_allclose(np.array(shown) * 10, before, atol=1e-4)
+
+
+def test_tuned_pairs_win_and_the_others_still_show_proposals(tmp_path: Path) -> None:
+    references = small_references(tmp_path)
+    path = write(tmp_path, references)
+    tune(tmp_path, references, {1: 0.25, 3: 0.75})
+    back = read_references(path)
+    np.testing.assert_array_equal(back.tuned, [False, True, False, True, False])
+    np.testing.assert_array_equal(back.weights[1], [0.25] * 3)
+    np.testing.assert_array_equal(back.weights[[0, 2, 4]], references.weights[[0, 2, 4]])
+
+
+def test_proposing_again_never_touches_what_was_tuned(tmp_path: Path) -> None:
+    references = small_references(tmp_path)
+    path = write(tmp_path, references)
+    tune(tmp_path, references, {1: 0.25})
+    other = small_references(tmp_path, pairs=8, seed=1)
+    frames = other.frames.copy()
+    frames[1] = references.frames[1]
+    write(tmp_path, replace(other, frames=frames))
+    back = read_references(path)
+    np.testing.assert_array_equal(back.weights[1], [0.25] * 3)
+    np.testing.assert_array_equal(back.tuned, np.arange(8) == 1)
+    rest = np.arange(8) != 1
+    np.testing.assert_array_equal(back.weights[rest], other.weights[rest])
+
+
+def test_tuning_more_keeps_what_was_tuned_before(tmp_path: Path) -> None:
+    references = small_references(tmp_path)
+    write(tmp_path, references)
+    tune(tmp_path, references, {1: 0.25, 2: 0.5})
+    tune(tmp_path, references, {2: 1.0})
+    tuned = read_tuned_pairs(tmp_path / "hero.references.tuned.usda")
+    assert [(each.pair, each.weights["smile"]) for each in tuned] == [(1, 0.25), (2, 1.0)]
+
+
+def grown(references: References, more: int) -> References:
+    """The same pairs and some more."""
+    other = small_references(references.rig_file.parent, more, seed=1)
+    return replace(
+        references,
+        markers=np.concatenate([references.markers, other.markers]),
+        weights=np.concatenate([references.weights, other.weights]),
+        frames=np.concatenate([references.frames, other.frames]),
+        takes=references.takes + other.takes,
+        tuned=np.concatenate([references.tuned, np.ones(more, dtype=bool)]),
+    )
+
+
+@pytest.mark.parametrize("call", ["fsync", "replace"])
+@pytest.mark.parametrize("before", [True, False], ids=["over an old one", "where none was"])
+def test_wherever_writing_stops_the_asset_is_old_or_new_or_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str, before: bool
+) -> None:
+    old = small_references(tmp_path)
+    new = grown(old, 2)
+    tuned = [
+        TunedPair(pair, new.takes[pair], int(new.frames[pair]), {"smile": 0.5}) for pair in (5, 6)
+    ]
+    seen = []
+    for stop in range(4):
+        folder = tmp_path / str(stop)
+        folder.mkdir()
+        path = folder / "hero.references.usda"
+        write_rig(folder / "rig.usda", small_rig())
+        if before:
+            write(folder, old)
+            tune(folder, old, {1: 0.25})
+        with monkeypatch.context() as patched, contextlib.suppress(InputError):
+            stop_at(patched, call, stop)
+            write_references(
+                path,
+                new,
+                read_rig(folder / "rig.usda"),
+                tuned_path=folder / "hero.references.tuned.usda",
+                proposed_path=folder / "hero.references.proposed.usda",
+                tuned=tuned,
+            )
+        seen.append(state(path, new))
+    nothing = "old" if before else "none"
+    assert seen[0] == nothing
+    assert seen[-1] == "new"
+    assert set(seen[1:-1]) == {nothing} if call == "fsync" else {nothing, "refused"}
+
+
+def stop_at(patched: pytest.MonkeyPatch, call: str, count: int) -> None:
+    """Let a call through so often, and no more."""
+    owner = os if call == "fsync" else Path
+    whole, left = getattr(owner, call), iter(range(count))
+
+    def until(*arguments: object) -> object:
+        if next(left, None) is None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return whole(*arguments)
+
+    patched.setattr(owner, call, until)
+
+
+def state(path: Path, new: References) -> str:
+    if not path.exists():
+        return "none"
+    try:
+        back = read_references(path)
+    except InputError as error:
+        assert "has no pair there" in str(error)  # noqa: PT017 - a refusal is one of three
+        return "refused"
+    count = len(back.frames)
+    assert list(back.frames) == list(new.frames[:count])
+    np.testing.assert_array_equal(back.tuned[5:], True)
+    return "new" if count == len(new.frames) else "old"
+
+
+def test_written_references_pass_every_validator(tmp_path: Path) -> None:
+    references = small_references(tmp_path)
+    path = write(tmp_path, references)
+    tune(tmp_path, references, {1: 0.25})
+    assert validate(path) == []
+
+
+def test_a_take_is_no_references_asset(tmp_path: Path) -> None:
+    write_rig(tmp_path / "rig.usda", small_rig())
+    with pytest.raises(InputError, match=r"not a references asset.*usdface select"):
+        read_references(tmp_path / "rig.usda")
+
+
+def test_a_layer_of_references_given_alone_is_refused_with_what_to_give(tmp_path: Path) -> None:
+    references = small_references(tmp_path)
+    path = write(tmp_path, references)
+    tune(tmp_path, references, {1: 0.25})
+    with pytest.raises(InputError, match=f"only a layer .* give the asset itself: {path}"):
+        read_references(tmp_path / "hero.references.tuned.usda")
+
+
+def test_an_end_beyond_the_pairs_is_refused_at_once(tmp_path: Path) -> None:
+    path = write(tmp_path, small_references(tmp_path))
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    layer.endTimeCode = 1e9
+    layer.Save()
+    with pytest.raises(InputError, match=r"says 1000000000 pairs, and .* holds 5"):
+        read_references(path)

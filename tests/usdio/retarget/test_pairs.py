@@ -1,0 +1,224 @@
+"""Pairs, retargetings, sequences and matches to disk and back; what is wrong with them is named."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Sdf, Usd, UsdSkel
+
+from tests.usdio.small_creature import (
+    RATE,
+    creature_acts,
+    human_moves,
+    write_creature,
+    write_human,
+)
+from usdface.core.assets import Rig
+from usdface.core.controls import EmotionalSequence, ExpressionPairs, SequenceMatch
+from usdface.core.errors import InputError
+from usdface.core.replacing import replacing
+from usdface.model.retarget.train import retarget, train_retargeting
+from usdface.usdio.layers import read_provenance
+from usdface.usdio.retarget.mapping import is_retargeting, read_retargeting, write_retargeting
+from usdface.usdio.retarget.pairs import merge_pairs, read_pairs, samples_path, write_pairs
+from usdface.usdio.retarget.sequences import (
+    read_matches,
+    read_sequence,
+    write_matches,
+    write_sequence,
+)
+from usdface.usdio.validation import validate
+
+
+def some_pairs(human: Rig, beast: Rig, count: int = 8) -> ExpressionPairs:
+    source = np.concatenate([np.zeros((1, 3)), np.random.default_rng(0).random((count - 1, 3))])
+    return ExpressionPairs(
+        names=tuple(f"expression {index}" for index in range(count)),
+        source_shapes=human.shapes,
+        source=source,
+        target=creature_acts(source),
+        source_rig=human.file,
+        source_prim=human.prim,
+        target_rig=beast.file,
+        target_prim=beast.prim,
+    )
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> tuple[Path, ExpressionPairs]:
+    human, beast = write_human(tmp_path / "human.usda"), write_creature(tmp_path / "beast.usda")
+    pairs = some_pairs(human, beast)
+    write_pairs(tmp_path / "x.pairs.usda", pairs, source_rig=human, target_rig=beast)
+    return tmp_path / "x.pairs.usda", pairs
+
+
+def test_samples_are_not_replaced_where_the_layer_to_open_cannot_be(
+    written: tuple[Path, ExpressionPairs],
+) -> None:
+    path, _ = written
+    human, beast = write_human(path.with_name("h.usda")), write_creature(path.with_name("b.usda"))
+    before = {each.name: each.read_bytes() for each in path.parent.iterdir()}
+    with pytest.raises(InputError, match="another process is writing it"), replacing(path):
+        write_pairs(path, some_pairs(human, beast, 5), source_rig=human, target_rig=beast)
+    assert {each.name: each.read_bytes() for each in path.parent.iterdir()} == before
+
+
+def test_pairs_come_back_as_they_were_written(written: tuple[Path, ExpressionPairs]) -> None:
+    path, pairs = written
+    back = read_pairs(path)
+    assert back.names == pairs.names
+    assert back.source_shapes == pairs.source_shapes
+    np.testing.assert_allclose(back.source, pairs.source, atol=1e-6)
+    np.testing.assert_allclose(back.target.weights, pairs.target.weights, atol=1e-6)
+    np.testing.assert_allclose(back.target.values, pairs.target.values, atol=1e-6)
+    np.testing.assert_allclose(back.target.rotations, pairs.target.rotations, atol=1e-6)
+    assert back.source_rig is not None
+    assert back.source_rig.resolve() == pairs.source_rig.resolve()
+    assert back.target_prim == pairs.target_prim
+    assert not [each for each in validate(path) if each.severity == "error"]
+
+
+def test_scrubbing_poses_both_faces(written: tuple[Path, ExpressionPairs]) -> None:
+    path, pairs = written
+    stage = Usd.Stage.Open(str(path))
+    for side, weights in (("Source", pairs.source), ("Target", pairs.target.weights)):
+        root = UsdSkel.Root(stage.GetPrimAtPath(f"/Pairs/{side}"))
+        cache = UsdSkel.Cache()
+        cache.Populate(root, Usd.PrimDefaultPredicate)
+        query = cache.GetSkelQuery(UsdSkel.Skeleton.Get(stage, f"/Pairs/{side}/rig/skeleton"))
+        posed = query.GetAnimQuery().ComputeBlendShapeWeights(3)
+        np.testing.assert_allclose(posed, weights[2], atol=1e-6)
+
+
+def test_what_an_animator_keys_above_goes_before_what_was_proposed(
+    written: tuple[Path, ExpressionPairs],
+) -> None:
+    path, pairs = written
+    stage = Usd.Stage.Open(str(path))
+    weights = UsdSkel.Animation.Get(stage, "/Pairs/TargetControls").GetBlendShapeWeightsAttr()
+    for time in range(1, 9):
+        weights.Set([0.5, 0.5, 0.1 * time], time)
+    stage.GetRootLayer().Save()
+    human = write_human(path.parent / "human.usda")
+    beast = write_creature(path.parent / "beast.usda")
+    write_pairs(path, pairs, source_rig=human, target_rig=beast)
+    np.testing.assert_allclose(
+        read_pairs(path).target.weights[:, 2], 0.1 * np.arange(1, 9), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("prim", "side"), [("SourceWeights", "source"), ("TargetControls", "target")]
+)
+def test_a_pair_without_a_side_is_named(
+    written: tuple[Path, ExpressionPairs], prim: str, side: str
+) -> None:
+    path, _ = written
+    layer = Sdf.Layer.FindOrOpen(str(samples_path(path)))
+    for spec in layer.GetPrimAtPath(f"/Pairs/{prim}").attributes:
+        layer.EraseTimeSample(spec.path, 5)
+    if side == "target":
+        for spec in layer.GetPrimAtPath("/Pairs/Target/rig/lattice").attributes:
+            layer.EraseTimeSample(spec.path, 5)
+    layer.Save()
+    with pytest.raises(InputError, match=f"pair 5 has no {side} side.*time code 5"):
+        read_pairs(path)
+
+
+def test_an_attribute_that_is_gone_is_named(written: tuple[Path, ExpressionPairs]) -> None:
+    path, _ = written
+    layer = Sdf.Layer.FindOrOpen(str(samples_path(path)))
+    names = layer.GetAttributeAtPath("/Pairs/TargetControls.face:controls:attributes")
+    names.default = ["rig/lattice.dfm:gone", "rig/lattice.dfm:curl"]
+    layer.Save()
+    with pytest.raises(InputError, match="has no attribute 'dfm:gone'"):
+        read_pairs(path)
+
+
+def test_a_file_without_pairs_is_refused(tmp_path: Path) -> None:
+    write_human(tmp_path / "human.usda")
+    with pytest.raises(InputError, match="not a pairs asset"):
+        read_pairs(tmp_path / "human.usda")
+
+
+def test_merging_keeps_old_time_codes_and_adds_what_is_new(
+    written: tuple[Path, ExpressionPairs],
+) -> None:
+    _, pairs = written
+    more = replace(pairs, names=("new", *pairs.names[1:]), source=pairs.source + 0.1)
+    merged = merge_pairs(pairs, more)
+    assert merged.names == (*pairs.names, "new")
+    np.testing.assert_array_equal(merged.source[:8], pairs.source)
+    np.testing.assert_array_equal(merged.source[8], pairs.source[0] + 0.1)
+    with pytest.raises(InputError, match="choose another --out"):
+        merge_pairs(pairs, replace(more, source_shapes=("a", "b", "c")))
+
+
+def test_a_retargeting_predicts_the_same_to_the_last_bit(
+    written: tuple[Path, ExpressionPairs],
+) -> None:
+    path, pairs = written
+    for method in ("rbf", "kernel_cca", "hybrid", "additive", "ridge"):
+        trained = train_retargeting(pairs, method=method)
+        out = path.with_name(f"{method}.usdc")
+        write_retargeting(out, trained)
+        back = read_retargeting(out)
+        one, other = retarget(trained, human_moves(30)), retarget(back, human_moves(30))
+        for field, value in vars(one).items():
+            assert np.array_equal(value, getattr(other, field)), field
+        assert back.scores == trained.scores
+    assert is_retargeting(out)
+    assert not is_retargeting(path)
+    with pytest.raises(InputError, match="not a retargeting"):
+        read_retargeting(path)
+
+
+def test_a_damaged_retargeting_is_refused(written: tuple[Path, ExpressionPairs]) -> None:
+    path, pairs = written
+    out = path.with_name("r.usda")
+    write_retargeting(out, train_retargeting(pairs, method="ridge"))
+    layer = Sdf.Layer.FindOrOpen(str(out))
+    layer.GetAttributeAtPath("/Retargeting.face:array:rest").default = [1.0, 2.0]
+    layer.Save()
+    with pytest.raises(InputError, match=r"face:array:rest.*train again"):
+        read_retargeting(out)
+
+
+def test_a_sequence_comes_back_with_sides_of_different_length(tmp_path: Path) -> None:
+    target = creature_acts(human_moves(37))
+    sequence = EmotionalSequence(
+        label="surprise",
+        source_shapes=("jawOpen", "eyeBlink", "smile"),
+        source=human_moves(20),
+        target=target,
+        key_weights=np.linspace(0, 1, 37),
+    )
+    write_sequence(tmp_path / "s.usda", sequence, rate=RATE)
+    back = read_sequence(tmp_path / "s.usda")
+    assert back.label == "surprise"
+    np.testing.assert_allclose(back.source, sequence.source, atol=1e-6)
+    np.testing.assert_allclose(back.target.values, target.values, atol=1e-6)
+    np.testing.assert_allclose(back.target.translations, target.translations, atol=1e-6)
+    np.testing.assert_allclose(back.key_weights, sequence.key_weights, atol=1e-6)
+    assert not [each for each in validate(tmp_path / "s.usda") if each.severity == "error"]
+    with pytest.raises(InputError, match="not a sequence"):
+        read_sequence(write_human(tmp_path / "human.usda").file)
+
+
+def test_matches_come_back_and_deactivated_ones_do_not(tmp_path: Path) -> None:
+    (tmp_path / "s.usda").touch()
+    matches = tuple(
+        SequenceMatch(tmp_path / "s.usda", "joy", first, first + 19, 0.1) for first in (10, 50)
+    )
+    write_matches(tmp_path / "m.usda", matches)
+    assert [vars(m) | {"sequence": 0} for m in read_matches(tmp_path / "m.usda")] == [
+        vars(m) | {"sequence": 0} for m in matches
+    ]
+    layer = Sdf.Layer.FindOrOpen(str(tmp_path / "m.usda"))
+    layer.GetPrimAtPath("/Matches/match_001").active = False
+    layer.Save()
+    assert [m.first_frame for m in read_matches(tmp_path / "m.usda")] == [50]
+    assert read_provenance(tmp_path / "m.usda") is None
+    with pytest.raises(InputError, match="no </Matches>"):
+        read_matches(write_human(tmp_path / "human.usda").file)
