@@ -19,7 +19,7 @@ import numpy as np
 from tests.numerics.simulated_face import simulate_face
 from tests.numerics.surface.test_geodesic import sphere
 from tests.usdio.small_rig import small_rig
-from usdface.core.assets import Mapping, References, RigMesh
+from usdface.core.assets import References, RigMesh, TrainedMapping
 from usdface.demo.rig import demo_rig
 from usdface.media.face.camera import frame_rig
 from usdface.media.face.render import FaceRenderer
@@ -27,7 +27,7 @@ from usdface.media.face.subdivision import catmull_clark
 from usdface.model.mapping.motion_space import fit_motion_space, motion_from_pca
 from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
-from usdface.model.selection.design import StandIns, choose_by_design
+from usdface.model.selection.design import CandidateMarkers, choose_by_design
 from usdface.model.selection.features import selection_space
 from usdface.numerics.regression.pca import fit_pca
 from usdface.numerics.repair.cleaning import clean_markers
@@ -120,7 +120,7 @@ def _stabilize(size: int, folder: Path) -> Work:
     return lambda: stabilize(captured, face.visible, rigid=face.rigid, neutral=0)
 
 
-def _training(*, pairs: int, shapes: int, method: str) -> Callable[[], Mapping]:
+def _training(*, pairs: int, shapes: int, method: str) -> Callable[[], TrainedMapping]:
     actor = _actor(6_000, shapes)
     picks = np.linspace(0, len(actor.weights) - 1, pairs).astype(int)
     flat = actor.skin.reshape(shapes, -1)
@@ -147,7 +147,7 @@ def _training(*, pairs: int, shapes: int, method: str) -> Callable[[], Mapping]:
     )
 
 
-_TRAINED: dict[tuple[int, int, str], Mapping] = {}
+_TRAINED: dict[tuple[int, int, str], TrainedMapping] = {}
 """What was timed while it was trained, for predictions: training twice would take minutes."""
 
 
@@ -161,7 +161,7 @@ def _train(size: int, folder: Path, *, by: str, method: str) -> Work:
     return work
 
 
-def _mapping(pairs: int, shapes: int, method: str) -> Mapping:
+def _mapping(pairs: int, shapes: int, method: str) -> TrainedMapping:
     key = pairs, shapes, method
     if key not in _TRAINED:
         _TRAINED[key] = _training(pairs=pairs, shapes=shapes, method=method)()
@@ -195,7 +195,7 @@ def _select(size: int, folder: Path) -> Work:
     space = selection_space(motion, actor.weights[sample], names)
     features = space.features((packed - motion.mean) @ motion.components.T)
     flat = actor.skin.reshape(SHAPES, -1)
-    stand_ins = StandIns(
+    stand_ins = CandidateMarkers(
         features=features[sample],
         weights=actor.weights[sample],
         of_rows=lambda rows: actor.weights[rows],

@@ -11,7 +11,7 @@ from usdface.capture.sniff import read_capture
 from usdface.core.assets import RigMesh
 from usdface.core.deformer import Deformer
 from usdface.demo.acting import performance
-from usdface.demo.markers import place_markers
+from usdface.demo.markers import demo_markers
 from usdface.demo.proportions import CHARACTER
 from usdface.demo.rig import demo_rig, mesh_points
 from usdface.demo.shapes import make_head
@@ -44,7 +44,7 @@ def demo_subject(frames: int, *, markers: int | None = None) -> Subject:
     own = mesh_points(head)["skin"]
     place = np.full(len(head.points), -1)
     place[own] = np.arange(len(own))
-    chosen = place[place_markers(head).points]
+    chosen = place[demo_markers(head).points]
     if markers:
         chosen = chosen[np.linspace(0, len(chosen) - 1, markers).astype(int)]
     weights = np.zeros((len(clip.values), len(rig.shapes)))

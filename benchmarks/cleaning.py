@@ -88,12 +88,12 @@ def _capture(path: Path, frames: int) -> None:
     from usdface.capture.c3d_write import write_c3d
     from usdface.demo.acting import performance
     from usdface.demo.capture import simulate_capture
-    from usdface.demo.markers import place_markers
+    from usdface.demo.markers import demo_markers
     from usdface.demo.proportions import ACTOR
     from usdface.demo.shapes import make_head
 
     actor, acted = make_head(ACTOR), performance()
-    markers = place_markers(actor)
+    markers = demo_markers(actor)
     captured = simulate_capture(actor, acted, markers)
     count = len(captured.positions)
     again = np.abs((np.arange(frames) + count - 1) % (2 * count - 2) - (count - 1))

@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks import crosstake
 from tests.conftest import SHARED_DATA
-from usdface.core.assets import Mapping
+from usdface.core.assets import TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.model.mapping.coordinates import marker_coordinates
 from usdface.model.mapping.head_space import into_head_space
@@ -62,7 +62,7 @@ def run(*, quick: bool = False) -> None:
                 _compare(f"{kind} | {count}", folder, mapping, gram[np.ix_(order, order)])
 
 
-def _compare(label: str, folder: Path, mapping: Mapping, gram: np.ndarray) -> None:
+def _compare(label: str, folder: Path, mapping: TrainedMapping, gram: np.ndarray) -> None:
     take = read_take(folder / "x.clean.take.usda")
     if take.markers is None:
         raise SystemExit("the take has no markers")
@@ -94,7 +94,7 @@ def _compare(label: str, folder: Path, mapping: Mapping, gram: np.ndarray) -> No
     )
 
 
-def _mapped(mapping: Mapping, points: np.ndarray) -> tuple[np.ndarray, float]:
+def _mapped(mapping: TrainedMapping, points: np.ndarray) -> tuple[np.ndarray, float]:
     """Weights, and the least processor time a frame of some rounds [µs]."""
     predict = find_method(mapping.method).predictor(mapping.arrays, mapping.settings, CPU)
     best = np.inf

@@ -23,7 +23,7 @@ from usdface.model import Prediction, predict_weights, sample_skin, train_mappin
 from usdface.model.mapping.regions import region_points
 from usdface.model.mapping.train import SURFACE_TOLERANCE_MM
 from usdface.numerics.regression.cross_validation import surface_errors_mm
-from usdface.steps.inputs.take_head_space import find_take_space, read_markers
+from usdface.steps.inputs.take_head_space import read_markers, take_head_space
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader
@@ -106,7 +106,7 @@ def _crosstake(counts: tuple[int, ...]) -> Iterator[Told]:
                 mapping = read_mapping(folder / "x.mapping.usdc")
                 take = TakeReader(folder / "x.clean.take.usda")
                 seen = read_markers(take, take.first_frame + crosstake.HALF, take.last_frame)
-                placed = find_take_space(take, mapping).place(seen)
+                placed = take_head_space(take, mapping).place(seen)
                 said = predict_weights(mapping, placed.positions, visible=placed.visible)
                 wanted = truth["weights"][crosstake.HALF :].astype(float)
                 own = [rig.shapes.index(shape) for shape in mapping.shape_names]

@@ -195,7 +195,7 @@ def _mapped(folder: Path, frames: int, method: str) -> dict[str, float]:
     from usdface.model import fit_motion_space
     from usdface.model.mapping.head_space import MappedMarkers
     from usdface.model.mapping.train import train_mapping
-    from usdface.steps.performance.predict_blocks import Block, solve_ahead
+    from usdface.steps.performance.predict_blocks import Block, predict_pipelined
 
     rng = np.random.default_rng(0)
     neutral = rng.uniform(-70, 70, (MARKERS, 3))
@@ -240,7 +240,7 @@ def _mapped(folder: Path, frames: int, method: str) -> dict[str, float]:
             yield partial(MappedMarkers, part, visible[: len(part)], (), (), 0.0)
 
     begun = _now()
-    answers = ((each.weights, each.confidence) for each in solve_ahead(mapping, placed()))
+    answers = ((each.weights, each.confidence) for each in predict_pipelined(mapping, placed()))
     _written(folder, frames, SHAPES, answers)
     return _since(begun)
 

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.conftest import SHARED_DATA
 from usdface.capture.sniff import read_capture
-from usdface.core.assets import Mapping, References
+from usdface.core.assets import References, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.model import fit_motion_space, predict_weights, sample_skin, train_mapping
 from usdface.model.regressions import METHODS
@@ -163,7 +163,7 @@ def act(performer: tuple[str, int, int, float], count: int) -> Acted:
 
 
 def _figures(
-    mapping: Mapping, shapes: Shapes, markers: np.ndarray, truth: np.ndarray
+    mapping: TrainedMapping, shapes: Shapes, markers: np.ndarray, truth: np.ndarray
 ) -> tuple[float, float]:
     error = predict_weights(mapping, markers).weights - truth
     blinks = [i for i, name in enumerate(shapes.names) if name.startswith("eyeblink")]

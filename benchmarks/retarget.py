@@ -17,7 +17,7 @@ from usdface.core.controls import ExpressionPairs, bare_controls
 from usdface.demo.acting import performance
 from usdface.demo.proportions import ACTOR
 from usdface.demo.rig import demo_rig
-from usdface.model.retarget.checks import find_conflicts
+from usdface.model.retarget.checks import find_pair_conflicts
 from usdface.model.retarget.cyclic import evaluate_cyclic, spread_displacements
 from usdface.model.retarget.shape_names import match_names
 from usdface.model.retarget.train import retarget, train_retargeting
@@ -47,7 +47,7 @@ def run() -> None:
     shown = act(source.shapes, weights[::EVERY] * used).weights
     _table("dog, what the pairs show", pairs, source, dog, weights * used, shown)
     torn = _contradicted(pairs)
-    label = f"dog, {len(find_conflicts(torn))} conflicts added"
+    label = f"dog, {len(find_pair_conflicts(torn))} conflicts added"
     _table(label, torn, source, dog, weights * used, shown)
     _blind(pairs, source, weights * used)
     _speed(pairs, weights)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.conftest import SHARED_DATA
-from usdface.core.assets import Mapping, Markers, References, Take
+from usdface.core.assets import Markers, References, Take, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.core.progress import silent
 from usdface.model.mapping.predict import predict_weights
@@ -217,7 +217,7 @@ def _row(stage: Stage, label: str, rows: list[np.ndarray]) -> None:
     print(f"| {label} | {' | '.join(cells)} |", flush=True)
 
 
-def _train(stage: Stage, rows: np.ndarray) -> Mapping:
+def _train(stage: Stage, rows: np.ndarray) -> TrainedMapping:
     made = stage.references
     return train_mapping(
         References(

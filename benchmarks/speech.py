@@ -9,7 +9,7 @@ import numpy as np
 from tests.conftest import SHARED_DATA
 from usdface.core.errors import InputError
 from usdface.media.film.sound import read_audio
-from usdface.speech.forced_alignment import Alignment, align_phones
+from usdface.speech.forced_alignment import PhoneAlignment, align_phones
 from usdface.speech.phone_track import PhoneTrack, Span
 from usdface.speech.track_files import read_phone_track
 from usdface.speech.transcript import spoken_words
@@ -55,7 +55,7 @@ def _said(track: PhoneTrack) -> list[Span]:
     return [span for span in track.phones if viseme_of(span.label) != "pau"]
 
 
-def _midpoint_errors(found: Alignment, theirs: PhoneTrack) -> np.ndarray:
+def _midpoint_errors(found: PhoneAlignment, theirs: PhoneTrack) -> np.ndarray:
     """Return distances between midpoints of phones that both have, in order [s]."""
     ours, others = _said(found.track), _said(theirs)
     blocks = SequenceMatcher(

@@ -14,7 +14,7 @@ from tests.tuning.test_page import Command, Page
 from usdface.core.assets import References, Rig
 from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
-from usdface.specs.references import proposed_path, tuned_path
+from usdface.specs.references import proposed_references_path, tuned_path
 from usdface.tuning.journal import Change
 from usdface.tuning.session import TuningSession
 from usdface.usdio.references.read import write_references
@@ -172,6 +172,10 @@ def _asset(folder: Path, rig: Rig) -> Path:
     )
     path = folder / "large.references.usda"
     write_references(
-        path, references, rig, tuned_path=tuned_path(path), proposed_path=proposed_path(path)
+        path,
+        references,
+        rig,
+        tuned_path=tuned_path(path),
+        proposed_path=proposed_references_path(path),
     )
     return path

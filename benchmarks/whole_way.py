@@ -161,13 +161,13 @@ def _prepare(folder: Path, lengths: tuple[int, ...]) -> None:
     from usdface.capture.c3d_write import write_c3d
     from usdface.demo.acting import performance
     from usdface.demo.capture import simulate_capture
-    from usdface.demo.markers import place_markers
+    from usdface.demo.markers import demo_markers
     from usdface.demo.proportions import ACTOR
     from usdface.demo.shapes import make_head
     from usdface.usdio.take.read import read_take
 
     actor, acted = make_head(ACTOR), performance()
-    markers = place_markers(actor)
+    markers = demo_markers(actor)
     captured = simulate_capture(actor, acted, markers)
     count = len(captured.positions)
     rng = np.random.default_rng(0)

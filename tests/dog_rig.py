@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.core.controls import Controls
-from usdface.demo.head import DemoHead, Part
+from usdface.demo.head import DemoHead, HeadPart
 from usdface.demo.proportions import CHARACTER
 from usdface.demo.rig import mesh_points, rig_from_head
 from usdface.demo.shapes import make_head
@@ -141,7 +141,9 @@ def write_dog(path: Path) -> Rig:
     for mesh in rig.meshes:
         binding = UsdSkel.BindingAPI(stage.GetPrimAtPath(mesh.path))
         skin = mesh.path.endswith("/skin")
-        of_ear = _human().parts[mesh_points(_human())["skin"]] == int(Part.EARS) if skin else False
+        of_ear = (
+            _human().parts[mesh_points(_human())["skin"]] == int(HeadPart.EARS) if skin else False
+        )
         owner, share = _influences(mesh.points, of_ear)
         binding.GetJointIndicesPrimvar().GetAttr().Clear()
         binding.CreateJointIndicesPrimvar(constant=False, elementSize=3).Set(owner.ravel().tolist())
@@ -242,7 +244,7 @@ def _like(names: tuple[str, ...], human: str) -> list[str]:
 
 def _dog_mesh(mesh: RigMesh, parts: FloatArray) -> RigMesh:
     name = mesh.path.rpartition("/")[2]
-    ears = parts == int(Part.EARS)
+    ears = parts == int(HeadPart.EARS)
 
     def place(points: FloatArray, chosen: FloatArray) -> FloatArray:
         moved = warp_to_dog(points)

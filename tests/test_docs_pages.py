@@ -11,7 +11,7 @@ import pytest
 from tests.regenerate import REFERENCE, REPOSITORY
 from tests.test_docs import commands, run
 from usdface.demo.build import write_demo_inputs
-from usdface.demo.markers import place_markers
+from usdface.demo.markers import demo_markers
 from usdface.demo.proportions import CHARACTER
 from usdface.demo.rig import demo_rig
 from usdface.demo.shapes import make_head
@@ -81,7 +81,7 @@ def test_landmarks_in_the_example_are_those_points_of_the_demos_character() -> N
     assert named == re.findall(r"(\w+)=(\d+)", BindSpec.example)
     assert len(named) >= 3
     head = make_head(CHARACTER)
-    markers = place_markers(head)
+    markers = demo_markers(head)
     (skin,) = (mesh for mesh in demo_rig().meshes if mesh.path.endswith("/skin"))
     for name, point in named:
         at = head.points[markers.points[markers.names.index(name)]]

@@ -5,17 +5,17 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from usdface.core.assets import Mapping, Performance, References, Rig, Take
+from usdface.core.assets import Performance, References, Rig, Take, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.runner import job as jobs
 from usdface.runner.execute import execute
 from usdface.runner.job import StepState
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
 from usdface.specs.edits import EditsImportSpec, EditSpec
 from usdface.specs.job import STEP_SPECS
-from usdface.specs.reading import describe_faults, read_job
+from usdface.specs.reading import read_job, validation_messages
 from usdface.usdio import mapping as mapping_files
 from usdface.usdio import validation
 from usdface.usdio.performance import write as performance_files
@@ -42,7 +42,7 @@ _SPECS = {str(spec.model_fields["step"].default): spec for spec in _STEPS}
 
 def run_step(
     step: str, /, *, overwrite: bool = False, progress: Progress = silent, **values: Any
-) -> Report:
+) -> StepResult:
     """Run one step, as the command of that name does.
 
     Parameters
@@ -71,12 +71,12 @@ def _filled(spec: type[Spec], values: dict[str, Any]) -> Spec:
     try:
         return spec.model_validate(values)
     except ValidationError as error:
-        raise InputError(describe_faults(error)) from error
+        raise InputError(validation_messages(error)) from error
 
 
 def run_job(
     job: Path | str, *, overwrite: bool = False, progress: Progress = silent
-) -> list[Report]:
+) -> list[StepResult]:
     """Run the steps of a job file that are missing or out of date.
 
     Raises
@@ -97,7 +97,7 @@ def check_job(job: Path | str) -> list[StepState]:
     InputError
         If the job cannot be read, or cannot run; every fault is named.
     """
-    return jobs.check_job(read_job(Path(job)))
+    return jobs.job_states(read_job(Path(job)))
 
 
 def validate(layer: Path | str) -> list[Finding]:
@@ -144,7 +144,7 @@ def read_references(file: Path | str) -> References:
     return references_files.read_references(Path(file))
 
 
-def read_mapping(file: Path | str) -> Mapping:
+def read_mapping(file: Path | str) -> TrainedMapping:
     """Read a trained mapping.
 
     Raises

@@ -79,9 +79,9 @@ def test_json_is_the_only_thing_on_standard_output(tmp_path, monkeypatch, capsys
 
 
 def test_farm_progress_is_spoken_in_the_farms_language(tmp_path, capsys) -> None:
-    from usdface.cli.console import listening
+    from usdface.cli.console import progress_listener
 
-    with listening("openjd") as progress:
+    with progress_listener("openjd") as progress:
         progress(0.25, "mapping")
     assert capsys.readouterr().out == "openjd_progress: 25.0\nopenjd_status: mapping\n"
 
@@ -123,18 +123,18 @@ def test_a_bug_is_reported_as_one_and_not_as_the_users_fault(monkeypatch, capsys
 
 
 def test_a_line_end_in_a_name_begins_no_second_message_to_the_farm(capsys) -> None:
-    from usdface.cli.console import listening
+    from usdface.cli.console import progress_listener
 
-    with listening("openjd") as progress:
+    with progress_listener("openjd") as progress:
         progress(1.0, "mapped kitchen\nopenjd_env: PATH=/tmp\r\nopenjd_fail: no")
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(":")[0] for line in lines] == ["openjd_progress", "openjd_status"]
 
 
 def test_a_farm_is_told_why_a_task_failed(capsys) -> None:
-    from usdface.cli.console import listening
+    from usdface.cli.console import progress_listener
 
-    with pytest.raises(InputError), listening("openjd"):
+    with pytest.raises(InputError), progress_listener("openjd"):
         raise InputError("kitchen.usda: is no take\nrecord it again")
     told = capsys.readouterr().out
     assert told == "openjd_fail: kitchen.usda: is no take record it again\n"

@@ -5,13 +5,13 @@ import pytest
 
 from usdface.demo.acting import ActedPerformance
 from usdface.demo.capture import NOISE_MM, ActorFace, SimulatedCapture, simulate_capture
-from usdface.demo.head import DemoHead, Part
-from usdface.demo.markers import MARKER_COUNT, RADIUS, MarkerSet, place_markers
+from usdface.demo.head import DemoHead, HeadPart
+from usdface.demo.markers import MARKER_COUNT, RADIUS, MarkerSet, demo_markers
 
 
 @pytest.fixture(scope="module")
 def markers(actor: DemoHead) -> MarkerSet:
-    return place_markers(actor)
+    return demo_markers(actor)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def test_left_and_right_markers_mirror_each_other(actor: DemoHead, markers: Mark
 def test_markers_sit_on_the_skin(
     actor: DemoHead, markers: MarkerSet, captured: SimulatedCapture
 ) -> None:
-    assert set(actor.parts[markers.points]) <= {Part.SKIN, Part.EARS}
+    assert set(actor.parts[markers.points]) <= {HeadPart.SKIN, HeadPart.EARS}
     local = stabilised(captured)[0]
     distance = np.linalg.norm(local - actor.points[markers.points], axis=1)
     assert np.all(np.abs(distance - RADIUS) < 6.0 * NOISE_MM)

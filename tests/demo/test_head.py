@@ -5,7 +5,7 @@ import pytest
 
 from usdface.core.arrays import FloatArray
 from usdface.demo.half_cage import Mark
-from usdface.demo.head import DemoHead, Part, bare_head, lip_rim, lower_lid_edge, upper_lid_edge
+from usdface.demo.head import DemoHead, HeadPart, bare_head, lip_rim, lower_lid_edge, upper_lid_edge
 from usdface.demo.proportions import ACTOR, CHARACTER
 from usdface.demo.sculpt import head_form
 
@@ -16,7 +16,7 @@ def face_normals(points: FloatArray, faces: np.ndarray) -> FloatArray:
 
 
 def test_left_and_right_mirror_each_other_exactly(head: DemoHead) -> None:
-    face = head.parts != Part.HAIR
+    face = head.parts != HeadPart.HAIR
     mirrored = head.points[head.mirror] * (-1.0, 1.0, 1.0)
     np.testing.assert_array_equal(mirrored[face], head.points[face])
     np.testing.assert_array_equal(head.mirror[head.mirror], np.arange(len(head.points)))
@@ -39,7 +39,7 @@ def test_the_face_looks_outwards_everywhere(style, request: pytest.FixtureReques
     head: DemoHead = request.getfixturevalue(style.name)
     form = head_form(style)
     outside = (head.marks[:, Mark.MOUTH_RING] > 1.5) & (head.marks[:, Mark.EYE_RING] > 2.5)
-    outside &= (head.parts == Part.SKIN) & (head.marks[:, Mark.NOSTRIL] < 1e-9)
+    outside &= (head.parts == HeadPart.SKIN) & (head.marks[:, Mark.NOSTRIL] < 1e-9)
     faces = head.faces[np.all(outside[head.faces], axis=1)]
     middles = head.points[faces].mean(axis=1)
     gradient = np.stack(
@@ -57,7 +57,7 @@ def test_neighbouring_skin_faces_agree_on_which_side_is_out(head: DemoHead) -> N
 
 
 def test_the_sculpted_skin_lies_on_its_form(head: DemoHead) -> None:
-    on_form = (head.parts == Part.SKIN) & (head.marks[:, Mark.SETTLE] > 0.95)
+    on_form = (head.parts == HeadPart.SKIN) & (head.marks[:, Mark.SETTLE] > 0.95)
     distance = head_form(head.style)(head.points[on_form])
     assert np.percentile(np.abs(distance), 95) < 0.5
 
@@ -88,7 +88,7 @@ def test_nothing_of_the_skin_enters_the_eyeball_at_rest(head: DemoHead) -> None:
 
 def eyeball_clearance(head: DemoHead, points: FloatArray) -> float:
     """Least distance between the left eyeball and skin, lashes left out [mm]."""
-    skin = (head.parts == Part.SKIN) & (head.points[:, 0] > 0.0)
+    skin = (head.parts == HeadPart.SKIN) & (head.points[:, 0] > 0.0)
     offset = points[skin] - head.style.eye.center
     return float(np.linalg.norm(offset, axis=1).min() - head.style.eye.radius)
 

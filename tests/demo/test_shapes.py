@@ -5,7 +5,7 @@ import pytest
 
 from usdface.core.arrays import FloatArray
 from usdface.demo.half_cage import Mark
-from usdface.demo.head import DemoHead, Part, lip_rim, lower_lid_edge, upper_lid_edge
+from usdface.demo.head import DemoHead, HeadPart, lip_rim, lower_lid_edge, upper_lid_edge
 from usdface.demo.rig import mesh_points, rig_from_head
 
 ARKIT = (
@@ -76,7 +76,7 @@ def test_a_blink_closes_the_gap(head: DemoHead) -> None:
 @pytest.mark.parametrize("weight", [0.1, 0.25, 0.375, 0.5, 0.625, 0.75, 0.9, 1.0])
 def test_no_part_of_a_blink_enters_the_eyeball(head: DemoHead, weight: float) -> None:
     points = head.posed({"eyeBlinkLeft": weight})
-    skin = (head.parts == Part.SKIN) & (head.points[:, 0] > 0.0)
+    skin = (head.parts == HeadPart.SKIN) & (head.points[:, 0] > 0.0)
     distance = np.linalg.norm(points[skin] - head.style.eye.center, axis=1)
     assert distance.min() > head.style.eye.radius
 
@@ -108,20 +108,24 @@ def test_mouth_close_brings_the_lips_of_an_open_jaw_together(head: DemoHead, wei
 
 
 def test_the_skull_does_not_move(head: DemoHead) -> None:
-    still = (head.parts == Part.HAIR) | (head.parts == Part.EARS) | (head.parts == Part.UPPER_TEETH)
+    still = (
+        (head.parts == HeadPart.HAIR)
+        | (head.parts == HeadPart.EARS)
+        | (head.parts == HeadPart.UPPER_TEETH)
+    )
     for keys in head.shapes.values():
         assert np.abs(keys[-1][1][still]).max() == 0.0
 
 
 def test_eyes_turn_without_changing_form(head: DemoHead) -> None:
-    eye = (head.parts == Part.EYES) & (head.points[:, 0] > 0.0)
+    eye = (head.parts == HeadPart.EYES) & (head.points[:, 0] > 0.0)
     for name in ("eyeLookInLeft", "eyeLookOutLeft", "eyeLookUpLeft", "eyeLookDownLeft"):
         offset = head.posed({name: 1.0})[eye] - head.style.eye.center
         np.testing.assert_allclose(np.linalg.norm(offset, axis=1), head.style.eye.radius, rtol=1e-9)
 
 
 def test_lashes_stay_on_the_edge_of_the_lid(head: DemoHead) -> None:
-    lash = np.flatnonzero(head.parts == Part.LASHES)
+    lash = np.flatnonzero(head.parts == HeadPart.LASHES)
     root = head.anchors[lash]
     before = np.linalg.norm(head.points[lash] - head.points[root], axis=1)
     posed = head.posed({"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0})
@@ -158,7 +162,7 @@ def test_blinks_have_an_in_between_at_a_half(character: DemoHead) -> None:
 
 def test_the_mouth_does_not_tear_at_its_corners(head: DemoHead) -> None:
     """No edge of the skin round the mouth grows more than fourfold when the jaw drops."""
-    near = (head.parts == Part.SKIN) & (np.abs(head.marks[:, Mark.MOUTH_RING]) < 4.0)
+    near = (head.parts == HeadPart.SKIN) & (np.abs(head.marks[:, Mark.MOUTH_RING]) < 4.0)
     faces = head.faces[np.all(near[head.faces], axis=1)]
     edges = np.unique(
         np.sort(np.stack([faces, np.roll(faces, -1, 1)], -1).reshape(-1, 2), 1), axis=0

@@ -4,7 +4,7 @@ import pytest
 
 from tests.steps.small_shot import FRAMES, Shot
 from usdface.runner.execute import execute
-from usdface.runner.job import check_job
+from usdface.runner.job import job_states
 from usdface.specs.base import Spec
 from usdface.specs.job import JobSpec
 from usdface.specs.performance import JoinSpec, MapSpec, TrainSpec
@@ -12,7 +12,7 @@ from usdface.specs.review import MovieJoinSpec, MovieSpec
 
 
 def state(spec: Spec) -> tuple[str, str]:
-    found = check_job(JobSpec(job="shot", steps=(spec,)))[0]
+    found = job_states(JobSpec(job="shot", steps=(spec,)))[0]
     return found.state, found.reason
 
 

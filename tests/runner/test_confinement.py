@@ -12,7 +12,7 @@ from tests.usdio.small_rig import small_rig
 from usdface.cli import main
 from usdface.core.errors import InputError
 from usdface.runner.execute import execute
-from usdface.runner.job import check_job, run_job
+from usdface.runner.job import job_states, run_job
 from usdface.specs.edits import BakeSpec
 from usdface.specs.paths import VARIABLE, check_confined
 from usdface.specs.reading import read_job
@@ -191,6 +191,6 @@ def test_a_pipe_is_refused_before_it_is_opened(tmp_path: Path) -> None:
     job = tmp_path / "job.yaml"
     steps = [{"step": "bake", "performance": "pipe.usda", "out": "b.usda"}]
     job.write_text(yaml.safe_dump({"job": "x", "steps": steps}))
-    for look in (run_job, check_job):
+    for look in (run_job, job_states):
         with pytest.raises(InputError, match="a pipe or a device"):
             look(read_job(job))

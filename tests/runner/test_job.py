@@ -11,7 +11,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.runner import job as jobs
 from usdface.runner.execute import execute
-from usdface.runner.job import check_job, run_job
+from usdface.runner.job import job_states, run_job
 from usdface.specs.reading import read_job
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.performance.write import read_performance
@@ -83,7 +83,7 @@ def test_cleaning_keeps_the_heads_motion(finished_shot: Shot) -> None:
 def test_a_second_run_has_nothing_to_do(shot: Shot, monkeypatch) -> None:
     # A moved folder changes no hash: paths are kept relative.
     assert ran(shot, monkeypatch) == []
-    assert {state.state for state in check_job(read_job(shot / "shot.job.yaml"))} == {"done"}
+    assert {state.state for state in job_states(read_job(shot / "shot.job.yaml"))} == {"done"}
 
 
 def test_a_job_that_ran_from_its_folder_is_done_when_it_is_named_from_elsewhere(
@@ -91,9 +91,9 @@ def test_a_job_that_ran_from_its_folder_is_done_when_it_is_named_from_elsewhere(
 ) -> None:
     # A take lies on others in several layers, and their hash must not depend on how paths sort.
     monkeypatch.chdir(shot.folder)
-    near = check_job(read_job(Path("shot.job.yaml")))
+    near = job_states(read_job(Path("shot.job.yaml")))
     monkeypatch.chdir("/")
-    far = check_job(read_job(shot / "shot.job.yaml"))
+    far = job_states(read_job(shot / "shot.job.yaml"))
     assert {state.state for state in (*near, *far)} == {"done"}
 
 
@@ -101,7 +101,7 @@ def test_only_what_depends_on_a_change_runs_again(shot: Shot, monkeypatch) -> No
     keys = (shot / "keys.csv").read_text().splitlines()
     keys[40] = keys[40].replace("0.0000", "0.0100")
     (shot / "keys.csv").write_text("\n".join(keys))
-    states = check_job(read_job(shot / "shot.job.yaml"))
+    states = job_states(read_job(shot / "shot.job.yaml"))
     assert [state.state for state in states] == ["done"] * 3 + ["stale"] * 4
     assert "keys.csv has changed" in states[3].reason
     assert states[4].reason == "an earlier step makes hero.references.usda anew"
@@ -159,7 +159,7 @@ def test_checking_names_every_file_that_is_missing(shot: Shot) -> None:
     (shot / "shot.c3d").unlink()
     (shot / "keys.csv").unlink()
     with pytest.raises(InputError, match=r"shot\.c3d: no such file.*\n.*keys\.csv: no such file"):
-        check_job(read_job(shot / "shot.job.yaml"))
+        job_states(read_job(shot / "shot.job.yaml"))
 
 
 def test_running_twice_gives_the_same_bytes(shot: Shot, monkeypatch) -> None:
@@ -180,7 +180,7 @@ def test_a_step_is_run_again_when_a_layer_beneath_its_output_is_gone(
 ) -> None:
     before = (shot / gone).read_bytes()
     (shot / gone).unlink()
-    states = {each.spec.step: each for each in check_job(read_job(shot / "shot.job.yaml"))}
+    states = {each.spec.step: each for each in job_states(read_job(shot / "shot.job.yaml"))}
     assert (states[step].state, states[step].reason) == ("missing", f"{gone} is not there")
     assert step in ran(shot, monkeypatch)
     assert (shot / gone).read_bytes() == before

@@ -15,7 +15,7 @@ from usdface.core.sidecars import weights_path
 from usdface.media.page.face_payload import FacePayload
 from usdface.media.page.report_page import ReviewPage, WeightCurves, build_page, read_page_origin
 from usdface.runner.execute import execute
-from usdface.runner.job import check_job, run_job
+from usdface.runner.job import job_states, run_job
 from usdface.runner.outputs import provenance_metadata, provenance_of
 from usdface.specs.job import JobSpec
 from usdface.specs.performance import MapSpec
@@ -46,7 +46,7 @@ def test_a_job_with_a_report_a_package_and_figures_runs_twice(shot: Shot, monkey
     ]
     job.write_text(yaml.safe_dump(data), encoding="utf-8")
     assert ran(shot, monkeypatch) == ["report", "package", "evaluate", "bake"]
-    assert {state.state for state in check_job(read_job(job))} == {"done"}
+    assert {state.state for state in job_states(read_job(job))} == {"done"}
     assert ran(shot, monkeypatch) == []
     (shot / "shot.html").write_text("<html>mine</html>", encoding="utf-8")
     with pytest.raises(InputError, match=r"shot\.html: exists and was not written by usdface"):

@@ -14,7 +14,7 @@ from usdface.model.mapping.head_space import into_head_space
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.train import train_mapping
 from usdface.runner.execute import execute
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
 from usdface.specs.capture import IngestSpec
 from usdface.specs.performance import MapSpec, TrainSpec
@@ -28,7 +28,7 @@ from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
 
 
-def run(spec: Spec) -> Report:
+def run(spec: Spec) -> StepResult:
     return execute(spec, overwrite=True)
 
 

@@ -9,7 +9,7 @@ from usdface.capture.c3d_write import write_c3d
 from usdface.demo.acting import performance
 from usdface.demo.build import _write_weights
 from usdface.demo.capture import simulate_capture
-from usdface.demo.markers import place_markers
+from usdface.demo.markers import demo_markers
 from usdface.demo.proportions import ACTOR
 from usdface.demo.rig import demo_rig
 from usdface.demo.shapes import make_head
@@ -36,7 +36,7 @@ def make_inputs(folder: Path) -> Shot:
     rig = demo_rig()
     write_rig(folder / "hero.usdc", rig)
     actor, acted = make_head(ACTOR), performance()
-    markers = place_markers(actor)
+    markers = demo_markers(actor)
     captured = simulate_capture(actor, acted, markers)
     write_c3d(
         folder / "shot.c3d",

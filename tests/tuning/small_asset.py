@@ -6,7 +6,7 @@ import numpy as np
 
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import References
-from usdface.specs.references import proposed_path, tuned_path
+from usdface.specs.references import proposed_references_path, tuned_path
 from usdface.tuning.journal import Change
 from usdface.tuning.session import TuningSession
 from usdface.usdio.references.read import write_references
@@ -43,7 +43,7 @@ def write_asset(folder: Path, references: References | None = None) -> Path:
         references or small_references(folder),
         read_rig(folder / "rig.usda"),
         tuned_path=tuned_path(path),
-        proposed_path=proposed_path(path),
+        proposed_references_path=proposed_references_path(path),
     )
     return path
 

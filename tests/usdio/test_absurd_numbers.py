@@ -30,7 +30,7 @@ from usdface.usdio.rig.mesh import read_face_mesh
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.take.foreign import read_foreign_take
-from usdface.usdio.take.frame_span import FRAMES_BETWEEN_KEYS, UNSAMPLED_FRAMES, check_span
+from usdface.usdio.take.frame_span import FRAMES_BETWEEN_KEYS, UNSAMPLED_FRAMES, check_frame_span
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 
@@ -222,12 +222,12 @@ def test_what_others_keep_under_our_name_is_let_be(tmp_path: Path, said: object)
 
 
 def test_a_span_may_be_as_long_as_its_samples_bear_out() -> None:
-    check_span("x", 1, UNSAMPLED_FRAMES, samples=2)
-    check_span("x", 1, 432_000, samples=432_000)
-    check_span("x", 1, FRAMES_BETWEEN_KEYS * 5000, samples=5000)
-    check_span("x", 1, 432_000, samples=None)
+    check_frame_span("x", 1, UNSAMPLED_FRAMES, samples=2)
+    check_frame_span("x", 1, 432_000, samples=432_000)
+    check_frame_span("x", 1, FRAMES_BETWEEN_KEYS * 5000, samples=5000)
+    check_frame_span("x", 1, 432_000, samples=None)
     with pytest.raises(InputError, match=r"x: 2 samples on 100001 frames"):
-        check_span("x", 1, UNSAMPLED_FRAMES + 1, samples=2)
+        check_frame_span("x", 1, UNSAMPLED_FRAMES + 1, samples=2)
 
 
 @pytest.mark.parametrize(

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd
 
-from usdface.core.assets import CandidateScore, Mapping
+from usdface.core.assets import CandidateScore, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.usdio.mapping import read_mapping, write_mapping
 from usdface.usdio.validation import validate
 
 
-def small_mapping() -> Mapping:
+def small_mapping() -> TrainedMapping:
     rng = np.random.default_rng(0)
-    return Mapping(
+    return TrainedMapping(
         method="d06",
         marker_names=("a", "b"),
         shape_names=("jawOpen", "smile"),

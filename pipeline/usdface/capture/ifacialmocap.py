@@ -15,9 +15,9 @@ import numpy as np
 from usdface.capture.channel_take import build_channel_take
 from usdface.capture.marker_take import Capture, CaptureOptions
 from usdface.capture.sample_times import SampleTimes
-from usdface.capture.text_table import Line, check_columns, head_lines, parse_cells, read_lines
+from usdface.capture.text_table import TableLine, check_columns, head_lines, parse_cells, read_lines
 from usdface.core.errors import InputError
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 
 _VALUE = r"-?[\d.]+(?:[eE][-+]?\d+)?"
 _WEIGHT = re.compile(rf"([A-Za-z]\w*)\s*[-&]\s*({_VALUE})", re.ASCII)
@@ -74,20 +74,20 @@ def read_ifacialmocap(path: Path, options: CaptureOptions) -> Capture:
             f"the stream holds no times; {_RATE} frames per second assumed",
             "head and eye rotations are kept as channels, in radians; the head's position, whose "
             "unit the stream does not say, is left out",
-            *([f"{counted(lost, 'frame')} without a face, interpolated"] if lost else []),
+            *([f"{pluralize(lost, 'frame')} without a face, interpolated"] if lost else []),
         ],
         format_name="ifacialmocap",
     )
 
 
-def _frames(path: Path) -> Iterator[Line]:
+def _frames(path: Path) -> Iterator[TableLine]:
     for line in read_lines(path):
         for text in line.text.split(_FRAME_END):
             if text.strip():
-                yield Line(path, line.number, text)
+                yield TableLine(path, line.number, text)
 
 
-def _read_frame(frame: Line) -> dict[str, float]:
+def _read_frame(frame: TableLine) -> dict[str, float]:
     """Return weights [0-1] and rotations [rad] by name."""
     weights, equals, poses = frame.text.partition("=")
     if not equals:
@@ -122,5 +122,5 @@ def _read_frame(frame: Line) -> dict[str, float]:
     return dict(zip(names, values, strict=True))
 
 
-def _numbers(cells: list[str], columns: list[str], frame: Line) -> list[float]:
+def _numbers(cells: list[str], columns: list[str], frame: TableLine) -> list[float]:
     return parse_cells(cells, columns, frame, delimiter="|", gaps=False)

@@ -17,7 +17,7 @@ from usdface.capture.channel_take import build_channel_take
 from usdface.capture.marker_take import Capture, CaptureOptions
 from usdface.capture.sample_times import SampleTimes, settle_device_times
 from usdface.capture.text_table import (
-    Line,
+    TableLine,
     check_columns,
     head_lines,
     parse_cells,
@@ -27,7 +27,7 @@ from usdface.capture.text_table import (
     without_empty_tail,
 )
 from usdface.core.errors import InputError
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.core.timecode import timecode_of
 
 _TIMECODE = re.compile(r"(\d\d):(\d\d):(\d\d):(\d{1,3}(?:\.\d{1,9})?)", re.ASCII)
@@ -93,9 +93,9 @@ def read_live_link_csv(path: Path, options: CaptureOptions) -> Capture:
     rows = _read_rows(path, lines, titles, delimiter)
     notes = []
     if rows.lost:
-        notes.append(f"{counted(rows.lost, 'row')} without a face, interpolated")
+        notes.append(f"{pluralize(rows.lost, 'row')} without a face, interpolated")
     if rows.outside:
-        notes.append(f"{counted(rows.outside, 'row')} without a face at the ends, left out")
+        notes.append(f"{pluralize(rows.outside, 'row')} without a face at the ends, left out")
     where = f"{path} Timecode in seconds"
     base = _settle_base(rows, notes, where)
     seconds = _unwrap(rows, base)
@@ -119,7 +119,7 @@ def read_live_link_csv(path: Path, options: CaptureOptions) -> Capture:
     )
 
 
-def _read_rows(path: Path, lines: Iterator[Line], titles: list[str], delimiter: str) -> _Rows:
+def _read_rows(path: Path, lines: Iterator[TableLine], titles: list[str], delimiter: str) -> _Rows:
     rows = _Rows([], [], [], [], 0, 0)
     before = lost = latest = 0  # rows without a face: before the first with one, since, lately
     for line in lines:
@@ -147,7 +147,7 @@ def _read_rows(path: Path, lines: Iterator[Line], titles: list[str], delimiter: 
     return _Rows(rows.whole, rows.parts, rows.values, rows.lines, lost, before + latest)
 
 
-def _read_timecode(cell: str, line: Line) -> tuple[int, float]:
+def _read_timecode(cell: str, line: TableLine) -> tuple[int, float]:
     """Return whole seconds since midnight, and the frames within the second."""
     match = _TIMECODE.fullmatch(cell)
     hours, minutes, seconds = (int(match[group]) for group in (1, 2, 3)) if match else (99, 0, 0)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from usdface.core.errors import InputError
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 
 _UNLABELLED = re.compile(r"\*.*|u_?\d+|(?:unlabell?ed|unnamed|uname)[\W_]*\d*", re.IGNORECASE)
 _SHOWN = 6
@@ -73,10 +73,10 @@ def settle_labels(labels: Sequence[str], *, where: str) -> MarkerLabels:
     doubled = [name for name, count in Counter(names).items() if count > 1]
     faults = []
     if empty:
-        faults.append(f"{counted(len(empty), 'marker')} with an empty label ({list_some(empty)})")
+        faults.append(f"{pluralize(len(empty), 'marker')} with an empty label ({list_some(empty)})")
     if doubled:
         faults.append(
-            f"{counted(len(doubled), 'label')} given more than once ({list_some(doubled)})"
+            f"{pluralize(len(doubled), 'label')} given more than once ({list_some(doubled)})"
         )
     if faults:
         several = (
@@ -96,7 +96,7 @@ def settle_labels(labels: Sequence[str], *, where: str) -> MarkerLabels:
     return MarkerLabels(tuple(names), tuple(columns), tuple(dropped), tuple(subjects))
 
 
-def match_names(
+def match_labels(
     wanted: Sequence[str], names: Sequence[str], *, where: str, role: str
 ) -> tuple[str, ...]:
     """Return `wanted` as the take names them, with or without the subject's prefix.

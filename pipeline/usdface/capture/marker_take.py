@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.capture.marker_labels import list_some, match_names
+from usdface.capture.marker_labels import list_some, match_labels
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 
 _CHUNK_FRAMES = 8192
 FARTHEST_MM = 1e5
@@ -107,7 +107,7 @@ def build_marker_take(
         )
     if not ever_seen.all():
         never = [name for name, seen in zip(names, ever_seen, strict=True) if not seen]
-        found.append(f"{counted(len(never), 'marker')} never seen, left out: {list_some(never)}")
+        found.append(f"{pluralize(len(never), 'marker')} never seen, left out: {list_some(never)}")
         positions, visible = positions[:, ever_seen], visible[:, ever_seen]
         names = [name for name, seen in zip(names, ever_seen, strict=True) if seen]
     if not visible.all():
@@ -120,7 +120,7 @@ def build_marker_take(
         positions=positions,
         visible=visible,
         confidence=_confidence(visible),
-        rigid=match_names(options.rigid, names, where=str(path), role="rigid marker"),
+        rigid=match_labels(options.rigid, names, where=str(path), role="rigid marker"),
         neutral_frame=neutral_frame,
     )
     take = Take(
@@ -173,7 +173,7 @@ def _hide_impossible(positions: NDArray[np.float32], visible: NDArray[np.bool_])
         seen &= ~(broken | origin | far)
     reasons = ("not numbers", "exactly at the origin", f"more than {FARTHEST_MM / 1000:g} m away")
     return [
-        f"{counted(count, 'sample')} {reason}, counted as gaps"
+        f"{pluralize(count, 'sample')} {reason}, counted as gaps"
         for count, reason in zip(counts.tolist(), reasons, strict=True)
         if count
     ]

@@ -18,7 +18,7 @@ from usdface.capture.marker_table import build_table_take, settle_space
 from usdface.capture.marker_take import Capture, CaptureOptions
 from usdface.capture.sample_times import check_rate, rate_of_times, settle_frame_numbers
 from usdface.capture.text_table import (
-    Line,
+    TableLine,
     head_lines,
     read_lines,
     read_number_table,
@@ -51,8 +51,8 @@ class _Header:
     names: list[str]
     values: list[str]
     axes: list[str]
-    names_line: Line
-    axes_line: Line
+    names_line: TableLine
+    axes_line: TableLine
     delimiter: str
 
 
@@ -124,11 +124,11 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
     )
 
 
-def _read_header(path: Path, lines: Iterator[Line]) -> _Header:
+def _read_header(path: Path, lines: Iterator[TableLine]) -> _Header:
     first = next(lines)
     delimiter = sniff_delimiter(first.text) or ","
     stated = _stated(split_cells(first, delimiter))
-    rows: list[tuple[Line, list[str]]] = []
+    rows: list[tuple[TableLine, list[str]]] = []
     for line in lines:
         cells = split_cells(line, delimiter)
         if not any(cells):

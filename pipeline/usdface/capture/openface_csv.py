@@ -19,8 +19,8 @@ from usdface.capture.marker_table import build_table_take
 from usdface.capture.marker_take import Capture, CaptureOptions
 from usdface.capture.sample_times import rate_of_times, settle_frame_numbers
 from usdface.capture.text_table import (
-    Line,
     NumberTable,
+    TableLine,
     check_columns,
     head_lines,
     read_lines,
@@ -118,7 +118,7 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
     return _add(capture, source, confidence)
 
 
-def _read_header(header: Line, delimiter: str) -> _Columns:
+def _read_header(header: TableLine, delimiter: str) -> _Columns:
     titles = without_empty_tail(split_cells(header, delimiter))
     check_columns(titles, header)
     at = {title: index for index, title in enumerate(titles)}

@@ -27,7 +27,7 @@ _SHOWN = 40
 
 
 @dataclass(frozen=True)
-class Line:
+class TableLine:
     """One line of a file, without its line break; `number` counts from 1."""
 
     path: Path
@@ -66,7 +66,7 @@ def head_lines(head: bytes, count: int) -> list[str]:
     return [] if "\0" in text else text.splitlines()[:count]
 
 
-def read_lines(path: Path) -> Iterator[Line]:
+def read_lines(path: Path) -> Iterator[TableLine]:
     r"""Read a text file line by line: UTF-8 or UTF-16, any line ends, empty lines included.
 
     Raises
@@ -88,14 +88,14 @@ def read_lines(path: Path) -> Iterator[Line]:
         number = 0
         while text := stream.readline(LONGEST_LINE):
             number += 1
-            line = Line(path, number, text.rstrip("\n"))
+            line = TableLine(path, number, text.rstrip("\n"))
             _check_line(line, encoding)
             yield line
         if number == 0:  # a byte order mark alone
             raise InputError(f"{path}: the file holds no text; export the take again")
 
 
-def split_cells(line: Line, delimiter: str | None) -> list[str]:
+def split_cells(line: TableLine, delimiter: str | None) -> list[str]:
     """Split a line at a delimiter, or at white space where that is None; quotes are taken off.
 
     Raises
@@ -128,7 +128,7 @@ def sniff_delimiter(text: str) -> str | None:
     return best if best in text else None
 
 
-def check_columns(columns: Sequence[str], line: Line) -> None:
+def check_columns(columns: Sequence[str], line: TableLine) -> None:
     """Refuse empty and doubled column names.
 
     Raises
@@ -153,7 +153,7 @@ def check_columns(columns: Sequence[str], line: Line) -> None:
 def parse_cells(
     cells: Sequence[str],
     columns: Sequence[str],
-    line: Line,
+    line: TableLine,
     *,
     delimiter: str | None,
     gaps: bool,
@@ -207,7 +207,7 @@ def parse_cells(
 
 
 def read_number_table(
-    lines: Iterable[Line],
+    lines: Iterable[TableLine],
     columns: Sequence[str],
     *,
     path: Path,
@@ -264,7 +264,7 @@ def _encoding(head: bytes) -> str:
     return "utf-8-sig"
 
 
-def _check_line(line: Line, encoding: str) -> None:
+def _check_line(line: TableLine, encoding: str) -> None:
     if line.number > MOST_LINES:
         raise InputError(f"{line.path}: more than {MOST_LINES} lines; export the take in parts")
     if len(line.text) >= LONGEST_LINE:
@@ -284,7 +284,7 @@ def _check_line(line: Line, encoding: str) -> None:
         )
 
 
-def _place(line: Line, columns: Sequence[str], index: int, first_column: int) -> str:
+def _place(line: TableLine, columns: Sequence[str], index: int, first_column: int) -> str:
     return f"{line.where}, column {first_column + index + 1} ({columns[index][:_SHOWN]})"
 
 

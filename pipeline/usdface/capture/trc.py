@@ -13,7 +13,7 @@ from usdface.capture.marker_table import build_table_take, settle_space
 from usdface.capture.marker_take import Capture, CaptureOptions
 from usdface.capture.sample_times import check_rate, settle_frame_numbers
 from usdface.capture.text_table import (
-    Line,
+    TableLine,
     head_lines,
     read_lines,
     read_number_table,
@@ -82,7 +82,7 @@ def read_trc(path: Path, options: CaptureOptions) -> Capture:
     )
 
 
-def _labels(titles: Line, axes: Line, delimiter: str | None) -> list[str]:
+def _labels(titles: TableLine, axes: TableLine, delimiter: str | None) -> list[str]:
     """Return the marker names; they stand over every third column after frame and time."""
     names = split_cells(titles, delimiter)
     marks = [cell for cell in split_cells(axes, delimiter) if cell]
@@ -122,7 +122,7 @@ def _says(text: str, count: int) -> bool:
         return False
 
 
-def _data_rate(header: dict[str, str], line: Line) -> Fraction:
+def _data_rate(header: dict[str, str], line: TableLine) -> Fraction:
     """Return the rate that the header states."""
     text = header.get("DataRate", "")
     try:
@@ -135,7 +135,7 @@ def _data_rate(header: dict[str, str], line: Line) -> Fraction:
     return exact_rate(rate, where=f"{line.where} DataRate")
 
 
-def _next(lines: Iterator[Line], path: Path, expected: str) -> Line:
+def _next(lines: Iterator[TableLine], path: Path, expected: str) -> TableLine:
     """Return the next line that is not empty."""
     for line in lines:
         if line.text.strip():

@@ -16,7 +16,7 @@ from usdface.capture.marker_table import build_table_take, settle_space
 from usdface.capture.marker_take import Capture, CaptureOptions
 from usdface.capture.sample_times import settle_frame_numbers
 from usdface.capture.text_table import (
-    Line,
+    TableLine,
     head_lines,
     read_lines,
     read_number_table,
@@ -73,13 +73,13 @@ def read_vicon_csv(path: Path, options: CaptureOptions) -> Capture:
     return Capture(capture.take, capture.format, (note, *capture.notes))
 
 
-def _title(line: Line) -> str | None:
+def _title(line: TableLine) -> str | None:
     """Return a block's title: a line of one cell that begins with a letter."""
     cells = without_empty_tail(split_cells(line, sniff_delimiter(line.text) or ","))
     return cells[0] if len(cells) == 1 and cells[0][:1].isalpha() else None
 
 
-def _read_block(path: Path, lines: Iterator[Line], options: CaptureOptions) -> Capture:
+def _read_block(path: Path, lines: Iterator[TableLine], options: CaptureOptions) -> Capture:
     """Read the block whose title was the line before."""
     rate_line = _next(lines, path)
     names = _next(lines, path)
@@ -153,7 +153,7 @@ def _read_block(path: Path, lines: Iterator[Line], options: CaptureOptions) -> C
     )
 
 
-def _one_unit(line: Line, cells: list[str], starts: list[int]) -> str:
+def _one_unit(line: TableLine, cells: list[str], starts: list[int]) -> str:
     """Return the unit of all positions."""
     units = Counter(
         cells[at] for start in starts for at in range(start, start + 3) if at < len(cells)
@@ -166,7 +166,7 @@ def _one_unit(line: Line, cells: list[str], starts: list[int]) -> str:
     return next(iter(units), "")
 
 
-def _next(lines: Iterator[Line], path: Path) -> Line:
+def _next(lines: Iterator[TableLine], path: Path) -> TableLine:
     for line in lines:
         return line
     raise InputError(f"{path}: the file ends within the header of its trajectories; copy it again")

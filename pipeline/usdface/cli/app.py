@@ -15,19 +15,19 @@ import typer
 from usdface.cli.command_list import EPILOG, commands_on_demand
 from usdface.cli.console import (
     ProgressStyle,
+    echo,
     exit_code_of,
-    listening,
+    progress_listener,
     raise_on_signals,
-    say,
     set_up_logging,
     show_error,
     show_json,
-    show_report,
+    show_result,
 )
 from usdface.cli.spec_options import build_spec, command_of
 from usdface.cli.tune import tune_command
 from usdface.core.errors import InputError, UsdfaceError
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.core.version import __version__
 from usdface.specs.base import Spec
 from usdface.specs.capture import IngestSpec
@@ -104,9 +104,9 @@ def _run_step(
             )
         target = values.pop("out")
         shared = build_spec(IngestSpec, values | {"out": target / "all.take.usda"})
-        with listening(progress) as listener:
+        with progress_listener(progress) as listener:
             report = ingest_folder(folder, target, shared, overwrite=overwrite, progress=listener)
-        show_report(report, as_json=as_json)
+        show_result(report, as_json=as_json)
         return
     spec = build_spec(spec_type, values)
     if save_spec is not None:
@@ -115,13 +115,13 @@ def _run_step(
             save_spec.write_text(text, encoding="utf-8")
         except OSError as error:
             raise InputError(f"{save_spec}: cannot be written: {error.strerror}") from error
-        say(f"wrote {save_spec}")
+        echo(f"wrote {save_spec}")
         return
     from usdface.runner.execute import execute
 
-    with listening(progress) as listener:
+    with progress_listener(progress) as listener:
         report = execute(spec, overwrite=overwrite, progress=listener)
-    show_report(report, as_json=as_json)
+    show_result(report, as_json=as_json)
     report.require_success()
 
 
@@ -149,7 +149,7 @@ def _submit(
     as_json: bool,
 ) -> None:
     from usdface.farm.submit import describe, submit
-    from usdface.runner.result import Report
+    from usdface.runner.result import StepResult
 
     spec = build_spec(spec_type, values)
     done = submit(spec, overwrite=overwrite, quiet=as_json)
@@ -158,11 +158,11 @@ def _submit(
     notes = _said_of_whole([path.name for path in done.plan.whole])
     tasks = {step.name: len(step.tasks) for step in done.plan.steps}
     verb = "written" if spec.write_only else "done" if spec.farm == "openjd" else "submitted"
-    summary = f"{done.job}: {counted(sum(tasks.values()), 'task')}, {verb}"
-    report = Report(
+    summary = f"{done.job}: {pluralize(sum(tasks.values()), 'task')}, {verb}"
+    report = StepResult(
         (done.bundle,), summary, notes, {"job": done.job, "tasks": tasks}, describe(done)
     )
-    show_report(report, as_json=as_json)
+    show_result(report, as_json=as_json)
 
 
 # An edit is a person's: a job makes none again.
@@ -232,7 +232,7 @@ def list_edits(
     """
     from usdface.steps.inputs.edit_ranges import list_edits as listed
 
-    show_report(listed(performance, prim=prim), as_json=as_json)
+    show_result(listed(performance, prim=prim), as_json=as_json)
 
 
 @app.command(epilog=EPILOG)
@@ -262,13 +262,13 @@ def run(
     _confine(spec, root)
     if with_folders:
         make_folders(spec)
-    with listening(progress) as listener:
+    with progress_listener(progress) as listener:
         reports = run_job(spec, progress=listener, overwrite=overwrite)
     if as_json:
         show_json({"job": spec.job, "steps": [report.as_data() for report in reports]})
         return
     for report in reports:
-        show_report(report, as_json=False)
+        show_result(report, as_json=False)
 
 
 @app.command(epilog=EPILOG)
@@ -283,16 +283,16 @@ def check(
 
     usdface check kitchen.job.yaml
     """
-    from usdface.runner.job import check_job
+    from usdface.runner.job import job_states
 
     spec = read_job(job)
     _confine(spec, root)
-    states = check_job(spec)
+    states = job_states(spec)
     if as_json:
         show_json([{"step": s.spec.step, "state": s.state, "reason": s.reason} for s in states])
         return
     for number, state in enumerate(states, start=1):
-        say(f"{number}. {state.spec.step}: {state.state} ({state.reason})")
+        echo(f"{number}. {state.spec.step}: {state.state} ({state.reason})")
 
 
 @app.command(epilog=EPILOG)
@@ -308,7 +308,7 @@ def describe(
     """
     from usdface.steps.performance.describe import describe_mapping
 
-    show_report(describe_mapping(mapping), as_json=as_json)
+    show_result(describe_mapping(mapping), as_json=as_json)
 
 
 @app.command(epilog=EPILOG)
@@ -329,7 +329,7 @@ def validate(
     from usdface.steps.edits.validate import validate_layers
 
     report = validate_layers(tuple(layers))
-    show_report(report, as_json=as_json)
+    show_result(report, as_json=as_json)
     report.require_success()
 
 
@@ -351,14 +351,14 @@ def demo(
     """
     from usdface.demo.job import run_demo
 
-    with listening(progress) as listener:
+    with progress_listener(progress) as listener:
         report = run_demo(out_folder, progress=listener)
-    show_report(report, as_json=as_json)
+    show_result(report, as_json=as_json)
 
 
 def _version(wanted: bool) -> None:
     if wanted:
-        say(f"usdface {__version__}")
+        echo(f"usdface {__version__}")
         raise typer.Exit
 
 

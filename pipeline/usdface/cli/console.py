@@ -18,7 +18,7 @@ import typer
 from usdface.core.errors import CancelledError, UsdfaceError
 from usdface.core.progress import Progress as Listener
 from usdface.core.progress import silent
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 
 ProgressStyle = Literal["auto", "bar", "openjd", "none"]
 
@@ -36,7 +36,7 @@ LEAST_FARM_SECONDS = 1.0
 
 
 @contextlib.contextmanager
-def listening(style: ProgressStyle) -> Iterator[Listener]:
+def progress_listener(style: ProgressStyle) -> Iterator[Listener]:
     """Yield a listener that draws a bar on a terminal or speaks a farm's language."""
     if style == "openjd":
         try:
@@ -94,23 +94,23 @@ def _say_to_farm(what: str, message: str) -> None:
     sys.stdout.flush()
 
 
-def say(line: str) -> None:
+def echo(line: str) -> None:
     """Print a line at once, whoever reads it: a person, or a pipe."""
     typer.echo(line)
 
 
-def show_report(report: Report, *, as_json: bool) -> None:
+def show_result(report: StepResult, *, as_json: bool) -> None:
     """Print a step's result for a person or for a script."""
     if as_json:
         show_json(report.as_data())
         return
-    say(report.summary)
+    echo(report.summary)
     for line in report.table:
-        say(f"  {line}")
+        echo(f"  {line}")
     for note in report.notes:
-        say(f"  note: {note}")
+        echo(f"  note: {note}")
     for path in report.outputs if report.fresh else ():
-        say(f"  wrote {path}")
+        echo(f"  wrote {path}")
 
 
 def show_json(data: Any) -> None:

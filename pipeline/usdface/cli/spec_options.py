@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 
 from usdface.core.errors import InputError
 from usdface.specs.base import Positional, Spec, field_help
-from usdface.specs.reading import describe_faults
+from usdface.specs.reading import validation_messages
 
 SpecType = TypeVar("SpecType", bound=Spec)
 
@@ -65,7 +65,7 @@ def build_spec(spec: type[SpecType], values: dict[str, Any]) -> SpecType:
     try:
         return spec.model_validate(given)
     except ValidationError as error:
-        raise InputError(describe_faults(error)) from error
+        raise InputError(validation_messages(error)) from error
 
 
 def command_of(spec: type[Spec], run: Callable[..., None], common: list[inspect.Parameter]) -> Any:

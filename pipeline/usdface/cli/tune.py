@@ -5,11 +5,11 @@ import json
 import webbrowser
 from typing import Any
 
-from usdface.cli.console import say, show_report
+from usdface.cli.console import echo, show_result
 from usdface.cli.spec_options import build_spec, command_of
 from usdface.core.errors import InputError
-from usdface.core.text import counted
-from usdface.runner.result import Report
+from usdface.core.text import pluralize
+from usdface.runner.result import StepResult
 from usdface.specs.base import Reads, Spec
 from usdface.specs.paths import confinement_root
 from usdface.specs.tune import TuneSpec
@@ -46,11 +46,11 @@ def _tune(spec_type: type[Spec], values: dict[str, Any], *, as_json: bool) -> No
 
     def announce(link: str) -> None:
         if as_json:
-            say(json.dumps({"link": link}))
+            echo(json.dumps({"link": link}))
         else:
-            say(f"{'tune at' if not links else 'a new link:'} {link}")
+            echo(f"{'tune at' if not links else 'a new link:'} {link}")
             if not links:
-                say("  Ctrl+C saves and ends; the link opens one browser, once")
+                echo("  Ctrl+C saves and ends; the link opens one browser, once")
         if spec.browser and not links:
             webbrowser.open(link)
         links.append(link)
@@ -64,13 +64,13 @@ def _tune(spec_type: type[Spec], values: dict[str, Any], *, as_json: bool) -> No
         "done": int(state.done.sum()),
         "recovered": session.recovered,
     }
-    summary = f"{figures['tuned']} of {counted(count, 'pair')} tuned, {figures['done']} done"
+    summary = f"{figures['tuned']} of {pluralize(count, 'pair')} tuned, {figures['done']} done"
     notes = list[str]()
     if session.recovered:
-        changes = counted(session.recovered, "change")
+        changes = pluralize(session.recovered, "change")
         notes.append(f"taken up again, of a session that crashed: {changes}")
     if (before := session.lock.taken_from) is not None:
         notes.append(
             f"taken over from {before.user} on {before.host}, who had begun {before.since}"
         )
-    show_report(Report((session.tuned_path,), summary, tuple(notes), figures), as_json=as_json)
+    show_result(StepResult((session.tuned_path,), summary, tuple(notes), figures), as_json=as_json)

@@ -313,7 +313,7 @@ class References:
 
 
 @dataclass(frozen=True)
-class Mapping:
+class TrainedMapping:
     """A trained function from stabilised markers to a rig's channels: all that predict needs.
 
     Attributes

@@ -1,7 +1,7 @@
 """Words in messages that depend on a number."""
 
 
-def counted(count: int, noun: str) -> str:
+def pluralize(count: int, noun: str) -> str:
     """Return a number with its noun, ``1 shape`` or ``3 shapes``.
 
     Parameters

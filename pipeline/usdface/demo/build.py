@@ -10,7 +10,7 @@ from usdface.core.progress import Progress, part, silent
 from usdface.demo.acting import FIRST_FRAME, Interval, performance
 from usdface.demo.capture import simulate_capture
 from usdface.demo.clip import OFFSET_SECONDS, write_clip
-from usdface.demo.markers import place_markers
+from usdface.demo.markers import demo_markers
 from usdface.demo.proportions import ACTOR
 from usdface.demo.rig import demo_rig
 from usdface.demo.shapes import make_head
@@ -84,7 +84,7 @@ def write_demo_inputs(folder: Path, *, workers: int = 2, progress: Progress = si
     progress(0.10, "casting the actor")
     actor = make_head(ACTOR)
     acted = performance()
-    markers = place_markers(actor)
+    markers = demo_markers(actor)
     progress(0.15, "capturing the actor")
     captured = simulate_capture(actor, acted, markers)
     capture_file = folder / "actor.c3d"

@@ -12,7 +12,7 @@ from usdface.core.arrays import ByteImage, FloatArray, IntArray
 from usdface.core.progress import Progress, silent
 from usdface.demo.acting import ActedPerformance
 from usdface.demo.capture import ActorFace, head_poses
-from usdface.demo.head import DemoHead, Part
+from usdface.demo.head import DemoHead, HeadPart
 from usdface.demo.rig import mesh_points, rig_from_head
 from usdface.demo.script import DURATION
 from usdface.demo.voice import speak
@@ -56,7 +56,7 @@ def _lighter(head: DemoHead) -> tuple[IntArray, DemoHead]:
 
     Returns the points that are kept, which lie where they lay, and the head made of them.
     """
-    skin = np.all(head.parts[head.faces] == Part.SKIN, axis=1)
+    skin = np.all(head.parts[head.faces] == HeadPart.SKIN, axis=1)
     # Refining cuts a quad into four, one at each corner, and each begins with that corner.
     coarse = np.concatenate([head.faces[skin][:, 0].reshape(-1, 4), head.faces[~skin]])
     kept, faces = np.unique(coarse, return_inverse=True)

@@ -9,7 +9,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.demo.details import smooth_step
 from usdface.demo.half_cage import Mark
-from usdface.demo.head import DemoHead, Part, lip_rim, lower_lid_edge, upper_lid_edge
+from usdface.demo.head import DemoHead, HeadPart, lip_rim, lower_lid_edge, upper_lid_edge
 from usdface.demo.lid_turns import BLINK_MEETS
 
 Push = tuple[float, float, float]
@@ -26,7 +26,7 @@ class FaceFields:
         self.eye_ring, self.eye_side = head.marks[:, Mark.EYE_RING], head.marks[:, Mark.EYE_SIDE]
         ring, self.lip_side = head.marks[:, Mark.MOUTH_RING], head.marks[:, Mark.MOUTH_SIDE]
         inside = np.interp(ring, [-5.0, -4.0, -3.0, -2.0, -1.0, 0.0], [0, 0.05, 0.25, 0.7, 0.95, 1])
-        soft = np.isin(head.parts, (Part.SKIN, Part.BROWS)) * smooth_step(0.0, 40.0, self.z)
+        soft = np.isin(head.parts, (HeadPart.SKIN, HeadPart.BROWS)) * smooth_step(0.0, 40.0, self.z)
         self.soft = np.where(ring < 0.0, inside, soft)
         """How far flesh follows a handle [0-1]: all in front, nothing at the back."""
         self.off_lid = smooth_step(0.8, 3.6, self.eye_ring)
@@ -51,10 +51,10 @@ class FaceFields:
         down = np.clip(line / 24.0 + parted, -1.0, 1.0)
         flesh = (0.5 - 0.5 * np.sin(0.5 * np.pi * down)) * smooth_step(-14.0, 46.0, self.z)
         bag = 0.5 - 0.5 * np.clip(self.lip_side, -1.0, 1.0) * self.open_width**0.5
-        skin = self.head.parts == Part.SKIN
+        skin = self.head.parts == HeadPart.SKIN
         self.jaw = np.where(skin, np.where(ring < -0.5, bag, flesh), 0.0)
         """How far each point moves with the jaw [0-1]."""
-        self.jaw[np.isin(self.head.parts, (Part.LOWER_TEETH, Part.TONGUE))] = 1.0
+        self.jaw[np.isin(self.head.parts, (HeadPart.LOWER_TEETH, HeadPart.TONGUE))] = 1.0
 
     def _lid_angles(self) -> None:
         head, center = self.head, np.array(self.style.eye.center)
@@ -73,8 +73,8 @@ class FaceFields:
             [-3.0, -2.0, 0.0, 1.0, 2.0, 3.0, 4.0],
             [0.3, 0.8, 1, 0.82, 0.34, 0.08, 0.0],
         )
-        follow[head.parts == Part.LASHES] = 1.0
-        side = np.where(head.parts == Part.LASHES, 1.0, self.eye_side)
+        follow[head.parts == HeadPart.LASHES] = 1.0
+        side = np.where(head.parts == HeadPart.LASHES, 1.0, self.eye_side)
         self.close_upper = -follow * np.clip(8.0 * side, 0.0, 1.0) * (1.0 - BLINK_MEETS) * opening
         self.raise_lower = follow * np.clip(-8.0 * side, 0.0, 1.0) * BLINK_MEETS * opening
 
@@ -123,7 +123,7 @@ class FaceFields:
         )
         local = np.column_stack([self.x, self.y, self.z]) - self.style.eye.center
         moved: FloatArray = local @ (turn_y @ turn_x).T - local
-        moved[self.head.parts != Part.EYES] = 0.0
+        moved[self.head.parts != HeadPart.EYES] = 0.0
         return moved
 
     def hinge(self, degrees: float) -> FloatArray:

@@ -19,7 +19,7 @@ from usdface.demo.refine import refine
 from usdface.demo.sculpt import Form, head_form, settle
 
 
-class Part(IntEnum):
+class HeadPart(IntEnum):
     """Which piece of the head a point belongs to."""
 
     SKIN = 0
@@ -44,7 +44,7 @@ class DemoHead:
         [mm]
     faces : (faces, 4) int array
     parts : (points,) int array
-        A `Part` for each point.
+        A `HeadPart` for each point.
     marks : (points, len(Mark)) float array
         What the loops of the cage say about each point; see `Mark`.
     colors : (points, 3) float array
@@ -87,13 +87,13 @@ def bare_head(style: Style) -> DemoHead:
     rim = upper_lid_edge(skin.points, skin.marks)
     front = float(skin.points[_lip_middle(skin), 2]) - 5.0
     halves = {
-        Part.EARS: details.ear(style, form),
-        Part.EYES: details.eyeball(style),
-        Part.UPPER_TEETH: details.teeth(style, front=front, upper=True),
-        Part.LOWER_TEETH: details.teeth(style, front=front, upper=False),
-        Part.TONGUE: details.tongue(style, front=front),
-        Part.BROWS: details.brow(style, form),
-        Part.LASHES: details.lashes(style, skin.points[rim]),
+        HeadPart.EARS: details.ear(style, form),
+        HeadPart.EYES: details.eyeball(style),
+        HeadPart.UPPER_TEETH: details.teeth(style, front=front, upper=True),
+        HeadPart.LOWER_TEETH: details.teeth(style, front=front, upper=False),
+        HeadPart.TONGUE: details.tongue(style, front=front),
+        HeadPart.BROWS: details.brow(style, form),
+        HeadPart.LASHES: details.lashes(style, skin.points[rim]),
     }
     head = skin
     for part, half in halves.items():
@@ -101,8 +101,8 @@ def bare_head(style: Style) -> DemoHead:
         head = _with_piece(head, part, whole, half.colors[whole.source])
     hair = hair_cap(style, form)
     own = np.arange(len(hair.points))
-    head = _with_piece(head, Part.HAIR, Whole(hair.points, hair.faces, own, own), hair.colors)
-    lash = np.flatnonzero(head.parts == Part.LASHES)
+    head = _with_piece(head, HeadPart.HAIR, Whole(hair.points, hair.faces, own, own), hair.colors)
+    lash = np.flatnonzero(head.parts == HeadPart.LASHES)
     rows = len(lash) // 2 // len(rim)
     left = np.tile(rim, rows)
     anchors = head.anchors.copy()
@@ -128,7 +128,7 @@ def _skin(style: Style, form: Form) -> DemoHead:
         style=style,
         points=points,
         faces=fine.faces,
-        parts=np.full(len(points), int(Part.SKIN)),
+        parts=np.full(len(points), int(HeadPart.SKIN)),
         marks=marks,
         colors=skin_colors(style, points, marks),
         mirror=fine.mirror,
@@ -202,7 +202,7 @@ def _lip_middle(skin: DemoHead) -> int:
     return int(rim[len(rim) // 2])
 
 
-def _with_piece(head: DemoHead, part: Part, whole: Whole, colors: FloatArray) -> DemoHead:
+def _with_piece(head: DemoHead, part: HeadPart, whole: Whole, colors: FloatArray) -> DemoHead:
     count, first = len(whole.points), len(head.points)
     marks = np.zeros((count, len(Mark)))
     marks[:, [Mark.MOUTH_RING, Mark.EYE_RING]] = FAR

@@ -10,7 +10,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.demo.build import DemoInputs, write_demo_inputs
 from usdface.runner.job import run_job
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.runner.sandbox import confine
 from usdface.specs.capture import CleanSpec, IngestSpec
 from usdface.specs.job import JobSpec
@@ -30,7 +30,7 @@ INPUTS_SHARE = 0.4
 """How much of the demo's time its inputs take."""
 
 
-def run_demo(folder: Path, *, progress: Progress = silent) -> Report:
+def run_demo(folder: Path, *, progress: Progress = silent) -> StepResult:
     """Make the demo in a folder, and say how large its error is.
 
     Parameters
@@ -53,7 +53,7 @@ def run_demo(folder: Path, *, progress: Progress = silent) -> Report:
     reports = run_job(read_job(job_file), progress=part(progress, INPUTS_SHARE, 1.0))
     error = _held_out_error(inputs, folder)
     outputs = tuple(dict.fromkeys(path for report in reports for path in report.outputs))
-    return Report(
+    return StepResult(
         (job_file, *outputs),
         f"{len(error)} frames that were not keyed: surface error {np.mean(error):.2f} mm on "
         f"average, {np.percentile(error, 95):.2f} mm at the 95th percentile",

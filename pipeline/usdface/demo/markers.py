@@ -6,7 +6,7 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.demo.half_cage import Mark
-from usdface.demo.head import DemoHead, Part
+from usdface.demo.head import DemoHead, HeadPart
 
 RADIUS = 1.5
 """Half the diameter of a marker: its centre lies so far off the skin [mm]."""
@@ -32,7 +32,7 @@ class MarkerSet:
     rigid: tuple[str, ...]
 
 
-def place_markers(head: DemoHead) -> MarkerSet:
+def demo_markers(head: DemoHead) -> MarkerSet:
     """Choose the points of the skin that carry the markers.
 
     Parameters
@@ -146,7 +146,7 @@ class _Picker:
         ring = head.marks[:, Mark.MOUTH_RING]
         outside = (ring > 1.5) & (head.marks[:, Mark.EYE_RING] > 1.5)
         dry = head.marks[:, Mark.NOSTRIL] < 0.05
-        self._open = (head.parts == Part.SKIN) & outside & dry & (head.points[:, 0] >= 0.0)
+        self._open = (head.parts == HeadPart.SKIN) & outside & dry & (head.points[:, 0] >= 0.0)
         self._taken: set[int] = set()
 
     def _nearest(self, cost: FloatArray, allowed: BoolArray) -> int:
@@ -170,7 +170,9 @@ class _Picker:
         """Choose a point on the border of the red."""
         p, marks = self._head.points, self._head.marks
         ring = np.abs(marks[:, Mark.MOUTH_RING] - 2.0) < 0.3
-        allowed = (self._head.parts == Part.SKIN) & ring & (side * marks[:, Mark.MOUTH_SIDE] > 0.05)
+        allowed = (
+            (self._head.parts == HeadPart.SKIN) & ring & (side * marks[:, Mark.MOUTH_SIDE] > 0.05)
+        )
         allowed &= (p[:, 0] == 0.0) if across == 0.0 else (p[:, 0] > 0.0)
         return self._nearest(np.abs(p[:, 0] - across * self._head.style.mouth.half_width), allowed)
 
@@ -184,7 +186,7 @@ class _Picker:
     def on_ear(self, height: float) -> int:
         """Choose the outermost point of the left ear's upper or lower end."""
         p = self._head.points
-        allowed = (self._head.parts == Part.EARS) & (p[:, 0] > 0.0)
+        allowed = (self._head.parts == HeadPart.EARS) & (p[:, 0] > 0.0)
         middle = float(np.mean(p[allowed, 1]))
         wanted = middle + height * 17.0
         return self._nearest(np.abs(p[:, 1] - wanted) - 0.5 * p[:, 0], allowed)

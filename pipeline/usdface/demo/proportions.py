@@ -77,7 +77,7 @@ class Mouth:
 
 
 @dataclass(frozen=True)
-class Palette:
+class HeadColors:
     """Linear display colours."""
 
     skin: Vec = (0.68, 0.40, 0.285)
@@ -96,7 +96,7 @@ class Style:
     eye: Eye = field(default_factory=Eye)
     nose: Nose = field(default_factory=Nose)
     mouth: Mouth = field(default_factory=Mouth)
-    palette: Palette = field(default_factory=Palette)
+    palette: HeadColors = field(default_factory=HeadColors)
 
 
 CHARACTER = Style("character")
@@ -148,7 +148,7 @@ ACTOR = Style(
         wing_radii=(6.0, 7.0, 10.0),
     ),
     mouth=Mouth(height=-75.5, half_width=25.0, curve=0.8, upper=4.8, lower=7.0, fullness=3.6),
-    palette=Palette(
+    palette=HeadColors(
         skin=(0.60, 0.345, 0.24),
         lip=(0.47, 0.175, 0.145),
         iris=(0.07, 0.14, 0.24),

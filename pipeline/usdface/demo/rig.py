@@ -6,18 +6,18 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
-from usdface.demo.head import DemoHead, Part
+from usdface.demo.head import DemoHead, HeadPart
 from usdface.demo.proportions import CHARACTER, Style
 from usdface.demo.shapes import make_head
 
 MESHES = {
-    "skin": (Part.SKIN, Part.EARS),
-    "eyes": (Part.EYES,),
-    "teeth": (Part.UPPER_TEETH, Part.LOWER_TEETH),
-    "tongue": (Part.TONGUE,),
-    "brows": (Part.BROWS,),
-    "lashes": (Part.LASHES,),
-    "hair": (Part.HAIR,),
+    "skin": (HeadPart.SKIN, HeadPart.EARS),
+    "eyes": (HeadPart.EYES,),
+    "teeth": (HeadPart.UPPER_TEETH, HeadPart.LOWER_TEETH),
+    "tongue": (HeadPart.TONGUE,),
+    "brows": (HeadPart.BROWS,),
+    "lashes": (HeadPart.LASHES,),
+    "hair": (HeadPart.HAIR,),
 }
 """Mesh names and the parts of the head in each, in drawing order."""
 

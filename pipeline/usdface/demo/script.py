@@ -11,7 +11,7 @@ Weights = Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class Line:
+class SpokenLine:
     """One sentence in one mood.
 
     Attributes
@@ -60,7 +60,7 @@ NEUTRAL_TIME = 0.25
 """When the face is at rest [s]."""
 
 LINES = (
-    Line(
+    SpokenLine(
         "neutral",
         0.0,
         3.8,
@@ -72,7 +72,7 @@ LINES = (
         ),
         (0.95, 2.3),
     ),
-    Line(
+    SpokenLine(
         "happiness",
         3.8,
         7.6,
@@ -84,7 +84,7 @@ LINES = (
         ),
         (4.65, 5.0, 6.1),
     ),
-    Line(
+    SpokenLine(
         "anger",
         7.6,
         11.2,
@@ -96,7 +96,7 @@ LINES = (
         ),
         (8.4, 9.0, 10.1),
     ),
-    Line(
+    SpokenLine(
         "sadness",
         11.2,
         14.6,

@@ -7,7 +7,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.demo.details import smooth_step
 from usdface.demo.fields import FaceFields
-from usdface.demo.head import DemoHead, Part, bare_head
+from usdface.demo.head import DemoHead, HeadPart, bare_head
 from usdface.demo.lid_turns import LID_TURNS
 from usdface.demo.proportions import Style
 
@@ -61,7 +61,7 @@ def with_shapes(head: DemoHead) -> DemoHead:
 def _sign(head: DemoHead) -> FloatArray:
     """Turn a field of the left frame to the side of each point, softly over the midline."""
     x = head.points[:, 0]
-    hard = np.isin(head.parts, (Part.EYES, Part.LASHES))
+    hard = np.isin(head.parts, (HeadPart.EYES, HeadPart.LASHES))
     sign = np.where(hard, np.sign(x), np.tanh(x / 2.5))
     return np.column_stack([sign, np.ones_like(x), np.ones_like(x)])
 
@@ -70,7 +70,7 @@ def _sided(head: DemoHead, field: FloatArray) -> FloatArray:
     """Keep the left side of a field."""
     x = head.points[:, 0]
     left = np.where(
-        np.isin(head.parts, (Part.EYES, Part.LASHES)), x > 0.0, smooth_step(-5.5, 5.5, x)
+        np.isin(head.parts, (HeadPart.EYES, HeadPart.LASHES)), x > 0.0, smooth_step(-5.5, 5.5, x)
     )
     return field * _sign(head) * left[:, None]
 
@@ -82,7 +82,7 @@ def _flipped(head: DemoHead, field: FloatArray) -> FloatArray:
 
 def _followed(head: DemoHead, keys: Keys) -> Keys:
     """Lashes turn with their lid already; what else moves the lid's edge moves them too."""
-    lash = head.parts == Part.LASHES
+    lash = head.parts == HeadPart.LASHES
     done = []
     for weight, field in keys:
         moved = field.copy()
@@ -249,7 +249,7 @@ def _rolled(f: FaceFields, lip: FloatArray, sign: float) -> FloatArray:
 
 
 def _tongue_out(f: FaceFields) -> FloatArray:
-    tongue = f.head.parts == Part.TONGUE
+    tongue = f.head.parts == HeadPart.TONGUE
     back = f.z[tongue].min() if np.any(tongue) else 0.0
     along = np.clip((f.z - back) / 36.0, 0.0, 1.0) * tongue
     return np.outer(along, (0.0, 9.5, 27.0)) - np.outer(along**4, (0.0, 4.0, 0.0))

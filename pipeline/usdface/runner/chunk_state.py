@@ -15,7 +15,7 @@ from usdface.specs.review import MovieJoinSpec, MovieSpec
 from usdface.usdio.referenced_files import frame_range_of
 
 
-def specs_of_parts(spec: Spec, made: Provenance, path: Path) -> tuple[Spec, ...]:
+def chunk_specs(spec: Spec, made: Provenance, path: Path) -> tuple[Spec, ...]:
     """Return the specs by which a file that joins parts was made, if they come to a given one.
 
     Parameters

@@ -7,10 +7,10 @@ from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import not_written_since
 from usdface.runner.outputs import check_inputs, check_outputs, make_provenance
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.base import Spec, Writes
 
-Step = Callable[..., Report]
+Step = Callable[..., StepResult]
 
 
 def find_step(spec: type[Spec]) -> Step:
@@ -25,7 +25,7 @@ def execute(
     overwrite: bool = False,
     progress: Progress = silent,
     provenance: Provenance | None = None,
-) -> Report:
+) -> StepResult:
     """Check what a spec reads and writes, then run its step.
 
     Parameters

@@ -8,16 +8,16 @@ from typing import Literal
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.runner.chunk_state import specs_of_parts
+from usdface.runner.chunk_state import chunk_specs
 from usdface.runner.execute import execute
 from usdface.runner.outputs import (
     check_may_be_read,
-    foreign_beside,
+    foreign_sidecar,
     make_provenance,
     provenance_of,
-    twin_of,
+    sibling_sharing_layers,
 )
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.base import LAYER_SUFFIXES, Reads, Spec, Writes
 from usdface.specs.job import JobSpec
 from usdface.usdio.referenced_files import lost_sublayers
@@ -44,7 +44,9 @@ class StepState:
     reason: str
 
 
-def run_job(job: JobSpec, *, progress: Progress = silent, overwrite: bool = False) -> list[Report]:
+def run_job(
+    job: JobSpec, *, progress: Progress = silent, overwrite: bool = False
+) -> list[StepResult]:
     """Run what a job lacks, in order; a step whose outputs are up to date is skipped.
 
     Parameters
@@ -76,7 +78,7 @@ def run_job(job: JobSpec, *, progress: Progress = silent, overwrite: bool = Fals
         state = _state(spec, provenance)
         if state.state == "done":
             log.info("%s: up to date", label)
-            reports.append(Report(spec.outputs(), f"{spec.step}: up to date", fresh=False))
+            reports.append(StepResult(spec.outputs(), f"{spec.step}: up to date", fresh=False))
             own(1.0, f"{spec.step}: up to date")
             continue
         log.info("%s: %s", label, state.reason)
@@ -111,7 +113,7 @@ def make_folders(job: JobSpec) -> None:
             raise InputError(f"{folder}: cannot be made: {error.strerror}") from error
 
 
-def check_job(job: JobSpec) -> list[StepState]:
+def job_states(job: JobSpec) -> list[StepState]:
     """Say of each step whether it is done, stale or missing.
 
     Raises
@@ -159,7 +161,7 @@ def _state(spec: Spec, provenance: Provenance) -> StepState:
         if not path.exists():
             return StepState(spec, "missing", f"{path.name} is not there")
         made = provenance_of(path)
-        if made is not None and (apart := specs_of_parts(spec, made, path)):
+        if made is not None and (apart := chunk_specs(spec, made, path)):
             states = [_state_of_part(each) for each in apart]
             return next(
                 (StepState(spec, s.state, s.reason) for s in states if s.state != "done"),
@@ -189,12 +191,12 @@ def _state_of_part(spec: Spec) -> StepState:
 def _refuse_foreign_outputs(spec: Spec, label: str) -> None:
     for path in spec.paths(Writes):
         there = path if path.exists() and provenance_of(path) is None else None
-        if there := there or foreign_beside(spec, path):
+        if there := there or foreign_sidecar(spec, path):
             raise InputError(
                 f"{label}: {there}: exists and was not written by usdface; move it away, or run "
                 "with --overwrite"
             )
-        if twin := twin_of(spec, path):
+        if twin := sibling_sharing_layers(spec, path):
             raise InputError(
                 f"{label}: {twin}: has the same layers beneath as {path.name} would have; name "
                 "another output, or run with --overwrite"

@@ -34,17 +34,17 @@ ALIKE = (
 
 
 BESIDE: dict[str, Callable[[Path], Path]] = {
-    "ingest": take_files.samples_path,
-    "clean": take_files.samples_path,
+    "ingest": take_files.take_samples_path,
+    "clean": take_files.take_samples_path,
     "map": weights_path,
     "join": weights_path,
     "retarget": weights_path,
     "warp": weights_path,
-    "select": references_specs.proposed_path,
-    "references-from-edits": references_specs.proposed_path,
-    "pairs-propose": pairs_files.samples_path,
-    "pairs-import": pairs_files.samples_path,
-    "bind": bind_specs.proposed_path,
+    "select": references_specs.proposed_references_path,
+    "references-from-edits": references_specs.proposed_references_path,
+    "pairs-propose": pairs_files.pair_samples_path,
+    "pairs-import": pairs_files.pair_samples_path,
+    "bind": bind_specs.proposed_binding_path,
 }
 """Where a step writes what lies beneath the layer to open."""
 
@@ -104,12 +104,12 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
         check_unprotected(path)
         if overwrite:
             continue
-        if foreign := foreign_beside(spec, path):
+        if foreign := foreign_sidecar(spec, path):
             raise InputError(
                 f"{foreign}: exists and was not written by usdface, and {spec.step} writes what "
                 f"belongs to {path.name} there; choose another --out, or --overwrite it"
             )
-        if twin := twin_of(spec, path):
+        if twin := sibling_sharing_layers(spec, path):
             raise InputError(
                 f"{twin}: has the same layers beneath as {path.name} would have, and would show "
                 f"what {spec.step} writes; choose another --out, or --overwrite it"
@@ -134,7 +134,7 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
             )
 
 
-def foreign_beside(spec: Spec, path: Path) -> Path | None:
+def foreign_sidecar(spec: Spec, path: Path) -> Path | None:
     """Return the file of somebody else where a step would write a layer beneath its output."""
     if spec.step not in BESIDE:
         return None
@@ -144,7 +144,7 @@ def foreign_beside(spec: Spec, path: Path) -> Path | None:
     return beside
 
 
-def twin_of(spec: Spec, path: Path) -> Path | None:
+def sibling_sharing_layers(spec: Spec, path: Path) -> Path | None:
     """Return the file that differs from an output in its ending alone, and so shares its layers."""
     if spec.step not in BESIDE or path.suffix not in LAYER_SUFFIXES:
         return None

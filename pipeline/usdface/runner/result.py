@@ -7,7 +7,7 @@ from usdface.core.errors import CheckFailedError
 
 
 @dataclass(frozen=True)
-class Report:
+class StepResult:
     """The result of a step, for people and scripts.
 
     Attributes

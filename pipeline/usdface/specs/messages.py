@@ -19,7 +19,7 @@ PATTERN_WORDS = {
 """The patterns of the specs, and what to say to who missed one."""
 
 
-def told_faults(faults: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+def drop_secondary_errors(faults: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """Return the faults that a person made; a list that others left empty is none of them."""
     faults = list(faults)
     return [
@@ -35,7 +35,7 @@ def told_faults(faults: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     ]
 
 
-def fault_words(fault: Mapping[str, Any]) -> str:
+def validation_message(fault: Mapping[str, Any]) -> str:
     """Return the reason of one fault and, in brackets, the value given."""
     context = fault.get("ctx", {})
     if fault["type"] == "union_tag_invalid":

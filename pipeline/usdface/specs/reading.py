@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from usdface.core.errors import InputError
 from usdface.specs.base import Spec
 from usdface.specs.job import JobSpec
-from usdface.specs.messages import fault_words, told_faults
+from usdface.specs.messages import drop_secondary_errors, validation_message
 from usdface.specs.paths import PathRules, map_path
 from usdface.specs.takes import step_places
 
@@ -50,7 +50,7 @@ def read_job(path: Path, *, path_rules: PathRules = ()) -> JobSpec:
         job = JobSpec.model_validate(data)
     except ValidationError as error:
         written_out = "takes" in data and any(fault["loc"] for fault in error.errors())
-        told = describe_faults(error, places=step_places(data) if written_out else ())
+        told = validation_messages(error, places=step_places(data) if written_out else ())
         raise InputError(f"{path}: {told}") from error
 
     def here(given: Path) -> Path:
@@ -74,7 +74,7 @@ def _as_written(spec: Spec) -> dict[str, Any]:
     return {"step": spec.step, **spec.model_dump(mode="json", exclude_defaults=True)}
 
 
-def describe_faults(error: ValidationError, *, places: Sequence[str] = ()) -> str:
+def validation_messages(error: ValidationError, *, places: Sequence[str] = ()) -> str:
     """Return every fault of a spec as ``field -> sub[2]: reason``, one a line.
 
     Parameters
@@ -84,13 +84,13 @@ def describe_faults(error: ValidationError, *, places: Sequence[str] = ()) -> st
         Where each step stands in the file, if not in the order of `steps`.
     """
     lines = []
-    for fault in told_faults(error.errors()):
+    for fault in drop_secondary_errors(error.errors()):
         place, parts = "", fault["loc"]
         if places and len(parts) > 1 and parts[0] == "steps" and isinstance(parts[1], int):
             place, parts = places[parts[1]], parts[2:]
         for part in parts:
             place += f"[{part}]" if isinstance(part, int) else f"{' -> ' if place else ''}{part}"
-        reason = fault_words(fault)
+        reason = validation_message(fault)
         lines.append(f"{place}: {reason}" if place else reason)
     lines = list(dict.fromkeys(lines))  # what is said once for many takes is wrong once
     if len(lines) == 1:

@@ -24,7 +24,7 @@ def tuned_path(references: Path) -> Path:
     return references.with_name(f"{references.stem}.tuned.usda")
 
 
-def proposed_path(references: Path) -> Path:
+def proposed_references_path(references: Path) -> Path:
     """Return the layer of a references asset that holds proposals."""
     return references.with_name(f"{references.stem}.proposed.usda")
 

@@ -27,7 +27,7 @@ def corrected_path(binding: Path) -> Path:
     return binding.with_name(f"{binding.stem}.corrected.usda")
 
 
-def proposed_path(binding: Path) -> Path:
+def proposed_binding_path(binding: Path) -> Path:
     """Return the layer of a binding that holds the proposal."""
     return binding.with_name(f"{binding.stem}.proposed.usda")
 

@@ -46,7 +46,7 @@ _NO_WORDS = ("<s>", "</s>", "<sil>", "[NOISE]", "[SPEECH]")
 
 
 @dataclass(frozen=True)
-class Alignment:
+class PhoneAlignment:
     """Where every phone lies, and whether to believe it.
 
     Attributes
@@ -76,7 +76,7 @@ def align_phones(
     *,
     pronunciations: Mapping[str, tuple[str, ...]] | None = None,
     progress: Progress = silent,
-) -> Alignment:
+) -> PhoneAlignment:
     """Find the phones of a transcript in a recording.
 
     Parameters
@@ -180,7 +180,7 @@ def _plain(word: str) -> str:
 
 def _judged(
     decoder: "Decoder", guessed: dict[str, tuple[str, ...]], beam: int, *, duration: float
-) -> Alignment:
+) -> PhoneAlignment:
     phones: list[Span] = []
     words: list[Span] = []
     doubtful: list[Span] = []
@@ -204,7 +204,7 @@ def _judged(
             "another recording, or in another language?"
         )
     track = PhoneTrack(tuple(phones), tuple(words), (), duration)
-    return Alignment(track, mean, guessed, tuple(doubtful), beam)
+    return PhoneAlignment(track, mean, guessed, tuple(doubtful), beam)
 
 
 def _entries(decoder: "Decoder") -> Iterator[tuple[str, list[tuple[Span, float]]]]:

@@ -10,7 +10,7 @@ import numpy as np
 from pxr import Sdf, Usd, Vt
 
 from usdface.core.arrays import FloatArray
-from usdface.core.assets import CandidateScore, Mapping
+from usdface.core.assets import CandidateScore, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.usdio.authoring import author_uniform, define_prim, doubles
@@ -21,7 +21,9 @@ ROOT = Sdf.Path("/Mapping")
 ARRAY = "face:array:"
 
 
-def write_mapping(path: Path, mapping: Mapping, *, provenance: Provenance | None = None) -> None:
+def write_mapping(
+    path: Path, mapping: TrainedMapping, *, provenance: Provenance | None = None
+) -> None:
     """Write a mapping; read back, it predicts the same to the last bit."""
     tokens, numbers, string = (
         Sdf.ValueTypeNames.TokenArray,
@@ -55,7 +57,7 @@ def write_mapping(path: Path, mapping: Mapping, *, provenance: Provenance | None
 
 
 @refusing_wrong_types
-def read_mapping(path: Path) -> Mapping:
+def read_mapping(path: Path) -> TrainedMapping:
     """Read a mapping.
 
     Raises
@@ -78,7 +80,7 @@ def read_mapping(path: Path) -> Mapping:
             f"{path} <{prim.GetPath()}>: its settings or scores are no valid JSON: {error}; "
             "train again"
         ) from error
-    return Mapping(
+    return TrainedMapping(
         method=str(_value(path, prim, "method")),
         marker_names=tuple(map(str, _value(path, prim, "markers"))),
         shape_names=tuple(map(str, _value(path, prim, "channels"))),

@@ -10,7 +10,7 @@ from usdface.usdio.layers import (
     open_layer,
     usd_errors_as_input_errors,
 )
-from usdface.usdio.take.frame_span import check_span
+from usdface.usdio.take.frame_span import check_frame_span
 
 
 def referenced_files(path: Path) -> list[Path]:
@@ -43,7 +43,7 @@ def frame_range_of(path: Path) -> tuple[int, int] | None:
         if not (layer.HasStartTimeCode() and layer.HasEndTimeCode()):
             return None
         start, end = layer.startTimeCode, layer.endTimeCode
-    check_span(f"{path}: startTimeCode to endTimeCode", start, end, samples=None)
+    check_frame_span(f"{path}: startTimeCode to endTimeCode", start, end, samples=None)
     first, last = round(start), round(end)
     return (first, last) if last >= first else None
 

@@ -8,8 +8,8 @@ from usdface.media.charts import motion_curves, plot
 from usdface.media.charts.motion_curves import (
     MOST_WINDOWS,
     Curve,
+    FrameSpan,
     Panel,
-    Span,
     before_and_after,
     draw_motion_curves,
     windows_around,
@@ -35,7 +35,7 @@ def test_what_changes_most_comes_first_and_what_changes_alike_once() -> None:
 
 
 def test_windows_show_each_sequence_with_its_surroundings() -> None:
-    spans = [Span(100 * k, 100 * k + 30, "joy") for k in range(1, 8)]
+    spans = [FrameSpan(100 * k, 100 * k + 30, "joy") for k in range(1, 8)]
     windows = windows_around(spans, first_frame=80, last_frame=900)
     assert windows[:2] == ((80, 170), (160, 270))
     assert len(windows) == MOST_WINDOWS
@@ -50,7 +50,7 @@ def test_the_curve_lies_where_its_values_are_and_the_span_is_shaded() -> None:
     rising = np.polyfit(columns, rows, 1)[0]
     assert rising < 0  # up the picture as the weight grows
     assert np.ptp(columns) > 1600
-    shaded = draw_motion_curves("t", (), [panel], first_frame=1, spans=[Span(40, 60, "joy")])
+    shaded = draw_motion_curves("t", (), [panel], first_frame=1, spans=[FrameSpan(40, 60, "joy")])
     changed = np.nonzero((shaded != plain).any(axis=(0, 2)))[0]
     assert changed.min() > 0.35 * 1800
     assert changed.max() < 0.68 * 1800
@@ -84,7 +84,7 @@ def test_the_name_of_a_span_is_read_where_a_curve_passes(monkeypatch) -> None:
     curve = Curve("w", np.ones(60), (255, 0, 0))
     monkeypatch.setattr(Plot, "draw_curve", lambda self, *given: drawn.append("curve"))
     panel = Panel("weight", "", (curve,))
-    draw_motion_curves("t", (), [panel], first_frame=1, spans=[Span(20, 40, "joy")])
+    draw_motion_curves("t", (), [panel], first_frame=1, spans=[FrameSpan(20, 40, "joy")])
     assert drawn.index("draw_text joy") > drawn.index("curve")
     assert drawn[drawn.index("draw_text joy") - 1].startswith("fill_box"), "a ground of its own"
 

@@ -9,7 +9,7 @@ from usdface.core.assets import RigMesh
 from usdface.media.face import shading
 from usdface.media.face.camera import Camera
 from usdface.media.face.complexion import is_plain_eye, tone
-from usdface.media.face.parts import Part
+from usdface.media.face.parts import FacePart
 from usdface.media.face.render import FaceRenderer
 from usdface.media.face.surface import build_surface
 
@@ -101,7 +101,7 @@ def test_one_material_over_a_whole_head_is_its_skin_and_not_its_eyes() -> None:
     surface = build_surface([toned])
     point_parts = np.zeros(len(surface.rest), int)
     point_parts[surface.triangles] = surface.parts[:, None]
-    eyes = point_parts == Part.EYE
+    eyes = point_parts == FacePart.EYE
     assert eyes.any()
     assert np.abs(surface.albedo[eyes] - shading.SCLERA).max() < 1e-3
     np.testing.assert_allclose(np.median(surface.albedo[~eyes], axis=0), [0.1, 0.4, 0.1], atol=1e-3)

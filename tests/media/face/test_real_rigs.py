@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from usdface.media.face.camera import frame_rig
-from usdface.media.face.parts import Part
+from usdface.media.face.parts import FacePart
 from usdface.media.face.render import FaceRenderer
 from usdface.usdio.rig.read import read_rig
 
@@ -23,7 +23,7 @@ def test_heads_without_colours_are_read_as_faces(
     assert len(surface.eye_centers) == 2
     left, right = surface.eye_centers
     np.testing.assert_allclose(left * [-1, 1, 1], right, atol=0.5)
-    assert np.any(surface.parts == Part.TEETH) is np.bool_(has_teeth)
+    assert np.any(surface.parts == FacePart.TEETH) is np.bool_(has_teeth)
     picture = renderer.render(
         [mesh.points for mesh in rig.meshes],
         camera=frame_rig(rig.meshes),

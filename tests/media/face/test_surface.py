@@ -3,7 +3,7 @@ import pytest
 
 from tests.media.forms import mesh, sphere
 from usdface.media.face.mesh_topology import normal_operator, vertex_normals
-from usdface.media.face.parts import Part, part_from_name
+from usdface.media.face.parts import FacePart, part_from_name
 from usdface.media.face.subdivision import catmull_clark
 from usdface.numerics.surface.triangulation import triangulate
 
@@ -69,18 +69,18 @@ def test_subdivision_keeps_the_way_polygons_face() -> None:
 @pytest.mark.parametrize(
     ("name", "part"),
     [
-        ("/Hero/geo/eye_L", Part.EYE),
-        ("/Hero/geo/leftEye", Part.EYE),
-        ("/Hero/geo/eyeball_R_geo", Part.EYE),
-        ("/Hero/geo/eyelashes_upper", Part.HAIR),
-        ("/Hero/geo/Eyebrows", Part.HAIR),
-        ("/Hero/geo/lowerTeeth", Part.TEETH),
-        ("/Hero/geo/tongue", Part.MOUTH),
-        ("/Hero/geo/cornea_L", Part.HIDDEN),
+        ("/Hero/geo/eye_L", FacePart.EYE),
+        ("/Hero/geo/leftEye", FacePart.EYE),
+        ("/Hero/geo/eyeball_R_geo", FacePart.EYE),
+        ("/Hero/geo/eyelashes_upper", FacePart.HAIR),
+        ("/Hero/geo/Eyebrows", FacePart.HAIR),
+        ("/Hero/geo/lowerTeeth", FacePart.TEETH),
+        ("/Hero/geo/tongue", FacePart.MOUTH),
+        ("/Hero/geo/cornea_L", FacePart.HIDDEN),
         ("/Hero/geo/head", None),
         ("/Hero/geo/eyelid_L", None),
         ("/eyes/face", None),
     ],
 )
-def test_names_tell_what_a_mesh_is(name: str, part: Part | None) -> None:
+def test_names_tell_what_a_mesh_is(name: str, part: FacePart | None) -> None:
     assert part_from_name(name) == part

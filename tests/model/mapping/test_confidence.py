@@ -13,7 +13,7 @@ from tests.model.synthetic import (
     references_of,
     synthetic_face,
 )
-from usdface.core.assets import Mapping
+from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model import Prediction, predict_weights, sample_skin, train_mapping
 
@@ -41,7 +41,7 @@ def face_errors(face: SyntheticFace, found: Prediction) -> np.ndarray:
     return whole
 
 
-def trained(face: SyntheticFace) -> Mapping:
+def trained(face: SyntheticFace) -> TrainedMapping:
     return train_mapping(
         replace(references_of(face, CHOSEN), shape_names=NAMES),
         ranges=face.ranges,

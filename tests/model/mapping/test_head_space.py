@@ -5,12 +5,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.model.synthetic import markers_of, references_of, synthetic_face
-from usdface.core.assets import Mapping
+from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model import into_head_space, predict_weights, train_mapping
 
 
-def trained() -> Mapping:
+def trained() -> TrainedMapping:
     face = synthetic_face()
     return train_mapping(
         references_of(face, np.arange(0, 1200, 30)),

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tests.model.synthetic import MARKERS, SyntheticFace, references_of, synthetic_face
-from usdface.core.assets import Mapping
+from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model import predict_weights, train_mapping
 from usdface.model.mapping.coordinates import marker_coordinates, noise_variance
@@ -16,7 +16,7 @@ from usdface.model.regressions import AUTO, METHODS, find_method
 from usdface.numerics.array_namespace import CPU, ArrayDevice, open_device
 
 
-def trained(face: SyntheticFace, method: str = "ridge") -> Mapping:
+def trained(face: SyntheticFace, method: str = "ridge") -> TrainedMapping:
     chosen = np.arange(0, len(face.positions), 30)
     return train_mapping(
         references_of(face, chosen), ranges=face.ranges, gram=face.gram, method=method

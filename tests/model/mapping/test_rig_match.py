@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from tests.usdio.small_rig import small_rig
-from usdface.core.assets import Mapping, MeshShape, Rig, RigMesh, ShapeKey
+from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.rig_match import check_same_rig, rig_summary
 
 
-def mapping_for(rig: Rig, **arrays: np.ndarray) -> Mapping:
-    return Mapping(
+def mapping_for(rig: Rig, **arrays: np.ndarray) -> TrainedMapping:
+    return TrainedMapping(
         method="ridge",
         marker_names=(),
         shape_names=rig.shapes,

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.model.synthetic import RIGID, SyntheticFace, references_of, synthetic_face
-from usdface.core.assets import Mapping
+from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model import fit_motion_space, predict_weights, sample_skin, train_mapping
 from usdface.model.mapping.predict import WeightPredictor
@@ -22,7 +22,7 @@ STRICT = ArrayDevice("strict", array_api_strict, array_api_strict.Device("CPU_DE
 CHOSEN = np.arange(0, 1200, 30)
 
 
-def trained(*, skin: bool, bent: float = 0.0, chosen: np.ndarray = CHOSEN) -> Mapping:
+def trained(*, skin: bool, bent: float = 0.0, chosen: np.ndarray = CHOSEN) -> TrainedMapping:
     face = synthetic_face(bend=bent)
     return train_mapping(
         references_of(face, chosen),
@@ -33,7 +33,7 @@ def trained(*, skin: bool, bent: float = 0.0, chosen: np.ndarray = CHOSEN) -> Ma
     )
 
 
-def rms(mapping: Mapping, *, seed: int, bent: float = 0.0) -> float:
+def rms(mapping: TrainedMapping, *, seed: int, bent: float = 0.0) -> float:
     face = synthetic_face(bend=bent, seed=seed)
     error = predict_weights(mapping, face.positions).weights - face.weights
     return float(np.sqrt((error**2).mean()))

@@ -9,7 +9,12 @@ from tests.usdio.small_creature import creature_acts, human_moves
 from usdface.core.controls import Controls, ExpressionPairs, bare_controls
 from usdface.core.errors import InputError
 from usdface.model.regressions.retarget_methods import RETARGET_METHODS
-from usdface.model.retarget.checks import check_pairs, dead_controls, find_conflicts, unused_shapes
+from usdface.model.retarget.checks import (
+    check_pairs,
+    dead_controls,
+    find_pair_conflicts,
+    unused_shapes,
+)
 from usdface.model.retarget.control_space import control_space
 from usdface.model.retarget.train import (
     SAME_MM,
@@ -173,10 +178,10 @@ def test_there_and_back_is_nothing_lost_where_the_target_is_the_source() -> None
 
 def test_conflicting_pairs_are_named_and_others_are_not() -> None:
     pairs = creature_pairs(20)
-    assert find_conflicts(pairs) == ()
+    assert find_pair_conflicts(pairs) == ()
     source = np.concatenate([pairs.source, pairs.source[[7]] + 0.005])
     target = creature_acts(np.concatenate([pairs.source, 1 - pairs.source[[7]]]))
-    conflicts = find_conflicts(pairs_of(source, target))
+    conflicts = find_pair_conflicts(pairs_of(source, target))
     assert [(each.first, each.second) for each in conflicts] == [(7, 20)]
     assert conflicts[0].target > 3 * conflicts[0].source
 

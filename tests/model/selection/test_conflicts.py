@@ -7,7 +7,7 @@ import numpy as np
 
 from tests.model.selection.test_design import SHAPES, small_face
 from usdface.core.assets import References
-from usdface.model.selection.conflicts import conflict_text, find_conflicts
+from usdface.model.selection.conflicts import conflict_text, find_reference_conflicts
 
 
 def pairs_of_a_face(count: int = 40) -> References:
@@ -44,7 +44,7 @@ def with_twin(references: References, shape: str, value: float) -> References:
 
 
 def test_pairs_that_follow_one_rule_do_not_conflict() -> None:
-    assert find_conflicts(pairs_of_a_face()) == []
+    assert find_reference_conflicts(pairs_of_a_face()) == []
 
 
 def test_alike_markers_with_unlike_weights_are_named() -> None:
@@ -52,7 +52,7 @@ def test_alike_markers_with_unlike_weights_are_named() -> None:
     for shape in ("jawOpen", "eyeBlinkLeft"):
         own = references.weights[0, references.shape_names.index(shape)]
         other = 1.0 if own < 0.5 else 0.0
-        found = find_conflicts(with_twin(references, shape, other))
+        found = find_reference_conflicts(with_twin(references, shape, other))
         assert (found[0].first, found[0].second, found[0].shape) == (0, 40, shape)
         assert "pair 1 (kitchen 0) and pair 41 (kitchen 9999)" in conflict_text(
             with_twin(references, shape, other), found[0]
@@ -62,7 +62,7 @@ def test_alike_markers_with_unlike_weights_are_named() -> None:
 def test_a_twin_with_the_same_weights_is_no_conflict() -> None:
     references = pairs_of_a_face()
     own = float(references.weights[0, 0])
-    assert find_conflicts(with_twin(references, "jawOpen", own)) == []
+    assert find_reference_conflicts(with_twin(references, "jawOpen", own)) == []
 
 
 def test_a_conflict_over_a_shape_that_no_other_pair_uses_is_of_a_size() -> None:
@@ -70,10 +70,12 @@ def test_a_conflict_over_a_shape_that_no_other_pair_uses_is_of_a_size() -> None:
     lid = references.shape_names.index("eyeBlinkLeft")
     weights = references.weights.copy()
     weights[:, lid] = 0.0
-    found = find_conflicts(with_twin(replace(references, weights=weights), "eyeBlinkLeft", 1.0))
+    found = find_reference_conflicts(
+        with_twin(replace(references, weights=weights), "eyeBlinkLeft", 1.0)
+    )
     assert (found[0].second, found[0].shape) == (40, "eyeBlinkLeft")
     assert 1.0 < found[0].times < 1e4
 
 
 def test_few_pairs_tell_nothing() -> None:
-    assert find_conflicts(pairs_of_a_face(4)) == []
+    assert find_reference_conflicts(pairs_of_a_face(4)) == []

@@ -7,7 +7,7 @@ from usdface.core.assets import MotionSpace
 from usdface.model.mapping.motion_space import motion_from_pca
 from usdface.model.selection.coverage import Coverage, measure_coverage, measure_growth
 from usdface.model.selection.design import (
-    StandIns,
+    CandidateMarkers,
     choose_by_design,
     choose_next,
     choose_visemes,
@@ -71,8 +71,8 @@ def test_shapes_without_telling_names_make_one_region() -> None:
     assert space.features(motion.sample).shape == (len(packed), 8)
 
 
-def stand_ins_of(features: np.ndarray, weights: np.ndarray) -> StandIns:
-    return StandIns(features, weights, lambda rows: weights[rows], np.eye(4))
+def stand_ins_of(features: np.ndarray, weights: np.ndarray) -> CandidateMarkers:
+    return CandidateMarkers(features, weights, lambda rows: weights[rows], np.eye(4))
 
 
 def test_the_design_that_teaches_best_is_taken_and_blinks_are_in_it() -> None:

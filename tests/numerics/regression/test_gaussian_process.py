@@ -6,7 +6,7 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct
 from usdface.numerics.regression.gaussian_process import (
     LINE,
     OFFSET,
-    Choice,
+    ProcessSettings,
     fit_best_gaussian_process,
     fit_gaussian_process,
     leave_one_out_errors,
@@ -27,7 +27,7 @@ def pairs(count: int = 30, dimensions: int = 5, outputs: int = 3, noise: float =
 
 def test_prediction_equals_sklearns_process_with_the_same_covariance() -> None:
     features, outputs, variances = pairs()
-    choice = Choice(4, 0.0, radial=2.0, width=1.5)
+    choice = ProcessSettings(4, 0.0, radial=2.0, width=1.5)
     model = fit_gaussian_process(
         features, outputs, variances=variances, choice=choice, noise=np.full(3, 0.01)
     )
@@ -45,7 +45,7 @@ def test_prediction_equals_sklearns_process_with_the_same_covariance() -> None:
 
 def test_width_is_measured_in_median_distances_of_whitened_features() -> None:
     features, outputs, variances = pairs()
-    choice = Choice(5, 1.0, radial=1.0, width=3.0)
+    choice = ProcessSettings(5, 1.0, radial=1.0, width=3.0)
     model = fit_gaussian_process(
         features, outputs, variances=variances, choice=choice, noise=np.full(3, 0.1)
     )
@@ -58,7 +58,7 @@ def test_width_is_measured_in_median_distances_of_whitened_features() -> None:
 @pytest.mark.parametrize("radial", [0.0, 1.0])
 def test_leave_one_out_residuals_equal_refitting_without_each_pair(radial: float) -> None:
     features, outputs, variances = pairs(count=12)
-    choice, noise = Choice(5, 0.5, radial=radial), np.array([0.01, 0.1, 1.0])
+    choice, noise = ProcessSettings(5, 0.5, radial=radial), np.array([0.01, 0.1, 1.0])
     whole = fit_gaussian_process(features, outputs, variances=variances, choice=choice, noise=noise)
     scaled = features * whole.scale
     covariance = LINE / (variances * whole.scale**2).sum() * scaled @ scaled.T + OFFSET
@@ -73,7 +73,7 @@ def test_leave_one_out_residuals_equal_refitting_without_each_pair(radial: float
 
 def test_errors_of_the_search_are_those_of_the_fit() -> None:
     features, outputs, variances = pairs()
-    choices = (Choice(3, 0.0), Choice(5, 0.5, radial=1.0))
+    choices = (ProcessSettings(3, 0.0), ProcessSettings(5, 0.5, radial=1.0))
     noises = np.array([0.01, 0.3])
     errors = leave_one_out_errors(
         features, outputs, variances=variances, choices=choices, noises=noises
@@ -94,7 +94,7 @@ def test_a_line_needs_no_local_part_and_is_recovered() -> None:
         features,
         outputs,
         variances=variances,
-        choices=(Choice(5, 0.0), Choice(5, 0.0, radial=1.0, width=0.2)),
+        choices=(ProcessSettings(5, 0.0), ProcessSettings(5, 0.0, radial=1.0, width=0.2)),
         importance=np.ones(2),
     )
     assert not model.dual.any()
@@ -106,7 +106,7 @@ def test_a_line_needs_no_local_part_and_is_recovered() -> None:
 def test_the_important_output_decides_the_choice() -> None:
     features, variances = np.linspace(-2, 2, 60)[:, None], np.ones(1)
     both = np.column_stack([features[:, 0], np.cos(2 * features[:, 0])])
-    choices = (Choice(1, 0.0), Choice(1, 0.0, radial=3.0))
+    choices = (ProcessSettings(1, 0.0), ProcessSettings(1, 0.0, radial=3.0))
     for importance, local in (([1.0, 1e-12], False), ([1e-12, 1.0], True)):
         model = fit_best_gaussian_process(
             features,
@@ -119,13 +119,15 @@ def test_the_important_output_decides_the_choice() -> None:
 
 
 def test_choices_are_limited_to_the_dimensions_there_are_and_appear_once() -> None:
-    limited = usable_choices((Choice(8, 0.5), Choice(16, 0.5), Choice(3, 0.5)), most=6)
-    assert limited == (Choice(6, 0.5), Choice(3, 0.5))
+    limited = usable_choices(
+        (ProcessSettings(8, 0.5), ProcessSettings(16, 0.5), ProcessSettings(3, 0.5)), most=6
+    )
+    assert limited == (ProcessSettings(6, 0.5), ProcessSettings(3, 0.5))
 
 
 def test_bad_input_is_refused() -> None:
     features, outputs, variances = pairs()
-    choices = (Choice(5, 0.0),)
+    choices = (ProcessSettings(5, 0.0),)
     with pytest.raises(ValueError, match="do not pair up"):
         leave_one_out_errors(features[1:], outputs, variances=variances, choices=choices)
     with pytest.raises(ValueError, match="at least 2 pairs"):
@@ -133,7 +135,9 @@ def test_bad_input_is_refused() -> None:
     with pytest.raises(ValueError, match="5 positive numbers"):
         leave_one_out_errors(features, outputs, variances=0 * variances, choices=choices)
     with pytest.raises(ValueError, match="uses 9 of 5 features; limit it"):
-        leave_one_out_errors(features, outputs, variances=variances, choices=(Choice(9, 0.0),))
+        leave_one_out_errors(
+            features, outputs, variances=variances, choices=(ProcessSettings(9, 0.0),)
+        )
 
 
 def test_of_errors_near_the_least_the_smoothest_is_taken_and_no_other() -> None:

@@ -19,7 +19,7 @@ from usdface.core.provenance import Provenance
 from usdface.media.film.movie import write_movie
 from usdface.media.picture.image import read_image_metadata, write_image
 from usdface.runner.execute import execute
-from usdface.runner.job import check_job, run_job
+from usdface.runner.job import job_states, run_job
 from usdface.specs.capture import AlignSpec, IngestSpec
 from usdface.specs.job import JobSpec
 from usdface.steps.capture.align import Evidence, decide
@@ -210,13 +210,13 @@ def test_a_job_aligns_once_and_again_after_the_take_was_made_anew(take: Path) ->
     )
     run_job(job)
     assert read_take(take).video.offset == pytest.approx(OFFSET, abs=1e-3)
-    assert [each.state for each in check_job(job)] == ["done", "done"]
+    assert [each.state for each in job_states(job)] == ["done", "done"]
     layer = Sdf.Layer.FindOrOpen(str(raw))
     layer.GetAttributeAtPath("/Take.face:performer").default = "Bea"
     layer.Save()
-    assert [each.state for each in check_job(job)] == ["stale", "stale"]
+    assert [each.state for each in job_states(job)] == ["stale", "stale"]
     run_job(job)
-    assert [each.state for each in check_job(job)] == ["done", "done"]
+    assert [each.state for each in job_states(job)] == ["done", "done"]
     assert read_take(take).video.offset == pytest.approx(OFFSET, abs=1e-3)
 
 
@@ -227,7 +227,7 @@ def test_a_refusal_is_not_taken_for_done_by_a_job(take: Path) -> None:
     for _ in range(2):
         with pytest.raises(CheckFailedError):
             run_job(job)
-    assert check_job(job)[0].state == "stale"
+    assert job_states(job)[0].state == "stale"
 
 
 def test_a_picture_of_someone_else_is_not_replaced(take: Path) -> None:

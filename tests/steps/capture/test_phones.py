@@ -14,7 +14,7 @@ from usdface.core.errors import InputError
 from usdface.media.film.sound import read_audio
 from usdface.runner.execute import execute
 from usdface.runner.outputs import make_provenance, provenance_of
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.capture import PhonesSpec
 from usdface.speech.coverage_of_sound import share_outside
 from usdface.speech.phone_track import PhoneTrack, Span
@@ -183,7 +183,7 @@ def test_a_transcript_that_lacks_most_of_what_is_said_is_noticed(
 ) -> None:
     words = (speech / "lab" / "acoustic_corpus.lab").read_text("utf-8").split()
 
-    def aligned(text: str) -> Report:
+    def aligned(text: str) -> StepResult:
         spec = PhonesSpec(
             audio=speech / "wav" / "acoustic_corpus.wav", text=text, out=tmp_path / "x.json"
         )

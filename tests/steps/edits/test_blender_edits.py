@@ -15,7 +15,7 @@ from tests.usdio.references.test_references import small_references, write
 from tests.usdio.small_rig import small_rig
 from usdface.core.errors import InputError
 from usdface.runner.execute import execute
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.edits import EditsImportSpec, EditSpec
 from usdface.specs.references import ReferencesImportSpec
 from usdface.steps.inputs.weight_tables import read_weight_table
@@ -104,7 +104,7 @@ def curves_of(shown: np.ndarray = SOLVED) -> dict[str, dict[str, np.ndarray]]:
     }
 
 
-def bring_back(path: Path, changed: Path) -> Report:
+def bring_back(path: Path, changed: Path) -> StepResult:
     return execute(EditsImportSpec(performance=path, changed=changed), overwrite=True)
 
 

@@ -17,7 +17,7 @@ from usdface.core.replacing import replacing
 from usdface.core.sidecars import edits_path
 from usdface.numerics.motion.edit_curve import no_edit
 from usdface.runner.execute import execute
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
 from usdface.specs.edits import BakeSpec, EditsImportSpec, EditSpec, PackageSpec
 from usdface.specs.performance import MapSpec, TrainSpec
@@ -34,11 +34,11 @@ from usdface.usdio.take.write import write_take
 from usdface.usdio.validation import validate
 
 
-def run(spec: Spec) -> Report:
+def run(spec: Spec) -> StepResult:
     return execute(spec, overwrite=True)
 
 
-def edit(path: Path, shape: str = "jawOpen", **change: object) -> Report:
+def edit(path: Path, shape: str = "jawOpen", **change: object) -> StepResult:
     return run(EditSpec.model_validate({"performance": path, "shape": (shape,), **change}))
 
 
@@ -47,7 +47,7 @@ def curve(path: Path, shape: str) -> np.ndarray:
     return clip.values[:, clip.names.index(shape)].astype(float)
 
 
-def remap(shot: Shot, *, method: str = "", **more: object) -> Report:
+def remap(shot: Shot, *, method: str = "", **more: object) -> StepResult:
     mapping = shot / "hero.mapping.usdc"
     if method:
         references, mapping = shot / "hero.references.usda", shot / "b.mapping.usdc"

@@ -9,7 +9,7 @@ import pytest
 from tests.steps.small_shot import Shot
 from usdface.core.errors import InputError
 from usdface.runner.execute import execute
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
 from usdface.specs.edits import EditSpec
 from usdface.specs.performance import JoinSpec, MapSpec
@@ -20,7 +20,7 @@ from usdface.usdio.performance.write import PerformanceReader
 from usdface.usdio.validation import validate
 
 
-def run(spec: Spec) -> Report:
+def run(spec: Spec) -> StepResult:
     return execute(spec, overwrite=True)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.model.synthetic import SyntheticFace, references_of, synthetic_face
 from tests.steps.small_shot import Shot
-from usdface.core.assets import Mapping
+from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.head_space import MappedMarkers
 from usdface.model.mapping.predict import predict_weights
@@ -20,7 +20,7 @@ from usdface.steps.performance.predict_blocks import solve_blended
 
 
 @pytest.fixture(scope="module")
-def hybrid() -> tuple[SyntheticFace, Mapping]:
+def hybrid() -> tuple[SyntheticFace, TrainedMapping]:
     face = synthetic_face(frames=300, bend=0.2)
     references = references_of(face, np.arange(0, 300, 12))
     trained = train_mapping(
@@ -30,7 +30,7 @@ def hybrid() -> tuple[SyntheticFace, Mapping]:
 
 
 def test_alpha_runs_from_one_part_to_the_other(
-    hybrid: tuple[SyntheticFace, Mapping], tmp_path: Path
+    hybrid: tuple[SyntheticFace, TrainedMapping], tmp_path: Path
 ) -> None:
     face, mapping = hybrid
     (tmp_path / "alpha.csv").write_text("frame,alpha\n1,0\n100,1\n")

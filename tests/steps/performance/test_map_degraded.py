@@ -12,13 +12,13 @@ from usdface.core.errors import InputError
 from usdface.demo.rig import demo_rig
 from usdface.model.mapping.head_space import MINIMUM_SHARE
 from usdface.runner.execute import execute
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.performance import MapSpec
 from usdface.usdio.performance.write import read_performance
 from usdface.usdio.rig.write import write_rig
 
 
-def mapped(shot: Shot, *, rig: str = "hero.usdc") -> Report:
+def mapped(shot: Shot, *, rig: str = "hero.usdc") -> StepResult:
     return execute(
         MapSpec(
             take=shot / "shot.clean.take.usda",

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.steps.small_shot import Shot
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.core.assets import Mapping, MotionSpace, References
+from usdface.core.assets import MotionSpace, References, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.regions import sample_skin
@@ -73,7 +73,7 @@ def mirrored_references(references: References, mirror: Mirror, shapes: IntArray
     )
 
 
-def frames_of(shot: Shot, mapping: Mapping) -> FloatArray:
+def frames_of(shot: Shot, mapping: TrainedMapping) -> FloatArray:
     markers = read_take(shot / "shot.clean.take.usda").markers
     assert markers is not None
     assert markers.names == mapping.marker_names

@@ -14,7 +14,7 @@ from tests.steps.small_shot import PAIRS, Shot
 from usdface.core.assets import Video
 from usdface.core.errors import InputError
 from usdface.core.locks import TuningLock
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.media.picture.image import read_image_metadata, write_image
 from usdface.media.picture.read import read_picture
 from usdface.runner.execute import execute
@@ -163,7 +163,7 @@ def test_a_video_that_is_gone_costs_its_pictures_and_nothing_else(shot: Shot) ->
         )
     )
     pairs_without = sum(n.image is None for n in read_pair_notes(shot / "new.references.usda", 12))
-    said = f"no video frame for {counted(pairs_without, 'pair')}"
+    said = f"no video frame for {pluralize(pairs_without, 'pair')}"
     assert any(said in note for note in sheet.notes) == bool(pairs_without)
     report = execute(spec(shot, takes=(take,)), overwrite=True)
     # No picture of a pair can be made again, so each is kept and still referred to.

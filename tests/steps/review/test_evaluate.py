@@ -13,7 +13,7 @@ from usdface.cli import main
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.media.picture.image import read_image_metadata
 from usdface.runner.execute import execute
-from usdface.runner.job import check_job, run_job
+from usdface.runner.job import job_states, run_job
 from usdface.specs.reading import read_job
 from usdface.specs.review import EvaluateSpec
 from usdface.steps.inputs.weight_tables import read_weight_table
@@ -201,14 +201,14 @@ def test_a_job_stops_at_a_limit_each_time_and_goes_on_once_it_is_kept(shot: Shot
             run_job(read_job(shot / "guard.yaml"))
     (shot / "guard.yaml").write_text(text.replace("0.01", "100"))
     run_job(read_job(shot / "guard.yaml"))
-    assert check_job(read_job(shot / "guard.yaml"))[0].state == "done"
+    assert job_states(read_job(shot / "guard.yaml"))[0].state == "done"
 
 
 def test_in_a_job_an_evaluation_that_writes_nothing_is_never_done(shot: Shot) -> None:
     text = "{step: evaluate, performance: shot.hero.usda, against: keys.csv}"
     (shot / "look.yaml").write_text(text)
     run_job(read_job(shot / "look.yaml"))
-    assert check_job(read_job(shot / "look.yaml"))[0].state == "missing"
+    assert job_states(read_job(shot / "look.yaml"))[0].state == "missing"
 
 
 def other_frames(shot: Shot) -> list[str]:

@@ -22,8 +22,8 @@ from usdface.core.errors import InputError
 from usdface.media.picture.image import read_image_metadata
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.runner.execute import execute
-from usdface.runner.job import check_job, run_job
-from usdface.runner.result import Report
+from usdface.runner.job import job_states, run_job
+from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
 from usdface.specs.reading import read_job
 from usdface.specs.references import SelectSpec
@@ -59,7 +59,7 @@ def folder(moved: Path, tmp_path: Path) -> Path:
     return tmp_path / "scan"
 
 
-def run(spec: Spec) -> Report:
+def run(spec: Spec) -> StepResult:
     return execute(spec, overwrite=True)
 
 
@@ -241,7 +241,7 @@ def test_a_scan_without_a_rig_becomes_an_animated_face_in_one_job(folder: Path, 
     weights = read_performance(folder / "job.acted.usda").weights.values
     assert weights.shape == (FRAMES, 4)
     assert weights.max() > 0.8
-    assert {state.state for state in check_job(read_job(job))} == {"done"}
+    assert {state.state for state in job_states(read_job(job))} == {"done"}
 
 
 def test_a_shape_at_one_is_the_frame_it_was_made_of(folder: Path) -> None:

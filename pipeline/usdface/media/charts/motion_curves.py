@@ -38,7 +38,7 @@ PALETTE: tuple[Color, ...] = (
 
 
 @dataclass(frozen=True)
-class Span:
+class FrameSpan:
     """An interval to shade: a sequence that was put in.
 
     Attributes
@@ -120,7 +120,7 @@ def before_and_after(
 
 
 def windows_around(
-    spans: Sequence[Span], *, first_frame: int, last_frame: int, context: int = 40
+    spans: Sequence[FrameSpan], *, first_frame: int, last_frame: int, context: int = 40
 ) -> tuple[tuple[int, int], ...]:
     """Return the stretches to look at: each span with some context, at most `MOST_WINDOWS`."""
     return tuple(
@@ -137,7 +137,7 @@ def draw_motion_curves(
     first_frame: int,
     step: int = 1,
     windows: Sequence[tuple[int, int]] = (),
-    spans: Sequence[Span] = (),
+    spans: Sequence[FrameSpan] = (),
     from_zero: bool = False,
 ) -> ByteImage:
     """Draw panels below each other, windows side by side: (height, width, 3) uint8 array, sRGB.
@@ -216,13 +216,13 @@ def _plot(
     return Plot(picture, x, y, width, PANEL_HEIGHT, left, right, bottom, high + room)
 
 
-def _shade(plot: Plot, spans: Sequence[Span]) -> None:
+def _shade(plot: Plot, spans: Sequence[FrameSpan]) -> None:
     for span in spans:
         left, width = _extent(plot, span)
         fill_box(plot.picture, left, plot.y + 1, width, plot.height - 2, _SPAN, cover=0.45)
 
 
-def _name(plot: Plot, spans: Sequence[Span]) -> None:
+def _name(plot: Plot, spans: Sequence[FrameSpan]) -> None:
     """Write what the spans are called, on a ground of their own: curves pass there."""
     for span in spans:
         left, width = _extent(plot, span)
@@ -232,7 +232,7 @@ def _name(plot: Plot, spans: Sequence[Span]) -> None:
         draw_text(plot.picture, label, x=left + 5, y=plot.y + 4, style=_SPAN_LABEL)
 
 
-def _extent(plot: Plot, span: Span) -> tuple[int, int]:
+def _extent(plot: Plot, span: FrameSpan) -> tuple[int, int]:
     """Return where a span begins in a plot, and how wide it is [pixels]."""
     left = max(round(plot.column(span.first_frame - 0.5)), plot.x + 1)
     right = min(round(plot.column(span.last_frame + 0.5)), plot.x + plot.width - 1)

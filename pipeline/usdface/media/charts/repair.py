@@ -7,7 +7,7 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, ByteImage
 from usdface.core.errors import InputError
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.media.picture.canvas import Color, fill_box, new_picture
 from usdface.media.picture.error_strip import draw_frame_axis
 from usdface.media.picture.sheet import draw_header
@@ -109,7 +109,7 @@ def draw_repairs(
     if hidden:
         draw_text(
             page,
-            f"and {counted(hidden, 'marker')} with fewer",
+            f"and {pluralize(hidden, 'marker')} with fewer",
             x=MARGIN,
             y=bottom + 22,
             style=_NOTE,
@@ -121,6 +121,6 @@ def _draw_key(page: ByteImage, kinds: Sequence[RepairKind], *, y: int) -> None:
     x = MARGIN
     for kind in kinds:
         fill_box(page, x, y + 4, 12, 12, kind.color)
-        label = f"{kind.label}: {counted(int(kind.where.sum()), 'sample')}"
+        label = f"{kind.label}: {pluralize(int(kind.where.sum()), 'sample')}"
         draw_text(page, label, x=x + 18, y=y, style=_NOTE)
         x += 18 + text_width(label, _NOTE) + 28

@@ -9,7 +9,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import RigMesh
 from usdface.media.face import shading
 from usdface.media.face.mesh_topology import Sparse, polygon_edges
-from usdface.media.face.parts import Part, Pieces
+from usdface.media.face.parts import FacePart, Pieces
 
 _CLOSED, _OPEN = 0.015, 0.09  # of the sky seen at rest: inside of a mouth below, skin above
 
@@ -61,12 +61,12 @@ def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) ->
     (points, 3) float array
         Linear.
     """
-    palette = np.zeros((len(Part), 3))
-    palette[Part.SKIN], palette[Part.EYE] = shading.SKIN, shading.SCLERA
-    palette[Part.TEETH], palette[Part.MOUTH] = shading.TEETH, shading.TONGUE
-    palette[Part.HAIR] = shading.HAIR
+    palette = np.zeros((len(FacePart), 3))
+    palette[FacePart.SKIN], palette[FacePart.EYE] = shading.SKIN, shading.SCLERA
+    palette[FacePart.TEETH], palette[FacePart.MOUTH] = shading.TEETH, shading.TONGUE
+    palette[FacePart.HAIR] = shading.HAIR
     parts = pieces.parts[pieces.of_point]
-    skin = parts == Part.SKIN
+    skin = parts == FacePart.SKIN
     links = _neighbours(meshes)
     smooth = _spread(exposure, links, times=2)
     inside = np.where(skin, _step((_OPEN - smooth) / (_OPEN - _CLOSED)), 0.0)
@@ -77,9 +77,9 @@ def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) ->
         own = slice(first, first + len(mesh.points))
         one = tone(mesh)
         if one is not None:  # of what the mesh is most; teeth in a head of one material stay teeth
-            most = np.bincount(parts[own]).argmax() if len(parts[own]) else Part.SKIN
+            most = np.bincount(parts[own]).argmax() if len(parts[own]) else FacePart.SKIN
             toned = parts[own] == most
-            shade = inside[own, None] * (most == Part.SKIN)
+            shade = inside[own, None] * (most == FacePart.SKIN)
             mixed = one + (shading.INNER_MOUTH - one) * shade
             colors[own] = np.where(toned[:, None], mixed, colors[own])
         elif mesh.colors is not None:

@@ -9,7 +9,7 @@ _ALIKE = 0.8  # cosine between two normals of the same bit of surface
 _TAPER = {0: 1.0, 1: 1.0, 2: 0.5}
 
 
-def share_between_neighbours(
+def denoise(
     values: Float32Array,
     *,
     rays: IntArray,

@@ -16,7 +16,7 @@ from usdface.core.assets import RigMesh
 from usdface.media.face.mesh_topology import components, polygon_edges
 
 
-class Part(IntEnum):
+class FacePart(IntEnum):
     """How a piece is shaded."""
 
     SKIN = 0
@@ -52,7 +52,7 @@ class Pieces:
     of_point : (points,) int array
         Piece of every point, of all meshes in a row.
     parts : (pieces,) int array
-        A `Part` for each piece.
+        A `FacePart` for each piece.
     eyeballs : dict of int to Eyeball
         By piece.
     """
@@ -63,14 +63,14 @@ class Pieces:
 
 
 # Whole words and word starts in a prim's name; the first that fits decides.
-_NAMES: tuple[tuple[str, Part], ...] = (
-    (r"cornea|tear|wet|lacrimal|occlusion|eyeblend|eye_?shadow|lens", Part.HIDDEN),
-    (r"lash|brow|hair|beard|mustache|moustache|stubble", Part.HAIR),
-    (r"teeth|tooth|dent(al|ure)", Part.TEETH),
-    (r"tongue|gum|mouth_?(bag|sock|cavity|interior)|oral", Part.MOUTH),
+_NAMES: tuple[tuple[str, FacePart], ...] = (
+    (r"cornea|tear|wet|lacrimal|occlusion|eyeblend|eye_?shadow|lens", FacePart.HIDDEN),
+    (r"lash|brow|hair|beard|mustache|moustache|stubble", FacePart.HAIR),
+    (r"teeth|tooth|dent(al|ure)", FacePart.TEETH),
+    (r"tongue|gum|mouth_?(bag|sock|cavity|interior)|oral", FacePart.MOUTH),
     (
         r"eye_?(l|r|left|right)?_?(ball|s)?\d*(_?(l|r|left|right|geo|mesh))*$|(l|r|left|right)_?eye|sclera|iris",
-        Part.EYE,
+        FacePart.EYE,
     ),
 )
 _SPHERE_MISFIT = (
@@ -81,7 +81,7 @@ _CLOSED_IN = 0.15  # of the sky seen at rest, by pieces that live in the mouth
 _TOOTH_SIZE = 0.26  # of the head's width
 
 
-def part_from_name(path: str) -> Part | None:
+def part_from_name(path: str) -> FacePart | None:
     """Return what a prim's own name says it is; None where it does not say."""
     name = path.rsplit("/", 1)[-1].lower()
     for pattern, part in _NAMES:
@@ -110,7 +110,7 @@ def find_pieces(meshes: Sequence[RigMesh], *, exposure: FloatArray) -> Pieces:
     count = len(named)
     order = np.argsort(labels, kind="stable")
     members = np.split(order, np.cumsum(np.bincount(labels, minlength=count))[:-1])
-    parts = np.array([Part.SKIN if part is None else part for part in named], np.int64)
+    parts = np.array([FacePart.SKIN if part is None else part for part in named], np.int64)
     unnamed = np.array([part is None for part in named])
     sizes = np.array([len(m) for m in members])
     width = _width(points)
@@ -118,33 +118,33 @@ def find_pieces(meshes: Sequence[RigMesh], *, exposure: FloatArray) -> Pieces:
     eyeballs = {
         piece: ball
         for piece in range(count)
-        if (unnamed[piece] or parts[piece] == Part.EYE)
+        if (unnamed[piece] or parts[piece] == FacePart.EYE)
         and (ball := _fit_eyeball(points[members[piece]], head_width=width)) is not None
     }
-    eyeballs = _in_pairs(eyeballs, certain=parts == Part.EYE)
+    eyeballs = _in_pairs(eyeballs, certain=parts == FacePart.EYE)
     eyeballs, inner = _outermost(eyeballs)
-    parts[list(eyeballs)] = Part.EYE
-    parts[inner] = Part.HIDDEN
+    parts[list(eyeballs)] = FacePart.EYE
+    parts[inner] = FacePart.HIDDEN
 
     largest = int(np.argmax(np.where(unnamed, sizes, 0)))
-    for piece in np.flatnonzero(unnamed & (parts == Part.SKIN)):
+    for piece in np.flatnonzero(unnamed & (parts == FacePart.SKIN)):
         if piece == largest or sizes[piece] > 0.5 * sizes[largest]:
             continue
         cloud = points[members[piece]]
         if bool(open_rim[members[piece]].any()) and _near_eye(cloud, eyeballs):
-            parts[piece] = Part.HIDDEN
+            parts[piece] = FacePart.HIDDEN
         elif np.median(exposure[members[piece]]) < _CLOSED_IN:
             small = np.linalg.norm(np.ptp(cloud, axis=0)) < _TOOTH_SIZE * width
-            parts[piece] = Part.TEETH if small else Part.MOUTH
+            parts[piece] = FacePart.TEETH if small else FacePart.MOUTH
     return Pieces(of_point=labels, parts=parts, eyeballs=eyeballs)
 
 
-def _label(meshes: Sequence[RigMesh]) -> tuple[IntArray, list[Part | None]]:
+def _label(meshes: Sequence[RigMesh]) -> tuple[IntArray, list[FacePart | None]]:
     """Count the pieces; a mesh whose name says what it is stays whole, unless it is eyes."""
-    labels, named = [], list[Part | None]()
+    labels, named = [], list[FacePart | None]()
     for mesh in meshes:
         part = part_from_name(mesh.path)
-        if part in (None, Part.EYE):
+        if part in (None, FacePart.EYE):
             own = components(mesh.face_counts, mesh.face_indices, point_count=len(mesh.points))
             own = np.unique(own, return_inverse=True)[1].reshape(-1)
         else:

@@ -12,7 +12,7 @@ from scipy import ndimage
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.media.face import shading
 from usdface.media.face.camera import Camera
-from usdface.media.face.denoise import share_between_neighbours
+from usdface.media.face.denoise import denoise
 from usdface.media.face.surface import Surface
 from usdface.media.face.tracing import PATTERNS, Found, Tracer, light_seen, sky_seen
 
@@ -130,7 +130,7 @@ def draw(view: View) -> Float32Array:
     rays = samples.found.rays
     effort = view.effort
     seen = _occlusion(view, samples, pattern[rays], sky=effort.sky_rays, light=effort.light_rays)
-    seen = share_between_neighbours(
+    seen = denoise(
         seen,
         rays=rays,
         normals=samples.normals,

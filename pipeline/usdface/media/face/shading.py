@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import Float32Array, IntArray
-from usdface.media.face.parts import Part
+from usdface.media.face.parts import FacePart
 
 SKIN = np.array([0.50, 0.31, 0.235], np.float32)
 INNER_MOUTH = np.array([0.16, 0.045, 0.04], np.float32)
@@ -73,7 +73,7 @@ class Hits:
     lit: Float32Array
 
 
-# Specular strength and Blinn exponent of each part, in the order of `Part`.
+# Specular strength and Blinn exponent of each part, in the order of `FacePart`.
 _GLOSS = np.array([0.045, 0.9, 0.25, 0.10, 0.05, 0.0], np.float32)
 _SHINE = np.array([26.0, 420.0, 70.0, 40.0, 20.0, 1.0], np.float32)
 
@@ -95,7 +95,7 @@ def shade(hits: Hits, *, plain: bool = False) -> Float32Array:
     if plain:
         return _shade_plain(hits)
     normals, views = hits.normals, hits.views
-    skin = (hits.parts == Part.SKIN)[:, None]
+    skin = (hits.parts == FacePart.SKIN)[:, None]
     opened = hits.openness[:, None]
     bounced = np.where(skin, opened**_SKIN_BOUNCE, opened)
     total = hits.albedo * bounced * _ambient(normals)

@@ -16,7 +16,7 @@ from usdface.media.face.mesh_topology import (
     normal_operator,
     vertex_normals,
 )
-from usdface.media.face.parts import Part, Pieces, find_pieces
+from usdface.media.face.parts import FacePart, Pieces, find_pieces
 from usdface.media.face.quad_centre_split import cut_polygons
 from usdface.media.face.stand_in_eyes import fit_stand_in_eyes
 from usdface.media.face.subdivision import catmull_clark
@@ -61,7 +61,7 @@ class Surface:
         Adds triangle normals at their corners.
     middles : Middles
     parts : (triangles,) int array
-        A `Part` each.
+        A `FacePart` each.
     albedo : (drawn points, 3) float32 array
         Linear.
     painted : (triangles, 3) float32 array
@@ -133,7 +133,7 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
         raise InputError(f"no visible mesh with polygons to draw among: {names}")
     selection = _selection(meshes, visible)
     drawn, pieces = _recognise(visible)
-    stand_ins = None if np.any(pieces.parts == Part.EYE) else fit_stand_in_eyes(visible)
+    stand_ins = None if np.any(pieces.parts == FacePart.EYE) else fit_stand_in_eyes(visible)
     if stand_ins is not None:
         visible = [*visible, *stand_ins.meshes]
         selection = sparse.vstack([selection, stand_ins.matrix @ selection])
@@ -148,9 +148,9 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
         if not _plain_eye(visible, pieces, piece, painted[piece_of_triangle == piece]):
             eyes[piece] = -1
     clear = np.concatenate([_clear(mesh) for mesh in visible])[faces]
-    kept = (parts != Part.HIDDEN) & ~clear
+    kept = (parts != FacePart.HIDDEN) & ~clear
     if not kept.any():
-        kept = parts != Part.HIDDEN
+        kept = parts != FacePart.HIDDEN
     triangles, painted = drawn.triangles[kept], painted[kept]
     # Without lash cards and tear lines: they hide skin that is seen.
     shown = replace(drawn, triangles=triangles, corner_of_triangle=drawn.corner_of_triangle[kept])

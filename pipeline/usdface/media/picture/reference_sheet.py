@@ -65,7 +65,7 @@ class ReferenceRow:
 
 
 @dataclass(frozen=True)
-class Palette:
+class PaperColors:
     """The colours of a sheet."""
 
     page: Color
@@ -77,7 +77,7 @@ class Palette:
     tuned: Color
 
 
-SCREEN = Palette(
+SCREEN = PaperColors(
     page=(22, 23, 26),
     rule=(64, 67, 74),
     empty=(31, 33, 37),
@@ -86,7 +86,7 @@ SCREEN = Palette(
     dim=(132, 137, 146),
     tuned=(126, 204, 148),
 )
-PAPER = Palette(
+PAPER = PaperColors(
     page=(255, 255, 255),
     rule=(176, 178, 182),
     empty=(246, 246, 247),
@@ -170,7 +170,7 @@ def _draw_row(
     page: ByteImage,
     row: ReferenceRow,
     widths: tuple[int, ...],
-    palette: Palette,
+    palette: PaperColors,
     *,
     x: int,
     y: int,
@@ -215,7 +215,7 @@ def _draw_row(
 
 
 def _draw_weights(
-    page: ByteImage, row: ReferenceRow, palette: Palette, *, x: int, y: int, width: int
+    page: ByteImage, row: ReferenceRow, palette: PaperColors, *, x: int, y: int, width: int
 ) -> None:
     """Write the strongest weights on two lines, and how far the markers are off."""
     style = TextStyle(size=14, color=palette.text)

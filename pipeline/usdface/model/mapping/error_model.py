@@ -51,7 +51,7 @@ _BELOW = np.array([0.5 * math.erfc(-each / math.sqrt(2)) for each in _DEVIATIONS
 """The normal distribution: lines between these are within 2e-7 of it, at a fraction of the time."""
 
 
-def fit_familiarity(
+def fit_error_model(
     coordinates: FloatArray,
     motion: MotionSpace,
     *,
@@ -106,7 +106,7 @@ def fit_familiarity(
     }
 
 
-def unfamiliarity(arrays: dict[str, FloatArray], coordinates: FloatArray) -> FloatArray:
+def predictive_variance(arrays: dict[str, FloatArray], coordinates: FloatArray) -> FloatArray:
     """Return the variance that the references leave of each frame.
 
     Further out than any reference errors grow with the square of the distance: there no line need
@@ -115,7 +115,7 @@ def unfamiliarity(arrays: dict[str, FloatArray], coordinates: FloatArray) -> Flo
     Parameters
     ----------
     arrays : dict
-        From `fit_familiarity`.
+        From `fit_error_model`.
     coordinates : (frames, dimensions) float array
 
     Returns
@@ -140,9 +140,9 @@ def confidence_of(arrays: dict[str, FloatArray], left: FloatArray) -> FloatArray
     Parameters
     ----------
     arrays : dict
-        From `fit_familiarity`.
+        From `fit_error_model`.
     left : (frames,) float array
-        From `unfamiliarity`.
+        From `predictive_variance`.
 
     Returns
     -------

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from usdface.core.assets import Mapping, Markers
+from usdface.core.assets import Markers, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.numerics.rigid.optimal_rotation import optimal_rotations
 
@@ -86,7 +86,7 @@ class HeadSpace:
         return MappedMarkers(positions, visible, self.missing, self.extra, self.moved_mm)
 
 
-def find_head_space(mapping: Mapping, markers: Markers) -> HeadSpace:
+def find_head_space(mapping: TrainedMapping, markers: Markers) -> HeadSpace:
     """Match markers by name and find the rigid movement onto the mapping's neutral head.
 
     One rigid movement for the whole take: the median position of each rigid marker goes to where
@@ -125,7 +125,7 @@ def find_head_space(mapping: Mapping, markers: Markers) -> HeadSpace:
     return HeadSpace(own, slots, count, rotation, shift, missing, extra, moved)
 
 
-def into_head_space(mapping: Mapping, markers: Markers) -> MappedMarkers:
+def into_head_space(mapping: TrainedMapping, markers: Markers) -> MappedMarkers:
     """Bring a whole take into a mapping's order and head space; see `find_head_space`."""
     return find_head_space(mapping, markers).place(markers)
 
@@ -151,7 +151,7 @@ def _in_order(
 
 
 def _rigid_movement(
-    mapping: Mapping, positions: Float32Array, visible: BoolArray
+    mapping: TrainedMapping, positions: Float32Array, visible: BoolArray
 ) -> tuple[FloatArray, FloatArray, float]:
     """Rotation and shift that put the take's rigid markers where the mapping had them."""
     # The mean over whole takes, not the neutral frame: one frame is noisy, the mean is not.

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray
-from usdface.core.assets import Mapping
+from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.coordinates import marker_coordinates
-from usdface.model.mapping.error_model import confidence_of, likely_error, unfamiliarity
+from usdface.model.mapping.error_model import confidence_of, likely_error, predictive_variance
 from usdface.model.mapping.head_space import MINIMUM_SHARE
 from usdface.model.mapping.train import motion_of
 from usdface.model.regressions import find_method
@@ -72,7 +72,7 @@ class WeightPredictor:
         If arrays are missing or do not fit each other: one frame is tried.
     """
 
-    def __init__(self, mapping: Mapping, *, device: ArrayDevice = CPU) -> None:
+    def __init__(self, mapping: TrainedMapping, *, device: ArrayDevice = CPU) -> None:
         self._mapping = mapping
         self._device = device
         try:
@@ -114,7 +114,7 @@ class WeightPredictor:
             )
             raw = self._device.fetch(self._predict(self._device.put(found.values)))
             np.clip(raw, mapping.ranges[:, 0], mapping.ranges[:, 1], out=weights[part])
-            left = unfamiliarity(arrays, found.values)
+            left = predictive_variance(arrays, found.values)
             confidence[part] = confidence_of(arrays, left) * found.certainty[:, None]
             error[part] = likely_error(arrays, left) * arrays["region_tolerance"]
             residual[part] = _by_region(found.away_mm, held)
@@ -133,7 +133,7 @@ class WeightPredictor:
 
 
 def predict_weights(
-    mapping: Mapping,
+    mapping: TrainedMapping,
     positions: NDArray[np.float32] | NDArray[np.float64],
     *,
     visible: BoolArray | None = None,
@@ -177,7 +177,7 @@ def _by_region(away_mm: Float32Array, held: FloatArray) -> FloatArray:
     return np.sqrt(mean, out=mean)
 
 
-def regions_of(mapping: Mapping) -> tuple[str, ...]:
+def regions_of(mapping: TrainedMapping) -> tuple[str, ...]:
     """Return the parts of the face that a mapping tells residual and confidence for.
 
     Raises
@@ -196,7 +196,7 @@ def regions_of(mapping: Mapping) -> tuple[str, ...]:
 
 
 def _check_positions(
-    mapping: Mapping,
+    mapping: TrainedMapping,
     positions: NDArray[np.float32] | NDArray[np.float64],
     visible: BoolArray | None,
 ) -> None:

@@ -7,7 +7,7 @@ something else at the same weight. So a mapping keeps a few lengths of each shap
 import numpy as np
 
 from usdface.core.arrays import FloatArray
-from usdface.core.assets import Mapping, MeshShape, Rig, RigMesh
+from usdface.core.assets import MeshShape, Rig, RigMesh, TrainedMapping
 from usdface.core.errors import InputError
 
 POINTS, SHAPES = "rig_points", "rig_shapes"
@@ -51,7 +51,7 @@ def rig_summary(rig: Rig, shape_names: tuple[str, ...]) -> dict[str, FloatArray]
     return {POINTS: points, SHAPES: np.array(rows).reshape(-1, 8)}
 
 
-def check_same_rig(mapping: Mapping, rig: Rig) -> tuple[str, ...]:
+def check_same_rig(mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
     """Compare a rig with the one a mapping was trained on.
 
     A sculpt that moved is worth a note: weights still mean something close. Other points are

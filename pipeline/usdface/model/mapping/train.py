@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
-from usdface.core.assets import CandidateScore, Mapping, MotionSpace, References
+from usdface.core.assets import CandidateScore, MotionSpace, References, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.model.mapping.checks import check_dimensions, check_references, check_skin
 from usdface.model.mapping.coordinates import marker_coordinates
-from usdface.model.mapping.error_model import fit_familiarity
+from usdface.model.mapping.error_model import fit_error_model
 from usdface.model.mapping.motion_space import motion_from_pca
 from usdface.model.mapping.regions import marker_motion, membership, region_points
 from usdface.model.regressions import AUTO, Method, Pairs, Settings, find_method
@@ -53,7 +53,7 @@ def train_mapping(
     method: str = "auto",
     dimensions: int | None = None,
     progress: Progress = silent,
-) -> Mapping:
+) -> TrainedMapping:
     """Learn the function from markers to weights that the references show.
 
     Every candidate predicts each pair from pairs of other moments; the one whose errors move the
@@ -125,12 +125,12 @@ def train_mapping(
     )
     errors = next((each for each, tried_one in tried if tried_one is best), None)
     tolerance, seen = _seen_errors(errors, pairs, tuple(regions), checked.shape_names, gram)
-    doubt = fit_familiarity(pairs.coordinates, motion, folds=folds, error_over_tolerance=seen) | {
+    doubt = fit_error_model(pairs.coordinates, motion, folds=folds, error_over_tolerance=seen) | {
         "region_markers": membership(regions, len(checked.marker_names)),
         "region_tolerance": np.array([tolerance]),
     }
     arrays = fitted.arrays | space | doubt
-    return Mapping(
+    return TrainedMapping(
         method=best.method.name,
         marker_names=checked.marker_names,
         shape_names=checked.shape_names,
@@ -151,7 +151,7 @@ def train_mapping(
     )
 
 
-def motion_of(mapping: Mapping) -> MotionSpace:
+def motion_of(mapping: TrainedMapping) -> MotionSpace:
     """Put the motion space of a mapping together; without the sample, which training used up."""
     try:
         return MotionSpace(

@@ -104,17 +104,17 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     importance = np.diag(gram) + 1e-3 * float(np.diag(gram).mean())
     examples, targets = _example_voices(pairs, z, targets, importance)
     residuals = np.stack([voice.residuals for voice in examples])
-    say = _say(residuals)
+    say = blend_weights(residuals)
     voices = list(zip(examples, say, strict=True))
     metric = {"metric": gram + 1e-3 * float(np.diag(gram).mean()) * np.eye(len(gram))}
     if geometry is not None:
-        together = _together(voices, weights.shape)
+        together = _blended_residuals(voices, weights.shape)
         metric = _metric(geometry, together)
         disagreement = _disagreement(residuals, together, importance)
         share = _geometry_share(geometry.residuals, together, disagreement)
         line = Voice(geometry.slope, geometry.intercept, {}, geometry.residuals)
         voices = [(voice, part * (1 - share)) for voice, part in voices] + [(line, share)]
-    usual = np.sqrt((_together(voices, weights.shape) ** 2).mean(axis=0))
+    usual = np.sqrt((_blended_residuals(voices, weights.shape) ** 2).mean(axis=0))
     arrays = {
         "slope": sum((part * voice.slope for voice, part in voices), np.zeros((kept, len(span)))),
         "intercept": sum((part * voice.intercept for voice, part in voices), np.zeros(len(span))),
@@ -153,8 +153,8 @@ def _prepare(
     def predict(coordinates: Any) -> Any:
         z = coordinates[:, :kept]
         bent = z @ slope + intercept + corrections(z)
-        free = _reach_limit(unbend(bent, curve), doubt)
-        return low + span * within(_only_told(free, doubt))
+        free = _saturate_near_one(unbend(bent, curve), doubt)
+        return low + span * within(_drop_noise_outside_limits(free, doubt))
 
     return predict
 
@@ -282,7 +282,7 @@ def _uncensor(tuned: FloatArray, predicted: FloatArray) -> FloatArray:
     return below
 
 
-def _say(residuals: FloatArray) -> FloatArray:
+def blend_weights(residuals: FloatArray) -> FloatArray:
     """Share of each voice for each shape, by what its errors and theirs together are."""
     covariance = np.einsum("vns,wns->svw", residuals, residuals) / residuals.shape[1]
     alone = np.einsum("svv->sv", covariance) + 1e-7
@@ -291,12 +291,14 @@ def _say(residuals: FloatArray) -> FloatArray:
     return blend_shares(covariance)
 
 
-def _together(voices: list[tuple[Voice, FloatArray]], shape: tuple[int, ...]) -> FloatArray:
+def _blended_residuals(
+    voices: list[tuple[Voice, FloatArray]], shape: tuple[int, ...]
+) -> FloatArray:
     """Leave-one-out residuals of the voices' weighted sum."""
     return sum((part * voice.residuals for voice, part in voices), np.zeros(shape))
 
 
-def _reach_limit(weights: Any, doubt: Any) -> Any:
+def _saturate_near_one(weights: Any, doubt: Any) -> Any:
     """Let full weights be full: lids close, though errors beyond the limit are cut off.
 
     A shape tuned to its limit is predicted around it, and cutting off what lies beyond leaves it
@@ -306,7 +308,7 @@ def _reach_limit(weights: Any, doubt: Any) -> Any:
     return weights + REACH * doubt * near
 
 
-def _only_told(weights: Any, doubt: Any) -> Any:
+def _drop_noise_outside_limits(weights: Any, doubt: Any) -> Any:
     """Leave beyond the limits only what says that other weights are to move.
 
     Above the upper limit is what was drawn there, and what the limit cut off when it was tuned;

@@ -15,8 +15,8 @@ from usdface.model.regressions.scaling import coordinate_scale, scaled
 from usdface.numerics.array_namespace import CPU, ArrayDevice
 from usdface.numerics.regression.gaussian_process import (
     NOISES,
-    Choice,
     GaussianProcess,
+    ProcessSettings,
     fit_best_gaussian_process,
     fit_gaussian_process,
     leave_one_out_errors,
@@ -27,12 +27,12 @@ from usdface.numerics.regression.kernel_cca import predict_kernel_cca
 from usdface.numerics.regression.local_sums import LocalSums
 from usdface.numerics.regression.marker_regions import RegionalFeatures
 
-GLOBAL_LINES = tuple(Choice(d, p) for d in (16, 24, 32, 40) for p in (0.0, 0.25, 0.5))
+GLOBAL_LINES = tuple(ProcessSettings(d, p) for d in (16, 24, 32, 40) for p in (0.0, 0.25, 0.5))
 _LOCAL_SIZES = ((0.0, 1.0), (1.0, 1.0), (1.0, 3.0), (3.0, 3.0))
 REGION_WIDE = tuple(
-    Choice(d, p, r, c) for d in (12, 24) for p in (0.25, 0.5) for r, c in _LOCAL_SIZES
+    ProcessSettings(d, p, r, c) for d in (12, 24) for p in (0.25, 0.5) for r, c in _LOCAL_SIZES
 )
-REGION_TIGHT = tuple(Choice(d, 0.5, r, c) for d in (4, 8, 12) for r, c in _LOCAL_SIZES)
+REGION_TIGHT = tuple(ProcessSettings(d, 0.5, r, c) for d in (4, 8, 12) for r, c in _LOCAL_SIZES)
 
 CORRELATIONS = tuple(
     (power, width, kappa)
@@ -57,7 +57,7 @@ REGIONAL_COST = 200 * 200.0**3
 """Shapes times cubed pairs up to which every shape has a process of its own."""
 
 GLOBAL_LOCALS = tuple(
-    Choice(d, p, 1.0, c) for d in (24, 40) for p in (0.25, 0.5) for c in (1.0, 4.0)
+    ProcessSettings(d, p, 1.0, c) for d in (24, 40) for p in (0.25, 0.5) for c in (1.0, 4.0)
 )
 """Of one process for all shapes, where they are too many."""
 
@@ -90,7 +90,7 @@ def global_voice(
     outputs: FloatArray,
     *,
     variances: FloatArray,
-    choices: tuple[Choice, ...],
+    choices: tuple[ProcessSettings, ...],
     importance: FloatArray,
     noises: FloatArray = NOISES,
 ) -> Voice:
@@ -165,7 +165,7 @@ def regional_voice(
     outputs: FloatArray,
     *,
     regions: tuple[RegionalFeatures, ...],
-    choices: tuple[Choice, ...],
+    choices: tuple[ProcessSettings, ...],
     shared: bool,
 ) -> Voice:
     """Fit a process for each shape over its own region.
@@ -203,8 +203,8 @@ def regional_voice(
 
 
 def affordable_choices(
-    choices: tuple[Choice, ...], *, pairs: int, shapes: int
-) -> tuple[Choice, ...]:
+    choices: tuple[ProcessSettings, ...], *, pairs: int, shapes: int
+) -> tuple[ProcessSettings, ...]:
     """Thin choices out where many pairs and shapes would take minutes to compare them all."""
     allowed = max(1, min(len(choices), int(AFFORDABLE / (shapes * pairs**3))))
     places = np.linspace(0, len(choices) - 1, allowed + 2).round().astype(int)[1:-1]

@@ -22,7 +22,7 @@ LIVE = 1e-4
 
 
 @dataclass(frozen=True)
-class Conflict:
+class PairConflict:
     """Two pairs whose sources are almost the same and whose targets are not.
 
     Attributes
@@ -64,7 +64,7 @@ def check_pairs(pairs: ExpressionPairs, where: str) -> None:
             )
 
 
-def find_conflicts(pairs: ExpressionPairs) -> tuple[Conflict, ...]:
+def find_pair_conflicts(pairs: ExpressionPairs) -> tuple[PairConflict, ...]:
     """Return pairs that contradict each other, the worst first (S11, section 4.1)."""
     target = control_space(pairs.target).encode(pairs.target)
     source_apart = _relative_distances(pairs.source)
@@ -73,7 +73,7 @@ def find_conflicts(pairs: ExpressionPairs) -> tuple[Conflict, ...]:
     near, far = source_apart[first, second], target_apart[first, second]
     found = (near < ALIKE) & (far > APART * np.maximum(near, ALIKE / APART))
     conflicts = [
-        Conflict(int(a), int(b), float(x), float(y))
+        PairConflict(int(a), int(b), float(x), float(y))
         for a, b, x, y in zip(first[found], second[found], near[found], far[found], strict=True)
     ]
     return tuple(sorted(conflicts, key=lambda each: each.source - each.target))

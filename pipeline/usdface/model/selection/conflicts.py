@@ -32,7 +32,7 @@ _SAME = 1e-6  # share of the largest distance below which a distance is rounding
 
 
 @dataclass(frozen=True)
-class Conflict:
+class ReferenceConflict:
     """Two pairs that contradict each other.
 
     Attributes
@@ -57,7 +57,9 @@ class Conflict:
     times: float
 
 
-def find_conflicts(references: References, *, gram: FloatArray | None = None) -> list[Conflict]:
+def find_reference_conflicts(
+    references: References, *, gram: FloatArray | None = None
+) -> list[ReferenceConflict]:
     """Find pairs whose weights differ far more than their markers do, the worst first.
 
     Each part of the face is compared by itself, so that a lid is not excused by a jaw. Alike and
@@ -81,7 +83,7 @@ def find_conflicts(references: References, *, gram: FloatArray | None = None) ->
     features = space.features(coordinates)
     metric = np.eye(shapes) if gram is None else gram
     by_region = shapes_by_region(references.shape_names)
-    worst: dict[tuple[int, int], Conflict] = {}
+    worst: dict[tuple[int, int], ReferenceConflict] = {}
     for region, (a, b) in zip(space.regions, space.columns, strict=True):
         columns = by_region.get(region, np.arange(shapes))
         near = _distances(features[:, a:b], np.eye(b - a))
@@ -93,7 +95,7 @@ def find_conflicts(references: References, *, gram: FloatArray | None = None) ->
             if apart.max() < LEAST_STEP or (known is not None and known.times >= times):
                 continue
             shape = int(columns[apart.argmax()])
-            worst[i, j] = Conflict(
+            worst[i, j] = ReferenceConflict(
                 i,
                 j,
                 region if region in by_region else "",
@@ -104,7 +106,7 @@ def find_conflicts(references: References, *, gram: FloatArray | None = None) ->
     return sorted(worst.values(), key=lambda conflict: -conflict.times)
 
 
-def conflict_text(references: References, conflict: Conflict) -> str:
+def conflict_text(references: References, conflict: ReferenceConflict) -> str:
     """Say which pairs contradict each other, and in what."""
     first, second = (
         f"pair {pair + 1} ({references.takes[pair]} {references.frames[pair]})"

@@ -34,7 +34,7 @@ NOISE = 1e-2
 
 
 @dataclass(frozen=True)
-class StandIns:
+class CandidateMarkers:
     """Weights that stand in for tuning while frames are chosen: what the rig's geometry says.
 
     Attributes
@@ -55,7 +55,7 @@ class StandIns:
 
 
 @dataclass(frozen=True)
-class Choice:
+class ReferenceChoice:
     """Frames to tune, the most telling first.
 
     Attributes
@@ -100,8 +100,8 @@ def choose_by_design(
     *,
     already: IntArray,
     candidates: BoolArray,
-    stand_ins: StandIns,
-) -> Choice:
+    stand_ins: CandidateMarkers,
+) -> ReferenceChoice:
     """Choose frames by each design and take the one whose frames teach the stand-ins best.
 
     Parameters
@@ -126,7 +126,7 @@ def choose_by_design(
         for name, picks in chosen.items()
     }
     best = min(measured, key=lambda name: measured[name])
-    return Choice(in_order_of_worth(features, chosen[best], already), best, measured)
+    return ReferenceChoice(in_order_of_worth(features, chosen[best], already), best, measured)
 
 
 def choose_visemes(
@@ -138,7 +138,7 @@ def choose_visemes(
     extremes: int,
     already: IntArray,
     candidates: BoolArray,
-) -> Choice:
+) -> ReferenceChoice:
     """Choose as the paper does; of more frames than asked for, the most telling.
 
     Returns
@@ -163,7 +163,7 @@ def choose_visemes(
     emotions = list(dict.fromkeys(emotion_of))
     everything = sorted({segment.viseme for segment in segments})
     missing = tuple((e, v) for e in emotions for v in everything if (e, v) not in found)
-    return Choice(
+    return ReferenceChoice(
         ordered,
         visemes={int(r): visemes[int(r)] for r in ordered if int(r) in visemes},
         missing=missing,
@@ -177,7 +177,7 @@ def choose_next(
     already: IntArray,
     candidates: BoolArray,
     expected_error: Callable[[IntArray], FloatArray],
-) -> Choice:
+) -> ReferenceChoice:
     """Choose the frames whose tuning would help most, where the mapping errs and faces are many.
 
     Parameters
@@ -201,10 +201,10 @@ def choose_next(
         known=features_at(features, already),
         importance=importance,
     )
-    return Choice(rows[design.chosen])
+    return ReferenceChoice(rows[design.chosen])
 
 
-def stand_in_error_mm(features: Features, rows: IntArray, stand_ins: StandIns) -> float:
+def stand_in_error_mm(features: Features, rows: IntArray, stand_ins: CandidateMarkers) -> float:
     """Return the error of stand-in weights predicted from some frames, over all [mm]."""
     kernel = DesignKernel.for_rows(stand_ins.features)
     predicted = predict_from(

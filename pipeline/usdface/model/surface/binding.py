@@ -17,7 +17,7 @@ from usdface.numerics.registration.marker_binding import (
     fit_proportions,
     motion_agreement,
 )
-from usdface.numerics.registration.motion_correspondence import place_markers
+from usdface.numerics.registration.motion_correspondence import place_by_motion
 from usdface.numerics.registration.outer_surface import SurfaceSamples, sample_outer_surface
 from usdface.numerics.registration.registration import register_markers
 from usdface.numerics.registration.surface_places import (
@@ -133,7 +133,7 @@ def _by_landmarks(mesh: RigMesh, neutral: FloatArray, pins: dict[int, FloatArray
     targets = np.array([pins[marker] for marker in markers])
     start = align_landmarks(neutral[markers], targets)
     skin = _skin_near(mesh, start.apply(neutral), targets)
-    found = place_markers(neutral, skin.positions, start, pinned=pins)
+    found = place_by_motion(neutral, skin.positions, start, pinned=pins)
     # The samples are some millimetres apart; the warped marker tells the place between them.
     near = nearest_places(mesh.points, mesh.face_counts, mesh.face_indices, found.warped)
     own = places_of_corners(

@@ -104,7 +104,7 @@ def decompose(
 
 
 @dataclass(frozen=True)
-class Moments:
+class PosteriorMoments:
     """The sums over markers at one x per chain, and their derivatives.
 
     Attributes
@@ -126,7 +126,9 @@ class Moments:
     outside: Any = None
 
 
-def direct_moments(spectrum: MarkerSpectrum, rotated: FloatArray, x: FloatArray) -> Moments:
+def direct_moments(
+    spectrum: MarkerSpectrum, rotated: FloatArray, x: FloatArray
+) -> PosteriorMoments:
     """Sum over the markers.
 
     Parameters
@@ -145,11 +147,17 @@ def direct_moments(spectrum: MarkerSpectrum, rotated: FloatArray, x: FloatArray)
     shared_slope = np.concatenate([(slope @ products).T, (1.0 - R).sum(axis=1)[None]])
     own = np.concatenate([((R * rotated) @ P).T, (R * rotated**2).sum(axis=1)[None]])
     own_slope = np.concatenate([((slope * rotated) @ P).T, (slope * rotated**2).sum(axis=1)[None]])
-    return Moments(shared, own, shared_slope, own_slope)
+    return PosteriorMoments(shared, own, shared_slope, own_slope)
 
 
 def energy_of_moments(
-    theta: Any, moments: Moments, *, count: int, centre: Any, precision: Any, with_energy: bool
+    theta: Any,
+    moments: PosteriorMoments,
+    *,
+    count: int,
+    centre: Any,
+    precision: Any,
+    with_energy: bool,
 ) -> tuple[Any, Any]:
     """Evaluate U and its gradient.
 

@@ -15,7 +15,7 @@ from usdface.numerics.array_namespace import CPU, ArrayDevice
 from usdface.numerics.manifold.hyper_posterior import (
     PAIRS,
     MarkerSpectrum,
-    Moments,
+    PosteriorMoments,
     energy_of_moments,
 )
 
@@ -133,7 +133,7 @@ class TabulatedEnergy:
             with_energy=with_energy,
         )
 
-    def _moments(self, x: Any) -> Moments:
+    def _moments(self, x: Any) -> PosteriorMoments:
         xp = self.namespace
         place = (x - self._start) / self._spacing
         outside = ~((place > 0) & (place < self._nodes - 1.001))
@@ -159,4 +159,4 @@ class TabulatedEnergy:
         values *= t
         values += first
         slopes *= 1.0 / self._spacing
-        return Moments(values[5:, :], values[:5, :], slopes[5:, :], slopes[:5, :], outside)
+        return PosteriorMoments(values[5:, :], values[:5, :], slopes[5:, :], slopes[:5, :], outside)

@@ -63,7 +63,7 @@ class Placement:
     alignment: Alignment
 
 
-def place_markers(
+def place_by_motion(
     cloud: FloatArray,
     skin: FloatArray,
     alignment: Alignment,

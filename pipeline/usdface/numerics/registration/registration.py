@@ -13,7 +13,7 @@ from scipy import sparse
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.numerics.registration.cloud_alignment import Alignment, align_cloud, align_landmarks
-from usdface.numerics.registration.motion_correspondence import place_markers
+from usdface.numerics.registration.motion_correspondence import place_by_motion
 from usdface.numerics.registration.outer_surface import (
     SurfaceSamples,
     facing_direction,
@@ -122,7 +122,7 @@ def register_markers(
         amplitude=None if paths is None else np.sqrt((paths**2).sum(axis=2)).mean(axis=0),
         start=start,
     )
-    placement = place_markers(
+    placement = place_by_motion(
         y,
         skin.positions,
         alignment,

@@ -31,7 +31,7 @@ _MOST_LEVERAGE = 1 - 1e-6
 
 
 @dataclass(frozen=True)
-class Choice:
+class ProcessSettings:
     """One covariance to try.
 
     Attributes
@@ -86,9 +86,12 @@ class GaussianProcess:
     noise: FloatArray
 
 
-def usable_choices(choices: Sequence[Choice], *, most: int) -> tuple[Choice, ...]:
+def usable_choices(choices: Sequence[ProcessSettings], *, most: int) -> tuple[ProcessSettings, ...]:
     """Limit choices to the dimensions there are; those that become equal appear once."""
-    limited = (Choice(min(c.dimensions, most), c.power, c.radial, c.width, c.line) for c in choices)
+    limited = (
+        ProcessSettings(min(c.dimensions, most), c.power, c.radial, c.width, c.line)
+        for c in choices
+    )
     return tuple(dict.fromkeys(limited))
 
 
@@ -97,7 +100,7 @@ def leave_one_out_errors(
     outputs: FloatArray,
     *,
     variances: FloatArray,
-    choices: Sequence[Choice],
+    choices: Sequence[ProcessSettings],
     noises: FloatArray = NOISES,
 ) -> FloatArray:
     """Mean squared leave-one-out error of every choice, noise and output.
@@ -154,7 +157,7 @@ def fit_gaussian_process(
     outputs: FloatArray,
     *,
     variances: FloatArray,
-    choice: Choice,
+    choice: ProcessSettings,
     noise: FloatArray,
 ) -> GaussianProcess:
     """Fit all outputs under one covariance, each with its own noise.
@@ -191,7 +194,7 @@ def fit_best_gaussian_process(
     outputs: FloatArray,
     *,
     variances: FloatArray,
-    choices: Sequence[Choice],
+    choices: Sequence[ProcessSettings],
     importance: FloatArray,
     noises: FloatArray = NOISES,
 ) -> GaussianProcess:
@@ -252,7 +255,9 @@ def radial_values(rows: FloatArray, centres: FloatArray, exponent: float) -> Flo
 class _Scaled:
     """Features under one choice: scaled, with the numbers that make its parts comparable."""
 
-    def __init__(self, features: FloatArray, variances: FloatArray, choice: Choice) -> None:
+    def __init__(
+        self, features: FloatArray, variances: FloatArray, choice: ProcessSettings
+    ) -> None:
         kept = variances[: choice.dimensions]
         self.choice = choice
         self.scale: FloatArray = kept ** (-choice.power / 2)
@@ -274,7 +279,10 @@ class _Scaled:
 
 
 def _check(
-    features: FloatArray, outputs: FloatArray, variances: FloatArray, choices: Sequence[Choice]
+    features: FloatArray,
+    outputs: FloatArray,
+    variances: FloatArray,
+    choices: Sequence[ProcessSettings],
 ) -> None:
     if features.ndim != 2 or outputs.ndim != 2 or len(features) != len(outputs):
         raise ValueError(f"{features.shape} features and {outputs.shape} outputs do not pair up")

@@ -16,7 +16,7 @@ from usdface.media.film.video import VideoReader
 from usdface.media.picture.image import write_image
 from usdface.numerics.timing.audio_alignment import SoundAlignment, align_sounds
 from usdface.runner.outputs import make_provenance, provenance_metadata, provenance_of
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.capture import AlignSpec
 from usdface.steps.capture.timecode_offset import TimecodeShift, timecode_shift
 from usdface.usdio.take.read import TakeReader
@@ -77,7 +77,7 @@ class Decision:
 
 def run(
     spec: AlignSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Find the video's shift and drift, draw the evidence, and write the take if it convinces."""
     progress(0.0, f"reading {spec.take.name}")
     picture = spec.picture_path()
@@ -103,7 +103,7 @@ def run(
     write_image(picture, draw_alignment(page), metadata=provenance_metadata(made))
     progress(1.0, "aligned")
     log.info("%s: %s", spec.take, page.verdict)
-    return Report(
+    return StepResult(
         outputs=(spec.take, picture),
         summary=f"{take.name}: {page.verdict}",
         notes=decision.notes,

@@ -7,16 +7,16 @@ from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.media.charts.repair import RepairKind, draw_repairs
 from usdface.media.picture.image import write_image
 from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
 from usdface.numerics.rigid.rigid_markers import find_rigid_markers
 from usdface.runner.outputs import provenance_metadata
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.capture import CleanSpec
 from usdface.usdio.take.read import read_take
-from usdface.usdio.take.write import samples_path, write_take
+from usdface.usdio.take.write import take_samples_path, write_take
 
 LONGEST_GAP_SECONDS = 2.0
 """What is filled by default: beyond, the other markers hardly tell what one did."""
@@ -33,7 +33,7 @@ SWAPS_TOLD = 20
 
 def run(
     spec: CleanSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Stabilise, relabel, fill and smooth the markers of a take."""
     progress(0.0, f"reading {spec.take.name}")
     take = read_take(spec.take)
@@ -99,14 +99,14 @@ def run(
         head_motion=cleaned.head_motion,
     )
     write_take(spec.out, written, over=spec.take, provenance=provenance)
-    outputs = tuple(dict.fromkeys((spec.out, samples_path(spec.out))))
+    outputs = tuple(dict.fromkeys((spec.out, take_samples_path(spec.out))))
     if spec.report is not None:
         picture = _picture(cleaned, markers, take)
         made = {} if provenance is None else provenance_metadata(provenance)
         write_image(spec.report, picture, metadata=made)
         outputs += (spec.report,)
     progress(1.0, "done")
-    return Report(outputs, _summary(cleaned, take), tuple(notes), _figures(cleaned, rigid))
+    return StepResult(outputs, _summary(cleaned, take), tuple(notes), _figures(cleaned, rigid))
 
 
 def _rigid_names(spec: CleanSpec, markers: Markers, notes: list[str]) -> tuple[str, ...]:
@@ -145,20 +145,21 @@ def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]
     if cleaned.strays.any():
         worst = int(cleaned.strays.sum(axis=0).argmax())
         notes.append(
-            f"replaced {counted(int(cleaned.strays.sum()), 'stray sample')}, the most of "
+            f"replaced {pluralize(int(cleaned.strays.sum()), 'stray sample')}, the most of "
             f"{markers.names[worst]}"
         )
     left = ~cleaned.visible
     if left.any():
         names = [markers.names[i] for i in np.flatnonzero(left.any(axis=0))[:5]]
         notes.append(
-            f"{counted(int(left.sum()), 'sample')} in gaps too long to fill, with confidence 0 "
+            f"{pluralize(int(left.sum()), 'sample')} in gaps too long to fill, with confidence 0 "
             f"({', '.join(names)}): raise --max-gap to fill them all the same"
         )
     doubtful = np.flatnonzero(cleaned.pose_confidence < 1.0)
     if len(doubtful):
         notes.append(
-            f"{counted(len(doubtful), 'frame')}, the first {take.first_frame + int(doubtful[0])}, "
+            f"{pluralize(len(doubtful), 'frame')}, the first "
+            f"{take.first_frame + int(doubtful[0])}, "
             "saw too few rigid markers; the head's pose is interpolated there"
         )
     return notes
@@ -193,9 +194,9 @@ def _picture(cleaned: CleanedMarkers, markers: Markers, take: Take) -> ByteImage
 
 def _summary(cleaned: CleanedMarkers, take: Take) -> str:
     return (
-        f"{take.name}: head motion out, {counted(len(cleaned.swaps), 'swap')}, "
-        f"{counted(int(cleaned.strays.sum()), 'stray')} and "
-        f"{counted(int(cleaned.filled.sum()), 'missing sample')} mended, noise "
+        f"{take.name}: head motion out, {pluralize(len(cleaned.swaps), 'swap')}, "
+        f"{pluralize(int(cleaned.strays.sum()), 'stray')} and "
+        f"{pluralize(int(cleaned.filled.sum()), 'missing sample')} mended, noise "
         f"{cleaned.noise_mm:.2f} mm"
     )
 

@@ -4,7 +4,7 @@ import logging
 from dataclasses import replace
 from pathlib import Path
 
-from usdface.capture.marker_labels import match_names, settle_labels
+from usdface.capture.marker_labels import match_labels, settle_labels
 from usdface.capture.marker_take import Capture, CaptureOptions, build_marker_take
 from usdface.capture.sniff import read_capture
 from usdface.core.assets import Take, Video
@@ -12,24 +12,24 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.rates import exact_rate
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.core.timecode import frames_of
 from usdface.media.film.image_sequence import open_video
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.capture import IngestSpec
 from usdface.steps.capture.capture_audio import CaptureSound, extract_sound
 from usdface.steps.capture.merge_captures import join_captures
 from usdface.usdio.layers import LAYER_SUFFIXES
 from usdface.usdio.take.foreign import read_foreign_take
 from usdface.usdio.take.read import TakeReader, is_take, read_take
-from usdface.usdio.take.write import samples_path, write_take
+from usdface.usdio.take.write import take_samples_path, write_take
 
 log = logging.getLogger(__name__)
 
 
 def run(
     spec: IngestSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Read captures of one take and write it as USD."""
     captures = []
     for index, source in enumerate(spec.sources):
@@ -118,7 +118,7 @@ def _with_options(take: Take, spec: IngestSpec, source: Path) -> Take:
     if markers is None:
         return take
     if spec.rigid:
-        named = match_names(spec.rigid, markers.names, where=str(source), role="rigid marker")
+        named = match_labels(spec.rigid, markers.names, where=str(source), role="rigid marker")
         markers = replace(markers, rigid=named)
     if spec.neutral is not None:
         last = take.first_frame + take.frame_count - 1
@@ -165,7 +165,9 @@ def _open_video(file: Path, spec: IngestSpec) -> Video:
         return Video(file=file, rate=video.rate, offset=spec.video_offset)
 
 
-def _report(spec: IngestSpec, take: Take, notes: tuple[str, ...], made: tuple[Path, ...]) -> Report:
+def _report(
+    spec: IngestSpec, take: Take, notes: tuple[str, ...], made: tuple[Path, ...]
+) -> StepResult:
     rate = float(take.rate)
     figures: dict[str, object] = {
         "frames": take.frame_count,
@@ -173,7 +175,7 @@ def _report(spec: IngestSpec, take: Take, notes: tuple[str, ...], made: tuple[Pa
         "first_frame": take.first_frame,
     }
     parts = [
-        f"{counted(take.frame_count, 'frame')} at {rate:g} per second "
+        f"{pluralize(take.frame_count, 'frame')} at {rate:g} per second "
         f"({take.frame_count / rate:.1f} s)"
     ]
     if take.markers is not None:
@@ -184,12 +186,12 @@ def _report(spec: IngestSpec, take: Take, notes: tuple[str, ...], made: tuple[Pa
             "neutral_frame": take.markers.neutral_frame,
             "gap_share": gaps,
         }
-        parts.append(f"{counted(len(take.markers.names), 'marker')}, {100 * gaps:.2f} % gaps")
+        parts.append(f"{pluralize(len(take.markers.names), 'marker')}, {100 * gaps:.2f} % gaps")
     if take.source is not None:
         figures["channels"] = len(take.source.names)
-        parts.append(counted(len(take.source.names), "weight"))
-    outputs = tuple(dict.fromkeys((spec.out, samples_path(spec.out), *made)))
+        parts.append(pluralize(len(take.source.names), "weight"))
+    outputs = tuple(dict.fromkeys((spec.out, take_samples_path(spec.out), *made)))
     if take.events:
         figures["events"] = [[event.label, event.frame] for event in take.events]
-        parts.append(counted(len(take.events), "event"))
-    return Report(outputs, f"{take.name}: {', '.join(parts)}", notes, figures)
+        parts.append(pluralize(len(take.events), "event"))
+    return StepResult(outputs, f"{take.name}: {', '.join(parts)}", notes, figures)

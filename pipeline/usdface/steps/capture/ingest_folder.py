@@ -7,9 +7,9 @@ from usdface.capture.marker_labels import list_some
 from usdface.capture.sniff import recognise_format
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.core.progress import Progress, part, silent
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.runner.execute import execute
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.base import LAYER_SUFFIXES
 from usdface.specs.capture import IngestSpec
 
@@ -74,7 +74,7 @@ def ingest_folder(
     *,
     overwrite: bool = False,
     progress: Progress = silent,
-) -> Report:
+) -> StepResult:
     """Ingest every take in a folder; one that fails does not stop the others.
 
     Parameters
@@ -114,7 +114,7 @@ def ingest_folder(
         raise InputError(
             f"{out}: cannot be made: {error.strerror}; choose another --out"
         ) from error
-    done: list[Report] = []
+    done: list[StepResult] = []
     failed: list[str] = []
     for index, bundle in enumerate(bundles):
         spec = shared.model_copy(
@@ -134,12 +134,12 @@ def ingest_folder(
     if failed:
         told = "\n".join(f"  {message}" for message in failed)
         raise CheckFailedError(
-            f"{counted(len(done), 'take')} of {folder} ingested, "
+            f"{pluralize(len(done), 'take')} of {folder} ingested, "
             f"{len(failed)} could not be:\n{told}"
         )
-    return Report(
+    return StepResult(
         tuple(path for report in done for path in report.outputs),
-        f"{counted(len(done), 'take')} of {folder}",
+        f"{pluralize(len(done), 'take')} of {folder}",
         (
             *(line for report in done for line in (report.summary, *report.notes)),
             *_left_out(folder, bundles),

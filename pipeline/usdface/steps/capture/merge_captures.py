@@ -9,7 +9,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Take, WeightsClip
 from usdface.core.errors import InputError
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.core.timecode import frames_of, timecode_of
 
 DAY_SECONDS = Fraction(86_400)
@@ -68,7 +68,7 @@ def join_captures(takes: list[Take], sources: tuple[Path, ...]) -> Joined:
     notes = [note, f"weights were resampled from {float(other.source.rate):g} frames per second"]
     if outside:
         notes.append(
-            f"outside the weights' recording, and holding its ends: {counted(outside, 'frame')}"
+            f"outside the weights' recording, and holding its ends: {pluralize(outside, 'frame')}"
         )
     start = take.timecode_start or _start_at(take, other, notes)
     return Joined(replace(take, source=resampled, timecode_start=start), tuple(notes))

@@ -6,15 +6,15 @@ from usdface.core.assets import Take
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.media.film.sound import read_audio
 from usdface.runner.outputs import provenance_metadata
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.base import LAYER_SUFFIXES
 from usdface.specs.capture import PhonesSpec
 from usdface.speech.coverage_of_sound import INCOMPLETE_SHARE, share_outside
 from usdface.speech.dictionary import read_dictionary, read_text
-from usdface.speech.forced_alignment import DOUBTFUL_SCORE, RATE, Alignment, align_phones
+from usdface.speech.forced_alignment import DOUBTFUL_SCORE, RATE, PhoneAlignment, align_phones
 from usdface.speech.phone_track import PhoneTrack, Span
 from usdface.speech.track_files import write_phone_track
 from usdface.speech.transcript import spoken_words
@@ -29,7 +29,7 @@ NAMED_WORDS = 8
 
 def run(
     spec: PhonesSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Align the words with the sound and write the phones."""
     text = spec.text
     if spec.transcript is not None:
@@ -52,7 +52,7 @@ def run(
     progress(1.0, "done")
     said = [span for span in track.phones if viseme_of(span.label) != "pau"]
     visemes = sorted({viseme_of(span.label) or "" for span in said})
-    return Report(
+    return StepResult(
         (spec.out,),
         f"{len(said)} phones of {len(track.words)} words in {track.duration:.1f} s, "
         f"{len(visemes)} of the 14 visemes of speech",
@@ -108,7 +108,7 @@ def _on_clock(track: PhoneTrack, offset: float, speed: float) -> PhoneTrack:
     )
 
 
-def _notes(found: Alignment, outside: float) -> list[str]:
+def _notes(found: PhoneAlignment, outside: float) -> list[str]:
     notes = []
     if outside > INCOMPLETE_SHARE:
         notes.append(
@@ -118,7 +118,7 @@ def _notes(found: Alignment, outside: float) -> list[str]:
     if found.guessed:
         shown = [f"{word} ({' '.join(said)})" for word, said in found.guessed.items()]
         notes.append(
-            f"in no dictionary, and guessed from the letters: {counted(len(shown), 'word')}, "
+            f"in no dictionary, and guessed from the letters: {pluralize(len(shown), 'word')}, "
             f"{', '.join(shown[:NAMED_WORDS])}; say it better with --dictionary"
         )
     if found.score < DOUBTFUL_SCORE:
@@ -134,6 +134,6 @@ def _notes(found: Alignment, outside: float) -> list[str]:
     if found.doubtful_words:
         shown = [f"{span.label} ({span.start:.1f} s)" for span in found.doubtful_words]
         notes.append(
-            f"at a bad fit: {counted(len(shown), 'word')}, {', '.join(shown[:NAMED_WORDS])}"
+            f"at a bad fit: {pluralize(len(shown), 'word')}, {', '.join(shown[:NAMED_WORDS])}"
         )
     return notes

@@ -7,9 +7,9 @@ from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.numerics.motion.key_reduction import Deviation, reduce_keys
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.edits import BakeSpec
 from usdface.usdio.performance.edits import edited_weights
 from usdface.usdio.performance.weights_layer import writing_weights
@@ -25,7 +25,7 @@ SURFACE_FRAMES = 8
 
 def run(
     spec: BakeSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Write the edited weights as one layer of UsdSkel animation."""
     reader = PerformanceReader(spec.performance, prim=spec.prim)
     file, prim = reader.rig()
@@ -49,10 +49,10 @@ def run(
     if unknown:
         notes.append(f"edits of {', '.join(unknown[:5])} find no such shape and were left out")
     edited = len(set(reader.edits) & set(reader.names))
-    summary = f"{counted(header.frame_count, 'frame')}, {counted(edited, 'shape')} edited"
+    summary = f"{pluralize(header.frame_count, 'frame')}, {pluralize(edited, 'shape')} edited"
     if spec.tolerance:
-        summary += f", {counted(kept, 'key')} within {spec.tolerance:g} {spec.unit}"
-    return Report(
+        summary += f", {pluralize(kept, 'key')} within {spec.tolerance:g} {spec.unit}"
+    return StepResult(
         (spec.out,),
         summary,
         tuple(notes),

@@ -8,7 +8,7 @@ from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.numerics.motion.edit_curve import (
     EditCurve,
     add_to_edit,
@@ -17,7 +17,7 @@ from usdface.numerics.motion.edit_curve import (
     no_edit,
     override_edit,
 )
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.base import frame_range
 from usdface.specs.edits import EditSpec
 from usdface.usdio.performance.edits import (
@@ -28,7 +28,7 @@ from usdface.usdio.performance.edits import (
     write_edits,
 )
 from usdface.usdio.performance.write import PerformanceReader
-from usdface.usdio.take.frame_span import UNSAMPLED_FRAMES, check_span
+from usdface.usdio.take.frame_span import UNSAMPLED_FRAMES, check_frame_span
 
 FARTHEST_BEYOND = UNSAMPLED_FRAMES // 4
 """How far from a performance an edit's end is still written as an end: on both sides so far, the
@@ -37,7 +37,7 @@ span is one that needs no samples to bear it out."""
 
 def run(
     spec: EditSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Change the shapes named over the frames named, and keep all other edits."""
     stamp = edits_stamp(spec.performance)
     reader = PerformanceReader(spec.performance, prim=spec.prim)
@@ -71,9 +71,9 @@ def run(
     progress(1.0, "written")
     inside = (frames >= reader.first_frame) & (frames <= reader.last_frame) & (mask > 0)
     what = "cleared" if spec.clear else ("added to" if spec.add is not None else "overridden")
-    return Report(
+    return StepResult(
         (path,),
-        f"{', '.join(spec.shape)} {what} over {counted(int(inside.sum()), 'frame')}",
+        f"{', '.join(spec.shape)} {what} over {pluralize(int(inside.sum()), 'frame')}",
         tuple(_range_notes(spec, reader)),
         {"frames": int(inside.sum()), "shapes": list(spec.shape)},
     )
@@ -92,7 +92,7 @@ def all_frames(reader: PerformanceReader, *, reach: tuple[int, int] | None = Non
     if beyond is not None:
         first, last = min(first, beyond[0]), max(last, beyond[1])
         solved = reader.last_frame - reader.first_frame + 1
-        check_span(f"{reader.path} and its edits", first, last, samples=solved)
+        check_frame_span(f"{reader.path} and its edits", first, last, samples=solved)
     return np.arange(first, last + 1, dtype=np.int64)
 
 
@@ -146,7 +146,8 @@ def _range_notes(spec: EditSpec, reader: PerformanceReader) -> list[str]:
         if beyond.any():
             low, high = values[beyond].min(), values[beyond].max()
             notes.append(
-                f"{shape} is outside 0 to 1 at {counted(int(beyond.sum()), 'frame')} ({low:.2f} to "
+                f"{shape} is outside 0 to 1 at {pluralize(int(beyond.sum()), 'frame')} "
+                f"({low:.2f} to "
                 f"{high:.2f}); `usdface bake --limit` keeps it within the rig's range"
             )
     return notes

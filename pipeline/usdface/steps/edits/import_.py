@@ -6,9 +6,9 @@ from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.numerics.motion.edit_curve import EditCurve, no_edit
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.edits import EditsImportSpec
 from usdface.steps.edits.edit import all_frames, renewed, solved_over
 from usdface.steps.inputs.weight_tables import (
@@ -30,7 +30,7 @@ from usdface.usdio.performance.write import PerformanceReader
 
 def run(
     spec: EditsImportSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Set edits so that the performance shows what the file shows, at the frames that it has."""
     stamp = edits_stamp(spec.performance)
     reader = PerformanceReader(spec.performance, prim=spec.prim)
@@ -74,7 +74,7 @@ def run(
         changed[shape] = renewed(old, curve, beneath, touched)
     notes = _notes(reader, table) + elsewhere_notes(table, elsewhere)
     if not changed:
-        return Report((), "nothing differs from the solve; no edits were made", notes)
+        return StepResult((), "nothing differs from the solve; no edits were made", notes)
     if 2 * int(differing.sum()) > len(rows) > 1:
         notes += (
             "most frames differ: if the take was mapped again after this file was baked, what the "
@@ -84,7 +84,7 @@ def run(
         spec.performance, reader.animation, changed, frames, stamp=stamp, provenance=provenance
     )
     progress(1.0, "written")
-    return Report(
+    return StepResult(
         (path,),
         f"{int(differing.sum())} of {len(rows)} frames differ from the solve, in {len(changed)} "
         "shapes",
@@ -138,10 +138,10 @@ def _notes(reader: PerformanceReader, table: WeightTable) -> tuple[str, ...]:
     unknown = [name for name in table.names if name not in reader.names]
     if unknown:
         notes.append(
-            f"left out {counted(len(unknown), 'shape')} that the performance does not have: "
+            f"left out {pluralize(len(unknown), 'shape')} that the performance does not have: "
             f"{', '.join(unknown[:5])}"
         )
     outside = sum(not reader.first_frame <= f <= reader.last_frame for f in table.frames)
     if outside:
-        notes.append(f"left out {counted(outside, 'frame')} outside the performance")
+        notes.append(f"left out {pluralize(outside, 'frame')} outside the performance")
     return tuple(notes)

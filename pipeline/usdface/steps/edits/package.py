@@ -6,7 +6,7 @@ from pathlib import Path
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.edits import BakeSpec, PackageSpec
 from usdface.steps.edits import bake
 from usdface.usdio.performance.package import write_package
@@ -15,7 +15,7 @@ from usdface.usdio.performance.write import PerformanceReader
 
 def run(
     spec: PackageSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Bake the edits in, and pack the result with the rig and all that it refers to."""
     reader = PerformanceReader(spec.performance, prim=spec.prim)
     with replacing(spec.out) as temporary, tempfile.TemporaryDirectory() as name:
@@ -28,7 +28,7 @@ def run(
         write_package(temporary, reader, baked, provenance=provenance)
     progress(1.0, "packed")
     size = spec.out.stat().st_size / 1e6
-    return Report(
+    return StepResult(
         (spec.out,),
         f"{report.summary}; {size:.1f} MB",
         report.notes,

@@ -3,13 +3,13 @@
 from dataclasses import asdict
 from pathlib import Path
 
-from usdface.core.text import counted
-from usdface.runner.result import Report
+from usdface.core.text import pluralize
+from usdface.runner.result import StepResult
 from usdface.runner.sandbox import confine
 from usdface.usdio.validation import validate
 
 
-def validate_layers(layers: tuple[Path, ...]) -> Report:
+def validate_layers(layers: tuple[Path, ...]) -> StepResult:
     """Run USD's validators and ours on layers; errors are failures, warnings are not.
 
     Raises
@@ -22,10 +22,10 @@ def validate_layers(layers: tuple[Path, ...]) -> Report:
     findings = [finding for each in found.values() for finding in each]
     errors = [finding for finding in findings if finding.severity == "error"]
     warnings = len(findings) - len(errors)
-    told, wrong = counted(len(layers), "layer"), counted(len(errors), "error")
-    return Report(
+    told, wrong = pluralize(len(layers), "layer"), pluralize(len(errors), "error")
+    return StepResult(
         (),
-        f"{told}: {wrong}, {counted(warnings, 'warning')}",
+        f"{told}: {wrong}, {pluralize(warnings, 'warning')}",
         table=tuple(f"{f.severity}: {f.where}: {f.message} [{f.check}]" for f in findings),
         figures={name: [asdict(finding) for finding in each] for name, each in found.items()},
         failures=(f"{wrong} in {told}",) if errors else (),

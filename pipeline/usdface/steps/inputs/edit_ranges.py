@@ -7,8 +7,8 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.sidecars import edits_path
-from usdface.core.text import counted
-from usdface.runner.result import Report
+from usdface.core.text import pluralize
+from usdface.runner.result import StepResult
 from usdface.runner.sandbox import confine
 from usdface.usdio.performance.edits import edited_frames, edits_elsewhere, read_edits
 from usdface.usdio.performance.write import PerformanceReader
@@ -58,7 +58,7 @@ def find_edited_ranges(reader: PerformanceReader) -> list[EditedRange]:
         column = reader.names.index(name)
         change = edited[:, column].astype(np.float64) - solved[:, column]
         moved = solved[:, column] - edit.beneath
-        for part in runs(edit.curve.active):
+        for part in frame_runs(edit.curve.active):
             worst = _largest(moved[part])
             found.append(
                 EditedRange(
@@ -83,7 +83,7 @@ def edits_beyond(reader: PerformanceReader) -> list[str]:
     return [
         f"{shape} {frames[part.start]}-{frames[part.stop - 1]}"
         for shape, edit in sorted(read_edits(reader.animation, frames).items())
-        for part in runs(edit.curve.active)
+        for part in frame_runs(edit.curve.active)
         if outside[part].all()
     ]
 
@@ -96,7 +96,7 @@ def edit_notes(performance: Path) -> list[str]:
     ranges = find_edited_ranges(reader)
     shapes = {each.shape for each in ranges}
     notes = (
-        [f"kept the edits of {counted(len(shapes), 'shape')}: {_some(sorted(shapes))}"]
+        [f"kept the edits of {pluralize(len(shapes), 'shape')}: {_some(sorted(shapes))}"]
         if shapes
         else []
     )
@@ -126,7 +126,7 @@ def edit_notes(performance: Path) -> list[str]:
     return notes
 
 
-def list_edits(performance: Path, *, prim: str | None = None) -> Report:
+def list_edits(performance: Path, *, prim: str | None = None) -> StepResult:
     """Return what was edited of a performance, and where the solve beneath has changed since.
 
     Parameters
@@ -154,7 +154,7 @@ def list_edits(performance: Path, *, prim: str | None = None) -> Report:
         table += (f"and {len(ranges) - LISTED} smaller ones; --json lists them all",)
     changed = sum(abs(each.solve_change) > CHANGED for each in ranges)
     shapes = {each.shape for each in ranges}
-    summary = f"{counted(len(ranges), 'edited range')} of {counted(len(shapes), 'shape')}"
+    summary = f"{pluralize(len(ranges), 'edited range')} of {pluralize(len(shapes), 'shape')}"
     if changed:
         summary += f", {changed} over a solve that changed much since"
     figures = [
@@ -168,10 +168,10 @@ def list_edits(performance: Path, *, prim: str | None = None) -> Report:
         }
         for each in ranges
     ]
-    return Report((), summary, table=table, figures={"edits": figures})
+    return StepResult((), summary, table=table, figures={"edits": figures})
 
 
-def runs(active: BoolArray) -> list[slice]:
+def frame_runs(active: BoolArray) -> list[slice]:
     """Return the runs of True as slices, in order."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], active, [False]]).astype(np.int8)))
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

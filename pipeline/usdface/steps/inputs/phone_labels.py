@@ -21,7 +21,7 @@ MARGIN_SECONDS = 5.0
 
 
 @dataclass(frozen=True)
-class Spoken:
+class PhoneLabels:
     """What is known of the frames of all takes.
 
     Attributes
@@ -41,7 +41,7 @@ class Spoken:
     notes: tuple[str, ...]
 
 
-def read_spoken(spec: SelectSpec, takes: CleanedTakes) -> Spoken:
+def read_phone_labels(spec: SelectSpec, takes: CleanedTakes) -> PhoneLabels:
     """Read the phones of every take and lay them on its frames.
 
     Raises
@@ -94,7 +94,7 @@ def read_spoken(spec: SelectSpec, takes: CleanedTakes) -> Spoken:
             f"no emotion is marked in {', '.join(unmarked[:5])}: its frames count as one; say it "
             "with --emotions, at `usdface ingest --emotion`, or in a tier `emotions`"
         )
-    return Spoken(tuple(segments), tuple(visemes), tuple(emotions), tuple(notes))
+    return PhoneLabels(tuple(segments), tuple(visemes), tuple(emotions), tuple(notes))
 
 
 def _labels(track: PhoneTrack, seconds: Sequence[float]) -> list[str]:
@@ -115,7 +115,7 @@ def _labels(track: PhoneTrack, seconds: Sequence[float]) -> list[str]:
 """By how much phones may outlast their take before they are thought to be of another."""
 
 
-def said_at(phones: Path | None, take: Take, frames: IntArray) -> tuple[str, ...]:
+def labels_at(phones: Path | None, take: Take, frames: IntArray) -> tuple[str, ...]:
     """Return the phone and the viseme of each frame, such as ``M  /b/ /p/ /m/``.
 
     Parameters

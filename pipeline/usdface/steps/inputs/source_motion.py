@@ -8,7 +8,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.model.retarget.shape_names import match_names
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.take.read import TakeReader, is_take
@@ -108,12 +108,12 @@ def source_columns(
     if meant:
         example = meant[0]
         notes.append(
-            f"matched by what names mean: {counted(len(meant), 'shape')}, such as {example.name} "
+            f"matched by what names mean: {pluralize(len(meant), 'shape')}, such as {example.name} "
             f"to {example.target[0][0]}"
         )
     if moving:
         notes.append(
-            f"{path.name}: nothing is driven by {counted(len(moving), 'moving shape')}: "
+            f"{path.name}: nothing is driven by {pluralize(len(moving), 'moving shape')}: "
             f"{', '.join(moving[:5])}"
         )
     return out, tuple(notes)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usdface.core.assets import Mapping, Markers
+from usdface.core.assets import Markers, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.head_space import HeadSpace, find_head_space
 from usdface.usdio.take.read import TakeReader
@@ -11,7 +11,7 @@ SAMPLE_FRAMES = 512
 """Frames spread over the take from which its head space is found: a median needs no more."""
 
 
-def find_take_space(take: TakeReader, mapping: Mapping) -> HeadSpace:
+def take_head_space(take: TakeReader, mapping: TrainedMapping) -> HeadSpace:
     """Find how a take's markers become a mapping's, from frames spread over all of it.
 
     Raises

@@ -8,7 +8,7 @@ import numpy as np
 from usdface.core.arrays import IntArray
 from usdface.core.assets import References, Rig
 from usdface.core.errors import InputError
-from usdface.specs.references import SelectSpec, proposed_path, tuned_path
+from usdface.specs.references import SelectSpec, proposed_references_path, tuned_path
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
 from usdface.usdio.references.read import TunedPair, read_references, read_tuned_pairs
 from usdface.usdio.references.tuning import check_tuned_layer, read_proposals
@@ -17,7 +17,7 @@ SAME = 1e-6
 """Weights that differ by less are one: layers hold single precision."""
 
 
-def keyed_pairs(path: Path, references: References) -> list[int]:
+def find_keyed_pairs(path: Path, references: References) -> list[int]:
     """Return the pairs whose weights are neither those proposed nor those marked as tuned.
 
     Parameters
@@ -33,7 +33,7 @@ def keyed_pairs(path: Path, references: References) -> list[int]:
         If a layer beneath the asset cannot be read, or is of another selection.
     """
     check_tuned_layer(tuned_path(path), references)
-    shown = read_proposals(proposed_path(path), references).copy()
+    shown = read_proposals(proposed_references_path(path), references).copy()
     for each in read_tuned_pairs(tuned_path(path)):
         shown[each.pair] = [each.weights.get(name, 0.0) for name in references.shape_names]
     away = np.abs(references.weights - shown).max(axis=1, initial=0.0) > SAME
@@ -47,7 +47,7 @@ def read_set_references(path: Path) -> References:
     """
     references = read_references(path)
     try:
-        keyed = keyed_pairs(path, references)
+        keyed = find_keyed_pairs(path, references)
     except InputError:
         return references
     tuned = references.tuned.copy()
@@ -56,7 +56,7 @@ def read_set_references(path: Path) -> References:
 
 
 @dataclass(frozen=True)
-class KeptPair:
+class PlacedPair:
     """A tuned pair: its place, its row among all frames, and what was tuned.
 
     `is_keyed` says that a DCC keyed it, which marks no pair as tuned.
@@ -68,7 +68,7 @@ class KeptPair:
     is_keyed: bool = False
 
 
-def find_kept_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[KeptPair]:
+def find_placed_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[PlacedPair]:
     """Find the frames of tuned pairs again; they must not move, or their weights would lie.
 
     Raises
@@ -104,7 +104,7 @@ def find_kept_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[Kep
                 f"({', '.join(strange[:3])}); give that rig, or write to another --out"
             )
     return [
-        KeptPair(each.pair, row, each, each.pair in keyed)
+        PlacedPair(each.pair, row, each, each.pair in keyed)
         for each, row in zip(tuned, rows, strict=True)
         if row is not None
     ]
@@ -120,7 +120,7 @@ def _keyed_pairs(out: Path, marked: dict[int, TunedPair]) -> dict[int, TunedPair
         return {}
     try:
         old = read_references(out)
-        keyed = keyed_pairs(out, old)
+        keyed = find_keyed_pairs(out, old)
     except InputError:
         return {}
     return {
@@ -154,7 +154,7 @@ def find_rows(takes: CleanedTakes, places: list[tuple[str, int]]) -> list[int | 
     return rows
 
 
-def rows_in_place(count: int, kept: list[KeptPair], chosen: IntArray) -> list[int]:
+def rows_in_place(count: int, kept: list[PlacedPair], chosen: IntArray) -> list[int]:
     """Return the row of each pair: kept ones where they are, chosen ones in the gaps."""
     place = {each.pair: each.row for each in kept}
     free = iter(chosen.tolist())

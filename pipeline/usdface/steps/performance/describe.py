@@ -3,7 +3,7 @@
 import math
 from pathlib import Path
 
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.runner.sandbox import confine
 from usdface.steps.performance.train import describe_figures
 from usdface.steps.retarget.train import describe_retargeting_figures, retargeting_table
@@ -11,7 +11,7 @@ from usdface.usdio.mapping import read_mapping
 from usdface.usdio.retarget.mapping import is_retargeting, read_retargeting
 
 
-def describe_mapping(path: Path) -> Report:
+def describe_mapping(path: Path) -> StepResult:
     """Return a mapping's method, settings and the table of what was tried, best first."""
     confine("describe", reads=[path])
     if is_retargeting(path):
@@ -24,7 +24,7 @@ def describe_mapping(path: Path) -> Report:
             f"tried {rank}: {score.method} ({score.settings}): {surface}"
             f"{score.weight_rmse:.4f} in the weights"
         )
-    return Report(
+    return StepResult(
         (),
         f"{mapping.method}: {len(mapping.marker_names)} markers to {len(mapping.shape_names)} "
         f"shapes, trained on {mapping.references or 'unnamed references'}",
@@ -33,11 +33,11 @@ def describe_mapping(path: Path) -> Report:
     )
 
 
-def _describe_retargeting(path: Path) -> Report:
+def _describe_retargeting(path: Path) -> StepResult:
     trained = read_retargeting(path)
     lines = [f"setting {name}: {value}" for name, value in sorted(trained.settings.items())]
     lines += [f"tried {rank}: {line}" for rank, line in enumerate(retargeting_table(trained), 1)]
-    return Report(
+    return StepResult(
         (),
         f"{trained.method}: {len(trained.source_shapes)} source shapes to {len(trained.shapes)} "
         f"shapes, {len(trained.joints)} joints and {len(trained.attributes)} attributes, trained "

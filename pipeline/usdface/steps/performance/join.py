@@ -8,12 +8,12 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
-from usdface.core.text import counted
-from usdface.runner.result import Report
+from usdface.core.text import pluralize
+from usdface.runner.result import StepResult
 from usdface.specs.performance import JoinSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.performance.map import LARGEST_LAYER_BYTES
-from usdface.usdio.performance.clips import Part, write_clips
+from usdface.usdio.performance.clips import ClipPart, write_clips
 from usdface.usdio.performance.weights_layer import WeightsHeader, writing_weights
 from usdface.usdio.performance.write import PerformanceReader, header_of, writing_top
 from usdface.usdio.rig.read import read_rig
@@ -21,7 +21,7 @@ from usdface.usdio.rig.read import read_rig
 
 def run(
     spec: JoinSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Merge the parts, or play them as value clips, whichever their size asks for."""
     readers = sorted(map(PerformanceReader, spec.parts), key=lambda each: each.first_frame)
     headers = [header_of(reader) for reader in readers]
@@ -54,9 +54,9 @@ def run(
         if reader.edits
     ]
     how = "played as value clips" if clips else "merged"
-    return Report(
+    return StepResult(
         (spec.out, target),
-        f"{counted(len(readers), 'part')} {how}: frames {whole.first_frame}-{whole.last_frame}",
+        f"{pluralize(len(readers), 'part')} {how}: frames {whole.first_frame}-{whole.last_frame}",
         tuple(notes),
         {"frames": whole.frame_count, "parts": len(readers), "clips": clips},
     )
@@ -93,10 +93,10 @@ def _check_parts(
         raise InputError("; ".join(faults) + "; map those parts again")
 
 
-def _part(reader: PerformanceReader) -> Part:
+def _part(reader: PerformanceReader) -> ClipPart:
     file = weights_path(Path(reader.path))
     if not file.is_file():
         raise InputError(
             f"{file}: no such file; a part is played from where `map` wrote its weights"
         )
-    return Part(file, reader.first_frame, reader.last_frame, str(reader.animation.GetPath()))
+    return ClipPart(file, reader.first_frame, reader.last_frame, str(reader.animation.GetPath()))

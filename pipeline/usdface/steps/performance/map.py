@@ -5,22 +5,22 @@ from functools import partial
 
 import numpy as np
 
-from usdface.core.assets import Mapping, Rig
+from usdface.core.assets import Rig, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace
 from usdface.model.mapping.predict import regions_of
 from usdface.model.mapping.rig_match import check_same_rig
 from usdface.model.mapping.temporal import TemporalSolve, smooth_weights
 from usdface.numerics.array_namespace import ArrayDevice, open_device
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.base import frame_range
 from usdface.specs.performance import MapSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
-from usdface.steps.inputs.take_head_space import find_take_space, read_markers
-from usdface.steps.performance.predict_blocks import check_blend, solve_ahead, solve_blended
+from usdface.steps.inputs.take_head_space import read_markers, take_head_space
+from usdface.steps.performance.predict_blocks import check_blend, predict_pipelined, solve_blended
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance.write import weights_path, writing_performance
 from usdface.usdio.rig.read import read_rig
@@ -40,7 +40,7 @@ DOUBTFUL = 0.5
 
 def run(
     spec: MapSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Map every frame of a take and write the performance as it goes."""
     device = _open_device(spec)
     mapping = read_mapping(spec.mapping)
@@ -51,7 +51,7 @@ def run(
     take = TakeReader(spec.take)
     first, last = frame_range(spec.frames) or (take.first_frame, take.last_frame)
     _check_frames(spec, take, first, last)
-    space = find_take_space(take, mapping)
+    space = take_head_space(take, mapping)
     solve = TemporalSolve(spec.temporal, spec.cutoff, spec.lag, spec.bands)
     confidence: list[np.ndarray] = []
     residual: list[np.ndarray] = []
@@ -75,7 +75,7 @@ def run(
             partial(space.place, read_markers(take, each.start, each.stop - 1)) for each in windows
         )
         answers = (
-            solve_ahead(mapping, placed, device=device)
+            predict_pipelined(mapping, placed, device=device)
             if spec.alpha is None
             else solve_blended(mapping, placed, spec.alpha, windows, device=device)
         )
@@ -146,7 +146,7 @@ def _part_frames(spec: MapSpec, frames: int, shapes: int) -> int | None:
     return None if frames * frame_bytes <= LARGEST_LAYER_BYTES else PART_BYTES // frame_bytes
 
 
-def _check_rig(spec: MapSpec, mapping: Mapping, rig: Rig) -> tuple[str, ...]:
+def _check_rig(spec: MapSpec, mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
     missing = [name for name in mapping.shape_names if name not in rig.shapes]
     if len(missing) == len(mapping.shape_names):
         raise InputError(
@@ -171,7 +171,7 @@ def _notes(space: HeadSpace) -> list[str]:
         )
     if space.extra:
         notes.append(
-            f"unknown to the mapping, and not heard: {counted(len(space.extra), 'marker')}, "
+            f"unknown to the mapping, and not heard: {pluralize(len(space.extra), 'marker')}, "
             f"{', '.join(space.extra[:5])}"
         )
     return notes
@@ -184,25 +184,26 @@ def _lacking_notes(first: int, lacking: np.ndarray) -> list[str]:
     some = ", ".join(map(str, frames[:5])) + (", ..." if len(frames) > 5 else "")
     return [
         f"fewer than {MINIMUM_SHARE:.0%} of the mapping's markers in "
-        f"{counted(len(frames), 'frame')} ({some}): their weights are a guess, with confidence 0; "
+        f"{pluralize(len(frames), 'frame')} ({some}): their weights are a guess, with "
+        f"confidence 0; "
         "mend them in the take, or key them as edits"
     ]
 
 
 def _report(
     spec: MapSpec, first: int, confidence: np.ndarray, residual: np.ndarray, notes: list[str]
-) -> Report:
+) -> StepResult:
     low = np.flatnonzero(confidence < DOUBTFUL)
     if len(low):
         worst = first + int(confidence.argmin())
         notes.append(
-            f"confidence below {DOUBTFUL:g} in {counted(len(low), 'frame')}, lowest at frame "
+            f"confidence below {DOUBTFUL:g} in {pluralize(len(low), 'frame')}, lowest at frame "
             f"{worst}: the references show nothing like them"
         )
     count = len(confidence)
-    return Report(
+    return StepResult(
         (spec.out, weights_path(spec.out)),
-        f"{counted(count, 'frame')}, mean confidence {confidence.mean():.2f}, markers "
+        f"{pluralize(count, 'frame')}, mean confidence {confidence.mean():.2f}, markers "
         f"{np.sqrt((residual**2).mean()):.2f} mm from what the references' takes showed",
         tuple(notes),
         {

@@ -10,25 +10,25 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.assets import Mapping
+from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.head_space import MappedMarkers
 from usdface.model.mapping.predict import Prediction, WeightPredictor
 from usdface.numerics.array_namespace import CPU, ArrayDevice
 from usdface.steps.inputs.alpha_curve import read_alpha
 
-MOST_SOLVERS = 4
+MAX_WORKERS = 4
 """Threads at most: one that writes keeps no more of them busy."""
 
 Block = Callable[[], MappedMarkers]
 """Brings the markers of some frames into the mapping's space: the thread that solves them does."""
 
-AHEAD = 2
+QUEUE_DEPTH = 2
 """Blocks beyond those being solved that wait to be written at most: memory stays bounded."""
 
 
-def solve_ahead(
-    mapping: Mapping, blocks: Iterator[Block], *, device: ArrayDevice = CPU
+def predict_pipelined(
+    mapping: TrainedMapping, blocks: Iterator[Block], *, device: ArrayDevice = CPU
 ) -> Iterator[Prediction]:
     """Yield a mapping's answer to each block, in order, the next ones under way meanwhile.
 
@@ -41,18 +41,18 @@ def solve_ahead(
         markers = block()
         return predictor.predict(markers.positions, visible=markers.visible)
 
-    solvers = min(MOST_SOLVERS, os.cpu_count() or 1) if device is CPU else 1
+    solvers = min(MAX_WORKERS, os.cpu_count() or 1) if device is CPU else 1
     with ThreadPoolExecutor(max_workers=solvers, thread_name_prefix="solve") as pool:
         under_way: deque[Future[Prediction]] = deque()
         for block in blocks:
             under_way.append(pool.submit(solve, block))
-            if len(under_way) >= solvers + AHEAD:
+            if len(under_way) >= solvers + QUEUE_DEPTH:
                 yield under_way.popleft().result()
         while under_way:
             yield under_way.popleft().result()
 
 
-def check_blend(path: Path, mapping: Mapping) -> None:
+def check_blend(path: Path, mapping: TrainedMapping) -> None:
     """Refuse to blend what has only one part.
 
     Raises
@@ -68,7 +68,7 @@ def check_blend(path: Path, mapping: Mapping) -> None:
 
 
 def solve_blended(
-    mapping: Mapping,
+    mapping: TrainedMapping,
     placed: Iterator[Block],
     alpha: Path,
     blocks: list[range],
@@ -81,7 +81,7 @@ def solve_blended(
     """
     keyed = [read_alpha(alpha, np.arange(block.start, block.stop)) for block in blocks]
     parts = [
-        solve_ahead(
+        predict_pipelined(
             replace(mapping, settings=mapping.settings | {"alpha": share}), own, device=device
         )
         for share, own in zip((1.0, 0.0), tee(placed), strict=True)

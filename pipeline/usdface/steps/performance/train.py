@@ -4,16 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from usdface.core.assets import Mapping, References
+from usdface.core.assets import References, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.model.mapping.regions import sample_skin
 from usdface.model.mapping.rig_match import rig_summary
 from usdface.model.mapping.train import train_mapping
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.performance import TrainSpec
 from usdface.steps.inputs.tuned_pairs import read_set_references
 from usdface.usdio.mapping import write_mapping
@@ -22,7 +22,7 @@ from usdface.usdio.rig.read import read_rig
 
 def run(
     spec: TrainSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Learn the mapping that the references show."""
     references = read_set_references(spec.references)
     notes = []
@@ -62,12 +62,12 @@ def run(
     )
     write_mapping(spec.out, mapping, provenance=provenance)
     notes += _mended(mapping, references)
-    return Report(
+    return StepResult(
         (spec.out,), _summary(mapping, references), tuple(notes), describe_figures(mapping)
     )
 
 
-def describe_figures(mapping: Mapping) -> dict[str, object]:
+def describe_figures(mapping: TrainedMapping) -> dict[str, object]:
     """Return what a mapping is, as plain data."""
     return {
         "method": mapping.method,
@@ -87,24 +87,24 @@ def describe_figures(mapping: Mapping) -> dict[str, object]:
     }
 
 
-def _mended(mapping: Mapping, references: References) -> list[str]:
+def _mended(mapping: TrainedMapping, references: References) -> list[str]:
     """Say what of the pairs was not taken as it is."""
     notes = []
     limited = int(mapping.settings.get("limited_weights", 0))
     if limited:
         notes.append(
-            f"{counted(limited, 'weight')} of the pairs beyond the shape's range on the rig, "
+            f"{pluralize(limited, 'weight')} of the pairs beyond the shape's range on the rig, "
             "limited to it; tune them again if that is not meant"
         )
     repeated = len(references.frames) - int(mapping.settings["pairs"])
     if repeated:
         notes.append(
-            f"left out {counted(repeated, 'pair')} that others repeat, markers and weights alike"
+            f"left out {pluralize(repeated, 'pair')} that others repeat, markers and weights alike"
         )
     return notes
 
 
-def _summary(mapping: Mapping, references: References) -> str:
+def _summary(mapping: TrainedMapping, references: References) -> str:
     summary = (
         f"{mapping.method} on {len(references.frames)} pairs, {len(mapping.marker_names)} markers "
         f"to {len(mapping.shape_names)} shapes"

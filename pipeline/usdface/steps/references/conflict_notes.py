@@ -6,7 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.assets import References
-from usdface.model.selection.conflicts import Conflict, conflict_text, find_conflicts
+from usdface.model.selection.conflicts import (
+    ReferenceConflict,
+    conflict_text,
+    find_reference_conflicts,
+)
 from usdface.steps.inputs.tuned_pairs import read_set_references
 
 MOST_TOLD = 5
@@ -26,19 +30,19 @@ def tuned_conflicts(path: Path) -> tuple[list[str], list[dict[str, object]]]:
     )
     found = [
         replace(each, first=int(places[each.first]), second=int(places[each.second]))
-        for each in find_conflicts(tuned)
+        for each in find_reference_conflicts(tuned)
     ]
     return _texts(references, found), [_data(each) for each in found]
 
 
-def _texts(references: References, found: list[Conflict]) -> list[str]:
+def _texts(references: References, found: list[ReferenceConflict]) -> list[str]:
     texts = [f"{conflict_text(references, each)}; look at both" for each in found[:MOST_TOLD]]
     if len(found) > MOST_TOLD:
         texts.append(f"and {len(found) - MOST_TOLD} more pairs contradict each other")
     return texts
 
 
-def _data(conflict: Conflict) -> dict[str, object]:
+def _data(conflict: ReferenceConflict) -> dict[str, object]:
     return {
         "pairs": [conflict.first + 1, conflict.second + 1],
         "region": conflict.region,

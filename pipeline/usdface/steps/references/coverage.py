@@ -12,7 +12,7 @@ from usdface.core.provenance import Provenance
 from usdface.media.picture.image import write_image
 from usdface.numerics.rigid.rigid_alignment import align_rigid_robust, remove_motion
 from usdface.runner.outputs import provenance_metadata
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesCoverageSpec
 from usdface.steps.inputs.cleaned_takes import FEWEST_RIGID, CleanedTakes, read_cleaned_takes
 from usdface.steps.inputs.coverage_report import (
@@ -41,7 +41,7 @@ def run(
     *,
     provenance: Provenance | None = None,
     progress: Progress = silent,
-) -> Report:
+) -> StepResult:
     """Measure what the pairs cover of the takes, and draw it."""
     measured = measure(spec, progress=progress)
     covered, takes, pairs = measured.covered, measured.takes, measured.pairs
@@ -60,7 +60,7 @@ def run(
         f"frame {hole.frame} of {hole.take} next: {hole.share:.1%} would be covered"
         for hole in holes_of(covered, takes)[:MOST_TOLD]
     ]
-    return Report(
+    return StepResult(
         (spec.out,),
         f"{len(pairs)} pairs cover {coverage.share:.1%} of the motion of {len(takes.frames)} "
         f"frames; {coverage.hole_share:.1%} of the frames are holes",

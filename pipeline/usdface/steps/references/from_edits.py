@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
-from usdface.core.assets import Mapping, References
+from usdface.core.assets import References, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.numerics.motion.edit_curve import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
-from usdface.runner.result import Report
-from usdface.specs.references import ReferencesFromEditsSpec, proposed_path, tuned_path
-from usdface.steps.inputs.edit_ranges import runs
-from usdface.steps.inputs.take_head_space import find_take_space, read_markers
+from usdface.runner.result import StepResult
+from usdface.specs.references import ReferencesFromEditsSpec, proposed_references_path, tuned_path
+from usdface.steps.inputs.edit_ranges import frame_runs
+from usdface.steps.inputs.take_head_space import read_markers, take_head_space
 from usdface.steps.inputs.tuned_pairs import SAME
 from usdface.steps.references.tuning_guard import nobody_tunes
 from usdface.usdio.layers import read_provenance
@@ -52,7 +52,7 @@ def run(
     *,
     provenance: Provenance | None = None,
     progress: Progress = silent,
-) -> Report:
+) -> StepResult:
     """Add the corrected frames to the references as pairs, and mark them as tuned."""
     old = read_references(spec.references)
     notes: list[str] = []
@@ -78,15 +78,15 @@ def run(
             references,
             rig,
             tuned_path=tuned_path(spec.out),
-            proposed_path=proposed_path(spec.out),
+            proposed_path=proposed_references_path(spec.out),
             tuned=tuned,
             images=images,
             provenance=provenance,
         )
     progress(1.0, "written")
-    return Report(
-        (spec.out, tuned_path(spec.out), proposed_path(spec.out)),
-        f"{counted(added, 'corrected frame')} added to {counted(len(old.frames), 'pair')}",
+    return StepResult(
+        (spec.out, tuned_path(spec.out), proposed_references_path(spec.out)),
+        f"{pluralize(added, 'corrected frame')} added to {pluralize(len(old.frames), 'pair')}",
         tuple(notes),
         {
             "added": added,
@@ -134,7 +134,7 @@ def _learn(
     if not seen.all():
         notes.append(
             f"{performance}: left out, lacking a marker: "
-            f"{counted(int((~seen).sum()), 'corrected frame')}"
+            f"{pluralize(int((~seen).sum()), 'corrected frame')}"
         )
     if not len(rows):
         return _NO_LESSONS
@@ -163,7 +163,7 @@ def meant_frames(edits: Sequence[EditCurve], changes: FloatArray) -> BoolArray:
     share = np.ones_like(changes)
     for row, edit in enumerate(edits):
         strength = np.maximum(np.abs(edit.offset), edit.mask)
-        for part in runs(edit.active):
+        for part in frame_runs(edit.active):
             share[row, part] = strength[part] / strength[part].max()
     largest = changes.max(axis=0, initial=0.0)
     counts = changes > MINOR * largest
@@ -184,7 +184,7 @@ def spread_out(weights: FloatArray, change: FloatArray, count: int) -> IntArray:
     return np.sort(np.concatenate([[first], further]))
 
 
-def _made_from(performance: Path) -> tuple[TakeReader, Mapping]:
+def _made_from(performance: Path) -> tuple[TakeReader, TrainedMapping]:
     """Return the take and the mapping that a performance, or its parts, say they were made from."""
     file, spec = performance, _spec_of(performance, "map")
     seen = set[Path]()
@@ -216,7 +216,7 @@ def _spec_of(file: Path, step: str) -> dict[str, object] | None:
 
 
 def _markers_at(
-    take: TakeReader, mapping: Mapping, old: References, frames: IntArray
+    take: TakeReader, mapping: TrainedMapping, old: References, frames: IntArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return the markers at frames as the references have them, and which frames can be used."""
     lacking = [name for name in old.marker_names if name not in mapping.marker_names]
@@ -225,7 +225,7 @@ def _markers_at(
             f"{take.path}: its mapping does not know the references' markers "
             f"{', '.join(lacking[:5])}; give the references that it was trained on"
         )
-    space = find_take_space(take, mapping)
+    space = take_head_space(take, mapping)
     order = [mapping.marker_names.index(name) for name in old.marker_names]
     positions = np.zeros((len(frames), len(order), 3))
     seen = np.zeros(len(frames), dtype=bool)
@@ -253,7 +253,7 @@ def _tuned(
         if weights is not None:
             tuned.append(TunedPair(pair, take, frame, weights))
     if kept:
-        notes.append(f"{spec.out}: kept as somebody tuned them there: {counted(kept, 'pair')}")
+        notes.append(f"{spec.out}: kept as somebody tuned them there: {pluralize(kept, 'pair')}")
     return tuned
 
 
@@ -263,7 +263,7 @@ def _by_hand(out: Path) -> dict[tuple[str, int], dict[str, float]]:
         return {}
     try:
         there = read_references(out)
-        written = read_proposals(proposed_path(out), there)
+        written = read_proposals(proposed_references_path(out), there)
     except InputError:  # damaged, so that nobody could tune it
         return {}
     away = np.abs(there.weights - written).max(axis=1, initial=0.0) > SAME
@@ -285,7 +285,7 @@ def _left_out(out: Path, references: References) -> list[str]:
         return []
     frames = ", ".join(str(each.frame) for each in lost[:5])
     return [
-        f"{out}: gone, being none of these: {counted(len(lost), 'pair')} tuned there before, "
+        f"{out}: gone, being none of these: {pluralize(len(lost), 'pair')} tuned there before, "
         f"frames {frames}"
     ]
 
@@ -306,7 +306,9 @@ def _together(old: References, lessons: list[_Lessons], notes: list[str]) -> Ref
                 weights[pair], tuned[pair] = each.weights[row], True
                 renewed += 1
     if renewed:
-        notes.append(f"pairs already, with new weights now: {counted(renewed, 'corrected frame')}")
+        notes.append(
+            f"pairs already, with new weights now: {pluralize(renewed, 'corrected frame')}"
+        )
     nothing_said = ("",) * len(new)
     return replace(
         old,

@@ -6,8 +6,8 @@ from usdface.core.assets import References
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
-from usdface.runner.result import Report
+from usdface.core.text import pluralize
+from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesImportSpec, tuned_path
 from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table, weights_meant
 from usdface.steps.references.conflict_notes import tuned_conflicts
@@ -19,7 +19,7 @@ def run(
     *,
     provenance: Provenance | None = None,
     progress: Progress = silent,
-) -> Report:
+) -> StepResult:
     """Match the file's rows to pairs and its columns to shapes, and write the tuned layer."""
     references = read_references(spec.references)
     table = read_weight_table(spec.weights, known=references.shape_names)
@@ -45,30 +45,30 @@ def run(
     unknown = [name for name in table.names if name not in references.shape_names]
     if unknown:
         notes.append(
-            f"left out {counted(len(unknown), 'column')}, of no shape of the rig: "
+            f"left out {pluralize(len(unknown), 'column')}, of no shape of the rig: "
             f"{', '.join(unknown[:5])}"
         )
     missing = [name for name in references.shape_names if name not in table.names]
     if missing:
         notes.append(
-            f"not in the file, with the weights they had: {counted(len(missing), 'shape')}, "
+            f"not in the file, with the weights they had: {pluralize(len(missing), 'shape')}, "
             f"{', '.join(missing[:5])}"
         )
     between = sum(_key(spec, pair) not in table.keyed for pair in pairs)
     if between:
         notes.append(
             f"given what lies between two keys, as {spec.weights.name} has no key there: "
-            f"{counted(between, 'pair')}"
+            f"{pluralize(between, 'pair')}"
         )
     rest = len(references.frames) - len(pairs)
     if rest:
-        notes.append(f"not in the file, and as before: {counted(rest, 'pair')}")
+        notes.append(f"not in the file, and as before: {pluralize(rest, 'pair')}")
     texts, conflicts = tuned_conflicts(spec.references)
     notes += texts
-    return Report(
+    return StepResult(
         (tuned_path(spec.references),),
         f"{len(pairs)} of {len(references.frames)} pairs tuned, "
-        f"{counted(len(known), 'shape')} each",
+        f"{pluralize(len(known), 'shape')} each",
         tuple(notes),
         {"pairs": len(pairs), "shapes": len(known), "conflicts": conflicts},
     )

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from usdface.core.assets import Mapping, Markers, MotionSpace, Rig
+from usdface.core.assets import Markers, MotionSpace, Rig, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.core.progress import Progress
 from usdface.model.mapping.head_space import HeadSpace, find_head_space
 from usdface.model.mapping.motion_space import fit_motion_space
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
-from usdface.model.selection.design import StandIns
+from usdface.model.selection.design import CandidateMarkers
 from usdface.model.selection.features import SelectionSpace, selection_space
 from usdface.specs.base import frame_range
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
@@ -52,7 +52,7 @@ class SelectionScene:
     equation: BlendshapeEquation
     space: SelectionSpace
     features: Float32Array
-    stand_ins: StandIns
+    stand_ins: CandidateMarkers
 
     def positions(self, rows: IntArray) -> FloatArray:
         """Return markers at rows of all takes, without putting the takes together."""
@@ -100,7 +100,7 @@ def set_up_scene(takes: CleanedTakes, rig: Rig, *, progress: Progress) -> Select
 
     weights = stand_in(motion.sample)
     space = selection_space(motion, weights, rig.shapes)
-    stand_ins = StandIns(
+    stand_ins = CandidateMarkers(
         features=space.features(motion.sample),
         weights=weights,
         of_rows=lambda rows: stand_in(_coordinates(motion, _rows_of(takes, rows))),
@@ -180,10 +180,10 @@ GLANCE_FRAMES = 2000
 
 
 @dataclass(frozen=True)
-class MappedRows:
+class TakesPrediction:
     """A mapping laid on takes that were brought together."""
 
-    mapping: Mapping
+    mapping: TrainedMapping
     takes: CleanedTakes
     space: HeadSpace
 
@@ -198,11 +198,11 @@ class MappedRows:
         return predict_weights(self.mapping, placed.positions, visible=placed.visible).weights
 
 
-def mapped_rows(mapping: Mapping, takes: CleanedTakes) -> MappedRows:
+def takes_prediction(mapping: TrainedMapping, takes: CleanedTakes) -> TakesPrediction:
     """Find the head space of takes that share one, by frames spread over them."""
     count = len(takes.frames)
     rows = np.unique(np.linspace(0, count - 1, min(count, GLANCE_FRAMES)).astype(np.int64))
-    return MappedRows(mapping, takes, find_head_space(mapping, _markers(takes, rows)))
+    return TakesPrediction(mapping, takes, find_head_space(mapping, _markers(takes, rows)))
 
 
 def _markers(takes: CleanedTakes, rows: IntArray) -> Markers:

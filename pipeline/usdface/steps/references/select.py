@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
-from usdface.core.assets import Mapping, References, Rig
+from usdface.core.assets import References, Rig, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.media.picture.image import write_image
 from usdface.model.selection.design import (
-    Choice,
+    ReferenceChoice,
     choose_by_design,
     choose_next,
     choose_visemes,
@@ -21,12 +21,12 @@ from usdface.model.selection.design import (
 from usdface.model.selection.lip_contact import find_lips, keep_lip_contact
 from usdface.numerics.regression.linear_ridge import fit_linear_ridge
 from usdface.runner.outputs import provenance_metadata
-from usdface.runner.result import Report
-from usdface.specs.references import SelectSpec, proposed_path, tuned_path
+from usdface.runner.result import StepResult
+from usdface.specs.references import SelectSpec, proposed_references_path, tuned_path
 from usdface.steps.inputs.cleaned_takes import CleanedTakes, read_cleaned_takes
 from usdface.steps.inputs.coverage_report import cover, coverage_figures, coverage_picture
-from usdface.steps.inputs.phone_labels import Spoken, read_spoken
-from usdface.steps.inputs.tuned_pairs import KeptPair, find_kept_pairs, rows_in_place
+from usdface.steps.inputs.phone_labels import PhoneLabels, read_phone_labels
+from usdface.steps.inputs.tuned_pairs import PlacedPair, find_placed_pairs, rows_in_place
 from usdface.steps.references.conflict_notes import tuned_conflicts
 from usdface.steps.references.images import (
     PairImages,
@@ -34,11 +34,11 @@ from usdface.steps.references.images import (
     write_pair_images,
 )
 from usdface.steps.references.scene import (
-    MappedRows,
     SelectionScene,
+    TakesPrediction,
     candidate_frames,
-    mapped_rows,
     set_up_scene,
+    takes_prediction,
 )
 from usdface.steps.references.tuning_guard import check_nobody_tunes, nobody_tunes
 from usdface.usdio.mapping import read_mapping
@@ -55,8 +55,8 @@ class _Selection:
 
     spec: SelectSpec
     scene: SelectionScene
-    spoken: Spoken
-    kept: list[KeptPair]
+    spoken: PhoneLabels
+    kept: list[PlacedPair]
     candidates: BoolArray
 
     @property
@@ -72,18 +72,18 @@ class _Selection:
 
 def run(
     spec: SelectSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Choose pairs, propose weights to start from, write the asset and draw its coverage."""
     progress(0.0, "reading the takes")
     check_nobody_tunes(spec.out)
     takes = read_cleaned_takes(spec.takes)
     rig = read_rig(spec.rig, prim=spec.prim)
-    spoken = read_spoken(spec, takes)
-    kept = find_kept_pairs(spec, takes, rig)
+    spoken = read_phone_labels(spec, takes)
+    kept = find_placed_pairs(spec, takes, rig)
     mapping = None if spec.mapping is None else _mapping_for(spec, rig)
     asked = _set_up(spec, takes, rig, spoken, kept, progress)
     progress(0.5, "choosing frames")
-    mapped = None if mapping is None else mapped_rows(mapping, takes)
+    mapped = None if mapping is None else takes_prediction(mapping, takes)
     choice = _choose(asked, mapped)
     rows = np.array(rows_in_place(spec.count, kept, choice.rows), dtype=np.int64)
     progress(0.7, "proposing weights")
@@ -102,7 +102,7 @@ def run(
             references,
             rig,
             tuned_path=tuned_path(spec.out),
-            proposed_path=proposed_path(spec.out),
+            proposed_path=proposed_references_path(spec.out),
             tuned=[each.tuned for each in kept if each.is_keyed],
             images=images.files,
             provenance=provenance,
@@ -117,7 +117,12 @@ def run(
     )
     progress(1.0, "done")
     contradictions, conflicts = tuned_conflicts(spec.out)
-    outputs = (spec.out, proposed_path(spec.out), tuned_path(spec.out), spec.picture_path())
+    outputs = (
+        spec.out,
+        proposed_references_path(spec.out),
+        tuned_path(spec.out),
+        spec.picture_path(),
+    )
     summary = (
         f"{len(rows)} pairs of {len(takes.frames)} frames, {len(rig.shapes)} shapes proposed; "
         f"they cover {covered.coverage.share:.0%} of the takes"
@@ -136,10 +141,10 @@ def run(
         **coverage_figures(covered, takes),
     }
     notes = (*_notes(asked, choice, mapping), *images.notes, *contradictions)
-    return Report(outputs, summary, notes, figures)
+    return StepResult(outputs, summary, notes, figures)
 
 
-def _check_tuning_is_as_read(spec: SelectSpec, kept: list[KeptPair]) -> None:
+def _check_tuning_is_as_read(spec: SelectSpec, kept: list[PlacedPair]) -> None:
     """Refuse to write where pairs were tuned while frames were chosen.
 
     Raises
@@ -151,12 +156,12 @@ def _check_tuning_is_as_read(spec: SelectSpec, kept: list[KeptPair]) -> None:
     before = {(each.tuned.pair, each.tuned.take, each.tuned.frame) for each in kept}
     if now - before:
         raise InputError(
-            f"{tuned_path(spec.out)}: somebody tuned {counted(len(now - before), 'pair')} while "
+            f"{tuned_path(spec.out)}: somebody tuned {pluralize(len(now - before), 'pair')} while "
             "frames were chosen; nothing was changed. Select again, which keeps what is tuned"
         )
 
 
-def _mapping_for(spec: SelectSpec, rig: Rig) -> Mapping:
+def _mapping_for(spec: SelectSpec, rig: Rig) -> TrainedMapping:
     """Read a mapping that is to say something of this rig.
 
     Raises
@@ -181,8 +186,8 @@ def _set_up(
     spec: SelectSpec,
     takes: CleanedTakes,
     rig: Rig,
-    spoken: Spoken,
-    kept: list[KeptPair],
+    spoken: PhoneLabels,
+    kept: list[PlacedPair],
     progress: Progress,
 ) -> _Selection:
     candidates = candidate_frames(takes, spec.frames)
@@ -197,12 +202,12 @@ def _set_up(
     return _Selection(spec, scene, spoken, kept, candidates)
 
 
-def _choose(asked: _Selection, mapped: MappedRows | None) -> Choice:
+def _choose(asked: _Selection, mapped: TakesPrediction | None) -> ReferenceChoice:
     """Choose the frames that are to be found, by the method asked for."""
     spec = asked.spec
     if spec.method == "active":
         return _choose_next(asked, mapped)
-    spoken = Choice(np.zeros(0, dtype=np.int64))
+    spoken = ReferenceChoice(np.zeros(0, dtype=np.int64))
     if asked.spoken.segments and spec.method in ("viseme", "both"):
         spoken = choose_visemes(
             asked.scene.features,
@@ -233,7 +238,7 @@ def _choose(asked: _Selection, mapped: MappedRows | None) -> Choice:
     )
 
 
-def _choose_next(asked: _Selection, mapped: MappedRows | None) -> Choice:
+def _choose_next(asked: _Selection, mapped: TakesPrediction | None) -> ReferenceChoice:
     if mapped is None or len(asked.kept) < FEWEST_TUNED:
         raise InputError(
             f"{tuned_path(asked.spec.out)}: {len(asked.kept)} pairs are tuned, and active needs "
@@ -262,7 +267,7 @@ def _choose_next(asked: _Selection, mapped: MappedRows | None) -> Choice:
     )
 
 
-def _propose(asked: _Selection, mapped: MappedRows | None, rows: IntArray) -> FloatArray:
+def _propose(asked: _Selection, mapped: TakesPrediction | None, rows: IntArray) -> FloatArray:
     """Return weights to start from: the mapping's where there is one, else the rig's geometry."""
     scene = asked.scene
     positions = scene.positions(rows)
@@ -277,7 +282,7 @@ def _propose(asked: _Selection, mapped: MappedRows | None, rows: IntArray) -> Fl
 
 
 def _references(
-    asked: _Selection, choice: Choice, rows: IntArray, weights: FloatArray
+    asked: _Selection, choice: ReferenceChoice, rows: IntArray, weights: FloatArray
 ) -> References:
     scene, takes, spoken = asked.scene, asked.scene.takes, asked.spoken
     return References(
@@ -298,27 +303,30 @@ def _references(
     )
 
 
-def _notes(asked: _Selection, choice: Choice, mapping: Mapping | None) -> list[str]:
+def _notes(asked: _Selection, choice: ReferenceChoice, mapping: TrainedMapping | None) -> list[str]:
     notes, dropped = list(asked.spoken.notes), asked.scene.takes.dropped
     if dropped:
         notes.append(
-            f"left out {counted(len(dropped), 'marker')}, not in every take: "
+            f"left out {pluralize(len(dropped), 'marker')}, not in every take: "
             f"{', '.join(dropped[:5])}"
         )
     if asked.kept:
-        notes.append(f"kept in place: {counted(len(asked.kept), 'tuned pair')}")
+        notes.append(f"kept in place: {pluralize(len(asked.kept), 'tuned pair')}")
     keyed = sum(each.is_keyed for each in asked.kept)
     if keyed:
-        notes.append(f"keyed in the asset itself, and tuned from now on: {counted(keyed, 'pair')}")
+        notes.append(
+            f"keyed in the asset itself, and tuned from now on: {pluralize(keyed, 'pair')}"
+        )
     if choice.missing:
         shown = [f"{viseme} {emotion}".strip() for emotion, viseme in choice.missing]
         notes.append(
-            f"not spoken in every emotion: {counted(len(shown), 'viseme')}, {', '.join(shown[:8])}"
+            f"not spoken in every emotion: {pluralize(len(shown), 'viseme')}, "
+            f"{', '.join(shown[:8])}"
         )
     if asked.spec.method == "viseme" and choice.design:
         spoken = len(choice.rows) - len([r for r in choice.rows if int(r) not in choice.visemes])
         notes.append(
-            f"chosen by viseme: {counted(spoken, 'frame')}; the rest of {asked.spec.count} by "
+            f"chosen by viseme: {pluralize(spoken, 'frame')}; the rest of {asked.spec.count} by "
             "design"
         )
     if asked.spec.method == "both" and not asked.spec.phones:

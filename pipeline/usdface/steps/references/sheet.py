@@ -11,7 +11,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.core.timecode import shift_timecode
 from usdface.media.face.camera import frame_rig
 from usdface.media.face.markers_view import draw_markers, frame_markers
@@ -24,7 +24,7 @@ from usdface.media.picture.read import read_picture
 from usdface.media.picture.reference_sheet import ReferenceRow, compose_reference_sheet
 from usdface.model.selection.baseline import set_up_equation
 from usdface.runner.outputs import provenance_metadata
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.base import frame_range
 from usdface.specs.references import ReferenceSheetSpec
 from usdface.speech.visemes import viseme_label
@@ -45,7 +45,7 @@ Video = VideoReader | ImageSequence
 
 def run(
     spec: ReferenceSheetSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Draw every pair and write the sheet."""
     progress(0.0, "reading")
     references = read_set_references(spec.references)
@@ -129,10 +129,10 @@ def run(
     write_image(spec.out, page, metadata=metadata)
     progress(1.0, "done")
     blind = sum(row.video is None for row in rows)
-    notes = (*((f"no video frame for {counted(blind, 'pair')}",) if blind else ()), *plain)
-    return Report(
+    notes = (*((f"no video frame for {pluralize(blind, 'pair')}",) if blind else ()), *plain)
+    return StepResult(
         (spec.out,),
-        f"{counted(len(rows), 'pair')} drawn, {int(references.tuned[pairs].sum())} of them tuned",
+        f"{pluralize(len(rows), 'pair')} drawn, {int(references.tuned[pairs].sum())} of them tuned",
         notes,
         {"pairs": [pair + 1 for pair in pairs], "width": page.shape[1], "height": page.shape[0]},
     )

@@ -19,7 +19,7 @@ from usdface.model.regressions.retarget_methods import find_retarget_method
 from usdface.model.retarget.checks import check_pairs
 from usdface.model.retarget.cyclic import POSITIONS, CyclicError, evaluate_cyclic
 from usdface.runner.outputs import provenance_metadata
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.base import frame_range
 from usdface.specs.retarget import METHODS, CyclicSpec
 from usdface.steps.inputs.source_motion import SourceMotion, read_source_motion, source_columns
@@ -31,7 +31,7 @@ from usdface.usdio.rig.read import read_rig
 
 def run(
     spec: CyclicSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Measure every method and write what was asked for."""
     for method in spec.methods:
         if method not in ("auto", POSITIONS):
@@ -66,7 +66,7 @@ def run(
     figures = _figures(spec, found, picks + motion.first_frame)
     _write(spec, found, figures, motion, provenance)
     best = min(found, key=lambda each: float(each.mean_vertex_mm.mean()))
-    return Report(
+    return StepResult(
         spec.out,
         f"{len(picks)} frames there and back; least error {best.mean_vertex_mm.mean():.3f} mm with "
         f"{best.method}",

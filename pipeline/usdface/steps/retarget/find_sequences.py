@@ -9,9 +9,9 @@ from usdface.core.controls import EmotionalSequence, SequenceMatch
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.numerics.motion.sequence_search import Matches, best_match, find_sequence
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.base import frame_range
 from usdface.specs.retarget import FindSequencesSpec
 from usdface.steps.inputs.source_motion import SourceMotion, read_source_motion, source_columns
@@ -27,7 +27,7 @@ class _Found:
 
 def run(
     spec: FindSequencesSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Look for every sequence; where two of them overlap, keep the nearer."""
     motion = read_source_motion(spec.source, frame_range(spec.frames))
     asked = _asked(spec, motion)
@@ -47,9 +47,9 @@ def run(
         for d in dropped
     ]
     write_matches(spec.out, kept, provenance=provenance)
-    return Report(
+    return StepResult(
         (spec.out,),
-        f"{counted(len(asked), 'sequence')} at {counted(len(kept), 'place')} in "
+        f"{pluralize(len(asked), 'sequence')} at {pluralize(len(kept), 'place')} in "
         f"{len(motion.weights)} frames",
         tuple(notes),
         {

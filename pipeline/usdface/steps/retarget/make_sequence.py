@@ -7,7 +7,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.numerics.motion.sequence_search import held_distance
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.base import frame_range
 from usdface.specs.retarget import MakeSequenceSpec
 from usdface.steps.inputs.source_motion import read_source_motion
@@ -17,7 +17,7 @@ from usdface.usdio.retarget.sequences import write_sequence
 
 def run(
     spec: MakeSequenceSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Cut both sides out and write them side by side."""
     source = read_source_motion(spec.source, frame_range(spec.source_frames))
     attributes = spec.attributes or None
@@ -48,7 +48,7 @@ def run(
             f"the source runs at {float(source.rate):g} and the target at {float(read.rate):g} "
             "frames per second; frames are taken as they are"
         )
-    return Report(
+    return StepResult(
         (spec.out,),
         f"{spec.label}: {len(source.weights)} frames of {len(source.names)} source shapes, "
         f"{len(target)} frames of {target.summary}",

@@ -7,21 +7,21 @@ from usdface.core.controls import ControlClip, Controls, ExpressionPairs, bare_c
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.model.retarget.checks import check_pairs, unused_shapes
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.retarget import PairsImportSpec
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.layers import LAYER_SUFFIXES
 from usdface.usdio.retarget.control_attributes import find_control_attributes
 from usdface.usdio.retarget.controls import read_control_clip
-from usdface.usdio.retarget.pairs import keyed_above, samples_path, write_pairs
+from usdface.usdio.retarget.pairs import keyed_above, pair_samples_path, write_pairs
 from usdface.usdio.rig.read import read_rig
 
 
 def run(
     spec: PairsImportSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Read both sides, pair them by frame, and write the asset."""
     _check_nothing_hides(spec.out)
     source_rig = read_rig(spec.source_rig, prim=spec.source_prim)
@@ -55,18 +55,18 @@ def run(
     notes = []
     if unknown:
         notes.append(
-            f"left out {counted(len(unknown), 'column')}, of no shape of {spec.source_rig}: "
+            f"left out {pluralize(len(unknown), 'column')}, of no shape of {spec.source_rig}: "
             f"{', '.join(unknown[:5])}"
         )
     unused = unused_shapes(pairs)
     if unused:
         notes.append(
-            f"in no pair and without effect: {counted(len(unused), 'source shape')}, "
+            f"in no pair and without effect: {pluralize(len(unused), 'source shape')}, "
             f"{', '.join(unused[:5])}"
         )
-    return Report(
-        (spec.out, samples_path(spec.out)),
-        f"{counted(len(pairs), 'pair')} of {counted(len(source_rig.shapes), 'source shape')} "
+    return StepResult(
+        (spec.out, pair_samples_path(spec.out)),
+        f"{pluralize(len(pairs), 'pair')} of {pluralize(len(source_rig.shapes), 'source shape')} "
         f"and {target.summary}",
         tuple(notes),
         {"pairs": len(pairs), "unused": list(unused)},
@@ -78,7 +78,7 @@ def _check_nothing_hides(out: Path) -> None:
     keyed = keyed_above(out) if out.is_file() else ()
     if keyed:
         raise InputError(
-            f"{out}: keys made in it by hand, of {counted(len(keyed), 'attribute')} "
+            f"{out}: keys made in it by hand, of {pluralize(len(keyed), 'attribute')} "
             f"({', '.join(keyed[:3])}), would hide what is imported; nothing was changed. Write "
             "to another --out, or remove these keys"
         )

@@ -8,17 +8,17 @@ from usdface.core.controls import Controls, ExpressionPairs, bare_controls
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.model.retarget.checks import dead_controls
 from usdface.model.retarget.shape_matching import ShapeMatch, match_deformations
 from usdface.model.retarget.shape_names import NameMatch, match_names
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.retarget import PairsProposeSpec
 from usdface.usdio.retarget.pairs import (
     keyed_above,
     merge_pairs,
+    pair_samples_path,
     read_pairs,
-    samples_path,
     write_pairs,
 )
 from usdface.usdio.retarget.rest_controls import rest_controls
@@ -29,7 +29,7 @@ REST = "rest"
 
 def run(
     spec: PairsProposeSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Match shapes, and write a pair for rest and one for each match."""
     source = read_rig(spec.source, prim=spec.source_prim)
     target = read_rig(spec.target, prim=spec.target_prim)
@@ -52,7 +52,7 @@ def run(
         keyed = keyed_above(spec.out)
         if keyed and len(merged) > kept:
             notes.append(
-                f"left out {counted(len(merged) - kept, 'new pair')} "
+                f"left out {pluralize(len(merged) - kept, 'new pair')} "
                 f"({', '.join(merged.names[kept:][:3])}): keys made by hand, of {keyed[0]}, hide "
                 "what lies beneath at every time code; key them there, or propose to another --out"
             )
@@ -67,9 +67,9 @@ def run(
             "key expressions that use them"
         )
     if kept:
-        notes.append(f"kept {counted(kept, 'pair')} at the time codes they had")
-    return Report(
-        (spec.out, samples_path(spec.out)),
+        notes.append(f"kept {pluralize(kept, 'pair')} at the time codes they had")
+    return StepResult(
+        (spec.out, pair_samples_path(spec.out)),
         f"{len(pairs)} pairs of {len(source.shapes)} source shapes and {pairs.target.summary}; "
         "starting points to be tuned",
         tuple(notes),
@@ -82,7 +82,7 @@ def _match(
 ) -> tuple[list[NameMatch], list[str]]:
     progress(0.1, "matching names")
     named = [] if spec.match == "deformation" else list(match_names(source.shapes, target.shapes))
-    notes = [f"matched {counted(len(named), 'shape')} by name"] if named else []
+    notes = [f"matched {pluralize(len(named), 'shape')} by name"] if named else []
     if spec.match != "name":
         progress(0.2, "laying one face onto the other")
         alike = _alike(spec, source, target, named, notes)
@@ -94,7 +94,7 @@ def _match(
     unmatched = [name for name in source.shapes if name not in {match.name for match in named}]
     if unmatched:
         notes.append(
-            f"in no pair and without effect: {counted(len(unmatched), 'source shape')}, "
+            f"in no pair and without effect: {pluralize(len(unmatched), 'source shape')}, "
             f"{', '.join(unmatched[:5])}"
         )
     return named, notes

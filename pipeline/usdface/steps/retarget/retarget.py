@@ -10,9 +10,9 @@ from usdface.core.controls import Retargeting
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.model.retarget.train import retarget
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.base import frame_range
 from usdface.specs.retarget import RetargetSpec
 from usdface.steps.inputs.alpha_curve import read_alpha
@@ -33,7 +33,7 @@ CHUNK_FRAMES = 8192
 
 def run(
     spec: RetargetSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Retarget to each target in turn; all are read before the first is written."""
     motion = read_source_motion(spec.source, frame_range(spec.frames))
     targets = [_target(spec, index) for index in range(len(spec.out))]
@@ -54,9 +54,9 @@ def run(
         if trained.joints or trained.attributes:
             outputs.append(controls_path(out))
     count = len(motion.weights)
-    return Report(
+    return StepResult(
         tuple(outputs),
-        f"{counted(count, 'frame')} on {counted(len(targets), 'target')}",
+        f"{pluralize(count, 'frame')} on {pluralize(len(targets), 'target')}",
         tuple(notes),
         {
             "frames": count,

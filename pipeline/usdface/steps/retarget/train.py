@@ -9,11 +9,16 @@ from usdface.core.controls import ExpressionPairs, Retargeting
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
-from usdface.model.retarget.checks import check_pairs, dead_controls, find_conflicts, unused_shapes
+from usdface.core.text import pluralize
+from usdface.model.retarget.checks import (
+    check_pairs,
+    dead_controls,
+    find_pair_conflicts,
+    unused_shapes,
+)
 from usdface.model.retarget.cyclic import spread_displacements
 from usdface.model.retarget.train import train_retargeting
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.retarget import TrainRetargetSpec
 from usdface.steps.inputs.source_motion import read_source_motion, source_columns
 from usdface.usdio.retarget.mapping import write_retargeting
@@ -26,7 +31,7 @@ SHOWN = 5
 
 def run(
     spec: TrainRetargetSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Learn what the pairs show."""
     pairs = read_pairs(spec.pairs)
     check_pairs(pairs, str(spec.pairs))
@@ -54,14 +59,14 @@ def run(
     )
     trained = replace(trained, pairs=spec.pairs.name)
     write_retargeting(spec.out, trained, provenance=provenance)
-    return Report(
+    return StepResult(
         (spec.out,),
         _summary(trained, pairs, millimetres=surface is not None),
         tuple(notes),
         describe_retargeting_figures(trained)
         | {
             "unused": list(unused_shapes(pairs)),
-            "conflicts": [[each.first + 1, each.second + 1] for each in find_conflicts(pairs)],
+            "conflicts": [[each.first + 1, each.second + 1] for each in find_pair_conflicts(pairs)],
         },
         table=retargeting_table(trained),
     )
@@ -91,7 +96,7 @@ def target_ranges(pairs: ExpressionPairs) -> FloatArray | None:
 def pair_notes(pairs: ExpressionPairs) -> list[str]:
     """Say what is doubtful about pairs, though they can be learned from."""
     notes = []
-    for each in find_conflicts(pairs)[:SHOWN]:
+    for each in find_pair_conflicts(pairs)[:SHOWN]:
         notes.append(
             f"pairs {_pair(pairs, each.first)} and {_pair(pairs, each.second)} conflict: the "
             f"sources are {each.source:.2f} of the usual distance apart, the targets "
@@ -103,7 +108,7 @@ def pair_notes(pairs: ExpressionPairs) -> list[str]:
     ):
         if names:
             more = ", ..." if len(names) > SHOWN else ""
-            notes.append(f"{what}: {counted(len(names), noun)}, {', '.join(names[:SHOWN])}{more}")
+            notes.append(f"{what}: {pluralize(len(names), noun)}, {', '.join(names[:SHOWN])}{more}")
     return notes
 
 

@@ -13,9 +13,9 @@ from usdface.core.controls import Controls, EmotionalSequence, SequenceMatch
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.media.charts.motion_curves import (
-    Span,
+    FrameSpan,
     before_and_after,
     draw_motion_curves,
     windows_around,
@@ -25,7 +25,7 @@ from usdface.model.retarget.control_space import ControlSpace, control_space
 from usdface.numerics.motion.laplacian_warp import Insertion, ease_weights, warp_motion
 from usdface.numerics.motion.retiming import stretch_motion
 from usdface.runner.outputs import provenance_metadata
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.retarget import WarpSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.usdio.performance.read import PerformanceReader
@@ -55,7 +55,7 @@ class _Placement:
 
 def run(
     spec: WarpSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Warp every control round the sequences and write the result."""
     progress(0.0, "reading")
     reader = PerformanceReader(spec.performance)
@@ -82,10 +82,10 @@ def run(
     outputs = [spec.out, weights_path(spec.out)]
     if warped.joints or warped.attributes:
         outputs.append(controls_path(spec.out))
-    return Report(
+    return StepResult(
         (*outputs, *([spec.curves] if spec.curves else [])),
-        f"{counted(len(placements), 'sequence')} in {len(before)} frames; "
-        f"{counted(changed, 'frame')} changed, the "
+        f"{pluralize(len(placements), 'sequence')} in {len(before)} frames; "
+        f"{pluralize(changed, 'frame')} changed, the "
         f"others are as they were",
         (*_rate_notes(placements, read), *edit_notes(spec.out)),
         {
@@ -273,11 +273,11 @@ def _draw(
     provenance: Provenance | None,
 ) -> None:
     labels = ", ".join(dict.fromkeys(each.sequence.label for each in placements))
-    spans = [Span(p.first_frame, p.last_frame, p.sequence.label) for p in placements]
+    spans = [FrameSpan(p.first_frame, p.last_frame, p.sequence.label) for p in placements]
     picture = draw_motion_curves(
         f"{spec.performance.stem}: before and after warping",
         (
-            f"{counted(len(placements), 'sequence')}: {labels}",
+            f"{pluralize(len(placements), 'sequence')}: {labels}",
             f"weight {spec.weight:g}, blend {spec.blend}",
         ),
         before_and_after(space.names, before, after),

@@ -11,12 +11,12 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.media.charts.evaluation import draw_evaluation
 from usdface.media.picture.image import write_image
 from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
 from usdface.runner.outputs import provenance_metadata
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.base import frame_range
 from usdface.specs.review import EvaluateSpec
 from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table
@@ -26,7 +26,7 @@ from usdface.steps.review.evaluation_tables import (
     evaluation_summary,
     evaluation_table,
     failures,
-    observable_shapes,
+    shapes_with_motion,
 )
 from usdface.usdio.performance.write import read_performance
 from usdface.usdio.rig.read import read_rig
@@ -45,7 +45,7 @@ class _Comparison:
 
 def run(
     spec: EvaluateSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Measure the performance and write what was asked for."""
     progress(0.0, "reading")
     performance = read_performance(spec.performance)
@@ -66,7 +66,7 @@ def run(
     progress(0.8, "writing")
     _write(spec, evaluation, figures, failed, provenance)
     progress(1.0, "done")
-    return Report(
+    return StepResult(
         spec.out,
         evaluation_summary(evaluation),
         (*comparison.notes, *notes),
@@ -128,7 +128,7 @@ def _notes(
     unknown = [name for name in truth if name not in rig.shapes]
     if unknown:
         notes.append(
-            f"left out {counted(len(unknown), 'shape')} of {spec.against}, not on the rig: "
+            f"left out {pluralize(len(unknown), 'shape')} of {spec.against}, not on the rig: "
             f"{', '.join(unknown[:5])}"
         )
     for label, these, those in (
@@ -138,7 +138,7 @@ def _notes(
         lacking = [name for name in these if name not in those and name in rig.shapes]
         if lacking:
             notes.append(
-                f"{label} lacks {counted(len(lacking), 'shape')}, taken as 0: "
+                f"{label} lacks {pluralize(len(lacking), 'shape')}, taken as 0: "
                 f"{', '.join(lacking[:5])}"
             )
     return tuple(notes)
@@ -146,12 +146,12 @@ def _notes(
 
 def _observable(spec: EvaluateSpec, rig: Rig) -> tuple[BoolArray, tuple[str, ...]]:
     """Return which of the rig's shapes count, and a note for each pattern that names none."""
-    seen = observable_shapes(rig.shapes, spec.unobservable)
+    seen = shapes_with_motion(rig.shapes, spec.unobservable)
     notes = [
         f"--unobservable {pattern} names no shape of the rig"
         for pattern in spec.unobservable
         if "unobservable" in spec.model_fields_set
-        and observable_shapes(rig.shapes, [pattern]).all()
+        and shapes_with_motion(rig.shapes, [pattern]).all()
     ]
     return seen, tuple(notes)
 

@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.media.charts.evaluation import EvaluationPage, ShapeBar
 from usdface.media.picture.error_strip import ErrorCurve
 from usdface.model.mapping.evaluation import Evaluation
@@ -18,7 +18,7 @@ WORST_FRAMES = 8
 WORST_SHAPES = 10
 
 
-def observable_shapes(
+def shapes_with_motion(
     shapes: Sequence[str],
     unobservable: Sequence[str] = EvaluateSpec.model_fields["unobservable"].default,
 ) -> BoolArray:
@@ -35,7 +35,7 @@ def observable_shapes(
 def evaluation_summary(evaluation: Evaluation) -> str:
     """Return one line that says how good the performance is."""
     return (
-        f"{counted(len(evaluation.frames), 'frame')}: "
+        f"{pluralize(len(evaluation.frames), 'frame')}: "
         f"{evaluation.surface.rms_mm:.3f} mm on the surface "
         f"({evaluation.surface.p95_mm:.3f} mm in 95 of 100 frames), "
         f"{_number(evaluation.weight_rmse)} in the weights"

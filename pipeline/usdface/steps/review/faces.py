@@ -8,13 +8,13 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.media.face.camera import Camera, frame_rig
 from usdface.media.face.render import FaceRenderer
 from usdface.media.picture.image import write_image
 from usdface.media.picture.sheet import SheetPage, SheetRow, Tile, compose_sheet
 from usdface.runner.outputs import provenance_metadata
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.base import frame_range
 from usdface.specs.review import FacesSpec
 from usdface.usdio.rig.posed_points import PosedRig
@@ -31,7 +31,7 @@ MOST_POSES = 4000
 
 def run(
     spec: FacesSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Choose frames, draw every face at each of them, and write the sheet."""
     actors = [PosedRig(path) for path in spec.performances]
     frames = _shared(spec, actors)
@@ -56,9 +56,9 @@ def run(
     )
     made = {} if provenance is None else provenance_metadata(provenance)
     write_image(spec.out, compose_sheet(page), metadata=made)
-    return Report(
+    return StepResult(
         (spec.out,),
-        f"{counted(len(actors), 'face')} at {counted(len(chosen), 'frame')}",
+        f"{pluralize(len(actors), 'face')} at {pluralize(len(chosen), 'frame')}",
         (),
         {"frames": chosen.tolist(), "performances": [str(path) for path in spec.performances]},
     )

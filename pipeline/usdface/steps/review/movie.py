@@ -17,12 +17,12 @@ from usdface.core.interpreter import can_start_again
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance, canonical_json, hash_text
 from usdface.core.rates import exact_rate
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.media.film.movie import write_movie
 from usdface.media.film.movie_frame import MoviePanel, compose_movie_frame
 from usdface.media.film.movie_join import join_movies
 from usdface.runner.outputs import make_provenance, provenance_metadata
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.review import MovieSpec, Panel
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
 from usdface.steps.review.pictures import Shot, ShotPictures, open_shot, undrawn
@@ -53,7 +53,7 @@ class _Stretch:
 
 def run(
     spec: MovieSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Draw the movie, stretch by stretch, and join them with the sound."""
     progress(0.0, "reading")
     shot = open_shot(spec.performance, spec.take, frames=spec.frames)
@@ -99,9 +99,9 @@ def run(
     shutil.rmtree(folder, ignore_errors=True)
     progress(1.0, "done")
     seconds = clock.picture_count / float(rate)
-    return Report(
+    return StepResult(
         (spec.out,),
-        f"{counted(clock.picture_count, 'picture')} at {float(rate):g} per second "
+        f"{pluralize(clock.picture_count, 'picture')} at {float(rate):g} per second "
         f"({seconds:.1f} s), {' beside '.join(panels)}, "
         f"{'with' if sound is not None else 'without'} sound",
         tuple(notes),

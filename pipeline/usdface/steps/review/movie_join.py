@@ -11,11 +11,11 @@ from pathlib import Path
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.media.film.movie import read_movie_comment
 from usdface.media.film.movie_join import join_movies
 from usdface.runner.outputs import make_provenance, provenance_metadata
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.review import MovieJoinSpec
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, take_sound
 from usdface.usdio.take.read import TakeReader
@@ -23,7 +23,7 @@ from usdface.usdio.take.read import TakeReader
 
 def run(
     spec: MovieJoinSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Join the parts' pictures; the sound is put in whole."""
     progress(0.0, "reading")
     said = [_said(path.name, read_movie_comment(path)) for path in spec.parts]
@@ -49,7 +49,7 @@ def run(
         pictures = _in_step(said, take.rate)
         if sum(pictures) < count:
             notes.append(
-                f"{counted(count - sum(pictures), 'picture')} at the ends of parts left out, so "
+                f"{pluralize(count - sum(pictures), 'picture')} at the ends of parts left out, so "
                 "that sound and picture stay together: parts were no whole number of pictures long"
             )
         count = sum(pictures)
@@ -76,9 +76,9 @@ def run(
         comment=json.dumps(written),
     )
     progress(1.0, "done")
-    return Report(
+    return StepResult(
         (spec.out,),
-        f"{counted(len(spec.parts), 'part')}, {counted(count, 'picture')} at "
+        f"{pluralize(len(spec.parts), 'part')}, {pluralize(count, 'picture')} at "
         f"{float(rate):g} per second",
         tuple(notes),
         {"pictures": count, "rate": float(rate), "sound": sound is not None},

@@ -12,7 +12,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.media.film.image_sequence import open_video
 from usdface.media.film.movie import video_encoder, write_movie
 from usdface.media.page.face_payload import pack_face
@@ -27,15 +27,15 @@ from usdface.media.picture.sheet import round_range
 from usdface.media.picture.tiles import empty_tile, fit_picture
 from usdface.numerics.measure.face_regions import region_of_shape
 from usdface.runner.outputs import make_provenance, provenance_metadata
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.review import AUTO, FramePick, ReportSpec
-from usdface.steps.inputs.phone_labels import said_at
+from usdface.steps.inputs.phone_labels import labels_at
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
 from usdface.steps.review.frame_choice import ChosenFrame, choose_frames
 from usdface.steps.review.pictures import Shot, open_shot, undrawn
 from usdface.steps.review.report_coverage import show_coverage
 from usdface.steps.review.report_tables import evaluate_shown, listings
-from usdface.steps.review.scoring import place_markers, read_truth
+from usdface.steps.review.scoring import read_keys, set_up_shot_baseline
 from usdface.usdio.performance.read import PerformanceReader
 
 LONGEST_PICTURES = 36_000
@@ -50,7 +50,7 @@ SHEET_TYPES = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}
 
 def run(
     spec: ReportSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Gather everything and write the page."""
     progress(0.0, "reading")
     shot = open_shot(spec.performance, spec.take, frames=spec.frames)
@@ -68,9 +68,9 @@ def run(
         )
     rows = np.array([clock.row(picture) for picture in range(clock.picture_count)])
     notes: list[str] = []
-    truth = read_truth(spec.against, shot.rig, shot.frames)
+    truth = read_keys(spec.against, shot.rig, shot.frames)
     progress(0.05, "placing the markers on the rig")
-    equation = place_markers(shot)
+    equation = set_up_shot_baseline(shot)
     residual = equation.residual_mm(shot.positions, shot.weights)
     baseline = equation.solve_published(shot.positions) if spec.baseline else None
     evaluation = evaluate_shown(shot, truth)
@@ -107,7 +107,7 @@ def run(
         movie=movie,
         movie_type=_movie_kind()[1],
         pictures=pictures,
-        said=said_at(spec.phones, take, frames) if spec.phones else (),
+        said=labels_at(spec.phones, take, frames) if spec.phones else (),
         origin=provenance_metadata(made),
     )
     progress(0.97, f"writing {spec.out.name}")
@@ -115,9 +115,9 @@ def run(
     with replacing(spec.out) as temporary:
         temporary.write_text(text, encoding="utf-8")
     progress(1.0, "done")
-    return Report(
+    return StepResult(
         (spec.out,),
-        f"{counted(clock.picture_count, 'picture')}, {counted(len(shot.rig.shapes), 'shape')}, "
+        f"{pluralize(clock.picture_count, 'picture')}, {pluralize(len(shot.rig.shapes), 'shape')}, "
         f"{len(text) / 1e6:.1f} MB; open it in a browser",
         tuple(notes),
         {

@@ -10,7 +10,7 @@ from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
 from usdface.runner.origin import spec_of
 from usdface.runner.outputs import provenance_of
 from usdface.steps.inputs.edit_ranges import find_edited_ranges
-from usdface.steps.review.evaluation_tables import evaluation_figures, observable_shapes
+from usdface.steps.review.evaluation_tables import evaluation_figures, shapes_with_motion
 from usdface.steps.review.pictures import Shot
 from usdface.usdio.performance.read import PerformanceReader
 
@@ -30,7 +30,7 @@ def evaluate_shown(shot: Shot, truth: FloatArray | None) -> Evaluation | None:
         truth[known],
         frames=shot.frames[known],
         compared=np.ones(len(shot.rig.shapes), bool),
-        observable=observable_shapes(shot.rig.shapes),
+        observable=shapes_with_motion(shot.rig.shapes),
     )
 
 

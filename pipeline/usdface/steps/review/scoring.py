@@ -15,7 +15,7 @@ from usdface.steps.review.pictures import Shot
 
 
 @dataclass(frozen=True)
-class Judged:
+class Score:
     """Weights over the frames that a sheet may show, and their error.
 
     Attributes
@@ -35,7 +35,7 @@ class Judged:
     against_truth: bool = False
 
 
-def place_markers(shot: Shot) -> BlendshapeEquation:
+def set_up_shot_baseline(shot: Shot) -> BlendshapeEquation:
     """Bind a shot's markers to its rig, as the equation-solving baseline needs them."""
     take, markers = shot.take, shot.take.markers
     if markers is None:
@@ -51,7 +51,7 @@ def place_markers(shot: Shot) -> BlendshapeEquation:
     )
 
 
-def read_truth(file: Path | None, rig: Rig, frames: IntArray) -> FloatArray | None:
+def read_keys(file: Path | None, rig: Rig, frames: IntArray) -> FloatArray | None:
     """Return what the weights should have been; NaN at frames the file does not have."""
     if file is None:
         return None
@@ -69,17 +69,17 @@ def read_truth(file: Path | None, rig: Rig, frames: IntArray) -> FloatArray | No
     return truth
 
 
-def judge(
+def score(
     label: str,
     shot: Shot,
     weights: FloatArray,
     truth: FloatArray | None,
     equation: BlendshapeEquation,
-) -> Judged:
+) -> Score:
     """Measure weights on the surface where the truth is known, else by the markers."""
     if truth is None:
-        return Judged(label, weights, equation.residual_mm(shot.positions, weights))
-    return Judged(label, weights, surface_distance(shot, weights - truth), against_truth=True)
+        return Score(label, weights, equation.residual_mm(shot.positions, weights))
+    return Score(label, weights, surface_distance(shot, weights - truth), against_truth=True)
 
 
 def surface_distance(shot: Shot, difference: FloatArray) -> FloatArray:
@@ -88,7 +88,7 @@ def surface_distance(shot: Shot, difference: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
 
-def doubt(shot: Shot) -> tuple[ErrorCurve, ...]:
+def uncertainty_curves(shot: Shot) -> tuple[ErrorCurve, ...]:
     """Return how little the performance trusts itself, 1 less its confidence; none if unknown."""
     confidence = shot.performance.confidence
     if confidence is None:

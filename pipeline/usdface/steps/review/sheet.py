@@ -11,15 +11,15 @@ from usdface.core.arrays import IntArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.media.picture.display_view import display_view
 from usdface.media.picture.error_strip import ErrorCurve
 from usdface.media.picture.image import write_image
 from usdface.media.picture.sheet import SheetPage, SheetRow, compose_sheet, round_range
 from usdface.runner.outputs import provenance_metadata
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.review import AUTO, FramePick, SheetLayout, SheetSpec
-from usdface.steps.inputs.phone_labels import said_at
+from usdface.steps.inputs.phone_labels import labels_at
 from usdface.steps.review.frame_choice import ChosenFrame, choose_frames
 from usdface.steps.review.pictures import (
     EXAGGERATION,
@@ -29,12 +29,12 @@ from usdface.steps.review.pictures import (
     undrawn,
 )
 from usdface.steps.review.scoring import (
-    Judged,
-    doubt,
-    judge,
-    place_markers,
-    read_truth,
+    Score,
+    read_keys,
+    score,
+    set_up_shot_baseline,
     surface_distance,
+    uncertainty_curves,
 )
 from usdface.steps.review.sheet_columns import sheet_columns
 
@@ -50,24 +50,24 @@ OTHER_ROWS, OTHER_TILE = 12, 320
 
 def run(
     spec: SheetSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Draw the sheet and write it."""
     progress(0.0, "reading")
     shots = _open_shots(spec)
     shot = shots[0]
     progress(0.1, "placing the markers on the rig")
-    equations = [place_markers(each) for each in shots]
-    truth = read_truth(spec.against, shot.rig, shot.frames)
-    judged = [judge("usdface", shot, shot.weights, truth, equations[0])]
+    equations = [set_up_shot_baseline(each) for each in shots]
+    truth = read_keys(spec.against, shot.rig, shot.frames)
+    judged = [score("usdface", shot, shot.weights, truth, equations[0])]
     if spec.baseline and spec.layout in ("comparison", "worst"):
         solved = equations[0].solve_published(shot.positions)
-        judged.insert(0, judge("equation", shot, solved, truth, equations[0]))
+        judged.insert(0, score("equation", shot, solved, truth, equations[0]))
     labels = _labels([each.performance_file for each in shots[1:]])
     for other, equation, label in zip(shots[1:], equations[1:], labels, strict=True):
         known = truth if _same_face(other, shot) else None
-        judged.append(judge(label, other, other.weights, known, equation))
+        judged.append(score(label, other, other.weights, known, equation))
     chosen = _choose(spec, shot, next(each for each in judged if each.label == "usdface"))
-    said = said_at(spec.phones, shot.take, shot.frames[[frame.row for frame in chosen]])
+    said = labels_at(spec.phones, shot.take, shot.frames[[frame.row for frame in chosen]])
     high = round_range(np.concatenate([each.error_mm for each in judged]))
     tile = spec.tile or (STRIP_TILE if spec.layout == "strip" else OTHER_TILE)
     show = display_view(spec.view)
@@ -87,7 +87,7 @@ def run(
             rows=(),
             curves=(
                 *(ErrorCurve(_told(each, judged), each.error_mm) for each in judged),
-                *doubt(shot),
+                *uncertainty_curves(shot),
             ),
             first_frame=int(shot.frames[0]),
             notes=_notes(
@@ -162,13 +162,13 @@ def _same_face(shot: Shot, other: Shot) -> bool:
     return faces[0] == faces[1]
 
 
-def _told(judged: Judged, beside: list[Judged]) -> str:
+def _told(judged: Score, beside: list[Score]) -> str:
     """Return a label that says so where this one is measured otherwise than those beside it."""
     by_markers = not judged.against_truth and any(each.against_truth for each in beside)
     return f"{judged.label} (left by its markers)" if by_markers else judged.label
 
 
-def _choose(spec: SheetSpec, shot: Shot, judged: Judged) -> list[ChosenFrame]:
+def _choose(spec: SheetSpec, shot: Shot, judged: Score) -> list[ChosenFrame]:
     confidence = shot.performance.confidence
     if confidence is not None:
         confidence = confidence[shot.frames - shot.performance.weights.first_frame]
@@ -228,7 +228,7 @@ def _facts(spec: SheetSpec, shot: Shot) -> tuple[str, ...]:
 
 def _notes(
     truth_known: bool,
-    judged: list[Judged],
+    judged: list[Score],
     *,
     stand_in_eyes: bool,
     doubted: bool,
@@ -245,7 +245,7 @@ def _notes(
         f"{_told(each, judged)} {np.nanmean(each.error_mm):.2f} mm" for each in judged
     )
     eyes = ("the rig has no eyes: stand-ins are drawn",) if stand_in_eyes else ()
-    doubt = ("doubt: 1 less the confidence",) if doubted else ()
+    uncertainty_curves = ("doubt: 1 less the confidence",) if doubted else ()
     phones = ("beside frames: phone and viseme",) if spoken else ()
     textures = ("textures are not drawn",) if plain else ()
     lines = (
@@ -253,23 +253,23 @@ def _notes(
         if markers
         else ()
     )
-    return (what, f"mean: {means}", *lines, *doubt, *phones, *eyes, *textures)
+    return (what, f"mean: {means}", *lines, *uncertainty_curves, *phones, *eyes, *textures)
 
 
 def _report(
     written: tuple[Path, ...],
     frames: IntArray,
-    judged: list[Judged],
+    judged: list[Score],
     chosen: list[ChosenFrame],
     truth_known: bool,
     notes: tuple[str, ...],
-) -> Report:
+) -> StepResult:
     means = {each.label: float(np.nanmean(each.error_mm)) for each in judged}
     told = ", ".join(f"{_told(each, judged)} {means[each.label]:.2f} mm" for each in judged)
     what = "surface error against the truth" if truth_known else "marker residual"
-    return Report(
+    return StepResult(
         written,
-        f"{counted(len(chosen), 'row')}; mean {what}: {told}",
+        f"{pluralize(len(chosen), 'row')}; mean {what}: {told}",
         notes,
         {
             "frames": [int(frames[frame.row]) for frame in chosen],

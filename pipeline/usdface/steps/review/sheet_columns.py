@@ -11,7 +11,7 @@ from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.specs.review import SheetSpec
 from usdface.steps.review.frame_choice import ChosenFrame
 from usdface.steps.review.pictures import Shot, ShotPictures
-from usdface.steps.review.scoring import Judged
+from usdface.steps.review.scoring import Score
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ def sheet_columns(
     spec: SheetSpec,
     shots: list[Shot],
     pictures: list[ShotPictures],
-    judged: list[Judged],
+    judged: list[Score],
     equation: BlendshapeEquation,
     truth: FloatArray | None,
     chosen: list[ChosenFrame],
@@ -63,7 +63,7 @@ def sheet_columns(
     return columns
 
 
-def _face(pictures: ShotPictures, judged: Judged) -> Callable[[int], Tile]:
+def _face(pictures: ShotPictures, judged: Score) -> Callable[[int], Tile]:
     def draw(row: int) -> Tile:
         error = float(judged.error_mm[row])
         value = None if np.isnan(error) else error
@@ -84,7 +84,7 @@ def _away(
     return draw
 
 
-def _compared(judged: list[Judged], truth: FloatArray | None) -> tuple[str, FloatArray] | None:
+def _compared(judged: list[Score], truth: FloatArray | None) -> tuple[str, FloatArray] | None:
     if truth is not None:
         return "truth", truth
     return next((("equation", j.weights) for j in judged if j.label == "equation"), None)

@@ -5,14 +5,14 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
 from usdface.media.picture.image import write_image
 from usdface.model.surface.binding import DOUBTFUL, facing_yaw
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.runner.outputs import provenance_metadata
-from usdface.runner.result import Report
-from usdface.specs.surface import BindSpec, corrected_path, proposed_path
+from usdface.runner.result import StepResult
+from usdface.specs.surface import BindSpec, corrected_path, proposed_binding_path
 from usdface.steps.surface.bound_take import TakeSample, bind_take, landmark_places, sample_take
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.surface.binding import has_binding, read_binding, write_binding
@@ -25,7 +25,7 @@ doubtful, and 44 where one of three landmarks is on the neck."""
 
 def run(
     spec: BindSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Propose a binding, keep what people corrected, and write both."""
     progress(0.0, "reading")
     face = read_face_mesh(spec.mesh, prim=spec.mesh_prim)
@@ -42,7 +42,7 @@ def run(
         binding,
         face,
         corrected_path=corrected_path(spec.out),
-        proposed_path=proposed_path(spec.out),
+        proposed_path=proposed_binding_path(spec.out),
         provenance=provenance,
     )
     at = binding.places.positions(face.mesh.points)
@@ -101,7 +101,7 @@ def _facts(binding: MarkerBinding) -> tuple[str, ...]:
 
 def _report(
     spec: BindSpec, binding: MarkerBinding, face: FaceMesh, left_out: tuple[str, ...]
-) -> Report:
+) -> StepResult:
     doubtful = [
         binding.names[index]
         for index in np.argsort(binding.confidence).tolist()
@@ -110,7 +110,7 @@ def _report(
     notes = []
     if doubtful:
         notes.append(
-            f"doubtful: {counted(len(doubtful), 'marker')}, {', '.join(doubtful[:8])}; look at "
+            f"doubtful: {pluralize(len(doubtful), 'marker')}, {', '.join(doubtful[:8])}; look at "
             f"them and correct them in {corrected_path(spec.out).name}"
         )
     if spec.landmarks and len(doubtful) > MANY_DOUBTFUL * len(binding.names):
@@ -120,12 +120,12 @@ def _report(
         )
     if left_out:
         notes.append(
-            f"still left out: {counted(len(left_out), 'marker')}, {', '.join(left_out[:8])}"
+            f"still left out: {pluralize(len(left_out), 'marker')}, {', '.join(left_out[:8])}"
         )
     if face.others:
         notes.append(f"{len(face.others)} other meshes of {spec.mesh.name} carry no marker")
-    outputs = (spec.out, proposed_path(spec.out), corrected_path(spec.out))
-    return Report(
+    outputs = (spec.out, proposed_binding_path(spec.out), corrected_path(spec.out))
+    return StepResult(
         outputs if spec.picture is None else (*outputs, spec.picture),
         f"{len(binding.names)} markers on {len(face.mesh.points)} points, {len(doubtful)} doubtful",
         tuple(notes),

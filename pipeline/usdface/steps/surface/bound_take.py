@@ -90,7 +90,7 @@ def bind_take(
 ) -> MarkerBinding:
     """Propose a binding, with the shapes of the mesh where its file is a rig."""
     return propose_binding(
-        with_shapes(face),
+        add_shapes(face),
         names=sample.names,
         neutral=sample.neutral,
         positions=sample.positions,
@@ -101,7 +101,7 @@ def bind_take(
     )
 
 
-def with_shapes(face: FaceMesh) -> RigMesh:
+def add_shapes(face: FaceMesh) -> RigMesh:
     """Return the mesh with the shapes it has in its rig, or as it is where it has none."""
     try:
         rig: Rig = read_rig(face.file, prim=None)

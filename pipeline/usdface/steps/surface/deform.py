@@ -8,9 +8,9 @@ from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.numerics.surface.turned_normals import NormalTurner, turner_of
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.base import frame_range
 from usdface.specs.surface import DeformSpec
 from usdface.steps.surface.picture import write_comparison
@@ -25,7 +25,7 @@ CHUNK_FRAMES = 2048
 
 def run(
     spec: DeformSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Move every point of the mesh at every frame of the take, and write it as it goes."""
     take = TakeReader(spec.take)
     first, last = _frames(spec, take)
@@ -111,19 +111,19 @@ def _method(spec: DeformSpec, plan: SurfacePlan) -> str:
 
 def _report(
     spec: DeformSpec, plan: SurfacePlan, first: int, last: int, spread: list[float]
-) -> Report:
+) -> StepResult:
     count, points = last - first + 1, len(plan.face.mesh.points)
     regression = plan.regression
     told = (
-        f"{counted(count, 'frame')} of {counted(points, 'point')} moved by "
-        f"{counted(len(plan.columns), 'marker')}"
+        f"{pluralize(count, 'frame')} of {pluralize(points, 'point')} moved by "
+        f"{pluralize(len(plan.columns), 'marker')}"
     )
     if spread:
         told += f", standard deviation {np.median(spread):.2f} mm"
     outputs = [spec.out, points_path(spec.out)]
     if spec.picture is not None:
         outputs.append(spec.picture)
-    return Report(
+    return StepResult(
         tuple(outputs),
         told,
         plan.notes,

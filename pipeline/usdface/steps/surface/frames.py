@@ -60,7 +60,7 @@ def given_frames(spec: MakeShapesSpec, take: TakeReader) -> tuple[ShapeFrame, ..
     return chosen
 
 
-def choose_frames(
+def choose_shape_frames(
     frames: list[int], displacements: FloatArray, usable: BoolArray, *, count: int
 ) -> tuple[ShapeFrame, ...]:
     """Choose the frames of a take that differ most from each other and from the neutral face.

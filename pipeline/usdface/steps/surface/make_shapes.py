@@ -6,9 +6,9 @@ from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.runner.result import Report
+from usdface.runner.result import StepResult
 from usdface.specs.surface import MakeShapesSpec
-from usdface.steps.surface.frames import LOOKED_AT, ShapeFrame, choose_frames, given_frames
+from usdface.steps.surface.frames import LOOKED_AT, ShapeFrame, choose_shape_frames, given_frames
 from usdface.steps.surface.picture import write_shapes_picture
 from usdface.steps.surface.plan import SurfacePlan, plan_surface
 from usdface.usdio.surface.shape_rig import NewShape, WrittenShape, write_shape_rig
@@ -17,7 +17,7 @@ from usdface.usdio.take.read import TakeReader
 
 def run(
     spec: MakeShapesSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> Report:
+) -> StepResult:
     """Choose frames, move the mesh there, and write the rig."""
     take = TakeReader(spec.take)
     chosen = given_frames(spec, take)
@@ -76,7 +76,7 @@ def _most_different(
         rows.append(plan.displacements(markers.positions[inside]))
         seen = markers.visible[inside] | (markers.confidence[inside] > 0)
         usable.append(seen[:, plan.columns])
-    return choose_frames(
+    return choose_shape_frames(
         picks.tolist(), np.concatenate(rows), np.concatenate(usable), count=spec.count
     )
 
@@ -93,7 +93,7 @@ def _report(
     plan: SurfacePlan,
     chosen: tuple[ShapeFrame, ...],
     written: tuple[WrittenShape, ...],
-) -> Report:
+) -> StepResult:
     notes = list(plan.notes)
     renamed = [
         f"{frame.name} as {shape.name}"
@@ -103,7 +103,7 @@ def _report(
     if renamed:
         notes.append(f"names that a shape may not have were changed: {', '.join(renamed[:5])}")
     share = np.mean([shape.points for shape in written]) / len(plan.face.mesh.points)
-    return Report(
+    return StepResult(
         (spec.out,) if spec.picture is None else (spec.out, spec.picture),
         f"{len(written)} shapes on {len(plan.face.mesh.points)} points, each moving "
         f"{100 * share:.0f} % of them",

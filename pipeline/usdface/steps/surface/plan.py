@@ -10,7 +10,7 @@ from usdface.core.arrays import Float32Array, FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part
 from usdface.core.provenance import hash_text
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.model.surface.binding import DOUBTFUL
 from usdface.model.surface.distance import (
     SurfaceDistances,
@@ -174,7 +174,9 @@ def _bind(spec: SurfaceSpec, sample: TakeSample, face: FaceMesh) -> tuple[Marker
         notes.append("the markers were bound anew; `usdface bind` shows where, to be corrected")
     doubtful = int((binding.confidence < DOUBTFUL).sum())
     if doubtful:
-        notes.append(f"at doubtful places: {counted(doubtful, 'marker')}; look with `usdface bind`")
+        notes.append(
+            f"at doubtful places: {pluralize(doubtful, 'marker')}; look with `usdface bind`"
+        )
     if face.others:
         notes.append(f"{len(face.others)} other meshes of {spec.mesh.name} stay as they are")
     return binding, notes

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdSkel
 
 from usdface.core.arrays import FloatArray
-from usdface.core.text import counted
+from usdface.core.text import pluralize
 from usdface.usdio.checks.fault import Fault, Samples, is_recorded, is_solved, read_samples, some
 
 BEYOND = 0.02
@@ -88,7 +88,7 @@ def _out_of_range(samples: Samples, ranges: FloatArray) -> list[Fault]:
             samples.path,
             f"time code {samples.times[row]:g}: {samples.names[column]} is "
             f"{samples.values[row, column]:.2f}, its range is {ranges[column, 0]:g} to "
-            f"{ranges[column, 1]:g} ({counted(int(counts[column]), 'sample')}); bake with "
+            f"{ranges[column, 1]:g} ({pluralize(int(counts[column]), 'sample')}); bake with "
             "--limit, or author face:range on the BlendShape",
         )
         for column in columns
@@ -112,7 +112,7 @@ def _jumps(samples: Samples) -> list[Fault]:
                 samples.path,
                 f"time code {samples.times[row + 1]:g}: {samples.names[column]} jumps by "
                 f"{change:+.2f} in {1000 * seconds[row]:.0f} ms "
-                f"({counted(int(too_fast[:, column].sum()), 'jump')}); look at the "
+                f"({pluralize(int(too_fast[:, column].sum()), 'jump')}); look at the "
                 "markers there, or fade the edit",
             )
         )
@@ -182,7 +182,8 @@ def _dead(samples: Samples) -> list[Fault]:
         Fault(
             "warning",
             samples.path,
-            f"{counted(len(dead), 'shape')} without any motion: {some(dead)}; tune references that "
+            f"{pluralize(len(dead), 'shape')} without any motion: {some(dead)}; tune "
+            f"references that "
             "show movement there, or leave such shapes out of the mapping",
         )
     ]

@@ -36,7 +36,7 @@ CLIP_SET = "parts"
 
 
 @dataclass(frozen=True)
-class Part:
+class ClipPart:
     """A layer that holds some frames of a performance's weights.
 
     Attributes
@@ -69,7 +69,7 @@ class PartsWriter:
         self._part_frames, self._provenance = part_frames, provenance
         self._open = contextlib.ExitStack()
         self._start(header.first_frame)
-        self.parts: list[Part] = []
+        self.parts: list[ClipPart] = []
         self.next_frame = header.first_frame
 
     def append(
@@ -98,7 +98,9 @@ class PartsWriter:
     def close(self) -> None:
         """Finish the part that is open."""
         self._open.close()
-        self.parts.append(Part(self._file, self._first, self._last, str(self._header.animation)))
+        self.parts.append(
+            ClipPart(self._file, self._first, self._last, str(self._header.animation))
+        )
 
     def discard(self) -> None:
         """Drop the part that is open; an exception is on its way."""
@@ -178,7 +180,7 @@ def write_clips(
     path: Path,
     header: WeightsHeader,
     rig: Rig,
-    parts: Sequence[Part],
+    parts: Sequence[ClipPart],
     *,
     provenance: Provenance | None = None,
 ) -> None:
@@ -225,7 +227,7 @@ def write_clips(
         )
 
 
-def _own_parts(part: Part, path: Path, provenance: Provenance | None) -> list[Part]:
+def _own_parts(part: ClipPart, path: Path, provenance: Provenance | None) -> list[ClipPart]:
     """Return the layers to play for a part: itself, or copies of those that it plays itself.
 
     What a clip plays by clips of its own USD does not see. Copies, as the part's own layers go when
@@ -243,7 +245,7 @@ def _own_parts(part: Part, path: Path, provenance: Provenance | None) -> list[Pa
     return own
 
 
-def _inner_parts(part: Part) -> list[Part]:
+def _inner_parts(part: ClipPart) -> list[ClipPart]:
     """Return the parts that a part plays as clips itself; the part alone where it holds samples.
 
     One level is all there is: what was written as clips plays none that have clips.
@@ -255,11 +257,11 @@ def _inner_parts(part: Part) -> list[Part]:
         file = part.file.parent / asset.path
         inner = open_layer(file)
         first, last = round(inner.startTimeCode), round(inner.endTimeCode)
-        found.append(Part(file, first, last, str(clips.GetClipPrimPath(CLIP_SET))))
+        found.append(ClipPart(file, first, last, str(clips.GetClipPrimPath(CLIP_SET))))
     return found or [part]
 
 
-def _copy_sample(layer: Sdf.Layer, header: WeightsHeader, part: Part, frame: int) -> None:
+def _copy_sample(layer: Sdf.Layer, header: WeightsHeader, part: ClipPart, frame: int) -> None:
     source = open_layer(part.file)
     for name in (WEIGHTS, CONFIDENCE, RESIDUAL):
         value = source.QueryTimeSample(Sdf.Path(part.animation).AppendProperty(name), frame)

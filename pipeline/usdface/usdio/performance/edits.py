@@ -27,7 +27,7 @@ from usdface.usdio.layers import (
     relative_path,
 )
 from usdface.usdio.performance.retimed_layer import retime_layer
-from usdface.usdio.take.frame_span import check_span
+from usdface.usdio.take.frame_span import check_frame_span
 
 OFFSET = "face:edit:"
 OVERRIDE = "face:override:"
@@ -173,7 +173,7 @@ def edited_frames(animation: Usd.Prim) -> tuple[int, int] | None:
     ]
     if not times:
         return None
-    check_span(f"<{animation.GetPath()}> edits", min(times), max(times), samples=None)
+    check_frame_span(f"<{animation.GetPath()}> edits", min(times), max(times), samples=None)
     return int(np.floor(min(times))), int(np.ceil(max(times)))
 
 

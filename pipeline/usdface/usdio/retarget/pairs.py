@@ -48,7 +48,7 @@ TARGET_CONTROLS = ROOT.AppendChild("TargetControls")
 NAME = ROOT.AppendProperty("face:pair:name")
 
 
-def samples_path(path: Path) -> Path:
+def pair_samples_path(path: Path) -> Path:
     """Return the layer that holds what was proposed or imported, beneath the one to open."""
     return path.with_name(f"{path.stem}.proposed.usda")
 
@@ -66,12 +66,12 @@ def write_pairs(
     Parameters
     ----------
     path : Path
-        The layer to open; `samples_path` lies beneath it.
+        The layer to open; `pair_samples_path` lies beneath it.
     pairs : ExpressionPairs
     source_rig, target_rig : Rig
     provenance : Provenance, optional
     """
-    samples = samples_path(path)
+    samples = pair_samples_path(path)
     with new_layers({samples: provenance, path: provenance}) as (below, layer):
         _author_samples(below, samples, pairs, source_rig, target_rig)
         if path.is_file():
@@ -128,7 +128,7 @@ def keyed_above(path: Path) -> tuple[str, ...]:
 
     As USD has it, samples of a stronger layer hide all that are beneath.
     """
-    samples = samples_path(path).resolve()
+    samples = pair_samples_path(path).resolve()
     found: list[str] = []
     for layer in open_stage(path).GetLayerStack(includeSessionLayers=False):
         if Path(layer.realPath).resolve() == samples:

@@ -15,7 +15,7 @@ from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
 from usdface.usdio.layers import open_stage
 from usdface.usdio.rig.space import column_matrix, stage_to_ours, transform_points
-from usdface.usdio.take.frame_span import check_span
+from usdface.usdio.take.frame_span import check_frame_span
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 NAME_ATTRIBUTES = (
@@ -135,7 +135,7 @@ def _frame_grid(stage: Usd.Stage, times: list[float], path: Path) -> _Grid:
     at = np.array(sorted(times))
     if len(at) < 2:
         raise InputError(f"{path}: {len(at)} time samples; a take needs at least two frames")
-    check_span(f"{path}: time samples", times[0], times[-1], samples=None)
+    check_frame_span(f"{path}: time samples", times[0], times[-1], samples=None)
     spacing = float(np.median(np.diff(at)))
     per_second = stage.GetTimeCodesPerSecond()
     if not (per_second > 0 and spacing > 0):
@@ -144,7 +144,7 @@ def _frame_grid(stage: Usd.Stage, times: list[float], path: Path) -> _Grid:
             "give no rate; author timeCodesPerSecond"
         )
     first, last = (float(end) / spacing for end in (at[0], at[-1]))
-    check_span(f"{path}: time samples", first, last, samples=len(at))
+    check_frame_span(f"{path}: time samples", first, last, samples=len(at))
     steps = np.round((at - at[0]) / spacing).astype(np.int64)
     uneven = np.abs(at - at[0] - steps * spacing).max() > 0.25 * spacing
     if uneven or (np.diff(steps) < 1).any():

@@ -18,7 +18,7 @@ UNSAMPLED_FRAMES = 100_000
 """So many are counted without asking: it takes a second or two."""
 
 
-def check_span(where: str, first: float, last: float, *, samples: int | None) -> None:
+def check_frame_span(where: str, first: float, last: float, *, samples: int | None) -> None:
     """Refuse a range of frames that is none, or that a file's own samples do not bear out.
 
     Parameters
@@ -58,5 +58,5 @@ def span_of_samples(where: str, times: Sequence[float]) -> tuple[int, int]:
     InputError
         If they span more frames than a file of so few samples can mean.
     """
-    check_span(where, times[0], times[-1], samples=len(times))
+    check_frame_span(where, times[0], times[-1], samples=len(times))
     return round(times[0]), round(times[-1])

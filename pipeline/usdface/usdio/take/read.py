@@ -14,7 +14,7 @@ from usdface.core.rates import exact_rate
 from usdface.core.timecode import shift_timecode
 from usdface.usdio.layers import open_stage
 from usdface.usdio.rig.space import column_matrix, stage_to_ours
-from usdface.usdio.take.frame_span import check_span
+from usdface.usdio.take.frame_span import check_frame_span
 from usdface.usdio.take.write import AUDIO, CONFIDENCE, HEAD_MOTION, MARKERS, SOURCE, VISIBLE
 from usdface.usdio.wrong_types import refusing_wrong_types
 
@@ -68,7 +68,9 @@ class TakeReader:
         }
         self._times: dict[str, np.ndarray] = {}
         self._queries: dict[str, Usd.AttributeQuery] = {}
-        check_span(f"{path}: startTimeCode to endTimeCode", start, end, samples=self._samples())
+        check_frame_span(
+            f"{path}: startTimeCode to endTimeCode", start, end, samples=self._samples()
+        )
         self.first_frame, self.last_frame = round(start), round(end)
 
     def _samples(self) -> int | None:

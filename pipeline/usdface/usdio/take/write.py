@@ -30,7 +30,7 @@ MARKER_WIDTH_MM = 3.0
 """How large a viewer draws a marker: a common size of facial markers."""
 
 
-def samples_path(path: Path) -> Path:
+def take_samples_path(path: Path) -> Path:
     """Return where the samples of a take go: beside it, or in it when it is binary itself."""
     return path if path.suffix == ".usdc" else path.with_name(f"{path.stem}.samples.usdc")
 
@@ -54,7 +54,7 @@ def write_take(
     InputError
         If the files cannot be written; what was there is then left as it was.
     """
-    samples = samples_path(path)
+    samples = take_samples_path(path)
     beneath = [] if over is None else [relative_path(over, path)]
     if samples != path:
         beneath = [relative_path(samples, path), *beneath]
