@@ -121,11 +121,8 @@ def vague_names(modules: dict[str, Module]) -> Iterator[Violation]:
             words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", defined.strip("_")).lower().split("_")
             if words[0] in VAGUE_WORDS:
                 yield Violation("vague name", f"{name}:{defined}", f"begins with {words[0]!r}")
-        for constant in _constants(module.tree):
-            if constant.strip("_").isupper() and "_" not in constant.strip("_"):
-                yield Violation(
-                    "constant of one word", f"{name}:{constant}", "add the noun or the unit"
-                )
+        for constant in _numbers_of_one_word(module.tree):
+            yield Violation("constant of one word", f"{name}:{constant}", "add quantity or unit")
 
 
 def _definitions(tree: ast.Module) -> Iterator[str]:
@@ -141,6 +138,23 @@ def _constants(tree: ast.Module) -> Iterator[str]:
         if isinstance(node, ast.AnnAssign):
             targets = [node.target]
         yield from (target.id for target in targets if isinstance(target, ast.Name))
+
+
+def _numbers_of_one_word(tree: ast.Module) -> Iterator[str]:
+    """A number called REACH or BELOW leaves open what is measured, and in what unit."""
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and _is_number(node.value):
+            for target in node.targets:
+                if isinstance(target, ast.Name) and "_" not in target.id.strip("_"):
+                    yield target.id
+
+
+def _is_number(node: ast.expr) -> bool:
+    if isinstance(node, ast.UnaryOp):
+        return _is_number(node.operand)
+    if isinstance(node, ast.BinOp):
+        return _is_number(node.left) and _is_number(node.right)
+    return isinstance(node, ast.Constant) and isinstance(node.value, int | float)
 
 
 def repeated_names(modules: dict[str, Module]) -> Iterator[Violation]:
