@@ -164,14 +164,19 @@ def repeated_names(modules: dict[str, Module]) -> Iterator[Violation]:
         if name in ("api", "cli/app"):  # they hand on, under the same name
             continue
         for node in module.tree.body:
-            if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and _is_public(node.name):
                 places[node.name].append(name)
         for constant in _constants(module.tree):
-            if not constant.startswith("_") and constant != "log":
+            if _is_public(constant):
                 places[constant].append(name)
     for defined, files in places.items():
         if len(files) > 1:
             yield Violation("defined twice", defined, f"in {', '.join(files)}")
+
+
+def _is_public(name: str) -> bool:
+    """Leave out what every module of a kind defines: a step's `run`, a regression's `METHOD`."""
+    return not name.startswith("_") and name not in ("log", "run", "main", "METHOD")
 
 
 def empty_entries(modules: dict[str, Module]) -> Iterator[Violation]:

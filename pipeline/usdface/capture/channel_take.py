@@ -11,7 +11,7 @@ from usdface.capture.marker_take import Capture
 from usdface.capture.sample_times import SampleTimes
 from usdface.core.assets import Take, WeightsClip
 
-FIRST_FRAME = 1
+_FIRST_FRAME = 1
 """Where takes start whose format does not number frames, as optical takes do."""
 
 
@@ -47,13 +47,13 @@ def build_channel_take(
     clip = WeightsClip(
         names=tuple(names),
         values=fill_frames(values, times.frames),
-        first_frame=FIRST_FRAME,
+        first_frame=_FIRST_FRAME,
         rate=times.rate,
     )
     take = Take(
         name=path.stem,
         rate=times.rate,
-        first_frame=FIRST_FRAME,
+        first_frame=_FIRST_FRAME,
         source=clip,
         timecode_start=timecode_start,
     )
@@ -90,7 +90,7 @@ def describe_missing(frames: NDArray[np.float64]) -> list[str]:
         return []
     runs = []
     for before in np.flatnonzero(skipped):
-        first = FIRST_FRAME + int(frames[before]) + 1
+        first = _FIRST_FRAME + int(frames[before]) + 1
         last = first + int(skipped[before]) - 1
         runs.append(f"{first}" if first == last else f"{first}-{last}")
     return [

@@ -27,7 +27,7 @@ except ImportError:  # Windows: files in use cannot be replaced there, which pro
 
 LONGEST_STEM = 80
 """Bytes of a file's name that its temporary name repeats: names have an upper limit."""
-LONGEST_NAME = 2 * LONGEST_STEM
+_LONGEST_NAME = 2 * LONGEST_STEM
 """Bytes of it that its lock's name repeats."""
 
 _ANYBODY_WRITES = 0o222
@@ -199,7 +199,7 @@ def _alone(path: Path) -> Iterator[bool]:
     Gives whether it is held: some file systems know no locks.
     """
     name = path.name
-    short = _cut(name, LONGEST_NAME)
+    short = _cut(name, _LONGEST_NAME)
     if short != name:  # names that begin alike are still of different files
         name = f"{short}.{_mark(path)}"
     lock = path.with_name(f".{name}.lock")

@@ -23,7 +23,7 @@ from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 
 JOB_NAME = "demo.job.yaml"
-PAIRS = 50
+_PAIRS = 50
 """Enough to see the method work; the paper tuned 100."""
 
 INPUTS_SHARE = 0.4
@@ -114,7 +114,7 @@ def _job(inputs: DemoInputs, folder: Path) -> JobSpec:
                 timecode="01:00:00:00",
             ),
             CleanSpec(take=take, out=clean),
-            SelectSpec(takes=(clean,), rig=rig, out=references, count=PAIRS),
+            SelectSpec(takes=(clean,), rig=rig, out=references, count=_PAIRS),
             # In a studio an animator tunes the proposals; here the keys are known.
             ReferencesImportSpec(references=references, weights=local(inputs.animator_weights)),
             TrainSpec(references=references, out=mapping),

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from usdface.core.errors import CheckFailedError, InputError
 
-LAST_WORDS_SECONDS = 60.0
+_LAST_WORDS_SECONDS = 60.0
 """What a farm's command gets to stop its tasks when it is told to."""
 
 
@@ -83,7 +83,7 @@ def running(
         except BaseException:
             process.terminate()
             try:
-                process.wait(LAST_WORDS_SECONDS)
+                process.wait(_LAST_WORDS_SECONDS)
             except subprocess.TimeoutExpired:
                 process.kill()
             raise

@@ -12,7 +12,7 @@ from usdface.farm.plan import FarmStep
 from usdface.farm.requirements import host_requirements
 from usdface.farm.template import TASKS, task_command
 
-FRAME = "#IFRAME#"
+_FRAME = "#IFRAME#"
 """What OpenCue replaces by a frame's number when it runs a command."""
 
 
@@ -40,14 +40,14 @@ def build_outline(
         If pyoutline is not installed, or the bundle's path would confuse OpenCue.
     """
     outline, shell, cuerun = _pyoutline()
-    if FRAME[:2] in str(bundle):
-        raise InputError(f"{bundle}: {FRAME[:2]!r} in a path means a frame to OpenCue; rename it")
+    if _FRAME[:2] in str(bundle):
+        raise InputError(f"{bundle}: {_FRAME[:2]!r} in a path means a frame to OpenCue; rename it")
     longest = max(len(step.tasks) for step in steps)
     # A layer whose frames lie outside the outline's is dropped without a word.
     job = outline.Outline(name=_allowed(name), frame_range=f"1-{longest}")
     for step in steps:
         needs = host_requirements(step.kind)
-        spec = bundle.absolute() / TASKS / step.name / f"{FRAME}.yaml"
+        spec = bundle.absolute() / TASKS / step.name / f"{_FRAME}.yaml"
         layer = shell.Shell(
             _allowed(step.name),
             command=[shlex.quote(word) for word in task_command(str(spec))],

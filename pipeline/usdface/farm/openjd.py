@@ -10,7 +10,7 @@ from pathlib import Path
 from usdface.farm.bundle import TEMPLATE
 from usdface.farm.commands import find_command, finish, run_command, running
 
-NAME = "openjd"
+_NAME = "openjd"
 
 
 @contextlib.contextmanager
@@ -35,7 +35,7 @@ def local_farm(*, quiet: bool = False) -> Iterator[Callable[[Path], None]]:
     """
     if not _is_ours():
         command = find_command(
-            NAME, "install usdface with its farm extra: pip install usdface[farm]"
+            _NAME, "install usdface with its farm extra: pip install usdface[farm]"
         )
         yield lambda bundle: run_command([command, "run", str(bundle / TEMPLATE)], quiet=quiet)
         return
@@ -44,7 +44,7 @@ def local_farm(*, quiet: bool = False) -> Iterator[Callable[[Path], None]]:
 
         def run(bundle: Path) -> None:
             process.communicate(json.dumps(str(bundle / TEMPLATE)))
-            finish(process, NAME)
+            finish(process, _NAME)
 
         yield run
 

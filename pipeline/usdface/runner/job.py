@@ -24,7 +24,7 @@ from usdface.usdio.referenced_files import lost_sublayers
 
 log = logging.getLogger(__name__)
 
-State = Literal["done", "stale", "missing"]
+_State = Literal["done", "stale", "missing"]
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class StepState:
     """
 
     spec: Spec
-    state: State
+    state: _State
     reason: str
 
 

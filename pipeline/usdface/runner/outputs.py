@@ -22,7 +22,7 @@ from usdface.usdio.take import write as take_files
 
 LARGEST_FIGURES_BYTES = 64 << 20
 
-ALIKE = (
+_ALIKE = (
     {"map", "join", "retarget"},
     {"select", "references-from-edits", "references-import"},
     {"pairs-propose", "pairs-import"},
@@ -122,7 +122,7 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
                 f"{path}: exists and was not written by usdface; choose another --out, or "
                 "--overwrite it"
             )
-        if made.step != spec.step and not any({made.step, spec.step} <= each for each in ALIKE):
+        if made.step != spec.step and not any({made.step, spec.step} <= each for each in _ALIKE):
             raise InputError(
                 f"{path}: exists and was written by `{made.step}`, which makes something else than "
                 f"{spec.step} does; choose another --out, or --overwrite it"

@@ -161,11 +161,11 @@ class CleanSpec(Spec):
     """Remove measured noise; blinks keep their height."""
 
 
-TRACK_SUFFIXES = (".textgrid", ".lab", ".json")
+_TRACK_SUFFIXES = (".textgrid", ".lab", ".json")
 
 
 def _is_track(path: Path) -> Path:
-    if path.suffix.lower() not in TRACK_SUFFIXES:
+    if path.suffix.lower() not in _TRACK_SUFFIXES:
         raise ValueError("phones are written, so the name must end in .TextGrid, .lab or .json")
     return path
 

@@ -19,7 +19,7 @@ from usdface.specs.base import (
     WritePath,
 )
 
-Change = Annotated[float, Field(ge=-10.0, le=10.0)]
+_Change = Annotated[float, Field(ge=-10.0, le=10.0)]
 
 
 class EditSpec(Spec):
@@ -40,9 +40,9 @@ class EditSpec(Spec):
     """The performance to edit."""
     shape: Annotated[tuple[Name, ...], Field(min_length=1)]
     """Shapes to change."""
-    add: Change | None = None
+    add: _Change | None = None
     """Add this to the solved weight."""
-    override: Change | None = None
+    override: _Change | None = None
     """Take this instead of the solved weight."""
     clear: bool = False
     """Take edits out: the solve shows again."""

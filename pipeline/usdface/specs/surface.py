@@ -63,9 +63,9 @@ class BindSpec(Spec):
     """Draft leaves soft shadows and occlusion out of the picture."""
 
 
-Method = Literal["gp", "rbf"]
-Sampler = Literal["hmc", "map", "shared"]
-Metric = Literal["dijkstra", "dijkstra-diagonals", "heat"]
+_Method = Literal["gp", "rbf"]
+_Sampler = Literal["hmc", "map", "shared"]
+_Metric = Literal["dijkstra", "dijkstra-diagonals", "heat"]
 
 
 class SurfaceSpec(Spec):
@@ -81,9 +81,9 @@ class SurfaceSpec(Spec):
     """Markers whose point on the mesh is known, as NAME=POINT,...; only without --binding."""
     mesh_prim: PrimPath | None = None
     """The mesh in its file, where it holds several."""
-    method: Method = "gp"
+    method: _Method = "gp"
     """`gp` smooths noise and knows how sure it is; `rbf` passes through every marker."""
-    sampler: Sampler = "shared"
+    sampler: _Sampler = "shared"
     """How `gp` treats what it cannot know: `hmc` averages 200 settings for each frame and axis
     (Wang et al. 2006), `shared` 200 settings for the whole take, `map` takes the best."""
     blend: Annotated[float, Field(ge=0.0, le=1.0)] = 0.39
@@ -91,7 +91,7 @@ class SurfaceSpec(Spec):
     straight line (Wang et al. 2006)."""
     choose_blend: bool = False
     """Choose that share by cross-validation on the take instead."""
-    metric: Metric = "dijkstra-diagonals"
+    metric: _Metric = "dijkstra-diagonals"
     """How distance along the surface is measured: the paper's edges, edges with the diagonals of
     faces, or the heat method."""
     length_scale: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = None
@@ -151,7 +151,7 @@ class DeformSpec(SurfaceSpec):
     """Shake the markers by so many millimetres in the picture, to see what smoothing is worth."""
 
 
-ShapeFrame = Annotated[
+_ShapeFrame = Annotated[
     str, Field(pattern=r"^-?\d+(=.+)?$", max_length=200, examples=["120", "120=smile"])
 ]
 
@@ -174,7 +174,7 @@ class MakeShapesSpec(SurfaceSpec):
     """The rig."""
     count: Annotated[int, Field(ge=1, le=1000)] = 8
     """How many frames to choose where none are given: those that differ most."""
-    shape_frames: tuple[ShapeFrame, ...] = ()
+    shape_frames: tuple[_ShapeFrame, ...] = ()
     """Frames to make shapes of, as FRAME or FRAME=NAME,..."""
     names: ReadPath | None = None
     """Frames to make shapes of, from a .csv with the columns frame and name."""

@@ -19,10 +19,10 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-MOST_STEPS = 100_000
+_MOST_STEPS = 100_000
 """A day of a whole stage is a few thousand; more is a mistake."""
 
-MOST_VALUES = 1_000_000
+_MOST_VALUES = 1_000_000
 """YAML's aliases let a file of a few lines stand for billions of values."""
 
 _PLACE = re.compile(r"\{\{|\}\}|\{([A-Za-z_][A-Za-z0-9_]*)\}")
@@ -102,8 +102,8 @@ def write_out(job: Mapping[str, Any]) -> dict[str, Any]:
     for number, step in enumerate(steps, start=1):
         if _is_loop(step):
             inner = _steps_of(step, number)
-            if len(done) + len(rows) * len(inner) > MOST_STEPS:
-                raise ValueError(f"{len(rows)} takes make more than {MOST_STEPS} steps; split it")
+            if len(done) + len(rows) * len(inner) > _MOST_STEPS:
+                raise ValueError(f"{len(rows)} takes make more than {_MOST_STEPS} steps; split it")
             done += [_filled(each, row, f"steps[{number - 1}]") for row in rows for each in inner]
         else:
             done.append(_spread(step, rows, f"steps[{number - 1}]"))
@@ -139,8 +139,8 @@ def _check_size(steps: Sequence[Any]) -> None:
         elif isinstance(value, list | tuple):
             inner = value
         count += len(inner)
-        if count > MOST_VALUES:
-            raise ValueError(f"steps hold more than {MOST_VALUES} values; split the job")
+        if count > _MOST_VALUES:
+            raise ValueError(f"steps hold more than {_MOST_VALUES} values; split the job")
         waiting.extend(inner)
 
 

@@ -24,7 +24,7 @@ HTK_UNIT = 1e-7
 
 ORIGIN_MARK = "usdface-provenance:"
 
-TRACK_SUFFIXES = (".textgrid", ".lab", ".json")
+_TRACK_SUFFIXES = (".textgrid", ".lab", ".json")
 _TIERS = {
     "phones": ("phones", "phone", "phonemes", "segments", "mau", "phonetic"),
     "words": ("words", "word", "ort", "orthography"),
@@ -53,7 +53,7 @@ def read_phone_track(path: Path) -> PhoneTrack:
         If the file cannot be read, has no phones, or symbols that are mostly unknown.
     """
     suffix = path.suffix.lower()
-    if suffix not in TRACK_SUFFIXES:
+    if suffix not in _TRACK_SUFFIXES:
         raise InputError(
             f"{path}: is no file of phones; give one that ends in .TextGrid, .lab or .json"
         )

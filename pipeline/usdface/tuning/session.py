@@ -23,7 +23,7 @@ from usdface.usdio.references.read import (
 )
 from usdface.usdio.references.tuning import check_tuned_layer, read_proposals
 
-SAME = 1e-6
+_SAME = 1e-6
 """Weights that differ by less are one: layers hold single precision."""
 
 
@@ -32,7 +32,7 @@ class StaleRevisionError(InputError):
 
 
 @dataclass(frozen=True)
-class State:
+class _State:
     """What a page shows.
 
     Attributes
@@ -110,10 +110,10 @@ class TuningSession:
             self.lock.release()
             raise
 
-    def state(self) -> State:
+    def state(self) -> _State:
         """Return what a page shows now."""
         with self._guard:
-            return State(
+            return _State(
                 self._revision,
                 self._weights.copy(),
                 self._proposals,
@@ -212,7 +212,7 @@ class TuningSession:
 
     def _tuned(self) -> BoolArray:
         away = np.abs(self._weights - self._proposals).max(axis=1, initial=0.0)
-        return np.asarray(self._done | (away > SAME))
+        return np.asarray(self._done | (away > _SAME))
 
     def _read_layer(self) -> None:
         """Take the weights from disk and lay the changes over them that are not there yet."""

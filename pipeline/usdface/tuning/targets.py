@@ -12,7 +12,7 @@ from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
 from usdface.numerics.measure.face_regions import shapes_by_region
 from usdface.numerics.registration.registration import character_motion
 
-SAMPLE_FRAMES = 600
+_SAMPLE_FRAMES = 600
 """Of the takes' motion, looked at to find where markers sit."""
 
 
@@ -82,7 +82,7 @@ def _sample(references: References) -> FloatArray:
     motion = references.motion
     if motion is None or not len(motion.sample):
         return references.markers
-    step = max(len(motion.sample) // SAMPLE_FRAMES, 1)
+    step = max(len(motion.sample) // _SAMPLE_FRAMES, 1)
     flat = motion.mean + motion.sample[::step] @ motion.components
     return np.concatenate([flat.reshape(len(flat), -1, 3), references.markers])
 

@@ -17,8 +17,8 @@ from usdface.usdio.authoring import author_uniform, define_prim, doubles
 from usdface.usdio.layers import author_units, new_layer, open_stage
 from usdface.usdio.wrong_types import refusing_wrong_types
 
-ROOT = Sdf.Path("/Mapping")
-ARRAY = "face:array:"
+_ROOT = Sdf.Path("/Mapping")
+_ARRAY = "face:array:"
 
 
 def write_mapping(
@@ -35,8 +35,8 @@ def write_mapping(
         for score in mapping.scores
     ]
     with new_layer(path, provenance) as layer:
-        prim = define_prim(layer, ROOT, "FaceMapping")
-        layer.defaultPrim = ROOT.name
+        prim = define_prim(layer, _ROOT, "FaceMapping")
+        layer.defaultPrim = _ROOT.name
         author_units(layer)
         for name, kind, value in (
             ("method", Sdf.ValueTypeNames.Token, mapping.method),
@@ -51,9 +51,9 @@ def write_mapping(
         ):
             author_uniform(prim, f"face:mapping:{name}", kind, value)
         for name, array in mapping.arrays.items():
-            author_uniform(prim, f"{ARRAY}{name}", numbers, doubles(array))
+            author_uniform(prim, f"{_ARRAY}{name}", numbers, doubles(array))
             shape = Vt.IntArray([int(size) for size in array.shape])
-            author_uniform(prim, f"{ARRAY}{name}:shape", Sdf.ValueTypeNames.IntArray, shape)
+            author_uniform(prim, f"{_ARRAY}{name}:shape", Sdf.ValueTypeNames.IntArray, shape)
 
 
 @refusing_wrong_types
@@ -103,11 +103,11 @@ def _read_arrays(path: Path, prim: Usd.Prim) -> dict[str, FloatArray]:
     arrays = {}
     for attribute in prim.GetAttributes():
         name = attribute.GetName()
-        if name.startswith(ARRAY) and not name.endswith(":shape"):
+        if name.startswith(_ARRAY) and not name.endswith(":shape"):
             shape = prim.GetAttribute(f"{name}:shape").Get()
             if shape is None:
                 raise InputError(f"{path} <{attribute.GetPath()}>: has no :shape beside it")
-            arrays[name.removeprefix(ARRAY)] = _array(
+            arrays[name.removeprefix(_ARRAY)] = _array(
                 path, attribute.Get(), tuple(int(size) for size in shape), name
             )
     return arrays

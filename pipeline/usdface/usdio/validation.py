@@ -11,9 +11,9 @@ from usdface.usdio.wrong_types import refusing_wrong_types
 
 Severity = Literal["error", "warning"]
 
-PLUGIN = "usdface.usdio.checks"
+_PLUGIN = "usdface.usdio.checks"
 
-_OF_A_LAYER_ALONE = tuple(f"{PLUGIN}:{name}" for name in ("Weights", "Curves", "Edits"))
+_OF_A_LAYER_ALONE = tuple(f"{_PLUGIN}:{name}" for name in ("Weights", "Curves", "Edits"))
 """What can be asked of an animation whose rig is elsewhere."""
 
 
@@ -73,10 +73,10 @@ def _finding(error: UsdValidation.ValidationError, path: Path) -> Finding | None
         return None
     validator = error.GetValidator()
     name = str(validator.GetMetadata().name) if validator else "usd"
-    sites = [_place(site) for site in error.GetSites()] if name.startswith(PLUGIN) else []
+    sites = [_place(site) for site in error.GetSites()] if name.startswith(_PLUGIN) else []
     return Finding(
         severity="error" if kind == UsdValidation.ValidationErrorType.Error else "warning",
-        check=name.replace(PLUGIN, "usdface", 1),
+        check=name.replace(_PLUGIN, "usdface", 1),
         where=" ".join([str(path), *(f"<{site}>" for site in sites if site not in ("", "/"))]),
         message=str(error.GetMessage()).strip(),
     )

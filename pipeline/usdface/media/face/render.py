@@ -18,7 +18,7 @@ from usdface.media.picture.display_view import DisplayView
 
 Quality = Literal["draft", "final"]
 
-MAX_PIXELS = 8192 * 8192
+_MAX_PIXELS = 8192 * 8192
 
 
 class FaceRenderer:
@@ -152,5 +152,5 @@ def _finite(array: FloatArray, shape: tuple[int, ...], name: str) -> FloatArray:
 
 
 def _check_size(width: int, height: int) -> None:
-    if width < 1 or height < 1 or width * height > MAX_PIXELS:
+    if width < 1 or height < 1 or width * height > _MAX_PIXELS:
         raise InputError(f"a picture of {width} × {height} pixels cannot be drawn; ask for less")

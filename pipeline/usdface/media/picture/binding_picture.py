@@ -18,9 +18,9 @@ from usdface.media.picture.palette import PAGE
 from usdface.media.picture.sheet import draw_header
 from usdface.media.picture.text import TextStyle, draw_text, text_width
 
-MARGIN = 36
-HEAD = 124
-NAMES = 250
+_MARGIN = 36
+_HEAD = 124
+_NAMES = 250
 """Width of the list of names on either side of a face [pixels]."""
 
 _SURE: Color = (120, 200, 255)
@@ -97,14 +97,14 @@ def draw_binding(
         _draw_view(mesh, renderer, markers, reach, (side, yaw_degrees), height, quality)
         for side in (-_SIDE_DEGREES, 0.0, _SIDE_DEGREES)
     ]
-    width = sum(panel.shape[1] for panel in panels) + 2 * MARGIN
-    page = new_picture(width, HEAD + height + MARGIN, PAGE)
-    y = draw_header(page, title, facts, x=MARGIN, y=MARGIN - 8, width=width - 2 * MARGIN)
-    x = MARGIN
+    width = sum(panel.shape[1] for panel in panels) + 2 * _MARGIN
+    page = new_picture(width, _HEAD + height + _MARGIN, PAGE)
+    y = draw_header(page, title, facts, x=_MARGIN, y=_MARGIN - 8, width=width - 2 * _MARGIN)
+    x = _MARGIN
     for panel in panels:
-        page[HEAD : HEAD + height, x : x + panel.shape[1]] = panel
+        page[_HEAD : _HEAD + height, x : x + panel.shape[1]] = panel
         x += panel.shape[1]
-    _draw_key(page, x=width - MARGIN - 560, y=y - 58)
+    _draw_key(page, x=width - _MARGIN - 560, y=y - 58)
     return page
 
 
@@ -129,7 +129,7 @@ def _draw_view(
     front = side == 0.0
     size = round(height * (0.92 if front else 0.66))
     camera = frame_face(mesh.points, weights=reach, yaw_degrees=side + facing, aspect=size / height)
-    width = size + 2 * NAMES
+    width = size + 2 * _NAMES
     panel = renderer.render(mesh.points, camera=camera, width=width, height=height, quality=quality)
     at = camera.project(markers.positions, width=width, height=height)[:, :2]
     seen = _seen(mesh, camera, markers.positions)
@@ -168,9 +168,9 @@ def _draw_names(panel: ByteImage, markers: BoundMarkers, at: FloatArray, seen: B
             if doubt:
                 text = f"{text}  {markers.confidence[marker]:.2f}"
             style = TextStyle(size=15, color=color, weight="bold" if doubt else "regular")
-            x = NAMES - 40 if left else width - NAMES + 40
+            x = _NAMES - 40 if left else width - _NAMES + 40
             draw_line(panel, (x + (6 if left else -6), row), at[marker], _LINE, thickness=1.0)
-            long = min(text_width(text, style), NAMES - 50)
+            long = min(text_width(text, style), _NAMES - 50)
             start = x - long - 3 if left else x - 3
             # A wide head reaches under the names.
             fill_box(panel, start, round(row) - 9, long + 6, 19, PAGE, cover=0.55)
@@ -181,7 +181,7 @@ def _draw_names(panel: ByteImage, markers: BoundMarkers, at: FloatArray, seen: B
                 y=round(row) - 10,
                 style=style,
                 anchor="right" if left else "left",
-                max_width=NAMES - 50,
+                max_width=_NAMES - 50,
             )
     for marker in np.flatnonzero(seen).tolist():
         color = _color(markers, marker)

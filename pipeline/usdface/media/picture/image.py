@@ -19,7 +19,7 @@ from usdface.media.picture.color import linear_from_srgb
 from usdface.media.picture.read import reason_of
 from usdface.media.picture.smpte import pack_timecode, unpack_timecode
 
-IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff")
+_IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff")
 
 # What each format is written with: quality and a fast, lossless or nearly lossless packing.
 _COMPRESSION = {
@@ -69,7 +69,7 @@ def write_image(
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix not in _COMPRESSION:
-        raise InputError(f"{file}: pictures end in {', '.join(IMAGE_SUFFIXES)}; rename it")
+        raise InputError(f"{file}: pictures end in {', '.join(_IMAGE_SUFFIXES)}; rename it")
     image = np.asarray(pixels)
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or not image.size:
         raise InputError(

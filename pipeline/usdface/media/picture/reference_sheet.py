@@ -14,13 +14,13 @@ from usdface.media.picture.sheet import MAX_PIXELS
 from usdface.media.picture.text import TextStyle, draw_text, text_width
 from usdface.media.picture.tiles import fit_picture
 
-MARGIN = 40
-GUTTER = 6
+_MARGIN = 40
+_GUTTER = 6
 BLOCK_GAP = 36
-HEAD = 34
+_HEAD = 34
 FOOT = 54
-ROW_GAP = 26
-TITLE = 100
+_ROW_GAP = 26
+_TITLE = 100
 PAGE_ASPECT = 1.414
 """Of a landscape page."""
 
@@ -133,14 +133,14 @@ def compose_reference_sheet(
     shapes = [row.video.shape for row in rows if row.video is not None]
     aspect = max((shape[1] / shape[0] for shape in shapes), default=0.0)
     widths = (round(tile * min(aspect, 16 / 9)), tile, tile) if aspect else (tile, tile)
-    block = sum(widths) + GUTTER * (len(widths) - 1)
-    height = HEAD + tile + FOOT + ROW_GAP
+    block = sum(widths) + _GUTTER * (len(widths) - 1)
+    height = _HEAD + tile + FOOT + _ROW_GAP
     columns = min(
         range(1, len(rows) + 1),
         key=lambda n: abs(np.log(_size(n, len(rows), block, height) / PAGE_ASPECT)),
     )
-    wide = 2 * MARGIN + columns * block + (columns - 1) * BLOCK_GAP
-    tall = 2 * MARGIN + TITLE + -(-len(rows) // columns) * height
+    wide = 2 * _MARGIN + columns * block + (columns - 1) * BLOCK_GAP
+    tall = 2 * _MARGIN + _TITLE + -(-len(rows) // columns) * height
     if wide * tall > MAX_PIXELS:
         raise InputError(
             f"a sheet of {wide} × {tall} pixels is too large; ask for fewer --pairs or a smaller "
@@ -148,22 +148,22 @@ def compose_reference_sheet(
         )
     page = new_picture(wide, tall, palette.page)
     bold = TextStyle(size=38, color=palette.title, weight="bold")
-    draw_text(page, title, x=MARGIN, y=MARGIN - 10, style=bold, max_width=wide - 2 * MARGIN)
+    draw_text(page, title, x=_MARGIN, y=_MARGIN - 10, style=bold, max_width=wide - 2 * _MARGIN)
     style = TextStyle(size=18, color=palette.dim)
     line = "   ·   ".join(facts)
-    draw_text(page, line, x=MARGIN, y=MARGIN + 44, style=style, max_width=wide - 2 * MARGIN)
-    fill_box(page, MARGIN, MARGIN + 78, wide - 2 * MARGIN, 1, palette.rule)
+    draw_text(page, line, x=_MARGIN, y=_MARGIN + 44, style=style, max_width=wide - 2 * _MARGIN)
+    fill_box(page, _MARGIN, _MARGIN + 78, wide - 2 * _MARGIN, 1, palette.rule)
     for index, row in enumerate(rows):
-        x = MARGIN + (index % columns) * (block + BLOCK_GAP)
-        y = MARGIN + TITLE + index // columns * height
+        x = _MARGIN + (index % columns) * (block + BLOCK_GAP)
+        y = _MARGIN + _TITLE + index // columns * height
         _draw_row(page, row, widths, palette, x=x, y=y, tile=tile, paper=paper)
     return page
 
 
 def _size(columns: int, count: int, block: int, height: int) -> float:
     """Return width over height of a sheet."""
-    wide = 2 * MARGIN + columns * (block + BLOCK_GAP)
-    return wide / (2 * MARGIN + TITLE + -(-count // columns) * height)
+    wide = 2 * _MARGIN + columns * (block + BLOCK_GAP)
+    return wide / (2 * _MARGIN + _TITLE + -(-count // columns) * height)
 
 
 def _draw_row(
@@ -177,7 +177,7 @@ def _draw_row(
     tile: int,
     paper: bool,
 ) -> None:
-    block = sum(widths) + GUTTER * (len(widths) - 1)
+    block = sum(widths) + _GUTTER * (len(widths) - 1)
     number = TextStyle(size=22, color=palette.title, weight="bold")
     text = TextStyle(size=16, color=palette.text)
     state = TextStyle(size=15, color=palette.tuned if row.tuned else palette.dim)
@@ -190,7 +190,7 @@ def _draw_row(
     pictures: list[ByteImage | None] = [row.markers, row.face]
     if len(widths) == 3:
         pictures.insert(0, row.video)
-    at, top = x, y + HEAD
+    at, top = x, y + _HEAD
     for picture, width in zip(pictures, widths, strict=True):
         if picture is None:
             fill_box(page, at, top, width, tile, palette.empty)
@@ -210,7 +210,7 @@ def _draw_row(
                 shown = on_paper(shown, ink=picture is row.markers)
             page[top : top + tile, at : at + width] = shown
         outline_box(page, at, top, width, tile, palette.rule)
-        at += width + GUTTER
+        at += width + _GUTTER
     _draw_weights(page, row, palette, x=x, y=top + tile + 5, width=block)
 
 

@@ -16,10 +16,10 @@ BEST_ASPECT = 1.5
 MARGIN = 36
 GUTTER = 6
 GROUP_GAP = 40
-ROW_GAP = 14
+_ROW_GAP = 14
 CAPTION = 30
 COLUMN_HEAD = 36
-LEGEND = 42
+_LEGEND = 42
 LEGEND_LINE = 24
 LEGEND_LETTERS = 90  # of one line of notes; more go to lines of their own
 LEGEND_LETTER = 8  # [pixels] the width of one, about
@@ -132,7 +132,7 @@ class Layout:
     @property
     def row_height(self) -> int:
         """From one row's head to the next one's."""
-        return CAPTION + self.tile_height + CAPTION + ROW_GAP
+        return CAPTION + self.tile_height + CAPTION + _ROW_GAP
 
     @property
     def width(self) -> int:
@@ -216,7 +216,7 @@ def _head_height(spec: SheetPage, width: int) -> int:
     head = MARGIN - 8 + TITLE + (FACTS if spec.facts else 0) + 18
     head += strip_height(len(spec.curves)) if spec.curves else 0
     if has_legend(spec):
-        head += LEGEND + LEGEND_LINE * (len(legend_lines(spec.notes, width)) - 1)
+        head += _LEGEND + LEGEND_LINE * (len(legend_lines(spec.notes, width)) - 1)
     return head
 
 

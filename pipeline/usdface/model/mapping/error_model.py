@@ -24,7 +24,7 @@ DIMENSIONS = 24
 SIGNAL_TO_NOISE = 4.0
 """Least variance of a component looked at, in variances of marker noise."""
 
-NOISE = 1e-3
+_NOISE = 1e-3
 LINEAR_SHARE = 0.5
 
 LEAST_SPREAD = 0.35
@@ -33,11 +33,11 @@ LEAST_SPREAD = 0.35
 UNKNOWN_SPREAD = 0.7
 """The same where references were too few to compare."""
 
-FLOOR = 0.02
+_FLOOR = 0.02
 """Variance that every frame has besides: where references are near, noise errs all the same."""
 
 EXCESS = 1.1
-FEW_PAIRS = 12.0
+_FEW_PAIRS = 12.0
 LEAST_PAIRS = 25
 """Errors on takes over those on pairs left out: the first over 1 + (second / pairs)², for a fold
 leaves out a fifth, and of few pairs that is much; below the last nobody has looked. As the floor,
@@ -86,7 +86,7 @@ def fit_error_model(
     reach = float(np.einsum("ij,ij->i", rows, rows).max()) or 1.0
     settings = np.array([width, size, reach])
     covariance = _kernel(rows, rows, settings)
-    inverse = np.linalg.inv(covariance + NOISE * np.eye(len(rows)))
+    inverse = np.linalg.inv(covariance + _NOISE * np.eye(len(rows)))
     unseen = np.full(len(rows), np.nan)
     for fold in folds:
         unseen[fold.test] = _unseen_variance(covariance, fold)
@@ -129,7 +129,7 @@ def predictive_variance(arrays: dict[str, FloatArray], coordinates: FloatArray) 
     distance = np.einsum("ij,ij->i", rows, rows)
     own = 1.0 + LINEAR_SHARE * distance / settings[1]
     left: FloatArray = own - np.einsum("ij,ij->i", known @ arrays["familiar_inverse"], known)
-    left = np.maximum(left, NOISE)
+    left = np.maximum(left, _NOISE)
     left *= np.maximum(distance / settings[2], 1.0) ** 2
     return left
 
@@ -172,21 +172,21 @@ def likely_error(
 
 
 def _excess(pairs: int) -> float:
-    return EXCESS / (1.0 + (FEW_PAIRS / max(pairs, LEAST_PAIRS)) ** 2)
+    return EXCESS / (1.0 + (_FEW_PAIRS / max(pairs, LEAST_PAIRS)) ** 2)
 
 
 def _growth(left: FloatArray) -> FloatArray:
     """Return what errors are proportional to."""
-    grown: FloatArray = np.sqrt(left + FLOOR)
+    grown: FloatArray = np.sqrt(left + _FLOOR)
     return grown
 
 
 def _unseen_variance(covariance: FloatArray, fold: Fold) -> FloatArray:
     """Variance of a fold's tested references, given those it trains on."""
-    known = covariance[np.ix_(fold.train, fold.train)] + NOISE * np.eye(len(fold.train))
+    known = covariance[np.ix_(fold.train, fold.train)] + _NOISE * np.eye(len(fold.train))
     shared = covariance[np.ix_(fold.train, fold.test)]
     explained = np.einsum("ij,ij->j", shared, np.linalg.solve(known, shared))
-    left: FloatArray = np.maximum(np.diag(covariance)[fold.test] - explained, NOISE)
+    left: FloatArray = np.maximum(np.diag(covariance)[fold.test] - explained, _NOISE)
     return left
 
 

@@ -10,13 +10,13 @@ from usdface.core.assets import MotionSpace
 from usdface.core.errors import InputError
 from usdface.numerics.regression.pca import PCA, pca_from_moments, project, sum_moments
 
-Positions = NDArray[np.float32] | NDArray[np.float64]
+_Positions = NDArray[np.float32] | NDArray[np.float64]
 
-BLOCK_FRAMES = 8192
+_BLOCK_FRAMES = 8192
 
 
 def fit_motion_space(
-    clips: Sequence[Positions], *, dimensions: int = 60, sample_count: int = 2000
+    clips: Sequence[_Positions], *, dimensions: int = 60, sample_count: int = 2000
 ) -> MotionSpace:
     """Fit principal components to stabilised markers of one or more takes.
 
@@ -75,14 +75,14 @@ def motion_from_pca(pca: PCA, sample: FloatArray) -> MotionSpace:
     )
 
 
-def _blocks(clips: Sequence[Positions]) -> Iterator[Positions]:
+def _blocks(clips: Sequence[_Positions]) -> Iterator[_Positions]:
     for clip in clips:
-        for start in range(0, len(clip), BLOCK_FRAMES):
-            part = clip[start : start + BLOCK_FRAMES]
+        for start in range(0, len(clip), _BLOCK_FRAMES):
+            part = clip[start : start + _BLOCK_FRAMES]
             yield part.reshape(len(part), -1)
 
 
-def _spread(clips: Sequence[Positions], count: int) -> FloatArray:
+def _spread(clips: Sequence[_Positions], count: int) -> FloatArray:
     """Pack evenly spaced frames of all clips, taken as one long take."""
     ends = np.cumsum([len(clip) for clip in clips])
     wanted = np.linspace(0, ends[-1] - 1, count).round().astype(np.int64)

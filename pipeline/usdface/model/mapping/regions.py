@@ -66,7 +66,7 @@ if TYPE_CHECKING:
     from scipy import sparse
 
 POINTS = 1500
-LEAST_SHARE = 0.02
+_LEAST_SHARE = 0.02
 """Of the largest movement: points that no shape moves this far are not face."""
 
 
@@ -89,7 +89,7 @@ def sample_skin(offsets: FloatArray | sparse.sparray, *, count: int = POINTS) ->
     table = sparse.csc_array(offsets)
     energy = np.asarray(table.power(2).sum(axis=0)).reshape(-1, 3).sum(axis=1)
     reach = np.sqrt(energy)
-    moving = np.flatnonzero(reach > LEAST_SHARE * reach.max(initial=0.0))
+    moving = np.flatnonzero(reach > _LEAST_SHARE * reach.max(initial=0.0))
     kept = moving[np.linspace(0, len(moving) - 1, min(count, len(moving))).astype(np.int64)]
     columns = (3 * kept[:, None] + np.arange(3)).ravel()
     sampled: FloatArray = np.asarray(table[:, columns].toarray(), dtype=np.float64)

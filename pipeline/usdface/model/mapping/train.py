@@ -25,7 +25,7 @@ from usdface.numerics.regression.cross_validation import (
 )
 from usdface.numerics.regression.pca import fit_pca
 
-FOLDS = 5
+_FOLDS = 5
 
 MINIMUM_TO_COMPARE = 8
 """Pairs below which cross-validation says nothing: the first, simplest candidate is taken."""
@@ -97,7 +97,7 @@ def train_mapping(
         skin=skin,
     )
     candidates = _candidates(pairs, method, dimensions)
-    folds = blocked_folds(checked.frames, checked.takes, folds=FOLDS)
+    folds = blocked_folds(checked.frames, checked.takes, folds=_FOLDS)
     tried = []
     for i, candidate in enumerate(candidates if len(pairs.weights) >= MINIMUM_TO_COMPARE else []):
         progress(0.9 * i / len(candidates), f"cross-validating {candidate.method.name}")

@@ -17,7 +17,7 @@ from usdface.model.regressions.base import Fitted, Method, Pairs, Settings
 
 __all__ = ["AUTO", "METHODS", "Fitted", "Method", "Pairs", "Settings", "find_method"]
 
-METHODS: dict[str, Method] = {
+_METHODS: dict[str, Method] = {
     method.name: method
     for method in (
         d06.METHOD,
@@ -46,6 +46,6 @@ def find_method(name: str) -> Method:
     InputError
         If there is none; the message lists those there are.
     """
-    if name not in METHODS:
-        raise InputError(f"no method {name!r}; choose one of auto, {', '.join(sorted(METHODS))}")
-    return METHODS[name]
+    if name not in _METHODS:
+        raise InputError(f"no method {name!r}; choose one of auto, {', '.join(sorted(_METHODS))}")
+    return _METHODS[name]

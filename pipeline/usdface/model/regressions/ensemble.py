@@ -56,7 +56,7 @@ LEAST_VARIANCE_MM2 = 1e-4
 _FLOOR_MM2 = 1e-9  # of components asked for that do not move at all
 
 TRUSTED = 0.75
-FEW_PAIRS = 25
+_FEW_PAIRS = 25
 """How far it is believed that voices err together as their residuals do: the first times the share
 of the pairs beyond the second. At these and below, voices count as independent."""
 
@@ -70,7 +70,7 @@ SEEN_SHARE = 0.3
 """How far markers, against the examples, say where weights go that a limit pushes aside: with
 more, noise of the markers shows as jitter."""
 
-REACH = 1.4
+_REACH = 1.4
 UNSEEN = 2.0
 MOST_DOUBT = 0.15
 """How far, in usual errors, weights near the upper limit are drawn to it; how much larger errors
@@ -286,7 +286,7 @@ def blend_weights(residuals: FloatArray) -> FloatArray:
     """Share of each voice for each shape, by what its errors and theirs together are."""
     covariance = np.einsum("vns,wns->svw", residuals, residuals) / residuals.shape[1]
     alone = np.einsum("svv->sv", covariance) + 1e-7
-    covariance *= TRUSTED * max(0.0, 1 - FEW_PAIRS / residuals.shape[1])
+    covariance *= TRUSTED * max(0.0, 1 - _FEW_PAIRS / residuals.shape[1])
     np.einsum("svv->sv", covariance)[:] = alone
     return blend_shares(covariance)
 
@@ -305,7 +305,7 @@ def _saturate_near_one(weights: Any, doubt: Any) -> Any:
     short on average. Within two of its usual errors of the limit a weight is drawn towards it.
     """
     near = namespace_of(weights).clip((weights - 1) / doubt + 2, 0.0, 1.0)
-    return weights + REACH * doubt * near
+    return weights + _REACH * doubt * near
 
 
 def _drop_noise_outside_limits(weights: Any, doubt: Any) -> Any:

@@ -13,8 +13,8 @@ from usdface.model.regressions.scaling import coordinate_scale, scaled
 from usdface.numerics.regression.cross_validation import Fold, predict_out_of_fold
 from usdface.numerics.regression.multiquadric_rbf import predict_multiquadric
 
-FOLDS = 5
-FEWEST_PAIRS = 8
+_FOLDS = 5
+_FEWEST_PAIRS = 8
 """Fewer say nothing of pairs unseen: the parts then count alike."""
 
 
@@ -47,10 +47,10 @@ def _predict(
 def _choose_alpha(pairs: Pairs, scale: FloatArray, settings: Settings) -> float:
     """Return the share of the multiquadric that moves the surface least away from unseen pairs."""
     count = len(pairs.weights)
-    if count < FEWEST_PAIRS:
+    if count < _FEWEST_PAIRS:
         return 0.5
-    turn = np.arange(count) % FOLDS  # the pairs' times are not known here: deal them in turn
-    folds = [Fold(np.flatnonzero(turn != k), np.flatnonzero(turn == k)) for k in range(FOLDS)]
+    turn = np.arange(count) % _FOLDS  # the pairs' times are not known here: deal them in turn
+    folds = [Fold(np.flatnonzero(turn != k), np.flatnonzero(turn == k)) for k in range(_FOLDS)]
 
     def by_network(train: IntArray, test: IntArray) -> FloatArray:
         model, _ = multiquadric.fit_pairs(pairs.rows(train), scale, smooth=False)

@@ -25,7 +25,7 @@ from usdface.model.regressions.voices import (
 from usdface.numerics.array_namespace import CPU, ArrayDevice
 from usdface.numerics.regression.marker_regions import marker_relevance, regional_features
 
-FLOOR = 0.01
+_FLOOR = 0.01
 SHARPNESS = {"wide": 1.5, "tight": 2.0}
 
 
@@ -45,7 +45,7 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     sample = pairs.motion.sample[:, :kept]
     guessed = np.clip(sample @ line.slope + line.intercept, pairs.ranges[:, 0], pairs.ranges[:, 1])
     relevance = marker_relevance(
-        sample, guessed, components, sharpness=SHARPNESS[str(settings["region"])], floor=FLOOR
+        sample, guessed, components, sharpness=SHARPNESS[str(settings["region"])], floor=_FLOOR
     )
     covariance = np.cov(sample.T).reshape(kept, -1)
     voice = regional_voice(

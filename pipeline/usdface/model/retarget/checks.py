@@ -10,7 +10,7 @@ from usdface.core.controls import ExpressionPairs
 from usdface.core.errors import InputError
 from usdface.model.retarget.control_space import control_space
 
-ALIKE = 0.15
+_ALIKE = 0.15
 """Two expressions are as good as the same when they differ by less than this share of the usual
 distance between expressions."""
 
@@ -71,7 +71,7 @@ def find_pair_conflicts(pairs: ExpressionPairs) -> tuple[PairConflict, ...]:
     target_apart = _relative_distances(target / _spans(target))
     first, second = np.triu_indices(len(pairs), 1)
     near, far = source_apart[first, second], target_apart[first, second]
-    found = (near < ALIKE) & (far > APART * np.maximum(near, ALIKE / APART))
+    found = (near < _ALIKE) & (far > APART * np.maximum(near, _ALIKE / APART))
     conflicts = [
         PairConflict(int(a), int(b), float(x), float(y))
         for a, b, x, y in zip(first[found], second[found], near[found], far[found], strict=True)

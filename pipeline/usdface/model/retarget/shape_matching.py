@@ -31,10 +31,10 @@ from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squ
 CLOUD_POINTS = 400
 """Points of the source that are laid onto the target; few, for each is sought in every start."""
 
-SAMPLES = 1500
+_SAMPLES = 1500
 """Places where both faces are compared."""
 
-ALIKE = 0.5
+_ALIKE = 0.5
 """Cosine below which two shapes are not proposed as the same."""
 
 TRACE = 1e-3
@@ -96,7 +96,7 @@ def correspond(source: Rig, target: Rig) -> Correspondence:
             areas=other.samples.areas,
             amplitude=one.activity[::stride],
         )
-    stride = max(len(one.samples.positions) // SAMPLES, 1)
+    stride = max(len(one.samples.positions) // _SAMPLES, 1)
     chosen = np.arange(0, len(one.samples.positions), stride)
     placed = alignment.apply(one.samples.positions[chosen])
     _, nearest = KDTree(other.samples.positions).query(placed)
@@ -131,7 +131,7 @@ def match_deformations(
     likeness = both.similarity()[np.ix_(rows, columns)]
     found = []
     for row, column in zip(*linear_sum_assignment(-likeness), strict=True):
-        if likeness[row, column] >= ALIKE:
+        if likeness[row, column] >= _ALIKE:
             likely = float(likeness[row, column])
             found.append(ShapeMatch(source_shapes[row], target_shapes[column], likely))
     return tuple(sorted(found, key=lambda each: -each.similarity))

@@ -26,10 +26,10 @@ from usdface.model.retarget.control_space import ControlSpace, control_space
 PROBES = 384
 """Expressions sent there and back to compare methods."""
 
-MOST_FRAMES = 768
+_MOST_FRAMES = 768
 """Frames of a performance that are sent there and back beside them."""
 
-ROOM = 0.5
+_ROOM = 0.5
 """How far beyond the pairs a joint or an attribute may go, as a share of its span in them."""
 
 ROUNDING = 1e-9
@@ -196,7 +196,7 @@ def make_examples(pairs: ExpressionPairs, *, shape_ranges: FloatArray | None = N
     coordinates = space.encode(pairs.target)
     rest = int(np.linalg.norm(pairs.source, axis=1).argmin())
     spans = np.ptp(coordinates, axis=0)
-    low, high = coordinates.min(axis=0) - ROOM * spans, coordinates.max(axis=0) + ROOM * spans
+    low, high = coordinates.min(axis=0) - _ROOM * spans, coordinates.max(axis=0) + _ROOM * spans
     count = len(space.shapes)
     if shape_ranges is None:
         low[:count] = np.minimum(coordinates[:, :count].min(axis=0), 0.0)
@@ -226,7 +226,7 @@ def make_probes(examples: Examples, performance: FloatArray | None) -> FloatArra
     method could shine on what the performance happens to hold and fail on the next.
     """
     if performance is not None and len(performance):
-        picks = np.linspace(0, len(performance) - 1, min(len(performance), MOST_FRAMES))
+        picks = np.linspace(0, len(performance) - 1, min(len(performance), _MOST_FRAMES))
         return np.asarray(performance[np.unique(picks.astype(int))], np.float64)
     rng = np.random.default_rng(0)
     count = len(examples.source)

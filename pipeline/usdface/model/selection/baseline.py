@@ -24,7 +24,7 @@ from usdface.numerics.solve.peak_matching import match_peaks
 
 Positions = NDArray[np.float32] | FloatArray
 
-MOTION_FRAMES = 2000
+_MOTION_FRAMES = 2000
 """Frames spread over a take that registration may look at."""
 
 
@@ -156,7 +156,7 @@ def set_up_equation(
     InputError
         If the markers cannot be put on the rig's face.
     """
-    picks = np.unique(np.linspace(0, len(positions) - 1, MOTION_FRAMES).astype(np.int64))
+    picks = np.unique(np.linspace(0, len(positions) - 1, _MOTION_FRAMES).astype(np.int64))
     offsets = deformer.shapes.target_offsets()
     try:
         virtual = register_markers(

@@ -16,10 +16,10 @@ from usdface.numerics.measure.face_regions import shapes_by_region
 from usdface.numerics.regression.linear_ridge import fit_linear_ridge
 from usdface.numerics.regression.pca import fit_pca
 
-FEWEST_PAIRS = 6
+_FEWEST_PAIRS = 6
 """With fewer nothing tells how far weights usually go with markers."""
 
-ALIKE = 0.2
+_ALIKE = 0.2
 """Share of the usual distance between pairs below which markers of a region are alike."""
 
 LEAST_STEP = 0.35
@@ -72,7 +72,7 @@ def find_reference_conflicts(
         Makes differences of weights count as they show on the rig [mm^2].
     """
     pairs, shapes = references.weights.shape
-    if pairs < FEWEST_PAIRS:
+    if pairs < _FEWEST_PAIRS:
         return []
     packed = references.markers.reshape(pairs, -1)
     motion = references.motion or motion_from_pca(fit_pca(packed), packed)
@@ -88,7 +88,7 @@ def find_reference_conflicts(
         columns = by_region.get(region, np.arange(shapes))
         near = _distances(features[:, a:b], np.eye(b - a))
         unlike = _distances(references.weights[:, columns], metric[np.ix_(columns, columns)])
-        for i, j in np.argwhere(np.triu((near < ALIKE) & (unlike > UNLIKE), 1)).tolist():
+        for i, j in np.argwhere(np.triu((near < _ALIKE) & (unlike > UNLIKE), 1)).tolist():
             apart = np.abs(references.weights[i, columns] - references.weights[j, columns])
             times = float(unlike[i, j] / max(near[i, j], 1e-3))
             known = worst.get((i, j))

@@ -10,7 +10,7 @@ from usdface.model.selection.features import Features, SelectionSpace, features_
 from usdface.numerics.regression.design_kernel import DesignKernel, left_over
 from usdface.numerics.regression.reference_design import design_gp_variance
 
-BLOCK_FRAMES = 4096
+_BLOCK_FRAMES = 4096
 
 HOLE = 0.25
 """Share of a face's motion left to guess at which a frame counts as a hole."""
@@ -90,8 +90,8 @@ def measure_coverage(
     regions = np.empty((len(thinned), len(space.regions)))
     whole = DesignKernel.for_rows(thinned[some])
     parts = [DesignKernel.for_rows(thinned[some, a:b]) for a, b in space.columns]
-    for start in range(0, len(thinned), BLOCK_FRAMES):
-        rows = slice(start, start + BLOCK_FRAMES)
+    for start in range(0, len(thinned), _BLOCK_FRAMES):
+        rows = slice(start, start + _BLOCK_FRAMES)
         left = left_over(whole, pair_features, thinned[rows], noise=NOISE)
         covered[rows] = 1 - np.sqrt(left)
         for index, ((a, b), kernel) in enumerate(zip(space.columns, parts, strict=True)):

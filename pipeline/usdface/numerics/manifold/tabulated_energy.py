@@ -24,7 +24,7 @@ Precision = Literal["float32", "float64"]
 SPACING = 0.125
 """Of the nodes in x. Cubic interpolation errs by about 1e-7 of a sum's size."""
 
-REACH = 6.0
+_REACH = 6.0
 """Prior standard deviations of x on either side of its centre that the table covers."""
 
 
@@ -41,7 +41,7 @@ class SharedTable:
         self.spectrum = spectrum
         self.spacing = spacing
         centre, spread = spectrum.prior.centre, spectrum.prior.spread
-        half = REACH * math.hypot(spread[0], spread[1])
+        half = _REACH * math.hypot(spread[0], spread[1])
         self.start = float(centre[0] - centre[1]) - half
         self.nodes = int(2 * half / spacing) + 2
         x = self.start + spacing * np.arange(self.nodes)

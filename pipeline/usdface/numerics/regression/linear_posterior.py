@@ -12,7 +12,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray
 
-RIDGES = 10.0 ** np.arange(-2.5, 1.1, 0.5)
+_RIDGES = 10.0 ** np.arange(-2.5, 1.1, 0.5)
 SPREADS = (0.05, 0.1)
 """Standard deviation of every weight on its own, beside what the pairs' covariance says."""
 
@@ -20,7 +20,7 @@ OWN_SHARE = 0.15
 """How much of the weights' covariance is each weight on its own, the rest is the pairs'."""
 
 SINGLY = 100
-FOLDS = 25
+_FOLDS = 25
 """Pairs are left out one by one up to the first number, beyond in this many parts."""
 
 _NOISE_MM = 0.03  # least noise of a coordinate
@@ -100,11 +100,11 @@ def fit_linear_posterior(
             f"{expected.shape} do not fit together"
         )
     importance = 1 / np.sqrt(variances)
-    fits = [_calibrate(coordinates, weights, expected, ridge) for ridge in RIDGES]
+    fits = [_calibrate(coordinates, weights, expected, ridge) for ridge in _RIDGES]
     scores = [float((fit.residuals**2).mean(axis=0) @ importance) for fit in fits]
-    ridge = float(RIDGES[int(np.argmin(scores))])
+    ridge = float(_RIDGES[int(np.argmin(scores))])
     whole = fits[int(np.argmin(scores))]
-    out = np.array_split(np.arange(n), n if n <= SINGLY else FOLDS)
+    out = np.array_split(np.arange(n), n if n <= SINGLY else _FOLDS)
     others = [np.setdiff1d(np.arange(n), each) for each in out]
     without = [_calibrate(coordinates[k], weights[k], expected, ridge) for k in others]
     tried = []

@@ -9,7 +9,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray
 
-RIDGES = 10.0 ** np.arange(-8.0, 2.01, 0.25)
+_RIDGES = 10.0 ** np.arange(-8.0, 2.01, 0.25)
 """Ridges tried, as shares of the largest squared singular value of the centred features."""
 
 
@@ -39,7 +39,7 @@ def fit_linear_ridge(
     features: FloatArray,
     outputs: FloatArray,
     *,
-    ridges: FloatArray = RIDGES,
+    ridges: FloatArray = _RIDGES,
     shared: bool = False,
     importance: FloatArray | None = None,
 ) -> LinearRidge:

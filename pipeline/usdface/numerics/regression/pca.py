@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from usdface.core.arrays import FloatArray
 
-BLOCK_ROWS = 8192
+_BLOCK_ROWS = 8192
 """Rows converted to float64 at a time: keeps the working set near the cache, whatever the take."""
 
 
@@ -53,7 +53,7 @@ def sum_moments(blocks: Iterable[ArrayLike]) -> Moments:
     Parameters
     ----------
     blocks : iterable of (n, d) arrays
-        Any float type; each is read in slices of `BLOCK_ROWS` rows.
+        Any float type; each is read in slices of `_BLOCK_ROWS` rows.
 
     Raises
     ------
@@ -66,8 +66,8 @@ def sum_moments(blocks: Iterable[ArrayLike]) -> Moments:
         rows = np.asarray(block)
         if rows.ndim != 2:
             raise ValueError(f"expected blocks of shape (rows, columns), got {rows.shape}")
-        for start in range(0, len(rows), BLOCK_ROWS):
-            part = rows[start : start + BLOCK_ROWS].astype(np.float64)
+        for start in range(0, len(rows), _BLOCK_ROWS):
+            part = rows[start : start + _BLOCK_ROWS].astype(np.float64)
             if origin is None or total is None or scatter is None:
                 origin = part[0].copy()  # sums around a data point cancel far less than around 0
                 total = np.zeros_like(origin)
@@ -152,8 +152,8 @@ def project(pca: PCA, data: ArrayLike) -> FloatArray:
     rows = np.asarray(data)
     out = np.empty((len(rows), len(pca.components)))
     offset = pca.components @ pca.mean
-    for start in range(0, len(rows), BLOCK_ROWS):
-        part = slice(start, start + BLOCK_ROWS)
+    for start in range(0, len(rows), _BLOCK_ROWS):
+        part = slice(start, start + _BLOCK_ROWS)
         np.matmul(rows[part].astype(np.float64), pca.components.T, out=out[part])
     out -= offset
     return out

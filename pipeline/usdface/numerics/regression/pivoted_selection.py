@@ -4,7 +4,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 
-LEAST_SHARE = 1e-3
+_LEAST_SHARE = 1e-3
 """Of the largest row's length: what is left of a row below this is no difference."""
 
 
@@ -27,7 +27,7 @@ def most_different_rows(rows: FloatArray, count: int) -> IntArray:
     """
     left = np.array(rows, dtype=np.float64)
     energy = np.einsum("nk,nk->n", left, left)
-    least = LEAST_SHARE**2 * float(energy.max(initial=0.0))
+    least = _LEAST_SHARE**2 * float(energy.max(initial=0.0))
     chosen: list[int] = []
     for _ in range(min(count, len(left))):
         best = int(energy.argmax())

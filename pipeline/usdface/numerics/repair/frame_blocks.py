@@ -9,13 +9,13 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-BLOCK_FRAMES = 2048
+_BLOCK_FRAMES = 2048
 """Arrays of a hundred markers stay near the processor's cache."""
 
 
 def frame_blocks(count: int, *, frames: int | None = None, at_least: int = 1) -> Iterator[slice]:
-    """Yield the frames of a take in blocks of `frames`, by default `BLOCK_FRAMES`."""
-    size = max(BLOCK_FRAMES if frames is None else frames, at_least)
+    """Yield the frames of a take in blocks of `frames`, by default `_BLOCK_FRAMES`."""
+    size = max(_BLOCK_FRAMES if frames is None else frames, at_least)
     for start in range(0, count, size):
         yield slice(start, min(start + size, count))
 

@@ -16,7 +16,7 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.numerics.solve.bounded_least_squares import minimise_bounded_quadratic
 from usdface.numerics.solve.bounded_smoothing import minimise_bounded_smooth
 
-Method = Literal["lstsq", "nnls", "bounded"]
+_Method = Literal["lstsq", "nnls", "bounded"]
 
 _RELINEARISATIONS = 8
 _SMALL_STEP = 1e-6
@@ -25,7 +25,7 @@ _DEPENDENT_RIDGE = 0.01  # of a shape's mean energy: settles which of many solut
 
 
 @dataclass(frozen=True)
-class Solve:
+class _Solve:
     """Weights that explain a marker motion.
 
     Attributes
@@ -67,7 +67,7 @@ def solve_weights(
     deltas: ArrayLike,
     motion: ArrayLike,
     *,
-    method: Method = "lstsq",
+    method: _Method = "lstsq",
     ranges: ArrayLike | None = None,
     visible: ArrayLike | None = None,
     marker_trust: ArrayLike | None = None,
@@ -76,7 +76,7 @@ def solve_weights(
     l1: float = 0.0,
     smoothness: float = 0.0,
     keys: MarkerKeys | None = None,
-) -> Solve:
+) -> _Solve:
     """Solve the blendshape equation for every frame.
 
     Minimises ``sum_m trust_m |motion_m - sum_i w_i delta_im|^2 + ridge |w - prior|^2 + 2 l1 |w|_1
@@ -163,7 +163,7 @@ def solve_weights(
             )
     residual = np.linalg.norm(problem.motion - _predict(problem.deltas, keys, weights), axis=2)
     residual[~problem.visible] = np.nan
-    return Solve(weights, residual, rank)
+    return _Solve(weights, residual, rank)
 
 
 def _relinearise(
@@ -268,7 +268,9 @@ def _checked(
     return _Problem(D, m, seen, share, seen * share)
 
 
-def _bounds(method: Method, ranges: ArrayLike | None, shapes: int) -> tuple[FloatArray, FloatArray]:
+def _bounds(
+    method: _Method, ranges: ArrayLike | None, shapes: int
+) -> tuple[FloatArray, FloatArray]:
     if method == "bounded":
         limits = np.asarray([[0.0, 1.0]] * shapes if ranges is None else ranges, float)
         if limits.shape != (shapes, 2):

@@ -13,7 +13,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
 
-MOST_STEPS = 10
+_MOST_STEPS = 10
 SETTLED = 1e-3
 """Steps of accelerated projected gradient: as many as a metric needs for that share of the way to
 be left, at most those."""
@@ -36,7 +36,7 @@ class BoxProjection:
     factor : (s, r) float array, optional
         The metric is then ``diag(metric) + factor @ factor.T``, which is quicker where r is small.
     steps : int, optional
-        By default as many as the metric needs, at most `MOST_STEPS`.
+        By default as many as the metric needs, at most `_MOST_STEPS`.
     single : bool
         Take the steps in single precision.
     device : ArrayDevice
@@ -73,7 +73,7 @@ class BoxProjection:
         kind = "float32" if single else "float64"
         self._descent = tuple(device.put(np.ascontiguousarray(each), dtype=kind) for each in parts)
         self._lower, self._upper = device.put(lower), device.put(upper)
-        self._steps = min(MOST_STEPS, math.ceil(needed)) if steps is None else steps
+        self._steps = min(_MOST_STEPS, math.ceil(needed)) if steps is None else steps
 
     def __call__(self, weights: Any) -> Any:
         """Project rows.

@@ -17,7 +17,7 @@ from usdface.numerics.timing.phase_scan import PhaseVote, scan_phase
 from usdface.numerics.timing.robust_line import RobustLine, fit_robust_line
 from usdface.numerics.timing.window_delays import WindowDelays, window_delays
 
-LARGEST_DRIFT = 300e-6
+_LARGEST_DRIFT = 300e-6
 """Crystal clocks of recorders stay within 100 ppm of true, so two within 200 of each other."""
 USUAL_DRIFT = 60e-6
 
@@ -128,7 +128,7 @@ def align_sounds(
     progress(0.0, "finding onsets")
     onsets = onset_flux(first, rate=rate), onset_flux(second, rate=rate)
     progress(0.4, "correlating onsets")
-    coarse = correlate_onsets(*onsets, largest_drift=LARGEST_DRIFT)
+    coarse = correlate_onsets(*onsets, largest_drift=_LARGEST_DRIFT)
     if coarse is None:
         return SoundAlignment(0.0, 0.0, 0.0, ("a recording holds only an unchanging sound",))
     pair = _Pair(first, second, rate)
@@ -142,7 +142,7 @@ def align_sounds(
             rate=rate,
             window=_window_seconds(min(pair.seconds)),
             count=_SCANNED_WINDOWS,
-            largest_drift=LARGEST_DRIFT,
+            largest_drift=_LARGEST_DRIFT,
         )
         by_phase = found if vote is None else _by_phase(vote)
         found = found if by_phase.doubts else by_phase
@@ -184,7 +184,7 @@ def _measure(pair: "_Pair", found: "_Found", *, count: int) -> tuple[WindowDelay
         windows.times,
         windows.delays,
         tolerance=_TOLERANCE,
-        largest_slope=LARGEST_DRIFT,
+        largest_slope=_LARGEST_DRIFT,
         usual_slope=USUAL_DRIFT,
         noise=_NOISE,
     )
@@ -239,7 +239,7 @@ def _by_onsets(coarse: OnsetCorrelation, middle: float) -> _Found:
         shift=coarse.shift,
         middle=middle,
         drift=coarse.drift,
-        drift_unknown=2 * coarse.drift_step or LARGEST_DRIFT,
+        drift_unknown=2 * coarse.drift_step or _LARGEST_DRIFT,
         confidence=min(
             float(np.interp(coarse.peak, [0, LEAST_PEAK, _CLEAR_PEAK], [0, 0.5, 1])),
             float(np.interp(coarse.ratio, [1, LEAST_RATIO, _CLEAR_RATIO], [0, 0.5, 1])),
@@ -265,7 +265,7 @@ def _by_phase(vote: PhaseVote) -> _Found:
         shift=vote.shift,
         middle=vote.middle,
         drift=0.0,
-        drift_unknown=LARGEST_DRIFT,
+        drift_unknown=_LARGEST_DRIFT,
         confidence=min(
             float(np.interp(share, [0, LEAST_AGREEMENT, _CLEAR_AGREEMENT], [0, 0.5, 1])),
             float(np.interp(lead, [1, LEAST_LEAD, 2 * LEAST_LEAD], [0, 0.5, 1])),

@@ -24,7 +24,7 @@ from usdface.usdio.take.sync import VideoSync, write_video_sync
 
 log = logging.getLogger(__name__)
 
-RATE = 16000
+_RATE = 16000
 """Samples per second at which sounds are compared: speech ends at 7 kHz."""
 
 UNCHECKED_CONFIDENCE = 0.5
@@ -177,9 +177,9 @@ def _gather(take: Take, video: Video, progress: Progress) -> Evidence:
         return Evidence(None, f"{video.file}: pictures carry no sound", labels)
     try:
         progress(0.0, f"listening to {video.file.name}")
-        camera = read_audio(video.file, rate=RATE)
+        camera = read_audio(video.file, rate=_RATE)
         progress(0.25, f"listening to {take.audio.name}")
-        capture = read_audio(take.audio, rate=RATE)
+        capture = read_audio(take.audio, rate=_RATE)
     except InputError as error:
         return Evidence(None, str(error), labels)
     return Evidence(_compare(camera, capture, part(progress, 0.5, 1.0)), "", labels)
@@ -187,7 +187,7 @@ def _gather(take: Take, video: Video, progress: Progress) -> Evidence:
 
 def _compare(camera: Float32Array, capture: Float32Array, progress: Progress) -> SoundAlignment:
     return align_sounds(
-        camera, capture, rate=RATE, names=("camera's", "capture's"), progress=progress
+        camera, capture, rate=_RATE, names=("camera's", "capture's"), progress=progress
     )
 
 

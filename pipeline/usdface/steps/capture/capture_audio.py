@@ -18,7 +18,7 @@ SOUND_NAME = re.compile(r"audio|sound|mic|voice|speech", re.IGNORECASE)
 LEAST_RATE = 4000.0
 """[Hz] Slower channels are force plates and switches: speech needs at least this."""
 
-CHUNK_FRAMES = 1 << 14
+_CHUNK_FRAMES = 1 << 14
 
 
 @dataclass(frozen=True)
@@ -85,10 +85,10 @@ def extract_sound(
 
 def _write_wav(path: Path, capture: C3dFile, column: int, *, ours: bool) -> None:
     """Write 16-bit samples, the loudest at full scale; two passes keep memory bounded."""
-    starts = range(0, capture.frame_count, CHUNK_FRAMES)
+    starts = range(0, capture.frame_count, _CHUNK_FRAMES)
 
     def samples(start: int) -> np.ndarray:
-        return capture.read_analog(start, start + CHUNK_FRAMES)[:, column].astype(np.float64)
+        return capture.read_analog(start, start + _CHUNK_FRAMES)[:, column].astype(np.float64)
 
     total = sum(float(np.nansum(_numbers(samples(start)))) for start in starts)
     count = max(sum(int(np.isfinite(samples(start)).sum()) for start in starts), 1)

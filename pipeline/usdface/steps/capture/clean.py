@@ -21,7 +21,7 @@ from usdface.usdio.take.write import take_samples_path, write_take
 LONGEST_GAP_SECONDS = 2.0
 """What is filled by default: beyond, the other markers hardly tell what one did."""
 
-FEWEST_RIGID = 3
+_FEWEST_RIGID = 3
 """Seen at once, they tell the head's pose."""
 
 POSE_COLOR, FILLED_COLOR, SWAPPED_COLOR = (92, 98, 110), (86, 156, 214), (232, 178, 66)
@@ -57,10 +57,10 @@ def run(
             f"{take.first_frame + take.frame_count - 1}; name one with --neutral"
         )
     shown = int(markers.visible[row, [markers.names.index(name) for name in rigid]].sum())
-    if shown < FEWEST_RIGID:
+    if shown < _FEWEST_RIGID:
         raise InputError(
             f"{spec.take}: {shown} of the rigid markers {', '.join(rigid)} are seen at the neutral "
-            f"frame {neutral}, {FEWEST_RIGID} are needed; choose another with --neutral, or name "
+            f"frame {neutral}, {_FEWEST_RIGID} are needed; choose another with --neutral, or name "
             "more with --rigid"
         )
     max_gap = spec.max_gap

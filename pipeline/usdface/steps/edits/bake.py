@@ -16,7 +16,7 @@ from usdface.usdio.performance.weights_layer import writing_weights
 from usdface.usdio.performance.write import PerformanceReader, header_of
 from usdface.usdio.rig.read import read_rig
 
-BLOCK_FRAMES = 4096
+_BLOCK_FRAMES = 4096
 """Frames that are composed at once; their ends are keys, so that memory stays bounded."""
 
 SURFACE_FRAMES = 8
@@ -34,8 +34,8 @@ def run(
     kept = 0
     with writing_weights(spec.out, header, rig, provenance=provenance) as writer:
         surface = _Surface(rig, reader.names) if spec.unit == "mm" and spec.tolerance else None
-        for first in range(reader.first_frame, reader.last_frame + 1, BLOCK_FRAMES):
-            last = min(first + BLOCK_FRAMES - 1, reader.last_frame)
+        for first in range(reader.first_frame, reader.last_frame + 1, _BLOCK_FRAMES):
+            last = min(first + _BLOCK_FRAMES - 1, reader.last_frame)
             weights = baked_weights(reader, rig, first, last, limit=spec.limit)
             keys = _keys(spec, weights, surface)
             kept += len(keys)

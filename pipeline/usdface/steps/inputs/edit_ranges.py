@@ -13,7 +13,7 @@ from usdface.runner.sandbox import confine
 from usdface.usdio.performance.edits import edited_frames, edits_elsewhere, read_edits
 from usdface.usdio.performance.write import PerformanceReader
 
-CHANGED = 0.1
+_CHANGED = 0.1
 """Change of the solved weight beneath an edit that an animator should look at: a tenth of a shape's
 whole way is seen at once."""
 
@@ -104,7 +104,7 @@ def edit_notes(performance: Path) -> list[str]:
         f"{each.shape} {each.first}-{each.last}: the solve beneath the edit changed by up to "
         f"{each.solve_change:+.2f} at frame {each.solve_frame}; look at the edit again"
         for each in ranges
-        if abs(each.solve_change) > CHANGED
+        if abs(each.solve_change) > _CHANGED
     ]
     beyond = edits_beyond(reader)
     if beyond:
@@ -144,7 +144,7 @@ def list_edits(performance: Path, *, prim: str | None = None) -> StepResult:
         + (
             f", the solve beneath has since changed by {each.solve_change:+.2f} at frame "
             f"{each.solve_frame}"
-            if abs(each.solve_change) > CHANGED
+            if abs(each.solve_change) > _CHANGED
             else ""
         )
         for each in ranges
@@ -152,7 +152,7 @@ def list_edits(performance: Path, *, prim: str | None = None) -> StepResult:
     )
     if len(ranges) > LISTED:
         table += (f"and {len(ranges) - LISTED} smaller ones; --json lists them all",)
-    changed = sum(abs(each.solve_change) > CHANGED for each in ranges)
+    changed = sum(abs(each.solve_change) > _CHANGED for each in ranges)
     shapes = {each.shape for each in ranges}
     summary = f"{pluralize(len(ranges), 'edited range')} of {pluralize(len(shapes), 'shape')}"
     if changed:

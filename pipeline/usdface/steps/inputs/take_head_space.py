@@ -7,7 +7,7 @@ from usdface.core.errors import InputError
 from usdface.model.mapping.head_space import HeadSpace, find_head_space
 from usdface.usdio.take.read import TakeReader
 
-SAMPLE_FRAMES = 512
+_SAMPLE_FRAMES = 512
 """Frames spread over the take from which its head space is found: a median needs no more."""
 
 
@@ -20,7 +20,7 @@ def take_head_space(take: TakeReader, mapping: TrainedMapping) -> HeadSpace:
         If the take is not stabilised, or has too few of the mapping's markers.
     """
     count = take.last_frame - take.first_frame + 1
-    picks = np.linspace(take.first_frame, take.last_frame, min(count, SAMPLE_FRAMES))
+    picks = np.linspace(take.first_frame, take.last_frame, min(count, _SAMPLE_FRAMES))
     sample = _there(take, take.read_markers_at(picks.astype(int).tolist()))
     try:
         return find_head_space(mapping, sample)

@@ -34,7 +34,7 @@ LARGEST_LAYER_BYTES = 1 << 30
 PART_BYTES = 1 << 27
 """Weights that take more than the first are written in parts of about the second."""
 
-DOUBTFUL = 0.5
+_DOUBTFUL = 0.5
 """Confidence below which a frame is worth a look."""
 
 
@@ -193,11 +193,11 @@ def _lacking_notes(first: int, lacking: np.ndarray) -> list[str]:
 def _report(
     spec: MapSpec, first: int, confidence: np.ndarray, residual: np.ndarray, notes: list[str]
 ) -> StepResult:
-    low = np.flatnonzero(confidence < DOUBTFUL)
+    low = np.flatnonzero(confidence < _DOUBTFUL)
     if len(low):
         worst = first + int(confidence.argmin())
         notes.append(
-            f"confidence below {DOUBTFUL:g} in {pluralize(len(low), 'frame')}, lowest at frame "
+            f"confidence below {_DOUBTFUL:g} in {pluralize(len(low), 'frame')}, lowest at frame "
             f"{worst}: the references show nothing like them"
         )
     count = len(confidence)

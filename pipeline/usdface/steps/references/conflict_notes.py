@@ -13,7 +13,7 @@ from usdface.model.selection.conflicts import (
 )
 from usdface.steps.inputs.tuned_pairs import read_set_references
 
-MOST_TOLD = 5
+_MOST_TOLD = 5
 
 
 def tuned_conflicts(path: Path) -> tuple[list[str], list[dict[str, object]]]:
@@ -36,9 +36,9 @@ def tuned_conflicts(path: Path) -> tuple[list[str], list[dict[str, object]]]:
 
 
 def _texts(references: References, found: list[ReferenceConflict]) -> list[str]:
-    texts = [f"{conflict_text(references, each)}; look at both" for each in found[:MOST_TOLD]]
-    if len(found) > MOST_TOLD:
-        texts.append(f"and {len(found) - MOST_TOLD} more pairs contradict each other")
+    texts = [f"{conflict_text(references, each)}; look at both" for each in found[:_MOST_TOLD]]
+    if len(found) > _MOST_TOLD:
+        texts.append(f"and {len(found) - _MOST_TOLD} more pairs contradict each other")
     return texts
 
 

@@ -26,13 +26,13 @@ from usdface.steps.inputs.tuned_pairs import find_rows, read_set_references
 from usdface.steps.references.scene import SelectionScene, candidate_frames, set_up_scene
 from usdface.usdio.rig.read import read_rig
 
-MOST_TOLD = 3
+_MOST_TOLD = 3
 """Further frames that are named in words; all are in the figures and the picture."""
 
 LEAST_MARKERS = 0.5
 """Share of a take's markers that references must have to be laid on it."""
 
-GLANCE_FRAMES = 2000
+_GLANCE_FRAMES = 2000
 """Frames spread over the takes that say where the head is."""
 
 
@@ -58,7 +58,7 @@ def run(
         )
     notes += [
         f"frame {hole.frame} of {hole.take} next: {hole.share:.1%} would be covered"
-        for hole in holes_of(covered, takes)[:MOST_TOLD]
+        for hole in holes_of(covered, takes)[:_MOST_TOLD]
     ]
     return StepResult(
         (spec.out,),
@@ -233,7 +233,7 @@ def _in_head_space(takes: CleanedTakes, references: References) -> FloatArray:
     skull = [takes.marker_names.index(name) for name in takes.rigid]
     markers = references.markers[:, columns]
     clip = takes.positions[0]
-    step = max(len(clip) // GLANCE_FRAMES, 1)
+    step = max(len(clip) // _GLANCE_FRAMES, 1)
     home = np.median(clip[::step, skull].astype(np.float64), axis=0)
     middle = np.median(markers[:, skull], axis=0)[None]
     alignment = align_rigid_robust(middle, home, visible=np.ones((1, len(skull)), bool))

@@ -17,13 +17,13 @@ from usdface.model.selection.features import SelectionSpace, selection_space
 from usdface.specs.base import frame_range
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
 
-USABLE_SHARE = 0.9
+_USABLE_SHARE = 0.9
 """A frame with fewer markers than this is no example to learn from."""
 
-MOTION_FRAMES = 60_000
+_MOTION_FRAMES = 60_000
 """Frames from which the space of the motion is measured."""
 
-BLOCK_FRAMES = 2048
+_BLOCK_FRAMES = 2048
 """Small enough that a block stays near the processor between centring and projecting."""
 
 
@@ -88,7 +88,7 @@ def set_up_scene(takes: CleanedTakes, rig: Rig, *, progress: Progress) -> Select
     """
     progress(0.2, "measuring the motion")
     # Of an hour every eighth frame says as much of how a face moves as all of them.
-    step = -(-len(takes.frames) // MOTION_FRAMES)
+    step = -(-len(takes.frames) // _MOTION_FRAMES)
     motion = fit_motion_space([clip[::step] for clip in takes.positions])
     progress(0.35, "placing the markers on the rig")
     deformer = Deformer(rig)
@@ -114,7 +114,7 @@ def candidate_frames(takes: CleanedTakes, frames: str | None) -> BoolArray:
     """Return which frames of all takes may be tuned: with most markers, within a range."""
     markers = len(takes.marker_names)
     seen = np.concatenate([np.count_nonzero(each, axis=1) for each in takes.usable])
-    candidates: BoolArray = seen >= USABLE_SHARE * markers
+    candidates: BoolArray = seen >= _USABLE_SHARE * markers
     limits = frame_range(frames)
     if limits is not None:
         candidates &= (takes.frames >= limits[0]) & (takes.frames <= limits[1])
@@ -130,11 +130,11 @@ def _features(takes: CleanedTakes, motion: MotionSpace, space: SelectionSpace) -
     mean = motion.mean.astype(np.float32)
     narrow, offset = projection.astype(np.float32), space.offset.astype(np.float32)
     out = np.empty((len(takes.frames), projection.shape[1]), np.float32)
-    centred = np.empty((BLOCK_FRAMES, len(mean)), np.float32)
+    centred = np.empty((_BLOCK_FRAMES, len(mean)), np.float32)
     start = 0
     for clip in takes.positions:
-        for first in range(0, len(clip), BLOCK_FRAMES):
-            part = clip[first : first + BLOCK_FRAMES].reshape(-1, len(mean))
+        for first in range(0, len(clip), _BLOCK_FRAMES):
+            part = clip[first : first + _BLOCK_FRAMES].reshape(-1, len(mean))
             rows = slice(start + first, start + first + len(part))
             # Centred first: of hundreds of millimetres single precision would lose the last digits.
             np.subtract(part, mean, out=centred[: len(part)])
@@ -175,7 +175,7 @@ def _rows_of(takes: CleanedTakes, rows: IntArray) -> FloatArray:
     )
 
 
-GLANCE_FRAMES = 2000
+_GLANCE_FRAMES = 2000
 """Frames spread over a take by which its head is put where the mapping's was."""
 
 
@@ -201,7 +201,7 @@ class TakesPrediction:
 def takes_prediction(mapping: TrainedMapping, takes: CleanedTakes) -> TakesPrediction:
     """Find the head space of takes that share one, by frames spread over them."""
     count = len(takes.frames)
-    rows = np.unique(np.linspace(0, count - 1, min(count, GLANCE_FRAMES)).astype(np.int64))
+    rows = np.unique(np.linspace(0, count - 1, min(count, _GLANCE_FRAMES)).astype(np.int64))
     return TakesPrediction(mapping, takes, find_head_space(mapping, _markers(takes, rows)))
 
 

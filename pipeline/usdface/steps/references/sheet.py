@@ -34,13 +34,13 @@ from usdface.usdio.references.tuning import read_pair_notes
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
 
-YAW_DEGREES = 12.0
+_YAW_DEGREES = 12.0
 """A little from the side, where lips and lids show their depth."""
 
 FAINTEST = 0.05
 """Weights below are not worth naming."""
 
-Video = VideoReader | ImageSequence
+_Video = VideoReader | ImageSequence
 
 
 def run(
@@ -71,7 +71,7 @@ def run(
         rigid=tuple(references.marker_names.index(name) for name in references.rigid),
     )
     residual = equation.residual_mm(references.markers, weights)
-    camera = frame_rig(rig.meshes, yaw_degrees=YAW_DEGREES)
+    camera = frame_rig(rig.meshes, yaw_degrees=_YAW_DEGREES)
     cloud = frame_markers(references.markers)
     rows = []
     kept = read_pair_notes(spec.references, len(references.frames))
@@ -160,7 +160,7 @@ def _pairs(spec: ReferenceSheetSpec, references: References) -> list[int]:
     return pairs
 
 
-def _open_video(take: Take, stack: ExitStack) -> Video | None:
+def _open_video(take: Take, stack: ExitStack) -> _Video | None:
     if take.video is None:
         return None
     video = open_video(take.video.file, take.video.rate)
@@ -169,7 +169,7 @@ def _open_video(take: Take, stack: ExitStack) -> Video | None:
 
 
 def _video_picture(
-    take: Take | None, video: Video | None, frame: int
+    take: Take | None, video: _Video | None, frame: int
 ) -> tuple[ByteImage | None, str]:
     """Find the camera's picture of a pair, by the clock that aligns the two."""
     if take is None or take.video is None or video is None:

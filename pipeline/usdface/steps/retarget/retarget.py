@@ -28,7 +28,7 @@ from usdface.usdio.retarget.control_performance import controls_path, writing_co
 from usdface.usdio.retarget.mapping import read_retargeting
 from usdface.usdio.rig.read import read_rig
 
-CHUNK_FRAMES = 8192
+_CHUNK_FRAMES = 8192
 
 
 def run(
@@ -120,11 +120,11 @@ def _write(
         timecode_start=motion.timecode_start,
         provenance=provenance,
     ) as writer:
-        for start in range(0, len(source), CHUNK_FRAMES):
-            rows = slice(start, start + CHUNK_FRAMES)
+        for start in range(0, len(source), _CHUNK_FRAMES):
+            rows = slice(start, start + _CHUNK_FRAMES)
             share = None if alpha is None else alpha[rows]
             writer.append(retarget(trained, source[rows], alpha=share))
-            done = min(start + CHUNK_FRAMES, len(source))
+            done = min(start + _CHUNK_FRAMES, len(source))
             progress(done / len(source), f"{out.name}: frame {motion.first_frame + done - 1}")
     return [*notes, *edit_notes(out)]
 

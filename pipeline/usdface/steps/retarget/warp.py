@@ -36,7 +36,7 @@ from usdface.usdio.retarget.sequences import check_sequence_rate, read_matches, 
 from usdface.usdio.rig.read import read_rig
 
 PUBLISHED_KEEP = 1.0
-CHUNK_FRAMES = 8192
+_CHUNK_FRAMES = 8192
 
 
 @dataclass(frozen=True)
@@ -257,8 +257,8 @@ def _write(
         timecode_start=read.timecode_start,
         provenance=provenance,
     ) as writer:
-        for start in range(0, len(warped), CHUNK_FRAMES):
-            writer.append(warped.rows(slice(start, start + CHUNK_FRAMES)))
+        for start in range(0, len(warped), _CHUNK_FRAMES):
+            writer.append(warped.rows(slice(start, start + _CHUNK_FRAMES)))
             progress(start / len(warped), f"writing frame {read.clip.first_frame + start}")
 
 

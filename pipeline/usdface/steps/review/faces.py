@@ -22,7 +22,7 @@ from usdface.usdio.rig.posed_points import PosedRig
 MOVES_MM = 2.0
 """Points that go further than this between the frames belong in the picture."""
 
-ROOM = 1.06
+_ROOM = 1.06
 """Between what moves and the picture's edge."""
 
 MOST_POSES = 4000
@@ -95,7 +95,7 @@ def _with_all_that_moves(camera: Camera, posed: FloatArray) -> Camera:
     away = posed[:, moving].reshape(-1, 3) - np.array(camera.target)
     wide = np.tan(np.deg2rad(camera.fov_degrees / 2))
     across = np.maximum(np.abs(away @ right), np.abs(away @ up))
-    needed = ROOM * across / wide + away @ back  # distance from which each point is just inside
+    needed = _ROOM * across / wide + away @ back  # distance from which each point is just inside
     distance = float(np.linalg.norm(np.subtract(camera.eye, camera.target)))
     share = max(float(needed.max()) / distance, 1.0)
     x, y, z = np.array(camera.target) + share * np.subtract(camera.eye, camera.target)

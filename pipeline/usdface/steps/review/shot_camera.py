@@ -10,7 +10,7 @@ from usdface.media.face.camera import Camera, frame_rig, motion_weights
 from usdface.specs.review import AUTO
 from usdface.usdio.rig.stage_camera import StageCamera, StageView
 
-YAW_DEGREES = 12.0
+_YAW_DEGREES = 12.0
 """A little from the side, where lips and lids show their depth."""
 
 WIDEST = 3.0
@@ -44,7 +44,7 @@ class ShotCamera:
         stage: Path | None = None,
     ) -> None:
         self._rig = rig
-        self._framed = frame_rig(rig.meshes, yaw_degrees=YAW_DEGREES)
+        self._framed = frame_rig(rig.meshes, yaw_degrees=_YAW_DEGREES)
         self._name = name
         self._stage: StageCamera | None = None
         if name != AUTO:

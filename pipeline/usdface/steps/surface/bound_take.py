@@ -15,7 +15,7 @@ from usdface.usdio.rig.mesh import FaceMesh
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader
 
-SAMPLE_FRAMES = 400
+_SAMPLE_FRAMES = 400
 """Frames spread over a take that binding looks at."""
 
 
@@ -65,7 +65,7 @@ def sample_take(take: TakeReader) -> TakeSample:
             f"{take.first_frame}-{take.last_frame}; clean it with --neutral"
         )
     count = take.last_frame - take.first_frame + 1
-    picks = np.unique(np.linspace(take.first_frame, take.last_frame, min(count, SAMPLE_FRAMES)))
+    picks = np.unique(np.linspace(take.first_frame, take.last_frame, min(count, _SAMPLE_FRAMES)))
     parts = []
     for frame in [head.neutral_frame, *picks.astype(int).tolist()]:
         markers = take.read(frame, frame).markers

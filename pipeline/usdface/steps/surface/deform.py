@@ -19,7 +19,7 @@ from usdface.usdio.rig.mesh import FaceMesh
 from usdface.usdio.surface.point_cache import PointsFormat, points_path, writing_points
 from usdface.usdio.take.read import TakeReader
 
-CHUNK_FRAMES = 2048
+_CHUNK_FRAMES = 2048
 """Frames whose markers are read at once."""
 
 
@@ -48,8 +48,8 @@ def run(
         timecode_start=take.timecode_at(first),
         provenance=provenance,
     ) as writer:
-        for start in range(first, last + 1, CHUNK_FRAMES):
-            stop = min(start + CHUNK_FRAMES - 1, last)
+        for start in range(first, last + 1, _CHUNK_FRAMES):
+            stop = min(start + _CHUNK_FRAMES - 1, last)
             for moved in plan.stream(_displacements(plan, take, start, stop)):
                 points = face.local + face.into_mesh(moved.mean.astype(np.float64))
                 writer.append(

@@ -15,7 +15,7 @@ from usdface.usdio.take.read import TakeReader
 
 LARGEST_CSV_BYTES = 1 << 20
 
-USABLE_SHARE = 0.9
+_USABLE_SHARE = 0.9
 """A frame with fewer markers than this is no example to make a shape of."""
 
 LOOKED_AT = 4000
@@ -79,7 +79,7 @@ def choose_shape_frames(
     InputError
         If the take shows fewer different faces than that.
     """
-    allowed = np.flatnonzero(usable.mean(axis=1) >= USABLE_SHARE)
+    allowed = np.flatnonzero(usable.mean(axis=1) >= _USABLE_SHARE)
     rows = allowed[most_different_rows(displacements[allowed].reshape(len(allowed), -1), count)]
     if len(rows) < count:
         raise InputError(

@@ -28,7 +28,7 @@ NOISE_BELIEVED = HyperPrior(medians=(9.0, 1e-6, 4.0, 1.0), spread=(1.5, 0.05, 1.
 MOVING = 0.15
 """Of the largest motion: markers that move less need not be in the picture."""
 
-YAW_DEGREES = 18.0
+_YAW_DEGREES = 18.0
 """A little from the side, where lips and lids show their depth."""
 
 
@@ -162,7 +162,7 @@ def _write(
         plan.face.mesh,
         compared,
         near=at[_moving(plan)],
-        yaw_degrees=facing_yaw(plan.face.mesh, at) + YAW_DEGREES,
+        yaw_degrees=facing_yaw(plan.face.mesh, at) + _YAW_DEGREES,
         high_mm=high,
         quality=quality,
     )

@@ -37,7 +37,7 @@ from usdface.usdio.surface.binding import read_binding
 from usdface.usdio.surface.distance_cache import CachedDistances, read_distances, write_distances
 from usdface.usdio.take.read import TakeReader
 
-REACH = 4.0
+_REACH = 4.0
 """How far markers reach by default, in the median distance from one to its nearest."""
 
 
@@ -188,7 +188,7 @@ def _fade(distances: SurfaceDistances, reach: float | None) -> Float32Array:
         others = distances.geodesic_between + np.diag(
             np.full(len(distances.geodesic_between), np.inf)
         )
-        reach = REACH * float(np.median(others.min(axis=1)))
+        reach = _REACH * float(np.median(others.min(axis=1)))
     nearest = distances.geodesic_to_points.min(axis=0)
     share = np.clip(2 - nearest / np.float32(reach / 2), 0, 1)
     return np.asarray((share**2 * (3 - 2 * share))[:, None], np.float32)

@@ -16,7 +16,7 @@ from usdface.usdio.checks.sides import check_sides
 from usdface.usdio.checks.timing import check_timing
 from usdface.usdio.checks.weights import check_weights
 
-PLUGIN = "usdface.usdio.checks"
+_PLUGIN = "usdface.usdio.checks"
 
 _KINDS = {
     "error": UsdValidation.ValidationErrorType.Error,
@@ -66,7 +66,7 @@ def _register() -> None:
         ) -> list[UsdValidation.ValidationError]:
             return _errors(name, prim.GetStage(), check(prim))
 
-        registry.RegisterPluginPrimValidator(f"{PLUGIN}:{name}", look_at_prim)
+        registry.RegisterPluginPrimValidator(f"{_PLUGIN}:{name}", look_at_prim)
     for name, look in _STAGE_CHECKS.items():
 
         def look_at_stage(
@@ -78,7 +78,7 @@ def _register() -> None:
         ) -> list[UsdValidation.ValidationError]:
             return _errors(name, stage, check(stage))
 
-        registry.RegisterPluginStageValidator(f"{PLUGIN}:{name}", look_at_stage)
+        registry.RegisterPluginStageValidator(f"{_PLUGIN}:{name}", look_at_stage)
 
 
 _register()

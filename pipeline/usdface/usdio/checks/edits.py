@@ -7,7 +7,7 @@ from usdface.core.errors import InputError
 from usdface.usdio.checks.fault import Fault, is_solved, read_samples, some
 from usdface.usdio.performance.edits import PREFIXES, read_edits
 
-CHANGED = 0.1
+_CHANGED = 0.1
 """Change of the solve beneath an edit that an animator should look at."""
 
 
@@ -40,7 +40,7 @@ def check_edits(prim: Usd.Prim) -> list[Fault]:
         moved = np.abs(samples.values[:, names.index(shape)] - edit.beneath)
         moved = np.where(np.isfinite(moved) & edit.curve.active, moved, 0.0)
         row = int(moved.argmax())
-        if moved[row] > CHANGED:
+        if moved[row] > _CHANGED:
             found.append(
                 Fault(
                     "warning",

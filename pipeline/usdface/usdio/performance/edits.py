@@ -29,11 +29,11 @@ from usdface.usdio.layers import (
 from usdface.usdio.performance.retimed_layer import retime_layer
 from usdface.usdio.take.frame_span import check_frame_span
 
-OFFSET = "face:edit:"
+_OFFSET = "face:edit:"
 OVERRIDE = "face:override:"
 MASK = "face:mask:"
 BENEATH = "face:beneath:"
-PREFIXES = (OFFSET, OVERRIDE, MASK, BENEATH)
+PREFIXES = (_OFFSET, OVERRIDE, MASK, BENEATH)
 
 BENEATH_TOLERANCE = 1e-3
 """The solve beneath an edit is kept as closely as this: it is only compared, never shown."""
@@ -87,7 +87,7 @@ def read_edits(animation: Usd.Prim, frames: IntArray) -> dict[str, ShapeEdit]:
 
 def _read_shape(parts: Mapping[str, Usd.Attribute], frames: IntArray) -> ShapeEdit:
     nothing = no_edit(len(frames))
-    offset = _read_curve(parts.get(OFFSET), frames)
+    offset = _read_curve(parts.get(_OFFSET), frames)
     override = _read_curve(parts.get(OVERRIDE), frames)
     mask = _read_curve(parts.get(MASK), frames)
     if override is None:
@@ -99,7 +99,7 @@ def _read_shape(parts: Mapping[str, Usd.Attribute], frames: IntArray) -> ShapeEd
     curve = EditCurve(
         nothing.offset
         if offset is None
-        else np.where(_blocked(parts.get(OFFSET), frames), 0.0, offset),
+        else np.where(_blocked(parts.get(_OFFSET), frames), 0.0, offset),
         nothing.override if override is None else override,
         nothing.mask if mask is None else np.where(hidden, 0.0, np.clip(mask, 0.0, 1.0)),
     )
@@ -185,7 +185,7 @@ def edits_elsewhere(performance: Path, animation: Usd.Prim) -> list[str]:
     def look(path: Sdf.Path) -> None:
         prim = layer.GetPrimAtPath(path) if path.IsPrimPath() else None
         if prim is not None and path != animation.GetPath():
-            if any(name.startswith((OFFSET, OVERRIDE)) for name in prim.attributes.keys()):
+            if any(name.startswith((_OFFSET, OVERRIDE)) for name in prim.attributes.keys()):
                 found.append(str(path))
 
     layer.Traverse(Sdf.Path.absoluteRootPath, look)
@@ -304,7 +304,7 @@ def _attribute_names(shapes: Iterable[str]) -> dict[str, str]:
         name = shape if valid else ":".join(map(Tf.MakeValidIdentifier, shape.split(":")))
         if owner.setdefault(name, shape) != shape:
             raise InputError(
-                f"shapes {owner[name]!r} and {shape!r} would share the attribute {OFFSET}{name}; "
+                f"shapes {owner[name]!r} and {shape!r} would share the attribute {_OFFSET}{name}; "
                 "rename one on the rig"
             )
         names[shape] = name
@@ -324,7 +324,7 @@ def _edited_elsewhere(animation: Usd.Prim, path: Path, name: str) -> frozenset[s
     own = path.resolve()
     strength = files.index(own) if own in files else 1  # it will be the first below the top layer
     found = set[str]()
-    for prefix in (OFFSET, OVERRIDE, MASK):
+    for prefix in (_OFFSET, OVERRIDE, MASK):
         attribute = animation.GetAttribute(prefix + name)
         for spec in attribute.GetPropertyStack(Usd.TimeCode.Default()) if attribute else ():
             if spec.layer in local[:strength]:
@@ -354,8 +354,8 @@ def _write_shape(
     curve = edit.curve
     active = np.flatnonzero(curve.active)
     overridden = curve.mask > 0
-    offset = curve.offset if curve.offset.any() or OFFSET in beneath else None
-    _write_curve(prim, OFFSET + name, shape, frames, offset)
+    offset = curve.offset if curve.offset.any() or _OFFSET in beneath else None
+    _write_curve(prim, _OFFSET + name, shape, frames, offset)
     held = None
     if overridden.any():
         held = np.interp(frames, frames[overridden], curve.override[overridden])

@@ -53,7 +53,7 @@ SAMPLE_COSTS = 100
 VALUES_AHEAD = 1 << 21
 """Weights that wait to be written at most: solving goes on while USD saves."""
 
-LAST_WORDS_SECONDS = 60.0
+_LAST_WORDS_SECONDS = 60.0
 """What the process gets to finish a save when it is told to stop."""
 
 _SAMPLES = ("weights", "confidence", "residual_mm")
@@ -146,7 +146,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
             with contextlib.suppress(OSError):  # it reads no more
                 pipe.close()
     try:
-        process.wait(LAST_WORDS_SECONDS)
+        process.wait(_LAST_WORDS_SECONDS)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()

@@ -35,7 +35,7 @@ from usdface.usdio.rig.reference import (
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 ROOT = Sdf.Path("/References")
-MARKERS = ROOT.AppendChild("Markers")
+_MARKERS = ROOT.AppendChild("Markers")
 RIG = ROOT.AppendChild("Rig")
 WEIGHTS = ROOT.AppendChild("Weights")
 WEIGHTS_ATTRIBUTE = WEIGHTS.AppendProperty("blendShapeWeights")
@@ -235,7 +235,7 @@ def _author_pairs(layer: Sdf.Layer, references: References) -> None:
     Sdf.AttributeSpec(root, TAKE.name, Sdf.ValueTypeNames.Token)
     if references.motion is not None:
         _author_motion(root, references.motion)
-    points = define_prim(layer, MARKERS, "Points")
+    points = define_prim(layer, _MARKERS, "Points")
     apply_api(points, "FaceMarkersAPI")
     for name, kind, value in (
         ("face:markers:names", Sdf.ValueTypeNames.TokenArray, list(references.marker_names)),
@@ -299,7 +299,7 @@ def read_references(path: Path) -> References:
         path, ROOT, api="FaceReferencesAPI", kind="references", command="usdface select"
     )
     root = stage.GetPrimAtPath(ROOT)
-    points = UsdGeom.Points(stage.GetPrimAtPath(MARKERS))
+    points = UsdGeom.Points(stage.GetPrimAtPath(_MARKERS))
     animation = UsdSkel.Animation(stage.GetPrimAtPath(WEIGHTS))
     if not points or not animation:
         raise InputError(f"{path}: </References/Markers> or </References/Weights> is missing")

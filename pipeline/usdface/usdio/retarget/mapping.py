@@ -16,9 +16,9 @@ from usdface.usdio.authoring import author_uniform, define_prim, doubles
 from usdface.usdio.layers import author_units, new_layer, open_stage, relative_path
 from usdface.usdio.wrong_types import refusing_wrong_types
 
-ROOT = Sdf.Path("/Retargeting")
+_ROOT = Sdf.Path("/Retargeting")
 TYPE = "FaceRetargeting"
-ARRAY = "face:array:"
+_ARRAY = "face:array:"
 
 
 def write_retargeting(
@@ -28,8 +28,8 @@ def write_retargeting(
     kinds = Sdf.ValueTypeNames
     rig = "" if trained.target_rig is None else relative_path(trained.target_rig, path)
     with new_layer(path, provenance) as layer:
-        prim = define_prim(layer, ROOT, TYPE)
-        layer.defaultPrim = ROOT.name
+        prim = define_prim(layer, _ROOT, TYPE)
+        layer.defaultPrim = _ROOT.name
         author_units(layer)
         for name, kind, value in (
             ("method", kinds.Token, trained.method),
@@ -50,9 +50,9 @@ def write_retargeting(
             "ranges": trained.ranges,
         }
         for name, array in (fixed | {f"fit_{k}": v for k, v in trained.arrays.items()}).items():
-            author_uniform(prim, f"{ARRAY}{name}", kinds.DoubleArray, doubles(array))
+            author_uniform(prim, f"{_ARRAY}{name}", kinds.DoubleArray, doubles(array))
             shape = Vt.IntArray([int(size) for size in array.shape])
-            author_uniform(prim, f"{ARRAY}{name}:shape", kinds.IntArray, shape)
+            author_uniform(prim, f"{_ARRAY}{name}:shape", kinds.IntArray, shape)
 
 
 def is_retargeting(path: Path) -> bool:
@@ -81,7 +81,7 @@ def read_retargeting(path: Path) -> Retargeting:
     arrays = _arrays(path, prim)
     missing = [name for name in ("mean_rotations", "rest", "ranges") if name not in arrays]
     if missing:
-        raise InputError(f"{path} <{prim.GetPath()}>: {ARRAY}{missing[0]} is missing; train again")
+        raise InputError(f"{path} <{prim.GetPath()}>: {_ARRAY}{missing[0]} is missing; train again")
     try:
         settings = json.loads(str(_value(prim, "settings") or "{}"))
         scores = tuple(RetargetScore(**e) for e in json.loads(str(_value(prim, "scores") or "[]")))
@@ -123,7 +123,7 @@ def _arrays(path: Path, prim: Usd.Prim) -> dict[str, FloatArray]:
     arrays = {}
     for attribute in prim.GetAttributes():
         name = attribute.GetName()
-        if not name.startswith(ARRAY) or name.endswith(":shape"):
+        if not name.startswith(_ARRAY) or name.endswith(":shape"):
             continue
         beside = prim.GetAttribute(f"{name}:shape").Get()
         value = attribute.Get()
@@ -134,5 +134,5 @@ def _arrays(path: Path, prim: Usd.Prim) -> dict[str, FloatArray]:
                 f"{path} <{attribute.GetPath()}>: {array.size} numbers make no finite array of "
                 f"shape {shape}; train again"
             )
-        arrays[name.removeprefix(ARRAY)] = array.reshape(shape)
+        arrays[name.removeprefix(_ARRAY)] = array.reshape(shape)
     return arrays

@@ -40,12 +40,12 @@ from usdface.usdio.rig.reference import (
 )
 from usdface.usdio.wrong_types import refusing_wrong_types
 
-ROOT = Sdf.Path("/Pairs")
-SOURCE = ROOT.AppendChild("Source")
-TARGET = ROOT.AppendChild("Target")
-SOURCE_WEIGHTS = ROOT.AppendChild("SourceWeights")
-TARGET_CONTROLS = ROOT.AppendChild("TargetControls")
-NAME = ROOT.AppendProperty("face:pair:name")
+_ROOT = Sdf.Path("/Pairs")
+_SOURCE = _ROOT.AppendChild("Source")
+_TARGET = _ROOT.AppendChild("Target")
+SOURCE_WEIGHTS = _ROOT.AppendChild("SourceWeights")
+TARGET_CONTROLS = _ROOT.AppendChild("TargetControls")
+_NAME = _ROOT.AppendProperty("face:pair:name")
 
 
 def pair_samples_path(path: Path) -> Path:
@@ -76,11 +76,11 @@ def write_pairs(
         _author_samples(below, samples, pairs, source_rig, target_rig)
         if path.is_file():
             layer.TransferContent(open_layer(path))
-        author_pair_header(layer, ROOT, len(pairs))
+        author_pair_header(layer, _ROOT, len(pairs))
         asset = relative_path(samples, path)
         if asset not in list(layer.subLayerPaths):
             layer.subLayerPaths.append(asset)
-        root = define_prim(layer, ROOT, "Xform")
+        root = define_prim(layer, _ROOT, "Xform")
         root.SetInfo("kind", Kind.Tokens.component)
         apply_api(root, "FacePairsAPI")
 
@@ -95,21 +95,21 @@ def read_pairs(path: Path) -> ExpressionPairs:
         If the file is no pairs asset, a pair lacks a side, or a control is not there.
     """
     stage = open_pair_stage(
-        path, ROOT, api="FacePairsAPI", kind="pairs", command="usdface pairs propose"
+        path, _ROOT, api="FacePairsAPI", kind="pairs", command="usdface pairs propose"
     )
-    root = stage.GetPrimAtPath(ROOT)
+    root = stage.GetPrimAtPath(_ROOT)
     source, target = (stage.GetPrimAtPath(place) for place in (SOURCE_WEIGHTS, TARGET_CONTROLS))
     for place, prim in ((SOURCE_WEIGHTS, source), (TARGET_CONTROLS, target)):
         if not prim or not prim.IsA(UsdSkel.Animation):
             raise InputError(f"{path} <{place}>: there is no such animation; propose pairs again")
     attributes = attribute_names(target)
-    top = stage.GetPrimAtPath(TARGET)
+    top = stage.GetPrimAtPath(_TARGET)
     times = _times(stage, source, target, attributes, path)
     left = controls_at(source, None, (), times, path)
     right = controls_at(target, top, attributes, times, path)
     source_rig, source_prim = _rig(stage, source)
     target_rig, target_prim = _rig(stage, target)
-    names = root.GetAttribute(NAME.name)
+    names = root.GetAttribute(_NAME.name)
     return ExpressionPairs(
         names=tuple(str((names.Get(time) if names else None) or "") for time in times),
         source_shapes=left.shapes,
@@ -147,14 +147,14 @@ def _author_samples(
 ) -> None:
     tokens = Sdf.ValueTypeNames.TokenArray
     target = pairs.target
-    author_pair_header(layer, ROOT, len(pairs))
-    root = Sdf.CreatePrimInLayer(layer, ROOT)
-    Sdf.AttributeSpec(root, NAME.name, Sdf.ValueTypeNames.String)
+    author_pair_header(layer, _ROOT, len(pairs))
+    root = Sdf.CreatePrimInLayer(layer, _ROOT)
+    Sdf.AttributeSpec(root, _NAME.name, Sdf.ValueTypeNames.String)
     for time, name in enumerate(pairs.names, start=1):
-        layer.SetTimeSample(NAME, time, name)
+        layer.SetTimeSample(_NAME, time, name)
     for place, rig, animation in (
-        (SOURCE, source_rig, SOURCE_WEIGHTS),
-        (TARGET, target_rig, TARGET_CONTROLS),
+        (_SOURCE, source_rig, SOURCE_WEIGHTS),
+        (_TARGET, target_rig, TARGET_CONTROLS),
     ):
         define_reference(layer, str(place), rig, path)
         turn_to_our_units(layer, str(place), rig)
@@ -182,7 +182,7 @@ def _author_attributes(layer: Sdf.Layer, pairs: ExpressionPairs, rig: Rig) -> No
     top = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])
     for column, name in enumerate(pairs.target.attributes):
         kind = control_attribute(top, name, rig.file).GetTypeName()
-        where = attribute_path(TARGET, name)
+        where = attribute_path(_TARGET, name)
         if where is None:
             continue
         over = Sdf.CreatePrimInLayer(layer, where.GetPrimPath())
@@ -199,18 +199,18 @@ def _times(
     path: Path,
 ) -> list[int]:
     """Return the time codes of the pairs: both sides must be keyed at each."""
-    top = stage.GetPrimAtPath(TARGET)
-    keyed = {place: _sampled(prim) for place, prim in ((SOURCE, source), (TARGET, target))}
+    top = stage.GetPrimAtPath(_TARGET)
+    keyed = {place: _sampled(prim) for place, prim in ((_SOURCE, source), (_TARGET, target))}
     for name in attributes:
         found = control_attribute(top, name, path)
-        keyed[TARGET] |= {round(time) for time in found.GetTimeSamples()}
-    times = sorted(keyed[SOURCE] | keyed[TARGET])
+        keyed[_TARGET] |= {round(time) for time in found.GetTimeSamples()}
+    times = sorted(keyed[_SOURCE] | keyed[_TARGET])
     if not times:
         raise InputError(f"{path}: holds no pair; key both faces at time code 1, 2, ...")
     for time in times:
-        for place, side in ((SOURCE, "source"), (TARGET, "target")):
+        for place, side in ((_SOURCE, "source"), (_TARGET, "target")):
             if time not in keyed[place]:
-                animation = SOURCE_WEIGHTS if place == SOURCE else TARGET_CONTROLS
+                animation = SOURCE_WEIGHTS if place == _SOURCE else TARGET_CONTROLS
                 raise InputError(
                     f"{path} <{animation}>: pair {time} has no {side} side: nothing is keyed at "
                     f"time code {time}; key the {side} there, or remove the pair"

@@ -27,13 +27,13 @@ from usdface.usdio.retarget.controls import (
 from usdface.usdio.take.frame_span import span_of_samples
 from usdface.usdio.wrong_types import refusing_wrong_types
 
-ROOT = Sdf.Path("/Sequence")
-SOURCE = ROOT.AppendChild("Source")
-TARGET = ROOT.AppendChild("Target")
-LABEL = "face:sequence:label"
+_ROOT = Sdf.Path("/Sequence")
+_SOURCE = _ROOT.AppendChild("Source")
+_TARGET = _ROOT.AppendChild("Target")
+_LABEL = "face:sequence:label"
 ATTRIBUTES = "face:sequence:attributes"
-VALUES = ROOT.AppendProperty("face:sequence:values")
-KEY_WEIGHT = ROOT.AppendProperty("face:sequence:keyWeight")
+VALUES = _ROOT.AppendProperty("face:sequence:values")
+KEY_WEIGHT = _ROOT.AppendProperty("face:sequence:keyWeight")
 
 MATCHES = Sdf.Path("/Matches")
 
@@ -55,21 +55,21 @@ def write_sequence(
         author_units(layer)
         last = max(len(sequence.source), len(target))
         author_timing(layer, rate=rate, first=1, last=last)
-        layer.defaultPrim = ROOT.name
-        root = define_prim(layer, ROOT, "Scope")
+        layer.defaultPrim = _ROOT.name
+        root = define_prim(layer, _ROOT, "Scope")
         apply_api(root, "FaceSequenceAPI")
-        author_uniform(root, LABEL, kinds.Token, sequence.label)
+        author_uniform(root, _LABEL, kinds.Token, sequence.label)
         for place, shapes, weights in (
-            (SOURCE, sequence.source_shapes, sequence.source),
-            (TARGET, target.shapes, target.weights),
+            (_SOURCE, sequence.source_shapes, sequence.source),
+            (_TARGET, target.shapes, target.weights),
         ):
             prim = define_prim(layer, place, "SkelAnimation")
             author_uniform(prim, "blendShapes", kinds.TokenArray, list(shapes))
             Sdf.AttributeSpec(prim, "blendShapeWeights", kinds.FloatArray)
             set_weight_samples(layer, place, weights, 1)
         if target.joints:
-            author_joints(layer.GetPrimAtPath(TARGET), target.joints)
-            set_joint_samples(layer, TARGET, target, 1)
+            author_joints(layer.GetPrimAtPath(_TARGET), target.joints)
+            set_joint_samples(layer, _TARGET, target, 1)
         author_uniform(root, ATTRIBUTES, kinds.StringArray, list(target.attributes))
         if target.attributes:
             Sdf.AttributeSpec(root, VALUES.name, kinds.FloatArray)
@@ -90,14 +90,14 @@ def read_sequence(path: Path) -> EmotionalSequence:
         If the file is no sequence, or one of its sides is missing.
     """
     stage = open_stage(path)
-    root = stage.GetPrimAtPath(ROOT)
+    root = stage.GetPrimAtPath(_ROOT)
     if not root or not root.HasAPI("FaceSequenceAPI"):
         raise InputError(
             f"{path}: not a sequence: no </Sequence> with FaceSequenceAPI; make one with "
             "`usdface make-sequence`"
         )
-    source, _ = _read_side(stage, SOURCE, path)
-    target, times = _read_side(stage, TARGET, path)
+    source, _ = _read_side(stage, _SOURCE, path)
+    target, times = _read_side(stage, _TARGET, path)
     names = tuple(map(str, root.GetAttribute(ATTRIBUTES).Get() or ()))
     if names:
         rows = [root.GetAttribute(VALUES.name).Get(time) for time in times]
@@ -107,7 +107,7 @@ def read_sequence(path: Path) -> EmotionalSequence:
     weight = root.GetAttribute(KEY_WEIGHT.name)
     weights = [weight.Get(time) if weight else None for time in times]
     return EmotionalSequence(
-        label=str(root.GetAttribute(LABEL).Get() or ""),
+        label=str(root.GetAttribute(_LABEL).Get() or ""),
         source_shapes=source.shapes,
         source=source.weights,
         target=target,

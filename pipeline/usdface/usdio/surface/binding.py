@@ -36,9 +36,9 @@ from usdface.usdio.rig.mesh import FaceMesh
 from usdface.usdio.rig.space import stage_to_ours
 from usdface.usdio.wrong_types import refusing_wrong_types
 
-ROOT = Sdf.Path("/Binding")
-MARKERS = ROOT.AppendChild("Markers")
-MESH = ROOT.AppendChild("Mesh")
+_ROOT = Sdf.Path("/Binding")
+_MARKERS = _ROOT.AppendChild("Markers")
+MESH = _ROOT.AppendChild("Mesh")
 BALL_RADIUS = 0.15
 """As large as a marker [cm]."""
 
@@ -92,17 +92,17 @@ def write_binding(
         *corrected, proposed, layer = layers
         for each in corrected:
             author_units(each)
-            each.defaultPrim = ROOT.name
+            each.defaultPrim = _ROOT.name
             each.comment = HOW_TO_CORRECT
-            for place in (ROOT, MARKERS):
+            for place in (_ROOT, _MARKERS):
                 Sdf.CreatePrimInLayer(each, place)
         _author_proposed(proposed, binding, face)
         author_units(layer)
-        layer.defaultPrim = ROOT.name
+        layer.defaultPrim = _ROOT.name
         layer.subLayerPaths = [
             relative_path(each, path) for each in (corrected_path, proposed_path)
         ]
-        root = define_prim(layer, ROOT, "Xform")
+        root = define_prim(layer, _ROOT, "Xform")
         apply_api(root, "FaceBindingAPI")
         asset = Sdf.AssetPath(relative_path(face.file, path))
         author_uniform(root, "face:binding:mesh", Sdf.ValueTypeNames.Asset, asset)
@@ -141,7 +141,7 @@ def read_binding(path: Path, face: FaceMesh) -> ReadBinding:
             "faces differ; bind again, under another name if its corrections are to be kept"
         )
     names, kept, left_out = [], [], []
-    holder = stage.GetPrimAtPath(MARKERS)
+    holder = stage.GetPrimAtPath(_MARKERS)
     for prim in holder.GetAllChildren() if holder else ():
         name = str(_value(prim, "face:binding:marker") or prim.GetName())
         if not prim.IsActive():
@@ -150,7 +150,7 @@ def read_binding(path: Path, face: FaceMesh) -> ReadBinding:
         names.append(name)
         kept.append(_read_place(path, prim, face))
     if not kept:
-        raise InputError(f"{path} <{MARKERS}>: binds no marker; bind again")
+        raise InputError(f"{path} <{_MARKERS}>: binds no marker; bind again")
     binding = MarkerBinding(
         names=tuple(names),
         places=_joined([each.places for each in kept]),
@@ -175,12 +175,12 @@ def _author_proposed(layer: Sdf.Layer, binding: MarkerBinding, face: FaceMesh) -
     shares = polygon_weights(binding.places, mesh.face_counts, mesh.face_indices)
     kinds = Sdf.ValueTypeNames
     author_units(layer)
-    layer.defaultPrim = ROOT.name
-    define_prim(layer, ROOT, "Xform")
-    define_prim(layer, MARKERS, "Scope")
+    layer.defaultPrim = _ROOT.name
+    define_prim(layer, _ROOT, "Xform")
+    define_prim(layer, _MARKERS, "Scope")
     taken: set[str] = set()
     for index, name in enumerate(binding.names):
-        prim = define_prim(layer, MARKERS.AppendChild(_prim_name(name, taken)), "Sphere")
+        prim = define_prim(layer, _MARKERS.AppendChild(_prim_name(name, taken)), "Sphere")
         apply_api(prim, "FaceMarkerBindingAPI")
         confidence = float(binding.confidence[index])
         weights = Vt.FloatArray([round(float(w), 6) for w in shares[index]])
@@ -309,5 +309,5 @@ def has_binding(path: Path) -> bool:
     if not path.is_file():
         return False
     layer = open_layer(path)  # a prim's spec does not keep its layer
-    spec = layer.GetPrimAtPath(ROOT)
+    spec = layer.GetPrimAtPath(_ROOT)
     return spec is not None and "face:binding:hash" in spec.properties

@@ -13,10 +13,10 @@ from usdface.core.provenance import Provenance
 from usdface.usdio.authoring import apply_api, author_uniform, define_prim
 from usdface.usdio.layers import author_units, new_layer, open_layer
 
-ROOT = Sdf.Path("/Distances")
-ARRAY = "face:array:"
+_ROOT = Sdf.Path("/Distances")
+_ARRAY = "face:array:"
 KEY = "face:distances:key"
-FACTS = "face:distances:facts"
+_FACTS = "face:distances:facts"
 
 AnyArray = NDArray[np.float64] | NDArray[np.float32] | NDArray[np.bool_]
 
@@ -49,17 +49,17 @@ def write_distances(
     kinds = Sdf.ValueTypeNames
     with new_layer(path, provenance or Provenance(step="distances")) as layer:
         author_units(layer)
-        layer.defaultPrim = ROOT.name
-        prim = define_prim(layer, ROOT, "Scope")
+        layer.defaultPrim = _ROOT.name
+        prim = define_prim(layer, _ROOT, "Scope")
         apply_api(prim, "FaceDistancesAPI")
         author_uniform(prim, KEY, kinds.String, key)
-        author_uniform(prim, FACTS, kinds.String, json.dumps(cached.facts))
+        author_uniform(prim, _FACTS, kinds.String, json.dumps(cached.facts))
         for name, array in cached.arrays.items():
             kind, container = _KINDS[array.dtype.name]
             values = container.FromNumpy(np.ascontiguousarray(array).ravel())
-            author_uniform(prim, f"{ARRAY}{name}", kind, values)
+            author_uniform(prim, f"{_ARRAY}{name}", kind, values)
             shape = Vt.IntArray([int(size) for size in array.shape])
-            author_uniform(prim, f"{ARRAY}{name}:shape", kinds.IntArray, shape)
+            author_uniform(prim, f"{_ARRAY}{name}:shape", kinds.IntArray, shape)
 
 
 def read_distances(path: Path, *, key: str) -> CachedDistances | None:
@@ -70,17 +70,17 @@ def read_distances(path: Path, *, key: str) -> CachedDistances | None:
         layer = open_layer(path)
     except InputError:
         return None  # a cache that cannot be read is made again
-    prim = layer.GetPrimAtPath(ROOT)
+    prim = layer.GetPrimAtPath(_ROOT)
     if prim is None or KEY not in prim.attributes or prim.attributes[KEY].default != key:
         return None
     values = {name: attribute.default for name, attribute in prim.attributes.items()}
     arrays: dict[str, AnyArray] = {}
     try:
         for name, value in values.items():
-            if name.startswith(ARRAY) and not name.endswith(":shape"):
+            if name.startswith(_ARRAY) and not name.endswith(":shape"):
                 shape = tuple(int(size) for size in values[f"{name}:shape"])
-                arrays[name.removeprefix(ARRAY)] = np.array(value).reshape(shape)
-        facts = json.loads(values[FACTS])
+                arrays[name.removeprefix(_ARRAY)] = np.array(value).reshape(shape)
+        facts = json.loads(values[_FACTS])
     except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError):
         return None
     return CachedDistances(arrays, facts)

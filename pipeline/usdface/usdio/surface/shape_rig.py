@@ -21,7 +21,7 @@ from usdface.usdio.rig.space import stage_to_ours, transform_points
 ASSET = "asset"
 SHAPES = "shapes"
 SKELETON = "skeleton"
-LONGEST_NAME = 63
+_LONGEST_NAME = 63
 """Some DCCs cut names of shapes that are longer."""
 
 
@@ -66,11 +66,11 @@ def shape_names(wanted: list[str]) -> list[str]:
     taken: set[str] = set()
     names = []
     for each in wanted:
-        base = str(Tf.MakeValidIdentifier(each.strip() or "shape"))[:LONGEST_NAME]
+        base = str(Tf.MakeValidIdentifier(each.strip() or "shape"))[:_LONGEST_NAME]
         unique, number = base, 2
         while unique in taken:
             ending = f"_{number}"
-            unique = base[: LONGEST_NAME - len(ending)] + ending
+            unique = base[: _LONGEST_NAME - len(ending)] + ending
             number += 1
         taken.add(unique)
         names.append(unique)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from usdface.core.errors import InputError
 
-MOST_FRAMES = 10_000_000
+_MOST_FRAMES = 10_000_000
 """23 hours at 120 frames per second: more is a mistake, and would ask for memory nobody has."""
 FARTHEST_FRAME = 1e12
 """Clocks of stages that count frames from their own midnight stay far below it."""
@@ -41,8 +41,8 @@ def check_frame_span(where: str, first: float, last: float, *, samples: int | No
             "file again"
         )
     count = last - first + 1
-    borne_out = MOST_FRAMES if samples is None else FRAMES_BETWEEN_KEYS * samples
-    if count > min(MOST_FRAMES, max(UNSAMPLED_FRAMES, borne_out)):
+    borne_out = _MOST_FRAMES if samples is None else FRAMES_BETWEEN_KEYS * samples
+    if count > min(_MOST_FRAMES, max(UNSAMPLED_FRAMES, borne_out)):
         held = "nothing" if samples is None else f"{samples} samples"
         raise InputError(
             f"{where}: {held} on {count:.0f} frames, {first:g} to {last:g}: an end is damaged, or "

@@ -28,7 +28,7 @@ def is_take(path: Path) -> bool:
 
 
 FARTHEST_SECONDS = 1e9
-LARGEST_DRIFT = 990_000.0
+_LARGEST_DRIFT = 990_000.0
 """[ppm] By minus a million a video would stand still."""
 
 
@@ -327,7 +327,7 @@ class TakeReader:
         offset, drift = (
             float(str(self._value(f"face:video:{name}") or 0)) for name in ("offset", "drift")
         )
-        if not (abs(offset) < FARTHEST_SECONDS and abs(drift) < LARGEST_DRIFT):  # also catches NaN
+        if not (abs(offset) < FARTHEST_SECONDS and abs(drift) < _LARGEST_DRIFT):  # also catches NaN
             raise InputError(
                 f"{self.path}: face:video:offset {offset:g} s and face:video:drift {drift:g} ppm "
                 "are no place in time; align the video again"

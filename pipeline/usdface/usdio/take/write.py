@@ -18,11 +18,11 @@ from usdface.usdio.layers import (
     relative_path,
 )
 
-ROOT = Sdf.Path("/Take")
-MARKERS = ROOT.AppendChild("Markers")
-HEAD_MOTION = ROOT.AppendChild("HeadMotion")
-SOURCE = ROOT.AppendChild("Source")
-AUDIO = ROOT.AppendChild("Audio")
+_ROOT = Sdf.Path("/Take")
+MARKERS = _ROOT.AppendChild("Markers")
+HEAD_MOTION = _ROOT.AppendChild("HeadMotion")
+SOURCE = _ROOT.AppendChild("Source")
+AUDIO = _ROOT.AppendChild("Audio")
 VISIBLE = "primvars:face:visible"
 CONFIDENCE = "primvars:face:confidence"
 
@@ -70,7 +70,7 @@ def write_take(
 
 def _author_take_api(layer: Sdf.Layer, take: Take, path: Path) -> None:
     """Write what the root prim says of a take."""
-    prim = layer.GetPrimAtPath(ROOT)
+    prim = layer.GetPrimAtPath(_ROOT)
     apply_api(prim, "FaceTakeAPI")
     prim.SetInfo("kind", Kind.Tokens.component)
     token, string, double = (
@@ -105,8 +105,8 @@ def _author_take_api(layer: Sdf.Layer, take: Take, path: Path) -> None:
 def _author_header(layer: Sdf.Layer, take: Take) -> None:
     author_units(layer)
     author_timing(layer, rate=take.rate, first=take.first_frame, last=_last_frame(take))
-    layer.defaultPrim = ROOT.name
-    define_prim(layer, ROOT, "Xform")
+    layer.defaultPrim = _ROOT.name
+    define_prim(layer, _ROOT, "Xform")
 
 
 def _last_frame(take: Take) -> int:
