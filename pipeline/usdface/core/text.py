@@ -1,4 +1,6 @@
-"""Words in messages that depend on a number."""
+"""Numbers and lists as messages write them."""
+
+from collections.abc import Iterable
 
 
 def pluralize(count: int, noun: str) -> str:
@@ -12,3 +14,18 @@ def pluralize(count: int, noun: str) -> str:
         In the singular; one whose plural ends in s.
     """
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def first_few(names: Iterable[object], *, most: int = 5) -> str:
+    """Return names as a list that stays short: ``a, b, c and 4 more``.
+
+    Parameters
+    ----------
+    names : iterable of object
+        Written as `str` has them.
+    most : int
+        How many are named.
+    """
+    written = list(map(str, names))
+    rest = len(written) - most
+    return ", ".join(written[:most]) + (f" and {rest} more" if rest > 0 else "")
