@@ -1,0 +1,199 @@
+"""Do two versions make the same files? Run both, then compare what they wrote.
+
+::
+
+    python -m benchmarks.same_results make before     # with the one version installed
+    python -m benchmarks.same_results make after      # with the other
+    python -m benchmarks.same_results compare before after
+
+`make` runs the demo and, where the fixtures are there, `crosstake`: from the capture to a report,
+every regression, another character, a mesh without shapes. `compare` prints, for every USD file,
+the largest difference of its numbers, and what is in one folder alone.
+"""
+
+import argparse
+import csv
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from pxr import Sdf
+
+from tests.conftest import SHARED_DATA
+
+HALF = 4030
+METHODS = ("auto", "ensemble", "ridge", "rbf", "d06", "multiquadric", "kernel_cca", "hybrid")
+RETARGETINGS = ("auto", "rbf", "kernel_cca", "hybrid", "additive", "ridge")
+TOLERANCE = 1e-6
+LAYERS = {".usda", ".usdc"}
+
+
+def main() -> int:
+    """Make outputs, or compare two folders of them."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    tasks = parser.add_subparsers(dest="task", required=True)
+    tasks.add_parser("make").add_argument("folder", type=Path)
+    compared = tasks.add_parser("compare")
+    compared.add_argument("before", type=Path)
+    compared.add_argument("after", type=Path)
+    compared.add_argument("--tolerance", type=float, default=TOLERANCE)
+    asked = parser.parse_args()
+    if asked.task == "make":
+        make(asked.folder.resolve())
+        return 0
+    return compare(asked.before, asked.after, tolerance=asked.tolerance)
+
+
+def make(folder: Path) -> None:
+    """Run everything whose results are to stay, by the command line of the version on the path."""
+    folder.mkdir(parents=True)
+    _usdface(folder, "demo", "--out", "demo", "--progress", "none")
+    if not (SHARED_DATA / "crosstake").is_dir():
+        print(f"the demo alone: no crosstake in {SHARED_DATA}")
+        return
+    cross = folder / "cross"
+    cross.mkdir()
+    take = json.loads((SHARED_DATA / "crosstake" / "take.json").read_text())
+    for name in ("crosstake/take.c3d", "rigs/facecap_head.usdc", "rigs/ict_head.usdc"):
+        shutil.copy(SHARED_DATA / name, cross)
+    truth = np.load(SHARED_DATA / "crosstake" / "truth.npz")
+    with (cross / "keys.csv").open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["frame", *truth["shapes"]])
+        writer.writerows([i, *row] for i, row in enumerate(truth["weights"], start=1))
+    rigid, neutral = ",".join(take["rigid"]), str(take["neutral_frame"] + 1)
+    for line in _commands(rigid, neutral):
+        _usdface(cross, *line.split(), "--json")
+
+
+def _commands(rigid: str, neutral: str) -> Iterator[str]:
+    yield f"ingest take.c3d --out x.take.usda --rigid {rigid} --neutral {neutral}"
+    yield "clean x.take.usda --out x.clean.take.usda"
+    yield (
+        "select x.clean.take.usda --rig facecap_head.usdc --out x.references.usda "
+        f"--count 50 --frames 1-{HALF}"
+    )
+    yield "references import x.references.usda --weights keys.csv"
+    yield "references coverage x.references.usda x.clean.take.usda"
+    for method in METHODS:
+        yield f"train x.references.usda --out {method}.mapping.usdc --method {method}"
+        yield (
+            f"map x.clean.take.usda --mapping {method}.mapping.usdc --rig facecap_head.usdc "
+            f"--out {method}.hero.usda"
+        )
+    for temporal in ("whole", "causal", "bands"):
+        yield (
+            "map x.clean.take.usda --mapping ridge.mapping.usdc --rig facecap_head.usdc "
+            f"--out {temporal}.hero.usda --frames 100-800 --temporal {temporal}"
+        )
+    yield "evaluate auto.hero.usda --against keys.csv --out evaluate.json"
+    yield ("sheet auto.hero.usda --take x.clean.take.usda --out sheet.jpg --quality draft --rows 6")
+    yield (
+        "report auto.hero.usda --take x.clean.take.usda --out report.html --frames 1-600 "
+        "--against keys.csv"
+    )
+    yield ("pairs propose --source facecap_head.usdc --target ict_head.usdc --out p.pairs.usda")
+    for method in RETARGETINGS:
+        yield f"train-retarget p.pairs.usda --out {method}.retarget.usdc --method {method}"
+        yield (
+            f"retarget auto.hero.usda --retargeting {method}.retarget.usdc --out {method}.ict.usda"
+        )
+    yield "bind x.clean.take.usda facecap_head.usdc --out b.binding.usda"
+    for label, options in (
+        ("hmc", "--sampler hmc"),
+        ("map", "--sampler map"),
+        ("shared", "--sampler shared"),
+        ("rbf", "--method rbf"),
+    ):
+        yield (
+            "deform x.clean.take.usda --mesh facecap_head.usdc --binding b.binding.usda "
+            f"--out {label}.points.usda --frames 100-140 {options}"
+        )
+
+
+def _usdface(folder: Path, *words: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "usdface", *words],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+    )
+    label = " ".join(words[:6])
+    if done.returncode:
+        print(f"exit {done.returncode}: {label}\n{done.stderr.strip()[-400:]}", flush=True)
+
+
+def compare(before: Path, after: Path, *, tolerance: float) -> int:
+    """Print how far the numbers of two folders lie apart; 1 if any are beyond the tolerance."""
+    names = {
+        folder: {p.relative_to(folder) for p in folder.rglob("*") if p.suffix in LAYERS}
+        for folder in (before, after)
+    }
+    beyond = 0
+    for name in sorted(names[before] ^ names[after]):
+        print(f"{name}: only in {before if name in names[before] else after}")
+        beyond += 1
+    print("| file | numbers | largest difference | at |\n|---|---|---|---|")
+    for name in sorted(names[before] & names[after]):
+        count, largest, place = _difference(before / name, after / name)
+        if largest > tolerance:
+            beyond += 1
+            print(f"| {name} | {count} | {largest:.3g} | {place} |")
+        else:
+            print(f"| {name} | {count} | {largest:.1g} | {place if 'only' in place else ''} |")
+    print(f"{beyond} files differ by more than {tolerance:g}")
+    return 1 if beyond else 0
+
+
+def _difference(one: Path, other: Path) -> tuple[int, float, str]:
+    first, second = _numbers(one), _numbers(other)
+    lone = sorted(first.keys() ^ second.keys())
+    largest, place, count = 0.0, f"{len(lone)} only in one, as {lone[0]}" if lone else "", 0
+    for key in first.keys() & second.keys():
+        value, partner = first[key], second[key]
+        count += value.size
+        away = (
+            float("inf")
+            if value.shape != partner.shape
+            else float(np.abs(value - partner).max(initial=0.0))
+        )
+        if not away <= largest:
+            largest, place = away, key
+    return count, largest, place
+
+
+def _numbers(file: Path) -> dict[str, np.ndarray]:
+    """Return every number of a layer, by path and time code."""
+    layer = Sdf.Layer.FindOrOpen(str(file))
+    found: dict[str, np.ndarray] = {}
+
+    def visit(path: Sdf.Path) -> None:
+        spec = layer.GetObjectAtPath(path)
+        if not isinstance(spec, Sdf.AttributeSpec):
+            return
+        _keep(found, str(path), spec.default)
+        for time in layer.ListTimeSamplesForPath(path):
+            _keep(found, f"{path} at {time:g}", layer.QueryTimeSample(path, time))
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, visit)
+    return found
+
+
+def _keep(found: dict[str, np.ndarray], key: str, value: object) -> None:
+    try:
+        number = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        return
+    if value is not None:
+        found[key] = number
+
+
+if __name__ == "__main__":
+    sys.exit(main())
