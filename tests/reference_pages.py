@@ -37,9 +37,9 @@ def _command_line() -> str:
     parts = [
         "# The command line",
         GENERATED,
-        f"`usdface COMMAND --help` says the same. {EPILOG} Ahead of the command: `--verbose` logs "
-        "what is done, `--version` prints the version. Names are given with commas between them, or"
-        " the option again for each.\n",
+        f"`usdface COMMAND --help` prints the same. {EPILOG} Before the command: `--verbose` logs "
+        "progress, `--version` prints the version. Separate names with commas, or repeat the "
+        "option.\n",
         _contents(titles),
     ]
     common = [_option_row(each) for each in COMMON]
@@ -88,7 +88,7 @@ def _options(call: Any) -> str:
             shared.append(COMMON_ROWS[row])
         else:
             rows.append(row)
-    also = f"\nAlso, [as elsewhere](#common-options): {', '.join(shared)}." if shared else ""
+    also = f"\n[Common options](#common-options): {', '.join(shared)}." if shared else ""
     return "\n".join(rows if len(rows) > 2 else []) + f"\n{also}\n"
 
 
@@ -145,9 +145,9 @@ def _steps() -> str:
     parts = [
         "# Steps of a job",
         GENERATED,
-        "A job is YAML or JSON: `job`, its name, and `steps`, a list. Each step names itself ("
-        "`step: map`) and has the keys below; unknown keys are refused. Paths are relative to "
-        "the job's file. With `takes`, steps under `for_each: take` are done for every take: "
+        "A job is YAML or JSON: `job`, its name, and `steps`, a list. Each entry has its `step` ("
+        "`step: map`) and the keys below; unknown keys are refused. Paths are relative to "
+        "the job file. With `takes`, steps under `for_each: take` run once per take: "
         "[the farm](../farm.md). The same as JSON Schema, for editors: "
         "[`schemas/json`](../../schemas/json/job.schema.json).\n",
         _contents(names),
@@ -218,8 +218,8 @@ def _usd_schema(path: Path) -> str:
     parts = [
         "# The USD schema",
         GENERATED,
-        "The source is [`schemas/usdface/schema.usda`](../../schemas/usdface/schema.usda); which "
-        "prim of which asset carries what: [the USD contract](../usd.md).\n",
+        "The source is [`schemas/usdface/schema.usda`](../../schemas/usdface/schema.usda). Which "
+        "prim of which asset has which schema: [the USD contract](../usd.md).\n",
         _contents([prim.name for prim in prims]),
     ]
     for prim in prims:

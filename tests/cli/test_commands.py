@@ -90,7 +90,7 @@ def test_a_farm_is_not_told_of_every_block_but_of_the_end(monkeypatch, capsys) -
     from usdface.cli import console
 
     monkeypatch.setattr(console.time, "monotonic", lambda: 0.0)  # all within a second
-    with console.listening("openjd") as progress:
+    with console.progress_listener("openjd") as progress:
         for frame in range(10_001):
             progress(frame / 10_000, f"mapped to frame {frame}")
     lines = capsys.readouterr().out.splitlines()

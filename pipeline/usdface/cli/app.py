@@ -1,4 +1,4 @@
-"""Every command: those of steps are made from their specs, the others are written out here."""
+"""All commands: those of steps are generated from their specs, the others are written here."""
 
 import gc
 import inspect
@@ -40,25 +40,25 @@ from usdface.specs.submit import SubmitSpec
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for scripts.")]
 ShowProgress = Annotated[
     ProgressStyle,
-    typer.Option("--progress", help="How progress is shown; a bar on a terminal by default."),
+    typer.Option("--progress", help="Progress output. Default: a bar on a terminal."),
 ]
 Overwrite = Annotated[
     bool,
     typer.Option(
-        "--overwrite", help="Replace outputs, whoever wrote them and however new they are."
+        "--overwrite", help="Replace existing outputs, whoever wrote them and however new."
     ),
 ]
 SaveSpec = Annotated[
     Path | None,
-    typer.Option("--save-spec", help="Write the spec of this command to a file and stop."),
+    typer.Option(
+        "--save-spec", help="Write the spec of this command to a file, without running it."
+    ),
 ]
 
 
 Root = Annotated[
     Path | None,
-    typer.Option(
-        envvar=VARIABLE, help="Refuse a job that reads or writes anything outside this folder."
-    ),
+    typer.Option(envvar=VARIABLE, help="Refuse jobs that read or write files outside this folder."),
 ]
 
 
@@ -168,9 +168,9 @@ def _submit(
 # An edit is a person's: a job makes none again.
 _SPECS: tuple[type[Spec], ...] = (*STEP_SPECS, EditSpec, EditsImportSpec)
 _GROUPS = {
-    "references": "Work on a references asset: tuned weights in, a sheet out, what edits teach.",
-    "pairs": "Make pairs of expressions of two characters.",
-    "edits": "Take edits from a DCC, or list what a performance holds.",
+    "references": "Import tuned weights and edits into references, measure and draw them.",
+    "pairs": "Make pairs of corresponding expressions of two characters.",
+    "edits": "Import edits from a DCC, or list the edits of a performance.",
 }
 
 
@@ -220,11 +220,11 @@ def list_edits(
     performance: Annotated[Path, typer.Argument(help="An edited performance.", show_default=False)],
     prim: Annotated[
         str | None,
-        typer.Option(help="The face, where the layer holds several.", show_default=False),
+        typer.Option(help="Face, if the layer holds several.", show_default=False),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Say what was edited of a performance, and where the solve beneath has changed since.
+    """List the edits of a performance, and where the solve has changed since they were made.
 
     Example:
 
@@ -237,16 +237,16 @@ def list_edits(
 
 @app.command(epilog=EPILOG)
 def run(
-    job: Annotated[Path, typer.Argument(help="A job as YAML or JSON.", show_default=False)],
+    job: Annotated[Path, typer.Argument(help="Job file, YAML or JSON.", show_default=False)],
     progress: ShowProgress = "auto",
     overwrite: Overwrite = False,
     as_json: Json = False,
     path_mapping: Annotated[
         Path | None,
-        typer.Option(help="Rules (JSON, pathmapping-1.0) for the job's paths, as a farm has them."),
+        typer.Option(help="Path mapping rules of a farm (JSON, pathmapping-1.0)."),
     ] = None,
     with_folders: Annotated[
-        bool, typer.Option("--make-folders", help="Make the folders that the job writes to.")
+        bool, typer.Option("--make-folders", help="Create the folders of the job's outputs.")
     ] = False,
     root: Root = None,
 ) -> None:
@@ -273,11 +273,11 @@ def run(
 
 @app.command(epilog=EPILOG)
 def check(
-    job: Annotated[Path, typer.Argument(help="A job as YAML or JSON.", show_default=False)],
+    job: Annotated[Path, typer.Argument(help="Job file, YAML or JSON.", show_default=False)],
     as_json: Json = False,
     root: Root = None,
 ) -> None:
-    """Validate a job without running it, and say what it would run.
+    """Validate a job without running it, and list the steps that would run.
 
     Example:
 
@@ -297,10 +297,12 @@ def check(
 
 @app.command(epilog=EPILOG)
 def describe(
-    mapping: Annotated[Path, typer.Argument(help="A trained mapping.", show_default=False)],
+    mapping: Annotated[
+        Path, typer.Argument(help="A trained mapping or retargeting.", show_default=False)
+    ],
     as_json: Json = False,
 ) -> None:
-    """Say what a mapping is: its method, its settings, and what was tried to choose them.
+    """Print the method, settings and cross-validation scores of a mapping.
 
     Example:
 
@@ -313,14 +315,12 @@ def describe(
 
 @app.command(epilog=EPILOG)
 def validate(
-    layers: Annotated[
-        list[Path], typer.Argument(help="USD layers to look at.", show_default=False)
-    ],
+    layers: Annotated[list[Path], typer.Argument(help="USD layers to check.", show_default=False)],
     as_json: Json = False,
 ) -> None:
-    """Look for what is not in order in layers, with USD's own validators and ours.
+    """Check USD layers with the validators of USD and usdface.
 
-    Each finding says how to mend it. Exit code 1 if there is an error; warnings alone pass.
+    Each finding says how to fix it. Exit code 1 if there is an error, 0 if there are only warnings.
 
     Example:
 
@@ -336,14 +336,14 @@ def validate(
 @app.command(epilog=EPILOG)
 def demo(
     out_folder: Annotated[
-        Path, typer.Option("--out", help="Folder to make the demo in.", show_default=False)
+        Path, typer.Option("--out", help="Folder of the demo.", show_default=False)
     ],
     progress: ShowProgress = "auto",
     as_json: Json = False,
 ) -> None:
-    """Make a face, an actor and a take, and map one to the other: a first job to learn from.
+    """Generate a character, an actor and a take, and run a job from capture to report.
 
-    Everything is generated here; the job file stays in the folder, to be changed and run again.
+    All inputs are generated. The job file stays in the folder, to be changed and run again.
 
     Example:
 
@@ -365,7 +365,8 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def _top(
     verbose: Annotated[
-        bool, typer.Option("--verbose", help="Log what is done, and show where bugs happen.")
+        bool,
+        typer.Option("--verbose", help="Log progress, and print tracebacks of internal errors."),
     ] = False,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")

@@ -1,4 +1,4 @@
-"""How a group makes and lists its commands, and what Ctrl+C does to one."""
+"""Command groups: commands built on demand, listed in sections, interrupted by Ctrl+C."""
 
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from typing import Any, ClassVar
@@ -17,7 +17,7 @@ SECTIONS = {
     "Performance": ("train", "map", "join", "describe"),
     "Edits and publish": ("edit", "edits", "bake", "package", "validate"),
     "Review": ("sheet", "movie", "movie-join", "report", "faces", "evaluate"),
-    "Face to face": (
+    "Retargeting": (
         "pairs",
         "train-retarget",
         "retarget",
@@ -26,12 +26,12 @@ SECTIONS = {
         "find-sequences",
         "warp",
     ),
-    "A mesh without shapes": ("bind", "deform", "make-shapes"),
+    "Meshes without shapes": ("bind", "deform", "make-shapes"),
     "Jobs": ("run", "check", "submit", "demo"),
 }
 
 LONGEST = 500
-"""Characters of a summary: as many as its sentence has. Click would cut it to fit one line."""
+"""Largest length of a summary in characters; click would cut it to one line."""
 
 
 # In what follows types are click's or, by Typer's version, those of its private copy of click.

@@ -22,13 +22,13 @@ from usdface.specs.base import (
 
 
 class IngestSpec(Spec):
-    """Turn a capture into one USD take.
+    """Convert capture files to a USD take.
 
-    The capture is told by its content: C3D, TRC, Vicon, Motive, Live Link Face, Face Cap,
-    iFacialMocap or OpenFace, or a USD file with markers as Points, Skeleton joints or Xforms and
-    weights as SkelAnimation. Several files of one moment, such as markers and Live Link, join.
-    What was dropped or assumed is said. Point it at a folder, with a folder as --out, and every
-    take in it is ingested; files of one stem belong together.
+    Formats are recognised by content: C3D, TRC, Vicon, Motive, Live Link Face, Face Cap,
+    iFacialMocap and OpenFace; or a USD file with markers as Points, Skeleton joints or Xforms and
+    weights as SkelAnimation. Several files of one take, such as markers and Live Link, are merged.
+    Anything dropped or assumed is listed in the output. Given a folder, with a folder as --out,
+    every take in it is ingested; files with the same stem belong together.
     """
 
     example: ClassVar[str] = (
@@ -40,39 +40,38 @@ class IngestSpec(Spec):
     sources: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
     """Capture files of one take, or a folder of takes."""
     out: LayerOut
-    """The take to write (.usda keeps its samples in a .usdc beside it)."""
+    """Take to write. The samples of a .usda take are stored in a .usdc next to it."""
     video: ReadPath | None = None
-    """The camera's recording, a movie or one picture of a numbered sequence; the take refers to
-    it."""
+    """Video of the take: a movie, or one image of a numbered sequence. The take refers to it."""
     video_rate: Annotated[float, Field(gt=0, le=100_000)] | None = None
-    """Frames per second of a sequence of pictures: they do not say."""
+    """Frames per second of an image sequence, which does not store its rate."""
     video_offset: float = 0.0
-    """Seconds: the capture's time when the video starts (negative: the camera started first)."""
+    """Capture time at which the video starts, in seconds. Negative: the camera started first."""
     audio: ReadPath | None = None
-    """Sound recorded with the capture; the take refers to it."""
+    """Sound recorded with the capture. The take refers to it."""
     audio_channel: Name | None = None
-    """Analog channel of a C3D that holds the sound; one named like sound by default. It is
-    written as a WAV file beside the take."""
+    """Analog channel of a C3D that holds the sound; by default one that is named like sound. It is
+    written to a WAV file next to the take."""
     format: Name | None = None
-    """The capture's format, where its content does not tell."""
+    """Format of the capture, if it is not recognised by content."""
     units: Units | None = None
-    """Length unit of the capture, where the file is silent or wrong."""
+    """Length unit of the capture, if the file does not state it or states it wrongly."""
     up: Axis | None = None
-    """Up axis of the capture, where the file is silent or wrong."""
+    """Up axis of the capture, if the file does not state it or states it wrongly."""
     rigid: tuple[Name, ...] = ()
-    """Labels of the markers that move with the skull alone."""
+    """Labels of the markers that move with the skull only."""
     neutral: int | None = None
     """Frame number of the neutral face."""
     prim: PrimPath | None = None
-    """The prim that holds the markers, where a USD source has several sets."""
+    """Prim that holds the markers, if a USD source has several marker sets."""
     take: Name | None = None
-    """Name of the take; the file's by default."""
+    """Name of the take. Default: the name of the file."""
     performer: str = ""
-    """Who was recorded."""
+    """Name of the performer."""
     emotion: str = ""
-    """Emotion of the whole take, where it has one."""
+    """Emotion of the whole take, if it has one."""
     timecode: Annotated[str, Field(pattern=r"^(\d\d:\d\d:\d\d[:;]\d\d)?$")] = ""
-    """SMPTE timecode of the first frame; the file's own by default."""
+    """SMPTE timecode of the first frame. Default: that of the file."""
 
     @model_validator(mode="after")
     def _offset_needs_video(self) -> Self:
@@ -88,11 +87,12 @@ LONGEST_SHIFT = 86400.0
 
 
 class AlignSpec(Spec):
-    """Find where the video lies in the take: shift and clock drift, with a confidence.
+    """Find the time offset and clock drift between video and capture.
 
-    From the sound recorded with the capture and the camera's own; or from timecode, where both
-    carry it, checked against the sound. A doubtful result is refused, with the reason and a
-    picture of the evidence. The take is changed in place: only what it says of the video.
+    The offset is measured from the sound recorded with the capture and the camera's sound. If both
+    carry timecode, it is taken from the timecode and checked against the sound. The result has a
+    confidence, and a picture of the evidence is drawn; a doubtful result is refused with the
+    reason. Only the take's video settings are changed, in place.
     """
 
     example: ClassVar[str] = "usdface align kitchen.take.usda"
@@ -100,16 +100,18 @@ class AlignSpec(Spec):
 
     step: Literal["align"] = "align"
     take: Annotated[FilePath, Reads(), Positional()]
-    """The take, with a video and the capture's sound (`usdface ingest --video --audio`)."""
+    """The take, with a video and the sound of the capture (`usdface ingest --video --audio`)."""
     offset: Annotated[float, Field(ge=-LONGEST_SHIFT, le=LONGEST_SHIFT)] | None = None
-    """Set the shift by hand: seconds of the take at which the video starts (negative: before)."""
+    """Set the offset by hand: take time at which the video starts, in seconds. Negative: before the
+    take."""
     drift: Annotated[float, Field(ge=-2000.0, le=2000.0)] | None = None
-    """With --offset: parts per million by which the camera's clock is slow; 0 by default."""
+    """With --offset: drift of the camera's clock in parts per million, positive if it is slow.
+    Default: 0."""
     by: Literal["auto", "sound", "timecode"] = "auto"
-    """What to believe; timecode where both have it and the sound does not contradict, else
-    sound."""
+    """Source of the offset. `auto` uses timecode if both have it and the sound does not contradict
+    it, otherwise sound."""
     picture: ImageOut | None = None
-    """Where the evidence is drawn; beside the take by default."""
+    """Picture of the evidence to write. Default: next to the take."""
 
     @model_validator(mode="after")
     def _drift_needs_offset(self) -> Self:
@@ -133,10 +135,10 @@ class AlignSpec(Spec):
 
 
 class CleanSpec(Spec):
-    """Take head motion out, mend labels, fill gaps, remove noise.
+    """Remove head motion, correct labels, fill gaps and reduce noise.
 
-    The head's motion is kept as HeadMotion. The result is a stronger layer over the take, which
-    stays as it is. Repaired samples have a lower confidence.
+    The head motion is stored as HeadMotion. The result is a stronger layer over the take, which
+    does not change. Filled and relabelled samples and replaced outliers have a lower confidence.
     """
 
     example: ClassVar[str] = "usdface clean kitchen.take.usda --out kitchen.clean.take.usda"
@@ -146,19 +148,19 @@ class CleanSpec(Spec):
     take: Annotated[FilePath, Reads(), Positional()]
     """The take to clean."""
     out: LayerOut
-    """The cleaned take."""
+    """The cleaned take to write."""
     rigid: tuple[Name, ...] = ()
-    """Markers that move with the skull alone; the take's own, or found, by default."""
+    """Markers that move with the skull only. Default: those of the take, otherwise detected."""
     neutral: int | None = None
-    """Frame number of the neutral face; the take's own by default."""
+    """Frame number of the neutral face. Default: that of the take."""
     max_gap: Annotated[int, Field(ge=0)] | None = None
-    """Longest gap to fill, in frames; 2 seconds by default. Longer ones keep confidence 0."""
+    """Longest gap to fill, in frames. Default: 2 seconds. Longer gaps keep confidence 0."""
     relabel: bool = True
-    """Mend swapped labels and mistracked markers."""
+    """Correct swapped labels and mistracked markers."""
     report: ImageOut | None = None
-    """A picture of what was repaired, marker by marker over time."""
+    """Picture of the repairs to write: marker by marker over time."""
     smooth: bool = True
-    """Remove measured noise; blinks keep their height."""
+    """Reduce noise, by the amount measured in the take. Blinks keep their height."""
 
 
 _TRACK_SUFFIXES = (".textgrid", ".lab", ".json")
@@ -171,10 +173,11 @@ def _is_track(path: Path) -> Path:
 
 
 class PhonesSpec(Spec):
-    """Find when each phone is said, from the sound and what is said in it.
+    """Find the start and end of each spoken phone, from sound and transcript.
 
-    The words are laid along the sound; a transcript of other words is refused. Words that no
-    dictionary has are guessed from their letters, and named. English, offline.
+    The words of the transcript are aligned to the sound; a transcript that does not match the sound
+    is refused. Words missing from the dictionary are pronounced by letter-to-sound rules and
+    listed. English only; works offline.
     """
 
     example: ClassVar[str] = (
@@ -184,16 +187,16 @@ class PhonesSpec(Spec):
 
     step: Literal["phones"] = "phones"
     audio: Annotated[FilePath, Reads(), Positional()]
-    """Sound file or movie; or a take, whose sound is used: times are then the take's, whatever
-    the camera's clock."""
+    """Sound file, movie or take. Times of a take's phones are take times, whatever the camera's
+    clock."""
     transcript: ReadPath | None = None
-    """Text file with the words that are said; remarks in brackets are left out."""
+    """Text file with the spoken words. Remarks in brackets are ignored."""
     text: Annotated[str, Field(min_length=1)] | None = None
-    """The words themselves, instead of a file."""
+    """The spoken words themselves, instead of a file."""
     out: Annotated[WritePath, AfterValidator(_is_track)]
-    """The phones: .TextGrid for Praat, .lab for HTK, or .json."""
+    """Phones to write: .TextGrid (Praat), .lab (HTK) or .json."""
     dictionary: ReadPath | None = None
-    """How names and other rare words are said, as in `kvothe  K V OW TH`, one a line."""
+    """Pronunciation of names and rare words: one per line, such as `kvothe K V OW TH`."""
 
     @model_validator(mode="after")
     def _one_transcript(self) -> Self:

@@ -23,11 +23,11 @@ _Change = Annotated[float, Field(ge=-10.0, le=10.0)]
 
 
 class EditSpec(Spec):
-    """Change shapes of a performance over some frames, in a layer that mapping never touches.
+    """Change shapes of a performance over a range of frames, without touching the solve.
 
-    What is added moves with the solve beneath; what is overridden does not. Edits fold into those
-    made before: the last one wins where it is at full strength, and blends in its fades. They are
-    kept in NAME.edits.usda beside the performance, above its weights.
+    `--add` offsets the solve and follows it when it changes; `--override` replaces it. A later edit
+    takes precedence where it has full strength and blends in its fades. Edits are stored in
+    NAME.edits.usda next to the performance, above its weights; mapping again keeps them.
     """
 
     example: ClassVar[str] = (
@@ -39,19 +39,19 @@ class EditSpec(Spec):
     performance: Annotated[FilePath, Reads(alone=True), Positional()]
     """The performance to edit."""
     shape: Annotated[tuple[Name, ...], Field(min_length=1)]
-    """Shapes to change."""
+    """Names of the shapes to change."""
     add: _Change | None = None
-    """Add this to the solved weight."""
+    """Weight to add to the solve."""
     override: _Change | None = None
-    """Take this instead of the solved weight."""
+    """Weight to use instead of the solve."""
     clear: bool = False
-    """Take edits out: the solve shows again."""
+    """Remove edits, so that the solve shows again."""
     frames: Frames | None = None
-    """Change these frames only, as FIRST-LAST; all by default."""
+    """Frames to change, as FIRST-LAST. Default: all."""
     fade: Annotated[int, Field(ge=0, le=100_000)] = 0
-    """Frames before and after over which the change eases in and out."""
+    """Length of the ease-in before the range and of the ease-out after it, in frames."""
     prim: PrimPath | None = None
-    """The face, where the layer holds several: its prim, or one above it alone."""
+    """Face to edit, if the layer holds several: its prim, or an ancestor of that face only."""
 
     @model_validator(mode="after")
     def _one_change(self) -> Self:
@@ -68,10 +68,10 @@ class EditSpec(Spec):
 
 
 class EditsImportSpec(Spec):
-    """Take an animation that was changed in another tool as edits: its difference to the solve.
+    """Import an animation changed in another tool as edits: its difference from the solve.
 
-    Shapes are matched by name, frames by number. At the frames that the file has, the performance
-    then shows what the file shows; elsewhere edits stay as they are.
+    Shapes are matched by name and frames by number. At the frames in the file the performance then
+    equals the file; elsewhere edits do not change.
     """
 
     example: ClassVar[str] = "usdface edits import kitchen.hero.usda --changed kitchen.animator.usd"
@@ -81,11 +81,11 @@ class EditsImportSpec(Spec):
     performance: Annotated[FilePath, Reads(alone=True), Positional()]
     """The performance to edit."""
     changed: ReadPath
-    """.usd with an animation, .csv or .json (a `frame` column, then one per shape)."""
+    """.usd with an animation, or .csv or .json (a `frame` column, then one column per shape)."""
     least: Annotated[float, Field(gt=0.0, le=1.0)] = 0.002
-    """Differences smaller than this are rounding, not edits."""
+    """Smallest difference in weight that counts as an edit; smaller ones are rounding."""
     prim: PrimPath | None = None
-    """The face, where the layer holds several: its prim, or one above it alone."""
+    """Face to edit, if the layer holds several: its prim, or an ancestor of that face only."""
 
     def outputs(self) -> tuple[Path, ...]:
         """Return the layer that holds the edits."""
@@ -93,11 +93,11 @@ class EditsImportSpec(Spec):
 
 
 class BakeSpec(Spec):
-    """Compose solve and edits into the weights that are published.
+    """Compose solve and edits into one layer of weights to publish.
 
-    Writes one layer with the animation and the overs that point the rig's skeletons at it: any
-    tool that reads UsdSkel plays it, whether it knows of edits or not. The performance and its
-    edits stay as they are.
+    The layer holds the animation and the overs that bind the rig's skeletons to it. Any tool that
+    reads UsdSkel plays it, without knowing about edits. The performance and its edits do not
+    change.
     """
 
     example: ClassVar[str] = "usdface bake kitchen.hero.usda --out kitchen.hero.published.usdc"
@@ -107,15 +107,16 @@ class BakeSpec(Spec):
     performance: Annotated[FilePath, Reads(), Positional()]
     """The performance, with or without edits."""
     out: LayerOut
-    """The layer to publish."""
+    """The layer to write."""
     tolerance: Annotated[float, Field(gt=0.0)] | None = None
-    """Keep only the keys that lines between them need to stay this close; all frames by default."""
+    """Largest deviation of linear interpolation between the keys that are kept, in --unit. Default:
+    keep all frames."""
     unit: Literal["weight", "mm"] = "weight"
-    """What the tolerance is measured in: weights, or how far the face's surface moves."""
+    """Unit of the tolerance: `weight`, or `mm` of displacement of the face's surface."""
     limit: bool = False
-    """Keep edited weights within the rig's ranges; solved ones are."""
+    """Clamp edited weights to the rig's ranges. Solved weights always lie within them."""
     prim: PrimPath | None = None
-    """The face, where the layer holds several: its prim, or one above it alone."""
+    """Face to bake, if the layer holds several: its prim, or an ancestor of that face only."""
 
 
 def _usdz(path: Path) -> Path:
@@ -125,10 +126,10 @@ def _usdz(path: Path) -> Path:
 
 
 class PackageSpec(Spec):
-    """Pack a performance for review: rig, textures and edited weights in one .usdz.
+    """Pack rig, textures and edited weights of a performance into one .usdz for review.
 
-    It needs nothing beside it and opens in any viewer of USD. It is a copy to look at; what is
-    published stays the layers.
+    The package has no external dependencies and opens in any USD viewer. It is a copy for review;
+    publish the layers (`usdface bake`).
     """
 
     example: ClassVar[str] = "usdface package kitchen.hero.usda --out kitchen.review.usdz"
@@ -140,4 +141,4 @@ class PackageSpec(Spec):
     out: Annotated[WritePath, AfterValidator(_usdz)]
     """The package to write."""
     prim: PrimPath | None = None
-    """The face, where the layer holds several: its prim, or one above it alone."""
+    """Face to pack, if the layer holds several: its prim, or an ancestor of that face only."""

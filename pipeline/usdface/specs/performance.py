@@ -20,10 +20,10 @@ from usdface.specs.base import (
 
 
 class TrainSpec(Spec):
-    """Learn the mapping from markers to the rig's weights.
+    """Train the mapping from marker positions to the weights of a rig.
 
-    `auto` tries every method on references it has not seen and keeps the best; the table of what
-    was tried is kept in the mapping (`usdface describe`).
+    `auto` cross-validates ridge, ensemble, rbf and d06 on the references and keeps the one with the
+    smallest error. The table of scores is stored in the mapping (`usdface describe`).
     """
 
     example: ClassVar[str] = "usdface train hero.references.usda --out hero.mapping.usdc"
@@ -31,22 +31,23 @@ class TrainSpec(Spec):
 
     step: Literal["train"] = "train"
     references: Annotated[FilePath, Reads(), Positional()]
-    """The references asset, tuned."""
+    """The tuned references asset."""
     out: LayerOut
     """The mapping to write."""
     method: Name = "auto"
-    """The regression, or `auto`."""
+    """Regression method: `auto`, `ensemble`, `d06`, `ridge`, `rbf`, `multiquadric`, `kernel_cca` or
+    `hybrid`."""
     dimensions: Annotated[int, Field(ge=1, le=1000)] | None = None
-    """Principal components to keep; chosen by cross-validation by default."""
+    """Number of principal components. Default: chosen by cross-validation."""
     tuned_only: bool = False
-    """Leave pairs out that nobody has tuned; by default proposals are learned from as well."""
+    """Train on tuned pairs only. By default, proposed pairs are used as well."""
 
 
 class MapSpec(Spec):
-    """Turn a cleaned take into BlendShape weights on a rig.
+    """Solve the BlendShape weights of a rig for every frame of a take.
 
-    Writes NAME.usda to open, and NAME.weights.usdc, which holds only the animation and the overs
-    that point the rig at it. The rig is referenced, never written.
+    Writes the performance NAME.usda, to be opened, and NAME.weights.usdc, which holds only the
+    animation and the overs that bind the rig to it. The rig is referenced and never written.
     """
 
     example: ClassVar[str] = (
@@ -61,33 +62,35 @@ class MapSpec(Spec):
     mapping: ReadPath
     """The trained mapping."""
     rig: ReadPath
-    """The character."""
+    """The rig of the character."""
     out: LayerOut
-    """The performance to open."""
+    """The performance to write."""
     prim: PrimPath | None = None
-    """Where the rig is put in the performance; its own default prim's name by default."""
+    """Prim path of the rig in the performance. Default: the name of the rig's default prim."""
     rig_prim: PrimPath | None = None
-    """The face in the rig's file, where it holds several."""
+    """Face in the rig's file, if it holds several."""
     frames: Frames | None = None
-    """Map these frames only, as FIRST-LAST; what a frame becomes does not depend on it."""
+    """Frames to map, as FIRST-LAST. Default: all. The result of a frame does not depend on this
+    range."""
     alpha: ReadPath | None = None
-    """Share of the multiquadric in a hybrid over time: .csv (frame, alpha), or .usd with a
-    time-sampled float `face:mapping:alpha` on any prim."""
+    """Share of the multiquadric in a `hybrid` mapping over time: .csv (frame, alpha), or .usd with
+    a time-sampled float `face:mapping:alpha` on any prim."""
     chunk: Annotated[int, Field(ge=1)] | None = None
-    """Write the weights in parts of this many frames, played as value clips; by default in one
-    layer up to 1 GB."""
+    """Frames per weights file; the files are played as value clips. Default: one layer, up to 1
+    GB."""
     temporal: Literal["none", "whole", "causal", "bands"] = "none"
-    """Smooth weights over time within their ranges: every frame by those before and after it
-    (`whole`), as for streaming by those before it and `--lag` after (`causal`), or as published by
-    a filter bank (`bands`)."""
+    """Smooth the weights over time, within the rig's ranges: `whole` uses the frames before and
+    after, `causal` those before and --lag frames after (for streaming), `bands` the published
+    filter bank."""
     cutoff: Annotated[float, Field(gt=0)] | None = None
-    """Hz: motion of this frequency is halved by `--temporal`; lower is calmer, below 12 blinks
-    lose. At most half the take's rate; by default 20, or 0.4 of the rate where that is less."""
+    """Frequency in Hz at which --temporal halves the amplitude; lower is smoother. Below 12 Hz
+    blinks lose height. At most half the take's rate. Default: 20, or 0.4 times the rate if that is
+    less."""
     lag: Annotated[int, Field(ge=0, le=32)] = 2
-    """Frames that the causal mode is behind."""
+    """Frames of delay of the `causal` mode."""
     bands: Annotated[int, Field(ge=1, le=4)] = 1
-    """Octaves, from half the rate downwards, that `--temporal bands` leaves out; at 60 frames per
-    second a second one costs blinks."""
+    """Octaves that --temporal bands removes, from half the take's rate downwards. At 60 frames per
+    second a second octave costs blinks."""
     device: Device = "cpu"
     """Where weights are predicted, and smoothed by `--temporal whole`: `cpu`, a graphics card as
     `cuda` or `cuda:1` (by torch or cupy, where installed), or `torch`, which is torch on the
@@ -95,10 +98,10 @@ class MapSpec(Spec):
 
 
 class JoinSpec(Spec):
-    """Make one performance of parts that were mapped apart, as a farm does.
+    """Join performances of consecutive frame ranges into one.
 
-    The parts must follow on one another and be of the same take, rig and mapping; they may be given
-    in any order. What is joined equals the performance mapped in one go, value for value.
+    The parts must follow on one another and have the same take, rig and mapping; they may be given
+    in any order. The result equals the performance mapped in one run, value for value.
     """
 
     example: ClassVar[str] = (
@@ -108,9 +111,9 @@ class JoinSpec(Spec):
 
     step: Literal["join"] = "join"
     parts: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
-    """Performances, each of some of the frames."""
+    """Performances, each of a range of frames (`usdface map --frames`)."""
     out: LayerOut
-    """The performance to open."""
+    """The performance to write."""
     clips: Literal["auto", "always", "never"] = "auto"
-    """Whether the parts stay where they are and are played as value clips, or are merged into one
-    layer; `auto` merges up to 1 GB."""
+    """`always` plays the parts where they are, as value clips; `never` merges them into one layer;
+    `auto` merges up to 1 GB."""

@@ -40,11 +40,11 @@ def journal_path(references: Path) -> Path:
 
 
 class SelectSpec(Spec):
-    """Choose the frames an animator should tune, and propose weights for them.
+    """Choose the frames for an animator to tune, and propose weights for them.
 
-    Frames are chosen so that few of them span what the performer does, lids as well as jaw; the
-    most telling come first. Tuned pairs of an earlier selection are kept, at the time codes they
-    have. A picture beside the result shows how well the pairs cover the takes, and where not.
+    Few frames are chosen that span the performer's motion, eyelids as well as jaw, in order of
+    their gain in coverage. Tuned pairs of an earlier selection are kept at their time codes. A
+    picture shows the coverage of the takes by the pairs.
     """
 
     example: ClassVar[str] = (
@@ -57,34 +57,33 @@ class SelectSpec(Spec):
     takes: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
     """Cleaned takes of one performer."""
     rig: ReadPath
-    """The character."""
+    """The rig of the character."""
     out: LayerOut
-    """The references asset: pair i at time code i."""
+    """The references asset to write: pair i at time code i."""
     count: Annotated[int, Field(ge=2, le=10_000)] = 100
-    """How many pairs there shall be."""
+    """Number of pairs."""
     method: Literal["viseme", "design", "both", "active"] = "both"
-    """How frames are chosen: `viseme`, one for each viseme and emotion, and extremes; `design`,
-    what spans the motion with few frames; `both`, visemes where phones are given, then design;
-    `active`, what would help a mapping most next, given the pairs tuned so far."""
+    """How frames are chosen: `viseme`, one per viseme and emotion, plus extremes; `design`, few
+    frames that span the motion; `both`, visemes if phones are given, then design; `active`, the
+    frames that reduce the uncertainty of a mapping most, given the pairs tuned so far."""
     phones: Annotated[tuple[Path, ...], Reads()] = ()
-    """What is said when (`usdface phones`, or a TextGrid of another aligner), on the takes' clock:
-    one file for each take, in their order."""
+    """Phone labels of the takes (`usdface phones`, or a TextGrid of another aligner), on the takes'
+    clock: one file per take, in the same order."""
     emotions: tuple[Name, ...] = ()
-    """The emotion of each take, in their order, where the takes do not say it themselves."""
+    """Emotion of each take, in the same order. Default: as stored in the takes."""
     extremes: Annotated[int, Field(ge=0, le=1000)] = 10
-    """With visemes: how many extreme frames of each emotion are added."""
+    """With visemes: number of extreme frames added per emotion."""
     mapping: ReadPath | None = None
-    """With `active`: the mapping that was trained on the pairs tuned so far. It proposes the
-    weights as well."""
+    """With `active`: mapping trained on the pairs tuned so far. It also proposes the weights."""
     picture: ImageOut | None = None
-    """Where the coverage is drawn; beside the references by default."""
+    """Picture of the coverage to write. Default: next to the references."""
     frames: Frames | None = None
     """Choose from these frames only, as FIRST-LAST."""
     images: bool = True
-    """Keep the video frame of each pair as a picture beside the references, where a take has
-    video. Without, those of an earlier selection are removed too."""
+    """Store the video frame of each pair as an image next to the references, if the take has a
+    video. Without it, the images of an earlier selection are removed."""
     prim: PrimPath | None = None
-    """The face in the rig's file, where it holds several."""
+    """Face in the rig's file, if it holds several."""
 
     @model_validator(mode="after")
     def _lists_go_with_takes(self) -> Self:
@@ -112,11 +111,11 @@ class SelectSpec(Spec):
 
 
 class ReferencesImportSpec(Spec):
-    """Bring tuned weights into a references asset.
+    """Import tuned weights into a references asset.
 
-    Weights are matched to the rig by name and to the pairs by frame. A shape the file does not
-    name keeps its weight. Proposals are never changed; what was tuned before is replaced only
-    where the file has the frame.
+    Weights are matched to the rig by shape name and to the pairs by frame. Shapes that are not in
+    the file keep their weights. Proposals are never changed, and tuned weights are replaced only at
+    frames that are in the file.
     """
 
     example: ClassVar[str] = "usdface references import hero.references.usda --weights tuned.csv"
@@ -124,12 +123,12 @@ class ReferencesImportSpec(Spec):
 
     step: Literal["references-import"] = "references-import"
     references: Annotated[FilePath, Reads(alone=True), Positional()]
-    """The references asset that `usdface select` wrote."""
+    """The references asset written by `usdface select`."""
     weights: ReadPath
-    """.csv or .json (a `frame` column, then one per shape), or .usd with an animation: at the
-    takes' frames, or at the pairs' time codes (--at pairs)."""
+    """.csv or .json (a `frame` column, then one column per shape), or .usd with an animation, at
+    the takes' frames or at the pairs' time codes (--at pairs)."""
     at: Literal["frames", "pairs"] = "frames"
-    """What the file's frame numbers mean."""
+    """Meaning of the frame numbers: `frames` of the takes, or time codes of the `pairs`."""
 
     def outputs(self) -> tuple[Path, ...]:
         """Return the layer that holds what people tuned."""
@@ -141,10 +140,10 @@ class ReferencesImportSpec(Spec):
 
 
 class ReferencesFromEditsSpec(Spec):
-    """Turn frames that an animator corrected into tuned pairs, so that training learns from them.
+    """Add frames that an animator edited to the references, as tuned pairs.
 
-    Frames are chosen where edits are at full strength, not in their fades, and different from one
-    another. The pairs of the references that the mapping was trained on stay as they are.
+    Frames are chosen at which edits have full strength, outside their fades, and which differ from
+    one another. The existing pairs of the references do not change.
     """
 
     example: ClassVar[str] = (
@@ -156,20 +155,21 @@ class ReferencesFromEditsSpec(Spec):
 
     step: Literal["references-from-edits"] = "references-from-edits"
     performances: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
-    """Edited performances; each knows the take and the mapping it was made from."""
+    """Edited performances. Each stores the take and the mapping it was made from."""
     references: ReadPath
     """The references to add to."""
     out: LayerOut
     """The references asset to write."""
     count: Annotated[int, Field(ge=1, le=10_000)] = 20
-    """How many frames of each performance are taken at most."""
+    """Largest number of frames taken from each performance."""
 
 
 class ReferencesCoverageSpec(Spec):
-    """Measure how well references span takes, those they were chosen from or new ones.
+    """Measure the coverage of takes by references.
 
-    Says what share of every frame's motion the pairs determine, part by part, where the holes are,
-    and which further frames would bring how much. The picture shows it over time.
+    Prints the share of the motion that the pairs span, per region of the face, the frames with the
+    lowest coverage, and the frames whose tuning would add most. The picture shows the coverage over
+    time.
     """
 
     example: ClassVar[str] = (
@@ -182,18 +182,18 @@ class ReferencesCoverageSpec(Spec):
     references: Annotated[FilePath, Reads(), Positional()]
     """The references asset."""
     takes: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
-    """Cleaned takes of the same performer."""
+    """Cleaned takes of the same performer: those the frames were selected from, or others."""
     out: ImageOut
-    """The picture: .jpg, .png or .exr."""
+    """Picture to write: .jpg, .png or .exr."""
     tuned_only: bool = False
-    """Count only pairs that a person has tuned: what training on them today would know."""
+    """Count tuned pairs only: the coverage of a mapping trained on them now."""
 
 
 class ReferenceSheetSpec(Spec):
-    """Draw the references for an animator to work from, on a screen or on paper.
+    """Draw the reference pairs for an animator to work from, on screen or on paper.
 
-    Each pair: the video frame, the markers and the rig at its present weights, with viseme,
-    emotion, frame and the strongest weights.
+    Each pair shows the video frame, the markers and the rig at its current weights, with viseme,
+    emotion, frame and the largest weights.
     """
 
     example: ClassVar[str] = (
@@ -206,14 +206,14 @@ class ReferenceSheetSpec(Spec):
     references: Annotated[FilePath, Reads(), Positional()]
     """The references asset."""
     takes: Annotated[tuple[Path, ...], Reads()] = ()
-    """The takes it was selected from: without them there is no video and no timecode."""
+    """Takes that the frames were selected from. Without them, video and timecode are not shown."""
     out: ImageOut
-    """The picture: .jpg, .png or .exr."""
+    """Picture to write: .jpg, .png or .exr."""
     pairs: Frames | None = None
-    """Show these pairs only, as FIRST-LAST; a page of paper holds some 24."""
+    """Pairs to draw, as FIRST-LAST. Default: all. A sheet of paper holds about 24."""
     paper: bool = False
-    """Dark on white, to be printed, with room to write."""
+    """Draw dark on white, for printing, with space for notes."""
     tile: Annotated[int, Field(ge=64, le=2048)] = 280
-    """Height of a picture in pixels."""
+    """Height of an image in pixels."""
     quality: Literal["draft", "final"] = "final"
-    """Draft leaves out soft shadows and occlusion."""
+    """`draft` omits soft shadows and ambient occlusion."""

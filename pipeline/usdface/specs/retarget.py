@@ -21,11 +21,10 @@ from usdface.specs.paths import MeasuredOut
 
 
 class PairsProposeSpec(Spec):
-    """Propose pairs of expressions that mean the same on two characters.
+    """Propose pairs of corresponding expressions of two characters.
 
-    Shapes are matched by name (ARKit, ICT, FACS action units and their usual spellings), the
-    others by what they do to the face. What people keyed stays; pairs that are there keep their
-    time codes.
+    Shapes are matched by name (ARKit, ICT, FACS action units and their usual spellings), the others
+    by how they deform the face. Keyed pairs are kept, and existing pairs keep their time codes.
     """
 
     example: ClassVar[str] = (
@@ -35,28 +34,29 @@ class PairsProposeSpec(Spec):
 
     step: Literal["pairs-propose"] = "pairs-propose"
     source: ReadPath
-    """The character whose performances will be retargeted."""
+    """Rig whose performances will be retargeted."""
     target: ReadPath
-    """The character that shall act them."""
+    """Rig that will be driven."""
     out: LayerOut
-    """The pairs asset: pair i at time code i."""
+    """The pairs asset to write: pair i at time code i."""
     match: Literal["both", "name", "deformation"] = "both"
-    """By name, by what shapes do, or first the one and then the other."""
+    """Match by `name`, by `deformation`, or by name first and then by deformation (`both`)."""
     attributes: tuple[Name, ...] = ()
-    """Float attributes of the target to key beside shapes, as PRIM.ATTRIBUTE from its top prim; *
-    stands for anything."""
+    """Float attributes of the target to key with the shapes, as PRIM.ATTRIBUTE from its top prim. *
+    matches any characters."""
     joints: bool = True
-    """Key the target's joints, where it has more than one."""
+    """Key the target's joints, if it has more than one."""
     source_prim: PrimPath | None = None
-    """The face in the source's file, where it holds several."""
+    """Face in the source's file, if it holds several."""
     target_prim: PrimPath | None = None
-    """The face in the target's file, where it holds several."""
+    """Face in the target's file, if it holds several."""
 
 
 class PairsImportSpec(Spec):
-    """Make pairs of two animations: what both hold at frame i is pair i.
+    """Make pairs from two animations: pair i holds both at frame i.
 
-    The source's is weights alone; the target's weights, joints and the attributes named.
+    The source animation provides weights; the target animation provides weights, joints and the
+    named attributes.
     """
 
     example: ClassVar[str] = (
@@ -68,30 +68,30 @@ class PairsImportSpec(Spec):
 
     step: Literal["pairs-import"] = "pairs-import"
     source: ReadPath
-    """Source expressions: .usd with an animation, or .csv or .json (a `frame` column, then one per
-    shape)."""
+    """Source expressions: .usd with an animation, or .csv or .json (a `frame` column, then one
+    column per shape)."""
     target: ReadPath
     """Target expressions: .usd with an animation, or .csv or .json of weights."""
     source_rig: ReadPath
-    """The source's character."""
+    """Rig of the source."""
     target_rig: Annotated[FilePath, Reads()]
-    """The target's character."""
+    """Rig of the target."""
     out: LayerOut
     """The pairs asset to write."""
     attributes: tuple[Name, ...] = ()
-    """Float attributes of the target, as PRIM.ATTRIBUTE from its top prim; * stands for
-    anything."""
+    """Float attributes of the target, as PRIM.ATTRIBUTE from its top prim. * matches any
+    characters."""
     source_prim: PrimPath | None = None
-    """The face in the source's file, where it holds several."""
+    """Face in the source's file, if it holds several."""
     target_prim: PrimPath | None = None
-    """The face in the target's file, where it holds several."""
+    """Face in the target's file, if it holds several."""
 
 
 class TrainRetargetSpec(Spec):
-    """Learn from expression pairs how a source's weights drive a target.
+    """Train the mapping from a source's weights to a target's controls.
 
-    `auto` sends expressions to the target and back by every method and keeps the one that returns
-    them best; the table of what was tried is kept (`usdface describe`).
+    `auto` maps expressions to the target and back by every method and keeps the one with the
+    smallest round-trip error. The table of scores is stored (`usdface describe`).
     """
 
     example: ClassVar[str] = (
@@ -105,19 +105,19 @@ class TrainRetargetSpec(Spec):
     out: LayerOut
     """The retargeting to write."""
     method: Name = "auto"
-    """auto, rbf, kernel_cca, hybrid, additive or ridge."""
+    """Regression method: `auto`, `rbf`, `kernel_cca`, `hybrid`, `additive` or `ridge`."""
     source: ReadPath | None = None
-    """A performance of the source: methods are compared on it rather than on mixtures of pairs."""
+    """Performance of the source on which methods are compared. Default: mixtures of the pairs."""
     alpha: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
-    """Share of the multiquadric in the hybrid; chosen with the method by default. `retarget` takes
-    one that is keyed over time."""
+    """Share of the multiquadric in `hybrid`, 0 to 1. Default: chosen with the method. `retarget
+    --alpha` varies it over time."""
 
 
 class RetargetSpec(Spec):
-    """Let one performance drive any number of other characters.
+    """Transfer a performance to one or more other characters.
 
-    Each gets a performance of its own: weights, joints and attributes alike, over its rig, which is
-    referenced and never written. --retargeting and --out are given once for each target.
+    Each target gets its own performance of weights, joints and attributes over its rig, which is
+    referenced and never written. Give --retargeting and --out once per target.
     """
 
     example: ClassVar[str] = (
@@ -130,18 +130,18 @@ class RetargetSpec(Spec):
     source: Annotated[FilePath, Reads(), Positional()]
     """Source weights: a take that carries them (Live Link), or a performance."""
     retargeting: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads()]
-    """What `usdface train-retarget` wrote, one for each target."""
+    """Files written by `usdface train-retarget`, one per target."""
     out: Annotated[tuple[LayerOut, ...], Field(min_length=1)]
-    """The performances to open, one for each target."""
+    """The performances to write, one per target."""
     rig: Annotated[tuple[FilePath, ...], Reads()] = ()
-    """The targets, where they are no longer where they were at training."""
+    """Rigs of the targets, if they have moved since training."""
     prim: PrimPath | None = None
-    """Where the rig is put in its performance; its own default prim's name by default."""
+    """Prim path of the rig in its performance. Default: the name of the rig's default prim."""
     alpha: ReadPath | None = None
-    """Share of the multiquadric in a hybrid over time: .csv (frame, alpha), or .usd with a
-    time-sampled float `face:mapping:alpha` on any prim."""
+    """Share of the multiquadric in a `hybrid` retargeting over time: .csv (frame, alpha), or .usd
+    with a time-sampled float `face:mapping:alpha` on any prim."""
     frames: Frames | None = None
-    """Retarget these frames only, as FIRST-LAST."""
+    """Frames to retarget, as FIRST-LAST. Default: all."""
 
     @field_validator("retargeting", "out", "rig", mode="before")
     @classmethod
@@ -162,10 +162,10 @@ METHODS = ("auto", "rbf", "kernel_cca", "hybrid", "ridge", "positions")
 
 
 class CyclicSpec(Spec):
-    """Measure retargeting without knowing the truth: source to target and back, in mm per frame.
+    """Measure the round-trip error of retargeting, source to target to source, in mm per frame.
 
-    Every method is trained on the pairs in both directions; `positions` matches positions of the
-    two surfaces by non-negative least squares and needs no pairs.
+    No keys of the target are needed. Every method is trained on the pairs in both directions;
+    `positions` matches surface positions by non-negative least squares and needs no pairs.
     """
 
     example: ClassVar[str] = (
@@ -180,22 +180,22 @@ class CyclicSpec(Spec):
     source: ReadPath
     """Source weights: a take that carries them (Live Link), or a performance."""
     out: MeasuredOut = ()
-    """Where to write: .json for the figures, .png or .jpg for the curves; may be given twice."""
+    """Files to write: .json for the figures, .png or .jpg for the curves. May be given twice."""
     methods: tuple[Name, ...] = METHODS
-    """What to compare."""
+    """Methods to compare."""
     truth: ReadPath | None = None
-    """What the target should do, where it is known: weights as .usd, .csv or .json; then the direct
-    error is measured as well."""
+    """Known weights of the target (.usd, .csv or .json). With them the direct error is measured as
+    well."""
     frames: Frames | None = None
-    """Measure these frames only, as FIRST-LAST."""
+    """Frames to measure, as FIRST-LAST. Default: all."""
     every: Annotated[int, Field(ge=1)] = 1
     """Measure every n-th frame."""
 
 
 class MakeSequenceSpec(Spec):
-    """Tie a stretch of a source's motion to what the target does in its place.
+    """Pair a range of a source's motion with the target animation that replaces it.
 
-    The two may differ in length and timing; only what they mean must be the same.
+    The two may differ in length and timing, as long as they express the same.
     """
 
     example: ClassVar[str] = (
@@ -208,25 +208,25 @@ class MakeSequenceSpec(Spec):
     source: ReadPath
     """A take with source weights, or a performance of the source."""
     target: ReadPath
-    """An animation of the target, as an animator made it."""
+    """Animation of the target, keyed by an animator."""
     out: LayerOut
     """The sequence to write."""
     label: Name
-    """The emotion."""
+    """Emotion of the sequence."""
     source_frames: Frames | None = None
-    """The stretch of the source, as FIRST-LAST; all of it by default."""
+    """Frames of the source, as FIRST-LAST. Default: all."""
     target_frames: Frames | None = None
-    """The stretch of the target, as FIRST-LAST; all of it by default."""
+    """Frames of the target, as FIRST-LAST. Default: all."""
     attributes: tuple[Name, ...] = ()
-    """Float attributes of the target that the sequence holds, as PRIM.ATTRIBUTE."""
+    """Float attributes of the target in the sequence, as PRIM.ATTRIBUTE."""
 
 
 class FindSequencesSpec(Spec):
-    """Find where a source performance holds emotional sequences.
+    """Find the frames of a source performance that match emotional sequences.
 
-    By similarity (the default), a place counts when it is nearer than half of what the best face
-    held still would reach; no threshold to tune. The result is a list to look through: deactivate
-    a match, or move it, before warping.
+    With `similarity`, the default, a range matches if its distance is less than half of that of the
+    best constant face; there is no threshold to set. Review the result before warping: deactivate
+    matches, or move them.
     """
 
     example: ClassVar[str] = (
@@ -239,20 +239,21 @@ class FindSequencesSpec(Spec):
     source: Annotated[FilePath, Reads(), Positional()]
     """A take with source weights, or a performance of the source."""
     sequence: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads()]
-    """A sequence to look for; may be given several times."""
+    """Sequence to search for. May be given several times."""
     out: LayerOut
-    """The list of places to write."""
+    """The list of matches to write."""
     by: Literal["similarity", "threshold", "label"] = "similarity"
-    """similarity; threshold, as published; or label: the nearest place of each sequence whose
-    emotion is the take's, however near, for the label vouches that it is there."""
+    """`similarity`; `threshold`, as published; or `label`: the nearest range for each sequence with
+    the take's emotion, at any distance."""
     threshold: Annotated[float, Field(gt=0.0)] | None = None
-    """Mean difference that is allowed, in weights, whatever the sequence's length and channels."""
+    """Largest mean difference of the weights, independent of the sequence's length and number of
+    shapes."""
     label: Name | None = None
-    """Look only for sequences of this emotion; with --by label, instead of the take's own."""
+    """Search only for sequences of this emotion. With --by label: use it instead of the take's."""
     shapes: tuple[Name, ...] = ()
-    """Compare these source shapes only; * stands for anything."""
+    """Source shapes to compare. Default: all. * matches any characters."""
     frames: Frames | None = None
-    """Look in these frames only, as FIRST-LAST."""
+    """Frames to search, as FIRST-LAST. Default: all."""
 
     @field_validator("sequence", mode="before")
     @classmethod
@@ -267,10 +268,10 @@ class FindSequencesSpec(Spec):
 
 
 class WarpSpec(Spec):
-    """Put a target's own sequences into its retargeted performance, smoothly.
+    """Blend a target's own sequences into its retargeted performance.
 
-    Every control is warped: weights, joints and attributes. Outside the sequences and their blends
-    the performance stays as it was, to the last bit.
+    All controls are warped: weights, joints and attributes. Outside the sequences and their blends
+    the performance does not change by a single bit.
     """
 
     example: ClassVar[str] = (
@@ -283,17 +284,19 @@ class WarpSpec(Spec):
     performance: Annotated[FilePath, Reads(), Positional()]
     """The target's performance."""
     matches: ReadPath
-    """Where the take holds sequences: what `usdface find-sequences` wrote."""
+    """Matches written by `usdface find-sequences`."""
     out: LayerOut
     """The performance to write."""
     weight: Annotated[float, Field(gt=0.0, le=1e9)] = 20.0
-    """How firmly the sequences' keys are asked for. With 1, as published, quick changes are half
-    the performance's own; with 1000 they are the sequence's alone."""
+    """Weight of the sequences' keys against the performance. At 1, as published, fast motion is
+    half the performance's; at 1000 it is the sequence's alone."""
     blend: Annotated[int, Field(ge=0, le=10_000)] = 12
-    """Frames on each side over which the performance passes into a sequence."""
+    """Frames on each side over which the performance blends into a sequence."""
     timing: Literal["own", "fit"] = "own"
-    """Play a sequence as long as it was made, from where it was found; or stretch it to fit."""
+    """`own` plays a sequence at its own length, from the start of the match; `fit` stretches it to
+    the match."""
     outside: Literal["exact", "published"] = "exact"
-    """Keep what is outside to the last bit; or by soft constraints of weight 1, as published."""
+    """`exact` keeps frames outside to the last bit; `published` uses soft constraints of weight
+    1."""
     curves: ImageOut | None = None
-    """Draw the controls that change most, before and after."""
+    """Picture to write of the controls that change most, before and after."""

@@ -39,11 +39,12 @@ FramePick = Literal["expression", "residual", "confidence", "jump", "even"]
 
 
 class SheetSpec(Spec):
-    """Draw a contact sheet to judge a performance by.
+    """Draw a contact sheet of a performance.
 
-    Layouts: `comparison` (video, markers, the equation-solving baseline of Deng et al. 2006, eq. 7,
-    the performance, and how far it lies from the baseline or the truth), `worst` (frames to look
-    at first), `strip` (the whole shot at a glance), `characters` (several from one source).
+    Layouts: `comparison` shows video, markers, the baseline (BlendShape equation of Deng et al.
+    2006, eq. 7), the performance, and its difference from the baseline or the keys; `worst`, the
+    frames to check first; `strip`, an overview of the whole shot; `characters`, several
+    performances of the same take.
     """
 
     example: ClassVar[str] = (
@@ -53,43 +54,44 @@ class SheetSpec(Spec):
 
     step: Literal["sheet"] = "sheet"
     performance: Annotated[FilePath, Reads(), Positional()]
-    """The performance to show."""
+    """The performance to draw."""
     take: ReadPath
     """The cleaned take it was mapped from."""
     out: ImageOut
-    """The picture: .jpg, .png or .exr; further pages are NAME.2.jpg and so on."""
+    """Picture to write: .jpg, .png or .exr. Further pages are NAME.2.jpg and so on."""
     layout: SheetLayout = "comparison"
-    """What stands side by side."""
+    """Columns of the sheet, see above."""
     also: tuple[ReadPath, ...] = ()
-    """More performances of the same take, on this or other rigs, each a column."""
+    """More performances of the same take, on this or other rigs: one column each."""
     pick: FramePick | None = None
-    """How frames are chosen: strongest expressions and the worst, by residual, by confidence, by
-    jumps between frames, or evenly; by layout if not said."""
+    """How frames are chosen: `expression`, strongest expressions and largest errors; `residual`;
+    `confidence`; `jump`, largest change between frames; or `even`. Default: by layout."""
     rows: Annotated[int, Field(ge=1, le=10_000)] | None = None
-    """How many frames to show: 12, for a strip 48."""
+    """Number of frames. Default: 12, or 48 for a strip."""
     page_rows: Annotated[int, Field(ge=1, le=400)] = 100
-    """Rows on one page."""
+    """Rows per page."""
     frames: Frames | None = None
     """Choose from these frames only, as FIRST-LAST."""
     against: ReadPath | None = None
-    """What the weights should have been (.csv, .json or .usd): errors are measured against it."""
+    """Keys or other known weights to compare with (.csv, .json or .usd). Errors are measured
+    against them."""
     phones: ReadPath | None = None
-    """What is said when (`usdface phones`): rows are labelled with phone and viseme."""
+    """Phone labels (`usdface phones`). Rows are labelled with phone and viseme."""
     tile: Annotated[int, Field(ge=64, le=2048)] | None = None
-    """Height of a picture in pixels: 320, for a strip 192."""
+    """Height of an image in pixels. Default: 320, or 192 for a strip."""
     quality: Literal["draft", "final"] = "final"
-    """Draft leaves out soft shadows and occlusion."""
+    """`draft` omits soft shadows and ambient occlusion."""
     baseline: bool = True
-    """Show the equation-solving baseline, where the layout has it."""
+    """Draw the baseline, in layouts that have it."""
     difference: bool = True
-    """Show where the performance differs from truth or baseline, where the layout has it."""
+    """Draw the difference from keys or baseline, in layouts that have it."""
     camera: CameraName = "auto"
-    """What the face is drawn by: `auto` frames it; a prim path is a camera of the stage."""
+    """Camera of the renders: `auto` frames the face; a prim path is a camera of the stage."""
     camera_stage: ReadPath | None = None
-    """The stage that holds the camera, a shot say; the performance's own by default."""
+    """Stage that holds the camera, such as a shot. Default: the performance."""
     view: Annotated[str, Field(min_length=1, max_length=200)] | None = None
-    """View of the OpenColorIO configuration ($OCIO, else the built-in one) to show renders by, as
-    VIEW or DISPLAY/VIEW; plain sRGB by default."""
+    """View of the OpenColorIO configuration ($OCIO, otherwise the built-in one) for the renders, as
+    VIEW or DISPLAY/VIEW. Default: sRGB."""
 
 
 MOVIE_SUFFIXES = (".mp4", ".mov", ".mkv", ".webm")
@@ -107,9 +109,9 @@ MovieOut = Annotated[WritePath, AfterValidator(_movie)]
 
 
 class MovieSpec(Spec):
-    """Make a review movie: video and result side by side, with sound and timecode.
+    """Make a review movie: video and performance side by side, with sound and timecode.
 
-    Every frame is a key frame, so that it scrubs. An interrupted run goes on where it stopped.
+    Every frame is a key frame, so that players can scrub. An interrupted run is resumed.
     """
 
     example: ClassVar[str] = (
@@ -119,35 +121,38 @@ class MovieSpec(Spec):
 
     step: Literal["movie"] = "movie"
     performance: Annotated[FilePath, Reads(), Positional()]
-    """The performance to show."""
+    """The performance to draw."""
     take: ReadPath
     """The cleaned take it was mapped from."""
     out: MovieOut
-    """The movie: .mp4, .mov, .mkv or .webm."""
+    """Movie to write: .mp4, .mov, .mkv or .webm."""
     frames: Frames | None = None
-    """Show these frames of the take only, as FIRST-LAST: a part for `movie-join`, say."""
+    """Frames of the take to draw, as FIRST-LAST, such as one part for `movie-join`. Default:
+    all."""
     panels: Annotated[tuple[Panel, ...], Field(min_length=1, max_length=3)] | None = None
-    """What stands side by side; video, where there is one, and performance by default."""
+    """Panels from left to right: `video`, `markers`, `performance`. Default: video, if there is
+    one, and performance."""
     rate: Annotated[float, Field(gt=0, le=240)] | None = None
-    """Frames per second; the video's by default, else the take's, halved until it is at most 60."""
+    """Frames per second. Default: the video's rate, otherwise the take's, halved until it is at
+    most 60."""
     height: Annotated[int, Field(ge=64, le=2160)] = 540
-    """Height of the pictures in pixels."""
+    """Height of the panels in pixels."""
     quality: Literal["draft", "final"] = "draft"
-    """Final has soft shadows and occlusion and takes ten times as long."""
+    """`final` adds soft shadows and ambient occlusion, and takes ten times as long."""
     workers: Annotated[int, Field(ge=0, le=256)] = 0
-    """Processes that draw; as many as there are cores by default."""
+    """Number of rendering processes. Default: the number of cores."""
     camera: CameraName = "auto"
-    """What the face is drawn by: `auto` frames it; a prim path is a camera of the stage."""
+    """Camera of the renders: `auto` frames the face; a prim path is a camera of the stage."""
     camera_stage: ReadPath | None = None
-    """The stage that holds the camera, a shot say; the performance's own by default."""
+    """Stage that holds the camera, such as a shot. Default: the performance."""
     sound: bool = True
-    """Put the take's sound in."""
+    """Include the take's sound."""
 
 
 class MovieJoinSpec(Spec):
-    """Join parts that `usdface movie --frames` made, without encoding them again.
+    """Join movie parts (`usdface movie --frames`) without encoding them again.
 
-    The sound is put in anew from the take, so that it has no seams.
+    The sound is encoded anew from the take, so that it has no seams.
     """
 
     example: ClassVar[str] = (
@@ -157,11 +162,11 @@ class MovieJoinSpec(Spec):
 
     step: Literal["movie-join"] = "movie-join"
     parts: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads(), Positional()]
-    """The parts, in order."""
+    """Movie parts, in order."""
     take: ReadPath | None = None
-    """The take whose sound goes in; without it the movie is silent."""
+    """Take whose sound is included. Without it the movie is silent."""
     out: MovieOut
-    """The movie, of the same kind as the parts."""
+    """Movie to write, in the same container format as the parts."""
 
 
 PAGE_SUFFIXES = (".html", ".htm")
@@ -174,10 +179,10 @@ def _page(path: Path) -> Path:
 
 
 class ReportSpec(Spec):
-    """Make one HTML file to judge a performance by; it opens from disk, without a network.
+    """Write an HTML report of a performance that opens from disk, offline.
 
-    The face turns and plays in the page, in step with the video; curves of every shape, where the
-    result is doubtful, what was repaired and where all of it came from.
+    The face plays in 3D, synchronised with the video. The report shows the curves of every shape,
+    uncertainty and residual, the frames to check first, repaired samples, and provenance.
     """
 
     example: ClassVar[str] = (
@@ -191,35 +196,36 @@ class ReportSpec(Spec):
     take: ReadPath
     """The cleaned take it was mapped from."""
     out: Annotated[WritePath, AfterValidator(_page)]
-    """The page: .html."""
+    """Report to write: .html."""
     frames: Frames | None = None
-    """Show these frames only, as FIRST-LAST."""
+    """Frames to show, as FIRST-LAST. Default: all."""
     against: ReadPath | None = None
-    """What the weights should have been (.csv, .json or .usd): the page tells the errors."""
+    """Keys or other known weights (.csv, .json or .usd). The report shows the error against
+    them."""
     phones: ReadPath | None = None
-    """What is said when in this take (`usdface phones`): the page tells phone and viseme."""
+    """Phone labels (`usdface phones`). The report shows phone and viseme."""
     sheet: ReadPath | None = None
-    """A contact sheet to put into the page (.jpg or .png)."""
+    """Contact sheet to embed (.jpg or .png)."""
     references: ReadPath | None = None
-    """References to tell the coverage of; those that the mapping was trained on by default, where
-    they are still there."""
+    """References whose coverage is shown. Default: those the mapping was trained on, if they still
+    exist."""
     baseline: bool = True
-    """Draw the equation-solving baseline's curves too."""
+    """Draw the curves of the baseline as well."""
     camera: CameraName = "auto"
-    """What the face is first seen by: `auto` frames it; a prim path is a camera of the stage."""
+    """Initial camera of the face: `auto` frames it; a prim path is a camera of the stage."""
     camera_stage: ReadPath | None = None
-    """The stage that holds the camera, a shot say; the performance's own by default."""
+    """Stage that holds the camera, such as a shot. Default: the performance."""
     height: Annotated[int, Field(ge=120, le=1080)] = 360
-    """Height of the video in the page, in pixels."""
+    """Height of the video in the report, in pixels."""
     worst: Annotated[int, Field(ge=1, le=100)] = 12
-    """How many frames to look at first are listed."""
+    """Length of the list of frames to check first."""
 
 
 class FacesSpec(Spec):
     """Draw performances of several characters side by side, at the same frames.
 
-    For retargeting and warping: the source, its targets, before and after. Faces are drawn as USD
-    poses them, shapes and joints together; the frames are those that differ most.
+    Use it to compare retargeted or warped performances with their source. Faces are posed by USD,
+    shapes and joints together; the frames are those that differ most.
     """
 
     example: ClassVar[str] = (
@@ -230,30 +236,30 @@ class FacesSpec(Spec):
 
     step: Literal["faces"] = "faces"
     performances: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
-    """Performances, each a column."""
+    """Performances: one column each."""
     out: ImageOut
-    """The sheet to write."""
+    """Picture to write: .jpg, .png or .exr."""
     rows: Annotated[int, Field(ge=1, le=100)] = 6
-    """How many frames."""
+    """Number of frames."""
     frames: Frames | None = None
     """Choose from these frames only, as FIRST-LAST."""
     tile: Annotated[int, Field(ge=64, le=2048)] = 320
-    """Height of a face [pixels]."""
+    """Height of an image in pixels."""
     yaw: Annotated[float, Field(ge=-90.0, le=90.0)] = 20.0
-    """How far the faces are seen from the side [degrees]."""
+    """Angle of the view from the side, in degrees."""
     quality: Literal["final", "draft"] = "final"
-    """How carefully faces are drawn."""
+    """`draft` omits soft shadows and ambient occlusion."""
 
 
 Limit = Annotated[float, Field(ge=0.0)]
 
 
 class EvaluateSpec(Spec):
-    """Measure a performance against what it should have been, or against another performance.
+    """Measure the error of a performance against keys or another performance.
 
-    Weights over the shapes that markers can show; the surface and the distance of the lips in mm;
-    blinks at their peaks; jitter. For the whole face, by region and by shape. Beyond a limit the
-    exit code is 1: a farm can stand guard over a publish.
+    Measures the error of the weights over the shapes that markers can show, of the surface and the
+    lip distance in mm, of blinks at their peaks, and jitter: for the whole face, per region and per
+    shape. Exit code 1 if a limit is exceeded, so that a farm can block a publish.
     """
 
     example: ClassVar[str] = (
@@ -266,23 +272,24 @@ class EvaluateSpec(Spec):
     performance: Annotated[FilePath, Reads(), Positional()]
     """The performance to measure."""
     against: ReadPath
-    """The truth, or another performance: .csv or .json (a `frame` column, then one per shape), or
+    """Keys or another performance: .csv or .json (a `frame` column, then one column per shape), or
     .usd with an animation."""
     out: MeasuredOut = ()
-    """Where to write: .json for the figures, .png or .jpg for the curves; may be given twice."""
+    """Files to write: .json for the figures, .png or .jpg for the curves. May be given twice."""
     frames: Frames | None = None
-    """Measure these frames only, as FIRST-LAST."""
+    """Frames to measure, as FIRST-LAST. Default: all."""
     unobservable: tuple[Name, ...] = ("eyeLook*",)
-    """Shapes that markers cannot show, left out of the weights' error; * stands for anything."""
+    """Shapes that markers cannot show, excluded from the error of the weights. * matches any
+    characters."""
     max_weight_rmse: Limit | None = None
-    """Most error of the weights."""
+    """Limit of the root mean square error of the weights."""
     max_vertex_rms: Limit | None = None
-    """Most error of the surface, root mean square [mm]."""
+    """Limit of the root mean square error of the surface, in mm."""
     max_vertex_p95: Limit | None = None
-    """Most error of the surface in 95 of 100 frames [mm]."""
+    """Limit of the 95th percentile over frames of the surface error, in mm."""
     max_lip_error: Limit | None = None
-    """Most error of the distance of the lips, root mean square [mm]."""
+    """Limit of the root mean square error of the lip distance, in mm."""
     max_blink_bias: Limit | None = None
-    """Most that blinks may be off at their peaks, either way."""
+    """Limit of the mean error of blink weights at their peaks, in either direction."""
     max_jitter: Limit | None = None
-    """Most roughness; 1 is that of the truth."""
+    """Limit of the jitter relative to that of the keys: 1 is equal."""

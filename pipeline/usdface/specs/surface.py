@@ -33,10 +33,11 @@ def proposed_binding_path(binding: Path) -> Path:
 
 
 class BindSpec(Spec):
-    """Find where a take's markers sit on a mesh, which needs no shapes and no rig.
+    """Bind a take's markers to points of a mesh, which needs no shapes and no rig.
 
-    The layer it writes shows the mesh with a ball at each marker. Move a ball, or name another
-    face or point, in the corrected layer beside it or in a stronger one: binding again keeps that.
+    The binding shows the mesh with a ball at each marker. To correct one, move its ball, or set
+    another face or point, in the corrected layer next to it or in a stronger layer. Binding again
+    keeps corrections.
     """
 
     example: ClassVar[str] = (
@@ -51,16 +52,17 @@ class BindSpec(Spec):
     mesh: Annotated[FilePath, Reads(), Positional()]
     """The face: any USD file with a mesh."""
     out: LayerOut
-    """The binding to open and to correct."""
+    """The binding to write."""
     landmarks: tuple[Landmark, ...] = ()
-    """Markers whose point on the mesh is known, as NAME=POINT,...; three or more that are not on a
-    line, unless the mesh has shapes to compare the motion with."""
+    """Markers whose point on the mesh is known, as NAME=POINT,...: three or more, not on one line,
+    unless the mesh has shapes to compare the motion with."""
     mesh_prim: PrimPath | None = None
-    """The mesh in its file, where it holds several."""
+    """Mesh in its file, if it holds several."""
     picture: ImageOut | None = None
-    """Draw the markers on the mesh, named, the doubtful ones marked (.jpg, .png or .exr)."""
+    """Picture to write of the markers on the mesh, with names and uncertain markers highlighted
+    (.jpg, .png or .exr)."""
     quality: Literal["draft", "final"] = "final"
-    """Draft leaves soft shadows and occlusion out of the picture."""
+    """`draft` omits soft shadows and ambient occlusion from the picture."""
 
 
 _Method = Literal["gp", "rbf"]
@@ -69,37 +71,40 @@ _Metric = Literal["dijkstra", "dijkstra-diagonals", "heat"]
 
 
 class SurfaceSpec(Spec):
-    """What deforming and making shapes have in common."""
+    """Options common to `deform` and `make-shapes`."""
 
     take: Annotated[FilePath, Reads(), Positional()]
     """The cleaned take."""
     mesh: ReadPath
-    """The face: any USD file with a mesh; referenced, never written."""
+    """The face: any USD file with a mesh. It is referenced and never written."""
     binding: ReadPath | None = None
-    """Where the markers sit, from `usdface bind`; without it they are bound anew."""
+    """Binding of the markers, from `usdface bind`. Without it the markers are bound anew."""
     landmarks: tuple[Landmark, ...] = ()
     """Markers whose point on the mesh is known, as NAME=POINT,...; only without --binding."""
     mesh_prim: PrimPath | None = None
-    """The mesh in its file, where it holds several."""
+    """Mesh in its file, if it holds several."""
     method: _Method = "gp"
-    """`gp` smooths noise and knows how sure it is; `rbf` passes through every marker."""
+    """`gp`, a Gaussian process, smooths noise and estimates its uncertainty; `rbf` interpolates
+    every marker."""
     sampler: _Sampler = "shared"
-    """How `gp` treats what it cannot know: `hmc` averages 200 settings for each frame and axis
-    (Wang et al. 2006), `shared` 200 settings for the whole take, `map` takes the best."""
+    """Treatment of the hyper-parameters of `gp`: `hmc` averages 200 samples for each frame and axis
+    (Wang et al. 2006), `shared` 200 samples for the whole take; `map` uses the most probable
+    values."""
     blend: Annotated[float, Field(ge=0.0, le=1.0)] = 0.39
-    """Share of the distance along the surface in the distance that counts; the rest is the
-    straight line (Wang et al. 2006)."""
+    """Share of the distance along the surface, 0 to 1; the rest is the straight-line distance (Wang
+    et al. 2006)."""
     choose_blend: bool = False
-    """Choose that share by cross-validation on the take instead."""
+    """Choose --blend by cross-validation on the take."""
     metric: _Metric = "dijkstra-diagonals"
-    """How distance along the surface is measured: the paper's edges, edges with the diagonals of
-    faces, or the heat method."""
+    """Distance along the surface: over edges (`dijkstra`, as published), over edges and face
+    diagonals, or by the heat method."""
     length_scale: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = None
-    """Distance over which points move alike, in millimetres; fitted to the take by default."""
+    """Distance over which the motion of points is correlated, in mm. Default: fitted to the
+    take."""
 
     reach: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = None
-    """Points further than this from every marker stay where they are, in millimetres along the
-    surface; motion fades from half of it on. Four times the markers' spacing by default."""
+    """Points farther than this from every marker do not move, in mm along the surface; motion fades
+    from half of it. Default: four times the marker spacing."""
 
     device: Device = "cpu"
     """Where frames are sampled and predicted: `cpu`, a graphics card as `cuda` or `cuda:1` (by
@@ -108,7 +113,7 @@ class SurfaceSpec(Spec):
     """Of sampling and prediction. Single is faster; in double every device gives the same result to
     a millionth of a millimetre."""
     quality: Literal["draft", "final"] = "final"
-    """Draft leaves soft shadows and occlusion out of the picture."""
+    """`draft` omits soft shadows and ambient occlusion from the picture."""
 
     @model_validator(mode="after")
     def _landmarks_are_for_binding(self) -> Self:
@@ -118,11 +123,11 @@ class SurfaceSpec(Spec):
 
 
 class DeformSpec(SurfaceSpec):
-    """Move a mesh that has no shapes by a take's markers: points over time.
+    """Animate the points of a mesh that has no shapes by a take's markers.
 
-    Writes NAME.usda to open, and NAME.points.usdc, which holds only overs on the mesh: points,
-    extent, normals where the mesh has them, and how sure each point is (primvar face:uncertainty,
-    millimetres). Long takes are written as value clips.
+    Writes NAME.usda, to be opened, and NAME.points.usdc, which holds only overs on the mesh:
+    points, extent, normals if the mesh has them, and the uncertainty of each point (primvar
+    face:uncertainty, mm). Long takes are written as value clips.
     """
 
     example: ClassVar[str] = (
@@ -133,22 +138,23 @@ class DeformSpec(SurfaceSpec):
 
     step: Literal["deform"] = "deform"
     out: LayerOut
-    """The moving mesh to open."""
+    """The animated mesh to write."""
     frames: Frames | None = None
-    """These frames only, as FIRST-LAST."""
+    """Frames to deform, as FIRST-LAST. Default: all."""
     prim: PrimPath | None = None
-    """Where the mesh's asset is put in the new layer; its own place by default."""
+    """Prim path of the mesh's asset in the new layer. Default: the same as in its file."""
     uncertainty: bool = True
-    """Write how sure each point is; a third of the file."""
+    """Write the uncertainty of each point: a third of the file."""
     clip_mb: Annotated[int, Field(ge=1, le=1 << 20)] = 512
-    """Takes larger than this are written as value clips of this size."""
+    """Largest size of a points file, in MB. Longer takes are written as value clips of this
+    size."""
     picture: ImageOut | None = None
-    """Compare Euclidean, geodesic and blended distance, noise smoothed, and the uncertainty
+    """Picture to write: Euclidean, geodesic and blended distance, smoothed noise, and uncertainty
     (.jpg, .png or .exr)."""
     rows: Annotated[int, Field(ge=1, le=60)] = 6
-    """How many frames the picture shows."""
+    """Number of frames in the picture."""
     picture_noise: Annotated[float, Field(ge=0.0, le=20.0)] = 0.0
-    """Shake the markers by so many millimetres in the picture, to see what smoothing is worth."""
+    """Noise added to the markers in the picture, in mm, to show the effect of smoothing."""
 
 
 _ShapeFrame = Annotated[
@@ -157,10 +163,10 @@ _ShapeFrame = Annotated[
 
 
 class MakeShapesSpec(SurfaceSpec):
-    """Make a rig of a mesh that has none: chosen frames of a take become BlendShapes.
+    """Make a BlendShape rig of a mesh from frames of a take.
 
-    The rig is a new asset that references the mesh: its own file stays as it is. `select`, `train`
-    and `map` take the rig as any other.
+    The rig is a new asset that references the mesh, whose file does not change. `select`, `train`
+    and `map` use it like any other rig.
     """
 
     example: ClassVar[str] = (
@@ -171,22 +177,22 @@ class MakeShapesSpec(SurfaceSpec):
 
     step: Literal["make-shapes"] = "make-shapes"
     out: LayerOut
-    """The rig."""
+    """The rig to write."""
     count: Annotated[int, Field(ge=1, le=1000)] = 8
-    """How many frames to choose where none are given: those that differ most."""
+    """Number of frames to choose if none are given: those that differ most."""
     shape_frames: tuple[_ShapeFrame, ...] = ()
     """Frames to make shapes of, as FRAME or FRAME=NAME,..."""
     names: ReadPath | None = None
-    """Frames to make shapes of, from a .csv with the columns frame and name."""
+    """Frames to make shapes of: .csv with the columns frame and name."""
     references: ReadPath | None = None
-    """Make shapes of the pairs of a references asset that are of this take, named by viseme or
-    emotion where the pairs have one."""
+    """Make shapes of the pairs of a references asset that belong to this take, named by viseme or
+    emotion if the pairs have one."""
     name: Name = "Face"
     """Name of the rig's top prim."""
     least_mm: Annotated[float, Field(ge=0.0, le=10.0)] = 0.02
-    """Points that a shape moves less are left out of it, in millimetres."""
+    """Smallest displacement of a point that is stored in a shape, in mm."""
     picture: ImageOut | None = None
-    """Draw the shapes (.jpg, .png or .exr)."""
+    """Picture of the shapes to write (.jpg, .png or .exr)."""
 
     @model_validator(mode="after")
     def _one_way_to_choose(self) -> Self:

@@ -1,4 +1,4 @@
-"""What `usdface tune` is told."""
+"""Spec of the tuning page: tune."""
 
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
@@ -9,23 +9,23 @@ from usdface.specs.base import FilePath, Positional, Reads, Spec
 
 
 class TuneSpec(Spec):
-    """Set the weights of reference pairs on a page in your browser.
+    """Tune the weights of reference pairs on a page in your browser.
 
-    Prints a link to this machine alone and serves the page until it is interrupted (Ctrl+C).
-    Every change is on disk at once, and in the tuning layer as soon as the hand rests. One person
-    tunes at a time.
+    Prints a link that works on this machine only, and serves the page until interrupted (Ctrl+C).
+    Every change is stored on disk immediately, and in the tuned layer after a short pause. One
+    person can tune at a time.
     """
 
     example: ClassVar[str] = "usdface tune hero.references.usda"
 
     step: Literal["tune"] = "tune"
     references: Annotated[FilePath, Reads(alone=True), Positional()]
-    """The references asset that `usdface select` wrote."""
+    """The references asset written by `usdface select`."""
     takes: Annotated[tuple[Path, ...], Reads()] = ()
-    """Takes whose video is shown, where they are not where `usdface select` read them."""
+    """Takes whose video is shown, if they have moved since `usdface select`."""
     port: Annotated[int, Field(ge=0, le=65535)] = 0
-    """Port of the page; one that belongs to the asset by default."""
+    """Port of the page. Default: one derived from the asset's path."""
     take_over: bool = False
-    """Take the right to tune from whoever has it; what was saved there is kept."""
+    """Take over the lock from another person; their saved changes are kept."""
     browser: bool = True
     """Open the page in the browser."""
