@@ -15,7 +15,8 @@ from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
 from usdface.specs.edits import EditsImportSpec, EditSpec
 from usdface.specs.job import STEP_SPECS
-from usdface.specs.reading import read_job, validation_messages
+from usdface.specs.messages import validation_messages
+from usdface.specs.reading import read_job
 from usdface.usdio import mapping as mapping_files
 from usdface.usdio import validation
 from usdface.usdio.performance import write as performance_files
@@ -71,7 +72,7 @@ def _filled(spec: type[Spec], values: dict[str, Any]) -> Spec:
     try:
         return spec.model_validate(values)
     except ValidationError as error:
-        raise InputError(validation_messages(error)) from error
+        raise InputError(validation_messages(error, spec)) from error
 
 
 def run_job(

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from usdface.core.errors import InputError
 from usdface.farm.chunks import ChunkSizes, in_chunks, parts_folder
 from usdface.farm.plan import FarmStep, Plan, plan_job
-from usdface.specs.base import Reads, Spec, frame_range
+from usdface.specs.base import Spec
 from usdface.specs.capture import AlignSpec, CleanSpec, IngestSpec
 from usdface.specs.job import JobSpec
+from usdface.specs.paths import Reads, frame_range
 from usdface.specs.performance import JoinSpec, MapSpec, TrainSpec
 from usdface.specs.review import MovieJoinSpec, MovieSpec, SheetSpec
 

@@ -14,7 +14,7 @@ from usdface.core.errors import InputError
 from usdface.runner.execute import execute
 from usdface.runner.job import job_states, run_job
 from usdface.specs.edits import BakeSpec
-from usdface.specs.paths import VARIABLE, check_confined
+from usdface.specs.paths import ROOT_VARIABLE, check_confined
 from usdface.specs.reading import read_job
 from usdface.usdio.rig.write import write_rig
 
@@ -28,7 +28,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder.mkdir()
     (tmp_path / "secret.usda").write_text("#usda 1.0\n")
     (folder / "a.usda").write_text("#usda 1.0\n")
-    monkeypatch.setenv(VARIABLE, str(folder))
+    monkeypatch.setenv(ROOT_VARIABLE, str(folder))
     return folder
 
 
@@ -64,8 +64,9 @@ def test_a_layer_that_refers_to_something_outside_is_refused(root: Path, named: 
 
 
 def test_all_faults_are_named_at_once(root: Path) -> None:
+    spec = BakeSpec(performance=Path("/etc/a.usda"), out=Path("/etc/b.usda"))
     with pytest.raises(InputError) as fault:
-        check_confined((BakeSpec(performance=Path("/etc/a.usda"), out=Path("/etc/b.usda")),), root)
+        check_confined(spec.named_paths(), root)
     assert "/etc/a.usda" in str(fault.value)
     assert "/etc/b.usda" in str(fault.value)
 
@@ -76,7 +77,7 @@ def test_a_root_that_is_not_there_confines_nothing_and_says_so(tmp_path: Path) -
 
 
 def test_a_job_is_confined_by_an_option(tmp_path: Path, capsys, monkeypatch) -> None:
-    monkeypatch.setenv(VARIABLE, "")
+    monkeypatch.setenv(ROOT_VARIABLE, "")
     (tmp_path / "root").mkdir()
     job = tmp_path / "root" / "x.yaml"
     steps = [{"step": "bake", "performance": "../a.usda", "out": "b.usda"}]

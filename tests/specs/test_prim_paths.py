@@ -4,7 +4,7 @@ import pytest
 from pxr import Sdf
 from pydantic import TypeAdapter, ValidationError
 
-from usdface.specs.base import PrimPath
+from usdface.specs.paths import PrimPath
 from usdface.specs.review import CameraName
 
 PATHS = {

@@ -10,9 +10,10 @@ import yaml
 import usdface
 from tests.regenerate import JSON_SCHEMAS, json_schemas
 from usdface.core.errors import InputError
-from usdface.specs.base import Reads, Writes, field_help, frame_range
+from usdface.specs.base import field_help
 from usdface.specs.job import STEP_SPECS, JobSpec
 from usdface.specs.messages import PATTERN_WORDS
+from usdface.specs.paths import Reads, Writes, frame_range
 from usdface.specs.performance import MapSpec
 from usdface.specs.reading import read_job, spec_text
 from usdface.specs.references import tuned_path
@@ -81,7 +82,10 @@ def test_a_saved_job_reads_back_the_same(tmp_path: Path) -> None:
         (("count: 50", "count: 1"), r"steps\[2\] -> select -> count: .*greater than.*got 1"),
         (("step: train", "step: teach"), r"^\S+: steps\[4\]: .*'teach'; steps are ingest, align"),
         (("step: train", "step: trian"), r"there is no step 'trian'; did you mean train\?$"),
-        (("out: kitchen.take.usda", "oot: x"), r"steps\[0\] -> ingest -> oot: Extra inputs"),
+        (
+            ("out: kitchen.take.usda", "oot: x"),
+            r"steps\[0\] -> ingest -> oot: unknown key; did you mean out\?$",
+        ),
         (("sources: [kitchen.c3d]", "sources: []"), r"sources: .*at least 1"),
         (("job: kitchen_talk_v003", "job: ''"), r"job: .*at least 1 character"),
         (("take: kitchen.take.usda, ", ""), r"clean -> take: Field required"),

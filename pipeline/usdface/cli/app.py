@@ -33,7 +33,7 @@ from usdface.specs.base import Spec
 from usdface.specs.capture import IngestSpec
 from usdface.specs.edits import EditsImportSpec, EditSpec
 from usdface.specs.job import STEP_SPECS, JobSpec
-from usdface.specs.paths import VARIABLE, check_confined, read_path_rules
+from usdface.specs.paths import ROOT_VARIABLE, check_confined, read_path_rules
 from usdface.specs.reading import read_job, spec_text
 from usdface.specs.submit import SubmitSpec
 
@@ -58,15 +58,17 @@ SaveSpec = Annotated[
 
 Root = Annotated[
     Path | None,
-    typer.Option(envvar=VARIABLE, help="Refuse jobs that read or write files outside this folder."),
+    typer.Option(
+        envvar=ROOT_VARIABLE, help="Refuse jobs that read or write files outside this folder."
+    ),
 ]
 
 
 def _confine(job: JobSpec, root: Path | None) -> None:
     """Refuse paths outside a root, for this job and for every step that it runs."""
     if root is not None:
-        os.environ[VARIABLE] = str(root.resolve())
-        check_confined(tuple(job.steps), root)
+        os.environ[ROOT_VARIABLE] = str(root.resolve())
+        check_confined(job.named_paths(), root)
 
 
 def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:

@@ -7,6 +7,7 @@ import typer
 from typer.core import TyperGroup
 
 from usdface.cli.console import STOPPED
+from usdface.cli.spec_options import current_options
 from usdface.core.errors import CancelledError
 
 EPILOG = "Exit codes: 0 done, 1 a check failed, 2 bad input, 3 interrupted."
@@ -44,6 +45,12 @@ class CommandList(TyperGroup):
         commands = _MadeOnDemand(self.on_demand, settings.pop("commands", None) or {})
         super().__init__(**settings)
         self.commands = commands
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command, and bring options that have been renamed up to date."""
+        name, command, rest = super().resolve_command(ctx, args)
+        spec = getattr(getattr(command, "callback", None), "spec", None)
+        return name, command, rest if spec is None else current_options(spec, rest)
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command; Ctrl+C ends it as a farm's SIGTERM does.

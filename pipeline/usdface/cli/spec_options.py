@@ -14,8 +14,8 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
 from usdface.core.errors import InputError
-from usdface.specs.base import Positional, Spec, field_help
-from usdface.specs.reading import validation_messages
+from usdface.specs.base import Positional, Spec, field_help, warn_of_old_name
+from usdface.specs.messages import removed_message, validation_messages
 
 SpecType = TypeVar("SpecType", bound=Spec)
 
@@ -65,7 +65,7 @@ def build_spec(spec: type[SpecType], values: dict[str, Any]) -> SpecType:
     try:
         return spec.model_validate(given)
     except ValidationError as error:
-        raise InputError(validation_messages(error)) from error
+        raise InputError(validation_messages(error, spec)) from error
 
 
 def command_of(spec: type[Spec], run: Callable[..., None], common: list[inspect.Parameter]) -> Any:
@@ -79,7 +79,31 @@ def command_of(spec: type[Spec], run: Callable[..., None], common: list[inspect.
     command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     command.__annotations__ = {each.name: each.annotation for each in parameters}
     command.__doc__ = help_of(spec)
+    command.spec = spec  # type: ignore[attr-defined]
     return command
+
+
+def current_options(spec: type[Spec], arguments: list[str]) -> list[str]:
+    """Return a command's arguments with old names of options replaced by the new, with a warning.
+
+    Raises
+    ------
+    InputError
+        If an option is gone; the message says what to do instead.
+    """
+    end = arguments.index("--") if "--" in arguments else len(arguments)
+    current = []
+    for argument in arguments[:end]:
+        option, equals, value = argument.partition("=")
+        flag = "--no-" if option.startswith("--no-") else "--"
+        name = option.removeprefix(flag).replace("-", "_") if option.startswith(flag) else ""
+        if name in spec.removed:
+            raise InputError(removed_message(name, spec))
+        if new := spec.renamed.get(name):
+            warn_of_old_name(spec.step_name(), name, new)
+            argument = f"{flag}{new.replace('_', '-')}{equals}{value}"
+        current.append(argument)
+    return current + arguments[end:]
 
 
 def help_of(spec: type[Spec]) -> str:

@@ -10,8 +10,8 @@ from usdface.cli.spec_options import build_spec, command_of
 from usdface.core.errors import InputError
 from usdface.core.text import pluralize
 from usdface.runner.result import StepResult
-from usdface.specs.base import Reads, Spec
-from usdface.specs.paths import confinement_root
+from usdface.specs.base import Spec
+from usdface.specs.paths import Reads, confinement_root
 from usdface.specs.tune import TuneSpec
 
 _NEEDED = ("starlette", "uvicorn", "anyio", "h11")

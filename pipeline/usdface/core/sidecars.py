@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+LAYER_SUFFIXES = (".usda", ".usdc", ".usd")
+
 
 def weights_path(performance: Path) -> Path:
     """Return where the solve of a performance is: NAME.weights.usdc beside NAME.usda."""

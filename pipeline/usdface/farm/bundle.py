@@ -12,7 +12,7 @@ import yaml
 from usdface.core.errors import InputError
 from usdface.farm.plan import FarmStep
 from usdface.farm.template import TASKS, job_template
-from usdface.specs.base import Reads, Writes
+from usdface.specs.paths import Reads, Writes
 from usdface.specs.reading import spec_text
 
 TEMPLATE = "template.yaml"

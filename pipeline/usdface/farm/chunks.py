@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Literal
 
 from usdface.core.errors import InputError
-from usdface.specs.base import Spec, frame_range
+from usdface.specs.base import Spec
+from usdface.specs.paths import frame_range
 from usdface.specs.performance import JoinSpec, MapSpec
 from usdface.specs.review import MovieJoinSpec, MovieSpec
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from usdface.farm.commands import find_command, run_command
 from usdface.farm.plan import FarmStep
-from usdface.specs.base import Reads, Writes
+from usdface.specs.paths import Reads, Writes
 
 NOT_TAKEN = (
     "the job was not submitted, and what deadline says above is why; `deadline config` names farm, "

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from usdface.farm.chunks import ChunkSizes, FrameRange, frames_made, in_chunks
-from usdface.specs.base import Reads, Spec
+from usdface.specs.base import Spec
 from usdface.specs.job import JobSpec
+from usdface.specs.paths import Reads
 from usdface.specs.performance import MapSpec
 
 

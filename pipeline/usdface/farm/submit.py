@@ -6,6 +6,7 @@ from pathlib import Path
 
 from usdface.core.errors import InputError
 from usdface.core.replacing import replacing
+from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.farm.bundle import bundle_hash, compose_bundle, write_bundle
 from usdface.farm.chunks import ChunkSizes, FrameRange
 from usdface.farm.deadline import submit_bundle
@@ -13,9 +14,8 @@ from usdface.farm.opencue import build_outline, outline_text, submit_outline
 from usdface.farm.openjd import local_farm
 from usdface.farm.plan import Plan, plan_job
 from usdface.farm.template import check_job_name
-from usdface.specs.base import LAYER_SUFFIXES, Reads
 from usdface.specs.job import JobSpec
-from usdface.specs.paths import check_confined, check_paths_confined, confinement_root
+from usdface.specs.paths import Reads, check_confined, confinement_root
 from usdface.specs.reading import read_job
 from usdface.specs.submit import SubmitSpec
 
@@ -85,21 +85,21 @@ def _write(spec: SubmitSpec, *, overwrite: bool) -> Submission:
     """Plan a job and write its bundle."""
     root = confinement_root()
     if root is not None:
-        check_paths_confined([("submit", spec.job), ("submit", spec.out or spec.job)], root)
+        check_confined([("submit", spec.job), ("submit", spec.out or spec.job)], root)
     job = _with_absolute_paths(read_job(spec.job))
     check_job_name(job.job)
     if root is not None:
-        check_confined(tuple(job.steps), root)
+        check_confined(job.named_paths(), root)
     _check_inputs(job)
     sizes = ChunkSizes(map=spec.chunk, movie=spec.movie_chunk, clips=spec.clips)
     plan = plan_job(job, sizes=sizes, frames_of=_frames_of)
     carried = _carried(job)
     if root is not None:  # farms without shared storage upload these
-        check_paths_confined([("submit, what a layer refers to", path) for path in carried], root)
+        check_confined([("submit, what a layer refers to", path) for path in carried], root)
     files = compose_bundle(job.job, plan.steps, carried=carried)
     bundle = spec.out or spec.job.with_name(f"{spec.job.stem}-{bundle_hash(files)}.bundle")
     if root is not None:  # its name may be that of a link
-        check_paths_confined([("submit", bundle)], root)
+        check_confined([("submit", bundle)], root)
     write_bundle(bundle, files, overwrite=overwrite)
     return Submission(job.job, bundle, plan)
 

@@ -7,8 +7,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from usdface.core.errors import InputError
-from usdface.core.sidecars import weights_path
-from usdface.specs.base import LAYER_SUFFIXES
+from usdface.core.sidecars import LAYER_SUFFIXES, weights_path
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.performance.write import PerformanceReader
 

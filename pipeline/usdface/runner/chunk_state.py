@@ -9,7 +9,8 @@ from pydantic import ValidationError
 
 from usdface.core.provenance import Provenance
 from usdface.runner.outputs import provenance_of
-from usdface.specs.base import Spec, frame_range
+from usdface.specs.base import Spec
+from usdface.specs.paths import frame_range
 from usdface.specs.performance import JoinSpec, MapSpec
 from usdface.specs.review import MovieJoinSpec, MovieSpec
 from usdface.usdio.referenced_files import frame_range_of

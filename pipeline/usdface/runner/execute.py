@@ -8,7 +8,8 @@ from usdface.core.provenance import Provenance
 from usdface.core.replacing import not_written_since
 from usdface.runner.outputs import check_inputs, check_outputs, make_provenance
 from usdface.runner.result import StepResult
-from usdface.specs.base import Spec, Writes
+from usdface.specs.base import Spec
+from usdface.specs.paths import Writes
 
 Step = Callable[..., StepResult]
 

@@ -8,6 +8,7 @@ from typing import Literal
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.runner.chunk_state import chunk_specs
 from usdface.runner.execute import execute
 from usdface.runner.outputs import (
@@ -18,8 +19,9 @@ from usdface.runner.outputs import (
     sibling_sharing_layers,
 )
 from usdface.runner.result import StepResult
-from usdface.specs.base import LAYER_SUFFIXES, Reads, Spec, Writes
+from usdface.specs.base import Spec
 from usdface.specs.job import JobSpec
+from usdface.specs.paths import Reads, Writes
 from usdface.usdio.referenced_files import lost_sublayers
 
 log = logging.getLogger(__name__)

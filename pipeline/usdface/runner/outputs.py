@@ -9,12 +9,12 @@ from pathlib import Path
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, canonical_json, hash_files
 from usdface.core.replacing import check_unprotected
-from usdface.core.sidecars import weights_path
+from usdface.core.sidecars import LAYER_SUFFIXES, weights_path
 from usdface.runner.sandbox import check_confined_inputs
 from usdface.specs import references as references_specs
 from usdface.specs import surface as bind_specs
-from usdface.specs.base import IMAGE_SUFFIXES, LAYER_SUFFIXES, Reads, Spec, Writes
-from usdface.specs.paths import confinement_root
+from usdface.specs.base import Spec
+from usdface.specs.paths import IMAGE_SUFFIXES, Reads, Writes, confinement_root
 from usdface.specs.review import MOVIE_SUFFIXES, PAGE_SUFFIXES
 from usdface.usdio.layers import dependencies, is_layer_name, read_provenance
 from usdface.usdio.retarget import pairs as pairs_files

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from usdface.core.errors import InputError
-from usdface.specs.base import Reads, Spec
-from usdface.specs.paths import check_confined, check_paths_confined, confinement_root
+from usdface.specs.base import Spec
+from usdface.specs.paths import Reads, check_confined, confinement_root
 from usdface.usdio.layers import all_files, is_layer_name
 
 
@@ -17,7 +17,7 @@ def check_confined_inputs(spec: Spec, root: Path) -> None:
     InputError
         Naming every such path.
     """
-    check_confined((spec,), root)
+    check_confined(spec.named_paths(), root)
     _check_layers(spec.step, spec.paths(Reads), root)
 
 
@@ -37,7 +37,7 @@ def confine(what: str, *, reads: Sequence[Path] = (), writes: Sequence[Path] = (
     """
     root = confinement_root()
     if root is not None:
-        check_paths_confined([(what, path) for path in (*reads, *writes)], root)
+        check_confined([(what, path) for path in (*reads, *writes)], root)
         _check_layers(what, reads, root)
 
 

@@ -4,23 +4,32 @@ import ast
 import functools
 import inspect
 import itertools
+import logging
 import os
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    GetJsonSchemaHandler,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, model_validator
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import core_schema
+
+from usdface.specs.paths import Reads, Writes
+
+log = logging.getLogger(__name__)
+
+Name = Annotated[str, Field(min_length=1, max_length=200)]
+Axis = Literal["y", "z"]
+Units = Literal["mm", "cm", "m", "in"]
+Device = Annotated[str, Field(pattern=r"^(cpu|torch|cuda(:\d+)?)$", examples=["cpu", "cuda"])]
+"""What `numerics.array_namespace` opens."""
+
+
+@dataclass(frozen=True)
+class Positional:
+    """Marks a field that the command line takes without an option's name."""
 
 
 @functools.cache
@@ -29,19 +38,15 @@ def field_help(spec: type) -> dict[str, str]:
 
     Pydantic would read the source of every spec whenever a command starts. Where the package was
     installed without its source there is no help, and all else works.
-
-    Parameters
-    ----------
-    spec : type
     """
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for each in reversed(spec.__mro__):
         if each.__module__.startswith(__package__):
-            found |= _own_help(each)
-    return found
+            texts |= _class_help(each)
+    return texts
 
 
-def _own_help(spec: type) -> dict[str, str]:
+def _class_help(spec: type) -> dict[str, str]:
     try:
         source = inspect.getsource(spec)
     except OSError:
@@ -59,103 +64,12 @@ def _own_help(spec: type) -> dict[str, str]:
     }
 
 
-FRAMES_PATTERN = r"^-?\d+--?\d+$"
-
-
-@dataclass(frozen=True)
-class Reads:
-    """Marks a path that a step reads.
-
-    Attributes
-    ----------
-    alone : bool
-        Only this very file matters, not the layers it is built from.
-    """
-
-    alone: bool = False
-
-
-@dataclass(frozen=True)
-class Writes:
-    """Marks a path that a step writes."""
-
-
-@dataclass(frozen=True)
-class Positional:
-    """Marks a field that the command line takes without an option's name."""
-
-
-def _named(path: Path) -> Path:
-    if not path.name:
-        raise ValueError(f"{str(path)!r} names no file")
-    return path
-
-
-FilePath = Annotated[Path, AfterValidator(_named)]
-ReadPath = Annotated[FilePath, Reads()]
-WritePath = Annotated[FilePath, Writes()]
-
-
-def _ending(suffixes: tuple[str, ...], what: str) -> Callable[[Path], Path]:
-    def check(path: Path) -> Path:
-        if path.suffix.lower() not in suffixes:
-            raise ValueError(f"{what} is written, so the name must end in {', '.join(suffixes)}")
-        return path
-
-    return check
-
-
-LAYER_SUFFIXES = (".usda", ".usdc", ".usd")
-IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff")
-
-LayerOut = Annotated[WritePath, AfterValidator(_ending(LAYER_SUFFIXES, "a USD layer"))]
-ImageOut = Annotated[WritePath, AfterValidator(_ending(IMAGE_SUFFIXES, "a picture"))]
-Name = Annotated[str, Field(min_length=1, max_length=200)]
-
-PRIM_PATTERN = r"(/[^\x00-@\[-^`{-\x7f][^\x00-/:-@\[-^`{-\x7f]*)+"
-"""Of prims in any script, as USD has them; which letters may stand in a name, Python knows."""
-
-
-def prim_path(path: str) -> str:
-    """Return the path of a prim, or refuse what USD would not take for one."""
-    if not all(name.isidentifier() for name in path.split("/")[1:]):
-        raise ValueError("give the path of a prim, such as /shot/cast/hero")
-    return path
-
-
-PrimPath = Annotated[str, Field(pattern=f"^{PRIM_PATTERN}$"), AfterValidator(prim_path)]
-Device = Annotated[str, Field(pattern=r"^(cpu|torch|cuda(:\d+)?)$", examples=["cpu", "cuda"])]
-"""What `numerics.array_namespace` opens."""
-
-
-def _in_order(frames: str) -> str:
-    first, last = _split_frames(frames)
-    if last < first:
-        raise ValueError(f"the last frame, {last}, precedes the first, {first}")
-    return frames
-
-
-Frames = Annotated[
-    str, Field(pattern=FRAMES_PATTERN, examples=["101-240"]), AfterValidator(_in_order)
-]
-
-
-def frame_range(frames: str | None) -> tuple[int, int] | None:
-    """Turn ``"101-240"`` into (101, 240); None stays None."""
-    return None if frames is None else _split_frames(frames)
-
-
-def _split_frames(frames: str) -> tuple[int, int]:
-    split = frames.index("-", 1)
-    return int(frames[:split]), int(frames[split + 1 :])
-
-
 def _marks_within(annotation: Any) -> list[Any]:
     """Return the marks inside an optional type: pydantic lifts only the outermost."""
-    found = list(getattr(annotation, "__metadata__", ()))
+    marks = list(getattr(annotation, "__metadata__", ()))
     for inner in get_args(annotation):
-        found += _marks_within(inner)
-    return found
+        marks += _marks_within(inner)
+    return marks
 
 
 class Spec(BaseModel):
@@ -172,12 +86,34 @@ class Spec(BaseModel):
     """A command line that shows the common use."""
 
     module: ClassVar[str] = ""
-    """Where the step's function is, below ``usdface.steps``."""
+    """Where the step's function is, below ``usdface.steps``: its workflow, then its file."""
+
+    makes: ClassVar[str] = ""
+    """Kind of its output: a step may replace what another of the same kind wrote. By default a kind
+    of its own."""
 
     in_place: ClassVar[bool] = False
     """Whether an output may take the place of an input."""
 
+    renamed: ClassVar[Mapping[str, str]] = {}
+    """Old names of fields, with the new: accepted for one version, with a warning."""
+
+    removed: ClassVar[Mapping[str, str]] = {}
+    """Names of fields that are gone, each with what to do instead; refused with this advice."""
+
     step: str
+
+    @model_validator(mode="before")
+    @classmethod
+    def _old_names_are_accepted(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping) or not cls.renamed.keys() & data.keys():
+            return data
+        for old in cls.renamed.keys() & data.keys():
+            new = cls.renamed[old]
+            if new in data:
+                raise ValueError(f"{old} is now called {new}, and both are given; keep {new}")
+            warn_of_old_name(cls.step_name(), old, new)
+        return {cls.renamed.get(name, name): value for name, value in data.items()}
 
     @model_validator(mode="after")
     def _names_are_text(self) -> Self:
@@ -203,26 +139,35 @@ class Spec(BaseModel):
         return schema
 
     @classmethod
+    def step_name(cls) -> str:
+        """Return the step's name, as in a job."""
+        return str(cls.model_fields["step"].default)
+
+    @classmethod
+    def kind_of_output(cls) -> str:
+        """Return the kind of file that the step makes; steps of one kind replace each other's."""
+        return cls.makes or cls.step_name()
+
+    @classmethod
     def fields_marked(cls, kind: type[Any]) -> dict[str, Any]:
         """Return the fields that carry a mark of this kind, with the mark."""
-        found = {}
-        for name, field in cls.model_fields.items():
-            marks = (*field.metadata, *_marks_within(field.annotation))
-            for mark in marks:
-                if isinstance(mark, kind):
-                    found[name] = mark
-        return found
+        return {
+            name: mark
+            for name, field in cls.model_fields.items()
+            for mark in (*field.metadata, *_marks_within(field.annotation))
+            if isinstance(mark, kind)
+        }
 
     def paths(self, kind: type[Reads] | type[Writes]) -> tuple[Path, ...]:
         """Return every path this spec reads, or every path it writes."""
-        found: list[Path] = []
+        paths: list[Path] = []
         for name in type(self).fields_marked(kind):
             value = getattr(self, name)
             if isinstance(value, Path):
-                found.append(value)
+                paths.append(value)
             elif value is not None:
-                found.extend(value)
-        return tuple(found)
+                paths.extend(value)
+        return tuple(paths)
 
     def read_alone(self) -> tuple[Path, ...]:
         """Return the paths of which only the file itself counts, not what it refers to."""
@@ -236,6 +181,15 @@ class Spec(BaseModel):
     def outputs(self) -> tuple[Path, ...]:
         """Return the files this spec makes: those that tell whether it has been done."""
         return self.paths(Writes)
+
+    def sidecar(self, output: Path) -> Path | None:
+        """Return the layer that the step writes beneath an output; None where it writes none."""
+        return None
+
+    def named_paths(self) -> Sequence[tuple[str, Path]]:
+        """Return every path that the step reads, writes or changes, each with the step's name."""
+        every = (*self.paths(Reads), *self.paths(Writes), *self.changes())
+        return [(self.step, path) for path in dict.fromkeys(every)]
 
     def changes(self) -> tuple[Path, ...]:
         """Return the files that are other files once this spec has been done."""
@@ -264,5 +218,9 @@ class Spec(BaseModel):
         return self.model_copy(update=changed)
 
 
-Axis = Literal["y", "z"]
-Units = Literal["mm", "cm", "m", "in"]
+@functools.cache
+def warn_of_old_name(step: str, old: str, new: str) -> None:
+    """Log, once a process, that a field was called by its old name."""
+    log.warning(
+        "%s: %s is now called %s; the old name is accepted in this version alone", step, old, new
+    )

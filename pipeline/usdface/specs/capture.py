@@ -5,19 +5,16 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from usdface.specs.base import (
-    Axis,
+from usdface.specs.base import Axis, Name, Positional, Spec, Units
+from usdface.specs.paths import (
     FilePath,
     ImageOut,
     LayerOut,
-    Name,
-    Positional,
     PrimPath,
     ReadPath,
     Reads,
-    Spec,
-    Units,
     WritePath,
+    file_ending,
 )
 
 
@@ -163,13 +160,7 @@ class CleanSpec(Spec):
     """Reduce noise, by the amount measured in the take. Blinks keep their height."""
 
 
-_TRACK_SUFFIXES = (".textgrid", ".lab", ".json")
-
-
-def _is_track(path: Path) -> Path:
-    if path.suffix.lower() not in _TRACK_SUFFIXES:
-        raise ValueError("phones are written, so the name must end in .TextGrid, .lab or .json")
-    return path
+_PHONE_SUFFIXES = (".textgrid", ".lab", ".json")
 
 
 class PhonesSpec(Spec):
@@ -193,7 +184,7 @@ class PhonesSpec(Spec):
     """Text file with the spoken words. Remarks in brackets are ignored."""
     text: Annotated[str, Field(min_length=1)] | None = None
     """The spoken words themselves, instead of a file."""
-    out: Annotated[WritePath, AfterValidator(_is_track)]
+    out: Annotated[WritePath, AfterValidator(file_ending(_PHONE_SUFFIXES, "a file of phones"))]
     """Phones to write: .TextGrid (Praat), .lab (HTK) or .json."""
     dictionary: ReadPath | None = None
     """Pronunciation of names and rare words: one per line, such as `kvothe K V OW TH`."""

@@ -6,17 +6,16 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from usdface.core.sidecars import edits_path
-from usdface.specs.base import (
+from usdface.specs.base import Name, Positional, Spec
+from usdface.specs.paths import (
     FilePath,
     Frames,
     LayerOut,
-    Name,
-    Positional,
     PrimPath,
     ReadPath,
     Reads,
-    Spec,
     WritePath,
+    file_ending,
 )
 
 _Change = Annotated[float, Field(ge=-10.0, le=10.0)]
@@ -119,12 +118,6 @@ class BakeSpec(Spec):
     """Face to bake, if the layer holds several: its prim, or an ancestor of that face only."""
 
 
-def _usdz(path: Path) -> Path:
-    if path.suffix.lower() != ".usdz":
-        raise ValueError("a package is written, so the name must end in .usdz")
-    return path
-
-
 class PackageSpec(Spec):
     """Pack rig, textures and edited weights of a performance into one .usdz for review.
 
@@ -138,7 +131,7 @@ class PackageSpec(Spec):
     step: Literal["package"] = "package"
     performance: Annotated[FilePath, Reads(), Positional()]
     """The performance, with or without edits."""
-    out: Annotated[WritePath, AfterValidator(_usdz)]
+    out: Annotated[WritePath, AfterValidator(file_ending((".usdz",), "a package"))]
     """The package to write."""
     prim: PrimPath | None = None
     """Face to pack, if the layer holds several: its prim, or an ancestor of that face only."""

@@ -1,13 +1,15 @@
 """A job: steps in the order they build on each other."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, get_args
 
 from pydantic import ConfigDict, Field, model_validator
 
-from usdface.specs.base import Name, Reads, Spec, Writes
+from usdface.specs.base import Name, Spec
 from usdface.specs.capture import AlignSpec, CleanSpec, IngestSpec, PhonesSpec
 from usdface.specs.edits import BakeSpec, PackageSpec
+from usdface.specs.paths import Reads, Writes
 from usdface.specs.performance import JoinSpec, MapSpec, TrainSpec
 from usdface.specs.references import (
     ReferencesCoverageSpec,
@@ -98,6 +100,10 @@ class JobSpec(Spec):
     """Name of the job."""
     steps: Annotated[tuple[AnyStep, ...], Field(min_length=1)]
     """The steps, each after those whose files it reads."""
+
+    def named_paths(self) -> Sequence[tuple[str, Path]]:
+        """Return the paths of every step, each with the step's name."""
+        return [pair for step in self.steps for pair in step.named_paths()]
 
     @model_validator(mode="before")
     @classmethod

@@ -1,11 +1,15 @@
-"""What is wrong with a value, in words that tell what to give instead."""
+"""What is wrong with a value, and what to give instead: the wording of all validation."""
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from usdface.specs.base import PRIM_PATTERN
+from pydantic import ValidationError
+
+from usdface.specs.base import Spec
+from usdface.specs.job import STEP_SPECS
+from usdface.specs.paths import PRIM_PATTERN
 
 PATTERN_WORDS = {
     r"^-?\d+--?\d+$": "give the first and the last frame, such as 101-240",
@@ -18,8 +22,39 @@ PATTERN_WORDS = {
 }
 """The patterns of the specs, and what to say to who missed one."""
 
+_STEPS = {spec.step_name(): spec for spec in STEP_SPECS}
 
-def drop_secondary_errors(faults: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+
+def validation_messages(
+    error: ValidationError, spec: type[Spec], *, places: Sequence[str] = ()
+) -> str:
+    """Return every fault of a spec as ``field -> sub[2]: reason``, one a line.
+
+    Parameters
+    ----------
+    error : ValidationError
+        As pydantic raised it.
+    spec : type
+        What was validated.
+    places : sequence of str
+        Where each step stands in the file, if not in the order of `steps`.
+    """
+    lines = []
+    for fault in _drop_secondary_errors(error.errors()):
+        place, parts = "", fault["loc"]
+        if places and len(parts) > 1 and parts[0] == "steps" and isinstance(parts[1], int):
+            place, parts = places[parts[1]], parts[2:]
+        for part in parts:
+            place += f"[{part}]" if isinstance(part, int) else f"{' -> ' if place else ''}{part}"
+        reason = _reason(fault, spec)
+        lines.append(f"{place}: {reason}" if place else reason)
+    lines = list(dict.fromkeys(lines))  # what is wrong in a loop over takes is wrong once
+    if len(lines) == 1:
+        return lines[0]
+    return f"{len(lines)} faults\n" + "\n".join(f"  {line}" for line in lines)
+
+
+def _drop_secondary_errors(faults: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """Return the faults that a person made; a list that others left empty is none of them."""
     faults = list(faults)
     return [
@@ -35,11 +70,15 @@ def drop_secondary_errors(faults: Iterable[Mapping[str, Any]]) -> list[Mapping[s
     ]
 
 
-def validation_message(fault: Mapping[str, Any]) -> str:
+def _reason(fault: Mapping[str, Any], spec: type[Spec]) -> str:
     """Return the reason of one fault and, in brackets, the value given."""
     context = fault.get("ctx", {})
     if fault["type"] == "union_tag_invalid":
-        return _no_such_step(str(context["tag"]), str(context["expected_tags"]))
+        known = [name.strip(" '") for name in str(context["expected_tags"]).split(",")]
+        tag = str(context["tag"])
+        return f"there is no step {tag!r}; {_did_you_mean(tag, known, 'steps are')}"
+    if fault["type"] == "extra_forbidden":
+        return _unknown_key(fault["loc"], spec)
     if fault["type"] == "string_pattern_mismatch":
         reason = PATTERN_WORDS.get(str(context["pattern"]), str(fault["msg"]))
     else:
@@ -51,8 +90,22 @@ def validation_message(fault: Mapping[str, Any]) -> str:
     return f"{reason} (got {shown!r})"
 
 
-def _no_such_step(given: str, expected: str) -> str:
-    known = [name.strip(" '") for name in expected.split(",")]
+def _unknown_key(location: Sequence[str | int], spec: type[Spec]) -> str:
+    """Return the advice for a key that a spec does not have; a step's name stands before it."""
+    name = str(location[-1])
+    of_step = _STEPS.get(str(location[-2])) if len(location) > 1 else None
+    owner = of_step or spec
+    if name in owner.removed:
+        return removed_message(name, owner)
+    known = [field for field in owner.model_fields if field != "step"]
+    return f"unknown key; {_did_you_mean(name, known, 'it can be')}"
+
+
+def removed_message(name: str, spec: type[Spec]) -> str:
+    """Return what to say of a field that is gone."""
+    return f"{spec.step_name()} has no {name} any more; {spec.removed[name]}"
+
+
+def _did_you_mean(given: str, known: Sequence[str], otherwise: str) -> str:
     near = difflib.get_close_matches(given, known, n=3)
-    hint = f"did you mean {' or '.join(near)}?" if near else f"steps are {', '.join(known)}"
-    return f"there is no step {given!r}; {hint}"
+    return f"did you mean {' or '.join(near)}?" if near else f"{otherwise} {', '.join(known)}"

@@ -1,16 +1,116 @@
-"""Paths of a spec: mapped between machines, confined to a folder, checked by kind."""
+"""Paths and frames of a spec: how they are marked and checked, mapped and confined."""
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePath, PurePosixPath, PureWindowsPath
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from usdface.core.errors import InputError
-from usdface.specs.base import IMAGE_SUFFIXES, FilePath, Reads, Spec, Writes
+from usdface.core.sidecars import LAYER_SUFFIXES
+
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff")
+
+
+@dataclass(frozen=True)
+class Reads:
+    """Marks a path that a step reads."""
+
+    alone: bool = False
+    """Only this very file matters, not the layers it is built from."""
+
+
+@dataclass(frozen=True)
+class Writes:
+    """Marks a path that a step writes."""
+
+
+def _names_a_file(path: Path) -> Path:
+    if not path.name:
+        raise ValueError(f"{str(path)!r} names no file")
+    return path
+
+
+FilePath = Annotated[Path, AfterValidator(_names_a_file)]
+ReadPath = Annotated[FilePath, Reads()]
+WritePath = Annotated[FilePath, Writes()]
+
+
+def file_ending(suffixes: tuple[str, ...], what: str) -> Callable[[Path], Path]:
+    """Return a validator of a path's ending; `what` is written there, such as "a picture"."""
+
+    def check(path: Path) -> Path:
+        if path.suffix.lower() not in suffixes:
+            raise ValueError(f"{what} is written, so the name must end in {', '.join(suffixes)}")
+        return path
+
+    return check
+
+
+LayerOut = Annotated[WritePath, AfterValidator(file_ending(LAYER_SUFFIXES, "a USD layer"))]
+ImageOut = Annotated[WritePath, AfterValidator(file_ending(IMAGE_SUFFIXES, "a picture"))]
+
+
+def _one_or_several(given: Any) -> Any:
+    return (given,) if isinstance(given, str | Path) else given
+
+
+def _figures_or_curves(paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    for path in paths:
+        if path.suffix.lower() not in (".json", *IMAGE_SUFFIXES):
+            raise ValueError(
+                f"{path}: figures are written as .json, curves as {', '.join(IMAGE_SUFFIXES)}"
+            )
+    return paths
+
+
+MeasuredOut = Annotated[
+    tuple[FilePath, ...],
+    BeforeValidator(_one_or_several),
+    AfterValidator(_figures_or_curves),
+    Writes(),
+]
+
+PRIM_PATTERN = r"(/[^\x00-@\[-^`{-\x7f][^\x00-/:-@\[-^`{-\x7f]*)+"
+"""Of prims in any script, as USD has them; which letters may stand in a name, Python knows."""
+
+
+def prim_path(path: str) -> str:
+    """Return the path of a prim, or refuse what USD would not take for one."""
+    if not all(name.isidentifier() for name in path.split("/")[1:]):
+        raise ValueError("give the path of a prim, such as /shot/cast/hero")
+    return path
+
+
+PrimPath = Annotated[str, Field(pattern=f"^{PRIM_PATTERN}$"), AfterValidator(prim_path)]
+
+FRAMES_PATTERN = r"^-?\d+--?\d+$"
+
+
+def _in_order(frames: str) -> str:
+    first, last = _split_frames(frames)
+    if last < first:
+        raise ValueError(f"the last frame, {last}, precedes the first, {first}")
+    return frames
+
+
+Frames = Annotated[
+    str, Field(pattern=FRAMES_PATTERN, examples=["101-240"]), AfterValidator(_in_order)
+]
+
+
+def frame_range(frames: str | None) -> tuple[int, int] | None:
+    """Turn ``"101-240"`` into (101, 240); None stays None."""
+    return None if frames is None else _split_frames(frames)
+
+
+def _split_frames(frames: str) -> tuple[int, int]:
+    split = frames.index("-", 1)
+    return int(frames[:split]), int(frames[split + 1 :])
+
 
 LARGEST_RULES_BYTES = 16 << 20
 _FORMATS: dict[str, type[PurePath]] = {"POSIX": PurePosixPath, "WINDOWS": PureWindowsPath}
@@ -102,45 +202,28 @@ def _rule(given: Any, where: str) -> PathRule:
     return PathRule(kind(source), Path(destination))
 
 
-VARIABLE = "USDFACE_ROOT"
+ROOT_VARIABLE = "USDFACE_ROOT"
 """Environment variable that confines every command and step: for a farm, or a service that runs
 what others send."""
 
 
 def confinement_root() -> Path | None:
     """Return the folder that the environment confines all work to; None where it does not."""
-    told = os.environ.get(VARIABLE, "")
-    return Path(told) if told else None
+    folder = os.environ.get(ROOT_VARIABLE, "")
+    return Path(folder) if folder else None
 
 
-def check_confined(specs: tuple[Spec, ...], root: Path) -> None:
-    """Refuse specs with a path outside a folder, by ``..``, by a link, or plainly.
+def check_confined(paths: Sequence[tuple[str, Path]], root: Path) -> None:
+    """Refuse paths outside a folder, by ``..``, by a link, or plainly.
 
     Links are followed, those of folders on the way included: what counts is where the file is.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist, or naming every path that lies outside.
-    """
-    check_paths_confined(
-        [
-            (spec.step, path)
-            for spec in specs
-            for path in dict.fromkeys((*spec.paths(Reads), *spec.paths(Writes), *spec.changes()))
-        ],
-        root,
-    )
-
-
-def check_paths_confined(paths: Sequence[tuple[str, Path]], root: Path) -> None:
-    """Refuse paths outside a folder, as `check_confined` does.
 
     Parameters
     ----------
     paths : sequence of (str, Path)
         Each with the name of what reads or writes it.
     root : Path
+        Folder that must hold them all.
 
     Raises
     ------
@@ -159,24 +242,3 @@ def check_paths_confined(paths: Sequence[tuple[str, Path]], root: Path) -> None:
             faults.append(f"{what}: {path}: lies outside {root}{by}, at {real}")
     if faults:
         raise InputError("\n".join(faults) + "\nmove the files below it, or ask for another root")
-
-
-def _one_or_several(given: Any) -> Any:
-    return (given,) if isinstance(given, str | Path) else given
-
-
-def _figures_or_curves(paths: tuple[Path, ...]) -> tuple[Path, ...]:
-    for path in paths:
-        if path.suffix.lower() not in (".json", *IMAGE_SUFFIXES):
-            raise ValueError(
-                f"{path}: figures are written as .json, curves as {', '.join(IMAGE_SUFFIXES)}"
-            )
-    return paths
-
-
-MeasuredOut = Annotated[
-    tuple[FilePath, ...],
-    BeforeValidator(_one_or_several),
-    AfterValidator(_figures_or_curves),
-    Writes(),
-]

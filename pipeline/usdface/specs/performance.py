@@ -5,18 +5,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from usdface.specs.base import (
-    Device,
-    FilePath,
-    Frames,
-    LayerOut,
-    Name,
-    Positional,
-    PrimPath,
-    ReadPath,
-    Reads,
-    Spec,
-)
+from usdface.specs.base import Device, Name, Positional, Spec
+from usdface.specs.paths import FilePath, Frames, LayerOut, PrimPath, ReadPath, Reads
 
 
 class TrainSpec(Spec):

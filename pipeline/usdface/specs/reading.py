@@ -1,7 +1,6 @@
 """Read specs from YAML or JSON and write them back, with messages that name the field."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ from pydantic import ValidationError
 from usdface.core.errors import InputError
 from usdface.specs.base import Spec
 from usdface.specs.job import JobSpec
-from usdface.specs.messages import drop_secondary_errors, validation_message
+from usdface.specs.messages import validation_messages
 from usdface.specs.paths import PathRules, map_path
 from usdface.specs.takes import step_places
 
@@ -50,8 +49,9 @@ def read_job(path: Path, *, path_rules: PathRules = ()) -> JobSpec:
         job = JobSpec.model_validate(data)
     except ValidationError as error:
         written_out = "takes" in data and any(fault["loc"] for fault in error.errors())
-        told = validation_messages(error, places=step_places(data) if written_out else ())
-        raise InputError(f"{path}: {told}") from error
+        places = step_places(data) if written_out else ()
+        reasons = validation_messages(error, JobSpec, places=places)
+        raise InputError(f"{path}: {reasons}") from error
 
     def here(given: Path) -> Path:
         return path.parent / map_path(given, path_rules)
@@ -72,30 +72,6 @@ def _as_written(spec: Spec) -> dict[str, Any]:
     if isinstance(spec, JobSpec):
         return {"job": spec.job, "steps": [_as_written(step) for step in spec.steps]}
     return {"step": spec.step, **spec.model_dump(mode="json", exclude_defaults=True)}
-
-
-def validation_messages(error: ValidationError, *, places: Sequence[str] = ()) -> str:
-    """Return every fault of a spec as ``field -> sub[2]: reason``, one a line.
-
-    Parameters
-    ----------
-    error : ValidationError
-    places : sequence of str
-        Where each step stands in the file, if not in the order of `steps`.
-    """
-    lines = []
-    for fault in drop_secondary_errors(error.errors()):
-        place, parts = "", fault["loc"]
-        if places and len(parts) > 1 and parts[0] == "steps" and isinstance(parts[1], int):
-            place, parts = places[parts[1]], parts[2:]
-        for part in parts:
-            place += f"[{part}]" if isinstance(part, int) else f"{' -> ' if place else ''}{part}"
-        reason = validation_message(fault)
-        lines.append(f"{place}: {reason}" if place else reason)
-    lines = list(dict.fromkeys(lines))  # what is said once for many takes is wrong once
-    if len(lines) == 1:
-        return lines[0]
-    return f"{len(lines)} faults\n" + "\n".join(f"  {line}" for line in lines)
 
 
 def _read_data(path: Path) -> Any:

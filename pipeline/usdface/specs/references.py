@@ -5,18 +5,8 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from usdface.specs.base import (
-    FilePath,
-    Frames,
-    ImageOut,
-    LayerOut,
-    Name,
-    Positional,
-    PrimPath,
-    ReadPath,
-    Reads,
-    Spec,
-)
+from usdface.specs.base import Name, Positional, Spec
+from usdface.specs.paths import FilePath, Frames, ImageOut, LayerOut, PrimPath, ReadPath, Reads
 
 
 def tuned_path(references: Path) -> Path:

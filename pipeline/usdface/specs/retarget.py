@@ -5,19 +5,17 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from usdface.specs.base import (
+from usdface.specs.base import Name, Positional, Spec
+from usdface.specs.paths import (
     FilePath,
     Frames,
     ImageOut,
     LayerOut,
-    Name,
-    Positional,
+    MeasuredOut,
     PrimPath,
     ReadPath,
     Reads,
-    Spec,
 )
-from usdface.specs.paths import MeasuredOut
 
 
 class PairsProposeSpec(Spec):

@@ -5,20 +5,19 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
 
-from usdface.specs.base import (
+from usdface.specs.base import Name, Positional, Spec
+from usdface.specs.paths import (
     PRIM_PATTERN,
     FilePath,
     Frames,
     ImageOut,
-    Name,
-    Positional,
+    MeasuredOut,
     ReadPath,
     Reads,
-    Spec,
     WritePath,
+    file_ending,
     prim_path,
 )
-from usdface.specs.paths import MeasuredOut
 
 AUTO = "auto"
 
@@ -99,13 +98,7 @@ MOVIE_SUFFIXES = (".mp4", ".mov", ".mkv", ".webm")
 Panel = Literal["video", "markers", "performance"]
 
 
-def _movie(path: Path) -> Path:
-    if path.suffix.lower() not in MOVIE_SUFFIXES:
-        raise ValueError(f"a movie is written, so the name must end in {', '.join(MOVIE_SUFFIXES)}")
-    return path
-
-
-MovieOut = Annotated[WritePath, AfterValidator(_movie)]
+MovieOut = Annotated[WritePath, AfterValidator(file_ending(MOVIE_SUFFIXES, "a movie"))]
 
 
 class MovieSpec(Spec):
@@ -172,12 +165,6 @@ class MovieJoinSpec(Spec):
 PAGE_SUFFIXES = (".html", ".htm")
 
 
-def _page(path: Path) -> Path:
-    if path.suffix.lower() not in PAGE_SUFFIXES:
-        raise ValueError(f"a page is written, so the name must end in {', '.join(PAGE_SUFFIXES)}")
-    return path
-
-
 class ReportSpec(Spec):
     """Write an HTML report of a performance that opens from disk, offline.
 
@@ -195,7 +182,7 @@ class ReportSpec(Spec):
     """The performance to show."""
     take: ReadPath
     """The cleaned take it was mapped from."""
-    out: Annotated[WritePath, AfterValidator(_page)]
+    out: Annotated[WritePath, AfterValidator(file_ending(PAGE_SUFFIXES, "a page"))]
     """Report to write: .html."""
     frames: Frames | None = None
     """Frames to show, as FIRST-LAST. Default: all."""

@@ -5,19 +5,8 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from usdface.specs.base import (
-    Device,
-    FilePath,
-    Frames,
-    ImageOut,
-    LayerOut,
-    Name,
-    Positional,
-    PrimPath,
-    ReadPath,
-    Reads,
-    Spec,
-)
+from usdface.specs.base import Device, Name, Positional, Spec
+from usdface.specs.paths import FilePath, Frames, ImageOut, LayerOut, PrimPath, ReadPath, Reads
 
 Landmark = Annotated[str, Field(pattern=r"^[^=]+=\d+$", max_length=300, examples=["nose_tip=1203"])]
 

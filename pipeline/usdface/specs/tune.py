@@ -5,7 +5,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from usdface.specs.base import FilePath, Positional, Reads, Spec
+from usdface.specs.base import Positional, Spec
+from usdface.specs.paths import FilePath, Reads
 
 
 class TuneSpec(Spec):

@@ -13,7 +13,7 @@ from pathlib import Path
 import uvicorn
 
 from usdface.core.errors import CancelledError, InputError
-from usdface.specs.paths import check_paths_confined, confinement_root
+from usdface.specs.paths import check_confined, confinement_root
 from usdface.specs.tune import TuneSpec
 from usdface.tuning.application import Scene, build_application
 from usdface.tuning.guard import Guard
@@ -86,7 +86,7 @@ def _run(
     takes = spec.takes or take_files(spec.references)
     root = confinement_root()
     if root is not None:  # the asset says where its takes are
-        check_paths_confined([("tune", take) for take in takes], root)
+        check_confined([("tune", take) for take in takes], root)
     pictures = PairPictures(references, notes, takes)
     scene = Scene(session, rig, notes, pictures)
     guard = Guard(build_application(scene), port=listener.getsockname()[1], announce=announce)

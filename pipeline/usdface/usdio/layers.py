@@ -13,6 +13,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing_together
+from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.usdio.crate import check_crate
 from usdface.usdio.plugin import SCHEMA_VERSION
 
@@ -26,8 +27,6 @@ FRAMES_IN_MEMORY = 1 << 15
 VALUES_IN_MEMORY = 1 << 23
 """Long takes are saved to disk in lots of this many frames or values, so that memory stays
 bounded."""
-
-LAYER_SUFFIXES = (".usda", ".usdc", ".usd")
 
 
 @contextlib.contextmanager

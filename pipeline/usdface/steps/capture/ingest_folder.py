@@ -7,10 +7,10 @@ from usdface.capture.marker_labels import list_some
 from usdface.capture.sniff import recognise_format
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.core.progress import Progress, part, silent
+from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import pluralize
 from usdface.runner.execute import execute
 from usdface.runner.result import StepResult
-from usdface.specs.base import LAYER_SUFFIXES
 from usdface.specs.capture import IngestSpec
 
 VIDEO_SUFFIXES = (".mov", ".mp4", ".mxf", ".mkv", ".avi", ".webm", ".m4v")

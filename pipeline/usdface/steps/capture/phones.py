@@ -6,11 +6,11 @@ from usdface.core.assets import Take
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import pluralize
 from usdface.media.film.sound import read_audio
 from usdface.runner.outputs import provenance_metadata
 from usdface.runner.result import StepResult
-from usdface.specs.base import LAYER_SUFFIXES
 from usdface.specs.capture import PhonesSpec
 from usdface.speech.coverage_of_sound import INCOMPLETE_SHARE, share_outside
 from usdface.speech.dictionary import read_dictionary, read_text

@@ -18,8 +18,8 @@ from usdface.numerics.motion.edit_curve import (
     override_edit,
 )
 from usdface.runner.result import StepResult
-from usdface.specs.base import frame_range
 from usdface.specs.edits import EditSpec
+from usdface.specs.paths import frame_range
 from usdface.usdio.performance.edits import (
     ShapeEdit,
     edited_frames,

@@ -8,7 +8,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
-from usdface.usdio.layers import LAYER_SUFFIXES
+from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.usdio.retarget.alpha import read_alpha_keys
 
 

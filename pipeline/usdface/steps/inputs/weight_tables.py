@@ -13,7 +13,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
-from usdface.usdio.layers import LAYER_SUFFIXES
+from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.usdio.performance.blender_export import (
     BlenderWeights,
     blender_names,

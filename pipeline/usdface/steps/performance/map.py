@@ -16,7 +16,7 @@ from usdface.model.mapping.rig_match import check_same_rig
 from usdface.model.mapping.temporal import TemporalSolve, smooth_weights
 from usdface.numerics.array_namespace import ArrayDevice, open_device
 from usdface.runner.result import StepResult
-from usdface.specs.base import frame_range
+from usdface.specs.paths import frame_range
 from usdface.specs.performance import MapSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.inputs.take_head_space import read_markers, take_head_space

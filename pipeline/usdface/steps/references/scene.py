@@ -14,7 +14,7 @@ from usdface.model.mapping.predict import predict_weights
 from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
 from usdface.model.selection.design import CandidateMarkers
 from usdface.model.selection.features import SelectionSpace, selection_space
-from usdface.specs.base import frame_range
+from usdface.specs.paths import frame_range
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
 
 _USABLE_SHARE = 0.9

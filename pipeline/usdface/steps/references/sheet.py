@@ -25,7 +25,7 @@ from usdface.media.picture.reference_sheet import ReferenceRow, compose_referenc
 from usdface.model.selection.baseline import set_up_equation
 from usdface.runner.outputs import provenance_metadata
 from usdface.runner.result import StepResult
-from usdface.specs.base import frame_range
+from usdface.specs.paths import frame_range
 from usdface.specs.references import ReferenceSheetSpec
 from usdface.speech.visemes import viseme_label
 from usdface.steps.inputs.tuned_pairs import read_set_references

@@ -20,7 +20,7 @@ from usdface.model.retarget.checks import check_pairs
 from usdface.model.retarget.cyclic import POSITIONS, CyclicError, evaluate_cyclic
 from usdface.runner.outputs import provenance_metadata
 from usdface.runner.result import StepResult
-from usdface.specs.base import frame_range
+from usdface.specs.paths import frame_range
 from usdface.specs.retarget import METHODS, CyclicSpec
 from usdface.steps.inputs.source_motion import SourceMotion, read_source_motion, source_columns
 from usdface.steps.inputs.weight_tables import read_weight_table

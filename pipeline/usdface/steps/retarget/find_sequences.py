@@ -12,7 +12,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.text import pluralize
 from usdface.numerics.motion.sequence_search import Matches, best_match, find_sequence
 from usdface.runner.result import StepResult
-from usdface.specs.base import frame_range
+from usdface.specs.paths import frame_range
 from usdface.specs.retarget import FindSequencesSpec
 from usdface.steps.inputs.source_motion import SourceMotion, read_source_motion, source_columns
 from usdface.usdio.retarget.sequences import check_sequence_rate, read_sequence, write_matches

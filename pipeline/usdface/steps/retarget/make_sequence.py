@@ -8,7 +8,7 @@ from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.numerics.motion.sequence_search import held_distance
 from usdface.runner.result import StepResult
-from usdface.specs.base import frame_range
+from usdface.specs.paths import frame_range
 from usdface.specs.retarget import MakeSequenceSpec
 from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.usdio.retarget.controls import read_control_clip

@@ -13,7 +13,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.text import pluralize
 from usdface.model.retarget.train import retarget
 from usdface.runner.result import StepResult
-from usdface.specs.base import frame_range
+from usdface.specs.paths import frame_range
 from usdface.specs.retarget import RetargetSpec
 from usdface.steps.inputs.alpha_curve import read_alpha
 from usdface.steps.inputs.edit_ranges import edit_notes

@@ -17,7 +17,7 @@ from usdface.media.picture.image import write_image
 from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
 from usdface.runner.outputs import provenance_metadata
 from usdface.runner.result import StepResult
-from usdface.specs.base import frame_range
+from usdface.specs.paths import frame_range
 from usdface.specs.review import EvaluateSpec
 from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table
 from usdface.steps.review.evaluation_tables import (

@@ -15,7 +15,7 @@ from usdface.media.picture.image import write_image
 from usdface.media.picture.sheet import SheetPage, SheetRow, Tile, compose_sheet
 from usdface.runner.outputs import provenance_metadata
 from usdface.runner.result import StepResult
-from usdface.specs.base import frame_range
+from usdface.specs.paths import frame_range
 from usdface.specs.review import FacesSpec
 from usdface.usdio.rig.posed_points import PosedRig
 

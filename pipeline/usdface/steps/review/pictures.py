@@ -20,7 +20,7 @@ from usdface.media.film.image_sequence import ImageSequence, open_video
 from usdface.media.film.video import VideoReader
 from usdface.media.picture.display_view import DisplayView
 from usdface.media.picture.sheet import Tile
-from usdface.specs.base import frame_range
+from usdface.specs.paths import frame_range
 from usdface.specs.review import AUTO
 from usdface.steps.inputs.cleaned_takes import read_cleaned
 from usdface.steps.review.shot_camera import ShotCamera

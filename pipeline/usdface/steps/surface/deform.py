@@ -11,7 +11,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.text import pluralize
 from usdface.numerics.surface.turned_normals import NormalTurner, turner_of
 from usdface.runner.result import StepResult
-from usdface.specs.base import frame_range
+from usdface.specs.paths import frame_range
 from usdface.specs.surface import DeformSpec
 from usdface.steps.surface.picture import write_comparison
 from usdface.steps.surface.plan import SurfacePlan, plan_surface
