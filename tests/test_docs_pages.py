@@ -113,7 +113,7 @@ def test_pages_name_no_option_command_or_task_that_is_not_there() -> None:
     options |= {option for given in OTHERS for option in given.split()}
     project = (REPOSITORY / "pyproject.toml").read_text("utf-8")
     tasks = set(re.findall(r"^(\w+) = \{ (?:cmd|sequence)", project, flags=re.MULTILINE))
-    benchmarks = {path.stem for path in (REPOSITORY / "tests" / "benchmarks").glob("*.py")}
+    benchmarks = {path.stem for path in (REPOSITORY / "benchmarks").glob("*.py")}
     wrong = []
     for page in [REPOSITORY / "README.md", *DOCS.rglob("*.md")]:
         text = page.read_text("utf-8")

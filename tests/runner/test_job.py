@@ -188,9 +188,3 @@ def test_a_step_is_run_again_when_a_layer_beneath_its_output_is_gone(
 
 def test_no_temporary_file_is_left(finished_shot: Shot) -> None:
     assert list(finished_shot.folder.glob(".*")) == []
-
-
-def test_steps_are_all_there() -> None:
-    folder = Path(jobs.__file__).parent
-    for step in STEPS:
-        assert (folder / f"{step.replace('-', '_')}.py").is_file()

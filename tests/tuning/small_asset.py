@@ -43,7 +43,7 @@ def write_asset(folder: Path, references: References | None = None) -> Path:
         references or small_references(folder),
         read_rig(folder / "rig.usda"),
         tuned_path=tuned_path(path),
-        proposed_references_path=proposed_references_path(path),
+        proposed_path=proposed_references_path(path),
     )
     return path
 

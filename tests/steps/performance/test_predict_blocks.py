@@ -32,12 +32,12 @@ def test_what_comes_out_does_not_depend_on_how_many_solve_and_few_blocks_wait(
     )
     found = []
     for solvers in (1, 4):
-        monkeypatch.setattr(solving, "MOST_SOLVERS", solvers)
+        monkeypatch.setattr(solving, "MAX_WORKERS", solvers)
         monkeypatch.setattr("os.cpu_count", lambda: 8)
         taken: list[int] = []
         rows = []
         for done, answer in enumerate(solving.solve_ahead(mapping, blocks(face.positions, taken))):
-            assert len(taken) - done <= solvers + solving.AHEAD
+            assert len(taken) - done <= solvers + solving.QUEUE_DEPTH
             rows.append(answer.weights)
         found.append(np.concatenate(rows))
     np.testing.assert_array_equal(found[0], found[1])
