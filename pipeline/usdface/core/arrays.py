@@ -1,4 +1,6 @@
-"""Array types by element, as every signature names them; shapes are in the docstrings."""
+"""Array types by element, as every signature names them; and frames in runs, blocks and samples."""
+
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,3 +14,45 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 ByteImage = NDArray[np.uint8]
 """(height, width, 3), sRGB."""
+
+MAD_TO_DEVIATION = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation, 1 / Φ⁻¹(3/4)."""
+
+_BLOCK_FRAMES = 2048
+"""[frames] Arrays of a hundred markers in so many frames stay near the processor's cache."""
+
+
+def runs(mask: BoolArray) -> list[tuple[int, int]]:
+    """Return the stretches where `mask` is True as (start, stop), the stop left out."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
+
+
+def frame_blocks(count: int, *, frames: int | None = None, at_least: int = 1) -> Iterator[slice]:
+    """Yield the frames of a take in blocks, so that intermediate arrays need no take's memory.
+
+    What a frame becomes must not depend on where blocks begin: what looks at neighbouring frames is
+    given them by `widened`.
+
+    Parameters
+    ----------
+    count : int
+        Frames of the take.
+    frames : int, optional
+        Frames of a block; by default 2048.
+    at_least : int
+        Frames that a block has even where `frames` is less.
+    """
+    size = max(_BLOCK_FRAMES if frames is None else frames, at_least)
+    for start in range(0, count, size):
+        yield slice(start, min(start + size, count))
+
+
+def widened(block: slice, frames: int, count: int) -> slice:
+    """Return a block with so many frames more on both sides, as far as the take goes."""
+    return slice(max(block.start - frames, 0), min(block.stop + frames, count))
+
+
+def sample_frames(count: int, most: int) -> IntArray:
+    """Return at most so many frame indices, spread evenly over the take."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))

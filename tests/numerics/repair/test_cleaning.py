@@ -50,11 +50,11 @@ def test_swapped_labels_are_put_back_and_good_ones_left(damaged):
     assert wrong[good].mean() < 0.001
 
 
-def test_strays_are_replaced_and_good_samples_are_not(damaged):
+def test_outliers_are_replaced_and_good_samples_are_not(damaged):
     face, cleaned = damaged
     good = face.visible & ~face.swapped & ~face.strays
-    assert cleaned.strays[face.strays].mean() > 0.9
-    assert cleaned.strays[good].mean() < 0.001
+    assert cleaned.outliers[face.strays].mean() > 0.9
+    assert cleaned.outliers[good].mean() < 0.001
 
 
 def test_mended_and_filled_samples_lie_where_the_skin_was(damaged):
@@ -78,7 +78,7 @@ def test_confidence_is_one_where_measured_and_lower_where_mended(damaged):
     relabelled = np.zeros_like(face.visible)
     for s in cleaned.swaps:
         relabelled[s.start : s.stop, [s.first, s.second]] = True
-    measured = face.visible & ~cleaned.strays & ~relabelled
+    measured = face.visible & ~cleaned.outliers & ~relabelled
     assert (cleaned.confidence[measured] == 1).all()
     assert cleaned.confidence[cleaned.filled].max() < 1
     assert (cleaned.confidence[~cleaned.visible] == 0).all()
@@ -98,7 +98,7 @@ def test_a_clean_take_is_only_smoothed():
     face = simulate_face(frames=1200, noise=0.15)
     cleaned = clean(face)
     assert cleaned.swaps == ()
-    assert cleaned.strays.mean() < 1e-4
+    assert cleaned.outliers.mean() < 1e-4
     assert cleaned.noise_mm == pytest.approx(0.15, rel=0.05)
     raw = clean(face, smooth=False, relabel=False)
     assert (
@@ -184,7 +184,7 @@ def test_the_shared_take_is_mended_within_the_targets(shared_data):
     errors = errors_mm(cleaned.positions[::10][: len(truth["clean"])], truth["clean"].astype(float))
     mended, filled = (m[::10][: len(errors)] for m in (swapped, cleaned.filled))
     assert wrong[swapped].mean() < 0.05
-    assert (wrong[~swapped] | cleaned.strays[~swapped]).mean() < 0.001
+    assert (wrong[~swapped] | cleaned.outliers[~swapped]).mean() < 0.001
     assert errors[mended].mean() < 0.3
     assert errors[filled].mean() < 0.3
     assert seconds < 60  # 14 on an idle core
@@ -204,7 +204,7 @@ def test_recorded_takes_without_a_rigid_set_survive_damage(shared_data, name):
         visible[start : start + 40, marker] = False
     positions[300:360, [4, 6]] = positions[300:360, [6, 4]]
     cleaned = clean_markers(positions, visible, rigid=rigid, neutral=0)
-    assert whole.strays.mean() < 0.001
+    assert whole.outliers.mean() < 0.001
     assert [(s.first, s.second, s.start, s.stop) for s in cleaned.swaps] == [(4, 6, 300, 360)]
     offsets = np.linalg.norm(cleaned.positions - whole.positions, axis=2)
     assert offsets[~visible].mean() < 1.5  # of skin that moves by 20 to 40

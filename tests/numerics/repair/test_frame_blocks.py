@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tests.numerics.simulated_face import SimulatedFace, simulate_face
-from usdface.numerics.repair import frame_blocks
 from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
 from usdface.numerics.repair.smoothing import DETAIL_REACH, significant_detail
 
@@ -33,15 +32,15 @@ def damaged() -> tuple[SimulatedFace, CleanedMarkers]:
 @pytest.mark.parametrize("frames", [64, 500])
 def test_a_clean_take_does_not_depend_on_the_size_of_blocks(damaged, monkeypatch, frames):
     face, whole = damaged
-    monkeypatch.setattr(frame_blocks, "BLOCK_FRAMES", frames)
+    monkeypatch.setattr("usdface.core.arrays._BLOCK_FRAMES", frames)
     in_blocks = clean(face)
     np.testing.assert_allclose(in_blocks.positions, whole.positions, rtol=0, atol=LAST_PLACE_MM)
     np.testing.assert_allclose(in_blocks.head_motion, whole.head_motion, rtol=0, atol=LAST_PLACE_MM)
-    for name in ("visible", "confidence", "strays", "filled"):
+    for name in ("visible", "confidence", "outliers", "filled"):
         np.testing.assert_array_equal(getattr(in_blocks, name), getattr(whole, name))
     assert in_blocks.swaps == whole.swaps
     assert whole.swaps
-    assert whole.strays.any()
+    assert whole.outliers.any()
     assert not whole.visible[700:850, 20].any()
 
 
@@ -50,7 +49,7 @@ def test_a_gap_of_any_length_may_be_filled_whatever_the_size_of_blocks(damaged, 
     neutral = int(np.argmax(face.visible[:, list(face.rigid)].sum(axis=1)))
     results = []
     for frames, max_gap in ((64, 400), (2048, 400), (64, 10**6)):
-        monkeypatch.setattr(frame_blocks, "BLOCK_FRAMES", frames)
+        monkeypatch.setattr("usdface.core.arrays._BLOCK_FRAMES", frames)
         cleaned = clean_markers(
             face.captured, face.visible, rigid=face.rigid, neutral=neutral, max_gap=max_gap
         )

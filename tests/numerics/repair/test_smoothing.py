@@ -5,8 +5,7 @@ import pytest
 from scipy.sparse import diags_array, identity
 from scipy.sparse.linalg import spsolve
 
-from usdface.numerics.repair.smoothing import significant_detail, smooth_tracks
-from usdface.numerics.rigid.pose_smoothing import smooth_poses
+from usdface.numerics.repair.smoothing import significant_detail, smooth_poses, smooth_tracks
 
 
 def test_equals_a_direct_solve_away_from_the_ends():

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from tests.numerics.simulated_face import simulate_face
-from usdface.numerics.repair import frame_blocks, relabeling
+from usdface.numerics.repair import relabeling
 from usdface.numerics.repair.fit_low_rank import fit_low_rank
 from usdface.numerics.repair.low_rank import fill_missing
 from usdface.numerics.repair.relabeling import find_swaps, likeliest_states
 from usdface.numerics.repair.swap_evidence import (
-    doubtful_pairs,
     neighbor_pairs,
     open_window,
+    suspicious_pairs,
     weigh_swap,
 )
 from usdface.numerics.rigid.stabilization import stabilize
@@ -51,7 +51,7 @@ def test_pairs_that_are_passed_over_hold_no_hint(swapped):
     complete = fill_missing(model, still, visible)
     window = open_window(complete, seen, model)
     pairs = neighbor_pairs(complete, seen, model, 0.15)
-    found = dict(doubtful_pairs(pairs, window, step_scale=STEP_SCALE))
+    found = dict(suspicious_pairs(pairs, window, step_scale=STEP_SCALE))
     counted = {}
     for index, pair in enumerate(pairs):
         a, b = pair.first, pair.second
@@ -60,7 +60,7 @@ def test_pairs_that_are_passed_over_hold_no_hint(swapped):
         x_away, y_away = away.transpose(0, 2, 1)
         x_place = square(x_away) - square(x_away + y - x)
         y_place = square(y_away) - square(y_away + x - y)
-        place = np.minimum(x_place, y_place) / pair.place_variance
+        place = np.minimum(x_place, y_place) / pair.residual_variance
         x_jump = square(x[1:] - y[:-1]) - square(np.diff(x, axis=0))
         y_jump = square(y[1:] - x[:-1]) - square(np.diff(y, axis=0))
         jump = np.maximum(x_jump, y_jump) / STEP_SCALE**2
@@ -73,7 +73,7 @@ def test_pairs_that_are_passed_over_hold_no_hint(swapped):
 def test_swaps_do_not_depend_on_how_many_frames_are_looked_at_at_once(swapped, monkeypatch, frames):
     still, visible, model = swapped
     whole = find_swaps(still, visible, model=model, noise=0.15)
-    monkeypatch.setattr(frame_blocks, "BLOCK_FRAMES", frames)
+    monkeypatch.setattr("usdface.core.arrays._BLOCK_FRAMES", frames)
     assert whole
     assert find_swaps(still, visible, model=model, noise=0.15) == whole
 

@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from usdface.numerics.rigid.optimal_rotation import optimal_rotations
-from usdface.numerics.rigid.rigid_alignment import align_rigid, align_rigid_robust, remove_motion
+from usdface.numerics.rigid.rigid_alignment import (
+    align_rigid,
+    align_rigid_robust,
+    optimal_rotations,
+    remove_motion,
+)
 
 
 def moving_body(frames=200, points=8, noise=0.0, depth=1.0, seed=0):

@@ -7,7 +7,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.assets import Markers, TrainedMapping
 from usdface.core.errors import InputError
-from usdface.numerics.rigid.optimal_rotation import optimal_rotations
+from usdface.numerics.rigid.rigid_alignment import optimal_rotations
 
 MINIMUM_SHARE = 0.5
 """Of the mapping's markers, how many a take must have: with fewer, most of the face is a guess."""

@@ -1,1 +1,1 @@
-"""Captured samples mended: swaps, strays, gaps and noise."""
+"""Captured markers repaired: swapped labels, outliers, gaps and noise."""

@@ -4,28 +4,34 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from usdface.core.arrays import RealArray
+from usdface.core.arrays import (
+    MAD_TO_DEVIATION,
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    RealArray,
+    frame_blocks,
+    sample_frames,
+)
 from usdface.core.progress import Progress, silent
+from usdface.numerics.motion.noise import marker_noise
 from usdface.numerics.repair.fit_low_rank import choose_rank, fit_low_rank
-from usdface.numerics.repair.frame_blocks import frame_blocks, sample_frames
 from usdface.numerics.repair.gap_filling import complete_take
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
-from usdface.numerics.repair.noise import marker_noise
-from usdface.numerics.repair.outliers import find_strays
+from usdface.numerics.repair.outliers import find_outliers
 from usdface.numerics.repair.relabeling import Swap, apply_swaps, find_swaps
-from usdface.numerics.repair.take_smoothing import smooth_take
-from usdface.numerics.rigid.pose_smoothing import smooth_poses
+from usdface.numerics.repair.smoothing import smooth_poses, smooth_take
 from usdface.numerics.rigid.rigid_alignment import align_frames, alignment_of, remove_motion
 from usdface.numerics.rigid.stabilization import stabilize
 
 _RELABEL_ROUNDS = 4
-_POSE_ROUNDS = 2
 _RELABELLED_CONFIDENCE = 0.9
+_POSE_ROUNDS = 2
 _POSE_INLIER_DEVIATIONS = 3.0
-_MAD_TO_DEVIATION = 1.4826
-_SAMPLE_FRAMES = 8192
+"""Distance from its prediction at which a marker counts half (Cauchy weights)."""
+_POSE_SAMPLE_FRAMES = 8192
 
 
 @dataclass(frozen=True)
@@ -44,36 +50,36 @@ class CleanedMarkers:
     head_motion : (frames, 4, 4) float array
         For column vectors: ``captured = head_motion @ stabilised``.
     swaps : tuple of Swap
-        Labels put back.
-    strays : (frames, markers) bool array
+        Labels exchanged back.
+    outliers : (frames, markers) bool array
         Measured samples that were replaced.
     filled : (frames, markers) bool array
-        Samples that were not measured or were strays, and were filled.
+        Samples that were not measured or were outliers, and were filled.
     pose_confidence : (frames,) float array
         [0-1]
     noise_mm : float
         Measurement noise per coordinate before smoothing [mm].
     """
 
-    positions: NDArray[np.float32]
-    visible: NDArray[np.bool_]
-    confidence: NDArray[np.float32]
-    head_motion: NDArray[np.float64]
+    positions: Float32Array
+    visible: BoolArray
+    confidence: Float32Array
+    head_motion: FloatArray
     swaps: tuple[Swap, ...]
-    strays: NDArray[np.bool_]
-    filled: NDArray[np.bool_]
-    pose_confidence: NDArray[np.float64]
+    outliers: BoolArray
+    filled: BoolArray
+    pose_confidence: FloatArray
     noise_mm: float
 
 
 @dataclass(frozen=True)
-class _Still:
-    """A take in the head's space on its way through the chain, which changes it in place."""
+class _StabilizedTake:
+    """A take in the head's space; the steps of `clean_markers` change it in place."""
 
-    positions: NDArray[np.float32]
-    visible: NDArray[np.bool_]
-    head_motion: NDArray[np.float64]
-    pose_confidence: NDArray[np.float64]
+    positions: Float32Array
+    visible: BoolArray
+    head_motion: FloatArray
+    pose_confidence: FloatArray
 
 
 def clean_markers(
@@ -89,9 +95,9 @@ def clean_markers(
 ) -> CleanedMarkers:
     """Clean a take's markers.
 
-    In this order: the head's pose from the rigid markers; labels that have changed places; samples
-    that the other markers contradict; the pose again, from all markers against what the others
-    predict of them; gaps; noise, each direction of the face's motion by its own measure.
+    In this order: the head's pose from the rigid markers; labels that have changed places;
+    outliers, which the other markers contradict; the pose again, from all markers against what the
+    others predict of them; gaps; noise, each direction of the face's motion by its own penalty.
 
     Parameters
     ----------
@@ -105,8 +111,7 @@ def clean_markers(
     max_gap : int
         Longest gap to fill [frames].
     smooth, relabel : bool
-        Leave a step out.
-    progress : callable
+        False leaves that step out.
 
     Raises
     ------
@@ -133,9 +138,9 @@ def clean_markers(
             apply_swaps(captured, swaps)
             still = _stabilize(captured, seen, rigid, neutral, out=captured)
             model = fit_low_rank(still.positions, seen, rank_limit=rank, start=model, noise=noise)
-    progress(0.45, "strays")
-    strays = find_strays(still.positions, seen, model=model, noise=noise)
-    good = seen & ~strays
+    progress(0.45, "outliers")
+    outliers = find_outliers(still.positions, seen, model=model, noise=noise)
+    good = seen & ~outliers
     progress(0.6, "head motion, from all markers")
     _refine_pose(still, good, model)
     noise = marker_noise(still.positions, good)
@@ -147,24 +152,22 @@ def clean_markers(
         progress(0.8, "noise")
         smooth_take(still.positions, model, noise=noise)
     known = good | gaps.filled
-    _hold(still.positions, known)
+    _hold_last_positions(still.positions, known)
     progress(1.0, "clean")
     return CleanedMarkers(
         positions=still.positions,
         visible=known,
-        confidence=_weighed(gaps.confidence, swaps, still.pose_confidence),
+        confidence=_scale_confidence(gaps.confidence, swaps, still.pose_confidence),
         head_motion=still.head_motion,
         swaps=swaps,
-        strays=strays,
+        outliers=outliers,
         filled=gaps.filled,
         pose_confidence=still.pose_confidence,
         noise_mm=sensor_noise,
     )
 
 
-def _check(
-    captured: NDArray[np.float32], seen: NDArray[np.bool_], neutral: int, max_gap: int
-) -> None:
+def _check(captured: Float32Array, seen: BoolArray, neutral: int, max_gap: int) -> None:
     if captured.ndim != 3 or captured.shape[2] != 3 or seen.shape != captured.shape[:2]:
         raise ValueError(
             f"positions {captured.shape} and visible {seen.shape} must be (frames, markers, 3) "
@@ -180,17 +183,17 @@ def _check(
 
 
 def _stabilize(
-    captured: NDArray[np.float32],
-    seen: NDArray[np.bool_],
+    captured: Float32Array,
+    seen: BoolArray,
     rigid: Sequence[int],
     neutral: int,
     *,
-    out: NDArray[np.float32] | None = None,
-) -> _Still:
+    out: Float32Array | None = None,
+) -> _StabilizedTake:
     """Take out a smooth head motion.
 
-    What jitters in the pose jitters in all markers alike, and would be learned as a way in which
-    the face moves; quick head motion comes back when the pose is refined.
+    Jitter of the pose would move all markers alike, and be fitted as a direction of the face's
+    motion; quick head motion comes back when the pose is refined.
     """
     columns = list(rigid)
     body = stabilize(
@@ -198,17 +201,17 @@ def _stabilize(
     )
     motion = smooth_poses(body.head_motion, center=body.reference.mean(axis=0))
     positions = remove_motion(captured, alignment_of(motion), out=out)
-    return _Still(np.asarray(positions, np.float32), seen, motion, body.pose_confidence)
+    return _StabilizedTake(np.asarray(positions, np.float32), seen, motion, body.pose_confidence)
 
 
 def _relabel(
-    still: _Still,
+    still: _StabilizedTake,
     model: LowRankModel,
     rank: int,
-    noise: NDArray[np.float64],
+    noise: FloatArray,
     progress: Progress,
 ) -> tuple[tuple[Swap, ...], LowRankModel]:
-    """Put labels back in place in rounds: each round's model is learned with fewer swaps."""
+    """Exchange swapped labels back in rounds: each round's model is fitted with fewer swaps."""
     found: list[Swap] = []
     for number in range(_RELABEL_ROUNDS):
         progress(0.1 + 0.35 * number / _RELABEL_ROUNDS, "labels")
@@ -226,17 +229,17 @@ def _relabel(
     return tuple(found), model
 
 
-def _refine_pose(still: _Still, good: NDArray[np.bool_], model: LowRankModel) -> None:
-    """Move each frame rigidly to where its markers predict one another best, in place."""
+def _refine_pose(still: _StabilizedTake, good: BoolArray, model: LowRankModel) -> None:
+    """Move each frame rigidly to where its markers predict each other best, in place."""
     positions, motion = still.positions, still.head_motion
-    sample = sample_frames(len(positions), _SAMPLE_FRAMES)
+    sample = sample_frames(len(positions), _POSE_SAMPLE_FRAMES)
     for _ in range(_POSE_ROUNDS):
-        complete, predicted = _told(positions[sample], good[sample], model)
+        complete, predicted = _predict(positions[sample], good[sample], model)
         distance = np.linalg.norm(complete - predicted, axis=2)
         usual = np.array([_median(distance[ok, m]) for m, ok in enumerate(good[sample].T)])
-        deviation = np.maximum(_MAD_TO_DEVIATION * usual, model.noise)
+        deviation = np.maximum(MAD_TO_DEVIATION * usual, model.noise)
         for block in frame_blocks(len(positions)):
-            complete, predicted = _told(positions[block], good[block], model)
+            complete, predicted = _predict(positions[block], good[block], model)
             distance = np.linalg.norm(complete - predicted, axis=2)
             weights = good[block] / (1.0 + (distance / (_POSE_INLIER_DEVIATIONS * deviation)) ** 2)
             weights /= deviation**2
@@ -245,16 +248,16 @@ def _refine_pose(still: _Still, good: NDArray[np.bool_], model: LowRankModel) ->
             motion[block] = motion[block] @ turn.matrices()
 
 
-def _told(
-    positions: RealArray, good: NDArray[np.bool_], model: LowRankModel
+def _predict(
+    positions: RealArray, good: BoolArray, model: LowRankModel
 ) -> tuple[RealArray, RealArray]:
-    """Return frames without gaps, and where the others put each of their markers."""
+    """Return frames without gaps, and what the others predict of each of their markers."""
     complete = fill_missing(model, positions, good)
     return complete, predict_from_others(model, complete)
 
 
-def _hold(positions: RealArray, known: NDArray[np.bool_]) -> None:
-    """Let unknown samples hold the last known position, or before the first that one; in place."""
+def _hold_last_positions(positions: RealArray, known: BoolArray) -> None:
+    """Give unknown samples the last known position, or before the first that one; in place."""
     frames = np.arange(len(known))
     for marker in np.flatnonzero(~known.all(axis=0) & known.any(axis=0)):
         ok = known[:, marker]
@@ -263,11 +266,11 @@ def _hold(positions: RealArray, known: NDArray[np.bool_]) -> None:
         positions[~ok, marker] = positions[latest[~ok], marker]
 
 
-def _weighed(
-    confidence: NDArray[np.float32],
+def _scale_confidence(
+    confidence: Float32Array,
     swaps: tuple[Swap, ...],
-    pose_confidence: NDArray[np.float64],
-) -> NDArray[np.float32]:
+    pose_confidence: FloatArray,
+) -> Float32Array:
     for swap in swaps:
         confidence[swap.start : swap.stop, [swap.first, swap.second]] *= _RELABELLED_CONFIDENCE
     confidence *= pose_confidence[:, None].astype(np.float32)

@@ -1,4 +1,4 @@
-"""Learn how the markers of a take move together, despite gaps, strays and swaps in it.
+"""Fit a low-rank model to a take, despite gaps, outliers and swaps in it.
 
 References
 ----------
@@ -9,56 +9,61 @@ missing entries by expectation-maximisation.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from usdface.core.arrays import RealArray
-from usdface.numerics.repair.frame_blocks import frame_blocks, sample_frames
+from usdface.core.arrays import (
+    MAD_TO_DEVIATION,
+    BoolArray,
+    FloatArray,
+    RealArray,
+    frame_blocks,
+    sample_frames,
+)
+from usdface.numerics.motion.noise import marker_noise
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
-from usdface.numerics.repair.noise import marker_noise
-from usdface.numerics.repair.spikes import find_excursions
+from usdface.numerics.repair.outliers import find_spikes
 
 _CHUNK_FRAMES = 2048
-_SAMPLE_FRAMES = 16_000
-"""A model of a hundred directions needs no more."""
-_USUAL_FRAMES = 4096
-"""Tell the median distance of a marker from its prediction to two hundredths."""
-_ROUNDS = 8
-_ROUNDS_AGAIN = 2
-"""Where learning starts from a model: it goes on where that one's learning ended."""
-_SETTLED = 0.02
-"""Of the noise: what is filled in moves by less, root mean square, in the last round."""
-_LEAST_NOISE = 0.02
-"""[mm] Better than any camera: keeps exact data invertible."""
+_FIT_FRAMES = 16_000
+"""[frames] A model of a hundred directions needs no more."""
+_MEDIAN_FRAMES = 4096
+"""From which the median distance of a marker from its prediction is known to 2 %."""
+_EM_ROUNDS = 8
+_EM_ROUNDS_CONTINUED = 2
+"""Where the fit starts from a model."""
+_SETTLED_SHARE = 0.02
+"""[of the noise] What is filled in moves by less, root mean square, in the last round."""
+_LEAST_NOISE_MM = 0.02
+"""Better than any camera: keeps exact data invertible."""
 _FRAMES_PER_DIRECTION = 25
 _LEAST_RANK_LIMIT = 8
-"""Short takes would learn their own swaps as directions of motion."""
-_RANKS = (6, 9, 13, 19, 28, 40, 60)
+"""Frames per direction, and the rank allowed to takes too short for it: they would fit their own
+swaps as directions of motion."""
+_CANDIDATE_RANKS = (6, 9, 13, 19, 28, 40, 60)
 _CHOICE_FRAMES = 4000
-_STRETCHES, _FOLDS = 24, 3
-_STRAY_DEVIATIONS = 6.0
-_MAD_TO_DEVIATION = 1.4826
+_STRETCH_COUNT, _FOLD_COUNT = 24, 3
+_OUTLIER_DEVIATIONS = 6.0
 
 
 def fit_low_rank(
     positions: RealArray,
-    good: NDArray[np.bool_],
+    good: BoolArray,
     *,
     rank_limit: int = 60,
     start: LowRankModel | None = None,
-    noise: NDArray[np.float64] | None = None,
+    noise: FloatArray | None = None,
 ) -> LowRankModel:
-    """Learn how the markers of a take move together.
+    """Fit a Gaussian of few directions to a take, by expectation-maximisation.
 
     Parameters
     ----------
     positions : (frames, markers, 3) float array
         [mm] Without head motion; anything where not good.
     good : (frames, markers) bool array
-        Samples to learn from; those that the others contradict are found and left out.
+        Samples to fit to; those that the others contradict are left out.
     rank_limit : int
-        Most directions to keep. Directions below the measurement noise are never kept.
+        Most directions to keep. Those below the measurement noise are never kept.
     start : LowRankModel, optional
-        Learned from nearly the same samples: to begin with, instead of with medians.
+        Fitted to nearly the same samples: where to start instead of at medians.
     noise : (markers,) float array, optional
         The samples' `marker_noise`, where it is known.
 
@@ -67,49 +72,49 @@ def fit_low_rank(
     ValueError
         If a marker has no good sample at all.
     """
-    rows = sample_frames(len(positions), _SAMPLE_FRAMES)
+    rows = sample_frames(len(positions), _FIT_FRAMES)
     sample, usable = positions[rows], good[rows]
     if not usable.any(axis=0).all():
         missing = np.flatnonzero(~usable.any(axis=0)).tolist()
-        raise ValueError(f"markers {missing} have no good sample to learn from; leave them out")
+        raise ValueError(f"markers {missing} have no good sample; leave them out")
     noise = marker_noise(positions, good) if noise is None else noise
-    sensor_noise = np.maximum(noise, _LEAST_NOISE)
-    settled = _SETTLED * float(np.median(sensor_noise))
+    sensor_noise = np.maximum(noise, _LEAST_NOISE_MM)
+    settled = _SETTLED_SHARE * float(np.median(sensor_noise))
     if start is None:
         middle = np.stack([np.median(sample[ok, m], axis=0) for m, ok in enumerate(usable.T)])
-        believed = usable & ~find_excursions(positions, good, noise=sensor_noise)[rows]
-        filled = np.where(believed[..., None], sample, middle.astype(sample.dtype))
+        trusted = usable & ~find_spikes(positions, good, noise=sensor_noise)[rows]
+        filled = np.where(trusted[..., None], sample, middle.astype(sample.dtype))
     else:
-        believed, filled = usable, fill_missing(start, sample, usable)
+        trusted, filled = usable, fill_missing(start, sample, usable)
     moments = _Moments.of(filled)
     model = start
-    for number in range(_ROUNDS if start is None else _ROUNDS_AGAIN):
+    for number in range(_EM_ROUNDS if start is None else _EM_ROUNDS_CONTINUED):
         if number or model is None:
-            model = _model(moments, filled, believed, sensor_noise, rank_limit)
-        incomplete = np.asarray(~believed.all(axis=1))
-        moved = _refill(moments, filled, sample, believed, model, incomplete)
-        # A sample the others contradict is not learned from; it may come back in a later round.
+            model = _model(moments, filled, trusted, sensor_noise, rank_limit)
+        incomplete = np.asarray(~trusted.all(axis=1))
+        moved = _refill(moments, filled, sample, trusted, model, incomplete)
+        # An outlier is left out; it may come back in a later round.
         distance = _distances(sample, predict_from_others(model, filled))
-        before, believed = believed, usable & ~_contradicted(distance, usable, sensor_noise)
-        changed = (believed != before).any(axis=1)
-        _refill(moments, filled, sample, believed, model, changed)
-        told_anew = number > 0 or start is None
-        if told_anew and not changed.any() and moved < settled:
+        before, trusted = trusted, usable & ~_outliers(distance, usable, sensor_noise)
+        changed = (trusted != before).any(axis=1)
+        _refill(moments, filled, sample, trusted, model, changed)
+        reestimated = number > 0 or start is None
+        if reestimated and not changed.any() and moved < settled:
             break
-    return _model(moments, filled, believed, sensor_noise, rank_limit)
+    return _model(moments, filled, trusted, sensor_noise, rank_limit)
 
 
 def choose_rank(
     positions: RealArray,
-    good: NDArray[np.bool_],
+    good: BoolArray,
     *,
     start: LowRankModel | None = None,
-    noise: NDArray[np.float64] | None = None,
+    noise: FloatArray | None = None,
 ) -> int:
-    """Return how many directions predict hidden markers best in parts of the take not learned from.
+    """Return how many directions predict hidden markers best, by cross-validation.
 
-    A long, rich take affords many; in a short one many directions fit only the frames they were
-    learned from. The take is cut into stretches of time, and every other few are held out in turn.
+    A long, rich take affords many; in a short one many directions fit only their own frames. The
+    take is cut into 24 stretches of time, of which every third is left out in turn.
 
     Parameters
     ----------
@@ -126,13 +131,13 @@ def choose_rank(
     start = fit_low_rank(positions, good, noise=noise) if start is None else start
     seen = good[rows]
     filled = fill_missing(start, positions[rows], seen)
-    sensor_noise = np.maximum(noise, _LEAST_NOISE)
-    fold = np.arange(len(rows)) * _STRETCHES // len(rows) % _FOLDS
-    candidates = [rank for rank in _RANKS if rank < len(start.variances)]
+    sensor_noise = np.maximum(noise, _LEAST_NOISE_MM)
+    fold = np.arange(len(rows)) * _STRETCH_COUNT // len(rows) % _FOLD_COUNT
+    candidates = [rank for rank in _CANDIDATE_RANKS if rank < len(start.variances)]
     candidates.append(len(start.variances))
     scores = np.zeros(len(candidates))
-    for held in range(_FOLDS):
-        test = fold == held
+    for left_out in range(_FOLD_COUNT):
+        test = fold == left_out
         if test.all() or not seen[test].any():  # nothing to compare with
             continue
         known = filled[~test]
@@ -154,11 +159,11 @@ def with_rank(model: LowRankModel, rank: int) -> LowRankModel:
 
 @dataclass
 class _Moments:
-    """Sums over frames that change where frames do, so that the others need no second look."""
+    """Sums over frames, updated where frames change."""
 
-    center: NDArray[np.float64]
-    total: NDArray[np.float64]
-    products: NDArray[np.float64]
+    center: FloatArray
+    total: FloatArray
+    products: FloatArray
     count: int
 
     @classmethod
@@ -176,10 +181,10 @@ class _Moments:
             self.total += sign * centered.sum(axis=0)
             self.products += sign * (centered.T @ centered)
 
-    def mean(self) -> NDArray[np.float64]:
+    def mean(self) -> FloatArray:
         return np.asarray(self.center + self.total / self.count)
 
-    def scatter(self) -> NDArray[np.float64]:
+    def scatter(self) -> FloatArray:
         """Return the sum of squares and products about the mean."""
         return np.asarray(self.products - np.outer(self.total, self.total / self.count))
 
@@ -188,15 +193,15 @@ def _refill(
     moments: _Moments,
     filled: RealArray,
     sample: RealArray,
-    believed: NDArray[np.bool_],
+    trusted: BoolArray,
     model: LowRankModel,
-    which: NDArray[np.bool_],
+    which: BoolArray,
 ) -> float:
     """Fill some frames anew, in place, and return by how much filled samples moved [mm]."""
     rows = np.flatnonzero(which)
     if not rows.size:
         return 0.0
-    before, ok = filled[rows], believed[rows]
+    before, ok = filled[rows], trusted[rows]
     filled[rows] = fill_missing(model, sample[rows], ok)
     if 2 * len(rows) < len(filled):
         moments.add(before.reshape(len(rows), -1), -1.0)
@@ -211,12 +216,12 @@ def _refill(
 def _model(
     moments: _Moments,
     filled: RealArray,
-    believed: NDArray[np.bool_],
-    sensor_noise: NDArray[np.float64],
+    trusted: BoolArray,
+    sensor_noise: FloatArray,
     rank_limit: int,
 ) -> LowRankModel:
     """Return the model of complete frames: principal directions that rise above the noise."""
-    frames, markers = believed.shape
+    frames, markers = trusted.shape
     mean, scatter = moments.mean(), moments.scatter()
     freedom = max(frames - 1, 1)
     values, vectors = np.linalg.eigh(scatter / freedom)
@@ -229,16 +234,16 @@ def _model(
         np.clip((values > threshold).sum(), 1, min(rank_limit, affordable, max(frames - 2, 1)))
     )
     components = vectors[:, :rank].T
-    # What the directions leave of all samples, less what they leave of those not believed.
+    # What the directions leave of all samples, less what they leave of those not trusted.
     left = np.diag(scatter) - freedom * (values[:rank] @ components**2)
     square = left.reshape(markers, 3).sum(axis=1)
-    rows = np.flatnonzero(~believed.all(axis=1))
+    rows = np.flatnonzero(~trusted.all(axis=1))
     for block in frame_blocks(len(rows), frames=_CHUNK_FRAMES):
         some = rows[block]
         centered = filled[some].reshape(len(some), -1).astype(np.float64) - mean
         rest = (centered - (centered @ components.T) @ components).reshape(len(some), markers, 3)
-        square -= np.where(believed[some], 0.0, np.einsum("fki,fki->fk", rest, rest)).sum(axis=0)
-    count = np.maximum(believed.sum(axis=0), 1)
+        square -= np.where(trusted[some], 0.0, np.einsum("fki,fki->fk", rest, rest)).sum(axis=0)
+    count = np.maximum(trusted.sum(axis=0), 1)
     return LowRankModel(
         mean=mean,
         components=components,
@@ -253,14 +258,12 @@ def _distances(one: RealArray, other: RealArray) -> RealArray:
     return np.asarray(np.sqrt(np.einsum("fki,fki->fk", offsets, offsets)))
 
 
-def _contradicted(
-    distance: RealArray, usable: NDArray[np.bool_], sensor_noise: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def _outliers(distance: RealArray, usable: BoolArray, sensor_noise: FloatArray) -> BoolArray:
     """Return which samples lie farther from their prediction than the marker usually does."""
     limit = np.empty(distance.shape[1], distance.dtype)
     for marker, ok in enumerate(usable.T):
         rows = np.flatnonzero(ok)
-        some = distance[rows[:: max(1, len(rows) // _USUAL_FRAMES)], marker]
-        usual = _MAD_TO_DEVIATION * float(np.median(some))
-        limit[marker] = _STRAY_DEVIATIONS * max(usual, float(sensor_noise[marker]))
+        some = distance[rows[:: max(1, len(rows) // _MEDIAN_FRAMES)], marker]
+        usual = MAD_TO_DEVIATION * float(np.median(some))
+        limit[marker] = _OUTLIER_DEVIATIONS * max(usual, float(sensor_noise[marker]))
     return np.asarray(distance > limit)

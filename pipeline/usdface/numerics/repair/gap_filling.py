@@ -1,20 +1,75 @@
-"""Complete a take: gaps that are not too long filled, all others at least plausible."""
+"""Fill gaps in marker tracks: short ones along the curve, long ones from the other markers.
+
+Short gaps follow a cubic spline through the samples on both sides. For long ones, a prediction from
+the other markers (see `low_rank`) says where the hidden marker goes, and the samples next to the
+gap say how far that prediction is off there: this offset is blended from one end to the other.
+The length up to which a spline is better depends on the capture's noise, the rate and the face; it
+is found by hiding samples that are known.
+"""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 
-from usdface.numerics.repair.frame_blocks import frame_blocks, widened
-from usdface.numerics.repair.gaps import GAP_REACH, choose_spline_limit, fill_gaps
+from usdface.core.arrays import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    RealArray,
+    frame_blocks,
+    runs,
+    widened,
+)
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
 
+SPLINE_LIMIT = 8
+"""[frames] Longest gap that a spline bridges where there is no prediction to compare it with."""
+_TRIAL_LENGTHS = (1, 2, 4, 8, 16, 32)
+"""[frames]"""
+_TRIAL_COUNT = 120
+"""Stretches hidden for each length."""
+_INFORMED_SHARE = 0.3
+"""[0-1] Markers that must be seen for a prediction to be more than the take's mean."""
+_END_SAMPLES = 5
+"""Samples next to a gap whose mean is the prediction's error: one alone carries its noise."""
+_SPLINE_KNOTS = 4
+"""Samples on each side of a gap that a spline goes through."""
+_GAP_REACH = 3 * _SPLINE_KNOTS
+"""[frames] What lies farther from a gap does not count in its filling."""
+_FADE_FRAMES = 30.0
+"""[frames] At the ends of a take the prediction's error is known on one side only: it is let decay
+by exp(-distance / 30)."""
+_LEAST_CONFIDENCE = 0.1
+_SPLINE_HALF_LIFE_FRAMES = 8.0
+_PREDICTION_HALF_LIFE_FRAMES = 120.0
+"""Distance from the nearest seen sample over which the confidence of a filled one halves."""
 _TRIAL_FRAMES = 20_000
-"""Of the middle of a take: where it is seen how well gaps can be filled."""
+"""[frames] Of the middle of a take: where `choose_spline_limit` hides samples."""
 
 
 @dataclass(frozen=True)
-class Completed:
+class GapFill:
+    """Tracks with their gaps filled where that was allowed.
+
+    Attributes
+    ----------
+    positions : (frames, markers, 3) float array
+        [mm] Samples of gaps that were left are unchanged.
+    filled : (frames, markers) bool array
+    confidence : (frames, markers) float array
+        [0-1] 1 where seen, lower the deeper in a filled gap, 0 where left.
+    """
+
+    positions: RealArray
+    filled: BoolArray
+    confidence: Float32Array
+
+
+@dataclass(frozen=True)
+class TakeFill:
     """What was filled.
 
     Attributes
@@ -24,22 +79,22 @@ class Completed:
         [0-1] 1 where good, lower the deeper in a filled gap, 0 where a gap was too long.
     """
 
-    filled: NDArray[np.bool_]
-    confidence: NDArray[np.float32]
+    filled: BoolArray
+    confidence: Float32Array
 
 
 def complete_take(
-    positions: NDArray[np.floating],
-    good: NDArray[np.bool_],
+    positions: RealArray,
+    good: BoolArray,
     *,
     model: LowRankModel,
     max_gap: int,
     noise: float,
-) -> Completed:
+) -> TakeFill:
     """Fill every sample that is not good, in place.
 
     Gaps of at most `max_gap` frames as `fill_gaps` does; longer ones with what the other markers
-    say, so that whole frames can be smoothed.
+    predict, so that whole frames can be smoothed.
 
     Parameters
     ----------
@@ -57,14 +112,16 @@ def complete_take(
     filled = np.zeros_like(good)
     confidence = good.astype(np.float32)
     if good.all():
-        return Completed(filled, confidence)
+        return TakeFill(filled, confidence)
     middle = max(0, (count - _TRIAL_FRAMES) // 2)
-    limit = _spline_limit(positions, good, model, slice(middle, middle + _TRIAL_FRAMES), noise)
-    # Blocks of at least one gap: each is looked at with a gap's length around it.
+    limit = _trial_spline_limit(
+        positions, good, model, slice(middle, middle + _TRIAL_FRAMES), noise
+    )
+    # Blocks of at least one gap: each is filled with a gap's length around it in view.
     for block in frame_blocks(count, at_least=max_gap):
         if good[block].all():
             continue
-        around = widened(block, max_gap + GAP_REACH, count)
+        around = widened(block, max_gap + _GAP_REACH, count)
         points, ok = positions[around], good[around]
         complete = fill_missing(model, points, ok)
         gaps = fill_gaps(
@@ -80,15 +137,15 @@ def complete_take(
         inner = slice(block.start - around.start, block.stop - around.start)
         found = gaps.filled[inner]
         values = np.where(found[..., None], gaps.positions[inner], complete[inner])
-        lacking = ~good[block]
-        positions[block][lacking] = values[lacking]
+        missing = ~good[block]
+        positions[block][missing] = values[missing]
         filled[block], confidence[block] = found, gaps.confidence[inner]
-    return Completed(filled, confidence)
+    return TakeFill(filled, confidence)
 
 
-def _spline_limit(
-    positions: NDArray[np.floating],
-    good: NDArray[np.bool_],
+def _trial_spline_limit(
+    positions: RealArray,
+    good: BoolArray,
     model: LowRankModel,
     stretch: slice,
     noise: float,
@@ -96,3 +153,181 @@ def _spline_limit(
     points, ok = positions[stretch], good[stretch]
     prediction = predict_from_others(model, fill_missing(model, points, ok))
     return choose_spline_limit(points, ok, prediction, noise=noise)
+
+
+def fill_gaps(
+    positions: ArrayLike,
+    visible: ArrayLike,
+    *,
+    max_gap: int,
+    prediction: ArrayLike | None = None,
+    noise: float = 0.0,
+    spline_limit: int | None = None,
+    open_start: bool = False,
+    open_stop: bool = False,
+) -> GapFill:
+    """Fill every gap of at most `max_gap` frames.
+
+    Parameters
+    ----------
+    positions : (frames, markers, 3) array_like
+        [mm] Anything where not visible.
+    visible : (frames, markers) array_like of bool
+    max_gap : int
+        Longest gap to fill [frames]; longer ones are left whole.
+    prediction : (frames, markers, 3) array_like, optional
+        What the other markers predict of each marker. Without it, gaps longer than `SPLINE_LIMIT`
+        and gaps at the ends of the take are left.
+        At frames where the marker is seen, it must not depend on the marker itself.
+    noise : float
+        Standard deviation of a measured coordinate [mm]: the prediction's error next to a gap
+        counts only as far as it rises above it.
+    spline_limit : int, optional
+        Longest gap to fill with a spline where there is a prediction [frames]; by default
+        that of `choose_spline_limit`.
+    open_start, open_stop : bool
+        The take goes on there: gaps that reach that end are left, as their other end is unknown.
+
+    Raises
+    ------
+    ValueError
+        If `max_gap` is negative or the shapes differ.
+    """
+    points, seen = np.array(positions), np.asarray(visible, bool)
+    expected = None if prediction is None else np.asarray(prediction)
+    if max_gap < 0:
+        raise ValueError(f"max_gap must be 0 or more frames, got {max_gap}")
+    if points.shape[:2] != seen.shape or (expected is not None and expected.shape != points.shape):
+        raise ValueError(
+            f"positions {points.shape}, visible {seen.shape} and prediction "
+            f"{None if expected is None else expected.shape} must agree"
+        )
+    confidence = seen.astype(np.float32)
+    filled = np.zeros_like(seen)
+    informed = seen.mean(axis=1) >= _INFORMED_SHARE
+    limit = SPLINE_LIMIT if spline_limit is None else spline_limit
+    if spline_limit is None and expected is not None and not seen.all():
+        limit = choose_spline_limit(points, seen, expected, noise=noise)
+    for marker in np.flatnonzero(~seen.all(axis=0) & seen.any(axis=0)):
+        track, ok = points[:, marker].copy(), seen[:, marker]
+        base = None if expected is None else expected[:, marker]
+        for start, stop in runs(~ok):
+            cut = (open_start and start == 0) or (open_stop and stop == len(ok))
+            if cut or stop - start > max_gap:
+                continue
+            inner = 0 < start and stop < len(ok)
+            reach = limit if informed[start:stop].all() else max(limit, 2 * SPLINE_LIMIT)
+            if inner and stop - start <= reach:
+                values = _spline(track, ok, start, stop)
+            elif base is not None:
+                # Only what stands beside the gap: over all frames, gaps times frames are too many.
+                low, high = max(0, start - _END_SAMPLES), stop + _END_SAMPLES
+                rest = track[low:high] - base[low:high]
+                values = base[start:stop] + _blend_offsets(
+                    rest, ok[low:high], start - low, stop - low, noise
+                )
+            else:
+                continue
+            points[start:stop, marker] = values
+            filled[start:stop, marker] = True
+            confidence[start:stop, marker] = _gap_confidence(start, stop, len(ok), base is not None)
+    return GapFill(points, filled, confidence)
+
+
+def choose_spline_limit(
+    positions: RealArray,
+    visible: BoolArray,
+    prediction: RealArray,
+    *,
+    noise: float,
+) -> int:
+    """Return the longest gap that a spline fills better than the prediction does [frames].
+
+    Seen stretches are hidden and filled both ways; the arguments are those of `fill_gaps`.
+    """
+    rng = np.random.default_rng(0)
+    frames, markers = visible.shape
+    limit = 0
+    for length in _TRIAL_LENGTHS:
+        errors = np.zeros(2)
+        for _ in range(_TRIAL_COUNT):
+            if frames <= length + 2 * _END_SAMPLES:
+                return limit
+            start = int(rng.integers(_END_SAMPLES, frames - length - _END_SAMPLES))
+            marker, stop = int(rng.integers(markers)), start + length
+            window = slice(max(0, start - 4 * _END_SAMPLES), stop + 4 * _END_SAMPLES)
+            first, last = start - window.start, stop - window.start
+            ok = visible[window, marker].copy()
+            if not ok[first - 1 : last + 1].all():
+                continue
+            ok[first:last] = False
+            track, base = positions[window, marker], prediction[window, marker]
+            by_curve = _spline(track, ok, first, last)
+            by_others = base[first:last] + _blend_offsets(track - base, ok, first, last, noise)
+            for i, values in enumerate((by_curve, by_others)):
+                errors[i] += float(np.linalg.norm(values - track[first:last], axis=1).mean())
+        if errors[0] >= errors[1]:
+            return limit
+        limit = length
+    return limit
+
+
+def _spline(track: RealArray, ok: BoolArray, start: int, stop: int) -> RealArray:
+    """Cubic spline through the nearest seen samples on both sides."""
+    low, high = max(0, start - _GAP_REACH), stop + _GAP_REACH
+    near = np.flatnonzero(ok[low:high]) + low
+    before, after = near[near < start][-_SPLINE_KNOTS:], near[near >= stop][:_SPLINE_KNOTS]
+    knots = np.concatenate([before, after])
+    return np.asarray(_curve_weights(tuple((knots - start).tolist()), stop - start) @ track[knots])
+
+
+@lru_cache(maxsize=4096)
+def _curve_weights(knots: tuple[int, ...], length: int) -> FloatArray:
+    """Return what each knot counts in each frame of a gap, (length, knots): curves are linear."""
+    frames, each = np.arange(length), np.eye(len(knots))
+    if len(knots) > 2:
+        return np.asarray(CubicSpline(knots, each)(frames))
+    return np.stack([np.interp(frames, knots, one) for one in each], axis=1)
+
+
+def _blend_offsets(
+    offsets: RealArray, ok: BoolArray, start: int, stop: int, noise: float
+) -> FloatArray:
+    """Return what to add to the prediction: the rest at both ends, blended across the gap."""
+    before = _end_offset(
+        offsets, ok, range(start - 1, max(-1, start - 1 - _END_SAMPLES), -1), noise
+    )
+    after = _end_offset(offsets, ok, range(stop, min(len(ok), stop + _END_SAMPLES)), noise)
+    frames = np.arange(start, stop, dtype=np.float64)
+    if start == 0 or stop == len(ok):
+        edge, distance = (after, stop - frames) if start == 0 else (before, frames - start + 1)
+        return np.asarray(np.exp(-distance / _FADE_FRAMES)[:, None] * edge)
+    share = ((frames - start + 1) / (stop - start + 1))[:, None]
+    return np.asarray((1.0 - share) * before + share * after)
+
+
+def _end_offset(offsets: RealArray, ok: BoolArray, frames: range, noise: float) -> FloatArray:
+    """Return the mean rest of the samples beside a gap, as far as it rises above the noise.
+
+    Positive-part James-Stein shrinkage in three dimensions.
+    """
+    chosen = [frame for frame in frames if ok[frame]]
+    if not chosen:
+        return np.zeros(3)
+    mean = np.asarray(offsets[chosen].mean(axis=0, dtype=np.float64))
+    square = float(mean @ mean)
+    if square == 0.0:
+        return mean
+    # The samples' own noise, and that of a prediction of about the same quality.
+    expected = 2.0 * noise**2 * (1.0 + 1.0 / len(chosen))
+    return np.asarray(mean * max(0.0, 1.0 - expected / square))
+
+
+def _gap_confidence(start: int, stop: int, frame_count: int, predicted: bool) -> RealArray:
+    """Return a confidence that halves with the distance from the nearest seen sample."""
+    frames = np.arange(start, stop)
+    before = frames - start + 1 if start > 0 else np.full(stop - start, frame_count)
+    after = stop - frames if stop < frame_count else np.full(stop - start, frame_count)
+    half_life = _PREDICTION_HALF_LIFE_FRAMES if predicted else _SPLINE_HALF_LIFE_FRAMES
+    value = 0.9 * 0.5 ** (np.minimum(before, after) / half_life)
+    return np.asarray(np.maximum(value, _LEAST_CONFIDENCE))

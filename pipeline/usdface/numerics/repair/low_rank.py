@@ -1,7 +1,7 @@
 """How markers move together: a Gaussian of few directions.
 
-Every marker is predictable from the others. That fills gaps of any length, and tells samples that
-do not belong: strays, and labels that have changed places. `learning` learns one from a take.
+Every marker is predictable from the others. That fills gaps of any length, and detects samples that
+do not belong: outliers, and labels that have changed places. `fit_low_rank` fits one to a take.
 
 References
 ----------
@@ -14,13 +14,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from usdface.core.arrays import RealArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 
 _CHUNK_FRAMES = 2048
 _MATRIX_ENTRIES = 1 << 18
-"""Of the small systems that are solved in one batch."""
+"""Of the small systems that are solved in one batch: 2 MB in double precision."""
 
 
 @dataclass(frozen=True)
@@ -39,58 +38,59 @@ class LowRankModel:
         Standard deviation of what the directions leave, per coordinate [mm].
     """
 
-    mean: NDArray[np.float64]
-    components: NDArray[np.float64]
-    variances: NDArray[np.float64]
-    noise: NDArray[np.float64]
+    mean: FloatArray
+    components: FloatArray
+    variances: FloatArray
+    noise: FloatArray
 
     @cached_property
-    def weighted(self) -> NDArray[np.float64]:
+    def weighted(self) -> FloatArray:
         """Components over the variance of the noise, (rank, markers * 3)."""
         return np.asarray(self.components / np.repeat(self.noise**2, 3))
 
     @cached_property
-    def inner(self) -> NDArray[np.float64]:
+    def inner(self) -> FloatArray:
         """Precision of the scores when all markers are seen, (rank, rank)."""
         return np.asarray(self.weighted @ self.components.T + np.diag(1.0 / self.variances))
 
     @cached_property
-    def solved(self) -> NDArray[np.float64]:
+    def solved(self) -> FloatArray:
         """``inverse(inner) @ weighted``, (rank, markers * 3)."""
         return np.asarray(np.linalg.solve(self.inner, self.weighted))
 
     @cached_property
-    def precision(self) -> NDArray[np.float64]:
+    def precision(self) -> FloatArray:
         """Inverse covariance, (markers * 3, markers * 3)."""
         noise = np.diag(np.repeat(self.noise**-2.0, 3))
         return np.asarray(noise - self.weighted.T @ self.solved)
 
     @cached_property
-    def own_blocks(self) -> NDArray[np.float64]:
+    def conditional_covariances(self) -> FloatArray:
         """Covariance of each marker when all others are known, (markers, 3, 3)."""
         count = len(self.noise)
         blocks = self.precision.reshape(count, 3, count, 3)
         return np.asarray(np.linalg.inv(blocks[np.arange(count), :, np.arange(count)]))
 
     @cached_property
-    def regression(self) -> NDArray[np.float64]:
-        """What others say of each marker, for rows less the mean: (markers * 3, markers * 3).
+    def regression(self) -> FloatArray:
+        """Regression of each marker on all others: (markers * 3, markers * 3).
 
-        ``row @ regression`` is what is expected of each marker, told from all others.
+        ``(row - mean) @ regression`` is each marker's conditional mean, less its mean.
         """
         count = len(self.noise)
         by_marker = self.precision.reshape(3 * count, count, 3).transpose(1, 0, 2)
-        pulled = (by_marker @ self.own_blocks).transpose(1, 0, 2).reshape(3 * count, 3 * count)
+        pulled = (by_marker @ self.conditional_covariances).transpose(1, 0, 2)
         others = np.kron(1.0 - np.eye(count), np.ones((3, 3)))
-        return np.asarray(-pulled * others)  # a marker does not tell of itself
+        return np.asarray(
+            -pulled.reshape(3 * count, 3 * count) * others
+        )  # a marker does not predict itself
 
 
-def fill_missing(model: LowRankModel, positions: RealArray, good: NDArray[np.bool_]) -> RealArray:
+def fill_missing(model: LowRankModel, positions: RealArray, good: BoolArray) -> RealArray:
     """Return positions with every sample that is not good replaced by its conditional mean.
 
     Parameters
     ----------
-    model : LowRankModel
     positions : (frames, markers, 3) float array
     good : (frames, markers) bool array
 
@@ -112,18 +112,17 @@ def fill_missing(model: LowRankModel, positions: RealArray, good: NDArray[np.boo
 
 
 def predict_from_others(model: LowRankModel, filled: RealArray) -> RealArray:
-    """Return where each marker should be, told from all other markers of its frame.
+    """Return the conditional mean of each marker given all other markers of its frame.
 
     Parameters
     ----------
-    model : LowRankModel
     filled : (frames, markers, 3) float array
         Complete, as `fill_missing` returns it.
 
     Returns
     -------
     (frames, markers, 3) float array
-        Of the same precision as `filled`, and worked out in it.
+        Of the same precision as `filled`, and computed in it.
     """
     mean, regression = model.mean.astype(filled.dtype), model.regression.astype(filled.dtype)
     flat = filled.reshape(len(filled), -1)
@@ -135,9 +134,7 @@ def predict_from_others(model: LowRankModel, filled: RealArray) -> RealArray:
     return predicted.reshape(filled.shape)
 
 
-def _expected(
-    model: LowRankModel, positions: RealArray, missing: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _expected(model: LowRankModel, positions: RealArray, missing: IntArray) -> FloatArray:
     """Return the conditional mean of the missing markers, (frames, missing, 3).
 
     Of frames that all miss as many: one small system each, solved in one batch; of as many
@@ -146,16 +143,16 @@ def _expected(
     frames, count = missing.shape
     offset = positions.astype(np.float64) - model.mean.reshape(-1, 3)
     offset[np.arange(frames)[:, None], missing] = 0.0
-    told = offset.reshape(frames, -1) @ model.weighted.T
+    weighted_offset = offset.reshape(frames, -1) @ model.weighted.T
     entries = (3 * missing[..., None] + np.arange(3)).reshape(frames, 3 * count)
     if 3 * count <= len(model.variances):
         # x_m = mean_m - L_mm^-1 L_mo (x_o - mean_o), L the precision matrix
-        pull = np.take_along_axis(told @ model.solved, entries, axis=1)
-        own = model.precision[entries[:, :, None], entries[:, None, :]]
-        shift = np.linalg.solve(own, pull[..., None])
+        pull = np.take_along_axis(weighted_offset @ model.solved, entries, axis=1)
+        system = model.precision[entries[:, :, None], entries[:, None, :]]
+        shift = np.linalg.solve(system, pull[..., None])
     else:
-        # The scores' mean given what is seen; the precision lacks what the missing would tell.
+        # The scores' mean given what is seen: the precision without the missing markers' share.
         directions = model.components.T[entries]
         inner = model.inner - np.swapaxes(model.weighted.T[entries], 1, 2) @ directions
-        shift = directions @ np.linalg.solve(inner, told[..., None])
+        shift = directions @ np.linalg.solve(inner, weighted_offset[..., None])
     return np.asarray((model.mean[entries] + shift[..., 0]).reshape(frames, count, 3))

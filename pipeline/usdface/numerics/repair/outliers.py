@@ -1,40 +1,64 @@
-"""Samples that do not belong to their marker: a reflection, another marker's ghost."""
+"""Samples that do not belong to their marker: a reflection, another marker's label.
+
+`find_outliers` compares each marker with what all others predict of it. `find_spikes` needs no
+model: it looks for leaps away and back in a marker's own track, before a model is learned. A short
+take would otherwise learn its own faults as ways in which the face moves.
+"""
+
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from usdface.numerics.repair.frame_blocks import frame_blocks, sample_frames, widened
-from usdface.numerics.repair.gaps import runs
+from usdface.core.arrays import (
+    BoolArray,
+    FloatArray,
+    RealArray,
+    frame_blocks,
+    runs,
+    sample_frames,
+    widened,
+)
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
 
-_USUAL_DISTANCES = 4.5
+_LIMIT_MEDIANS = 4.5
 """Medians of the distance from the prediction; one in 10^8 of normal samples is farther."""
-_NOISE_DEVIATIONS = 5.0
-_LEAST_LIMIT = 1.0
-"""[mm] What is nearer does no harm."""
+_LIMIT_NOISE_DEVIATIONS = 5.0
+_LEAST_LIMIT_MM = 1.0
+"""An outlier that is nearer does no harm."""
 _JUMP_SHARE = 0.5
-"""A stray comes and goes by jumps of at least this share of the limit; skin does not."""
-_PLAIN_LIMITS = 2.0
-"""So many limits away, one jump or a gap beside it is enough."""
+"""[of the limit] An outlier comes and goes by jumps of at least this size; skin does not."""
+_FAR_LIMITS = 2.0
+"""So many limits away, one jump or an adjacent gap is enough."""
 _LONGEST_SHARE = 0.2
-"""A marker that is off for longer has moved on the skin."""
-_SAMPLE_FRAMES = 8192
-_BESIDE = 2
-"""Frames beside a step that tell a leap."""
+"""[of the take] A marker that is off for longer has moved on the skin."""
+_LIMIT_SAMPLE_FRAMES = 8192
+_LEAP_REACH_FRAMES = 2
+"""On either side of a step that `_leap_sizes` looks at."""
 _MOST_PER_FRAME = 8
+"""Outliers looked for in one frame."""
+
+_LEAP_MEDIAN_STEPS = 12.0
+_LEAP_NOISE_DEVIATIONS = 8.0
+"""A step larger than both is a leap."""
+_LONGEST_SPIKE_FRAMES = 150
+_RETURN_COSINE = -0.5
+"""Largest cosine between a leap and the leap back."""
+_SPIKE_MOST_SHARE = 0.3
+"""[of its samples] A marker with more in spikes just moves that way."""
+_USUAL_STEP_FRAMES = 20_000
 
 
-def find_strays(
-    positions: NDArray[np.floating],
-    visible: NDArray[np.bool_],
+def find_outliers(
+    positions: RealArray,
+    visible: BoolArray,
     *,
     model: LowRankModel,
-    noise: NDArray[np.float64],
-) -> NDArray[np.bool_]:
+    noise: FloatArray,
+) -> BoolArray:
     """Find samples that all other markers contradict and that came or went by a jump.
 
-    A stray also spoils what is expected of its neighbours, so only the worst sample of a frame is
-    taken out before the frame is looked at again.
+    An outlier also spoils the prediction of its neighbours, so only the worst sample of a frame is
+    taken out before the frame is predicted again.
 
     Parameters
     ----------
@@ -52,100 +76,140 @@ def find_strays(
     """
     count = len(positions)
     limits = _limits(positions, visible, model, noise)
-    doubted, far, leaps = (np.zeros(visible.shape, bool) for _ in range(3))
+    distant, far, leaps = (np.zeros(visible.shape, bool) for _ in range(3))
     for block in frame_blocks(count):
-        around = widened(block, _BESIDE, count)
+        around = widened(block, _LEAP_REACH_FRAMES, count)
         inner = slice(block.start - around.start, block.stop - around.start)
         points, seen = positions[around], visible[around]
         complete = fill_missing(model, points, seen)
         predicted = predict_from_others(model, complete)
         offsets = complete - predicted
-        doubts = _doubted(points, seen, predicted, model, limits)
-        doubted[block] = doubts[inner]
-        for marker in np.flatnonzero(doubts.any(axis=0)):
+        beyond = _beyond_limits(points, seen, predicted, model, limits)
+        distant[block] = beyond[inner]
+        for marker in np.flatnonzero(beyond.any(axis=0)):
             limit = limits[marker]
             distance = np.linalg.norm(points[:, marker] - predicted[:, marker], axis=1)
-            far[block, marker] = distance[inner] > _PLAIN_LIMITS * limit
-            leap = np.minimum(_leaps(points[:, marker]), _leaps(offsets[:, marker]))
+            far[block, marker] = distance[inner] > _FAR_LIMITS * limit
+            leap = np.minimum(_leap_sizes(points[:, marker]), _leap_sizes(offsets[:, marker]))
             steps = slice(inner.start, min(inner.stop, len(leap)))
-            found = leap[steps] > _JUMP_SHARE * limit
-            leaps[block.start : block.start + len(found), marker] = found
-    strays = np.zeros_like(doubted)
-    for marker in np.flatnonzero(doubted.any(axis=0)):
-        strays[:, marker] = _that_leap(
-            doubted[:, marker], far[:, marker], leaps[:, marker], visible[:, marker]
+            large = leap[steps] > _JUMP_SHARE * limit
+            leaps[block.start : block.start + len(large), marker] = large
+    outliers = np.zeros_like(distant)
+    for marker in np.flatnonzero(distant.any(axis=0)):
+        outliers[:, marker] = _between_leaps(
+            distant[:, marker], far[:, marker], leaps[:, marker], visible[:, marker]
         )
-    return strays
+    return outliers
 
 
-def _doubted(
-    points: NDArray[np.floating],
-    seen: NDArray[np.bool_],
-    predicted: NDArray[np.floating],
+def _beyond_limits(
+    points: RealArray,
+    seen: BoolArray,
+    predicted: RealArray,
     model: LowRankModel,
-    limits: NDArray[np.float64],
-) -> NDArray[np.bool_]:
-    """Return which samples are too far off; `predicted` becomes what all others say."""
-    believed = seen.copy()
+    limits: FloatArray,
+) -> BoolArray:
+    """Return which samples lie beyond their limit; `predicted` becomes that of the others alone."""
+    trusted = seen.copy()
     active = np.arange(len(points))
     for _ in range(_MOST_PER_FRAME):
         excess = np.linalg.norm(points[active] - predicted[active], axis=2) / limits
-        excess[~believed[active]] = 0.0
+        excess[~trusted[active]] = 0.0
         worst = excess.argmax(axis=1)
-        doubtful = excess[np.arange(len(active)), worst] > 1.0
-        active = active[doubtful]
+        beyond = excess[np.arange(len(active)), worst] > 1.0
+        active = active[beyond]
         if not active.size:
             break
-        believed[active, worst[doubtful]] = False
-        filled = fill_missing(model, points[active], believed[active])
+        trusted[active, worst[beyond]] = False
+        filled = fill_missing(model, points[active], trusted[active])
         predicted[active] = predict_from_others(model, filled)
-    return np.asarray(seen & ~believed)
+    return np.asarray(seen & ~trusted)
 
 
 def _limits(
-    positions: NDArray[np.floating],
-    visible: NDArray[np.bool_],
+    positions: RealArray,
+    visible: BoolArray,
     model: LowRankModel,
-    noise: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    noise: FloatArray,
+) -> FloatArray:
     """Return how far from its prediction each marker may lie [mm]."""
-    rows = sample_frames(len(positions), _SAMPLE_FRAMES)
+    rows = sample_frames(len(positions), _LIMIT_SAMPLE_FRAMES)
     seen = visible[rows]
     complete = fill_missing(model, positions[rows], seen)
     distance = np.linalg.norm(complete - predict_from_others(model, complete), axis=2)
-    limits = np.maximum(_NOISE_DEVIATIONS * noise, _LEAST_LIMIT)
+    limits = np.maximum(_LIMIT_NOISE_DEVIATIONS * noise, _LEAST_LIMIT_MM)
     for marker, ok in enumerate(seen.T):
         if ok.any():
             usual = float(np.median(distance[ok, marker]))
-            limits[marker] = max(limits[marker], _USUAL_DISTANCES * usual)
+            limits[marker] = max(limits[marker], _LIMIT_MEDIANS * usual)
     return limits
 
 
-def _that_leap(
-    doubted: NDArray[np.bool_],
-    far: NDArray[np.bool_],
-    leaps: NDArray[np.bool_],
-    seen: NDArray[np.bool_],
-) -> NDArray[np.bool_]:
-    """Keep a marker's doubted stretches that begin and end with a leap: skin does not leap."""
-    strays = np.zeros_like(doubted)
+def _between_leaps(
+    distant: BoolArray,
+    far: BoolArray,
+    leaps: BoolArray,
+    seen: BoolArray,
+) -> BoolArray:
+    """Keep a marker's distant stretches that begin and end with a leap: skin does not leap."""
+    outliers = np.zeros_like(distant)
     tracked = seen[1:] & seen[:-1]
-    for start, stop in runs(doubted):
+    for start, stop in runs(distant):
         if stop - start > _LONGEST_SHARE * len(seen):
             continue
         ends = [edge - 1 for edge in (start, stop) if 0 < edge < len(seen)]
         both_leap = len(ends) == 2 and all(leaps[edge] and tracked[edge] for edge in ends)
         one_leaps = any(leaps[edge] or not tracked[edge] for edge in ends)
-        strays[start:stop] = both_leap or (far[start:stop].any() and one_leaps)
-    return strays
+        outliers[start:stop] = both_leap or (far[start:stop].any() and one_leaps)
+    return outliers
 
 
-def _leaps(track: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Return the size of each step as far as it differs from the steps beside it [mm].
+def _leap_sizes(track: RealArray) -> RealArray:
+    """Return the size of each step as far as it differs from its neighbouring steps [mm].
 
-    Quick skin takes several frames to get up to speed; a leap comes from nothing.
+    Quick skin takes several frames to get up to speed; a leap starts from rest.
     """
     steps = np.diff(track, axis=0, prepend=track[:1], append=track[-1:])
     change = np.linalg.norm(np.diff(steps, axis=0), axis=1)
     size = np.linalg.norm(steps[1:-1], axis=1)
     return np.asarray(np.minimum(size, np.maximum(change[:-1], change[1:])))
+
+
+def find_spikes(positions: RealArray, visible: BoolArray, *, noise: FloatArray) -> BoolArray:
+    """Find the samples between a leap and the next leap back.
+
+    Parameters
+    ----------
+    positions : (frames, markers, 3) float array
+        [mm] Without head motion.
+    visible : (frames, markers) bool array
+        A leap over a gap counts from the last sample before it.
+    noise : (markers,) float array
+        Standard deviation of the measurement noise per coordinate [mm].
+
+    Returns
+    -------
+    (frames, markers) bool array
+    """
+    spikes = np.zeros_like(visible)
+    for marker, seen in enumerate(visible.T):
+        frames = np.flatnonzero(seen)
+        if len(frames) < 4:
+            continue
+        steps = np.diff(positions[frames, marker].astype(np.float64), axis=0)
+        sizes = np.linalg.norm(steps, axis=1)
+        usual = float(np.median(sizes[:_USUAL_STEP_FRAMES]))
+        leaps = sizes > max(
+            _LEAP_MEDIAN_STEPS * usual, _LEAP_NOISE_DEVIATIONS * float(noise[marker]), 1e-6
+        )
+        # Leaps in consecutive steps are one leap: their sum.
+        joined = [(start, stop, steps[start:stop].sum(axis=0)) for start, stop in runs(leaps)]
+        track = np.zeros(len(seen), bool)
+        for (_, leave, out), (back, _, home) in pairwise(joined):
+            lengths = float(np.linalg.norm(out) * np.linalg.norm(home))
+            short = frames[back] - frames[leave] < _LONGEST_SPIKE_FRAMES
+            if out @ home < _RETURN_COSINE * lengths and short:
+                track[frames[leave] : frames[back] + 1] = True
+        if (track & seen).sum() <= _SPIKE_MOST_SHARE * len(frames):
+            spikes[:, marker] = track & seen
+    return spikes

@@ -1,8 +1,8 @@
-"""Labels that have changed places between two neighbouring markers, found and put back.
+"""Labels that have changed places between two neighbouring markers, found and exchanged back.
 
 A swap is a state that lasts: it begins and ends with a jump and in between both markers lie where
-the other should be. The evidence (see `swap_evidence`) is weighed for every pair of neighbours,
-and the likeliest course of states over the whole take is found by the Viterbi algorithm.
+the other should be. The evidence (see `swap_evidence`) is gathered for every pair of neighbours,
+and the likeliest sequence of states over the whole take is found by the Viterbi algorithm.
 """
 
 from collections.abc import Iterator
@@ -11,30 +11,36 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.core.arrays import RealArray
-from usdface.numerics.repair.frame_blocks import frame_blocks, widened
-from usdface.numerics.repair.gaps import runs
+from usdface.core.arrays import (
+    BoolArray,
+    Float32Array,
+    IntArray,
+    RealArray,
+    frame_blocks,
+    runs,
+    widened,
+)
 from usdface.numerics.repair.low_rank import LowRankModel
 from usdface.numerics.repair.swap_evidence import (
     JUMP_LIMITS,
     TOGGLE_COST,
     Pair,
-    doubtful_pairs,
     neighbor_pairs,
     open_window,
+    suspicious_pairs,
     weigh_swap,
 )
 
-_JUMP_STEPS = 6.0
-"""Usual steps between frames that make a jump."""
+_JUMP_MEDIAN_STEPS = 6.0
+"""A larger step between frames is a jump."""
 _STEP_SAMPLE_FRAMES = 8192
 _HINTS_NEEDED = 2
-_LONGEST_SHARE = 0.5
-"""Labels swapped for more than half of the take would be the labels."""
+_LONGEST_SWAP_SHARE = 0.5
+"""[of the take] Labels swapped for more than half of it would be the labels."""
 _LEAST_GAIN = 20.0
-"""[nats] Evidence a single swap must gather over all its frames."""
+"""Evidence a single swap must gather over all its frames."""
 _DULL_GAIN = -1.0
-"""[nats] Frames that speak this much against a swap, or more, are dull."""
+"""Frames with at most this evidence for a swap are dull."""
 _DULL_FRAMES = 1 + int(2.0 * (TOGGLE_COST + JUMP_LIMITS[1]) / -_DULL_GAIN)
 """So many dull frames in a row end every swap: it would cost more than both of its changes."""
 
@@ -58,7 +64,7 @@ class Swap:
 
 
 def find_swaps(
-    positions: RealArray, visible: NDArray[np.bool_], *, model: LowRankModel, noise: float
+    positions: RealArray, visible: BoolArray, *, model: LowRankModel, noise: float
 ) -> tuple[Swap, ...]:
     """Find the stretches in which two neighbouring markers carry each other's label.
 
@@ -69,7 +75,7 @@ def find_swaps(
     visible : (frames, markers) bool array
         What was measured; samples filled from the model are no evidence.
     model : LowRankModel
-        Learned from the same take, swaps in it.
+        Fitted to the same take, swaps in it.
     noise : float
         Standard deviation of a measured coordinate [mm].
 
@@ -84,14 +90,14 @@ def find_swaps(
     for block in frame_blocks(len(positions)):
         before = slice(max(block.start - 1, 0), block.stop)
         window = open_window(positions[before], visible[before], model)
-        for index, count in doubtful_pairs(pairs, window, step_scale=step_scale):
+        for index, count in suspicious_pairs(pairs, window, step_scale=step_scale):
             hints[index] += count
     suspects = [pair for pair, count in zip(pairs, hints, strict=True) if count >= _HINTS_NEEDED]
-    weighed = _telling_frames(suspects, positions, visible, model, step_scale)
+    weighed = _gather_evidence(suspects, positions, visible, model, step_scale)
     candidates: list[tuple[float, Swap]] = []
     for pair, found in zip(suspects, weighed, strict=True):
         swaps = [*_swaps_of(pair, found)]
-        if sum(swap.stop - swap.start for _, swap in swaps) <= _LONGEST_SHARE * len(positions):
+        if sum(swap.stop - swap.start for _, swap in swaps) <= _LONGEST_SWAP_SHARE * len(positions):
             candidates += [(worth, swap) for worth, swap in swaps if worth >= _LEAST_GAIN]
     return _without_conflicts(candidates)
 
@@ -102,7 +108,6 @@ def apply_swaps(values: NDArray[np.generic], swaps: tuple[Swap, ...]) -> None:
     Parameters
     ----------
     values : (frames, markers, ...) array
-    swaps : tuple of Swap
     """
     for swap in swaps:
         rows = slice(swap.start, swap.stop)
@@ -111,8 +116,8 @@ def apply_swaps(values: NDArray[np.generic], swaps: tuple[Swap, ...]) -> None:
         values[rows, swap.second] = first
 
 
-def likeliest_states(gain: NDArray[np.floating], toggle: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Return the course of two states with the largest total gain less the cost of changes.
+def likeliest_states(gain: RealArray, toggle: RealArray) -> BoolArray:
+    """Return the sequence of two states with the largest total gain less the cost of changes.
 
     Parameters
     ----------
@@ -151,46 +156,46 @@ def likeliest_states(gain: NDArray[np.floating], toggle: NDArray[np.floating]) -
 
 
 @dataclass(frozen=True)
-class _Telling:
-    """Frames of a pair near those that may be swapped, with gains and costs of changes there."""
+class _Evidence:
+    """Frames of a pair in or near a possible swap, with gains and costs of changes [nats]."""
 
-    frames: NDArray[np.int64]
-    gain: NDArray[np.float32]
-    toggle: NDArray[np.float32]
+    frames: IntArray
+    gain: Float32Array
+    toggle: Float32Array
 
 
-def _telling_frames(
+def _gather_evidence(
     suspects: list[Pair],
     positions: RealArray,
-    visible: NDArray[np.bool_],
+    visible: BoolArray,
     model: LowRankModel,
     step_scale: float,
-) -> list[_Telling]:
-    """Return what tells of each suspect: among enough dull frames, it is not swapped."""
-    kept: list[list[_Telling]] = [[] for _ in suspects]
+) -> list[_Evidence]:
+    """Return the evidence on each suspect, without long rows of dull frames, which end a swap."""
+    chosen: list[list[_Evidence]] = [[] for _ in suspects]
     for block in frame_blocks(len(positions)) if suspects else ():
         around = widened(block, _DULL_FRAMES + 1, len(positions))
         start = around.start
         window = open_window(positions[around], visible[around], model)
         inner = np.arange(block.start, block.stop) - start
-        for pair, parts in zip(suspects, kept, strict=True):
+        for pair, parts in zip(suspects, chosen, strict=True):
             gain, toggle = weigh_swap(pair, window, step_scale=step_scale)
-            telling = np.concatenate([[0], np.cumsum((gain > _DULL_GAIN) | (toggle < 0))])
+            lively = np.concatenate([[0], np.cumsum((gain > _DULL_GAIN) | (toggle < 0))])
             low = np.maximum(inner - _DULL_FRAMES, min(start, 1))
             high = np.minimum(inner + _DULL_FRAMES, len(gain) - 1)
-            near = inner[telling[high + 1] > telling[low]]
-            parts.append(_Telling(near + start, gain[near], toggle[near]))
+            near = inner[lively[high + 1] > lively[low]]
+            parts.append(_Evidence(near + start, gain[near], toggle[near]))
     return [
-        _Telling(*(np.concatenate(arrays) for arrays in zip(*map(_arrays, parts), strict=True)))
-        for parts in kept
+        _Evidence(*(np.concatenate(arrays) for arrays in zip(*map(_arrays, parts), strict=True)))
+        for parts in chosen
     ]
 
 
-def _arrays(part: _Telling) -> tuple[NDArray[np.generic], ...]:
+def _arrays(part: _Evidence) -> tuple[NDArray[np.generic], ...]:
     return part.frames, part.gain, part.toggle
 
 
-def _swaps_of(pair: Pair, found: _Telling) -> Iterator[tuple[float, Swap]]:
+def _swaps_of(pair: Pair, found: _Evidence) -> Iterator[tuple[float, Swap]]:
     """Yield the pair's likeliest swaps, each with the evidence it gathers [nats]."""
     breaks = np.flatnonzero(np.diff(found.frames) > 1) + 1
     for part in np.split(np.arange(len(found.frames)), breaks):
@@ -201,7 +206,7 @@ def _swaps_of(pair: Pair, found: _Telling) -> Iterator[tuple[float, Swap]]:
             yield worth, Swap(pair.first, pair.second, first, first + stop - start)
 
 
-def _jump_scale(positions: RealArray, visible: NDArray[np.bool_], noise: float) -> float:
+def _jump_scale(positions: RealArray, visible: BoolArray, noise: float) -> float:
     """Return the size of a step between frames, per coordinate, that begins to be a jump."""
     middle = len(positions) // 2
     half = _STEP_SAMPLE_FRAMES // 2
@@ -209,19 +214,19 @@ def _jump_scale(positions: RealArray, visible: NDArray[np.bool_], noise: float) 
     both = visible[stretch][1:] & visible[stretch][:-1]
     steps = np.abs(np.diff(positions[stretch], axis=0))[both]
     usual = float(np.median(steps)) if steps.size else 0.0
-    return max(_JUMP_STEPS * usual, 3.0 * noise, 1e-3)
+    return max(_JUMP_MEDIAN_STEPS * usual, 3.0 * noise, 1e-3)
 
 
 def _without_conflicts(candidates: list[tuple[float, Swap]]) -> tuple[Swap, ...]:
     """Keep the best supported swaps; a marker can take part in only one at a time."""
-    kept: list[Swap] = []
+    chosen: list[Swap] = []
     for _, swap in sorted(candidates, key=lambda candidate: -candidate[0]):
         clash = any(
             {swap.first, swap.second} & {other.first, other.second}
             and swap.start < other.stop
             and other.start < swap.stop
-            for other in kept
+            for other in chosen
         )
         if not clash:
-            kept.append(swap)
-    return tuple(sorted(kept, key=lambda swap: (swap.start, swap.first)))
+            chosen.append(swap)
+    return tuple(sorted(chosen, key=lambda swap: (swap.start, swap.first)))

@@ -11,24 +11,31 @@ cross-validation (GCV) in it.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.fft import dct, idct
 from scipy.ndimage import uniform_filter1d
+from scipy.spatial.transform import Rotation
 
-_ORDER = 3
+from usdface.core.arrays import FloatArray, RealArray, frame_blocks, widened
+from usdface.numerics.repair.low_rank import LowRankModel
+
+_DIFFERENCE_ORDER = 3
 """Third differences are penalised: position, velocity and acceleration pass."""
-_BINS = 4096
+_FREQUENCY_BINS = 4096
 """Frequencies are gathered into so many bins to score a penalty; the scores do not change."""
 _PENALTIES = 10.0 ** np.arange(-3.0, 9.01, 0.1)
 _COLUMNS_AT_ONCE = 8
 _DETAIL_PENALTY = 3.0
-"""Halves movements of about eight frames: the quickest blink is slower."""
+"""Of the light smoother: halves movements of about eight frames; the quickest blink is slower."""
 _DETAIL_FRAMES = 9
-_DETAIL_NOISES = 4.0
-"""Energy of nine frames of smoothed noise stays below it in 9,999 of 10,000 places."""
+"""Over which the energy of detail is averaged."""
+_DETAIL_ENERGY_RATIO = 4.0
+"""Energy of nine frames of smoothed noise, over its mean, stays below it in 9,999 of 10,000
+places."""
 DETAIL_REACH = 96
 """[frames] Farther away, a sample changes no detail: the light smoother forgets 0.64 to the power
 of the distance."""
+_DIRECTIONS_AT_ONCE = 8
 
 
 @dataclass(frozen=True)
@@ -42,8 +49,8 @@ class SmoothedTracks:
         Weight of the squared third differences.
     """
 
-    values: NDArray[np.float64]
-    penalties: NDArray[np.float64]
+    values: FloatArray
+    penalties: FloatArray
 
 
 def smooth_tracks(values: ArrayLike, *, penalties: ArrayLike | None = None) -> SmoothedTracks:
@@ -66,7 +73,7 @@ def smooth_tracks(values: ArrayLike, *, penalties: ArrayLike | None = None) -> S
     smooth = np.empty(y.shape)
     given = None if penalties is None else np.broadcast_to(np.asarray(penalties, float), (count,))
     used = np.zeros(count)
-    if frames <= _ORDER:
+    if frames <= _DIFFERENCE_ORDER:
         return SmoothedTracks(np.array(y, np.float64), used)
     eigenvalues = difference_eigenvalues(frames)
     for start in range(0, count, _COLUMNS_AT_ONCE):
@@ -78,7 +85,75 @@ def smooth_tracks(values: ArrayLike, *, penalties: ArrayLike | None = None) -> S
     return SmoothedTracks(smooth, used)
 
 
-def significant_detail(rest: ArrayLike, *, noise: ArrayLike) -> NDArray[np.floating]:
+def smooth_take(positions: RealArray, model: LowRankModel, *, noise: FloatArray) -> None:
+    """Smooth whole frames, in place.
+
+    Blinks, which coordinates of single markers would lose in their noise, are few directions.
+    What the directions miss of a marker is added back where it is too large to be noise.
+
+    Parameters
+    ----------
+    positions : (frames, markers, 3) float array
+        [mm] Complete, without head motion; changed.
+    model : LowRankModel
+        Learned from the same take.
+    noise : (markers,) float array
+        Standard deviation of the measurement noise per coordinate [mm].
+    """
+    count, kind = len(positions), positions.dtype
+    flat = positions.reshape(count, -1)
+    mean, components = model.mean.astype(kind), model.components.astype(kind)
+    scores = np.empty((count, len(components)), kind)
+    for block in frame_blocks(count):
+        scores[block] = (flat[block] - mean) @ components.T
+    for start in range(0, len(components), _DIRECTIONS_AT_ONCE):
+        columns = slice(start, start + _DIRECTIONS_AT_ONCE)
+        scores[:, columns] = smooth_tracks(scores[:, columns]).values
+    behind = positions[:0]  # the rest of the frames before a block, which are smooth already
+    for block in frame_blocks(count):
+        around = widened(block, DETAIL_REACH, count)
+        ahead = slice(block.start, around.stop)
+        tracks = (scores[ahead] @ components + mean).reshape(-1, *positions.shape[1:])
+        rest = np.concatenate([behind, positions[ahead] - tracks])
+        inner = slice(len(behind), len(behind) + block.stop - block.start)
+        behind = rest[max(0, inner.stop - DETAIL_REACH) : inner.stop].copy()
+        detail = significant_detail(rest, noise=noise)
+        positions[block] = tracks[: block.stop - block.start] + detail[inner]
+
+
+def smooth_poses(head_motion: ArrayLike, *, center: ArrayLike) -> FloatArray:
+    """Smooth rotations, and the path of `center`, as strongly as their own noise asks for.
+
+    A head turns far more slowly than single frames jitter. The penalties are chosen by generalised
+    cross-validation, so a quick nod is followed as far as it stands out of the noise.
+
+    Parameters
+    ----------
+    head_motion : (frames, 4, 4) array_like
+        Rigid transforms for column vectors.
+    center : (3,) array_like
+        Point of the head's space about which it turns least, such as the middle of the rigid
+        markers [mm]: the noise of turns and of paths is separate there.
+
+    Returns
+    -------
+    (frames, 4, 4) float array
+    """
+    motion = np.asarray(head_motion, np.float64)
+    middle = np.asarray(center, np.float64)
+    rotations = Rotation.from_matrix(motion[:, :3, :3])
+    usual = rotations.mean()  # turns are small about it: rotation vectors do not wrap
+    turns = (usual.inv() * rotations).as_rotvec()
+    path = motion[:, :3, :3] @ middle + motion[:, :3, 3]
+    smooth = smooth_tracks(np.concatenate([turns, path], axis=1)).values
+    result = np.zeros_like(motion)
+    result[:, :3, :3] = (usual * Rotation.from_rotvec(smooth[:, :3])).as_matrix()
+    result[:, :3, 3] = smooth[:, 3:] - result[:, :3, :3] @ middle
+    result[:, 3, 3] = 1.0
+    return result
+
+
+def significant_detail(rest: ArrayLike, *, noise: ArrayLike) -> RealArray:
     """Return the part of what smoothing took away that is too large, for a while, to be noise.
 
     One penalty per direction suits the whole take. A movement that happens once or twice in an
@@ -105,27 +180,27 @@ def significant_detail(rest: ArrayLike, *, noise: ArrayLike) -> NDArray[np.float
     frames = len(away)
     if frames <= _DETAIL_FRAMES:
         return np.zeros_like(away)
-    gain = 1.0 / (1.0 + _DETAIL_PENALTY * difference_eigenvalues(_BINS))
-    floor = _DETAIL_NOISES * 3.0 * np.asarray(noise, float) ** 2 * float(np.mean(gain**2))
+    gain = 1.0 / (1.0 + _DETAIL_PENALTY * difference_eigenvalues(_FREQUENCY_BINS))
+    floor = _DETAIL_ENERGY_RATIO * 3.0 * np.asarray(noise, float) ** 2 * float(np.mean(gain**2))
     spectrum = dct(away.reshape(frames, -1).astype(np.float64), axis=0, norm="ortho")
     spectrum /= 1.0 + _DETAIL_PENALTY * difference_eigenvalues(frames)[:, None]
     lightly = idct(spectrum, axis=0, norm="ortho", overwrite_x=True).reshape(away.shape)
     energy = uniform_filter1d(np.einsum("fki,fki->fk", lightly, lightly), _DETAIL_FRAMES, axis=0)
     share = np.maximum(0.0, 1.0 - floor / np.maximum(energy, 1e-12))
-    telling = share.any(axis=0)
-    lightly[:, ~telling] = 0.0
-    if telling.any():
-        share = uniform_filter1d(share[:, telling], _DETAIL_FRAMES, axis=0)  # no step at its ends
-        lightly[:, telling] *= share[..., None]
+    detailed = share.any(axis=0)
+    lightly[:, ~detailed] = 0.0
+    if detailed.any():
+        share = uniform_filter1d(share[:, detailed], _DETAIL_FRAMES, axis=0)  # no step at its ends
+        lightly[:, detailed] *= share[..., None]
     return np.asarray(lightly, away.dtype)
 
 
-def difference_eigenvalues(frames: int) -> NDArray[np.float64]:
+def difference_eigenvalues(frames: int) -> FloatArray:
     """Return the squared third difference of each cosine of a series, (frames,)."""
-    return np.asarray((2.0 - 2.0 * np.cos(np.pi * np.arange(frames) / frames)) ** _ORDER)
+    return np.asarray((2.0 - 2.0 * np.cos(np.pi * np.arange(frames) / frames)) ** _DIFFERENCE_ORDER)
 
 
-def gcv_penalties(spectrum: NDArray[np.float64]) -> NDArray[np.float64]:
+def gcv_penalties(spectrum: FloatArray) -> FloatArray:
     """Return the penalty of least generalised cross-validation score for each series.
 
     Parameters
@@ -134,7 +209,9 @@ def gcv_penalties(spectrum: NDArray[np.float64]) -> NDArray[np.float64]:
         Orthonormal cosine transform of the series.
     """
     frames = len(spectrum)
-    starts = np.unique(np.linspace(0, frames, min(_BINS, frames), endpoint=False).astype(np.int64))
+    starts = np.unique(
+        np.linspace(0, frames, min(_FREQUENCY_BINS, frames), endpoint=False).astype(np.int64)
+    )
     power = np.add.reduceat(spectrum**2, starts, axis=0)
     members = np.diff(np.append(starts, frames))
     eigenvalues = np.add.reduceat(difference_eigenvalues(frames), starts) / members

@@ -1,39 +1,40 @@
-"""What tells that two neighbouring markers carry each other's label, frame by frame.
+"""Evidence that two neighbouring markers carry each other's label, frame by frame.
 
-Three evidences, all needed: the prediction from the other markers alone is too weak between close
-neighbours, direction alone mistakes a grimace for a swap, jumps alone mistake noise beside a gap
+Three kinds, all needed: position against the prediction of the other markers is too weak between
+close neighbours, direction alone takes a grimace for a swap, jumps alone take noise next to a gap
 for one.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from usdface.core.arrays import RealArray
-from usdface.numerics.repair.frame_blocks import sample_frames
+from usdface.core.arrays import BoolArray, Float32Array, RealArray, sample_frames
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
 
-_NEIGHBORS = 8
+_NEIGHBOR_COUNT = 8
 _SAMPLE_FRAMES = 4096
 _BLOCK_FRAMES = 64
-"""What a block's extremes rule out needs no look at its frames."""
+"""[frames] Blocks whose extremes rule a swap out are not looked at frame by frame."""
 TOGGLE_COST = 12.0
 """[nats] A change of state without any jump: once in 160,000 frames by chance."""
-_PLACE_LIMIT = 5.0
-"""[nats] Most that one frame's places can say: residuals have heavy tails."""
+_POSITION_LIMIT = 5.0
+"""[nats] Most evidence from the positions of one frame: residuals have heavy tails."""
 _DIRECTION_WEIGHT = 8.0
-"""[nats] What one frame's direction says when it is fully the other way round."""
+"""[nats] Evidence from the direction of one frame that is fully the other way round."""
 JUMP_LIMITS = (-80.0, 60.0)
+"""[nats] Of what jumps add to the cost of a change."""
 _ALONE_STRICTNESS = 4.0
-"""A marker seen alone must lie twice as near to the other's place as to its own."""
-_PLACE_HINT = 4.0
+"""Ratio of squares: a marker seen alone must lie twice as near to the other's predicted position
+as to its own."""
+_POSITION_HINT = 4.0
 _JUMP_HINT = -20.0
+"""[nats] Evidence that makes a pair worth a look."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two neighbouring markers, and what is fixed of them over the take.
+    """Two neighbouring markers, and their constants over the take.
 
     Attributes
     ----------
@@ -41,40 +42,40 @@ class Pair:
         Columns, ascending.
     direction : (3,) float array
         From the first to the second at rest, over its square.
-    place_variance : float
-        Of a coordinate about what all other markers say of it [mm^2].
+    residual_variance : float
+        Of a coordinate about its prediction from all other markers [mm^2].
     mixing : (6, 6) float array
-        Carries how far each of the two lies from where all others put it to how far both lie from
-        where all others but the two put them.
+        Maps the offsets of the two from their predictions by all other markers to those from their
+        predictions by all markers but the two.
     """
 
     first: int
     second: int
-    direction: NDArray[np.float32]
-    place_variance: float
-    mixing: NDArray[np.float32]
+    direction: Float32Array
+    residual_variance: float
+    mixing: Float32Array
 
 
 @dataclass(frozen=True)
 class Window:
-    """Frames in a row, what all pairs share; each coordinate of a marker lies in a row.
+    """Consecutive frames, shared by all pairs; each coordinate of a marker is contiguous.
 
     Attributes
     ----------
-    places : (markers, 3, frames) float array
+    positions : (markers, 3, frames) float array
         [mm] Complete: gaps filled from the model.
     offsets : (markers, 3, frames) float array
-        From where all other markers put each [mm].
+        From the prediction by all other markers [mm].
     seen : (markers, frames) bool array
     """
 
-    places: RealArray
+    positions: RealArray
     offsets: RealArray
-    seen: NDArray[np.bool_]
+    seen: BoolArray
 
 
-def open_window(positions: RealArray, visible: NDArray[np.bool_], model: LowRankModel) -> Window:
-    """Lay out frames for pairs to be looked at."""
+def open_window(positions: RealArray, visible: BoolArray, model: LowRankModel) -> Window:
+    """Fill and predict consecutive frames."""
     complete = fill_missing(model, positions, visible)
     offsets = complete - predict_from_others(model, complete)
     return Window(
@@ -85,12 +86,12 @@ def open_window(positions: RealArray, visible: NDArray[np.bool_], model: LowRank
 
 
 def neighbor_pairs(
-    positions: RealArray, visible: NDArray[np.bool_], model: LowRankModel, noise: float
+    positions: RealArray, visible: BoolArray, model: LowRankModel, noise: float
 ) -> list[Pair]:
     """Return every pair of near neighbours, with how well the other markers predict it."""
     rest = model.mean.reshape(-1, 3)
     distances = np.linalg.norm(rest[:, None] - rest[None], axis=2)
-    nearest = np.argsort(distances, axis=1)[:, 1 : _NEIGHBORS + 1]
+    nearest = np.argsort(distances, axis=1)[:, 1 : _NEIGHBOR_COUNT + 1]
     chosen = sorted({(min(a, b), max(a, b)) for a, row in enumerate(nearest.tolist()) for b in row})
     rows = sample_frames(len(positions), _SAMPLE_FRAMES)
     window = open_window(positions[rows], visible[rows], model)
@@ -100,13 +101,13 @@ def neighbor_pairs(
         away = mixing @ window.offsets[[first, second]].reshape(6, -1)
         # The median of squares of a normal variable is 0.455 of its variance.
         variance = max(float(np.median(away**2)) / 0.455, 2.0 * noise**2, 1e-4)
-        apart = rest[second] - rest[first]
-        direction = apart / max(float(apart @ apart), 1e-12)
+        between = rest[second] - rest[first]
+        direction = between / max(float(between @ between), 1e-12)
         pairs.append(Pair(first, second, direction.astype(np.float32), variance, mixing))
     return pairs
 
 
-def doubtful_pairs(
+def suspicious_pairs(
     pairs: list[Pair], window: Window, *, step_scale: float
 ) -> list[tuple[int, int]]:
     """Count the frames that hint at a swap, of the pairs that have any: (index, frames).
@@ -115,8 +116,8 @@ def doubtful_pairs(
     their distance; to jump there, it must jump.
     """
     starts = np.arange(0, window.seen.shape[1], _BLOCK_FRAMES)
-    high = np.maximum.reduceat(window.places, starts, axis=2)
-    low = np.minimum.reduceat(window.places, starts, axis=2)
+    high = np.maximum.reduceat(window.positions, starts, axis=2)
+    low = np.minimum.reduceat(window.positions, starts, axis=2)
     middle, radius = (high + low) / 2, _length((high - low) / 2)
     off = np.maximum.reduceat(_length(window.offsets), starts, axis=1)
     steps = _steps(window).max(axis=1, initial=0.0)
@@ -131,53 +132,55 @@ def doubtful_pairs(
     between = _length(middle[second] - middle[first]) - radius[first] - radius[second]
     displaced = (2.0 * away >= between).any(axis=1)
     jumped = np.maximum(steps[first], steps[second]) > -_JUMP_HINT * step_scale**2
-    doubtful = []
+    suspicious = []
     for index in np.flatnonzero(displaced | jumped).tolist():
         pair = pairs[index]
         hints = 0
         if displaced[index]:
-            hints += int(np.count_nonzero(_place(pair, _views(pair, window)) > _PLACE_HINT))
+            hints += int(
+                np.count_nonzero(_position_evidence(pair, _views(pair, window)) > _POSITION_HINT)
+            )
         if jumped[index]:
-            jump = _jump(_views(pair, window), step_scale)
+            jump = _jump_evidence(_views(pair, window), step_scale)
             hints += int(np.count_nonzero(jump < _JUMP_HINT))
         if hints:
-            doubtful.append((index, hints))
-    return doubtful
+            suspicious.append((index, hints))
+    return suspicious
 
 
 def weigh_swap(
     pair: Pair, window: Window, *, step_scale: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[Float32Array, Float32Array]:
     """Return for each frame the gain of being swapped and the cost of a change there [nats]."""
     views = _views(pair, window)
-    gain: RealArray = np.clip(_place(pair, views), -_PLACE_LIMIT, _PLACE_LIMIT)
-    gain -= _DIRECTION_WEIGHT * np.clip(_along(pair, views), -1.0, 1.0)
-    toggle = TOGGLE_COST + np.clip(_jump(views, step_scale), *JUMP_LIMITS)
+    gain: RealArray = np.clip(_position_evidence(pair, views), -_POSITION_LIMIT, _POSITION_LIMIT)
+    gain -= _DIRECTION_WEIGHT * np.clip(_direction_evidence(pair, views), -1.0, 1.0)
+    toggle = TOGGLE_COST + np.clip(_jump_evidence(views, step_scale), *JUMP_LIMITS)
     return gain.astype(np.float32, copy=False), toggle.astype(np.float32, copy=False)
 
 
 @dataclass(frozen=True)
 class _Views:
-    """A pair in a window: where both are, and how far from where all others put them."""
+    """A pair in a window: positions of both, and offsets from the prediction of all others."""
 
     x: RealArray
     y: RealArray
     between: RealArray
     x_away: RealArray
     y_away: RealArray
-    x_seen: NDArray[np.bool_]
-    y_seen: NDArray[np.bool_]
+    x_seen: BoolArray
+    y_seen: BoolArray
 
 
 def _views(pair: Pair, window: Window) -> _Views:
-    x, y = window.places[pair.first], window.places[pair.second]
+    x, y = window.positions[pair.first], window.positions[pair.second]
     away = pair.mixing @ window.offsets[[pair.first, pair.second]].reshape(6, -1)
     seen = window.seen
     return _Views(x, y, y - x, away[:3], away[3:], seen[pair.first], seen[pair.second])
 
 
-def _place(pair: Pair, views: _Views) -> RealArray:
-    """Return how much nearer each lies to the other's place than to its own, over the variance."""
+def _position_evidence(pair: Pair, views: _Views) -> RealArray:
+    """Return the squared distance to its own prediction less that to the other's, over variance."""
     square = _dot(views.between, views.between)
     x_along, y_along = _dot(views.x_away, views.between), _dot(views.y_away, views.between)
     # |x_away|^2 - |x_away + between|^2, and the same of y
@@ -186,13 +189,13 @@ def _place(pair: Pair, views: _Views) -> RealArray:
         x_square, y_square = _dot(views.x_away, views.x_away), _dot(views.y_away, views.y_away)
         x_alone = x_square - _ALONE_STRICTNESS * (y_square - 2.0 * y_along + square)
         y_alone = y_square - _ALONE_STRICTNESS * (x_square + 2.0 * x_along + square)
-        place = _weigh(place, x_alone, y_alone, views.x_seen, views.y_seen)
-    return np.asarray(place / np.float32(pair.place_variance))
+        place = _choose_seen(place, x_alone, y_alone, views.x_seen, views.y_seen)
+    return np.asarray(place / np.float32(pair.residual_variance))
 
 
-def _along(pair: Pair, views: _Views) -> RealArray:
+def _direction_evidence(pair: Pair, views: _Views) -> RealArray:
     """Return 1 where each lies on its own side, -1 where on the other's."""
-    return _weigh(
+    return _choose_seen(
         pair.direction @ views.between,
         1.0 - 2.0 * (pair.direction @ views.x_away),
         1.0 + 2.0 * (pair.direction @ views.y_away),
@@ -201,50 +204,50 @@ def _along(pair: Pair, views: _Views) -> RealArray:
     )
 
 
-def _jump(views: _Views, step_scale: float) -> RealArray:
+def _jump_evidence(views: _Views, step_scale: float) -> RealArray:
     """Return by how much steps are shorter when they began at the other marker; negative then."""
     x, y, x_seen, y_seen = views.x, views.y, views.x_seen, views.y_seen
     x_step, y_step = np.diff(x), np.diff(y)
     x_square, y_square = _dot(x_step, x_step), _dot(y_step, y_step)
     x_from_y, y_from_x = x[:, 1:] - y[:, :-1], y[:, 1:] - x[:, :-1]
     together = np.maximum(_dot(x_from_y, x_from_y) - x_square, _dot(y_from_x, y_from_x) - y_square)
-    # Where one is hidden, only the way between the places of the two is known.
+    # Where one is hidden, only the way between the positions of the two is known.
     apart = (views.between + views.x_away - views.y_away)[:, 1:]
     length = _dot(apart, apart)
     x_alone = length - 2.0 * np.abs(_dot(x_step, apart))
     y_alone = length - 2.0 * np.abs(_dot(y_step, apart))
     jump = np.zeros(x.shape[1], x.dtype)
-    jump[1:] = _weigh(
+    jump[1:] = _choose_seen(
         together, x_alone, y_alone, x_seen[1:] & x_seen[:-1], y_seen[1:] & y_seen[:-1]
     )
     return np.asarray(jump / np.float32(step_scale**2))
 
 
-def _weigh(
+def _choose_seen(
     together: RealArray,
     x_alone: RealArray,
     y_alone: RealArray,
-    x_seen: NDArray[np.bool_],
-    y_seen: NDArray[np.bool_],
+    x_seen: BoolArray,
+    y_seen: BoolArray,
 ) -> RealArray:
-    """Choose what is known: both markers, one against where the other should be, or nothing."""
+    """Choose the evidence by what is seen: both markers, one of them, or none (0)."""
     alone = np.where(x_seen, x_alone, np.where(y_seen, y_alone, np.float32(0.0)))
     return np.asarray(np.where(x_seen & y_seen, together, alone))
 
 
-def _mixing(model: LowRankModel, first: int, second: int) -> NDArray[np.float32]:
-    # x - E[x | others but the pair] from the precision matrix, whose pulls are those of the
-    # offsets of each from all others.
+def _mixing(model: LowRankModel, first: int, second: int) -> Float32Array:
+    # L (x - E[x | others but the pair]) = diag(L_xx, L_yy) (x - E[x | all others of each]), with L
+    # the pair's block of the precision matrix.
     entries = np.r_[3 * first : 3 * first + 3, 3 * second : 3 * second + 3]
-    own = model.precision[np.ix_(entries, entries)]
-    apart = np.zeros((6, 6))
-    apart[:3, :3], apart[3:, 3:] = own[:3, :3], own[3:, 3:]
-    return np.linalg.solve(own, apart).astype(np.float32)
+    block = model.precision[np.ix_(entries, entries)]
+    diagonal = np.zeros((6, 6))
+    diagonal[:3, :3], diagonal[3:, 3:] = block[:3, :3], block[3:, 3:]
+    return np.linalg.solve(block, diagonal).astype(np.float32)
 
 
 def _steps(window: Window) -> RealArray:
     """Return the squared step of each marker from the frame before where both saw it."""
-    steps = np.diff(window.places, axis=2)
+    steps = np.diff(window.positions, axis=2)
     squares = np.einsum("mif,mif->mf", steps, steps)
     return np.asarray(squares * (window.seen[:, 1:] & window.seen[:, :-1]))
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from usdface.numerics.repair.noise import measurement_noise
+from usdface.core.arrays import sample_frames
+from usdface.numerics.motion.noise import measurement_noise
 
 _SAMPLE_FRAMES = 1500
 _LEAST_MARKERS = 4
@@ -63,7 +64,7 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
     """
     points, seen = np.asarray(positions), np.asarray(visible, bool)
     noise = measurement_noise(points, seen)
-    rows = np.unique(np.linspace(0, len(points) - 1, _SAMPLE_FRAMES).astype(np.int64))
+    rows = sample_frames(len(points), _SAMPLE_FRAMES)
     usable = np.flatnonzero(seen.mean(axis=0) >= _LEAST_SEEN)
     sample = points[rows][:, usable].astype(np.float64)
     sample[~seen[rows][:, usable]] = np.nan

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from usdface.core.arrays import sample_frames
 from usdface.numerics.rigid.rigid_alignment import (
     RigidAlignment,
     align_rigid,
@@ -141,7 +142,7 @@ def _check_reference(start: NDArray[np.float64], named: int, neutral: int) -> No
 
 def _mean_shape(still: NDArray[np.floating], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return the median place of each rigid marker; swaps and strays do not move it."""
-    rows = np.unique(np.linspace(0, len(still) - 1, _REFERENCE_SAMPLE).astype(np.int64))
+    rows = sample_frames(len(still), _REFERENCE_SAMPLE)
     shape = np.empty(still.shape[1:])
     for marker in range(still.shape[1]):
         track = still[rows, marker][seen[rows, marker]]

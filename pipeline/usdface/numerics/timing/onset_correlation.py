@@ -13,7 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import fft
 
-from usdface.core.arrays import Float32Array, FloatArray
+from usdface.core.arrays import MAD_TO_DEVIATION, Float32Array, FloatArray
 
 HOPS_PER_SECOND = 100
 _WINDOW_SECONDS = 0.025
@@ -31,8 +31,6 @@ _SHORTEST_OVERLAP = HOPS_PER_SECOND
 _OVERLAP_SHARE = 0.2
 _RIVAL_PEAK = 6.0
 """Height above which a second peak is no accident: the highest of a million random scores is 5."""
-
-_MAD_TO_DEVIATION = 1.4826
 
 
 @dataclass(frozen=True)
@@ -168,7 +166,7 @@ def _judge(
     # Divided by the root of the overlap, chance is equally large at every shift.
     scores = products / np.sqrt(overlap)
     centre = np.nanmedian(scores)
-    deviation = _MAD_TO_DEVIATION * float(np.nanmedian(np.abs(scores - centre)))
+    deviation = MAD_TO_DEVIATION * float(np.nanmedian(np.abs(scores - centre)))
     scores = (scores - centre) / max(deviation, 1e-12)
     best = int(np.nanargmax(scores))
     away = np.isfinite(scores)

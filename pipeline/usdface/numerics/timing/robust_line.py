@@ -5,14 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import MAD_TO_DEVIATION, FloatArray
 
 _SHORTEST_BASE = 0.3
 """Of the points' span: two points closer than this give no slope to judge others by."""
 
 _ROUNDS = 6
 _DEVIATIONS_KEPT = 6.0
-_MAD_TO_DEVIATION = 1.4826
 _PAIRS_AT_ONCE = 2048
 
 
@@ -74,7 +73,7 @@ def fit_robust_line(
     agreeing = np.zeros(len(x), bool)
     intercept, slope = 0.0, 0.0
     for _ in range(_ROUNDS):
-        scale = max(noise, _MAD_TO_DEVIATION * float(np.median(distance[distance < tolerance])))
+        scale = max(noise, MAD_TO_DEVIATION * float(np.median(distance[distance < tolerance])))
         within = distance < min(tolerance, _DEVIATIONS_KEPT * scale)
         if np.array_equal(within, agreeing):
             break

@@ -142,10 +142,10 @@ def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]
         )
     if len(cleaned.swaps) > SWAPS_TOLD:
         notes.append(f"and {len(cleaned.swaps) - SWAPS_TOLD} more swaps")
-    if cleaned.strays.any():
-        worst = int(cleaned.strays.sum(axis=0).argmax())
+    if cleaned.outliers.any():
+        worst = int(cleaned.outliers.sum(axis=0).argmax())
         notes.append(
-            f"replaced {pluralize(int(cleaned.strays.sum()), 'stray sample')}, the most of "
+            f"replaced {pluralize(int(cleaned.outliers.sum()), 'stray sample')}, the most of "
             f"{markers.names[worst]}"
         )
     left = ~cleaned.visible
@@ -166,16 +166,16 @@ def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]
 
 
 def _picture(cleaned: CleanedMarkers, markers: Markers, take: Take) -> ByteImage:
-    swapped = np.zeros_like(cleaned.strays)
+    swapped = np.zeros_like(cleaned.outliers)
     for swap in cleaned.swaps:
         swapped[swap.start : swap.stop, [swap.first, swap.second]] = True
-    interpolated = np.zeros_like(cleaned.strays)
+    interpolated = np.zeros_like(cleaned.outliers)
     interpolated[cleaned.pose_confidence < 1.0] = True
     kinds = (
         RepairKind("head pose interpolated", POSE_COLOR, interpolated),
-        RepairKind("gap filled", FILLED_COLOR, cleaned.filled & ~cleaned.strays),
+        RepairKind("gap filled", FILLED_COLOR, cleaned.filled & ~cleaned.outliers),
         RepairKind("label put back", SWAPPED_COLOR, swapped),
-        RepairKind("stray replaced", STRAY_COLOR, cleaned.strays),
+        RepairKind("stray replaced", STRAY_COLOR, cleaned.outliers),
         RepairKind("gap left", LEFT_COLOR, ~cleaned.visible),
     )
     return draw_repairs(
@@ -195,7 +195,7 @@ def _picture(cleaned: CleanedMarkers, markers: Markers, take: Take) -> ByteImage
 def _summary(cleaned: CleanedMarkers, take: Take) -> str:
     return (
         f"{take.name}: head motion out, {pluralize(len(cleaned.swaps), 'swap')}, "
-        f"{pluralize(int(cleaned.strays.sum()), 'stray')} and "
+        f"{pluralize(int(cleaned.outliers.sum()), 'stray')} and "
         f"{pluralize(int(cleaned.filled.sum()), 'missing sample')} mended, noise "
         f"{cleaned.noise_mm:.2f} mm"
     )
@@ -204,7 +204,7 @@ def _summary(cleaned: CleanedMarkers, take: Take) -> str:
 def _figures(cleaned: CleanedMarkers, rigid: tuple[str, ...]) -> dict[str, object]:
     return {
         "swaps": len(cleaned.swaps),
-        "strays": int(cleaned.strays.sum()),
+        "strays": int(cleaned.outliers.sum()),
         "filled": int(cleaned.filled.sum()),
         "left": int((~cleaned.visible).sum()),
         "noise_mm": cleaned.noise_mm,

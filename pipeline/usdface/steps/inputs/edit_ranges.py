@@ -1,11 +1,12 @@
 """What became of a performance's edits: listed, and looked at again after another mapping."""
 
 from dataclasses import dataclass
+from itertools import starmap
 from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.arrays import FloatArray, runs
 from usdface.core.sidecars import edits_path
 from usdface.core.text import pluralize
 from usdface.runner.result import StepResult
@@ -58,7 +59,7 @@ def find_edited_ranges(reader: PerformanceReader) -> list[EditedRange]:
         column = reader.names.index(name)
         change = edited[:, column].astype(np.float64) - solved[:, column]
         moved = solved[:, column] - edit.beneath
-        for part in frame_runs(edit.curve.active):
+        for part in starmap(slice, runs(edit.curve.active)):
             worst = _largest(moved[part])
             found.append(
                 EditedRange(
@@ -83,7 +84,7 @@ def edits_beyond(reader: PerformanceReader) -> list[str]:
     return [
         f"{shape} {frames[part.start]}-{frames[part.stop - 1]}"
         for shape, edit in sorted(read_edits(reader.animation, frames).items())
-        for part in frame_runs(edit.curve.active)
+        for part in starmap(slice, runs(edit.curve.active))
         if outside[part].all()
     ]
 
@@ -169,12 +170,6 @@ def list_edits(performance: Path, *, prim: str | None = None) -> StepResult:
         for each in ranges
     ]
     return StepResult((), summary, table=table, figures={"edits": figures})
-
-
-def frame_runs(active: BoolArray) -> list[slice]:
-    """Return the runs of True as slices, in order."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], active, [False]]).astype(np.int8)))
-    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def _weight(edited: EditedRange) -> float:

@@ -3,11 +3,12 @@
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import starmap
 from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, runs
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
@@ -17,7 +18,6 @@ from usdface.numerics.motion.edit_curve import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesFromEditsSpec, proposed_references_path, tuned_path
-from usdface.steps.inputs.edit_ranges import frame_runs
 from usdface.steps.inputs.take_head_space import read_markers, take_head_space
 from usdface.steps.inputs.tuned_pairs import SAME
 from usdface.steps.references.tuning_guard import nobody_tunes
@@ -163,7 +163,7 @@ def meant_frames(edits: Sequence[EditCurve], changes: FloatArray) -> BoolArray:
     share = np.ones_like(changes)
     for row, edit in enumerate(edits):
         strength = np.maximum(np.abs(edit.offset), edit.mask)
-        for part in frame_runs(edit.active):
+        for part in starmap(slice, runs(edit.active)):
             share[row, part] = strength[part] / strength[part].max()
     largest = changes.max(axis=0, initial=0.0)
     counts = changes > MINOR * largest

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdSkel
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, runs
 from usdface.core.text import pluralize
 from usdface.usdio.checks.fault import Fault, Samples, is_recorded, is_solved, read_samples, some
 
@@ -162,9 +162,8 @@ def _stretches(
     samples: Samples, still: NDArray[np.bool_], least_seconds: float
 ) -> list[tuple[float, float, float]]:
     """Return first and last time code, and seconds, of stretches that are long enough."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
     found = []
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+    for start, stop in runs(still):
         first, last = samples.times[start], samples.times[stop]
         seconds = (last - first) / samples.rate
         if seconds >= least_seconds and stop - start > 2:

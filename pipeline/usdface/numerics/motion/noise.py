@@ -1,15 +1,16 @@
-"""How noisy a capture is, told from what moves faster than a face can."""
+"""How noisy a capture is, from what moves faster than a face can."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from usdface.core.arrays import MAD_TO_DEVIATION, FloatArray
 
 _THIRD_DIFFERENCE_GAIN = np.sqrt(20.0)
-"""Of white noise: 1, 3, 3, 1 squared and summed."""
-_MAD_TO_DEVIATION = 1.4826
+"""Deviation of the third differences of white noise over its own: sqrt(1² + 3² + 3² + 1²)."""
 _SAMPLE_FRAMES = 20_000
 
 
-def marker_noise(positions: ArrayLike, visible: ArrayLike) -> NDArray[np.float64]:
+def marker_noise(positions: ArrayLike, visible: ArrayLike) -> FloatArray:
     """Return the standard deviation of each marker's measurement noise, per coordinate.
 
     The median of third differences over frames: motion, gaps, swaps and spikes are rare in them.
@@ -22,7 +23,7 @@ def marker_noise(positions: ArrayLike, visible: ArrayLike) -> NDArray[np.float64
     Returns
     -------
     (markers,) float array
-        0 for a marker without four frames in a row.
+        In the unit of `positions`; 0 for a marker without four frames in a row.
     """
     points, seen = np.asarray(positions), np.asarray(visible, bool)
     noise = np.zeros(points.shape[1])
@@ -39,7 +40,7 @@ def marker_noise(positions: ArrayLike, visible: ArrayLike) -> NDArray[np.float64
             differences = differences[:, whole]
         if differences.size:
             middle = np.median(differences)
-            noise[marker] = _MAD_TO_DEVIATION * middle / _THIRD_DIFFERENCE_GAIN
+            noise[marker] = MAD_TO_DEVIATION * middle / _THIRD_DIFFERENCE_GAIN
     return noise
 
 

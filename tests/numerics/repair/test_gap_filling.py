@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from usdface.numerics.repair.gaps import choose_spline_limit, fill_gaps, runs
+from usdface.numerics.repair.gap_filling import choose_spline_limit, fill_gaps, runs
 
 
 def tracks(frames=400, markers=3, noise=0.0):
