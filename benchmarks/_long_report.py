@@ -17,6 +17,7 @@ from usdface.media.face.render import FaceRenderer
 from usdface.media.film.movie import write_movie
 from usdface.runner.execute import execute
 from usdface.specs.review import ReportSpec
+from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.take.write import write_take
 
@@ -130,12 +131,15 @@ def _write(folder: Path, rig: Rig, weights: FloatArray) -> Path:
     write_take(folder / "minute.take.usda", take)
     with writing_performance(
         folder / "minute.usda",
+        make_header(
+            rig,
+            shape_names=rig.shapes,
+            rate=RATE,
+            first_frame=1,
+            last_frame=len(weights),
+            timecode_start="01:00:00:00",
+        ),
         rig,
-        shape_names=rig.shapes,
-        rate=RATE,
-        first_frame=1,
-        last_frame=len(weights),
-        timecode_start="01:00:00:00",
     ) as writer:
         writer.append(weights, confidence=np.full(len(weights), 0.9))
     spec = ReportSpec(

@@ -34,6 +34,7 @@ from usdface.numerics.repair.cleaning import clean_markers
 from usdface.numerics.rigid.stabilization import stabilize
 from usdface.numerics.surface.geodesic import geodesic_distances
 from usdface.numerics.surface.triangulation import triangulate
+from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
@@ -218,11 +219,14 @@ def _write(size: int, folder: Path, *, by: str) -> Work:
     def work() -> None:
         with writing_performance(
             folder / f"{by}.usda",
+            make_header(
+                rig,
+                shape_names=tuple(f"shape{index}" for index in range(shapes)),
+                rate=Fraction(120),
+                first_frame=0,
+                last_frame=frames - 1,
+            ),
             rig,
-            shape_names=tuple(f"shape{index}" for index in range(shapes)),
-            rate=Fraction(120),
-            first_frame=0,
-            last_frame=frames - 1,
         ) as writer:
             for start in range(0, frames, BLOCK):
                 # USD keeps equal samples once: no two blocks are alike.

@@ -25,7 +25,7 @@ from usdface.runner.execute import execute
 from usdface.specs.capture import CleanSpec, IngestSpec
 from usdface.specs.performance import MapSpec, TrainSpec
 from usdface.specs.references import ReferencesImportSpec, SelectSpec
-from usdface.usdio.performance.write import read_performance
+from usdface.usdio.performance.read import read_performance
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
 

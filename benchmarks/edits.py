@@ -24,7 +24,7 @@ from usdface.runner.execute import execute
 from usdface.specs.edits import EditsImportSpec
 from usdface.specs.performance import MapSpec, TrainSpec
 from usdface.specs.references import ReferencesFromEditsSpec
-from usdface.usdio.performance.write import PerformanceReader, read_weights
+from usdface.usdio.performance.read import PerformanceReader, read_weights
 from usdface.usdio.rig.read import read_rig
 
 CORRECTED = 10

@@ -9,7 +9,7 @@ from benchmarks import crosstake
 from tests.conftest import SHARED_DATA
 from usdface.runner.execute import execute
 from usdface.specs.performance import MapSpec, TrainSpec
-from usdface.usdio.performance.write import read_performance
+from usdface.usdio.performance.read import read_performance
 
 COUNT = 50
 MODES: dict[str, dict[str, object]] = {

@@ -19,7 +19,7 @@ from usdface.specs.messages import validation_messages
 from usdface.specs.reading import read_job
 from usdface.usdio import mapping as mapping_files
 from usdface.usdio import validation
-from usdface.usdio.performance import write as performance_files
+from usdface.usdio.performance import read as performance_files
 from usdface.usdio.references import read as references_files
 from usdface.usdio.rig import read as rig_files
 from usdface.usdio.take import read as take_files

@@ -18,13 +18,12 @@ from tests.steps.small_shot import Shot
 from tests.usdio.small_rig import small_rig
 from usdface.cli import main
 from usdface.core.errors import CheckFailedError, InputError
-from usdface.farm import openjd
-from usdface.farm.deadline import named_folders
+from usdface.farm.commands import named_folders
 from usdface.farm.plan import FarmStep
 from usdface.farm.submit import outline_path, submit
 from usdface.specs.edits import BakeSpec
 from usdface.specs.submit import SubmitSpec
-from usdface.usdio.performance.write import read_performance
+from usdface.usdio.performance.read import read_performance
 from usdface.usdio.rig.write import write_rig
 
 USDFACE = [sys.executable, "-m", "usdface"]
@@ -110,35 +109,6 @@ def test_a_task_that_fails_fails_the_submission(job: Path, shot: Shot, capfd) ->
     with pytest.raises(CheckFailedError, match="openjd ended with 1"):
         submit(SubmitSpec(job=job))
     assert "openjd_fail: step 1 of 1, map: " in capfd.readouterr().out
-
-
-@needs_openjd
-def test_what_was_started_for_a_job_that_cannot_be_planned_is_stopped(
-    job: Path, shot: Shot, monkeypatch
-) -> None:
-    started = []
-    begin = subprocess.Popen
-
-    def remembered(*given, **options):
-        started.append(begin(*given, **options))
-        return started[-1]
-
-    monkeypatch.setattr(subprocess, "Popen", remembered)
-    (shot / "hero.usdc").unlink()
-    with pytest.raises(InputError, match=r"hero\.usdc: no such file"):
-        submit(SubmitSpec(job=job))
-    (process,) = started
-    assert process.returncode is not None
-
-
-@needs_openjd
-def test_openjd_elsewhere_on_the_path_runs_a_job_too(
-    job: Path, shot: Shot, monkeypatch, capfd
-) -> None:
-    monkeypatch.setattr(openjd, "_is_ours", lambda: False)
-    submit(SubmitSpec(job=job))
-    assert "openjd_status: map: mapped" in capfd.readouterr().out
-    assert (shot / "again.usda").is_file()
 
 
 def test_a_worker_finds_files_where_its_rules_say(job: Path, shot: Shot, tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 import re
 import shlex
-from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -23,9 +22,7 @@ DOCS = REPOSITORY / "docs"
 def handed_over(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Farms that only remember what they are given; test_farms.py hands over for real."""
     done: list[str] = []
-    monkeypatch.setattr(
-        farm, "local_farm", lambda **options: nullcontext(lambda bundle: done.append("openjd"))
-    )
+    monkeypatch.setattr(farm, "run_bundle", lambda bundle, **options: done.append("openjd"))
     monkeypatch.setattr(farm, "submit_bundle", lambda bundle, **options: done.append("deadline"))
     monkeypatch.setattr(farm, "build_outline", lambda *given, **options: SimpleNamespace())
     monkeypatch.setattr(farm, "submit_outline", lambda launcher: done.append("opencue"))

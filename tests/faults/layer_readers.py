@@ -13,7 +13,7 @@ from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.mapping import read_mapping
-from usdface.usdio.performance.write import PerformanceReader, read_performance
+from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.referenced_files import frame_range_of, referenced_files
 from usdface.usdio.references.pair_names import read_pair_names
 from usdface.usdio.references.read import read_references, read_tuned_pairs

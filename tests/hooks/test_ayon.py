@@ -14,7 +14,7 @@ from tests.hooks.loading import HOOKS, load
 from tests.steps.small_shot import Shot
 from usdface.core.errors import InputError
 from usdface.publish import ReviewOptions
-from usdface.usdio.performance.write import read_weights
+from usdface.usdio.performance.read import read_weights
 
 api = pytest.importorskip("pyblish.api", reason="needs pyblish-base")
 util = pytest.importorskip("pyblish.util", reason="needs pyblish-base")

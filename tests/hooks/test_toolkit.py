@@ -13,7 +13,7 @@ import pytest
 from tests.hooks.loading import load
 from tests.steps.small_shot import Shot
 from usdface.publish.integrate import read_manifest
-from usdface.usdio.performance.write import PerformanceReader
+from usdface.usdio.performance.read import PerformanceReader
 
 
 class Item:

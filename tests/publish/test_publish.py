@@ -32,7 +32,9 @@ from usdface.specs.edits import EditSpec, PackageSpec
 from usdface.specs.performance import JoinSpec, MapSpec
 from usdface.specs.review import SheetSpec
 from usdface.usdio.layers import new_layer
-from usdface.usdio.performance.write import read_performance, writing_performance
+from usdface.usdio.performance.read import read_performance
+from usdface.usdio.performance.weights_layer import make_header
+from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.retarget.control_performance import controls_path
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
@@ -65,11 +67,14 @@ def test_a_folder_with_weights_in_parts_and_controls_beside_holds_one_performanc
     made = Provenance("map", "{}", {})
     with writing_performance(
         tmp_path / "hero.usda",
+        make_header(
+            read_rig(tmp_path / "rig.usda"),
+            shape_names=names,
+            rate=Fraction(24),
+            first_frame=1,
+            last_frame=frames,
+        ),
         read_rig(tmp_path / "rig.usda"),
-        shape_names=names,
-        rate=Fraction(24),
-        first_frame=1,
-        last_frame=frames,
         part_frames=7,
         provenance=made,
     ) as writer:

@@ -14,7 +14,7 @@ from usdface.runner.execute import execute
 from usdface.runner.job import job_states, run_job
 from usdface.specs.reading import read_job
 from usdface.steps.inputs.weight_tables import read_weight_table
-from usdface.usdio.performance.write import read_performance
+from usdface.usdio.performance.read import read_performance
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take

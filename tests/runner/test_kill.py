@@ -23,9 +23,9 @@ from usdface.specs.performance import TrainSpec
 SLOW = """
 import sys, time
 from pathlib import Path
-from usdface.usdio import weights_layer, weights_process
+from usdface.usdio.performance import weights_layer
 from usdface.specs.performance import MapSpec
-from usdface.steps import map as map_step
+from usdface.steps.performance import map as map_step
 from usdface.runner.execute import execute
 from usdface.cli.console import raise_on_signals
 
@@ -33,8 +33,6 @@ raise_on_signals()
 # Many saves and many blocks, so that a signal can fall into each of them.
 weights_layer.FRAMES_IN_MEMORY = 32
 map_step.BLOCK_FRAMES = 16
-if sys.argv[3] == "apart":
-    weights_process.MUCH = 1
 folder = Path(sys.argv[1])
 print("started", flush=True)
 execute(
@@ -50,15 +48,13 @@ execute(
 """
 
 
-def start(
-    folder: Path, chunk: int, limit: int | None = None, *, writer: str = "within"
-) -> subprocess.Popen[str]:
+def start(folder: Path, chunk: int, limit: int | None = None) -> subprocess.Popen[str]:
     def limited() -> None:
         if limit is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
     process = subprocess.Popen(
-        [sys.executable, "-c", SLOW, str(folder), str(chunk), writer],
+        [sys.executable, "-c", SLOW, str(folder), str(chunk)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -109,11 +105,11 @@ def check_whole(path: Path, edits: bytes) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("chunk", "writer"), [(0, "within"), (100, "within"), (0, "apart")])
+@pytest.mark.parametrize("chunk", [0, 100])
 @pytest.mark.parametrize("kind", [signal.SIGKILL, signal.SIGTERM])
-def test_killed_at_random(shot: Shot, kind: signal.Signals, chunk: int, writer: str) -> None:
+def test_killed_at_random(shot: Shot, kind: signal.Signals, chunk: int) -> None:
     path, took = prepared(shot)
-    done = start(shot.folder, chunk, writer=writer)
+    done = start(shot.folder, chunk)
     done.communicate()
     undisturbed, edits = contents(path.parent), edits_path(path).read_bytes()
     rng = np.random.default_rng(0)
@@ -122,12 +118,12 @@ def test_killed_at_random(shot: Shot, kind: signal.Signals, chunk: int, writer: 
             for each in path.parent.iterdir():
                 if each != edits_path(path):
                     each.unlink()
-        process = start(shot.folder, chunk, writer=writer)
+        process = start(shot.folder, chunk)
         time.sleep(float(rng.random()) * took * 0.6)
         process.send_signal(kind)
         process.communicate()
         check_whole(path, edits)
-        rerun = start(shot.folder, chunk, writer=writer)
+        rerun = start(shot.folder, chunk)
         _, told = rerun.communicate()
         assert rerun.returncode == 0, told
         assert contents(path.parent) == undisturbed
@@ -136,10 +132,9 @@ def test_killed_at_random(shot: Shot, kind: signal.Signals, chunk: int, writer: 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.05, 0.3, 0.6, 0.95])
-@pytest.mark.parametrize("writer", ["within", "apart"])
-def test_a_disk_that_is_full(shot: Shot, writer: str, share: float) -> None:
+def test_a_disk_that_is_full(shot: Shot, share: float) -> None:
     path, _ = prepared(shot)
-    start(shot.folder, 0, writer=writer).communicate()
+    start(shot.folder, 0).communicate()
     undisturbed = contents(path.parent)
     largest = max(map(len, undisturbed.values()))
     for fresh in (False, True):
@@ -148,12 +143,12 @@ def test_a_disk_that_is_full(shot: Shot, writer: str, share: float) -> None:
                 if each != edits_path(path):
                     each.unlink()
         before = contents(path.parent)
-        process = start(shot.folder, 0, limit=int(share * largest), writer=writer)
+        process = start(shot.folder, 0, limit=int(share * largest))
         _, told = process.communicate()
         assert process.returncode != 0
         assert re.search(r"shot\.hero.*(too large|is the disk full)", told), told
         assert contents(path.parent) == before
-    start(shot.folder, 0, writer=writer).communicate()
+    start(shot.folder, 0).communicate()
     assert contents(path.parent) == undisturbed
 
 

@@ -9,6 +9,7 @@ from pxr import Sdf, Usd, UsdGeom, Vt
 
 from tests.steps.small_shot import PAIRS, Shot
 from usdface.core.errors import InputError
+from usdface.core.sidecars import weights_path
 from usdface.media.picture.image import read_image_metadata
 from usdface.model.mapping.head_space import into_head_space
 from usdface.model.mapping.predict import predict_weights
@@ -22,7 +23,7 @@ from usdface.specs.references import ReferencesImportSpec, SelectSpec
 from usdface.specs.review import SheetSpec
 from usdface.steps.capture import ingest
 from usdface.usdio.mapping import read_mapping, write_mapping
-from usdface.usdio.performance.write import read_performance, weights_path
+from usdface.usdio.performance.read import read_performance
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import Rig
 from usdface.core.controls import Controls
+from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.retarget.control_performance import writing_control_performance
 from usdface.usdio.rig.read import read_rig
@@ -76,12 +77,15 @@ def human_moves(frames: int) -> np.ndarray:
 def write_human_performance(path: Path, rig: Rig, weights: np.ndarray, *, first: int = 101) -> None:
     with writing_performance(
         path,
+        make_header(
+            rig,
+            shape_names=("jawOpen", "eyeBlink", "smile"),
+            rate=RATE,
+            first_frame=first,
+            last_frame=first + len(weights) - 1,
+            timecode_start="01:00:04:05",
+        ),
         rig,
-        shape_names=("jawOpen", "eyeBlink", "smile"),
-        rate=RATE,
-        first_frame=first,
-        last_frame=first + len(weights) - 1,
-        timecode_start="01:00:04:05",
     ) as writer:
         writer.append(weights)
 
@@ -89,12 +93,15 @@ def write_human_performance(path: Path, rig: Rig, weights: np.ndarray, *, first:
 def write_creature_performance(path: Path, rig: Rig, controls: Controls, *, first: int = 1) -> None:
     with writing_control_performance(
         path,
+        make_header(
+            rig,
+            shape_names=controls.shapes,
+            rate=RATE,
+            first_frame=first,
+            last_frame=first + len(controls) - 1,
+        ),
         rig,
-        shapes=controls.shapes,
         joints=controls.joints,
         attributes=controls.attributes,
-        rate=RATE,
-        first_frame=first,
-        last_frame=first + len(controls) - 1,
     ) as writer:
         writer.append(controls)

@@ -18,7 +18,7 @@ from usdface.core.errors import InputError
 from usdface.steps.edits.edit import all_frames
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.layers import open_stage, read_provenance
-from usdface.usdio.performance.write import PerformanceReader, read_performance, read_weights
+from usdface.usdio.performance.read import PerformanceReader, read_performance, read_weights
 from usdface.usdio.referenced_files import frame_range_of
 from usdface.usdio.retarget.sequences import (
     read_matches,

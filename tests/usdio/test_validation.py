@@ -18,6 +18,7 @@ from usdface.core.assets import MeshShape, ShapeKey
 from usdface.core.plugin_path import plugin_folders
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
+from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
@@ -36,11 +37,14 @@ def write(folder: Path, weights: np.ndarray = WEIGHTS) -> Path:
     path = folder / "shot.hero.usda"
     with writing_performance(
         path,
+        make_header(
+            read_rig(folder / "rig.usda"),
+            shape_names=NAMES,
+            rate=Fraction(120),
+            first_frame=1,
+            last_frame=len(weights),
+        ),
         read_rig(folder / "rig.usda"),
-        shape_names=NAMES,
-        rate=Fraction(120),
-        first_frame=1,
-        last_frame=len(weights),
         provenance=Provenance("map", "{}", {}),
     ) as writer:
         writer.append(weights)
@@ -262,7 +266,15 @@ def test_sides_that_exchange_their_weights_at_a_frame_are_named(tmp_path: Path) 
     weights[100:110] = weights[100:110].reshape(10, 4, 2)[:, :, ::-1].reshape(10, 8)
     path = tmp_path / "a.usda"
     with writing_performance(
-        path, rig, shape_names=rig.shapes, rate=Fraction(24), first_frame=1, last_frame=240
+        path,
+        make_header(
+            rig,
+            shape_names=rig.shapes,
+            rate=Fraction(24),
+            first_frame=1,
+            last_frame=240,
+        ),
+        rig,
     ) as writer:
         writer.append(weights)
     messages = [each.message for each in validate(path)]

@@ -18,7 +18,7 @@ from usdface.specs.performance import MapSpec, TrainSpec
 from usdface.specs.reading import read_job, spec_text
 from usdface.specs.references import ReferencesImportSpec, SelectSpec
 from usdface.specs.review import ReportSpec, SheetSpec
-from usdface.usdio.performance.write import read_performance
+from usdface.usdio.performance.read import read_performance
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 

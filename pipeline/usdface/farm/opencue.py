@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from usdface.core.errors import CheckFailedError, InputError
-from usdface.farm.plan import FarmStep
-from usdface.farm.requirements import host_requirements
+from usdface.farm.plan import FarmStep, host_requirements
 from usdface.farm.template import TASKS, task_command
 
 _FRAME = "#IFRAME#"

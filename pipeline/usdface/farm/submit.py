@@ -1,6 +1,5 @@
 """From a job's file to a farm."""
 
-import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,15 +8,15 @@ from usdface.core.replacing import replacing
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.farm.bundle import bundle_hash, compose_bundle, write_bundle
 from usdface.farm.chunks import ChunkSizes, FrameRange
-from usdface.farm.deadline import submit_bundle
+from usdface.farm.commands import run_bundle, submit_bundle
 from usdface.farm.opencue import build_outline, outline_text, submit_outline
-from usdface.farm.openjd import local_farm
 from usdface.farm.plan import Plan, plan_job
 from usdface.farm.template import check_job_name
 from usdface.specs.job import JobSpec
 from usdface.specs.paths import Reads, check_confined, confinement_root
 from usdface.specs.reading import read_job
 from usdface.specs.submit import SubmitSpec
+from usdface.usdio.referenced_files import frame_range_of, referenced_files
 
 
 @dataclass(frozen=True)
@@ -57,13 +56,19 @@ def submit(spec: SubmitSpec, *, overwrite: bool = False, quiet: bool = False) ->
     CheckFailedError
         If the farm refuses the job, or a task of a local run fails.
     """
-    runs_here = spec.farm == "openjd" and not spec.write_only
-    with local_farm(quiet=quiet) if runs_here else contextlib.nullcontext() as run_here:
-        submission = _write(spec, overwrite=overwrite)
-        if run_here is not None:
-            run_here(submission.bundle)
+    submission = _write(spec, overwrite=overwrite)
+    bundle, steps = submission.bundle, submission.plan.steps
+    if spec.farm == "opencue":
+        launcher = build_outline(submission.job, steps, bundle, priority=spec.priority)
+        if spec.write_only:
+            with replacing(outline_path(bundle)) as file:
+                file.write_text(outline_text(launcher), encoding="utf-8", newline="\n")
         else:
-            _hand_over(spec, submission, quiet=quiet)
+            submit_outline(launcher)
+    elif spec.farm == "deadline" and not spec.write_only:
+        submit_bundle(bundle, steps=steps, priority=spec.priority, quiet=quiet)
+    elif not spec.write_only:
+        run_bundle(bundle, quiet=quiet)
     return submission
 
 
@@ -104,19 +109,6 @@ def _write(spec: SubmitSpec, *, overwrite: bool) -> Submission:
     return Submission(job.job, bundle, plan)
 
 
-def _hand_over(spec: SubmitSpec, submission: Submission, *, quiet: bool) -> None:
-    bundle, steps = submission.bundle, submission.plan.steps
-    if spec.farm == "opencue":
-        launcher = build_outline(submission.job, steps, bundle, priority=spec.priority)
-        if spec.write_only:
-            with replacing(outline_path(bundle)) as file:
-                file.write_text(outline_text(launcher), encoding="utf-8", newline="\n")
-        else:
-            submit_outline(launcher)
-    elif spec.farm == "deadline" and not spec.write_only:
-        submit_bundle(bundle, steps=steps, priority=spec.priority, quiet=quiet)
-
-
 def _with_absolute_paths(job: JobSpec) -> JobSpec:
     def absolute(path: Path) -> Path:
         # `..` after a link does not lead back to where the link is.
@@ -140,17 +132,12 @@ def _check_inputs(job: JobSpec) -> None:
         raise InputError("\n".join(faults))
 
 
-# USD is imported where it is first asked: what runs the job here starts meanwhile.
 def _frames_of(path: Path) -> FrameRange | None:
-    from usdface.usdio.referenced_files import frame_range_of
-
     return frame_range_of(path) if path.exists() else None
 
 
 def _carried(job: JobSpec) -> list[Path]:
     """Return what layers that the job starts from need beside them."""
-    from usdface.usdio.referenced_files import referenced_files
-
     made = {path for step in job.steps for path in step.changes()}
     read = {path for step in job.steps for path in step.paths(Reads)} - made
     layers = [path for path in read if path.suffix in LAYER_SUFFIXES and path.is_file()]

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from usdface.core.errors import InputError
-from usdface.farm.plan import FarmStep
-from usdface.farm.requirements import host_requirements
+from usdface.farm.plan import FarmStep, host_requirements
 
 TASKS = "tasks"
 """Folder of the bundle: STEP/NUMBER.yaml is the spec of one task."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from usdface.core.errors import InputError
 from usdface.core.sidecars import LAYER_SUFFIXES, weights_path
 from usdface.usdio.layers import read_provenance
-from usdface.usdio.performance.write import PerformanceReader
+from usdface.usdio.performance.read import PerformanceReader
 
 MAKERS = ("map", "join", "retarget", "warp")
 """Steps that write performances."""

@@ -19,7 +19,8 @@ from usdface.runner.execute import execute
 from usdface.runner.outputs import make_provenance
 from usdface.specs.edits import BakeSpec
 from usdface.specs.review import MovieSpec, SheetSpec
-from usdface.usdio.performance.write import PerformanceReader, header_of, writing_top
+from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.performance.write import writing_top
 from usdface.usdio.rig.read import read_rig
 
 log = logging.getLogger(__name__)
@@ -134,7 +135,7 @@ def _extract(
     reader = PerformanceReader(item.performance)
     file, prim = reader.rig()
     rig = read_rig(file, prim=prim)
-    header, made_by = header_of(reader), make_provenance(bake)
+    header, made_by = reader.header, make_provenance(bake)
     with writing_top(opened, header, rig, shown=reader.stage, provenance=made_by):
         execute(bake, progress=part(progress, 0.0, 0.3))
     files = {"performance": opened.name, "weights": bake.out.name}

@@ -20,7 +20,9 @@ from usdface.specs.edits import EditsImportSpec, EditSpec
 from usdface.specs.references import ReferencesImportSpec
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.performance.blender_export import blender_names
-from usdface.usdio.performance.write import PerformanceReader, writing_performance
+from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.performance.weights_layer import make_header
+from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
@@ -35,11 +37,14 @@ def perform(folder: Path, names: tuple[str, ...] = SKIN) -> Path:
     path = folder / "shot.hero.usda"
     with writing_performance(
         path,
+        make_header(
+            read_rig(folder / "rig.usda"),
+            shape_names=names,
+            rate=Fraction(24),
+            first_frame=FIRST,
+            last_frame=LAST,
+        ),
         read_rig(folder / "rig.usda"),
-        shape_names=names,
-        rate=Fraction(24),
-        first_frame=FIRST,
-        last_frame=LAST,
     ) as writer:
         writer.append(SOLVED)
     return path

@@ -26,7 +26,7 @@ from usdface.steps.edits import bake
 from usdface.steps.edits import edit as edit_step
 from usdface.steps.inputs.edit_ranges import list_edits
 from usdface.steps.references.from_edits import FULL_STRENGTH, LEAST_CHANGE, MOSTLY, meant_frames
-from usdface.usdio.performance.write import PerformanceReader, read_performance, read_weights
+from usdface.usdio.performance.read import PerformanceReader, read_performance, read_weights
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take

@@ -15,8 +15,8 @@ from usdface.specs.edits import EditSpec
 from usdface.specs.performance import JoinSpec, MapSpec
 from usdface.specs.references import ReferencesFromEditsSpec
 from usdface.steps.performance import map as map_step
+from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import CONFIDENCE_WITHIN, RESIDUAL_WITHIN_MM
-from usdface.usdio.performance.write import PerformanceReader
 from usdface.usdio.validation import validate
 
 

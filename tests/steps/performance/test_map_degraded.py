@@ -14,7 +14,7 @@ from usdface.model.mapping.head_space import MINIMUM_SHARE
 from usdface.runner.execute import execute
 from usdface.runner.result import StepResult
 from usdface.specs.performance import MapSpec
-from usdface.usdio.performance.write import read_performance
+from usdface.usdio.performance.read import read_performance
 from usdface.usdio.rig.write import write_rig
 
 

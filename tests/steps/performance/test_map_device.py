@@ -12,7 +12,7 @@ from usdface.core.errors import InputError
 from usdface.numerics.array_namespace import ArrayDevice
 from usdface.specs.performance import MapSpec
 from usdface.steps.performance import map as map_step
-from usdface.usdio.performance.write import read_performance
+from usdface.usdio.performance.read import read_performance
 
 
 def mapped(shot: Shot, out: Path, device: str) -> np.ndarray:

@@ -11,7 +11,7 @@ from tests.steps.small_shot import Shot
 from usdface.core.errors import InputError
 from usdface.runner.execute import execute
 from usdface.specs.performance import MapSpec
-from usdface.usdio.performance.write import read_performance
+from usdface.usdio.performance.read import read_performance
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 

@@ -17,7 +17,9 @@ from usdface.runner.job import job_states, run_job
 from usdface.specs.reading import read_job
 from usdface.specs.review import EvaluateSpec
 from usdface.steps.inputs.weight_tables import read_weight_table
-from usdface.usdio.performance.write import read_performance, writing_performance
+from usdface.usdio.performance.read import read_performance
+from usdface.usdio.performance.weights_layer import make_header
+from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.read import read_rig
 
 
@@ -52,11 +54,14 @@ def test_the_figures_are_those_of_the_shared_ruler(shared_data: Path, tmp_path: 
     rig_file = shared_data / "rigs" / "facecap_head.usdc"
     with writing_performance(
         tmp_path / "p.usda",
+        make_header(
+            read_rig(rig_file),
+            shape_names=shapes[::-1],
+            rate=60,
+            first_frame=101,
+            last_frame=700,
+        ),
         read_rig(rig_file),
-        shape_names=shapes[::-1],
-        rate=60,
-        first_frame=101,
-        last_frame=700,
     ) as writer:
         writer.append((weights + noise)[:, ::-1])
     with (tmp_path / "truth.csv").open("w", newline="", encoding="utf-8") as stream:
@@ -229,11 +234,14 @@ def another_rate(shot: Shot) -> list[str]:
     performance = read_performance(shot / "shot.hero.usda")
     with writing_performance(
         shot / "slow.usda",
+        make_header(
+            read_rig(shot / "hero.usdc"),
+            shape_names=performance.weights.names,
+            rate=24,
+            first_frame=1,
+            last_frame=5,
+        ),
         read_rig(shot / "hero.usdc"),
-        shape_names=performance.weights.names,
-        rate=24,
-        first_frame=1,
-        last_frame=5,
     ) as writer:
         writer.append(performance.weights.values[:5].astype(float))
     return ["--against", "slow.usda"]

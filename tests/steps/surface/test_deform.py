@@ -28,7 +28,7 @@ from usdface.specs.base import Spec
 from usdface.specs.reading import read_job
 from usdface.specs.references import SelectSpec
 from usdface.specs.surface import BindSpec, DeformSpec, MakeShapesSpec, corrected_path
-from usdface.usdio.performance.write import read_performance
+from usdface.usdio.performance.read import read_performance
 from usdface.usdio.rig.mesh import read_face_mesh
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.surface.binding import read_binding

@@ -12,7 +12,9 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
 from usdface.specs.performance import JoinSpec
 from usdface.steps.performance.join import run
-from usdface.usdio.performance.write import read_performance, writing_performance
+from usdface.usdio.performance.read import read_performance
+from usdface.usdio.performance.weights_layer import make_header
+from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.validation import validate
@@ -35,13 +37,16 @@ def write(
     path = folder / name
     with writing_performance(
         path,
+        make_header(
+            read_rig(folder / "rig.usda"),
+            shape_names=NAMES,
+            rate=Fraction(60),
+            first_frame=rows.start - 3,
+            last_frame=rows.stop - 4,
+            regions=("face",),
+            timecode_start="01:00:00:00",
+        ),
         read_rig(folder / "rig.usda"),
-        shape_names=NAMES,
-        rate=Fraction(60),
-        first_frame=rows.start - 3,
-        last_frame=rows.stop - 4,
-        regions=("face",),
-        timecode_start="01:00:00:00",
         part_frames=part_frames,
         provenance=Provenance("map", spec, {}),
     ) as writer:
@@ -147,11 +152,14 @@ def test_an_interruption_leaves_the_old_parts(tmp_path: Path) -> None:
     def interrupted() -> None:
         with writing_performance(
             path,
+            make_header(
+                read_rig(tmp_path / "rig.usda"),
+                shape_names=NAMES,
+                rate=Fraction(60),
+                first_frame=1,
+                last_frame=100,
+            ),
             read_rig(tmp_path / "rig.usda"),
-            shape_names=NAMES,
-            rate=Fraction(60),
-            first_frame=1,
-            last_frame=100,
             part_frames=4,
             provenance=Provenance("map", "b", {}),
         ) as writer:

@@ -12,7 +12,9 @@ from usdface.core.errors import InputError
 from usdface.core.sidecars import edits_path
 from usdface.numerics.motion.edit_curve import EditCurve
 from usdface.usdio.performance.edits import ShapeEdit, read_edits, write_edits
-from usdface.usdio.performance.write import PerformanceReader, writing_performance
+from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.performance.weights_layer import make_header
+from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.validation import validate
@@ -34,11 +36,14 @@ def perform(
     path = folder / "shot.hero.usda"
     with writing_performance(
         path,
+        make_header(
+            read_rig(folder / "rig.usda"),
+            shape_names=names,
+            rate=Fraction(rate),
+            first_frame=first,
+            last_frame=last,
+        ),
         read_rig(folder / "rig.usda"),
-        shape_names=names,
-        rate=Fraction(rate),
-        first_frame=first,
-        last_frame=last,
     ) as writer:
         writer.append(np.resize(WEIGHTS, (last - first + 1, len(names))))
     return path

@@ -11,15 +11,12 @@ from tests.usdio.small_rig import small_rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import weights_path
 from usdface.usdio.layers import relative_path
 from usdface.usdio.performance import weights_layer
-from usdface.usdio.performance.write import (
-    PerformanceReader,
-    header_of,
-    read_performance,
-    weights_path,
-    writing_performance,
-)
+from usdface.usdio.performance.read import PerformanceReader, read_performance
+from usdface.usdio.performance.weights_layer import make_header
+from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.posed_points import PosedRig
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
@@ -35,14 +32,17 @@ def write(folder: Path, *, place: str | None = None, weights=WEIGHTS, first: int
     path = folder / "shot.hero.usda"
     with writing_performance(
         path,
+        make_header(
+            read_rig(folder / "rig.usda"),
+            shape_names=NAMES,
+            rate=Fraction(30000, 1001),
+            first_frame=first,
+            last_frame=first + len(weights) - 1,
+            place=place,
+            regions=("face",),
+            timecode_start="00:01:00;02",
+        ),
         read_rig(folder / "rig.usda"),
-        shape_names=NAMES,
-        rate=Fraction(30000, 1001),
-        first_frame=first,
-        last_frame=first + len(weights) - 1,
-        place=place,
-        regions=("face",),
-        timecode_start="00:01:00;02",
         provenance=Provenance("map", "{}", {}),
     ) as writer:
         for start in range(0, len(weights), 7):
@@ -60,7 +60,15 @@ def write_with_another_rig(path: Path) -> None:
     write_rig(path.with_name("v002.usda"), small_rig())
     other = read_rig(path.with_name("v002.usda"))
     with writing_performance(
-        path, other, shape_names=NAMES, rate=Fraction(24), first_frame=1, last_frame=len(WEIGHTS)
+        path,
+        make_header(
+            other,
+            shape_names=NAMES,
+            rate=Fraction(24),
+            first_frame=1,
+            last_frame=len(WEIGHTS),
+        ),
+        other,
     ) as writer:
         writer.append(WEIGHTS)
 
@@ -218,7 +226,7 @@ def test_an_animation_beside_the_rig_is_read_with_the_place_of_the_rig(tmp_path:
     weights.Save()
     reader = PerformanceReader(path)
     assert str(reader.animation.GetPath()) == "/anims/face"
-    assert header_of(reader).place == "/cast/hero"
+    assert reader.header.place == "/cast/hero"
 
 
 def test_a_folder_behind_a_link_finds_the_rig_by_the_name_it_was_given(tmp_path: Path) -> None:
@@ -230,11 +238,14 @@ def test_a_folder_behind_a_link_finds_the_rig_by_the_name_it_was_given(tmp_path:
     path = work / "shot.usda"
     with writing_performance(
         path,
+        make_header(
+            read_rig(tmp_path / "show" / "rig.usda"),
+            shape_names=NAMES,
+            rate=Fraction(24),
+            first_frame=1,
+            last_frame=len(WEIGHTS),
+        ),
         read_rig(tmp_path / "show" / "rig.usda"),
-        shape_names=NAMES,
-        rate=Fraction(24),
-        first_frame=1,
-        last_frame=len(WEIGHTS),
     ) as writer:
         writer.append(WEIGHTS)
     assert PerformanceReader(path).rig() == (tmp_path / "show" / "rig.usda", "/Hero")
@@ -258,10 +269,18 @@ def test_two_faces_of_one_file_are_each_moved_by_their_own_weights(tmp_path: Pat
         path = tmp_path / f"{name}.usda"
         rig = read_rig(tmp_path / "rig.usda", prim=f"/duo/{name}")
         with writing_performance(
-            path, rig, shape_names=NAMES, rate=Fraction(24), first_frame=1, last_frame=len(WEIGHTS)
+            path,
+            make_header(
+                rig,
+                shape_names=NAMES,
+                rate=Fraction(24),
+                first_frame=1,
+                last_frame=len(WEIGHTS),
+            ),
+            rig,
         ) as writer:
             writer.append(weights)
-        assert header_of(PerformanceReader(path)).animation == f"/duo/FaceSolve_{name}"
+        assert PerformanceReader(path).header.animation == f"/duo/FaceSolve_{name}"
         frame = Deformer(rig).points(weights[:1, [NAMES.index(each) for each in rig.shapes]])
         np.testing.assert_allclose(PosedRig(path).points(1), frame[0], atol=1e-3)
     shot = Sdf.Layer.CreateNew(str(tmp_path / "shot.usda"))
@@ -366,15 +385,19 @@ def test_an_interrupted_mapping_leaves_the_old_performance(tmp_path: Path) -> No
     before = {each.name: each.read_bytes() for each in tmp_path.iterdir()}
     rig = read_rig(tmp_path / "rig.usda")
 
-    def interrupted() -> None:
-        with writing_performance(
-            path, rig, shape_names=NAMES, rate=Fraction(24), first_frame=1, last_frame=100
-        ) as writer:
+    def stopped(error: type[BaseException] | None) -> None:
+        header = make_header(
+            rig, shape_names=NAMES, rate=Fraction(24), first_frame=1, last_frame=100
+        )
+        with writing_performance(path, header, rig) as writer:
             writer.append(WEIGHTS)
-            raise KeyboardInterrupt
+            if error is not None:
+                raise error
 
     with pytest.raises(KeyboardInterrupt):
-        interrupted()
+        stopped(KeyboardInterrupt)
+    with pytest.raises(ValueError, match="20 frames were appended where 100 were announced"):
+        stopped(None)
     assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == before
 
 

@@ -12,8 +12,8 @@ from usdface.numerics.motion.key_reduction import Deviation, reduce_keys
 from usdface.runner.result import StepResult
 from usdface.specs.edits import BakeSpec
 from usdface.usdio.performance.edits import edited_weights
+from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import writing_weights
-from usdface.usdio.performance.write import PerformanceReader, header_of
 from usdface.usdio.rig.read import read_rig
 
 _BLOCK_FRAMES = 4096
@@ -30,7 +30,7 @@ def run(
     reader = PerformanceReader(spec.performance, prim=spec.prim)
     file, prim = reader.rig()
     rig = read_rig(file, prim=prim)
-    header = header_of(reader)
+    header = reader.header
     kept = 0
     with writing_weights(spec.out, header, rig, provenance=provenance) as writer:
         surface = _Surface(rig, reader.names) if spec.unit == "mm" and spec.tolerance else None

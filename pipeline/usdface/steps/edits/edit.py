@@ -27,7 +27,7 @@ from usdface.usdio.performance.edits import (
     read_edits,
     write_edits,
 )
-from usdface.usdio.performance.write import PerformanceReader
+from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.take.frame_span import UNSAMPLED_FRAMES, check_frame_span
 
 FARTHEST_BEYOND = UNSAMPLED_FRAMES // 4

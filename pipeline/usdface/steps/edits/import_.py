@@ -25,7 +25,7 @@ from usdface.usdio.performance.edits import (
     read_edits,
     write_edits,
 )
-from usdface.usdio.performance.write import PerformanceReader
+from usdface.usdio.performance.read import PerformanceReader
 
 
 def run(

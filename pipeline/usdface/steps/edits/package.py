@@ -10,7 +10,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.edits import BakeSpec, PackageSpec
 from usdface.steps.edits import bake
 from usdface.usdio.performance.package import write_package
-from usdface.usdio.performance.write import PerformanceReader
+from usdface.usdio.performance.read import PerformanceReader
 
 
 def run(

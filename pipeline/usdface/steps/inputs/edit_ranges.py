@@ -12,7 +12,7 @@ from usdface.core.text import pluralize
 from usdface.runner.result import StepResult
 from usdface.runner.sandbox import confine
 from usdface.usdio.performance.edits import edited_frames, edits_elsewhere, read_edits
-from usdface.usdio.performance.write import PerformanceReader
+from usdface.usdio.performance.read import PerformanceReader
 
 _CHANGED = 0.1
 """Change of the solved weight beneath an edit that an animator should look at: a tenth of a shape's

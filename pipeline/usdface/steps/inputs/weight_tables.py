@@ -19,7 +19,7 @@ from usdface.usdio.performance.blender_export import (
     blender_names,
     read_blender_weights,
 )
-from usdface.usdio.performance.write import PerformanceReader
+from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.take.frame_span import FARTHEST_FRAME
 
 LARGEST_TABLE_BYTES = 1 << 30

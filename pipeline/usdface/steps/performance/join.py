@@ -14,8 +14,9 @@ from usdface.specs.performance import JoinSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.performance.map import LARGEST_LAYER_BYTES
 from usdface.usdio.performance.clips import ClipPart, write_clips
+from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import WeightsHeader, writing_weights
-from usdface.usdio.performance.write import PerformanceReader, header_of, writing_top
+from usdface.usdio.performance.write import writing_top
 from usdface.usdio.rig.read import read_rig
 
 
@@ -24,7 +25,7 @@ def run(
 ) -> StepResult:
     """Merge the parts, or play them as value clips, whichever their size asks for."""
     readers = sorted(map(PerformanceReader, spec.parts), key=lambda each: each.first_frame)
-    headers = [header_of(reader) for reader in readers]
+    headers = [reader.header for reader in readers]
     _check_parts(spec, readers, headers)
     file, prim = readers[0].rig()
     rig = read_rig(file, prim=prim)

@@ -9,6 +9,7 @@ from usdface.core.assets import Rig, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import weights_path
 from usdface.core.text import pluralize
 from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace
 from usdface.model.mapping.predict import regions_of
@@ -22,7 +23,8 @@ from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.inputs.take_head_space import read_markers, take_head_space
 from usdface.steps.performance.predict_blocks import check_blend, predict_pipelined, solve_blended
 from usdface.usdio.mapping import read_mapping
-from usdface.usdio.performance.write import weights_path, writing_performance
+from usdface.usdio.performance.weights_layer import make_header
+from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader
 
@@ -58,14 +60,17 @@ def run(
     lacking: list[np.ndarray] = []
     with writing_performance(
         spec.out,
+        make_header(
+            rig,
+            shape_names=mapping.shape_names,
+            rate=take.rate,
+            first_frame=first,
+            last_frame=last,
+            place=spec.prim,
+            regions=regions_of(mapping),
+            timecode_start=take.timecode_at(first),
+        ),
         rig,
-        shape_names=mapping.shape_names,
-        rate=take.rate,
-        first_frame=first,
-        last_frame=last,
-        place=spec.prim,
-        regions=regions_of(mapping),
-        timecode_start=take.timecode_at(first),
         part_frames=_part_frames(spec, last - first + 1, len(mapping.shape_names)),
         provenance=provenance,
     ) as writer:

@@ -23,7 +23,7 @@ from usdface.steps.inputs.tuned_pairs import SAME
 from usdface.steps.references.tuning_guard import nobody_tunes
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.mapping import read_mapping
-from usdface.usdio.performance.write import PerformanceReader
+from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import (
     TunedPair,
     read_references,

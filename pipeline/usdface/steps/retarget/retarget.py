@@ -10,6 +10,7 @@ from usdface.core.controls import Retargeting
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import weights_path
 from usdface.core.text import pluralize
 from usdface.model.retarget.train import retarget
 from usdface.runner.result import StepResult
@@ -23,7 +24,7 @@ from usdface.steps.inputs.source_motion import (
     read_source_motion,
     source_columns,
 )
-from usdface.usdio.performance.write import weights_path
+from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.retarget.control_performance import controls_path, writing_control_performance
 from usdface.usdio.retarget.mapping import read_retargeting
 from usdface.usdio.rig.read import read_rig
@@ -109,15 +110,18 @@ def _write(
     notes = [*said, *_dead(trained, source)]
     with writing_control_performance(
         out,
+        make_header(
+            rig,
+            shape_names=trained.shapes,
+            rate=motion.rate,
+            first_frame=motion.first_frame,
+            last_frame=motion.last_frame,
+            place=spec.prim,
+            timecode_start=motion.timecode_start,
+        ),
         rig,
-        shapes=trained.shapes,
         joints=trained.joints,
         attributes=trained.attributes,
-        rate=motion.rate,
-        first_frame=motion.first_frame,
-        last_frame=motion.last_frame,
-        place=spec.prim,
-        timecode_start=motion.timecode_start,
         provenance=provenance,
     ) as writer:
         for start in range(0, len(source), _CHUNK_FRAMES):

@@ -13,6 +13,7 @@ from usdface.core.controls import Controls, EmotionalSequence, SequenceMatch
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import weights_path
 from usdface.core.text import pluralize
 from usdface.media.charts.motion_curves import (
     FrameSpan,
@@ -29,7 +30,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.retarget import WarpSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.performance.write import header_of, weights_path
+from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.retarget.control_performance import controls_path, writing_control_performance
 from usdface.usdio.retarget.controls import ReadControls, read_control_clip
 from usdface.usdio.retarget.sequences import check_sequence_rate, read_matches, read_sequence
@@ -74,7 +75,7 @@ def run(
     # vector and back would not be the same to the last bit.
     warped = _replace_changed(read.clip.controls, space.decode(after), after != before)
     progress(0.6, "writing")
-    _write(spec, rig, header_of(reader).place, read, warped, part(progress, 0.6, 0.95), provenance)
+    _write(spec, rig, reader.header.place, read, warped, part(progress, 0.6, 0.95), provenance)
     if spec.curves is not None:
         _draw(spec, spec.curves, placements, space, before, after, read, provenance)
     progress(1.0, "done")
@@ -246,15 +247,18 @@ def _write(
 ) -> None:
     with writing_control_performance(
         spec.out,
+        make_header(
+            rig,
+            shape_names=warped.shapes,
+            rate=read.rate,
+            first_frame=read.clip.first_frame,
+            last_frame=read.clip.last_frame,
+            place=place,
+            timecode_start=read.timecode_start,
+        ),
         rig,
-        shapes=warped.shapes,
         joints=warped.joints,
         attributes=warped.attributes,
-        rate=read.rate,
-        first_frame=read.clip.first_frame,
-        last_frame=read.clip.last_frame,
-        place=place,
-        timecode_start=read.timecode_start,
         provenance=provenance,
     ) as writer:
         for start in range(0, len(warped), _CHUNK_FRAMES):

@@ -28,7 +28,7 @@ from usdface.steps.review.evaluation_tables import (
     failures,
     shapes_with_motion,
 )
-from usdface.usdio.performance.write import read_performance
+from usdface.usdio.performance.read import read_performance
 from usdface.usdio.rig.read import read_rig
 
 

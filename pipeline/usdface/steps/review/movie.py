@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import sys
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import ExitStack
@@ -13,7 +14,6 @@ from pathlib import Path
 from usdface.core.arrays import ByteImage
 from usdface.core.assets import Take
 from usdface.core.errors import InputError
-from usdface.core.interpreter import can_start_again
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance, canonical_json, hash_text
 from usdface.core.rates import exact_rate
@@ -160,9 +160,15 @@ def _make_folder(folder: Path, *, keep: set[Path]) -> None:
         raise InputError(f"{folder}: cannot be written to ({error.strerror})") from error
 
 
+def _is_python() -> bool:
+    """Whether this process is a Python interpreter, and not a DCC with one inside."""
+    names = (sys.executable or "", *(sys.orig_argv[:1] or [""]))
+    return all(Path(name).stem.lower().startswith("python") for name in names)
+
+
 def _draw_all(plan: _Plan, stretches: list[_Stretch], shot: Shot, progress: Progress) -> None:
     count = min(plan.spec.workers or _cores(), len(stretches))
-    if count <= 1 or not can_start_again():  # a pool within a DCC would start the DCC
+    if count <= 1 or not _is_python():  # a pool within a DCC would start the DCC
         for number, stretch in enumerate(stretches):
             progress(0.02 + 0.95 * number / len(stretches), f"drawing picture {stretch.start}")
             _draw_stretch(plan, shot, stretch)

@@ -24,7 +24,7 @@ from usdface.specs.paths import frame_range
 from usdface.specs.review import AUTO
 from usdface.steps.inputs.cleaned_takes import read_cleaned
 from usdface.steps.review.shot_camera import ShotCamera
-from usdface.usdio.performance.write import PerformanceReader, read_performance
+from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.rig.read import read_rig
 
 EXAGGERATION = 4.0

@@ -15,7 +15,8 @@ from usdface.core.rates import exact_rate
 from usdface.core.timecode import shift_timecode
 from usdface.usdio.layers import open_stage
 from usdface.usdio.performance.edits import ShapeEdit, edited_weights, read_edits
-from usdface.usdio.rig.reference import rig_of
+from usdface.usdio.performance.weights_layer import ANIMATION, WeightsHeader
+from usdface.usdio.rig.reference import place_of, rig_of
 from usdface.usdio.take.frame_span import span_of_samples
 from usdface.usdio.wrong_types import refusing_wrong_types
 
@@ -108,6 +109,21 @@ class PerformanceReader:
     def edits(self) -> dict[str, ShapeEdit]:
         """What was edited, by shape, over all frames of the performance."""
         return read_edits(self.animation, self.frames)
+
+    @property
+    def header(self) -> WeightsHeader:
+        """What the header of a weights layer says that stands for the performance."""
+        place, path = place_of(self.stage, self.animation), self.animation.GetPath()
+        return WeightsHeader(
+            place=place,
+            shape_names=self.names,
+            rate=self.rate,
+            first_frame=self.first_frame,
+            last_frame=self.last_frame,
+            regions=self.regions,
+            timecode_start=self.timecode_start,
+            name=path.name if path.GetParentPath() == Sdf.Path(place) else ANIMATION,
+        )
 
     def rig(self) -> tuple[Path, str]:
         """Return the file and the SkelRoot of the rig that the performance drives."""

@@ -26,7 +26,7 @@ from usdface.usdio.layers import (
     save_layer,
 )
 from usdface.usdio.rig.read import faces_below
-from usdface.usdio.rig.reference import point_skeletons_at
+from usdface.usdio.rig.reference import default_place, point_skeletons_at
 
 ANIMATION = "FaceSolve"
 """Name of the animation prim, a child of the referenced rig."""
@@ -95,16 +95,10 @@ class WeightsWriter:
     path : Path
         What messages call the layer, which has a temporary name.
     layer : Sdf.Layer
-        An empty one.
-    header : WeightsHeader
-    text : str
-        From `without_samples`.
+        With its header, from `author_header`.
     """
 
-    def __init__(self, path: Path, layer: Sdf.Layer, header: WeightsHeader, text: str) -> None:
-        start = Sdf.Layer.CreateAnonymous()
-        start.ImportFromString(text)
-        layer.TransferContent(start)
+    def __init__(self, path: Path, layer: Sdf.Layer, header: WeightsHeader) -> None:
         self._path = path
         self._layer = layer
         self._weights = header.animation.AppendProperty(WEIGHTS)
@@ -252,33 +246,24 @@ def writing_weights(
     ValueError
         If other frames were appended than the header says.
     """
-    with new_layer(path, None) as layer:
-        writer = WeightsWriter(path, layer, header, without_samples(header, rig, provenance))
+    with new_layer(path) as layer:
+        _fill(layer, header, rig, provenance)
+        writer = WeightsWriter(path, layer, header)
         yield writer
-        check_count(path, header, writer.next_frame)
+        if writer.next_frame != header.last_frame + 1:
+            raise ValueError(
+                f"{path}: {writer.next_frame - header.first_frame} frames were appended where "
+                f"{header.frame_count} were announced"
+            )
 
 
-def without_samples(header: WeightsHeader, rig: Rig, provenance: Provenance | None) -> str:
-    """Return a weights layer but for its samples, as text that another process can be given.
-
-    Raises
-    ------
-    InputError
-        If the rig's skeletons cannot be pointed at the animation.
-    """
-    layer = Sdf.Layer.CreateAnonymous()
-    author_header(layer, header, rig)
-    author_provenance(layer, provenance)
-    return str(layer.ExportToString())
-
-
-def check_count(path: Path, header: WeightsHeader, next_frame: int) -> None:
-    """Refuse a layer to which other frames were appended than its header says."""
-    if next_frame != header.last_frame + 1:
-        raise ValueError(
-            f"{path}: {next_frame - header.first_frame} frames were appended where "
-            f"{header.frame_count} were announced"
-        )
+def _fill(layer: Sdf.Layer, header: WeightsHeader, rig: Rig, provenance: Provenance | None) -> None:
+    """Write all but the samples, through text: the tokens of a binary layer lie in its order."""
+    written, parsed = Sdf.Layer.CreateAnonymous(), Sdf.Layer.CreateAnonymous()
+    author_header(written, header, rig)
+    author_provenance(written, provenance)
+    parsed.ImportFromString(written.ExportToString())
+    layer.TransferContent(parsed)
 
 
 def animation_name(rig: Rig) -> str:
@@ -295,6 +280,38 @@ def animation_name(rig: Rig) -> str:
     if len(faces_below(stage.GetPrimAtPath(top))) < 2:
         return ANIMATION
     return "_".join([ANIMATION, *str(path.MakeRelativePath(top)).split("/")])
+
+
+def make_header(
+    rig: Rig,
+    *,
+    shape_names: tuple[str, ...],
+    rate: Fraction,
+    first_frame: int,
+    last_frame: int,
+    place: str | None = None,
+    regions: tuple[str, ...] = (),
+    timecode_start: str = "",
+) -> WeightsHeader:
+    """Return the header of weights that drive a rig.
+
+    Parameters
+    ----------
+    rig : Rig
+        Names the animation prim, and the place where none is given: its own top prim's.
+    shape_names, rate, first_frame, last_frame, place, regions, timecode_start
+        As in `WeightsHeader`.
+    """
+    return WeightsHeader(
+        place=place or default_place(rig),
+        shape_names=shape_names,
+        rate=rate,
+        first_frame=first_frame,
+        last_frame=last_frame,
+        regions=regions,
+        timecode_start=timecode_start,
+        name=animation_name(rig),
+    )
 
 
 def place_in(layer: Sdf.Layer) -> str:

@@ -3,7 +3,6 @@
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 
 from pxr import Sdf, Usd
@@ -21,95 +20,50 @@ from usdface.usdio.layers import (
     read_provenance,
     relative_path,
 )
-from usdface.usdio.performance.clips import clear_parts, writing_parts
-from usdface.usdio.performance.read import (
-    PerformanceReader,
-    find_animation,
-    read_performance,
-    read_weights,
-)
+from usdface.usdio.performance.clips import PartsWriter, clear_parts, writing_parts
 from usdface.usdio.performance.weights_layer import (
-    ANIMATION,
     WeightsHeader,
-    animation_name,
+    WeightsWriter,
     place_in,
+    writing_weights,
 )
-from usdface.usdio.performance.weights_process import FrameWriter, writing_frames
 from usdface.usdio.rig.reference import (
     default_place,
     define_reference,
     forget_reference,
-    place_of,
 )
 from usdface.usdio.rig.variants import carry_variants
-
-__all__ = [
-    "PerformanceReader",
-    "find_animation",
-    "header_of",
-    "read_performance",
-    "read_weights",
-    "weights_path",
-    "writing_performance",
-    "writing_top",
-]
 
 
 @contextlib.contextmanager
 def writing_performance(
     path: Path,
+    header: WeightsHeader,
     rig: Rig,
     *,
-    shape_names: tuple[str, ...],
-    rate: Fraction,
-    first_frame: int,
-    last_frame: int,
-    place: str | None = None,
-    regions: tuple[str, ...] = (),
-    timecode_start: str = "",
     part_frames: int | None = None,
     provenance: Provenance | None = None,
-) -> Iterator[FrameWriter]:
+) -> Iterator[WeightsWriter | PartsWriter]:
     """Write a performance frame by frame; the files appear when the block ends without error.
 
     Parameters
     ----------
     path : Path
         The layer to open. If it exists, what others put into it (edits, further sublayers) stays.
-    rig : Rig
-    shape_names : tuple of str
-        Order of the weights that will be appended.
-    rate : Fraction
-    first_frame, last_frame : int
-        Inclusive.
-    place : str, optional
-        Prim path of the rig in the performance; its own top prim's by default.
-    regions : tuple of str
-        Names of the residual's regions.
-    timecode_start : str
+    header : WeightsHeader
+        From `make_header`; frames are appended from its first to its last.
     part_frames : int, optional
         Write the weights as parts of this many frames, played as value clips; one layer by default.
-    provenance : Provenance, optional
 
     Raises
     ------
     InputError
         If the files cannot be written; what was there is then left as it was.
     """
-    header = WeightsHeader(
-        place=place or default_place(rig),
-        shape_names=shape_names,
-        rate=rate,
-        first_frame=first_frame,
-        last_frame=last_frame,
-        regions=regions,
-        timecode_start=timecode_start,
-        name=animation_name(rig),
-    )
+    weights_file = weights_path(path)
     with writing_top(path, header, rig, provenance=provenance):
-        weights_file = weights_path(path)
         if part_frames is None:
-            with writing_frames(weights_file, header, rig, provenance=provenance) as writer:
+            with writing_weights(weights_file, header, rig, provenance=provenance) as writer:
                 yield writer
         else:
             with writing_parts(
@@ -195,18 +149,3 @@ def _before(path: Path) -> _Before:
         return _Before()
     folder, inputs = path.resolve().parent, () if made is None else made.inputs
     return _Before(place, frozenset((folder / each).resolve() for each in inputs))
-
-
-def header_of(reader: PerformanceReader) -> WeightsHeader:
-    """Return what a weights layer says that stands for a performance."""
-    place, own = place_of(reader.stage, reader.animation), reader.animation.GetPath()
-    return WeightsHeader(
-        place=place,
-        shape_names=reader.names,
-        rate=reader.rate,
-        first_frame=reader.first_frame,
-        last_frame=reader.last_frame,
-        regions=reader.regions,
-        timecode_start=reader.timecode_start,
-        name=own.name if own.GetParentPath() == Sdf.Path(place) else ANIMATION,
-    )

@@ -6,7 +6,6 @@ beside it, NAME.controls.usdc: joints on the same animation, attributes as overs
 
 import contextlib
 from collections.abc import Iterator
-from fractions import Fraction
 from pathlib import Path
 
 from pxr import Sdf
@@ -24,14 +23,13 @@ from usdface.usdio.layers import (
     relative_path,
     save_layer,
 )
-from usdface.usdio.performance.weights_layer import animation_name
-from usdface.usdio.performance.weights_process import FrameWriter
+from usdface.usdio.performance.clips import PartsWriter
+from usdface.usdio.performance.weights_layer import WeightsHeader, WeightsWriter
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.retarget.control_attributes import attribute_path, control_attribute
 from usdface.usdio.retarget.controls import NAMES, author_joints, set_joint_samples
-from usdface.usdio.rig.reference import default_place
 
-_LOT = 1 << 14
+_FRAMES_PER_SAVE = 1 << 14
 """Frames between two saves: saved samples are read back from disk, so that memory stays bounded."""
 
 
@@ -47,14 +45,14 @@ class ControlsLayer:
         self,
         layer: Sdf.Layer,
         path: Path,
-        *,
-        place: Sdf.Path,
+        header: WeightsHeader,
         rig: Rig,
+        *,
         joints: tuple[str, ...],
         attributes: tuple[str, ...],
     ) -> None:
         self._layer, self._path, self._unsaved = layer, path, 0
-        self._animation = place.AppendChild(animation_name(rig))
+        self._animation = header.animation
         prim = Sdf.CreatePrimInLayer(layer, self._animation)
         if joints:
             author_joints(prim, joints)
@@ -65,7 +63,7 @@ class ControlsLayer:
         self._attributes = []
         for name in attributes:
             kind = control_attribute(top, name, rig.file).GetTypeName()
-            where = attribute_path(place, name)
+            where = attribute_path(Sdf.Path(header.place), name)
             if where is not None:
                 over = Sdf.CreatePrimInLayer(layer, where.GetPrimPath())
                 self._attributes.append(Sdf.AttributeSpec(over, where.name, kind).path)
@@ -78,7 +76,7 @@ class ControlsLayer:
             for frame, value in enumerate(controls.values[:, column].tolist(), start=first_frame):
                 self._layer.SetTimeSample(place, frame, value)
         self._unsaved += len(controls)
-        if self._unsaved >= _LOT:
+        if self._unsaved >= _FRAMES_PER_SAVE:
             save_layer(self._layer, self._path)
             self._unsaved = 0
 
@@ -87,32 +85,27 @@ class ControlsWriter:
     """Appends frames; made by `writing_control_performance`."""
 
     def __init__(
-        self, weights: FrameWriter, beside: ControlsLayer | None, first_frame: int
+        self, weights: WeightsWriter | PartsWriter, others: ControlsLayer | None, first_frame: int
     ) -> None:
-        self._weights, self._beside = weights, beside
+        self._weights, self._others = weights, others
         self.next_frame = first_frame
 
     def append(self, controls: Controls) -> None:
         """Append frames of every control."""
         self._weights.append(controls.weights)
-        if self._beside is not None:
-            self._beside.append(controls, self.next_frame)
+        if self._others is not None:
+            self._others.append(controls, self.next_frame)
         self.next_frame += len(controls)
 
 
 @contextlib.contextmanager
 def writing_control_performance(
     path: Path,
+    header: WeightsHeader,
     rig: Rig,
     *,
-    shapes: tuple[str, ...],
     joints: tuple[str, ...],
     attributes: tuple[str, ...],
-    rate: Fraction,
-    first_frame: int,
-    last_frame: int,
-    place: str | None = None,
-    timecode_start: str = "",
     provenance: Provenance | None = None,
 ) -> Iterator[ControlsWriter]:
     """Write a performance of any controls; the files appear when the block ends without error.
@@ -121,57 +114,38 @@ def writing_control_performance(
     ----------
     path : Path
         The layer to open; what others put into it stays.
-    rig : Rig
-    shapes, joints, attributes : tuples of str
-        What will be appended, in this order.
-    rate : Fraction
-    first_frame, last_frame : int
-        Inclusive.
-    place : str, optional
-        Prim path of the rig in the performance; its own top prim's by default.
-    timecode_start : str
-    provenance : Provenance, optional
+    header : WeightsHeader
+        Of the weights that will be appended, as `writing_performance` takes it.
+    joints, attributes : tuples of str
+        What will be appended besides, in this order.
 
     Raises
     ------
     InputError
         If the files cannot be written, or an attribute is not on the rig.
     """
-    beside = controls_path(path) if joints or attributes else None
+    controls_file = controls_path(path) if joints or attributes else None
     with contextlib.ExitStack() as stack:
-        weights = stack.enter_context(
-            writing_performance(
-                path,
-                rig,
-                shape_names=shapes,
-                rate=rate,
-                first_frame=first_frame,
-                last_frame=last_frame,
-                place=place,
-                timecode_start=timecode_start,
-                provenance=provenance,
-            )
-        )
+        weights = stack.enter_context(writing_performance(path, header, rig, provenance=provenance))
         others = None
-        if beside is not None:
-            layer = stack.enter_context(new_layer(beside, provenance))
-            top = Sdf.Path(place or default_place(rig))
+        if controls_file is not None:
+            layer = stack.enter_context(new_layer(controls_file, provenance))
             author_units(layer, like=rig.file)
-            author_timing(layer, rate=rate, first=first_frame, last=last_frame)
-            layer.defaultPrim = top.GetPrefixes()[0].name
+            author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
+            layer.defaultPrim = Sdf.Path(header.place).GetPrefixes()[0].name
             others = ControlsLayer(
-                layer, beside, place=top, rig=rig, joints=joints, attributes=attributes
+                layer, controls_file, header, rig, joints=joints, attributes=attributes
             )
-        yield ControlsWriter(weights, others, first_frame)
-    _attach(path, beside, provenance)
+        yield ControlsWriter(weights, others, header.first_frame)
+    _attach(path, controls_file, provenance)
 
 
-def _attach(path: Path, beside: Path | None, provenance: Provenance | None) -> None:
+def _attach(path: Path, controls_file: Path | None, provenance: Provenance | None) -> None:
     """Make the performance's layer open the controls' layer, or no longer open an older one."""
     asset = relative_path(controls_path(path), path)
     old = open_layer(path)  # what a layer lends does not outlive it
     present = list(old.subLayerPaths)
-    wanted = [each for each in present if each != asset] + ([asset] if beside else [])
+    wanted = [each for each in present if each != asset] + ([asset] if controls_file else [])
     if wanted == present:
         return
     with new_layer(path, provenance) as layer:
