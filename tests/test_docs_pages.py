@@ -1,4 +1,4 @@
-"""The pages that guard and the pages per task: what they name is there, what they show runs."""
+"""Files, tests, variables, modules, options and commands named in the documentation exist."""
 
 import inspect
 import re
@@ -36,9 +36,48 @@ def test_every_variable_that_the_code_reads_is_on_the_security_page() -> None:
                 assert f"`{name}`" in page, f"{file.name} reads {name}"
 
 
+PACKAGE = REPOSITORY / "pipeline" / "usdface"
+FOLDERS = "|".join(
+    sorted(each.name for each in PACKAGE.iterdir() if (each / "__init__.py").exists())
+)
+PLACEHOLDERS = ("WORKFLOW", "USDFACE_HOOKS")
+"""Parts of paths that stand for others."""
+
+
+def names_in(dotted: str) -> bool:
+    """Whether a dotted name is a module of the package, or a name in one."""
+    parts = dotted.split(".")
+    for count in range(len(parts), 0, -1):
+        path = PACKAGE.joinpath(*parts[:count])
+        file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+        if file.is_file():
+            rest = parts[count:]
+            return not rest or re.search(rf"\b{rest[0]}\b", file.read_text("utf-8")) is not None
+    return False
+
+
+def test_every_module_and_file_that_a_page_names_is_there() -> None:
+    """Fragments of changes tell of the past, and may name what is gone."""
+    gone = []
+    for page in [REPOSITORY / "README.md", *DOCS.rglob("*.md")]:
+        if page.parent.name == "changes":
+            continue
+        text = page.read_text("utf-8")
+        dotted = re.findall(rf"`(?:usdface\.)?((?:{FOLDERS})(?:\.(?!json`)\w+)+)`", text)
+        gone += [f"{page.name}: {name}" for name in dotted if not names_in(name)]
+        paths = re.findall(r"(?<![\w/.-])((?:[\w-]+/)+(?:[\w-]+\.(?:py|js|yaml))?)(?=[`:])", text)
+        gone += [
+            f"{page.name}: {path}"
+            for path in paths
+            if not any((top / path).exists() for top in (REPOSITORY, PACKAGE, page.parent))
+            and not any(part in path for part in PLACEHOLDERS)
+        ]
+    assert gone == []
+
+
 HOW_TO = sorted((DOCS / "howto").glob("*.md"))
 NO_SPEC = ("check", "describe", "edits list", "run", "submit", "tune", "validate")
-"""Commands that `--save-spec` cannot try: their options are looked up."""
+"""Commands without `--save-spec`: their options are looked up in the reference."""
 
 
 @pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.stem)
@@ -104,7 +143,7 @@ OTHERS = {
     "--require-hashes": "pip",
     "--out --quick --full": "poe bench",
 }
-"""Options of other programs that pages speak of."""
+"""Options of other programs."""
 
 
 def test_pages_name_no_option_command_or_task_that_is_not_there() -> None:
