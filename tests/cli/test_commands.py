@@ -174,7 +174,9 @@ def test_the_list_of_commands_says_whole_sentences(capsys) -> None:
     told = capsys.readouterr().out
     assert "...\n" not in told.replace("[ARGS]...", "")
     assert told.index("Capture:") < told.index("Review:")
-    assert "Find the time offset and clock drift between video and capture" in " ".join(told.split())
+    assert "Find the time offset and clock drift between video and capture" in " ".join(
+        told.split()
+    )
 
 
 @pytest.mark.parametrize(
