@@ -13,11 +13,11 @@ from tests.conftest import SHARED_DATA
 from tests.tuning.test_page import Command, Page
 from usdface.core.assets import References, Rig
 from usdface.core.deformer import Deformer
+from usdface.core.sidecars import tuned_path
 from usdface.demo.rig import demo_rig
-from usdface.specs.references import proposed_references_path, tuned_path
 from usdface.tuning.journal import Change
 from usdface.tuning.session import TuningSession
-from usdface.usdio.references.read import write_references
+from usdface.usdio.references.write import write_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 
@@ -175,7 +175,5 @@ def _asset(folder: Path, rig: Rig) -> Path:
         path,
         references,
         rig,
-        tuned_path=tuned_path(path),
-        proposed_path=proposed_references_path(path),
     )
     return path

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usdface.core.errors import InputError
-from usdface.farm.chunks import ChunkSizes, in_chunks, parts_folder
+from usdface.core.sidecars import parts_folder
+from usdface.farm.chunks import ChunkSizes, in_chunks
 from usdface.farm.plan import FarmStep, Plan, plan_job
 from usdface.specs.base import Spec
 from usdface.specs.capture import AlignSpec, CleanSpec, IngestSpec

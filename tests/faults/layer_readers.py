@@ -12,16 +12,14 @@ from usdface.steps.edits.validate import validate_layers
 from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.layers import read_provenance
-from usdface.usdio.mapping import read_mapping
+from usdface.usdio.mapping import read_alpha_keys, read_mapping
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.referenced_files import frame_range_of, referenced_files
-from usdface.usdio.references.pair_names import read_pair_names
 from usdface.usdio.references.read import read_references, read_tuned_pairs
-from usdface.usdio.references.tuning import read_pair_notes, read_proposals
-from usdface.usdio.retarget.alpha import read_alpha_keys
+from usdface.usdio.references.tuning import read_pair_names, read_pair_notes, read_proposals
 from usdface.usdio.retarget.controls import read_control_clip
-from usdface.usdio.retarget.mapping import read_retargeting
 from usdface.usdio.retarget.pairs import read_pairs
+from usdface.usdio.retarget.retargeting import read_retargeting
 from usdface.usdio.retarget.sequences import read_matches, read_sequence
 from usdface.usdio.rig.mesh import read_face_mesh
 from usdface.usdio.rig.posed_points import PosedRig

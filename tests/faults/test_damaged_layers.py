@@ -22,7 +22,7 @@ from tests.faults.layer_readers import READERS, Read, film
 from tests.faults.world import World
 from usdface.core.errors import InputError
 from usdface.steps.edits.validate import validate_layers
-from usdface.usdio.retarget.alpha import read_alpha_keys
+from usdface.usdio.mapping import read_alpha_keys
 from usdface.usdio.take.foreign import read_foreign_take
 
 pytestmark = pytest.mark.faults

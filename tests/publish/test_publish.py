@@ -18,6 +18,7 @@ from tests.steps.small_shot import FRAMES, Shot
 from tests.usdio.small_rig import small_rig
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import controls_path
 from usdface.publish import (
     Extracted,
     ReviewOptions,
@@ -35,7 +36,6 @@ from usdface.usdio.layers import new_layer
 from usdface.usdio.performance.read import read_performance
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
-from usdface.usdio.retarget.control_performance import controls_path
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.validation import validate

@@ -6,10 +6,9 @@ import numpy as np
 
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import References
-from usdface.specs.references import proposed_references_path, tuned_path
 from usdface.tuning.journal import Change
 from usdface.tuning.session import TuningSession
-from usdface.usdio.references.read import write_references
+from usdface.usdio.references.write import write_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 
@@ -42,8 +41,6 @@ def write_asset(folder: Path, references: References | None = None) -> Path:
         path,
         references or small_references(folder),
         read_rig(folder / "rig.usda"),
-        tuned_path=tuned_path(path),
-        proposed_path=proposed_references_path(path),
     )
     return path
 

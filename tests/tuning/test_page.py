@@ -20,7 +20,7 @@ import pytest
 
 from tests.browser import chromium
 from tests.tuning.small_asset import small_references, write_asset
-from usdface.specs.references import tuned_path
+from usdface.core.sidecars import tuned_path
 from usdface.usdio.references.read import read_references
 
 PATIENCE_SECONDS = 40.0

@@ -9,16 +9,12 @@ import pytest
 
 from tests.tuning.small_asset import change, put, small_references, write_asset
 from usdface.core.errors import InputError
-from usdface.specs.references import tuned_path
+from usdface.core.sidecars import tuned_path
 from usdface.tuning import session as session_module
 from usdface.tuning.journal import Change
 from usdface.tuning.session import StaleRevisionError, TuningSession
-from usdface.usdio.references.read import (
-    TunedPair,
-    read_references,
-    read_tuned_pairs,
-    write_tuned_weights,
-)
+from usdface.usdio.references.read import TunedPair, read_references, read_tuned_pairs
+from usdface.usdio.references.write import write_tuned_weights
 
 
 @pytest.fixture
@@ -137,7 +133,7 @@ def test_weights_imported_while_the_page_is_open_are_kept(
     write_tuned_weights(
         references,
         [TunedPair(3, "kitchen", int(references.frames[3]), {"smile": 0.25})],
-        tuned_path=tuned_path(asset),
+        layer_path=tuned_path(asset),
     )
     with pytest.raises(StaleRevisionError, match="changed elsewhere"):
         put(session, 1, jawOpen=0.6)
@@ -233,7 +229,7 @@ def test_an_import_step_that_was_done_stays_done_after_tuning(asset: Path) -> No
     references = read_references(asset)
     made = Provenance("references-import", '{"weights":"keys.csv"}', {"keys.csv": "abc"})
     pair = TunedPair(0, "kitchen", 100, {"smile": 0.25})
-    write_tuned_weights(references, [pair], tuned_path=tuned_path(asset), provenance=made)
+    write_tuned_weights(references, [pair], layer_path=tuned_path(asset), provenance=made)
     session = TuningSession(asset)
     put(session, 1, jawOpen=0.5)
     session.close()

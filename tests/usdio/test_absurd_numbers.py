@@ -15,6 +15,7 @@ from tests.usdio.small_rig import small_rig
 from tests.usdio.take.test_take import small_take
 from usdface.core.controls import EmotionalSequence, SequenceMatch
 from usdface.core.errors import InputError
+from usdface.core.rates import FRAMES_BETWEEN_KEYS, UNSAMPLED_FRAMES, check_frame_span
 from usdface.steps.edits.edit import all_frames
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.layers import open_stage, read_provenance
@@ -30,7 +31,6 @@ from usdface.usdio.rig.mesh import read_face_mesh
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.take.foreign import read_foreign_take
-from usdface.usdio.take.frame_span import FRAMES_BETWEEN_KEYS, UNSAMPLED_FRAMES, check_frame_span
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 

@@ -1,5 +1,6 @@
-"""Frame rates as files write them, rounded, made exact again."""
+"""Frame rates and ranges as files state them: made exact, and refused where they cannot be."""
 
+from collections.abc import Sequence
 from fractions import Fraction
 from math import isfinite
 
@@ -7,13 +8,28 @@ from usdface.core.errors import InputError
 
 NTSC_BASES = (24, 30, 48, 60, 72, 90, 96, 120, 144, 180, 192, 240, 300, 360, 480)
 """[Hz] Rates that video also has over 1.001."""
+
 _NTSC_TOLERANCE = 0.0051
 """[Hz] 23.976 is also written 23.98."""
+
 _WHOLE_TOLERANCE = 1e-4
 """Relative; single precision and three written decimals are both finer."""
+
 _LARGEST_DENOMINATOR = 1001
 _HIGHEST = 100_000
 """[Hz] Beyond any camera: such a number is damage."""
+
+_MOST_FRAMES = 10_000_000
+"""23 hours at 120 frames per second: more is a mistake, and would ask for memory nobody has."""
+
+FARTHEST_FRAME = 1e12
+"""Clocks of stages that count frames from their own midnight stay far below it."""
+
+FRAMES_BETWEEN_KEYS = 100
+"""Of animation that a person keyed, on average; captures and solves have a sample a frame."""
+
+UNSAMPLED_FRAMES = 100_000
+"""So many are counted without asking: it takes a second or two."""
 
 
 def exact_rate(value: float, *, where: str) -> Fraction:
@@ -49,3 +65,47 @@ def exact_rate(value: float, *, where: str) -> Fraction:
             return ntsc
     exact = Fraction(value).limit_denominator(_LARGEST_DENOMINATOR)
     return exact if exact > 0 else Fraction(value)
+
+
+def check_frame_span(where: str, first: float, last: float, *, samples: int | None) -> None:
+    """Refuse a range of frames that is none, or that a file's own samples do not bear out.
+
+    Parameters
+    ----------
+    where : str
+        File and prim, for the message.
+    first, last : float
+        Inclusive; what a file says, finite or not.
+    samples : int or None
+        Time codes at which the file has a value; None where nothing in it is read by frames.
+
+    Raises
+    ------
+    InputError
+        If an end is no frame, or there are too many frames between them.
+    """
+    if not (abs(first) < FARTHEST_FRAME and abs(last) < FARTHEST_FRAME):  # also catches NaN
+        raise InputError(
+            f"{where}: {first:g} to {last:g} is no range of frames; correct its ends, or write the "
+            "file again"
+        )
+    count = last - first + 1
+    borne_out = _MOST_FRAMES if samples is None else FRAMES_BETWEEN_KEYS * samples
+    if count > min(_MOST_FRAMES, max(UNSAMPLED_FRAMES, borne_out)):
+        held = "nothing" if samples is None else f"{samples} samples"
+        raise InputError(
+            f"{where}: {held} on {count:.0f} frames, {first:g} to {last:g}: an end is damaged, or "
+            "a sample lies far off; correct it, or write the file again"
+        )
+
+
+def span_of_samples(where: str, times: Sequence[float]) -> tuple[int, int]:
+    """Return the first and the last frame of ascending time codes.
+
+    Raises
+    ------
+    InputError
+        If they span more frames than a file of so few samples can mean.
+    """
+    check_frame_span(where, times[0], times[-1], samples=len(times))
+    return round(times[0]), round(times[-1])

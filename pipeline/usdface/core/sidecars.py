@@ -1,4 +1,4 @@
-"""What the layers beside a performance are called: one rule, for specs and for files."""
+"""What the files beside a file are called: one rule, for specs, steps and layers."""
 
 from pathlib import Path
 
@@ -6,10 +6,60 @@ LAYER_SUFFIXES = (".usda", ".usdc", ".usd")
 
 
 def weights_path(performance: Path) -> Path:
-    """Return where the solve of a performance is: NAME.weights.usdc beside NAME.usda."""
+    """Return the layer with the solve of a performance: NAME.weights.usdc beside NAME.usda."""
     return performance.with_name(f"{performance.stem}.weights.usdc")
 
 
 def edits_path(performance: Path) -> Path:
-    """Return where a performance's edits are: NAME.edits.usda beside NAME.usda."""
+    """Return the layer with a performance's edits: NAME.edits.usda."""
     return performance.with_name(f"{performance.stem}.edits.usda")
+
+
+def controls_path(performance: Path) -> Path:
+    """Return the layer with a performance's joints and attributes: NAME.controls.usdc."""
+    return performance.with_name(f"{performance.stem}.controls.usdc")
+
+
+def points_path(deformed: Path) -> Path:
+    """Return the layer with the points of a deformed mesh: NAME.points.usdc."""
+    return deformed.with_name(f"{deformed.stem}.points.usdc")
+
+
+def parts_folder(out: Path) -> Path:
+    """Return the folder in which a farm makes the parts of a file: NAME.parts."""
+    return out.with_name(f"{out.stem}.parts")
+
+
+def take_samples_path(take: Path) -> Path:
+    """Return the layer with a take's samples: NAME.samples.usdc, or a binary take itself."""
+    return take if take.suffix == ".usdc" else take.with_name(f"{take.stem}.samples.usdc")
+
+
+def proposed_path(asset: Path) -> Path:
+    """Return the layer with what was proposed of references, pairs or a binding."""
+    return asset.with_name(f"{asset.stem}.proposed.usda")
+
+
+def corrected_path(binding: Path) -> Path:
+    """Return the layer with what people corrected of a binding."""
+    return binding.with_name(f"{binding.stem}.corrected.usda")
+
+
+def tuned_path(references: Path) -> Path:
+    """Return the layer with what people tuned of a references asset."""
+    return references.with_name(f"{references.stem}.tuned.usda")
+
+
+def lock_path(references: Path) -> Path:
+    """Return the file that says who tunes a references asset now."""
+    return references.with_name(f"{references.stem}.tuned.lock")
+
+
+def journal_path(references: Path) -> Path:
+    """Return the file of changes that are not yet in the tuned layer."""
+    return references.with_name(f"{references.stem}.tuned.journal")
+
+
+def images_folder(references: Path) -> Path:
+    """Return the folder with the pictures of a references asset."""
+    return references.with_name(f"{references.stem}.images")

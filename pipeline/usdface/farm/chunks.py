@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from usdface.core.errors import InputError
+from usdface.core.sidecars import parts_folder
 from usdface.specs.base import Spec
 from usdface.specs.paths import frame_range
 from usdface.specs.performance import JoinSpec, MapSpec
@@ -13,6 +14,7 @@ from usdface.specs.review import MovieJoinSpec, MovieSpec
 
 FrameRange = tuple[int, int]
 """First and last frame, inclusive."""
+
 
 MOST_CHUNKS = 10_000
 """Of one step; a season of takes has fewer, and a frame number that slipped would have millions."""
@@ -34,11 +36,6 @@ class ChunkSizes:
     map: int
     movie: int | None = None
     clips: Literal["auto", "always", "never"] = "auto"
-
-
-def parts_folder(out: Path) -> Path:
-    """Return where the parts of a file are made: NAME.parts beside it."""
-    return out.with_name(f"{out.stem}.parts")
 
 
 def frames_made(step: Spec, frames_of: Callable[[Path], FrameRange | None]) -> FrameRange | None:

@@ -9,16 +9,12 @@ from pathlib import Path
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, canonical_json, hash_files
 from usdface.core.replacing import check_unprotected
-from usdface.core.sidecars import LAYER_SUFFIXES, weights_path
+from usdface.core.sidecars import LAYER_SUFFIXES, proposed_path, take_samples_path, weights_path
 from usdface.runner.sandbox import check_confined_inputs
-from usdface.specs import references as references_specs
-from usdface.specs import surface as bind_specs
 from usdface.specs.base import Spec
 from usdface.specs.paths import IMAGE_SUFFIXES, Reads, Writes, confinement_root
 from usdface.specs.review import MOVIE_SUFFIXES, PAGE_SUFFIXES
 from usdface.usdio.layers import dependencies, is_layer_name, read_provenance
-from usdface.usdio.retarget import pairs as pairs_files
-from usdface.usdio.take import write as take_files
 
 LARGEST_FIGURES_BYTES = 64 << 20
 
@@ -34,17 +30,17 @@ _ALIKE = (
 
 
 BESIDE: dict[str, Callable[[Path], Path]] = {
-    "ingest": take_files.take_samples_path,
-    "clean": take_files.take_samples_path,
+    "ingest": take_samples_path,
+    "clean": take_samples_path,
     "map": weights_path,
     "join": weights_path,
     "retarget": weights_path,
     "warp": weights_path,
-    "select": references_specs.proposed_references_path,
-    "references-from-edits": references_specs.proposed_references_path,
-    "pairs-propose": pairs_files.pair_samples_path,
-    "pairs-import": pairs_files.pair_samples_path,
-    "bind": bind_specs.proposed_binding_path,
+    "select": proposed_path,
+    "references-from-edits": proposed_path,
+    "pairs-propose": proposed_path,
+    "pairs-import": proposed_path,
+    "bind": proposed_path,
 }
 """Where a step writes what lies beneath the layer to open."""
 

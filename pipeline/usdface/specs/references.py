@@ -5,28 +5,9 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
+from usdface.core.sidecars import tuned_path
 from usdface.specs.base import Name, Positional, Spec
 from usdface.specs.paths import FilePath, Frames, ImageOut, LayerOut, PrimPath, ReadPath, Reads
-
-
-def tuned_path(references: Path) -> Path:
-    """Return the layer of a references asset that holds what people tuned."""
-    return references.with_name(f"{references.stem}.tuned.usda")
-
-
-def proposed_references_path(references: Path) -> Path:
-    """Return the layer of a references asset that holds proposals."""
-    return references.with_name(f"{references.stem}.proposed.usda")
-
-
-def lock_path(references: Path) -> Path:
-    """Return the file that says who tunes a references asset now."""
-    return references.with_name(f"{references.stem}.tuned.lock")
-
-
-def journal_path(references: Path) -> Path:
-    """Return the file of changes that are not yet in the tuned layer."""
-    return references.with_name(f"{references.stem}.tuned.journal")
 
 
 class SelectSpec(Spec):

@@ -1,6 +1,5 @@
 """Specs of meshes without shapes: bind, deform, make-shapes."""
 
-from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
@@ -9,16 +8,6 @@ from usdface.specs.base import Device, Name, Positional, Spec
 from usdface.specs.paths import FilePath, Frames, ImageOut, LayerOut, PrimPath, ReadPath, Reads
 
 Landmark = Annotated[str, Field(pattern=r"^[^=]+=\d+$", max_length=300, examples=["nose_tip=1203"])]
-
-
-def corrected_path(binding: Path) -> Path:
-    """Return the layer of a binding that holds what people corrected."""
-    return binding.with_name(f"{binding.stem}.corrected.usda")
-
-
-def proposed_binding_path(binding: Path) -> Path:
-    """Return the layer of a binding that holds the proposal."""
-    return binding.with_name(f"{binding.stem}.proposed.usda")
 
 
 class BindSpec(Spec):
@@ -55,7 +44,11 @@ class BindSpec(Spec):
 
 
 _Method = Literal["gp", "rbf"]
+
+
 _Sampler = Literal["hmc", "map", "shared"]
+
+
 _Metric = Literal["dijkstra", "dijkstra-diagonals", "heat"]
 
 

@@ -12,16 +12,12 @@ from usdface.core.assets import References
 from usdface.core.errors import InputError
 from usdface.core.locks import TuningLock
 from usdface.core.provenance import Provenance, canonical_json, hash_files
-from usdface.specs.references import journal_path, lock_path, proposed_references_path, tuned_path
+from usdface.core.sidecars import journal_path, lock_path, proposed_path, tuned_path
 from usdface.tuning.journal import Change, Journal, flush_folder
 from usdface.usdio.layers import read_provenance
-from usdface.usdio.references.read import (
-    TunedPair,
-    read_references,
-    read_tuned_pairs,
-    write_tuned_layer,
-)
+from usdface.usdio.references.read import TunedPair, read_references, read_tuned_pairs
 from usdface.usdio.references.tuning import check_tuned_layer, read_proposals
+from usdface.usdio.references.write import write_tuned_layer
 
 _SAME = 1e-6
 """Weights that differ by less are one: layers hold single precision."""
@@ -91,11 +87,11 @@ class TuningSession:
         self.tuned_path = tuned_path(path)
         self.references: References = read_references(path)
         check_tuned_layer(self.tuned_path, self.references)
-        self._proposals = read_proposals(proposed_references_path(path), self.references)
+        self._proposals = read_proposals(proposed_path(path), self.references)
         self._weights: FloatArray = self.references.weights.copy()
         self._done: BoolArray = np.zeros(len(self._weights), dtype=np.bool_)
         self._column = {name: i for i, name in enumerate(self.references.shape_names)}
-        self._selected = [_signature(path), _signature(proposed_references_path(path))]
+        self._selected = [_signature(path), _signature(proposed_path(path))]
         self._guard = threading.Lock()
         self._revision = first_revision
         self.lock = TuningLock(lock_path(path))
@@ -194,7 +190,7 @@ class TuningSession:
             write_tuned_layer(
                 replace(self.references, weights=self._proposals),
                 tuned,
-                tuned_path=self.tuned_path,
+                layer_path=self.tuned_path,
                 provenance=self._provenance(),
             )
             flush_folder(self.tuned_path.parent)  # the layer must be there before the journal goes
@@ -228,7 +224,7 @@ class TuningSession:
         """Merge what `references import` or a DCC wrote while the page was open."""
         if self._selected != [
             _signature(self.path),
-            _signature(proposed_references_path(self.path)),
+            _signature(proposed_path(self.path)),
         ]:
             raise InputError(
                 f"{self.path.name}: its frames were selected again while this page was open, so "
@@ -271,7 +267,7 @@ class TuningSession:
         """Keep what the layer says of its making, so that no job believes it out of date."""
         if self.tuned_path.is_file() and (made := read_provenance(self.tuned_path)) is not None:
             return made
-        proposals = proposed_references_path(self.path)
+        proposals = proposed_path(self.path)
         return Provenance(
             step="tune",
             spec=canonical_json({"step": "tune", "references": self.path.name}),

@@ -4,11 +4,10 @@ import contextlib
 import math
 import os
 from collections.abc import Iterator, Mapping
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
+from pxr import Sdf, Tf, Usd, UsdUtils, Vt
 
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
@@ -16,12 +15,6 @@ from usdface.core.replacing import replacing_together
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.usdio.crate import check_crate
 from usdface.usdio.plugin import SCHEMA_VERSION
-
-CENTIMETRES = 0.01
-MM_PER_STAGE_UNIT = 10.0
-"""Layers that this package writes are in centimetres, as most film rigs are."""
-SMALLEST_UNIT, LARGEST_UNIT = 1e-9, 1e6
-"""[m] Nanometres, and more than any scene is measured in."""
 
 FRAMES_IN_MEMORY = 1 << 15
 VALUES_IN_MEMORY = 1 << 23
@@ -203,28 +196,6 @@ def open_stage(path: Path) -> Usd.Stage:
     return stage
 
 
-def millimetres(stage: Usd.Stage) -> float:
-    """Return how many millimetres one unit of a stage is.
-
-    Raises
-    ------
-    InputError
-        If the stage's unit is no length.
-    """
-    metres = float(UsdGeom.GetStageMetersPerUnit(stage))
-    if not SMALLEST_UNIT <= metres <= LARGEST_UNIT:  # also catches NaN
-        raise InputError(
-            f"{stage.GetRootLayer().realPath}: metersPerUnit is {metres:g}, no length that a face "
-            "is measured in; correct it: 0.01 is centimetres"
-        )
-    return metres * 1000.0
-
-
-def is_z_up(stage: Usd.Stage) -> bool:
-    """Whether a stage's up axis is Z."""
-    return bool(UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z)
-
-
 def check_layer_name(path: Path) -> None:
     """Refuse a file name that USD would not recognise, before any work is done."""
     if path.suffix not in LAYER_SUFFIXES:
@@ -349,33 +320,6 @@ def all_files(path: Path) -> list[Path]:
         layers, assets, missing = UsdUtils.ComputeAllDependencies(layer.identifier)
     named = [each.realPath for each in layers] + [str(each) for each in (*assets, *missing)]
     return [Path(each) for each in named if each]
-
-
-def author_timing(layer: Sdf.Layer, *, rate: Fraction, first: float, last: float) -> None:
-    """Set rate and range: USD rescales a layer silently when one rate is missing."""
-    layer.timeCodesPerSecond = float(rate)
-    layer.framesPerSecond = float(rate)
-    layer.startTimeCode = first
-    layer.endTimeCode = last
-
-
-def author_units(layer: Sdf.Layer, *, like: Path | None = None) -> None:
-    """Set centimetres and Y up on a layer, or what a file has that it references.
-
-    Parameters
-    ----------
-    layer : Sdf.Layer
-    like : Path, optional
-        A file whose prims the layer shows as they are: USD converts no units on a reference.
-    """
-    metres, up = CENTIMETRES, "Y"
-    if like is not None:
-        other = open_layer(like)  # held: what a layer lends does not outlive it
-        said = other.pseudoRoot
-        metres = said.GetInfo("metersPerUnit") if said.HasInfo("metersPerUnit") else metres
-        up = said.GetInfo("upAxis") if said.HasInfo("upAxis") else UsdGeom.GetFallbackUpAxis()
-    layer.pseudoRoot.SetInfo("metersPerUnit", metres)
-    layer.pseudoRoot.SetInfo("upAxis", up)
 
 
 def relative_path(target: Path, layer_path: Path) -> str:

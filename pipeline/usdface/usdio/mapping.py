@@ -14,11 +14,13 @@ from usdface.core.assets import CandidateScore, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.usdio.authoring import author_uniform, define_prim, doubles
-from usdface.usdio.layers import author_units, new_layer, open_stage
+from usdface.usdio.layers import new_layer, open_stage
+from usdface.usdio.units import author_units
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 _ROOT = Sdf.Path("/Mapping")
 _ARRAY = "face:array:"
+ATTRIBUTE = "face:mapping:alpha"
 
 
 def write_mapping(
@@ -133,3 +135,26 @@ def _value(path: Path, prim: Usd.Prim, name: str) -> Any:
     if value is None and name in ("method", "markers", "channels", "neutral", "ranges", "rigid"):
         raise InputError(f"{path} <{prim.GetPath()}>: face:mapping:{name} is missing; train again")
     return value
+
+
+@refusing_wrong_types
+def read_alpha_keys(path: Path) -> list[tuple[float, float]]:
+    """Return (time code, alpha) for every key; one key for a value that does not change.
+
+    Raises
+    ------
+    InputError
+        If no prim has the attribute with a value, or several have.
+    """
+    stage = open_stage(path)
+    found = [
+        attribute
+        for prim in stage.TraverseAll()
+        if (attribute := prim.GetAttribute(ATTRIBUTE)) and attribute.HasAuthoredValue()
+    ]
+    if len(found) != 1:
+        raise InputError(f"{path}: {len(found)} prims have a value of {ATTRIBUTE}; key it on one")
+    times = found[0].GetTimeSamples()
+    if not times:
+        return [(0.0, float(found[0].Get()))]
+    return [(float(time), float(found[0].Get(time))) for time in times]

@@ -4,13 +4,13 @@ from pathlib import Path
 
 from pxr import UsdUtils
 
+from usdface.core.rates import check_frame_span
 from usdface.core.sidecars import edits_path
 from usdface.usdio.layers import (
     check_crates_below,
     open_layer,
     usd_errors_as_input_errors,
 )
-from usdface.usdio.take.frame_span import check_frame_span
 
 
 def referenced_files(path: Path) -> list[Path]:

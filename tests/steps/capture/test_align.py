@@ -26,8 +26,7 @@ from usdface.steps.capture.align import Evidence, decide
 from usdface.steps.capture.timecode_offset import TimecodeShift, timecode_shift
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.take.read import read_take
-from usdface.usdio.take.sync import VideoSync, write_video_sync
-from usdface.usdio.take.write import write_take
+from usdface.usdio.take.write import VideoSync, write_take, write_video_sync
 from usdface.usdio.validation import validate
 
 SYNC = ("face:video:offset", "face:video:drift", "face:sync:confidence")

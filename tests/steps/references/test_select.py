@@ -12,15 +12,11 @@ from pydantic import ValidationError
 from tests.steps.small_shot import PAIRS, Shot
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
+from usdface.core.sidecars import tuned_path
 from usdface.media.picture.image import read_image_metadata
 from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
 from usdface.runner.execute import execute
-from usdface.specs.references import (
-    ReferenceSheetSpec,
-    ReferencesImportSpec,
-    SelectSpec,
-    tuned_path,
-)
+from usdface.specs.references import ReferenceSheetSpec, ReferencesImportSpec, SelectSpec
 from usdface.steps.inputs.tuned_pairs import read_set_references
 from usdface.steps.references import scene as selection_scene
 from usdface.usdio.references.read import read_references, read_tuned_pairs

@@ -14,6 +14,7 @@ from tests.steps.small_shot import PAIRS, Shot
 from usdface.core.assets import Video
 from usdface.core.errors import InputError
 from usdface.core.locks import TuningLock
+from usdface.core.sidecars import lock_path
 from usdface.core.text import pluralize
 from usdface.media.picture.image import read_image_metadata, write_image
 from usdface.media.picture.read import read_picture
@@ -22,7 +23,6 @@ from usdface.specs.references import (
     ReferencesCoverageSpec,
     ReferenceSheetSpec,
     ReferencesImportSpec,
-    lock_path,
 )
 from usdface.steps.references import select
 from usdface.tuning.journal import Change

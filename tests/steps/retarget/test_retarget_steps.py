@@ -21,11 +21,12 @@ from tests.usdio.small_creature import (
 )
 from usdface.cli import main
 from usdface.core.assets import Rig
+from usdface.core.sidecars import proposed_path
 from usdface.media.picture.image import read_image_metadata
 from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.retarget.controls import read_control_clip
-from usdface.usdio.retarget.pairs import pair_samples_path, read_pairs
+from usdface.usdio.retarget.pairs import read_pairs
 from usdface.usdio.validation import validate
 
 FRAMES = 200
@@ -194,7 +195,7 @@ def test_pairs_are_proposed_by_name_and_by_hand_keyed_ones_stay(stall: Stall, ca
     again = read_pairs(Path("p.pairs.usda"))
     np.testing.assert_allclose(again.target.values[:, 1], 0.2 * np.arange(1, 5), atol=1e-6)
     assert again.names == pairs.names
-    assert pair_samples_path(Path("p.pairs.usda")).is_file()
+    assert proposed_path(Path("p.pairs.usda")).is_file()
 
 
 def test_nothing_is_proposed_where_keys_made_by_hand_would_hide_it(stall: Stall, capsys) -> None:
@@ -350,7 +351,7 @@ def test_alpha_is_keyed_over_time(trained: Stall) -> None:
 def test_pairs_are_not_imported_beneath_keys_that_would_hide_them(stall: Stall, capsys) -> None:
     assert import_pairs(out="k.pairs.usda") == 0
     assert import_pairs("--overwrite", out="k.pairs.usda") == 0
-    before = pair_samples_path(Path("k.pairs.usda")).read_bytes()
+    before = proposed_path(Path("k.pairs.usda")).read_bytes()
     stage = Usd.Stage.Open("k.pairs.usda")
     stage.GetAttributeAtPath("/Pairs/Target/rig/lattice.dfm:squash").Set(0.5, 3)
     stage.GetRootLayer().Save()
@@ -358,7 +359,7 @@ def test_pairs_are_not_imported_beneath_keys_that_would_hide_them(stall: Stall, 
     assert import_pairs("--overwrite", out="k.pairs.usda") == 2
     told = capsys.readouterr().err
     assert "keys made in it by hand, of 1 attribute (/Pairs/Target/rig/lattice.dfm:squash)" in told
-    assert pair_samples_path(Path("k.pairs.usda")).read_bytes() == before
+    assert proposed_path(Path("k.pairs.usda")).read_bytes() == before
 
 
 def no_target_side(stall: Stall) -> list[str]:

@@ -19,6 +19,7 @@ from tests.small_scan import (
     write_scan,
 )
 from usdface.core.errors import InputError
+from usdface.core.sidecars import corrected_path
 from usdface.media.picture.image import read_image_metadata
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.runner.execute import execute
@@ -27,7 +28,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
 from usdface.specs.reading import read_job
 from usdface.specs.references import SelectSpec
-from usdface.specs.surface import BindSpec, DeformSpec, MakeShapesSpec, corrected_path
+from usdface.specs.surface import BindSpec, DeformSpec, MakeShapesSpec
 from usdface.usdio.performance.read import read_performance
 from usdface.usdio.rig.mesh import read_face_mesh
 from usdface.usdio.rig.read import read_rig

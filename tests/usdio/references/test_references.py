@@ -13,13 +13,8 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import MotionSpace, References
 from usdface.core.errors import InputError
-from usdface.usdio.references.read import (
-    TunedPair,
-    read_references,
-    read_tuned_pairs,
-    write_references,
-    write_tuned_weights,
-)
+from usdface.usdio.references.read import TunedPair, read_references, read_tuned_pairs
+from usdface.usdio.references.write import write_references, write_tuned_weights
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.validation import validate
@@ -58,8 +53,6 @@ def write(folder: Path, references: References) -> Path:
         path,
         references,
         read_rig(folder / "rig.usda"),
-        tuned_path=folder / "hero.references.tuned.usda",
-        proposed_path=folder / "hero.references.proposed.usda",
     )
     return path
 
@@ -74,7 +67,7 @@ def tune(folder: Path, references: References, pairs: dict[int, float]) -> None:
         )
         for pair, value in pairs.items()
     ]
-    write_tuned_weights(references, tuned, tuned_path=folder / "hero.references.tuned.usda")
+    write_tuned_weights(references, tuned, layer_path=folder / "hero.references.tuned.usda")
 
 
 def test_references_read_back_the_same(tmp_path: Path) -> None:
@@ -197,8 +190,6 @@ def test_wherever_writing_stops_the_asset_is_old_or_new_or_refused(
                 path,
                 new,
                 read_rig(folder / "rig.usda"),
-                tuned_path=folder / "hero.references.tuned.usda",
-                proposed_path=folder / "hero.references.proposed.usda",
                 tuned=tuned,
             )
         seen.append(state(path, new))

@@ -15,10 +15,9 @@ from tests.usdio.small_creature import (
     write_creature_performance,
 )
 from usdface.core.errors import InputError
-from usdface.usdio.retarget.control_attributes import find_control_attributes
-from usdface.usdio.retarget.control_performance import controls_path
+from usdface.core.sidecars import controls_path
+from usdface.usdio.retarget.control_attributes import find_control_attributes, rest_controls
 from usdface.usdio.retarget.controls import read_control_clip
-from usdface.usdio.retarget.rest_controls import rest_controls
 from usdface.usdio.validation import validate
 
 

@@ -18,10 +18,11 @@ from usdface.core.assets import Rig
 from usdface.core.controls import EmotionalSequence, ExpressionPairs, SequenceMatch
 from usdface.core.errors import InputError
 from usdface.core.replacing import replacing
+from usdface.core.sidecars import proposed_path
 from usdface.model.retarget.train import retarget, train_retargeting
 from usdface.usdio.layers import read_provenance
-from usdface.usdio.retarget.mapping import is_retargeting, read_retargeting, write_retargeting
-from usdface.usdio.retarget.pairs import merge_pairs, pair_samples_path, read_pairs, write_pairs
+from usdface.usdio.retarget.pairs import merge_pairs, read_pairs, write_pairs
+from usdface.usdio.retarget.retargeting import is_retargeting, read_retargeting, write_retargeting
 from usdface.usdio.retarget.sequences import (
     read_matches,
     read_sequence,
@@ -115,7 +116,7 @@ def test_a_pair_without_a_side_is_named(
     written: tuple[Path, ExpressionPairs], prim: str, side: str
 ) -> None:
     path, _ = written
-    layer = Sdf.Layer.FindOrOpen(str(pair_samples_path(path)))
+    layer = Sdf.Layer.FindOrOpen(str(proposed_path(path)))
     for spec in layer.GetPrimAtPath(f"/Pairs/{prim}").attributes:
         layer.EraseTimeSample(spec.path, 5)
     if side == "target":
@@ -128,7 +129,7 @@ def test_a_pair_without_a_side_is_named(
 
 def test_an_attribute_that_is_gone_is_named(written: tuple[Path, ExpressionPairs]) -> None:
     path, _ = written
-    layer = Sdf.Layer.FindOrOpen(str(pair_samples_path(path)))
+    layer = Sdf.Layer.FindOrOpen(str(proposed_path(path)))
     names = layer.GetAttributeAtPath("/Pairs/TargetControls.face:controls:attributes")
     names.default = ["rig/lattice.dfm:gone", "rig/lattice.dfm:curl"]
     layer.Save()

@@ -12,8 +12,8 @@ from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.usdio.rig.read import read_rig
-from usdface.usdio.rig.space import column_matrix, stage_to_ours, transform_points
 from usdface.usdio.rig.write import write_rig
+from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
 
 
 def baked_by_usdskel(rig: Rig, weights: FloatArray) -> FloatArray:

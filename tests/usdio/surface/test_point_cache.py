@@ -11,13 +11,9 @@ from pxr import Usd, UsdGeom
 from tests.small_scan import small_scan, write_scan
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import points_path
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
-from usdface.usdio.surface.point_cache import (
-    PointsFormat,
-    PointsWriter,
-    points_path,
-    writing_points,
-)
+from usdface.usdio.surface.point_cache import PointsFormat, PointsWriter, writing_points
 from usdface.usdio.validation import validate
 
 FIRST, LAST = 11, 40

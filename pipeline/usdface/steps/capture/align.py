@@ -20,7 +20,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.capture import AlignSpec
 from usdface.steps.capture.timecode_offset import TimecodeShift, timecode_shift
 from usdface.usdio.take.read import TakeReader
-from usdface.usdio.take.sync import VideoSync, write_video_sync
+from usdface.usdio.take.write import VideoSync, write_video_sync
 
 log = logging.getLogger(__name__)
 

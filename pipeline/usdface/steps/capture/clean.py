@@ -7,6 +7,7 @@ from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import take_samples_path
 from usdface.core.text import pluralize
 from usdface.media.charts.repair import RepairKind, draw_repairs
 from usdface.media.picture.image import write_image
@@ -16,7 +17,7 @@ from usdface.runner.outputs import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.capture import CleanSpec
 from usdface.usdio.take.read import read_take
-from usdface.usdio.take.write import take_samples_path, write_take
+from usdface.usdio.take.write import write_take
 
 LONGEST_GAP_SECONDS = 2.0
 """What is filled by default: beyond, the other markers hardly tell what one did."""

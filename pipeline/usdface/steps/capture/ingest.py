@@ -12,7 +12,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.rates import exact_rate
-from usdface.core.sidecars import LAYER_SUFFIXES
+from usdface.core.sidecars import LAYER_SUFFIXES, take_samples_path
 from usdface.core.text import pluralize
 from usdface.core.timecode import frames_of
 from usdface.media.film.image_sequence import open_video
@@ -22,7 +22,7 @@ from usdface.steps.capture.capture_audio import CaptureSound, extract_sound
 from usdface.steps.capture.merge_captures import join_captures
 from usdface.usdio.take.foreign import read_foreign_take
 from usdface.usdio.take.read import TakeReader, is_take, read_take
-from usdface.usdio.take.write import take_samples_path, write_take
+from usdface.usdio.take.write import write_take
 
 log = logging.getLogger(__name__)
 

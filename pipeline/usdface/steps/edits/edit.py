@@ -8,6 +8,7 @@ from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
+from usdface.core.rates import UNSAMPLED_FRAMES, check_frame_span
 from usdface.core.text import pluralize
 from usdface.numerics.motion.edit_curve import (
     EditCurve,
@@ -28,7 +29,6 @@ from usdface.usdio.performance.edits import (
     write_edits,
 )
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.take.frame_span import UNSAMPLED_FRAMES, check_frame_span
 
 FARTHEST_BEYOND = UNSAMPLED_FRAMES // 4
 """How far from a performance an edit's end is still written as an end: on both sides so far, the

@@ -9,7 +9,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.sidecars import LAYER_SUFFIXES
-from usdface.usdio.retarget.alpha import read_alpha_keys
+from usdface.usdio.mapping import read_alpha_keys
 
 
 def read_alpha(path: Path, frames: IntArray) -> FloatArray:

@@ -8,7 +8,8 @@ import numpy as np
 from usdface.core.arrays import IntArray
 from usdface.core.assets import References, Rig
 from usdface.core.errors import InputError
-from usdface.specs.references import SelectSpec, proposed_references_path, tuned_path
+from usdface.core.sidecars import proposed_path, tuned_path
+from usdface.specs.references import SelectSpec
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
 from usdface.usdio.references.read import TunedPair, read_references, read_tuned_pairs
 from usdface.usdio.references.tuning import check_tuned_layer, read_proposals
@@ -33,7 +34,7 @@ def find_keyed_pairs(path: Path, references: References) -> list[int]:
         If a layer beneath the asset cannot be read, or is of another selection.
     """
     check_tuned_layer(tuned_path(path), references)
-    shown = read_proposals(proposed_references_path(path), references).copy()
+    shown = read_proposals(proposed_path(path), references).copy()
     for each in read_tuned_pairs(tuned_path(path)):
         shown[each.pair] = [each.weights.get(name, 0.0) for name in references.shape_names]
     away = np.abs(references.weights - shown).max(axis=1, initial=0.0) > SAME

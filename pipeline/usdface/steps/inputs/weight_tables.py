@@ -13,6 +13,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
+from usdface.core.rates import FARTHEST_FRAME
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.usdio.performance.blender_export import (
     BlenderWeights,
@@ -20,7 +21,6 @@ from usdface.usdio.performance.blender_export import (
     read_blender_weights,
 )
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.take.frame_span import FARTHEST_FRAME
 
 LARGEST_TABLE_BYTES = 1 << 30
 

@@ -8,7 +8,7 @@ from usdface.runner.sandbox import confine
 from usdface.steps.performance.train import describe_figures
 from usdface.steps.retarget.train import describe_retargeting_figures, retargeting_table
 from usdface.usdio.mapping import read_mapping
-from usdface.usdio.retarget.mapping import is_retargeting, read_retargeting
+from usdface.usdio.retarget.retargeting import is_retargeting, read_retargeting
 
 
 def describe_mapping(path: Path) -> StepResult:

@@ -13,24 +13,21 @@ from usdface.core.assets import References, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import proposed_path, tuned_path
 from usdface.core.text import pluralize
 from usdface.numerics.motion.edit_curve import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
 from usdface.runner.result import StepResult
-from usdface.specs.references import ReferencesFromEditsSpec, proposed_references_path, tuned_path
+from usdface.specs.references import ReferencesFromEditsSpec
 from usdface.steps.inputs.take_head_space import read_markers, take_head_space
 from usdface.steps.inputs.tuned_pairs import SAME
 from usdface.steps.references.tuning_guard import nobody_tunes
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.references.read import (
-    TunedPair,
-    read_references,
-    read_tuned_pairs,
-    write_references,
-)
+from usdface.usdio.references.read import TunedPair, read_references, read_tuned_pairs
 from usdface.usdio.references.tuning import read_pair_notes, read_proposals
+from usdface.usdio.references.write import write_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader
 
@@ -77,15 +74,13 @@ def run(
             spec.out,
             references,
             rig,
-            tuned_path=tuned_path(spec.out),
-            proposed_path=proposed_references_path(spec.out),
             tuned=tuned,
             images=images,
             provenance=provenance,
         )
     progress(1.0, "written")
     return StepResult(
-        (spec.out, tuned_path(spec.out), proposed_references_path(spec.out)),
+        (spec.out, tuned_path(spec.out), proposed_path(spec.out)),
         f"{pluralize(added, 'corrected frame')} added to {pluralize(len(old.frames), 'pair')}",
         tuple(notes),
         {
@@ -263,7 +258,7 @@ def _by_hand(out: Path) -> dict[tuple[str, int], dict[str, float]]:
         return {}
     try:
         there = read_references(out)
-        written = read_proposals(proposed_references_path(out), there)
+        written = read_proposals(proposed_path(out), there)
     except InputError:  # damaged, so that nobody could tune it
         return {}
     away = np.abs(there.weights - written).max(axis=1, initial=0.0) > SAME

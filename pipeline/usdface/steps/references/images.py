@@ -8,6 +8,7 @@ from pathlib import Path
 from usdface.core.assets import References, Take
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
+from usdface.core.sidecars import images_folder
 from usdface.media.film.image_sequence import open_video
 from usdface.media.picture.image import read_image_metadata, write_image
 from usdface.specs.references import SelectSpec
@@ -27,11 +28,6 @@ class PairImages:
 
     files: tuple[Path | None, ...]
     notes: tuple[str, ...]
-
-
-def images_folder(references: Path) -> Path:
-    """Return the folder that holds the pictures of a references asset."""
-    return references.with_name(f"{references.stem}.images")
 
 
 def write_pair_images(

@@ -6,12 +6,14 @@ from usdface.core.assets import References
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import tuned_path
 from usdface.core.text import pluralize
 from usdface.runner.result import StepResult
-from usdface.specs.references import ReferencesImportSpec, tuned_path
+from usdface.specs.references import ReferencesImportSpec
 from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table, weights_meant
 from usdface.steps.references.conflict_notes import tuned_conflicts
-from usdface.usdio.references.read import TunedPair, read_references, write_tuned_weights
+from usdface.usdio.references.read import TunedPair, read_references
+from usdface.usdio.references.write import write_tuned_weights
 
 
 def run(
@@ -38,7 +40,7 @@ def run(
             "is --at right?"
         )
     write_tuned_weights(
-        references, pairs, tuned_path=tuned_path(spec.references), provenance=provenance
+        references, pairs, layer_path=tuned_path(spec.references), provenance=provenance
     )
     progress(1.0, "imported")
     notes = []

@@ -9,6 +9,7 @@ from usdface.core.assets import References, Rig, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import proposed_path, tuned_path
 from usdface.core.text import pluralize
 from usdface.media.picture.image import write_image
 from usdface.model.selection.design import (
@@ -22,7 +23,7 @@ from usdface.model.selection.lip_contact import find_lips, keep_lip_contact
 from usdface.numerics.regression.linear_ridge import fit_linear_ridge
 from usdface.runner.outputs import provenance_metadata
 from usdface.runner.result import StepResult
-from usdface.specs.references import SelectSpec, proposed_references_path, tuned_path
+from usdface.specs.references import SelectSpec
 from usdface.steps.inputs.cleaned_takes import CleanedTakes, read_cleaned_takes
 from usdface.steps.inputs.coverage_report import cover, coverage_figures, coverage_picture
 from usdface.steps.inputs.phone_labels import PhoneLabels, read_phone_labels
@@ -42,7 +43,8 @@ from usdface.steps.references.scene import (
 )
 from usdface.steps.references.tuning_guard import check_nobody_tunes, nobody_tunes
 from usdface.usdio.mapping import read_mapping
-from usdface.usdio.references.read import read_tuned_pairs, write_references
+from usdface.usdio.references.read import read_tuned_pairs
+from usdface.usdio.references.write import write_references
 from usdface.usdio.rig.read import read_rig
 
 FEWEST_TUNED = 2
@@ -101,8 +103,6 @@ def run(
             spec.out,
             references,
             rig,
-            tuned_path=tuned_path(spec.out),
-            proposed_path=proposed_references_path(spec.out),
             tuned=[each.tuned for each in kept if each.is_keyed],
             images=images.files,
             provenance=provenance,
@@ -119,7 +119,7 @@ def run(
     contradictions, conflicts = tuned_conflicts(spec.out)
     outputs = (
         spec.out,
-        proposed_references_path(spec.out),
+        proposed_path(spec.out),
         tuned_path(spec.out),
         spec.picture_path(),
     )

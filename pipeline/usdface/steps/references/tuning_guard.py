@@ -6,7 +6,7 @@ from pathlib import Path
 
 from usdface.core.errors import InputError
 from usdface.core.locks import TuningLock
-from usdface.specs.references import journal_path, lock_path
+from usdface.core.sidecars import journal_path, lock_path
 
 _REMEDY = (
     "to write pairs now would move them under their hand. Wait until that page is closed, or write "

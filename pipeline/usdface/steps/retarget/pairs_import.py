@@ -7,7 +7,7 @@ from usdface.core.controls import ControlClip, Controls, ExpressionPairs, bare_c
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import LAYER_SUFFIXES
+from usdface.core.sidecars import LAYER_SUFFIXES, proposed_path
 from usdface.core.text import pluralize
 from usdface.model.retarget.checks import check_pairs, unused_shapes
 from usdface.runner.result import StepResult
@@ -15,7 +15,7 @@ from usdface.specs.retarget import PairsImportSpec
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.retarget.control_attributes import find_control_attributes
 from usdface.usdio.retarget.controls import read_control_clip
-from usdface.usdio.retarget.pairs import keyed_above, pair_samples_path, write_pairs
+from usdface.usdio.retarget.pairs import keyed_above, write_pairs
 from usdface.usdio.rig.read import read_rig
 
 
@@ -65,7 +65,7 @@ def run(
             f"{', '.join(unused[:5])}"
         )
     return StepResult(
-        (spec.out, pair_samples_path(spec.out)),
+        (spec.out, proposed_path(spec.out)),
         f"{pluralize(len(pairs), 'pair')} of {pluralize(len(source_rig.shapes), 'source shape')} "
         f"and {target.summary}",
         tuple(notes),

@@ -8,20 +8,15 @@ from usdface.core.controls import Controls, ExpressionPairs, bare_controls
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import proposed_path
 from usdface.core.text import pluralize
 from usdface.model.retarget.checks import dead_controls
 from usdface.model.retarget.shape_matching import ShapeMatch, match_deformations
 from usdface.model.retarget.shape_names import NameMatch, match_names
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import PairsProposeSpec
-from usdface.usdio.retarget.pairs import (
-    keyed_above,
-    merge_pairs,
-    pair_samples_path,
-    read_pairs,
-    write_pairs,
-)
-from usdface.usdio.retarget.rest_controls import rest_controls
+from usdface.usdio.retarget.control_attributes import rest_controls
+from usdface.usdio.retarget.pairs import keyed_above, merge_pairs, read_pairs, write_pairs
 from usdface.usdio.rig.read import read_rig
 
 REST = "rest"
@@ -69,7 +64,7 @@ def run(
     if kept:
         notes.append(f"kept {pluralize(kept, 'pair')} at the time codes they had")
     return StepResult(
-        (spec.out, pair_samples_path(spec.out)),
+        (spec.out, proposed_path(spec.out)),
         f"{len(pairs)} pairs of {len(source.shapes)} source shapes and {pairs.target.summary}; "
         "starting points to be tuned",
         tuple(notes),

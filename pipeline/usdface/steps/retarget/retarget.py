@@ -10,7 +10,7 @@ from usdface.core.controls import Retargeting
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import weights_path
+from usdface.core.sidecars import controls_path, weights_path
 from usdface.core.text import pluralize
 from usdface.model.retarget.train import retarget
 from usdface.runner.result import StepResult
@@ -25,8 +25,8 @@ from usdface.steps.inputs.source_motion import (
     source_columns,
 )
 from usdface.usdio.performance.weights_layer import make_header
-from usdface.usdio.retarget.control_performance import controls_path, writing_control_performance
-from usdface.usdio.retarget.mapping import read_retargeting
+from usdface.usdio.retarget.control_performance import writing_control_performance
+from usdface.usdio.retarget.retargeting import read_retargeting
 from usdface.usdio.rig.read import read_rig
 
 _CHUNK_FRAMES = 8192

@@ -21,8 +21,8 @@ from usdface.model.retarget.train import train_retargeting
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import TrainRetargetSpec
 from usdface.steps.inputs.source_motion import read_source_motion, source_columns
-from usdface.usdio.retarget.mapping import write_retargeting
 from usdface.usdio.retarget.pairs import read_pairs
+from usdface.usdio.retarget.retargeting import write_retargeting
 from usdface.usdio.rig.read import read_rig
 
 SHOWN = 5

@@ -13,7 +13,7 @@ from usdface.core.controls import Controls, EmotionalSequence, SequenceMatch
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import weights_path
+from usdface.core.sidecars import controls_path, weights_path
 from usdface.core.text import pluralize
 from usdface.media.charts.motion_curves import (
     FrameSpan,
@@ -31,7 +31,7 @@ from usdface.specs.retarget import WarpSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import make_header
-from usdface.usdio.retarget.control_performance import controls_path, writing_control_performance
+from usdface.usdio.retarget.control_performance import writing_control_performance
 from usdface.usdio.retarget.controls import ReadControls, read_control_clip
 from usdface.usdio.retarget.sequences import check_sequence_rate, read_matches, read_sequence
 from usdface.usdio.rig.read import read_rig

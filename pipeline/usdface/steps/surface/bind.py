@@ -5,6 +5,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import corrected_path, proposed_path
 from usdface.core.text import pluralize
 from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
 from usdface.media.picture.image import write_image
@@ -12,7 +13,7 @@ from usdface.model.surface.binding import DOUBTFUL, facing_yaw
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.runner.outputs import provenance_metadata
 from usdface.runner.result import StepResult
-from usdface.specs.surface import BindSpec, corrected_path, proposed_binding_path
+from usdface.specs.surface import BindSpec
 from usdface.steps.surface.bound_take import TakeSample, bind_take, landmark_places, sample_take
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.surface.binding import has_binding, read_binding, write_binding
@@ -42,7 +43,7 @@ def run(
         binding,
         face,
         corrected_path=corrected_path(spec.out),
-        proposed_path=proposed_binding_path(spec.out),
+        proposed_path=proposed_path(spec.out),
         provenance=provenance,
     )
     at = binding.places.positions(face.mesh.points)
@@ -124,7 +125,7 @@ def _report(
         )
     if face.others:
         notes.append(f"{len(face.others)} other meshes of {spec.mesh.name} carry no marker")
-    outputs = (spec.out, proposed_binding_path(spec.out), corrected_path(spec.out))
+    outputs = (spec.out, proposed_path(spec.out), corrected_path(spec.out))
     return StepResult(
         outputs if spec.picture is None else (*outputs, spec.picture),
         f"{len(binding.names)} markers on {len(face.mesh.points)} points, {len(doubtful)} doubtful",

@@ -8,6 +8,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import points_path
 from usdface.core.text import pluralize
 from usdface.numerics.surface.turned_normals import NormalTurner, turner_of
 from usdface.runner.result import StepResult
@@ -16,7 +17,7 @@ from usdface.specs.surface import DeformSpec
 from usdface.steps.surface.picture import write_comparison
 from usdface.steps.surface.plan import SurfacePlan, plan_surface
 from usdface.usdio.rig.mesh import FaceMesh
-from usdface.usdio.surface.point_cache import PointsFormat, points_path, writing_points
+from usdface.usdio.surface.point_cache import PointsFormat, writing_points
 from usdface.usdio.take.read import TakeReader
 
 _CHUNK_FRAMES = 2048

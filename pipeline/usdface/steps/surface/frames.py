@@ -10,7 +10,7 @@ from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.errors import InputError
 from usdface.numerics.regression.pivoted_selection import most_different_rows
 from usdface.specs.surface import MakeShapesSpec
-from usdface.usdio.references.pair_names import read_pair_names
+from usdface.usdio.references.tuning import read_pair_names
 from usdface.usdio.take.read import TakeReader
 
 LARGEST_CSV_BYTES = 1 << 20

@@ -1,13 +1,21 @@
 """One finite weight per shape in every sample."""
 
-import numpy as np
-from pxr import Usd, UsdSkel
+from pathlib import Path
 
-from usdface.usdio.checks.fault import Fault
-from usdface.usdio.checks.parts import changed_part
+import numpy as np
+from pxr import Sdf, Usd, UsdSkel
+
+from usdface.core.errors import InputError
+from usdface.usdio.checks.fault import Fault, is_solved, read_samples, some
+from usdface.usdio.performance.clips import CLIP_SET
+from usdface.usdio.performance.edits import PREFIXES, read_edits
+from usdface.usdio.performance.weights_layer import WEIGHTS
 
 LARGEST_WEIGHT = 10.0
 """Weights may pass 1, but none that an animator means is this far beyond."""
+
+_CHANGED = 0.1
+"""Change of the solve beneath an edit that an animator should look at."""
 
 
 def check_weights(prim: Usd.Prim) -> list[Fault]:
@@ -57,3 +65,68 @@ def _fault(names: list[str], weights: np.ndarray) -> str:
             "as percent?"
         )
     return ""
+
+
+def changed_part(prim: Usd.Prim) -> str:
+    """Return what is wrong where a part was mapped again since; empty where none was.
+
+    The frames at the seams lie in a layer of their own as well, so they tell.
+    """
+    clips = Usd.ClipsAPI(prim)
+    assets = [str(each.resolvedPath) for each in clips.GetClipAssetPaths(CLIP_SET) or ()]
+    layers = [Sdf.Layer.FindOrOpen(each) if each else None for each in assets]
+    if not layers or layers[0] is None:
+        return ""
+    path = Sdf.Path(clips.GetClipPrimPath(CLIP_SET)).AppendProperty(WEIGHTS)
+    for time in layers[0].ListTimeSamplesForPath(path):
+        wanted = layers[0].QueryTimeSample(path, time)
+        held = [(each, each.QueryTimeSample(path, time)) for each in layers[1:] if each]
+        there = [(each, value) for each, value in held if value is not None]
+        if any(value != wanted for _, value in there):
+            name = Path(there[0][0].realPath).name
+            return (
+                f"time code {time:g}: {name} was mapped again since it was joined, and the other "
+                "parts were not; join again"
+            )
+    return ""
+
+
+def check_edits(prim: Usd.Prim) -> list[Fault]:
+    """Look at the edits of one animation; without edits there is nothing to find."""
+    path = str(prim.GetPath())
+    if not any(name.startswith(PREFIXES) for name in prim.GetAuthoredPropertyNames()):
+        return []
+    names = list(map(str, UsdSkel.Animation(prim).GetBlendShapesAttr().Get() or []))
+    samples = read_samples(prim)
+    frames = np.zeros(1) if samples is None else np.round(samples.times)
+    try:
+        edits = read_edits(prim, frames.astype(np.int64))
+    except InputError as error:
+        return [Fault("error", path, str(error))]
+    found = []
+    unknown = sorted(set(edits) - set(names))
+    if unknown:
+        message = (
+            f"edits of {some(unknown)} find no such shape and change nothing; rename them, or "
+            "clear them"
+        )
+        found.append(Fault("warning", path, message))
+    if not is_solved(prim):
+        message = "edits of an animation that is no solve: only usdface composes them; bake them"
+        found.append(Fault("warning", path, message))
+    for shape, edit in sorted(edits.items()):
+        if samples is None or shape not in names:
+            continue
+        moved = np.abs(samples.values[:, names.index(shape)] - edit.beneath)
+        moved = np.where(np.isfinite(moved) & edit.curve.active, moved, 0.0)
+        row = int(moved.argmax())
+        if moved[row] > _CHANGED:
+            found.append(
+                Fault(
+                    "warning",
+                    path,
+                    f"time code {samples.times[row]:g}: the solve beneath the edit of {shape} has "
+                    f"changed by {moved[row]:.2f} since it was made; look at the edit again",
+                )
+            )
+    return found

@@ -16,18 +16,13 @@ from pxr import Sdf, Tf, Usd, UsdSkel
 from usdface.core.arrays import Float32Array, FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, hash_files
+from usdface.core.rates import check_frame_span
 from usdface.core.sidecars import edits_path
 from usdface.numerics.motion.edit_curve import EditCurve, apply_edit, needed_samples, no_edit
 from usdface.numerics.motion.key_reduction import reduce_keys
-from usdface.usdio.layers import (
-    author_timing,
-    author_units,
-    new_layers,
-    open_layer,
-    relative_path,
-)
-from usdface.usdio.performance.retimed_layer import retime_layer
-from usdface.usdio.take.frame_span import check_frame_span
+from usdface.usdio.authoring import author_timing, retime_layer
+from usdface.usdio.layers import new_layers, open_layer, relative_path
+from usdface.usdio.units import author_units
 
 _OFFSET = "face:edit:"
 OVERRIDE = "face:override:"

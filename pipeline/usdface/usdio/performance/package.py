@@ -8,15 +8,11 @@ from pxr import Sdf, UsdUtils
 
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.usdio.layers import (
-    author_timing,
-    author_units,
-    provenance_data,
-    usd_errors_as_input_errors,
-)
+from usdface.usdio.authoring import author_timing
+from usdface.usdio.layers import provenance_data, usd_errors_as_input_errors
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.rig.reference import place_of
-from usdface.usdio.rig.variants import carry_variants
+from usdface.usdio.rig.reference import carry_variants, place_of
+from usdface.usdio.units import author_units
 
 
 def write_package(

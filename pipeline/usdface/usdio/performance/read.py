@@ -11,13 +11,12 @@ from pxr import Sdf, Usd, UsdSkel
 from usdface.core.arrays import Float32Array, FloatArray, IntArray
 from usdface.core.assets import Performance, WeightsClip
 from usdface.core.errors import InputError
-from usdface.core.rates import exact_rate
+from usdface.core.rates import exact_rate, span_of_samples
 from usdface.core.timecode import shift_timecode
 from usdface.usdio.layers import open_stage
 from usdface.usdio.performance.edits import ShapeEdit, edited_weights, read_edits
 from usdface.usdio.performance.weights_layer import ANIMATION, WeightsHeader
 from usdface.usdio.rig.reference import place_of, rig_of
-from usdface.usdio.take.frame_span import span_of_samples
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 

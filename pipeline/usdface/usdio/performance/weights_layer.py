@@ -14,19 +14,18 @@ from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.numerics.motion.sparse_samples import sparse_rows
-from usdface.usdio.authoring import apply_api, author_uniform, define_prim
+from usdface.usdio.authoring import apply_api, author_timing, author_uniform, define_prim
 from usdface.usdio.layers import (
     FRAMES_IN_MEMORY,
     VALUES_IN_MEMORY,
     author_provenance,
-    author_timing,
-    author_units,
     new_layer,
     open_stage,
     save_layer,
 )
 from usdface.usdio.rig.read import faces_below
 from usdface.usdio.rig.reference import default_place, point_skeletons_at
+from usdface.usdio.units import author_units
 
 ANIMATION = "FaceSolve"
 """Name of the animation prim, a child of the referenced rig."""

@@ -12,14 +12,8 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import check_not_written_since
 from usdface.core.sidecars import edits_path, weights_path
-from usdface.usdio.layers import (
-    author_timing,
-    author_units,
-    new_layer,
-    open_layer,
-    read_provenance,
-    relative_path,
-)
+from usdface.usdio.authoring import author_timing
+from usdface.usdio.layers import new_layer, open_layer, read_provenance, relative_path
 from usdface.usdio.performance.clips import PartsWriter, clear_parts, writing_parts
 from usdface.usdio.performance.weights_layer import (
     WeightsHeader,
@@ -28,11 +22,12 @@ from usdface.usdio.performance.weights_layer import (
     writing_weights,
 )
 from usdface.usdio.rig.reference import (
+    carry_variants,
     default_place,
     define_reference,
     forget_reference,
 )
-from usdface.usdio.rig.variants import carry_variants
+from usdface.usdio.units import author_units
 
 
 @contextlib.contextmanager

@@ -6,7 +6,9 @@ from pathlib import Path
 from pxr import Sdf, Usd
 
 from usdface.core.errors import InputError
-from usdface.usdio.layers import author_timing, author_units, open_stage
+from usdface.usdio.authoring import author_timing
+from usdface.usdio.layers import open_stage
+from usdface.usdio.units import author_units
 
 PAIRS_PER_SECOND = 24
 """Only a viewer's playback speed: pairs have no time of their own."""

@@ -13,29 +13,18 @@ from pxr import Sdf
 from usdface.core.assets import Rig
 from usdface.core.controls import Controls
 from usdface.core.provenance import Provenance
-from usdface.usdio.authoring import author_uniform
-from usdface.usdio.layers import (
-    author_timing,
-    author_units,
-    new_layer,
-    open_layer,
-    open_stage,
-    relative_path,
-    save_layer,
-)
+from usdface.core.sidecars import controls_path
+from usdface.usdio.authoring import author_timing, author_uniform
+from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path, save_layer
 from usdface.usdio.performance.clips import PartsWriter
 from usdface.usdio.performance.weights_layer import WeightsHeader, WeightsWriter
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.retarget.control_attributes import attribute_path, control_attribute
 from usdface.usdio.retarget.controls import NAMES, author_joints, set_joint_samples
+from usdface.usdio.units import author_units
 
 _FRAMES_PER_SAVE = 1 << 14
 """Frames between two saves: saved samples are read back from disk, so that memory stays bounded."""
-
-
-def controls_path(path: Path) -> Path:
-    """Return where joints and attributes go: NAME.controls.usdc beside NAME.usda."""
-    return path.with_name(f"{path.stem}.controls.usdc")
 
 
 class ControlsLayer:

@@ -15,6 +15,7 @@ from usdface.core.assets import Rig
 from usdface.core.controls import ExpressionPairs
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import proposed_path
 from usdface.usdio.authoring import apply_api, author_uniform, define_prim
 from usdface.usdio.layers import (
     new_layers,
@@ -41,16 +42,21 @@ from usdface.usdio.rig.reference import (
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 _ROOT = Sdf.Path("/Pairs")
+
+
 _SOURCE = _ROOT.AppendChild("Source")
+
+
 _TARGET = _ROOT.AppendChild("Target")
+
+
 SOURCE_WEIGHTS = _ROOT.AppendChild("SourceWeights")
+
+
 TARGET_CONTROLS = _ROOT.AppendChild("TargetControls")
+
+
 _NAME = _ROOT.AppendProperty("face:pair:name")
-
-
-def pair_samples_path(path: Path) -> Path:
-    """Return the layer that holds what was proposed or imported, beneath the one to open."""
-    return path.with_name(f"{path.stem}.proposed.usda")
 
 
 def write_pairs(
@@ -66,12 +72,12 @@ def write_pairs(
     Parameters
     ----------
     path : Path
-        The layer to open; `pair_samples_path` lies beneath it.
+        The layer to open; `proposed_path` lies beneath it.
     pairs : ExpressionPairs
     source_rig, target_rig : Rig
     provenance : Provenance, optional
     """
-    samples = pair_samples_path(path)
+    samples = proposed_path(path)
     with new_layers({samples: provenance, path: provenance}) as (below, layer):
         _author_samples(below, samples, pairs, source_rig, target_rig)
         if path.is_file():
@@ -128,7 +134,7 @@ def keyed_above(path: Path) -> tuple[str, ...]:
 
     As USD has it, samples of a stronger layer hide all that are beneath.
     """
-    samples = pair_samples_path(path).resolve()
+    samples = proposed_path(path).resolve()
     found: list[str] = []
     for layer in open_stage(path).GetLayerStack(includeSessionLayers=False):
         if Path(layer.realPath).resolve() == samples:

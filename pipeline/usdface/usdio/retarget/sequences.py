@@ -9,22 +9,16 @@ from pxr import Sdf, Usd, UsdSkel
 from usdface.core.controls import Controls, EmotionalSequence, SequenceMatch
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.usdio.authoring import apply_api, author_uniform, define_prim
-from usdface.usdio.layers import (
-    author_timing,
-    author_units,
-    new_layer,
-    open_layer,
-    open_stage,
-    relative_path,
-)
+from usdface.core.rates import span_of_samples
+from usdface.usdio.authoring import apply_api, author_timing, author_uniform, define_prim
+from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
 from usdface.usdio.retarget.controls import (
     author_joints,
     controls_at,
     set_joint_samples,
     set_weight_samples,
 )
-from usdface.usdio.take.frame_span import span_of_samples
+from usdface.usdio.units import author_units
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 _ROOT = Sdf.Path("/Sequence")

@@ -13,7 +13,7 @@ from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
 from usdface.usdio.layers import open_stage
 from usdface.usdio.rig.rest_pose import RestPose
-from usdface.usdio.rig.space import column_matrix, stage_to_ours, transform_points
+from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 

@@ -12,7 +12,7 @@ from usdface.usdio.layers import open_stage
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.read import find_face, read_rig
 from usdface.usdio.rig.reference import place_of
-from usdface.usdio.rig.space import column_matrix, stage_to_ours, transform_points
+from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 

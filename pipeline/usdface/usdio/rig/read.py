@@ -14,7 +14,7 @@ from usdface.core.errors import InputError
 from usdface.usdio.layers import open_stage
 from usdface.usdio.rig.materials import read_look
 from usdface.usdio.rig.rest_pose import PlacedMesh, RestPose
-from usdface.usdio.rig.space import stage_to_ours
+from usdface.usdio.units import stage_to_ours
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 RANGE_ATTRIBUTE = "face:range"

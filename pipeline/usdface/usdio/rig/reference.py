@@ -11,9 +11,9 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.usdio.authoring import apply_api, author_uniform, define_prim
-from usdface.usdio.layers import MM_PER_STAGE_UNIT, open_stage, relative_path
+from usdface.usdio.layers import open_stage, relative_path
 from usdface.usdio.rig.read import skeletons_of
-from usdface.usdio.rig.space import stage_to_ours
+from usdface.usdio.units import MM_PER_STAGE_UNIT, stage_to_ours
 
 UNITS = "xformOp:transform:units"
 
@@ -283,3 +283,28 @@ def _skel_root_above(stage: Usd.Stage, skeleton: Sdf.Path) -> str:
     while prim and not prim.IsA(UsdSkel.Root):
         prim = prim.GetParent()
     return str(prim.GetPath()) if prim else ""
+
+
+def carry_variants(layer: Sdf.Layer, stage: Usd.Stage, place: str, rig: Path, top: str) -> None:
+    """Choose in a layer what a stage has of a rig's variants, where that is not the rig's own.
+
+    Parameters
+    ----------
+    layer : Sdf.Layer
+        Has the rig at the same place.
+    stage : Usd.Stage
+    place : str
+        Where the rig stands.
+    rig : Path
+        Its file.
+    top : str
+        The prim of that file which is referenced.
+    """
+    own = open_stage(rig)
+    for prim in Usd.PrimRange(stage.GetPrimAtPath(place)):
+        sets = prim.GetVariantSets()
+        for name in sets.GetNames():
+            choice = sets.GetVariantSelection(name)
+            there = own.GetPrimAtPath(prim.GetPath().ReplacePrefix(Sdf.Path(place), Sdf.Path(top)))
+            if not there or there.GetVariantSet(name).GetVariantSelection() != choice:
+                Sdf.CreatePrimInLayer(layer, prim.GetPath()).variantSelections[name] = choice

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdSkel, Vt
 
 from usdface.core.arrays import FloatArray
-from usdface.usdio.rig.space import column_matrix, transform_points
+from usdface.usdio.units import column_matrix, transform_points
 
 
 @dataclass(frozen=True)

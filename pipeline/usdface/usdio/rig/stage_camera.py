@@ -13,8 +13,8 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
-from usdface.usdio.layers import millimetres, open_stage
-from usdface.usdio.rig.space import column_matrix, stage_to_ours
+from usdface.usdio.layers import open_stage
+from usdface.usdio.units import column_matrix, millimetres, stage_to_ours
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 CAMERAS_TOLD = 6

@@ -8,8 +8,9 @@ from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import Rig, RigMesh, ShapeKey
 from usdface.core.provenance import Provenance
-from usdface.usdio.layers import MM_PER_STAGE_UNIT, author_units, new_layer
+from usdface.usdio.layers import new_layer
 from usdface.usdio.rig.read import RANGE_ATTRIBUTE
+from usdface.usdio.units import MM_PER_STAGE_UNIT, author_units
 
 
 def write_rig(path: Path, rig: Rig, *, provenance: Provenance | None = None) -> None:

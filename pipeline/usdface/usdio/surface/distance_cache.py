@@ -11,7 +11,8 @@ from pxr import Sdf, Vt
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.usdio.authoring import apply_api, author_uniform, define_prim
-from usdface.usdio.layers import author_units, new_layer, open_layer
+from usdface.usdio.layers import new_layer, open_layer
+from usdface.usdio.units import author_units
 
 _ROOT = Sdf.Path("/Distances")
 _ARRAY = "face:array:"

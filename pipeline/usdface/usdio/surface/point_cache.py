@@ -18,19 +18,17 @@ from usdface.core.arrays import Float32Array, FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, hash_text
-from usdface.usdio.authoring import apply_api, author_uniform
-from usdface.usdio.layers import author_timing, new_layer, open_layer, relative_path
+from usdface.core.sidecars import points_path
+from usdface.usdio.authoring import apply_api, author_timing, author_uniform
+from usdface.usdio.layers import new_layer, open_layer, relative_path
 from usdface.usdio.rig.mesh import FaceMesh
 from usdface.usdio.rig.reference import default_place, define_reference
 
 UNCERTAINTY = "primvars:face:uncertainty"
+
+
 BYTES_IN_MEMORY = 128 << 20
 """Samples are saved to disk in lots of this size."""
-
-
-def points_path(path: Path) -> Path:
-    """Return where the points go: NAME.points.usdc beside NAME.usda."""
-    return path.with_name(f"{path.stem}.points.usdc")
 
 
 @dataclass(frozen=True)

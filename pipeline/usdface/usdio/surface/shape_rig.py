@@ -16,7 +16,7 @@ from usdface.core.provenance import Provenance
 from usdface.usdio.authoring import apply_api, author_uniform, define_prim
 from usdface.usdio.layers import new_layer, open_stage, relative_path
 from usdface.usdio.rig.mesh import FaceMesh
-from usdface.usdio.rig.space import stage_to_ours, transform_points
+from usdface.usdio.units import stage_to_ours, transform_points
 
 ASSET = "asset"
 SHAPES = "shapes"

@@ -12,10 +12,9 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from usdface.core.assets import WeightsClip
 from usdface.core.errors import InputError
-from usdface.core.rates import exact_rate
+from usdface.core.rates import check_frame_span, exact_rate
 from usdface.usdio.layers import open_stage
-from usdface.usdio.rig.space import column_matrix, stage_to_ours, transform_points
-from usdface.usdio.take.frame_span import check_frame_span
+from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 NAME_ATTRIBUTES = (

@@ -10,12 +10,11 @@ from pxr import Usd, UsdGeom, UsdSkel
 from usdface.core.arrays import Float32Array
 from usdface.core.assets import Event, Markers, Take, Video, WeightsClip
 from usdface.core.errors import InputError
-from usdface.core.rates import exact_rate
+from usdface.core.rates import check_frame_span, exact_rate
 from usdface.core.timecode import shift_timecode
 from usdface.usdio.layers import open_stage
-from usdface.usdio.rig.space import column_matrix, stage_to_ours
-from usdface.usdio.take.frame_span import check_frame_span
 from usdface.usdio.take.write import AUDIO, CONFIDENCE, HEAD_MOTION, MARKERS, SOURCE, VISIBLE
+from usdface.usdio.units import column_matrix, stage_to_ours
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 

@@ -1,5 +1,6 @@
 """Write a take: a readable layer to open, and its samples in a binary one beside it."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -7,16 +8,12 @@ import numpy as np
 from pxr import Gf, Kind, Sdf, UsdGeom, UsdMedia, Vt
 
 from usdface.core.assets import Markers, Take
+from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.usdio.authoring import apply_api, author_uniform, define_prim
-from usdface.usdio.layers import (
-    FRAMES_IN_MEMORY,
-    MM_PER_STAGE_UNIT,
-    author_timing,
-    author_units,
-    new_layers,
-    relative_path,
-)
+from usdface.core.sidecars import take_samples_path
+from usdface.usdio.authoring import apply_api, author_timing, author_uniform, define_prim
+from usdface.usdio.layers import FRAMES_IN_MEMORY, new_layer, new_layers, open_layer, relative_path
+from usdface.usdio.units import MM_PER_STAGE_UNIT, author_units
 
 _ROOT = Sdf.Path("/Take")
 MARKERS = _ROOT.AppendChild("Markers")
@@ -25,14 +22,8 @@ SOURCE = _ROOT.AppendChild("Source")
 AUDIO = _ROOT.AppendChild("Audio")
 VISIBLE = "primvars:face:visible"
 CONFIDENCE = "primvars:face:confidence"
-
 MARKER_WIDTH_MM = 3.0
 """How large a viewer draws a marker: a common size of facial markers."""
-
-
-def take_samples_path(path: Path) -> Path:
-    """Return where the samples of a take go: beside it, or in it when it is binary itself."""
-    return path if path.suffix == ".usdc" else path.with_name(f"{path.stem}.samples.usdc")
 
 
 def write_take(
@@ -230,3 +221,58 @@ def _author_audio(layer: Sdf.Layer, take: Take, path: Path) -> None:
     author_uniform(prim, "auralMode", Sdf.ValueTypeNames.Token, UsdMedia.Tokens.nonSpatial)
     start = Sdf.TimeCode(take.first_frame)  # the capture's own sound starts with it
     author_uniform(prim, "startTime", Sdf.ValueTypeNames.TimeCode, start)
+
+
+@dataclass(frozen=True)
+class VideoSync:
+    """How a video lies in its take: ``take_time = offset + (1 + drift * 1e-6) * video_time``.
+
+    Attributes
+    ----------
+    offset : float
+        [s]
+    drift : float
+        [ppm]
+    confidence : float
+        [0-1]
+    """
+
+    offset: float
+    drift: float
+    confidence: float
+
+
+def write_video_sync(path: Path, sync: VideoSync) -> None:
+    """Write the video's place in time into the root layer of a take.
+
+    The layer is copied, changed and put in the place of the old one at once: whoever reads sees
+    the one or the other. Its other opinions, its sublayers and what it says of its making stay.
+
+    Parameters
+    ----------
+    path : Path
+    sync : VideoSync
+
+    Raises
+    ------
+    InputError
+        If the layer cannot be read or written, or names no default prim.
+    """
+    layer = open_layer(path)
+    if not layer.defaultPrim:
+        raise InputError(f"{path}: names no default prim, so it is no take; ingest the capture")
+    root = Sdf.Path.absoluteRootPath.AppendPath(layer.defaultPrim)
+    with new_layer(path) as changed:
+        changed.TransferContent(layer)
+        # A take made over another may say nothing of its root yet: then this is an over.
+        prim = Sdf.CreatePrimInLayer(changed, root)
+        for name, value in (
+            ("face:video:offset", sync.offset),
+            ("face:video:drift", sync.drift),
+            ("face:sync:confidence", sync.confidence),
+        ):
+            attribute = prim.attributes.get(name)
+            if attribute is None:
+                kind = Sdf.ValueTypeNames.Double
+                attribute = Sdf.AttributeSpec(prim, name, kind, Sdf.VariabilityUniform)
+            attribute.default = float(value)

@@ -13,7 +13,8 @@ from usdface.core.controls import Retargeting, RetargetScore
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.usdio.authoring import author_uniform, define_prim, doubles
-from usdface.usdio.layers import author_units, new_layer, open_stage, relative_path
+from usdface.usdio.layers import new_layer, open_stage, relative_path
+from usdface.usdio.units import author_units
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 _ROOT = Sdf.Path("/Retargeting")

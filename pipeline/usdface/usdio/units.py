@@ -1,0 +1,76 @@
+"""A stage's units and axes, and ours: millimetres, Y up."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pxr import Gf, Sdf, Usd, UsdGeom
+
+from usdface.core.errors import InputError
+from usdface.usdio.layers import open_layer
+
+Z_UP_TO_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+_METRES_PER_STAGE_UNIT = 0.01
+MM_PER_STAGE_UNIT = 10.0
+"""Layers that this package writes are in centimetres, as most film rigs are."""
+
+_SMALLEST_UNIT_M, _LARGEST_UNIT_M = 1e-9, 1e6
+"""Nanometres, and more than any scene is measured in."""
+
+
+def stage_to_ours(stage: Usd.Stage) -> NDArray[np.float64]:
+    """Return the 3x3 that turns a stage's column vectors into millimetres, Y up."""
+    turn = Z_UP_TO_Y_UP if is_z_up(stage) else np.eye(3)
+    return millimetres(stage) * turn
+
+
+def column_matrix(matrix: Gf.Matrix4d) -> NDArray[np.float64]:
+    """Return a USD matrix (row vectors) as one for column vectors."""
+    return np.array(matrix, dtype=np.float64).T
+
+
+def transform_points(matrix: NDArray[np.float64], points: ArrayLike) -> NDArray[np.float64]:
+    """Apply a (4, 4) column-vector transform to (n, 3) points."""
+    points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    return np.asarray(points @ matrix[:3, :3].T + matrix[:3, 3], dtype=np.float64)
+
+
+def millimetres(stage: Usd.Stage) -> float:
+    """Return how many millimetres one unit of a stage is.
+
+    Raises
+    ------
+    InputError
+        If the stage's unit is no length.
+    """
+    metres = float(UsdGeom.GetStageMetersPerUnit(stage))
+    if not _SMALLEST_UNIT_M <= metres <= _LARGEST_UNIT_M:  # also catches NaN
+        raise InputError(
+            f"{stage.GetRootLayer().realPath}: metersPerUnit is {metres:g}, no length that a face "
+            "is measured in; correct it: 0.01 is centimetres"
+        )
+    return metres * 1000.0
+
+
+def is_z_up(stage: Usd.Stage) -> bool:
+    """Whether a stage's up axis is Z."""
+    return bool(UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z)
+
+
+def author_units(layer: Sdf.Layer, *, like: Path | None = None) -> None:
+    """Set centimetres and Y up on a layer, or what a file has that it references.
+
+    Parameters
+    ----------
+    layer : Sdf.Layer
+    like : Path, optional
+        A file whose prims the layer shows as they are: USD converts no units on a reference.
+    """
+    metres, up = _METRES_PER_STAGE_UNIT, "Y"
+    if like is not None:
+        other = open_layer(like)  # held: what a layer lends does not outlive it
+        said = other.pseudoRoot
+        metres = said.GetInfo("metersPerUnit") if said.HasInfo("metersPerUnit") else metres
+        up = said.GetInfo("upAxis") if said.HasInfo("upAxis") else UsdGeom.GetFallbackUpAxis()
+    layer.pseudoRoot.SetInfo("metersPerUnit", metres)
+    layer.pseudoRoot.SetInfo("upAxis", up)
