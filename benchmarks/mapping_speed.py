@@ -4,6 +4,7 @@ Times are of the processor, since other work on the machine would count otherwis
 Also how long a rig of 946 shapes, most of them correctives, takes to train.
 """
 
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -154,6 +155,8 @@ def _train_large() -> float:
         ranges=np.tile([0.0, 1.0], (len(rig.skin), 1)),
         gram=flat @ flat.T / rig.skin.shape[1],
         skin=rig.skin,
-        progress=lambda share, what: print(f"  {time.process_time() - start:5.0f} s {what}"),
+        progress=lambda share, what: print(
+            f"  {time.process_time() - start:5.0f} s {what}", file=sys.stderr
+        ),
     )
     return time.process_time() - start

@@ -1,7 +1,7 @@
-"""How Sphinx makes a site of these pages: `poe docs`.
+"""Sphinx configuration of the documentation site: `poe docs`.
 
-The pages stay plain Markdown that reads well in a repository: what the site's menu holds comes from
-the links of README.md, and of those in its folders.
+The pages are plain Markdown, to be read in a repository, too: the site's menu is made of the links
+in README.md, and in those of the folders.
 """
 
 import re
@@ -15,21 +15,21 @@ CHANGES = "changes/README"
 project = "usdface"
 extensions = ["myst_parser"]
 root_doc = "README"
-exclude_patterns = ["changes/[0-9]*"]  # which are parts of a page
+exclude_patterns = ["changes/[0-9]*"]  # parts of changes/README
 html_theme = "furo"
 html_title = "usdface"
 html_show_copyright = False
 html_static_path = ["site"]
 html_css_files = ["tables.css"]
-smartquotes = False  # which make one dash of an option's two
+smartquotes = False  # they would merge the two dashes of an option
 myst_heading_anchors = 4
-# A page that no menu holds is reached by a link; that there is one is tested.
-# Tables as printed begin their headings where the printing has them.
+# Pages outside the menu are linked, which is tested.
+# Printed tables start at any level of heading.
 suppress_warnings = ["toc.not_included", "myst.header"]
 
 
 def add_menu(_app: Sphinx, docname: str, source: list[str]) -> None:
-    """Append the menu that the links of an index page stand for, a part for each heading."""
+    """Append a menu of the links of an index page, one part per heading."""
     if PurePosixPath(docname).name != "README":
         return
     menus = []
@@ -44,7 +44,7 @@ def add_menu(_app: Sphinx, docname: str, source: list[str]) -> None:
 
 
 def gather_changes(_app: Sphinx, docname: str, source: list[str]) -> None:
-    """Show the fragments that the next release gathers on the page that tells of them."""
+    """Append the fragments of the next release to the page of changes."""
     if docname != CHANGES:
         return
     for fragment in sorted((HERE / CHANGES).parent.glob("[0-9]*.md")):
@@ -54,6 +54,6 @@ def gather_changes(_app: Sphinx, docname: str, source: list[str]) -> None:
 
 
 def setup(app: Sphinx) -> None:
-    """Let pages be completed as they are read."""
+    """Complete pages when they are read."""
     app.connect("source-read", add_menu)
     app.connect("source-read", gather_changes)
