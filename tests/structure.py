@@ -66,10 +66,9 @@ def read_modules() -> dict[str, Module]:
 
 def unknown_step_modules(modules: dict[str, Module]) -> Iterator[Violation]:
     """A module under a workflow of steps/ is a step, a command, or listed as a helper."""
-    from usdface.specs.edits import EditsImportSpec, EditSpec
-    from usdface.specs.job import STEP_SPECS
+    from usdface.specs.job import COMMAND_SPECS
 
-    steps = {spec.module for spec in (*STEP_SPECS, EditSpec, EditsImportSpec)}
+    steps = {spec.module for spec in COMMAND_SPECS}
     workflows = {step.partition(".")[0] for step in steps}
     for workflow in sorted(workflows):
         package = import_module(f"usdface.steps.{workflow}")

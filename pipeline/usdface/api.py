@@ -13,8 +13,7 @@ from usdface.runner.execute import execute
 from usdface.runner.job import StepState
 from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
-from usdface.specs.edits import EditsImportSpec, EditSpec
-from usdface.specs.job import STEP_SPECS
+from usdface.specs.job import SPEC_BY_STEP
 from usdface.specs.messages import validation_messages
 from usdface.specs.reading import read_job
 from usdface.usdio import mapping as mapping_files
@@ -36,9 +35,6 @@ __all__ = [
     "run_step",
     "validate",
 ]
-
-_STEPS: tuple[type[Spec], ...] = (*STEP_SPECS, EditSpec, EditsImportSpec)
-_SPECS = {str(spec.model_fields["step"].default): spec for spec in _STEPS}
 
 
 def run_step(
@@ -62,9 +58,9 @@ def run_step(
     InputError
         If there is no such step, an option is wrong, or an input cannot be used.
     """
-    spec = _SPECS.get(step)
+    spec = SPEC_BY_STEP.get(step)
     if spec is None:
-        raise InputError(f"no step {step!r}; there are {', '.join(_SPECS)}")
+        raise InputError(f"no step {step!r}; there are {', '.join(SPEC_BY_STEP)}")
     return execute(_filled(spec, values), overwrite=overwrite, progress=progress)
 
 

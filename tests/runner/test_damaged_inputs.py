@@ -15,7 +15,7 @@ from tests.damage import DEEP, TOKENS, Spoil, damage
 from tests.specs.test_takes import job
 from usdface.core.errors import InputError
 from usdface.publish.integrate import read_manifest
-from usdface.runner.outputs import provenance_of
+from usdface.runner.origin import provenance_of
 from usdface.specs.paths import read_path_rules
 from usdface.specs.reading import read_job
 from usdface.speech.dictionary import read_dictionary, read_text

@@ -1,6 +1,5 @@
 """All commands: those of steps are generated from their specs, the others are written here."""
 
-import gc
 import inspect
 import os
 import sys
@@ -27,12 +26,11 @@ from usdface.cli.console import (
 from usdface.cli.spec_options import build_spec, command_of
 from usdface.cli.tune import tune_command
 from usdface.core.errors import InputError, UsdfaceError
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.core.version import __version__
 from usdface.specs.base import Spec
 from usdface.specs.capture import IngestSpec
-from usdface.specs.edits import EditsImportSpec, EditSpec
-from usdface.specs.job import STEP_SPECS, JobSpec
+from usdface.specs.job import COMMAND_SPECS, JobSpec
 from usdface.specs.paths import ROOT_VARIABLE, check_confined, read_path_rules
 from usdface.specs.reading import read_job, spec_text
 from usdface.specs.submit import SubmitSpec
@@ -133,14 +131,13 @@ def _folder_to_ingest(spec_type: type[Spec], values: dict[str, Any]) -> Path | N
     return sources[0] if sources and len(sources) == 1 and sources[0].is_dir() else None
 
 
-def _said_of_whole(names: list[str]) -> tuple[str, ...]:
+def _unchunked_notes(names: list[str]) -> tuple[str, ...]:
     if not names:
         return ()
-    some = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-    which = "is mapped in one piece: the frames of its take are"
-    if len(names) > 1:
-        which = "are mapped in one piece: the frames of their takes are"
-    return (f"{some} {which} known only when ingested; say `frames` in the job to have chunks",)
+    return (
+        f"not cut into chunks: {first_few(names, most=3)}; the frames of a take are known only "
+        "when it has been ingested, so give `frames` in the job",
+    )
 
 
 def _submit(
@@ -155,9 +152,7 @@ def _submit(
 
     spec = build_spec(spec_type, values)
     done = submit(spec, overwrite=overwrite, quiet=as_json)
-    if "OpenImageIO" not in sys.modules:  # whose bindings would call what is kept a leak
-        gc.freeze()  # the process ends: looking for garbage in all of USD takes a tenth of a second
-    notes = _said_of_whole([path.name for path in done.plan.whole])
+    notes = _unchunked_notes([path.name for path in done.plan.whole])
     tasks = {step.name: len(step.tasks) for step in done.plan.steps}
     verb = "written" if spec.write_only else "done" if spec.farm == "openjd" else "submitted"
     summary = f"{done.job}: {pluralize(sum(tasks.values()), 'task')}, {verb}"
@@ -167,41 +162,52 @@ def _submit(
     show_result(report, as_json=as_json)
 
 
-# An edit is a person's: a job makes none again.
-_SPECS: tuple[type[Spec], ...] = (*STEP_SPECS, EditSpec, EditsImportSpec)
 _GROUPS = {
-    "references": "Import tuned weights and edits into references, measure and draw them.",
-    "pairs": "Make pairs of corresponding expressions of two characters.",
-    "edits": "Import edits from a DCC, or list the edits of a performance.",
+    "references": (
+        "references",
+        "Import tuned weights and edits into references, measure and draw them.",
+    ),
+    "pairs": ("retarget", "Make pairs of corresponding expressions of two characters."),
+    "edits": ("edits", "Import edits from a DCC, or list the edits of a performance."),
 }
+"""Groups of commands: the workflow each is listed under, and its summary."""
 
 
-def _group_and_name(spec: type[Spec]) -> tuple[str, str]:
-    step = str(spec.model_fields["step"].default)
-    group, _, rest = step.partition("-")
-    return (group, rest) if group in _GROUPS else ("", step)
+def _make_group(group: str) -> typer.Typer:
+    """Return a group with the commands of the steps whose names begin with its own."""
+    makers = {
+        spec.step_name().removeprefix(f"{group}-"): partial(command_of, spec, _run_step, COMMON)
+        for spec in COMMAND_SPECS
+        if spec.step_name().startswith(f"{group}-")
+    }
+    workflow, summary = _GROUPS[group]
+    made = typer.Typer(
+        cls=commands_on_demand(makers), help=summary, no_args_is_help=True, rich_markup_mode=None
+    )
+    made.info.rich_help_panel = workflow  # the constructor drops it
+    return made
 
 
-def _commands_of(group: str) -> dict[str, Callable[[], Callable[..., None]]]:
-    """Return what makes the command of each spec in a group; the top has no name."""
-    return {
-        name: partial(command_of, spec, _run_step, COMMON)
-        for spec, (of, name) in ((spec, _group_and_name(spec)) for spec in _SPECS)
-        if of == group
+def _top_commands() -> dict[str, Callable[[], Any]]:
+    """Return what makes each command of the top; a group stands where its first command would."""
+    makers: dict[str, Callable[[], Any]] = {}
+    for spec in COMMAND_SPECS:
+        group = spec.step_name().partition("-")[0]
+        if group in _GROUPS:
+            makers[group] = partial(_groups.__getitem__, group)
+        else:
+            makers[spec.step_name()] = partial(command_of, spec, _run_step, COMMON)
+    shared = [each for each in COMMON if each.name in _SUBMIT_COMMON]
+    return makers | {
+        "tune": partial(tune_command, COMMON[-1]),
+        "submit": partial(command_of, SubmitSpec, _submit, shared),
     }
 
 
+_groups = {group: _make_group(group) for group in _GROUPS}
 app = typer.Typer(
     name="usdface",
-    cls=commands_on_demand(
-        _commands_of("")
-        | {
-            "tune": partial(tune_command, COMMON[-1]),
-            "submit": partial(
-                command_of, SubmitSpec, _submit, [c for c in COMMON if c.name in _SUBMIT_COMMON]
-            ),
-        }
-    ),
+    cls=commands_on_demand(_top_commands()),
     help="Facial capture to BlendShape weights, as a stage of an OpenUSD pipeline.",
     epilog=EPILOG,
     no_args_is_help=True,
@@ -209,12 +215,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-_groups = {
-    name: typer.Typer(cls=commands_on_demand(_commands_of(name)), help=text, no_args_is_help=True)
-    for name, text in _GROUPS.items()
-}
-for _name, _group in _groups.items():
-    app.add_typer(_group, name=_name)
 
 
 @_groups["edits"].command("list", epilog=EPILOG)
@@ -232,12 +232,12 @@ def list_edits(
 
     usdface edits list kitchen.hero.usda
     """
-    from usdface.steps.inputs.edit_ranges import list_edits as listed
+    from usdface.steps.edits.list_ import list_edit_ranges
 
-    show_result(listed(performance, prim=prim), as_json=as_json)
+    show_result(list_edit_ranges(performance, prim=prim), as_json=as_json)
 
 
-@app.command(epilog=EPILOG)
+@app.command(epilog=EPILOG, rich_help_panel="jobs")
 def run(
     job: Annotated[Path, typer.Argument(help="Job file, YAML or JSON.", show_default=False)],
     progress: ShowProgress = "auto",
@@ -273,7 +273,7 @@ def run(
         show_result(report, as_json=False)
 
 
-@app.command(epilog=EPILOG)
+@app.command(epilog=EPILOG, rich_help_panel="jobs")
 def check(
     job: Annotated[Path, typer.Argument(help="Job file, YAML or JSON.", show_default=False)],
     as_json: Json = False,
@@ -297,7 +297,7 @@ def check(
         echo(f"{number}. {state.spec.step}: {state.state} ({state.reason})")
 
 
-@app.command(epilog=EPILOG)
+@app.command(epilog=EPILOG, rich_help_panel="performance")
 def describe(
     mapping: Annotated[
         Path, typer.Argument(help="A trained mapping or retargeting.", show_default=False)
@@ -315,7 +315,7 @@ def describe(
     show_result(describe_mapping(mapping), as_json=as_json)
 
 
-@app.command(epilog=EPILOG)
+@app.command(epilog=EPILOG, rich_help_panel="edits")
 def validate(
     layers: Annotated[list[Path], typer.Argument(help="USD layers to check.", show_default=False)],
     as_json: Json = False,
@@ -335,7 +335,7 @@ def validate(
     report.require_success()
 
 
-@app.command(epilog=EPILOG)
+@app.command(epilog=EPILOG, rich_help_panel="jobs")
 def demo(
     out_folder: Annotated[
         Path, typer.Option("--out", help="Folder of the demo.", show_default=False)

@@ -11,7 +11,6 @@ from usdface.core.errors import InputError
 from usdface.core.text import pluralize
 from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
-from usdface.specs.paths import Reads, confinement_root
 from usdface.specs.tune import TuneSpec
 
 _NEEDED = ("starlette", "uvicorn", "anyio", "h11")
@@ -24,15 +23,9 @@ def tune_command(as_json: inspect.Parameter) -> Any:
 
 def _tune(spec_type: type[Spec], values: dict[str, Any], *, as_json: bool) -> None:
     spec = build_spec(TuneSpec, values)
-    missing = [path for path in spec.paths(Reads) if not path.exists()]
-    if missing:
-        names = ", ".join(map(str, missing))
-        raise InputError(f"tune: {names}: no such file; check the path")
-    root = confinement_root()
-    if root is not None:
-        from usdface.runner.sandbox import check_confined_inputs
+    from usdface.runner.outputs import check_inputs
 
-        check_confined_inputs(spec, root)
+    check_inputs(spec)
     try:
         from usdface.tuning.serve import serve
     except ModuleNotFoundError as error:

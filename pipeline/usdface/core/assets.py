@@ -7,7 +7,7 @@ converts once at the border. Nothing here reads, writes or computes.
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -72,6 +72,9 @@ class WeightsClip:
     rate: Fraction
 
 
+Seconds = TypeVar("Seconds", float, FloatArray)
+
+
 @dataclass(frozen=True)
 class Video:
     """The camera's recording beside a take: take_time = offset + (1 + drift * 1e-6) * video_time.
@@ -90,6 +93,14 @@ class Video:
     rate: Fraction | None = None
     offset: float = 0.0
     drift: float = 0.0
+
+    def video_time(self, take_seconds: Seconds) -> Seconds:
+        """Return moments of the take [s] on the video's clock [s]."""
+        return (take_seconds - self.offset) / (1.0 + self.drift * 1e-6)
+
+    def take_time(self, video_seconds: Seconds) -> Seconds:
+        """Return moments of the video [s] on the take's clock [s]."""
+        return self.offset + (1.0 + self.drift * 1e-6) * video_seconds
 
 
 @dataclass(frozen=True)

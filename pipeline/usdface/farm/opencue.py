@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from usdface.core.errors import CheckFailedError, InputError
-from usdface.farm.plan import FarmStep, host_requirements
+from usdface.farm.plan import FarmStep
 from usdface.farm.template import TASKS, task_command
+from usdface.specs.base import Spec
+from usdface.specs.job import SPEC_BY_STEP
 
 _FRAME = "#IFRAME#"
 """What OpenCue replaces by a frame's number when it runs a command."""
@@ -45,7 +47,7 @@ def build_outline(
     # A layer whose frames lie outside the outline's is dropped without a word.
     job = outline.Outline(name=_allowed(name), frame_range=f"1-{longest}")
     for step in steps:
-        needs = host_requirements(step.kind)
+        needs = SPEC_BY_STEP.get(step.kind, Spec)
         spec = bundle.absolute() / TASKS / step.name / f"{_FRAME}.yaml"
         layer = shell.Shell(
             _allowed(step.name),

@@ -12,6 +12,7 @@ from usdface.farm.commands import run_bundle, submit_bundle
 from usdface.farm.opencue import build_outline, outline_text, submit_outline
 from usdface.farm.plan import Plan, plan_job
 from usdface.farm.template import check_job_name
+from usdface.runner.outputs import missing_in_job
 from usdface.specs.job import JobSpec
 from usdface.specs.paths import Reads, check_confined, confinement_root
 from usdface.specs.reading import read_job
@@ -119,16 +120,7 @@ def _with_absolute_paths(job: JobSpec) -> JobSpec:
 
 def _check_inputs(job: JobSpec) -> None:
     """Find here, in a second, what a worker would find after an hour in the queue."""
-    made: set[Path] = set()
-    faults = []
-    for number, step in enumerate(job.steps, start=1):
-        faults += [
-            f"step {number}, {step.step}: {path}: no such file, and no earlier step makes it"
-            for path in step.paths(Reads)
-            if path not in made and not path.exists()
-        ]
-        made.update(step.changes())
-    if faults:
+    if faults := missing_in_job(job):
         raise InputError("\n".join(faults))
 
 

@@ -9,7 +9,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from usdface.core.errors import InputError
-from usdface.farm.plan import FarmStep, host_requirements
+from usdface.farm.plan import FarmStep
+from usdface.specs.base import Spec
+from usdface.specs.job import SPEC_BY_STEP
 
 TASKS = "tasks"
 """Folder of the bundle: STEP/NUMBER.yaml is the spec of one task."""
@@ -81,7 +83,7 @@ def task_command(spec: str) -> list[str]:
 
 
 def _step(step: FarmStep) -> dict[str, Any]:
-    needs = host_requirements(step.kind)
+    needs = SPEC_BY_STEP.get(step.kind, Spec)
     command, *arguments = task_command(
         f"{{{{Param.Tasks}}}}/{step.name}/{{{{Task.Param.Task}}}}.yaml"
     )

@@ -16,7 +16,7 @@ from usdface.core.progress import Progress, part, silent
 from usdface.core.sidecars import weights_path
 from usdface.publish.collect import PublishItem
 from usdface.runner.execute import execute
-from usdface.runner.outputs import make_provenance
+from usdface.runner.origin import make_provenance
 from usdface.specs.edits import BakeSpec
 from usdface.specs.review import MovieSpec, SheetSpec
 from usdface.usdio.performance.read import PerformanceReader

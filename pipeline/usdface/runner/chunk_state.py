@@ -1,14 +1,12 @@
 """What a farm maps or draws in parts and joins is as done as what one process makes whole."""
 
-import json
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
 from usdface.core.provenance import Provenance
-from usdface.runner.outputs import provenance_of
+from usdface.runner.origin import provenance_of, spec_of
 from usdface.specs.base import Spec
 from usdface.specs.paths import frame_range
 from usdface.specs.performance import JoinSpec, MapSpec
@@ -41,9 +39,9 @@ def chunk_specs(spec: Spec, made: Provenance, path: Path) -> tuple[Spec, ...]:
     join = join.with_paths(lambda part: folder / part)
     parts, stretches = list[Spec](), list[tuple[int, int]]()
     for part in join.parts:
-        frames = _told(provenance_of(part)).get("frames")
-        own = {"frames": frames, "out": part}
-        own |= {"chunk": None} if isinstance(spec, MapSpec) else {"sound": False}
+        frames = spec_of(provenance_of(part)).get("frames")
+        changed = {"frames": frames, "out": part}
+        changed |= {"chunk": None} if isinstance(spec, MapSpec) else {"sound": False}
         try:
             stretch = frame_range(frames)
         except (AttributeError, ValueError):
@@ -51,7 +49,7 @@ def chunk_specs(spec: Spec, made: Provenance, path: Path) -> tuple[Spec, ...]:
         if stretch is None:
             return ()
         stretches.append(stretch)
-        parts.append(spec.model_copy(update=own))
+        parts.append(spec.model_copy(update=changed))
     stretches.sort()
     follow = all(one[1] + 1 == other[0] for one, other in pairwise(stretches))
     if not follow or (stretches[0][0], stretches[-1][1]) != _frames_wanted(spec):
@@ -67,21 +65,12 @@ def _join_of(spec: Spec, made: Provenance) -> JoinSpec | MovieJoinSpec | None:
         kind = MovieJoinSpec
     else:
         return None
-    if made.step != kind.model_fields["step"].default:
+    if made.step != kind.step_name():
         return None
     try:
-        return kind.model_validate(_told(made))
+        return kind.model_validate(spec_of(made))
     except ValidationError:
         return None
-
-
-def _told(made: Provenance | None) -> dict[str, Any]:
-    """Return the spec that a file holds; nothing where it holds none."""
-    try:
-        told = json.loads(made.spec) if made is not None else None
-    except (ValueError, RecursionError):
-        return {}
-    return told if isinstance(told, dict) else {}
 
 
 def _frames_wanted(spec: Spec) -> tuple[int, int] | None:

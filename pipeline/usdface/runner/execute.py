@@ -6,7 +6,8 @@ from importlib import import_module
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import not_written_since
-from usdface.runner.outputs import check_inputs, check_outputs, make_provenance
+from usdface.runner.origin import make_provenance
+from usdface.runner.outputs import check_inputs, check_outputs
 from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
 from usdface.specs.paths import Writes

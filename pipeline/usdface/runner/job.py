@@ -11,11 +11,13 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.runner.chunk_state import chunk_specs
 from usdface.runner.execute import execute
+from usdface.runner.origin import make_provenance, provenance_of
 from usdface.runner.outputs import (
+    check_inputs,
     check_may_be_read,
     foreign_sidecar,
-    make_provenance,
-    provenance_of,
+    missing_in_job,
+    missing_inputs,
     sibling_sharing_layers,
 )
 from usdface.runner.result import StepResult
@@ -54,7 +56,9 @@ def run_job(
     Parameters
     ----------
     job : JobSpec
+        As `read_job` returns it.
     progress : callable
+        Called with the fraction of the whole job, and what is being done.
     overwrite : bool
         Replace outputs that this package did not write.
 
@@ -68,27 +72,24 @@ def run_job(
     reports = []
     for index, spec in enumerate(job.steps):
         label = f"step {index + 1} of {len(job.steps)}, {spec.step}"
-        own = part(progress, index / len(job.steps), (index + 1) / len(job.steps))
+        share = part(progress, index / len(job.steps), (index + 1) / len(job.steps))
         try:
-            check_may_be_read(spec)
+            check_inputs(spec)
         except InputError as error:
             raise InputError(f"{label}: {error}") from error
-        missing = [path for path in spec.paths(Reads) if not path.exists()]
-        if missing:
-            raise InputError(f"{label}: {missing[0]}: no such file; check the path")
         provenance = make_provenance(spec)
         state = _state(spec, provenance)
         if state.state == "done":
             log.info("%s: up to date", label)
             reports.append(StepResult(spec.outputs(), f"{spec.step}: up to date", fresh=False))
-            own(1.0, f"{spec.step}: up to date")
+            share(1.0, f"{spec.step}: up to date")
             continue
         log.info("%s: %s", label, state.reason)
         if not overwrite:
             _refuse_foreign_outputs(spec, label)
         try:
             report = execute(
-                spec, overwrite=True, progress=_labelled(own, spec.step), provenance=provenance
+                spec, overwrite=True, progress=_labelled(share, spec.step), provenance=provenance
             )
         except InputError as error:
             raise InputError(f"{label}: {error}") from error
@@ -124,24 +125,17 @@ def job_states(job: JobSpec) -> list[StepState]:
         If a step reads a file that neither exists nor is made by an earlier step, or writes where
         it cannot; every fault is named.
     """
-    faults: list[str] = []
+    faults = missing_in_job(job)
     states: list[StepState] = []
     to_come: set[Path] = set()
     for number, spec in enumerate(job.steps, start=1):
-        label = f"step {number}, {spec.step}"
-        reads = spec.paths(Reads)
         check_may_be_read(spec)
         faults += [
-            f"{label}: {path}: no such file, and no earlier step makes it"
-            for path in reads
-            if not path.exists() and path not in to_come
-        ]
-        faults += [
-            f"{label}: {path}: folder {path.parent} does not exist"
+            f"step {number}, {spec.step}: {path}: folder {path.parent} does not exist"
             for path in spec.paths(Writes)
             if not path.parent.is_dir()
         ]
-        waits_for = [path for path in reads if path in to_come or not path.exists()]
+        waits_for = [path for path in spec.paths(Reads) if path in to_come or not path.exists()]
         if waits_for and all(path.exists() for path in spec.outputs()):
             state = StepState(spec, "stale", f"an earlier step makes {waits_for[0].name} anew")
         elif waits_for:
@@ -163,8 +157,8 @@ def _state(spec: Spec, provenance: Provenance) -> StepState:
         if not path.exists():
             return StepState(spec, "missing", f"{path.name} is not there")
         made = provenance_of(path)
-        if made is not None and (apart := chunk_specs(spec, made, path)):
-            states = [_state_of_part(each) for each in apart]
+        if made is not None and (parts := chunk_specs(spec, made, path)):
+            states = [_state_of_part(each) for each in parts]
             return next(
                 (StepState(spec, s.state, s.reason) for s in states if s.state != "done"),
                 StepState(spec, "done", "up to date, made in parts"),
@@ -185,22 +179,22 @@ def _state(spec: Spec, provenance: Provenance) -> StepState:
 
 def _state_of_part(spec: Spec) -> StepState:
     check_may_be_read(spec)
-    if missing := [path for path in spec.paths(Reads) if not path.exists()]:
+    if missing := missing_inputs(spec):
         return StepState(spec, "missing", f"{missing[0].name} is not there")
     return _state(spec, make_provenance(spec))
 
 
 def _refuse_foreign_outputs(spec: Spec, label: str) -> None:
     for path in spec.paths(Writes):
-        there = path if path.exists() and provenance_of(path) is None else None
-        if there := there or foreign_sidecar(spec, path):
+        foreign = path if path.exists() and provenance_of(path) is None else None
+        if foreign := foreign or foreign_sidecar(spec, path):
             raise InputError(
-                f"{label}: {there}: exists and was not written by usdface; move it away, or run "
+                f"{label}: {foreign}: exists and was not written by usdface; move it away, or run "
                 "with --overwrite"
             )
-        if twin := sibling_sharing_layers(spec, path):
+        if sibling := sibling_sharing_layers(spec, path):
             raise InputError(
-                f"{label}: {twin}: has the same layers beneath as {path.name} would have; name "
+                f"{label}: {sibling}: has the same layers beneath as {path.name} would have; name "
                 "another output, or run with --overwrite"
             )
 

@@ -1,31 +1,149 @@
-"""Files that a file was made from, found again where they were."""
+"""Provenance of files: made from a spec, read back, and the files that it names found again."""
 
 import json
+import os
 from pathlib import Path
+from typing import Any
 
-from usdface.core.provenance import Provenance
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance, canonical_json, hash_files
+from usdface.core.sidecars import LAYER_SUFFIXES
+from usdface.specs.base import Spec
+from usdface.specs.paths import IMAGE_SUFFIXES, Reads, Writes
+from usdface.specs.review import MOVIE_SUFFIXES, PAGE_SUFFIXES
+from usdface.usdio.layers import dependencies, is_layer_name, read_provenance
+
+LARGEST_FIGURES_BYTES = 64 << 20
+
+REFUSED = " refused"
+"""Follows a step's name in what it wrote where it refused its inputs: that is never up to date."""
 
 
-def spec_of(provenance: Provenance) -> dict[str, object]:
-    """Return the spec that a file was made by; empty where it cannot be read."""
+def provenance_of(path: Path) -> Provenance | None:
+    """Return what a file says of its making; None where it says nothing or cannot be read."""
     try:
-        said = json.loads(provenance.spec or "{}")
-    except ValueError:
+        if path.suffix in (*LAYER_SUFFIXES, ".usdz"):
+            return read_provenance(path)
+        if path.suffix.lower() in IMAGE_SUFFIXES:
+            from usdface.media.picture.image import (
+                read_image_metadata,  # media only when there are any
+            )
+
+            return _from_metadata(read_image_metadata(path))
+        if path.suffix.lower() in MOVIE_SUFFIXES:
+            from usdface.media.film.movie import read_movie_comment
+
+            return _from_text(read_movie_comment(path))
+        if path.suffix.lower() in PAGE_SUFFIXES:
+            from usdface.media.page.report_page import read_page_origin
+
+            return _from_text(read_page_origin(path))
+        if path.suffix.lower() == ".json":
+            return _from_json(path)
+        if path.suffix.lower() == ".lab":
+            from usdface.speech.track_files import read_origin_beside
+
+            return _from_metadata(read_origin_beside(path) or {})
+        if path.suffix.lower() == ".textgrid":
+            from usdface.speech.track_files import read_origin
+
+            return _from_metadata(read_origin(path) or {})
+    except InputError:
+        return None
+    return None
+
+
+def make_provenance(spec: Spec) -> Provenance:
+    """Hash a spec's inputs; paths are kept relative to the output, so that folders can move."""
+    anchor = spec.outputs()[0].resolve().parent if spec.outputs() else Path.cwd()
+    alone = set(spec.read_alone())
+    inputs = {
+        _relative(path, anchor): _hash(path, alone=path in alone) for path in spec.paths(Reads)
+    }
+    data = spec.model_dump(mode="json", exclude_defaults=True)
+    for kind in (Reads, Writes):
+        for name in type(spec).fields_marked(kind):
+            value = getattr(spec, name)
+            if isinstance(value, Path):
+                data[name] = _relative(value, anchor)
+            elif value is not None:
+                data[name] = [_relative(each, anchor) for each in value]
+    return Provenance(step=spec.step, spec=canonical_json(data), inputs=inputs)
+
+
+def provenance_metadata(provenance: Provenance) -> dict[str, object]:
+    """Return provenance as the metadata of an image."""
+    return {
+        "usdface": provenance.version,
+        "step": provenance.step,
+        "spec": provenance.spec,
+        "inputs": dict(provenance.inputs),
+    }
+
+
+def _from_metadata(metadata: dict[str, object]) -> Provenance | None:
+    inputs = metadata.get("inputs")
+    if "usdface" not in metadata or not isinstance(inputs, dict):
+        return None
+    return Provenance(
+        step=str(metadata.get("step", "")),
+        spec=str(metadata.get("spec", "")),
+        inputs={str(key): str(value) for key, value in inputs.items()},
+        version=str(metadata["usdface"]),
+    )
+
+
+def _from_json(path: Path) -> Provenance | None:
+    """Read what `evaluate` and others put beside their figures."""
+    try:
+        if path.stat().st_size > LARGEST_FIGURES_BYTES:
+            return None
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    made = data.get("provenance") if isinstance(data, dict) else None
+    return _from_metadata(made) if isinstance(made, dict) else None
+
+
+def _from_text(text: str) -> Provenance | None:
+    """Read what a movie carries as its comment."""
+    try:
+        made = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    return _from_metadata(made) if isinstance(made, dict) else None
+
+
+def _hash(path: Path, *, alone: bool) -> str:
+    if alone or not is_layer_name(path):
+        return hash_files([path])
+    return hash_files(dependencies(path))
+
+
+def _relative(path: Path, anchor: Path) -> str:
+    return os.path.relpath(path.resolve(), anchor).replace(os.sep, "/")
+
+
+def spec_of(provenance: Provenance | None) -> dict[str, Any]:
+    """Return the spec that a file was made by; empty where there is none that can be read."""
+    try:
+        spec = json.loads(provenance.spec) if provenance is not None else None
+    except (ValueError, RecursionError):
         return {}
-    return said if isinstance(said, dict) else {}
+    return spec if isinstance(spec, dict) else {}
 
 
-def path_made_from(file: Path, provenance: Provenance | None, field: str) -> Path | None:
-    """Return the file that a field of a file's spec named; None if unsaid, or no longer there.
+def path_made_from(file: Path, field: str) -> Path | None:
+    """Return the file that a field of a file's spec names; None if it does not, or it is gone.
 
     Parameters
     ----------
     file : Path
         What was made; paths in its provenance are relative to its folder.
-    provenance : Provenance or None
     field : str
+        Name of the spec's field.
     """
-    named = spec_of(provenance).get(field) if provenance is not None else None
+    named = spec_of(provenance_of(file)).get(field)
     if not isinstance(named, str) or not named:
         return None
     path = file.parent / named

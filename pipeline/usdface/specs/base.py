@@ -27,6 +27,10 @@ Device = Annotated[str, Field(pattern=r"^(cpu|torch|cuda(:\d+)?)$", examples=["c
 """What `numerics.array_namespace` opens."""
 
 
+Sidecar = Callable[[Path], Path]
+"""Gives the path of a layer by that of the file that needs it, such as `core.sidecars` has."""
+
+
 @dataclass(frozen=True)
 class Positional:
     """Marks a field that the command line takes without an option's name."""
@@ -88,9 +92,21 @@ class Spec(BaseModel):
     module: ClassVar[str] = ""
     """Where the step's function is, below ``usdface.steps``: its workflow, then its file."""
 
+    section: ClassVar[str] = ""
+    """Workflow under which the command line lists it; that of `module` by default."""
+
     makes: ClassVar[str] = ""
     """Kind of its output: a step may replace what another of the same kind wrote. By default a kind
     of its own."""
+
+    sidecar: ClassVar[Sidecar | None] = None
+    """Where the layer is that the step writes beneath an output, by the output's path."""
+
+    cores: ClassVar[int] = 1
+    """Least processor cores that a farm's worker needs."""
+
+    memory_mib: ClassVar[int] = 2048
+    """Least memory [MiB] that a farm's worker needs; enough for what streams over frames."""
 
     in_place: ClassVar[bool] = False
     """Whether an output may take the place of an input."""
@@ -144,6 +160,11 @@ class Spec(BaseModel):
         return str(cls.model_fields["step"].default)
 
     @classmethod
+    def workflow(cls) -> str:
+        """Return the workflow that the step belongs to: ``capture``, ``references``, ..."""
+        return cls.section or cls.module.partition(".")[0]
+
+    @classmethod
     def kind_of_output(cls) -> str:
         """Return the kind of file that the step makes; steps of one kind replace each other's."""
         return cls.makes or cls.step_name()
@@ -181,10 +202,6 @@ class Spec(BaseModel):
     def outputs(self) -> tuple[Path, ...]:
         """Return the files this spec makes: those that tell whether it has been done."""
         return self.paths(Writes)
-
-    def sidecar(self, output: Path) -> Path | None:
-        """Return the layer that the step writes beneath an output; None where it writes none."""
-        return None
 
     def named_paths(self) -> Sequence[tuple[str, Path]]:
         """Return every path that the step reads, writes or changes, each with the step's name."""

@@ -5,7 +5,8 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from usdface.specs.base import Axis, Name, Positional, Spec, Units
+from usdface.core.sidecars import take_samples_path
+from usdface.specs.base import Axis, Name, Positional, Sidecar, Spec, Units
 from usdface.specs.paths import (
     FilePath,
     ImageOut,
@@ -32,6 +33,7 @@ class IngestSpec(Spec):
         "usdface ingest kitchen.c3d --out kitchen.take.usda --video kitchen.mov --neutral 120"
     )
     module: ClassVar[str] = "capture.ingest"
+    sidecar: ClassVar[Sidecar | None] = take_samples_path
 
     step: Literal["ingest"] = "ingest"
     sources: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
@@ -94,6 +96,8 @@ class AlignSpec(Spec):
 
     example: ClassVar[str] = "usdface align kitchen.take.usda"
     module: ClassVar[str] = "capture.align"
+    cores: ClassVar[int] = 1
+    memory_mib: ClassVar[int] = 4096
 
     step: Literal["align"] = "align"
     take: Annotated[FilePath, Reads(), Positional()]
@@ -140,6 +144,9 @@ class CleanSpec(Spec):
 
     example: ClassVar[str] = "usdface clean kitchen.take.usda --out kitchen.clean.take.usda"
     module: ClassVar[str] = "capture.clean"
+    sidecar: ClassVar[Sidecar | None] = take_samples_path
+    cores: ClassVar[int] = 2
+    memory_mib: ClassVar[int] = 4096
 
     step: Literal["clean"] = "clean"
     take: Annotated[FilePath, Reads(), Positional()]

@@ -33,6 +33,7 @@ class EditSpec(Spec):
         "usdface edit kitchen.hero.usda --shape jawOpen --add 0.1 --frames 120-160 --fade 8"
     )
     module: ClassVar[str] = "edits.edit"
+    makes: ClassVar[str] = "edits"
 
     step: Literal["edit"] = "edit"
     performance: Annotated[FilePath, Reads(alone=True), Positional()]
@@ -75,6 +76,7 @@ class EditsImportSpec(Spec):
 
     example: ClassVar[str] = "usdface edits import kitchen.hero.usda --changed kitchen.animator.usd"
     module: ClassVar[str] = "edits.import_"
+    makes: ClassVar[str] = "edits"
 
     step: Literal["edits-import"] = "edits-import"
     performance: Annotated[FilePath, Reads(alone=True), Positional()]

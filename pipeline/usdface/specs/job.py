@@ -8,7 +8,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from usdface.specs.base import Name, Spec
 from usdface.specs.capture import AlignSpec, CleanSpec, IngestSpec, PhonesSpec
-from usdface.specs.edits import BakeSpec, PackageSpec
+from usdface.specs.edits import BakeSpec, EditsImportSpec, EditSpec, PackageSpec
 from usdface.specs.paths import Reads, Writes
 from usdface.specs.performance import JoinSpec, MapSpec, TrainSpec
 from usdface.specs.references import (
@@ -76,6 +76,17 @@ AnyStep = Annotated[
 
 STEP_SPECS: tuple[type[Spec], ...] = get_args(get_args(AnyStep)[0])
 """Every step of a job, in the order of a day's work."""
+
+_BAKE = STEP_SPECS.index(BakeSpec)
+COMMAND_SPECS: tuple[type[Spec], ...] = (
+    *STEP_SPECS[:_BAKE],
+    EditSpec,
+    EditsImportSpec,
+    *STEP_SPECS[_BAKE:],
+)
+"""Every step: those of a job and edits, which are a person's and no job makes again."""
+
+SPEC_BY_STEP = {spec.step_name(): spec for spec in COMMAND_SPECS}
 
 
 def _with_takes(schema: dict[str, Any]) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from usdface.specs.base import Spec
-from usdface.specs.job import STEP_SPECS
+from usdface.specs.job import SPEC_BY_STEP
 from usdface.specs.paths import PRIM_PATTERN
 
 PATTERN_WORDS = {
@@ -21,8 +21,6 @@ PATTERN_WORDS = {
     r"^(\d\d:\d\d:\d\d[:;]\d\d)?$": "give hours, minutes, seconds and frames, such as 01:00:00:00",
 }
 """The patterns of the specs, and what to say to who missed one."""
-
-_STEPS = {spec.step_name(): spec for spec in STEP_SPECS}
 
 
 def validation_messages(
@@ -93,7 +91,7 @@ def _reason(fault: Mapping[str, Any], spec: type[Spec]) -> str:
 def _unknown_key(location: Sequence[str | int], spec: type[Spec]) -> str:
     """Return the advice for a key that a spec does not have; a step's name stands before it."""
     name = str(location[-1])
-    of_step = _STEPS.get(str(location[-2])) if len(location) > 1 else None
+    of_step = SPEC_BY_STEP.get(str(location[-2])) if len(location) > 1 else None
     owner = of_step or spec
     if name in owner.removed:
         return removed_message(name, owner)

@@ -5,7 +5,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from usdface.specs.base import Device, Name, Positional, Spec
+from usdface.core.sidecars import weights_path
+from usdface.specs.base import Device, Name, Positional, Sidecar, Spec
 from usdface.specs.paths import FilePath, Frames, LayerOut, PrimPath, ReadPath, Reads
 
 
@@ -18,6 +19,8 @@ class TrainSpec(Spec):
 
     example: ClassVar[str] = "usdface train hero.references.usda --out hero.mapping.usdc"
     module: ClassVar[str] = "performance.train"
+    cores: ClassVar[int] = 2
+    memory_mib: ClassVar[int] = 8192
 
     step: Literal["train"] = "train"
     references: Annotated[FilePath, Reads(), Positional()]
@@ -45,6 +48,8 @@ class MapSpec(Spec):
         "--out kitchen.hero.usda"
     )
     module: ClassVar[str] = "performance.map"
+    makes: ClassVar[str] = "performance"
+    sidecar: ClassVar[Sidecar | None] = weights_path
 
     step: Literal["map"] = "map"
     take: Annotated[FilePath, Reads(), Positional()]
@@ -98,6 +103,8 @@ class JoinSpec(Spec):
         "usdface join parts/kitchen.1.usda parts/kitchen.2.usda --out kitchen.hero.usda"
     )
     module: ClassVar[str] = "performance.join"
+    makes: ClassVar[str] = "performance"
+    sidecar: ClassVar[Sidecar | None] = weights_path
 
     step: Literal["join"] = "join"
     parts: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]

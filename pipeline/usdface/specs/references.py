@@ -5,8 +5,8 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from usdface.core.sidecars import tuned_path
-from usdface.specs.base import Name, Positional, Spec
+from usdface.core.sidecars import proposed_path, tuned_path
+from usdface.specs.base import Name, Positional, Sidecar, Spec
 from usdface.specs.paths import FilePath, Frames, ImageOut, LayerOut, PrimPath, ReadPath, Reads
 
 
@@ -23,6 +23,10 @@ class SelectSpec(Spec):
         "--out hero.references.usda"
     )
     module: ClassVar[str] = "references.select"
+    makes: ClassVar[str] = "references"
+    sidecar: ClassVar[Sidecar | None] = proposed_path
+    cores: ClassVar[int] = 2
+    memory_mib: ClassVar[int] = 8192
 
     step: Literal["select"] = "select"
     takes: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
@@ -91,6 +95,7 @@ class ReferencesImportSpec(Spec):
 
     example: ClassVar[str] = "usdface references import hero.references.usda --weights tuned.csv"
     module: ClassVar[str] = "references.import_"
+    makes: ClassVar[str] = "references"
 
     step: Literal["references-import"] = "references-import"
     references: Annotated[FilePath, Reads(alone=True), Positional()]
@@ -123,6 +128,8 @@ class ReferencesFromEditsSpec(Spec):
     )
     in_place: ClassVar[bool] = True
     module: ClassVar[str] = "references.from_edits"
+    makes: ClassVar[str] = "references"
+    sidecar: ClassVar[Sidecar | None] = proposed_path
 
     step: Literal["references-from-edits"] = "references-from-edits"
     performances: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]

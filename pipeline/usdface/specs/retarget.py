@@ -5,7 +5,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from usdface.specs.base import Name, Positional, Spec
+from usdface.core.sidecars import proposed_path, weights_path
+from usdface.specs.base import Name, Positional, Sidecar, Spec
 from usdface.specs.paths import (
     FilePath,
     Frames,
@@ -29,6 +30,8 @@ class PairsProposeSpec(Spec):
         "usdface pairs propose --source human.usd --target dog.usd --out human_dog.pairs.usda"
     )
     module: ClassVar[str] = "retarget.pairs_propose"
+    makes: ClassVar[str] = "pairs"
+    sidecar: ClassVar[Sidecar | None] = proposed_path
 
     step: Literal["pairs-propose"] = "pairs-propose"
     source: ReadPath
@@ -63,6 +66,8 @@ class PairsImportSpec(Spec):
         "--out human_dog.pairs.usda"
     )
     module: ClassVar[str] = "retarget.pairs_import"
+    makes: ClassVar[str] = "pairs"
+    sidecar: ClassVar[Sidecar | None] = proposed_path
 
     step: Literal["pairs-import"] = "pairs-import"
     source: ReadPath
@@ -96,6 +101,8 @@ class TrainRetargetSpec(Spec):
         "usdface train-retarget human_dog.pairs.usda --out human_dog.retarget.usdc"
     )
     module: ClassVar[str] = "retarget.train"
+    cores: ClassVar[int] = 2
+    memory_mib: ClassVar[int] = 8192
 
     step: Literal["train-retarget"] = "train-retarget"
     pairs: Annotated[FilePath, Reads(), Positional()]
@@ -123,6 +130,8 @@ class RetargetSpec(Spec):
         "--out kitchen.dog.usda"
     )
     module: ClassVar[str] = "retarget.retarget"
+    makes: ClassVar[str] = "performance"
+    sidecar: ClassVar[Sidecar | None] = weights_path
 
     step: Literal["retarget"] = "retarget"
     source: Annotated[FilePath, Reads(), Positional()]
@@ -277,6 +286,7 @@ class WarpSpec(Spec):
         "--out kitchen.warped.usda --curves kitchen.warp.jpg"
     )
     module: ClassVar[str] = "retarget.warp"
+    sidecar: ClassVar[Sidecar | None] = weights_path
 
     step: Literal["warp"] = "warp"
     performance: Annotated[FilePath, Reads(), Positional()]

@@ -50,6 +50,8 @@ class SheetSpec(Spec):
         "usdface sheet kitchen.hero.usda --take kitchen.clean.take.usda --out kitchen.sheet.jpg"
     )
     module: ClassVar[str] = "review.sheet"
+    cores: ClassVar[int] = 2
+    memory_mib: ClassVar[int] = 4096
 
     step: Literal["sheet"] = "sheet"
     performance: Annotated[FilePath, Reads(), Positional()]
@@ -111,6 +113,9 @@ class MovieSpec(Spec):
         "usdface movie kitchen.hero.usda --take kitchen.clean.take.usda --out kitchen.review.mp4"
     )
     module: ClassVar[str] = "review.movie"
+    makes: ClassVar[str] = "movie"
+    cores: ClassVar[int] = 4
+    memory_mib: ClassVar[int] = 8192
 
     step: Literal["movie"] = "movie"
     performance: Annotated[FilePath, Reads(), Positional()]
@@ -152,6 +157,7 @@ class MovieJoinSpec(Spec):
         "usdface movie-join a.mp4 b.mp4 --take kitchen.clean.take.usda --out kitchen.review.mp4"
     )
     module: ClassVar[str] = "review.movie_join"
+    makes: ClassVar[str] = "movie"
 
     step: Literal["movie-join"] = "movie-join"
     parts: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads(), Positional()]

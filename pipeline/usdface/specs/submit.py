@@ -19,6 +19,8 @@ class SubmitSpec(Spec):
 
     example: ClassVar[str] = "usdface submit kitchen.job.yaml --farm deadline"
 
+    section: ClassVar[str] = "jobs"
+
     step: Literal["submit"] = "submit"
     job: Annotated[FilePath, Positional()]
     """Job file, YAML or JSON."""

@@ -4,7 +4,8 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from usdface.specs.base import Device, Name, Positional, Spec
+from usdface.core.sidecars import proposed_path
+from usdface.specs.base import Device, Name, Positional, Sidecar, Spec
 from usdface.specs.paths import FilePath, Frames, ImageOut, LayerOut, PrimPath, ReadPath, Reads
 
 Landmark = Annotated[str, Field(pattern=r"^[^=]+=\d+$", max_length=300, examples=["nose_tip=1203"])]
@@ -23,6 +24,7 @@ class BindSpec(Spec):
         "--landmarks nose_tip=3437,chin=60,brow_L3=9445 --picture scan.binding.jpg"
     )
     module: ClassVar[str] = "surface.bind"
+    sidecar: ClassVar[Sidecar | None] = proposed_path
 
     step: Literal["bind"] = "bind"
     take: Annotated[FilePath, Reads(), Positional()]
@@ -117,6 +119,8 @@ class DeformSpec(SurfaceSpec):
         "--out kitchen.scan.usda --picture kitchen.scan.jpg"
     )
     module: ClassVar[str] = "surface.deform"
+    cores: ClassVar[int] = 2
+    memory_mib: ClassVar[int] = 8192
 
     step: Literal["deform"] = "deform"
     out: LayerOut
@@ -156,6 +160,8 @@ class MakeShapesSpec(SurfaceSpec):
         "--binding scan.binding.usda --count 8 --out scan.rig.usda"
     )
     module: ClassVar[str] = "surface.make_shapes"
+    cores: ClassVar[int] = 2
+    memory_mib: ClassVar[int] = 8192
 
     step: Literal["make-shapes"] = "make-shapes"
     out: LayerOut

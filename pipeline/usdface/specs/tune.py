@@ -19,6 +19,8 @@ class TuneSpec(Spec):
 
     example: ClassVar[str] = "usdface tune hero.references.usda"
 
+    section: ClassVar[str] = "references"
+
     step: Literal["tune"] = "tune"
     references: Annotated[FilePath, Reads(alone=True), Positional()]
     """The references asset written by `usdface select`."""

@@ -93,7 +93,7 @@ class PairPictures:
         if name not in self._videos:
             self._videos[name] = open_video(video.file, video.rate)
         seconds = (frame - take.first_frame) / float(take.rate)
-        found = self._videos[name].frame_at((seconds - video.offset) / (1.0 + video.drift * 1e-6))
+        found = self._videos[name].frame_at(video.video_time(seconds))
         if found is None:
             raise InputError(f"the video of {name} does not show frame {frame}")
         return found

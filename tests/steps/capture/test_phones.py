@@ -13,7 +13,7 @@ from usdface.core.assets import Take, WeightsClip
 from usdface.core.errors import InputError
 from usdface.media.film.sound import read_audio
 from usdface.runner.execute import execute
-from usdface.runner.outputs import make_provenance, provenance_of
+from usdface.runner.origin import make_provenance, provenance_of
 from usdface.runner.result import StepResult
 from usdface.specs.capture import PhonesSpec
 from usdface.speech.coverage_of_sound import share_outside

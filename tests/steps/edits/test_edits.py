@@ -24,7 +24,7 @@ from usdface.specs.performance import MapSpec, TrainSpec
 from usdface.specs.references import ReferencesFromEditsSpec, ReferencesImportSpec
 from usdface.steps.edits import bake
 from usdface.steps.edits import edit as edit_step
-from usdface.steps.inputs.edit_ranges import list_edits
+from usdface.steps.edits.list_ import list_edit_ranges as list_edits
 from usdface.steps.references.from_edits import FULL_STRENGTH, LEAST_CHANGE, MOSTLY, meant_frames
 from usdface.usdio.performance.read import PerformanceReader, read_performance, read_weights
 from usdface.usdio.references.read import read_references

@@ -15,7 +15,7 @@ from usdface.media.film.sound import read_audio
 from usdface.media.film.video import VideoReader
 from usdface.media.picture.image import write_image
 from usdface.numerics.timing.audio_alignment import SoundAlignment, align_sounds
-from usdface.runner.outputs import make_provenance, provenance_metadata, provenance_of
+from usdface.runner.origin import REFUSED, make_provenance, provenance_metadata, provenance_of
 from usdface.runner.result import StepResult
 from usdface.specs.capture import AlignSpec
 from usdface.steps.capture.timecode_offset import TimecodeShift, timecode_shift
@@ -75,9 +75,7 @@ class Decision:
     notes: tuple[str, ...] = ()
 
 
-def run(
-    spec: AlignSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: AlignSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Find the video's shift and drift, draw the evidence, and write the take if it convinces."""
     progress(0.0, f"reading {spec.take.name}")
     picture = spec.picture_path()
@@ -91,7 +89,7 @@ def run(
     progress(0.9, f"writing {picture.name}")
     page = _page(spec, take, evidence, decision)
     if decision.sync is None:
-        refused = Provenance(step="align refused")  # a job must not take it for done
+        refused = Provenance(step=f"{spec.step}{REFUSED}")
         write_image(picture, draw_alignment(page), metadata=provenance_metadata(refused))
         raise CheckFailedError(
             f"{spec.take}: the video cannot be aligned: {decision.source}. Look at {picture}; set "
@@ -99,7 +97,7 @@ def run(
         )
     write_video_sync(spec.take, decision.sync)
     # The take is another file now: the picture, written last, tells that it is aligned.
-    made = make_provenance(spec) if provenance is not None else Provenance(step=spec.step)
+    made = make_provenance(spec)
     write_image(picture, draw_alignment(page), metadata=provenance_metadata(made))
     progress(1.0, "aligned")
     log.info("%s: %s", spec.take, page.verdict)

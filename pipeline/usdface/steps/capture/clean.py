@@ -13,7 +13,7 @@ from usdface.media.charts.repair import RepairKind, draw_repairs
 from usdface.media.picture.image import write_image
 from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
 from usdface.numerics.rigid.rigid_markers import find_rigid_markers
-from usdface.runner.outputs import provenance_metadata
+from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.capture import CleanSpec
 from usdface.usdio.take.read import read_take
@@ -32,9 +32,7 @@ SWAPS_TOLD = 20
 """More repairs than this are counted, not listed."""
 
 
-def run(
-    spec: CleanSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Stabilise, relabel, fill and smooth the markers of a take."""
     progress(0.0, f"reading {spec.take.name}")
     take = read_take(spec.take)
@@ -103,7 +101,7 @@ def run(
     outputs = tuple(dict.fromkeys((spec.out, take_samples_path(spec.out))))
     if spec.report is not None:
         picture = _picture(cleaned, markers, take)
-        made = {} if provenance is None else provenance_metadata(provenance)
+        made = provenance_metadata(provenance)
         write_image(spec.report, picture, metadata=made)
         outputs += (spec.report,)
     progress(1.0, "done")

@@ -27,9 +27,7 @@ from usdface.usdio.take.write import write_take
 log = logging.getLogger(__name__)
 
 
-def run(
-    spec: IngestSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: IngestSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Read captures of one take and write it as USD."""
     captures = []
     for index, source in enumerate(spec.sources):

@@ -1,15 +1,13 @@
 """Sound and transcript in, phones out."""
 
-import numpy as np
-
-from usdface.core.assets import Take
+from usdface.core.assets import Take, Video
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import pluralize
 from usdface.media.film.sound import read_audio
-from usdface.runner.outputs import provenance_metadata
+from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.capture import PhonesSpec
 from usdface.speech.coverage_of_sound import INCOMPLETE_SHARE, share_outside
@@ -27,9 +25,7 @@ LARGEST_TRANSCRIPT_BYTES = 1 << 20
 NAMED_WORDS = 8
 
 
-def run(
-    spec: PhonesSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: PhonesSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Align the words with the sound and write the phones."""
     text = spec.text
     if spec.transcript is not None:
@@ -39,15 +35,16 @@ def run(
     progress(0.0, "reading the sound")
     take = read_take(spec.audio) if spec.audio.suffix in (*LAYER_SUFFIXES, ".usdz") else None
     if take is None:
-        samples, clock = read_audio(spec.audio, rate=RATE), (0.0, 1.0)
+        samples, video = read_audio(spec.audio, rate=RATE), None
     elif take.audio is not None:
-        samples, clock = read_audio(take.audio, rate=RATE), (0.0, 1.0)
+        samples, video = read_audio(take.audio, rate=RATE), None
     else:
-        samples, clock = _video_sound(spec, take)
+        video = _video(spec, take)
+        samples = read_audio(video.file, rate=RATE)
     found = align_phones(samples, words, pronunciations=own, progress=part(progress, 0.1, 0.95))
     outside = share_outside(samples, found.track.words, rate=RATE)
-    track = _on_clock(found.track, *clock)
-    origin = None if provenance is None else provenance_metadata(provenance)
+    track = found.track if video is None else _on_take_clock(found.track, video)
+    origin = provenance_metadata(provenance)
     write_phone_track(spec.out, track, origin=origin)
     progress(1.0, "done")
     said = [span for span in track.phones if viseme_of(span.label) != "pau"]
@@ -80,31 +77,31 @@ def _words(spec: PhonesSpec, text: str) -> tuple[str, ...]:
         raise InputError(f"{spec.transcript}: {error}" if spec.transcript else str(error)) from None
 
 
-def _video_sound(spec: PhonesSpec, take: Take) -> tuple[np.ndarray, tuple[float, float]]:
-    """Return the camera's sound, and how its clock runs on the take's."""
+def _video(spec: PhonesSpec, take: Take) -> Video:
+    """Return the video of a take, for its sound."""
     if take.video is None:
         raise InputError(
             f"{spec.audio}: the take has no sound and no video; ingest it with --audio or "
             "--video, or give the sound file"
         )
-    samples = read_audio(take.video.file, rate=RATE)
-    return samples, (take.video.offset, 1.0 + take.video.drift * 1e-6)
+    return take.video
 
 
-def _on_clock(track: PhoneTrack, offset: float, speed: float) -> PhoneTrack:
+def _on_take_clock(track: PhoneTrack, video: Video) -> PhoneTrack:
     """Move spans onto the take's clock; what lies before its first frame is left out."""
-    if (offset, speed) == (0.0, 1.0):
-        return track
 
     def moved(spans: tuple[Span, ...]) -> tuple[Span, ...]:
-        placed = (Span(offset + speed * s.start, offset + speed * s.end, s.label) for s in spans)
+        placed = (
+            Span(video.take_time(span.start), video.take_time(span.end), span.label)
+            for span in spans
+        )
         return tuple(Span(max(s.start, 0.0), s.end, s.label) for s in placed if s.end > 0)
 
     return PhoneTrack(
         moved(track.phones),
         moved(track.words),
         moved(track.emotions),
-        max(offset + speed * track.duration, 0.0),
+        max(video.take_time(track.duration), 0.0),
     )
 
 

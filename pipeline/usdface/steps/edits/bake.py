@@ -23,9 +23,7 @@ SURFACE_FRAMES = 8
 """Frames whose surface is compared at once."""
 
 
-def run(
-    spec: BakeSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Write the edited weights as one layer of UsdSkel animation."""
     reader = PerformanceReader(spec.performance, prim=spec.prim)
     file, prim = reader.rig()

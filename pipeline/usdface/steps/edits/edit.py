@@ -35,9 +35,7 @@ FARTHEST_BEYOND = UNSAMPLED_FRAMES // 4
 span is one that needs no samples to bear it out."""
 
 
-def run(
-    spec: EditSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: EditSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Change the shapes named over the frames named, and keep all other edits."""
     stamp = edits_stamp(spec.performance)
     reader = PerformanceReader(spec.performance, prim=spec.prim)

@@ -29,7 +29,7 @@ from usdface.usdio.performance.read import PerformanceReader
 
 
 def run(
-    spec: EditsImportSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+    spec: EditsImportSpec, *, provenance: Provenance, progress: Progress = silent
 ) -> StepResult:
     """Set edits so that the performance shows what the file shows, at the frames that it has."""
     stamp = edits_stamp(spec.performance)

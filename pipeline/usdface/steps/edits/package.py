@@ -13,9 +13,7 @@ from usdface.usdio.performance.package import write_package
 from usdface.usdio.performance.read import PerformanceReader
 
 
-def run(
-    spec: PackageSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: PackageSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Bake the edits in, and pack the result with the rig and all that it refers to."""
     reader = PerformanceReader(spec.performance, prim=spec.prim)
     with replacing(spec.out) as temporary, tempfile.TemporaryDirectory() as name:

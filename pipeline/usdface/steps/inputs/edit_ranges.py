@@ -8,18 +8,13 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, runs
 from usdface.core.sidecars import edits_path
-from usdface.core.text import pluralize
-from usdface.runner.result import StepResult
-from usdface.runner.sandbox import confine
+from usdface.core.text import first_few, pluralize
 from usdface.usdio.performance.edits import edited_frames, edits_elsewhere, read_edits
 from usdface.usdio.performance.read import PerformanceReader
 
-_CHANGED = 0.1
+NOTABLE_CHANGE = 0.1
 """Change of the solved weight beneath an edit that an animator should look at: a tenth of a shape's
 whole way is seen at once."""
-
-LISTED = 60
-"""Ranges that `edits list` prints; where an import left thousands, nobody reads the small ones."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +92,7 @@ def edit_notes(performance: Path) -> list[str]:
     ranges = find_edited_ranges(reader)
     shapes = {each.shape for each in ranges}
     notes = (
-        [f"kept the edits of {pluralize(len(shapes), 'shape')}: {_some(sorted(shapes))}"]
+        [f"kept the edits of {pluralize(len(shapes), 'shape')}: {first_few(sorted(shapes))}"]
         if shapes
         else []
     )
@@ -105,19 +100,19 @@ def edit_notes(performance: Path) -> list[str]:
         f"{each.shape} {each.first}-{each.last}: the solve beneath the edit changed by up to "
         f"{each.solve_change:+.2f} at frame {each.solve_frame}; look at the edit again"
         for each in ranges
-        if abs(each.solve_change) > _CHANGED
+        if abs(each.solve_change) > NOTABLE_CHANGE
     ]
     beyond = edits_beyond(reader)
     if beyond:
         notes.append(
             f"edits beyond frames {reader.first_frame}-{reader.last_frame} do not show: "
-            f"{_some(beyond)}; they are kept, and show again when those frames are mapped"
+            f"{first_few(beyond)}; they are kept, and show again when those frames are mapped"
         )
     unknown = sorted(set(reader.edits) - set(reader.names))
     if unknown:
         notes.append(
-            f"edits of {_some(unknown)} find no such shape in this solve; they are kept, and show "
-            "again when the shape does"
+            f"edits of {first_few(unknown)} find no such shape in this solve; they are kept, and "
+            "show again when the shape does"
         )
     notes += [
         f"edits at <{path}> find no animation there; they are kept: map with that --prim again, or "
@@ -127,59 +122,5 @@ def edit_notes(performance: Path) -> list[str]:
     return notes
 
 
-def list_edits(performance: Path, *, prim: str | None = None) -> StepResult:
-    """Return what was edited of a performance, and where the solve beneath has changed since.
-
-    Parameters
-    ----------
-    performance : Path
-    prim : str, optional
-        The face, where the layer holds several.
-    """
-    confine("edits list", reads=[performance])
-    reader = PerformanceReader(performance, prim=prim)
-    ranges = find_edited_ranges(reader)
-    largest = sorted(ranges, key=_weight, reverse=True)[:LISTED]
-    table = tuple(
-        f"{each.shape} {each.first}-{each.last}: {each.change:+.2f}"
-        + (
-            f", the solve beneath has since changed by {each.solve_change:+.2f} at frame "
-            f"{each.solve_frame}"
-            if abs(each.solve_change) > _CHANGED
-            else ""
-        )
-        for each in ranges
-        if each in largest
-    )
-    if len(ranges) > LISTED:
-        table += (f"and {len(ranges) - LISTED} smaller ones; --json lists them all",)
-    changed = sum(abs(each.solve_change) > _CHANGED for each in ranges)
-    shapes = {each.shape for each in ranges}
-    summary = f"{pluralize(len(ranges), 'edited range')} of {pluralize(len(shapes), 'shape')}"
-    if changed:
-        summary += f", {changed} over a solve that changed much since"
-    figures = [
-        {
-            "shape": each.shape,
-            "first": each.first,
-            "last": each.last,
-            "change": each.change,
-            "solve_change": each.solve_change if np.isfinite(each.solve_change) else None,
-            "solve_frame": each.solve_frame,
-        }
-        for each in ranges
-    ]
-    return StepResult((), summary, table=table, figures={"edits": figures})
-
-
-def _weight(edited: EditedRange) -> float:
-    """How much there is to see of a range: what was edited, or what the solve did beneath."""
-    return float(np.nanmax(np.abs([edited.change, edited.solve_change])))
-
-
 def _largest(values: FloatArray) -> int:
     return int(np.argmax(np.where(np.isfinite(values), np.abs(values), -1.0)))
-
-
-def _some(names: list[str]) -> str:
-    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")

@@ -11,7 +11,7 @@ from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.media.picture.image import write_image
 from usdface.numerics.rigid.rigid_alignment import align_rigid_robust, remove_motion
-from usdface.runner.outputs import provenance_metadata
+from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesCoverageSpec
 from usdface.steps.inputs.cleaned_takes import FEWEST_RIGID, CleanedTakes, read_cleaned_takes
@@ -39,14 +39,14 @@ _GLANCE_FRAMES = 2000
 def run(
     spec: ReferencesCoverageSpec,
     *,
-    provenance: Provenance | None = None,
+    provenance: Provenance,
     progress: Progress = silent,
 ) -> StepResult:
     """Measure what the pairs cover of the takes, and draw it."""
     measured = measure(spec, progress=progress)
     covered, takes, pairs = measured.covered, measured.takes, measured.pairs
     progress(0.9, f"writing {spec.out.name}")
-    metadata = {} if provenance is None else provenance_metadata(provenance)
+    metadata = provenance_metadata(provenance)
     write_image(spec.out, measured.picture(spec.references.stem), metadata=metadata)
     progress(1.0, "done")
     coverage = covered.coverage

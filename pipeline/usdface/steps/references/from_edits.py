@@ -1,6 +1,5 @@
 """Turn frames that an animator corrected into tuned pairs."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import starmap
@@ -17,6 +16,7 @@ from usdface.core.sidecars import proposed_path, tuned_path
 from usdface.core.text import pluralize
 from usdface.numerics.motion.edit_curve import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
+from usdface.runner.origin import spec_of
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesFromEditsSpec
 from usdface.steps.inputs.take_head_space import read_markers, take_head_space
@@ -47,7 +47,7 @@ MOSTLY = 0.5
 def run(
     spec: ReferencesFromEditsSpec,
     *,
-    provenance: Provenance | None = None,
+    provenance: Provenance,
     progress: Progress = silent,
 ) -> StepResult:
     """Add the corrected frames to the references as pairs, and mark them as tuned."""
@@ -183,14 +183,14 @@ def _made_from(performance: Path) -> tuple[TakeReader, TrainedMapping]:
     """Return the take and the mapping that a performance, or its parts, say they were made from."""
     file, spec = performance, _spec_of(performance, "map")
     seen = set[Path]()
-    while spec is None and file not in seen:
+    while not spec and file not in seen:
         seen.add(file)
-        parts = (_spec_of(file, "join") or {}).get("parts")
+        parts = _spec_of(file, "join").get("parts")
         if isinstance(parts, list) and parts:
             part = file.resolve().parent / str(parts[0])
             if part.is_file():
                 file, spec = part, _spec_of(part, "map")
-    if spec is None or "take" not in spec or "mapping" not in spec:
+    if "take" not in spec or "mapping" not in spec:
         raise InputError(
             f"{performance}: does not say from which take and mapping it was made; give a "
             "performance that `usdface map` wrote, or one joined of such parts, with the parts "
@@ -200,14 +200,10 @@ def _made_from(performance: Path) -> tuple[TakeReader, TrainedMapping]:
     return TakeReader(folder / str(spec["take"])), read_mapping(folder / str(spec["mapping"]))
 
 
-def _spec_of(file: Path, step: str) -> dict[str, object] | None:
-    """Return the spec that a file was made by; None where another step made it, or nobody says."""
+def _spec_of(file: Path, step: str) -> dict[str, object]:
+    """Return the spec that a file was made by; empty where it was made by another step."""
     made = read_provenance(file)
-    try:
-        spec = json.loads(made.spec) if made is not None and made.step == step else None
-    except (ValueError, RecursionError):
-        return None
-    return spec if isinstance(spec, dict) else None
+    return spec_of(made) if made is not None and made.step == step else {}
 
 
 def _markers_at(

@@ -116,7 +116,7 @@ def _write_take(
         for pair in sorted(pairs, key=lambda each: int(references.frames[each])):
             frame = int(references.frames[pair])
             seconds = (frame - take.first_frame) / float(take.rate)
-            at = (seconds - take.video.offset) / (1.0 + take.video.drift * 1e-6)
+            at = take.video.video_time(seconds)
             picture = video.frame_at(at)
             if picture is not None:
                 folder.mkdir(exist_ok=True)

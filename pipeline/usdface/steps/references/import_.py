@@ -19,7 +19,7 @@ from usdface.usdio.references.write import write_tuned_weights
 def run(
     spec: ReferencesImportSpec,
     *,
-    provenance: Provenance | None = None,
+    provenance: Provenance,
     progress: Progress = silent,
 ) -> StepResult:
     """Match the file's rows to pairs and its columns to shapes, and write the tuned layer."""

@@ -21,7 +21,7 @@ from usdface.model.selection.design import (
 )
 from usdface.model.selection.lip_contact import find_lips, keep_lip_contact
 from usdface.numerics.regression.linear_ridge import fit_linear_ridge
-from usdface.runner.outputs import provenance_metadata
+from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.references import SelectSpec
 from usdface.steps.inputs.cleaned_takes import CleanedTakes, read_cleaned_takes
@@ -72,9 +72,7 @@ class _Selection:
         return self.spec.count - len(self.kept)
 
 
-def run(
-    spec: SelectSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Choose pairs, propose weights to start from, write the asset and draw its coverage."""
     progress(0.0, "reading the takes")
     check_nobody_tunes(spec.out)
@@ -91,7 +89,7 @@ def run(
     progress(0.7, "proposing weights")
     weights = _propose(asked, mapped, rows)
     references = _references(asked, choice, rows, weights)
-    metadata = {} if provenance is None else provenance_metadata(provenance)
+    metadata = provenance_metadata(provenance)
     images = PairImages((), ())
     if spec.images:
         progress(0.75, "keeping the video frames of the pairs")

@@ -23,7 +23,7 @@ from usdface.media.picture.image import write_image
 from usdface.media.picture.read import read_picture
 from usdface.media.picture.reference_sheet import ReferenceRow, compose_reference_sheet
 from usdface.model.selection.baseline import set_up_equation
-from usdface.runner.outputs import provenance_metadata
+from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.references import ReferenceSheetSpec
@@ -44,7 +44,7 @@ _Video = VideoReader | ImageSequence
 
 
 def run(
-    spec: ReferenceSheetSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+    spec: ReferenceSheetSpec, *, provenance: Provenance, progress: Progress = silent
 ) -> StepResult:
     """Draw every pair and write the sheet."""
     progress(0.0, "reading")
@@ -125,7 +125,7 @@ def run(
         tile=spec.tile,
         paper=spec.paper,
     )
-    metadata = {} if provenance is None else provenance_metadata(provenance)
+    metadata = provenance_metadata(provenance)
     write_image(spec.out, page, metadata=metadata)
     progress(1.0, "done")
     blind = sum(row.video is None for row in rows)
@@ -175,7 +175,7 @@ def _video_picture(
     if take is None or take.video is None or video is None:
         return None, "no video"
     seconds = (frame - take.first_frame) / float(take.rate)
-    at = (seconds - take.video.offset) / (1.0 + take.video.drift * 1e-6)
+    at = take.video.video_time(seconds)
     try:
         return video.frame_at(at), "no video here"
     except InputError:

@@ -18,7 +18,7 @@ from usdface.media.picture.image import write_image
 from usdface.model.regressions.retarget_methods import find_retarget_method
 from usdface.model.retarget.checks import check_pairs
 from usdface.model.retarget.cyclic import POSITIONS, CyclicError, evaluate_cyclic
-from usdface.runner.outputs import provenance_metadata
+from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.retarget import METHODS, CyclicSpec
@@ -29,9 +29,7 @@ from usdface.usdio.retarget.pairs import read_pairs
 from usdface.usdio.rig.read import read_rig
 
 
-def run(
-    spec: CyclicSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Measure every method and write what was asked for."""
     for method in spec.methods:
         if method not in ("auto", POSITIONS):
@@ -132,9 +130,9 @@ def _write(
     found: tuple[CyclicError, ...],
     figures: dict[str, object],
     motion: SourceMotion,
-    provenance: Provenance | None,
+    provenance: Provenance,
 ) -> None:
-    made = {} if provenance is None else provenance_metadata(provenance)
+    made = provenance_metadata(provenance)
     for path in spec.out:
         if path.suffix.lower() == ".json":
             data = {"pairs": str(spec.pairs), **figures, "provenance": made}

@@ -26,7 +26,7 @@ class _Found:
 
 
 def run(
-    spec: FindSequencesSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+    spec: FindSequencesSpec, *, provenance: Provenance, progress: Progress = silent
 ) -> StepResult:
     """Look for every sequence; where two of them overlap, keep the nearer."""
     motion = read_source_motion(spec.source, frame_range(spec.frames))

@@ -16,7 +16,7 @@ from usdface.usdio.retarget.sequences import write_sequence
 
 
 def run(
-    spec: MakeSequenceSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+    spec: MakeSequenceSpec, *, provenance: Provenance, progress: Progress = silent
 ) -> StepResult:
     """Cut both sides out and write them side by side."""
     source = read_source_motion(spec.source, frame_range(spec.source_frames))

@@ -20,7 +20,7 @@ from usdface.usdio.rig.read import read_rig
 
 
 def run(
-    spec: PairsImportSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+    spec: PairsImportSpec, *, provenance: Provenance, progress: Progress = silent
 ) -> StepResult:
     """Read both sides, pair them by frame, and write the asset."""
     _check_nothing_hides(spec.out)

@@ -23,7 +23,7 @@ REST = "rest"
 
 
 def run(
-    spec: PairsProposeSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+    spec: PairsProposeSpec, *, provenance: Provenance, progress: Progress = silent
 ) -> StepResult:
     """Match shapes, and write a pair for rest and one for each match."""
     source = read_rig(spec.source, prim=spec.source_prim)

@@ -32,9 +32,7 @@ from usdface.usdio.rig.read import read_rig
 _CHUNK_FRAMES = 8192
 
 
-def run(
-    spec: RetargetSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Retarget to each target in turn; all are read before the first is written."""
     motion = read_source_motion(spec.source, frame_range(spec.frames))
     targets = [_target(spec, index) for index in range(len(spec.out))]
@@ -104,7 +102,7 @@ def _write(
     rig: Rig,
     alpha: FloatArray | None,
     progress: Progress,
-    provenance: Provenance | None,
+    provenance: Provenance,
 ) -> list[str]:
     source, said = source_columns(spec.source, motion, trained.source_shapes)
     notes = [*said, *_dead(trained, source)]

@@ -30,7 +30,7 @@ SHOWN = 5
 
 
 def run(
-    spec: TrainRetargetSpec, *, provenance: Provenance | None = None, progress: Progress = silent
+    spec: TrainRetargetSpec, *, provenance: Provenance, progress: Progress = silent
 ) -> StepResult:
     """Learn what the pairs show."""
     pairs = read_pairs(spec.pairs)

@@ -25,7 +25,7 @@ from usdface.media.picture.image import write_image
 from usdface.model.retarget.control_space import ControlSpace, control_space
 from usdface.numerics.motion.laplacian_warp import Insertion, ease_weights, warp_motion
 from usdface.numerics.motion.retiming import stretch_motion
-from usdface.runner.outputs import provenance_metadata
+from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import WarpSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
@@ -54,9 +54,7 @@ class _Placement:
         return self.first_frame + self.frame_count - 1
 
 
-def run(
-    spec: WarpSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Warp every control round the sequences and write the result."""
     progress(0.0, "reading")
     reader = PerformanceReader(spec.performance)
@@ -243,7 +241,7 @@ def _write(
     read: ReadControls,
     warped: Controls,
     progress: Progress,
-    provenance: Provenance | None,
+    provenance: Provenance,
 ) -> None:
     with writing_control_performance(
         spec.out,
@@ -274,7 +272,7 @@ def _draw(
     before: FloatArray,
     after: FloatArray,
     read: ReadControls,
-    provenance: Provenance | None,
+    provenance: Provenance,
 ) -> None:
     labels = ", ".join(dict.fromkeys(each.sequence.label for each in placements))
     spans = [FrameSpan(p.first_frame, p.last_frame, p.sequence.label) for p in placements]
@@ -291,5 +289,5 @@ def _draw(
         ),
         spans=spans,
     )
-    made = {} if provenance is None else provenance_metadata(provenance)
+    made = provenance_metadata(provenance)
     write_image(path, picture, metadata=made)

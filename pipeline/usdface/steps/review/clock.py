@@ -91,7 +91,7 @@ def take_sound(take: Take, clock: MovieClock, notes: list[str]) -> Float32Array 
         file = take.audio
     elif take.video is not None and take.video.file.is_file():
         file = take.video.file
-        moments = (moments - take.video.offset) / (1.0 + take.video.drift * 1e-6)
+        moments = take.video.video_time(moments)
     else:
         return None
     try:
@@ -100,5 +100,5 @@ def take_sound(take: Take, clock: MovieClock, notes: list[str]) -> Float32Array 
         notes.append(f"no sound: {error}")
         return None
     at = moments * SAMPLE_RATE
-    heard = np.interp(at, np.arange(len(recorded)), recorded, left=0.0, right=0.0)
-    return heard.astype(np.float32)
+    samples = np.interp(at, np.arange(len(recorded)), recorded, left=0.0, right=0.0)
+    return samples.astype(np.float32)

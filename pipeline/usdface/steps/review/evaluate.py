@@ -15,7 +15,7 @@ from usdface.core.text import pluralize
 from usdface.media.charts.evaluation import draw_evaluation
 from usdface.media.picture.image import write_image
 from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
-from usdface.runner.outputs import provenance_metadata
+from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.review import EvaluateSpec
@@ -43,9 +43,7 @@ class _Comparison:
     notes: tuple[str, ...]
 
 
-def run(
-    spec: EvaluateSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: EvaluateSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Measure the performance and write what was asked for."""
     progress(0.0, "reading")
     performance = read_performance(spec.performance)
@@ -161,12 +159,10 @@ def _write(
     evaluation: Evaluation,
     figures: dict[str, object],
     failed: tuple[str, ...],
-    provenance: Provenance | None,
+    provenance: Provenance,
 ) -> None:
-    made: dict[str, object] = {}
-    if provenance is not None:
-        # What failed is never up to date: run again, a job stops here again.
-        made = provenance_metadata(replace(provenance, spec="") if failed else provenance)
+    # What failed is never up to date: run again, a job stops here again.
+    made = provenance_metadata(replace(provenance, spec="") if failed else provenance)
     for path in spec.out:
         if path.suffix.lower() == ".json":
             data = {

@@ -13,7 +13,7 @@ from usdface.media.face.camera import Camera, frame_rig
 from usdface.media.face.render import FaceRenderer
 from usdface.media.picture.image import write_image
 from usdface.media.picture.sheet import SheetPage, SheetRow, Tile, compose_sheet
-from usdface.runner.outputs import provenance_metadata
+from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.review import FacesSpec
@@ -29,9 +29,7 @@ MOST_POSES = 4000
 """Frames among which those that differ most are looked for."""
 
 
-def run(
-    spec: FacesSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Choose frames, draw every face at each of them, and write the sheet."""
     actors = [PosedRig(path) for path in spec.performances]
     frames = _shared(spec, actors)
@@ -54,7 +52,7 @@ def run(
         first_frame=int(frames[0]),
         tile_height=spec.tile,
     )
-    made = {} if provenance is None else provenance_metadata(provenance)
+    made = provenance_metadata(provenance)
     write_image(spec.out, compose_sheet(page), metadata=made)
     return StepResult(
         (spec.out,),

@@ -21,7 +21,7 @@ from usdface.core.text import pluralize
 from usdface.media.film.movie import write_movie
 from usdface.media.film.movie_frame import MoviePanel, compose_movie_frame
 from usdface.media.film.movie_join import join_movies
-from usdface.runner.outputs import make_provenance, provenance_metadata
+from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.review import MovieSpec, Panel
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
@@ -51,9 +51,7 @@ class _Stretch:
     file: Path
 
 
-def run(
-    spec: MovieSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Draw the movie, stretch by stretch, and join them with the sound."""
     progress(0.0, "reading")
     shot = open_shot(spec.performance, spec.take, frames=spec.frames)
@@ -67,7 +65,6 @@ def run(
         first_frame=int(shot.frames[0]),
         frame_count=len(shot.frames),
     )
-    provenance = provenance or make_provenance(spec)
     folder = _stretches_folder(spec.out)
     stretches = _stretches(spec, clock, folder, provenance)
     _make_folder(folder, keep={stretch.file for stretch in stretches})

@@ -14,16 +14,14 @@ from usdface.core.provenance import Provenance
 from usdface.core.text import pluralize
 from usdface.media.film.movie import read_movie_comment
 from usdface.media.film.movie_join import join_movies
-from usdface.runner.outputs import make_provenance, provenance_metadata
+from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.review import MovieJoinSpec
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, take_sound
 from usdface.usdio.take.read import TakeReader
 
 
-def run(
-    spec: MovieJoinSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: MovieJoinSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Join the parts' pictures; the sound is put in whole."""
     progress(0.0, "reading")
     said = [_said(path.name, read_movie_comment(path)) for path in spec.parts]
@@ -62,7 +60,7 @@ def run(
         sound = take_sound(take, clock, notes)
         timecode = clock.timecode(reader.timecode_at(reader.first_frame), reader.first_frame)
     progress(0.3, "joining")
-    written = provenance_metadata(provenance or make_provenance(spec))
+    written = provenance_metadata(provenance)
     written |= {"rate": str(rate), "first_frame": said[0].first, "pictures": count}
     written["movie_parts"] = sum(part.movies for part in said)
     join_movies(

@@ -233,7 +233,7 @@ class ShotPictures:
         if take.video is None or self._video is None:
             return Tile(None, caption="no video")
         seconds = (frame - take.first_frame) / float(take.rate)
-        at = (seconds - take.video.offset) / (1.0 + take.video.drift * 1e-6)
+        at = take.video.video_time(seconds)
         try:
             picture = self._video.frame_at(at)
         except InputError:

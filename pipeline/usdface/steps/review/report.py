@@ -26,7 +26,7 @@ from usdface.media.page.report_page import (
 from usdface.media.picture.sheet import round_range
 from usdface.media.picture.tiles import empty_tile, fit_picture
 from usdface.numerics.measure.face_regions import region_of_shape
-from usdface.runner.outputs import make_provenance, provenance_metadata
+from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.review import AUTO, FramePick, ReportSpec
 from usdface.steps.inputs.phone_labels import labels_at
@@ -48,9 +48,7 @@ LARGEST_SHEET_BYTES = 64 << 20
 SHEET_TYPES = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}
 
 
-def run(
-    spec: ReportSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Gather everything and write the page."""
     progress(0.0, "reading")
     shot = open_shot(spec.performance, spec.take, frames=spec.frames)
@@ -82,8 +80,7 @@ def run(
     frames = shot.frames[rows]
     pictures = _sheet(spec)
     strips = _strips(shot, residual, rows)
-    made = provenance or make_provenance(spec)
-    tables = listings(shot, evaluation, made)
+    tables = listings(shot, evaluation, provenance)
     coverage = show_coverage(spec, shot, rows, notes, part(progress, 0.93, 0.97))
     if coverage is not None:
         strips = (*strips, coverage.strip)
@@ -108,7 +105,7 @@ def run(
         movie_type=_movie_kind()[1],
         pictures=pictures,
         said=labels_at(spec.phones, take, frames) if spec.phones else (),
-        origin=provenance_metadata(made),
+        origin=provenance_metadata(provenance),
     )
     progress(0.97, f"writing {spec.out.name}")
     text = build_page(page)
@@ -246,7 +243,7 @@ def _camera_pictures(
             if picture % 60 == 0:
                 progress(picture / clock.picture_count, f"video picture {picture}")
             seconds = start + picture / float(clock.rate)
-            at = (seconds - take.video.offset) / (1.0 + take.video.drift * 1e-6)
+            at = take.video.video_time(seconds)
             missing = "no video here"
             try:
                 pixels = video.frame_at(at)

@@ -12,7 +12,6 @@ from usdface.core.progress import Progress
 from usdface.media.page.report_page import Listing, PagePicture, Strip
 from usdface.media.picture.image import write_image
 from usdface.runner.origin import path_made_from
-from usdface.runner.outputs import provenance_of
 from usdface.runner.sandbox import confine
 from usdface.specs.references import ReferencesCoverageSpec
 from usdface.specs.review import ReportSpec
@@ -88,10 +87,8 @@ def show_coverage(
 
 def find_references(performance: Path) -> Path | None:
     """Return the references that a performance's mapping was trained on; None if not there."""
-    mapping = path_made_from(performance, provenance_of(performance), "mapping")
-    if mapping is None:
-        return None
-    return path_made_from(mapping, provenance_of(mapping), "references")
+    mapping = path_made_from(performance, "mapping")
+    return None if mapping is None else path_made_from(mapping, "references")
 
 
 def _shares(measured: MeasuredCoverage, references: Path) -> Listing:

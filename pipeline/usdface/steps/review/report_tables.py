@@ -7,8 +7,7 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.media.page.report_page import Listing
 from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
-from usdface.runner.origin import spec_of
-from usdface.runner.outputs import provenance_of
+from usdface.runner.origin import provenance_of, spec_of
 from usdface.steps.inputs.edit_ranges import find_edited_ranges
 from usdface.steps.review.evaluation_tables import evaluation_figures, shapes_with_motion
 from usdface.steps.review.pictures import Shot

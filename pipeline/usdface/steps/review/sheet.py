@@ -16,7 +16,7 @@ from usdface.media.picture.display_view import display_view
 from usdface.media.picture.error_strip import ErrorCurve
 from usdface.media.picture.image import write_image
 from usdface.media.picture.sheet import SheetPage, SheetRow, compose_sheet, round_range
-from usdface.runner.outputs import provenance_metadata
+from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.review import AUTO, FramePick, SheetLayout, SheetSpec
 from usdface.steps.inputs.phone_labels import labels_at
@@ -48,9 +48,7 @@ STRIP_ROWS, STRIP_TILE = 48, 192
 OTHER_ROWS, OTHER_TILE = 12, 320
 
 
-def run(
-    spec: SheetSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Draw the sheet and write it."""
     progress(0.0, "reading")
     shots = _open_shots(spec)
@@ -189,7 +187,7 @@ def _write_pages(
     count: int,
     draw: Callable[[int], SheetRow],
     shot: Shot,
-    provenance: Provenance | None,
+    provenance: Provenance,
 ) -> tuple[Path, ...]:
     """Draw and write page by page, so that thousands of tiles are not held at once.
 
@@ -207,7 +205,7 @@ def _write_pages(
         write_image(
             file,
             compose_sheet(replace(page, title=title, rows=rows)),
-            metadata={} if provenance is None else provenance_metadata(provenance),
+            metadata=provenance_metadata(provenance),
             timecode=shot.timecode(int(shot.frames[0])) or None,
             rate=shot.take.rate,
         )

@@ -11,7 +11,7 @@ from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
 from usdface.media.picture.image import write_image
 from usdface.model.surface.binding import DOUBTFUL, facing_yaw
 from usdface.numerics.registration.marker_binding import MarkerBinding
-from usdface.runner.outputs import provenance_metadata
+from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.surface import BindSpec
 from usdface.steps.surface.bound_take import TakeSample, bind_take, landmark_places, sample_take

@@ -1,0 +1,65 @@
+"""List what was edited of a performance, and where the solve has changed since."""
+
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.text import pluralize
+from usdface.runner.result import StepResult
+from usdface.runner.sandbox import confine
+from usdface.steps.inputs.edit_ranges import NOTABLE_CHANGE, EditedRange, find_edited_ranges
+from usdface.usdio.performance.read import PerformanceReader
+
+_LISTED_RANGES = 60
+"""Ranges that are printed; where an import left thousands, nobody reads the small ones."""
+
+
+def list_edit_ranges(performance: Path, *, prim: str | None = None) -> StepResult:
+    """Return what was edited of a performance, and where the solve beneath has changed since.
+
+    Parameters
+    ----------
+    performance : Path
+        Edited by `usdface edit`, an import or a DCC.
+    prim : str, optional
+        The face, where the layer holds several.
+    """
+    confine("edits list", reads=[performance])
+    reader = PerformanceReader(performance, prim=prim)
+    ranges = find_edited_ranges(reader)
+    largest = sorted(ranges, key=_weight, reverse=True)[:_LISTED_RANGES]
+    table = tuple(
+        f"{each.shape} {each.first}-{each.last}: {each.change:+.2f}"
+        + (
+            f", the solve beneath has since changed by {each.solve_change:+.2f} at frame "
+            f"{each.solve_frame}"
+            if abs(each.solve_change) > NOTABLE_CHANGE
+            else ""
+        )
+        for each in ranges
+        if each in largest
+    )
+    if len(ranges) > _LISTED_RANGES:
+        table += (f"and {len(ranges) - _LISTED_RANGES} smaller ones; --json lists them all",)
+    changed = sum(abs(each.solve_change) > NOTABLE_CHANGE for each in ranges)
+    shapes = {each.shape for each in ranges}
+    summary = f"{pluralize(len(ranges), 'edited range')} of {pluralize(len(shapes), 'shape')}"
+    if changed:
+        summary += f", {changed} over a solve that changed much since"
+    figures = [
+        {
+            "shape": each.shape,
+            "first": each.first,
+            "last": each.last,
+            "change": each.change,
+            "solve_change": each.solve_change if np.isfinite(each.solve_change) else None,
+            "solve_frame": each.solve_frame,
+        }
+        for each in ranges
+    ]
+    return StepResult((), summary, table=table, figures={"edits": figures})
+
+
+def _weight(edited: EditedRange) -> float:
+    """How much there is to see of a range: what was edited, or what the solve did beneath."""
+    return float(np.nanmax(np.abs([edited.change, edited.solve_change])))
