@@ -54,12 +54,10 @@ class C3dFile:
 
     Attributes
     ----------
-    path : Path
     layout : C3dLayout
         Counts, rates, parameters.
     point_labels : tuple of str
         As written, subject prefixes included; shorter than the points when some have no label.
-    analog_labels : tuple of str
     units, x_screen, y_screen : str
         Empty where the file does not say.
     """

@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.capture.c3d_parameters import Parameters, parse_parameters
-from usdface.capture.c3d_processor import PROCESSORS, Processor
+from usdface.capture.c3d_parameters import PROCESSORS, Parameters, Processor, parse_parameters
 from usdface.core.errors import InputError
 
-BLOCK = 512
-MAGIC = 0x50
-_FULL = 0xFFFF
+BLOCK_BYTES = 512
+C3D_MAGIC = 0x50
+_LARGEST_UINT16 = 0xFFFF
 """What a 16-bit frame count shows when the take is longer."""
 _REPAIR = "export the take again from the capture software, or copy the file again"
 
@@ -23,15 +22,12 @@ class C3dLayout:
 
     Attributes
     ----------
-    processor : Processor
-    parameters : Parameters
     header : bytes
         The first block; holds the events of old files.
     point_count, analog_count : int
         Points per frame; analog channels.
     analog_per_frame : int
         Analog samples of each channel per point frame.
-    first_frame, frame_count : int
     rate : float
         Point frames per second, as stored.
     scale : float
@@ -76,13 +72,13 @@ def read_layout(path: Path) -> C3dLayout:
     """
     size = path.stat().st_size
     with path.open("rb") as file:
-        header = file.read(BLOCK)
-        if len(header) < BLOCK or header[1] != MAGIC:
+        header = file.read(BLOCK_BYTES)
+        if len(header) < BLOCK_BYTES or header[1] != C3D_MAGIC:
             raise InputError(
                 f"{path}: not a C3D file: {len(header)} bytes of header, second byte "
                 f"{header[1:2].hex() or 'missing'} instead of 50; choose the capture's .c3d export"
             )
-        section_start = (max(header[0], 1) - 1) * BLOCK
+        section_start = (max(header[0], 1) - 1) * BLOCK_BYTES
         file.seek(section_start)
         prefix = file.read(4)
         if section_start == 0 or len(prefix) < 4 or prefix[3] not in PROCESSORS:
@@ -94,14 +90,16 @@ def read_layout(path: Path) -> C3dLayout:
         processor = PROCESSORS[prefix[3]]
         words = np.frombuffer(header, processor.unsigned)
         file.seek(section_start)
-        section = file.read(_section_size(prefix[2], section_start, int(words[8]) * BLOCK, size))
+        section = file.read(
+            _section_size(prefix[2], section_start, int(words[8]) * BLOCK_BYTES, size)
+        )
     parameters = parse_parameters(section, processor=processor)
     return _settle_layout(path, size, header, processor, parameters)
 
 
 def _section_size(blocks: int, start: int, data_start: int, file_size: int) -> int:
     """Return how many bytes to parse: some writers leave the block count 0 or too small."""
-    return min(max(blocks * BLOCK, data_start - BLOCK - start), file_size - start)
+    return min(max(blocks * BLOCK_BYTES, data_start - BLOCK_BYTES - start), file_size - start)
 
 
 def _settle_layout(
@@ -123,20 +121,20 @@ def _settle_layout(
         )
     channels, per_frame = _settle_analog(notes, parameters, words[2], words[9], rate)
     block = words[8] or parameters.unsigned("POINT:DATA_START") or 0
-    data_start = (block - 1) * BLOCK
+    data_start = (block - 1) * BLOCK_BYTES
     items = points * 4 + channels * per_frame
     scale = _settle_scale(
         notes, scale, float(header_floats[3]), size - data_start, items * (words[4] - words[3] + 1)
     )
     stride = items * (4 if scale < 0 else 2)
-    if data_start < BLOCK or data_start > size or stride == 0:
+    if data_start < BLOCK_BYTES or data_start > size or stride == 0:
         raise InputError(
-            f"{path}: data at block {block} of {size // BLOCK}, {points} points and {channels} "
-            f"analog channels per frame: nothing can be read; {_REPAIR}"
+            f"{path}: data at block {block} of {size // BLOCK_BYTES}, {points} points and "
+            f"{channels} analog channels per frame: nothing can be read; {_REPAIR}"
         )
     capacity = (size - data_start) // stride
     first_frame, frame_count = _settle_frames(
-        notes, parameters, words[3], words[4], capacity, padding=(BLOCK - 1) // stride
+        notes, parameters, words[3], words[4], capacity, padding=(BLOCK_BYTES - 1) // stride
     )
     if frame_count > capacity:
         raise InputError(
@@ -253,16 +251,27 @@ def _settle_frames(
     if long_frames is not None:
         return first, int(long_frames)
     count = max(frames or 0, counted)
-    if frames is not None and counted not in (frames, 0) and last >= first and last != _FULL:
+    if (
+        frames is not None
+        and counted not in (frames, 0)
+        and last >= first
+        and last != _LARGEST_UINT16
+    ):
         count = min(frames, counted) if count > capacity else count
         notes.append(
             f"frames: POINT:FRAMES says {frames}, the header {first} to {last}; {count} read"
         )
-    wraps = (capacity - count) // (_FULL + 1)
+    wraps = (capacity - count) // (_LARGEST_UINT16 + 1)
     if wraps > 0:
-        count = capacity if count >= _FULL or last == _FULL else count + wraps * (_FULL + 1)
+        count = (
+            capacity
+            if count >= _LARGEST_UINT16 or last == _LARGEST_UINT16
+            else count + wraps * (_LARGEST_UINT16 + 1)
+        )
         notes.append(f"the frame count has wrapped; {count} frames read by the file's length")
-    elif capacity > count and (count == _FULL or (last == _FULL and capacity > count + padding)):
+    elif capacity > count and (
+        count == _LARGEST_UINT16 or (last == _LARGEST_UINT16 and capacity > count + padding)
+    ):
         count = capacity
         notes.append(f"the frame count is full; {count} frames read by the file's length")
     return first, count
@@ -270,4 +279,4 @@ def _settle_frames(
 
 def _cut_short(number: int, word: int) -> bool:
     """Tell whether 16 bits may show a number like this: its low bits, or as many as there are."""
-    return word in (number & _FULL, min(number, _FULL))
+    return word in (number & _LARGEST_UINT16, min(number, _LARGEST_UINT16))

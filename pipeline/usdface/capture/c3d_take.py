@@ -7,11 +7,12 @@ import numpy as np
 
 from usdface.capture.axes import mm_per_unit, rotation_from_screen, rotation_to_y_up
 from usdface.capture.c3d import C3dFile, open_c3d
-from usdface.capture.marker_labels import list_some, settle_labels
-from usdface.capture.marker_take import Capture, CaptureOptions, build_marker_take
+from usdface.capture.marker_labels import settle_labels
+from usdface.capture.marker_take import Capture, CaptureHeader, CaptureOptions, build_marker_take
 from usdface.core.assets import Event
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
+from usdface.core.text import first_few
 
 _CHUNK_FRAMES = 8192
 
@@ -46,10 +47,10 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
     labels = settle_labels(file.point_labels, where=f"{path} POINT:LABELS")
     if labels.dropped:
         notes.append(
-            f"{len(labels.dropped)} unlabelled points were left out: {list_some(labels.dropped)}"
+            f"{len(labels.dropped)} unlabelled points were left out: {first_few(labels.dropped)}"
         )
     if labels.subjects:
-        notes.append(f"subject prefixes taken off: {list_some(labels.subjects)}")
+        notes.append(f"subject prefixes taken off: {first_few(labels.subjects)}")
     scale = _mm_scale(file, options, notes)
     rotation = (scale * _rotation(file, options, notes)).astype(np.float32)
     columns = np.array(labels.columns)
@@ -65,15 +66,17 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
             positions[rows] = turned.reshape(-1, len(columns), 3)
         visible[rows] = points.residuals[:, columns] >= 0
     capture = build_marker_take(
-        path,
+        CaptureHeader(
+            path,
+            "c3d",
+            exact_rate(file.layout.rate, where=f"{path} POINT:RATE"),
+            file.layout.first_frame,
+            notes=notes,
+        ),
         labels.names,
         positions,
         visible,
-        rate=exact_rate(file.layout.rate, where=f"{path} POINT:RATE"),
-        first_frame=file.layout.first_frame,
-        options=options,
-        notes=notes,
-        format_name="c3d",
+        options,
     )
     return replace(capture, take=replace(capture.take, events=_events(file)))
 

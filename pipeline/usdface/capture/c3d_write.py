@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.capture.c3d_layout import BLOCK, MAGIC
+from usdface.capture.c3d_layout import BLOCK_BYTES, C3D_MAGIC
 
-_INTEL = 84
-_FULL = 0xFFFF
+_INTEL_PROCESSOR = 84
+_LARGEST_UINT16 = 0xFFFF
 _LIST_LIMIT = 255
 _BLOCK_LIMIT = 255
 _CHUNK_FRAMES = 4096
@@ -25,9 +25,6 @@ def write_c3d(
     *,
     rate: Fraction | float,
     first_frame: int = 1,
-    units: str = "mm",
-    x_screen: str = "+X",
-    y_screen: str = "+Y",
     analog: ArrayLike | None = None,
     analog_labels: Sequence[str] = (),
 ) -> None:
@@ -38,7 +35,7 @@ def write_c3d(
     path : Path
         Written in place.
     positions : (frames, points, 3) array_like
-        In `units`.
+        [mm], Y up, +X to the right of the screen.
     visible : (frames, points) array_like of bool
         Where False the point is written as not seen: residual -1 at the origin.
     labels : sequence of str
@@ -47,9 +44,6 @@ def write_c3d(
         Frames per second.
     first_frame : int
         Frame number of the first sample; the format counts from 1.
-    units : str
-    x_screen, y_screen : str
-        Which axes of the positions point right and up.
     analog : (frames * k, channels) array_like, optional
         k samples per frame and channel.
     analog_labels : sequence of str
@@ -68,10 +62,10 @@ def write_c3d(
             "(frames, points)"
         )
     frame_count, point_count = seen.shape
-    if len(labels) != point_count or not 0 < first_frame <= _FULL:
+    if len(labels) != point_count or not 0 < first_frame <= _LARGEST_UINT16:
         raise ValueError(
             f"{len(labels)} labels for {point_count} points, first frame {first_frame}: need one "
-            f"label each, and a first frame of 1 to {_FULL}"
+            f"label each, and a first frame of 1 to {_LARGEST_UINT16}"
         )
     samples = np.empty((0, 0), np.float32) if analog is None else np.asarray(analog, np.float32)
     per_frame, left_over = divmod(len(samples), frame_count) if frame_count else (0, 1)
@@ -80,15 +74,14 @@ def write_c3d(
             f"analog {samples.shape} must be ({frame_count} * k, {len(analog_labels)})"
         )
 
-    axes = (x_screen, y_screen)
     other_groups = _trial_group(first_frame, frame_count) + _analog_group(
         analog_labels, float(rate) * per_frame
     )
     data_block = 2  # the parameters begin there; where they end depends on their length alone
     for _ in range(2):
-        points_group = _points_group(labels, frame_count, float(rate), units, axes, data_block)
+        points_group = _points_group(labels, frame_count, float(rate), data_block)
         section = _parameter_section(points_group + other_groups)
-        data_block = 2 + len(section) // BLOCK
+        data_block = 2 + len(section) // BLOCK_BYTES
     header = _header(
         point_count, samples.shape[1], per_frame, first_frame, frame_count, data_block, float(rate)
     )
@@ -101,7 +94,7 @@ def write_c3d(
             block[..., 3] = np.where(seen[start:stop], 0, -1)
             extra = samples[start * per_frame : stop * per_frame].reshape(stop - start, -1)
             file.write(np.hstack([block.reshape(stop - start, -1), extra.astype("<f4")]).tobytes())
-        file.write(bytes(-file.tell() % BLOCK))
+        file.write(bytes(-file.tell() % BLOCK_BYTES))
 
 
 def _header(
@@ -113,31 +106,29 @@ def _header(
     data_block: int,
     rate: float,
 ) -> bytes:
-    last = min(first + frames - 1, _FULL)
+    last = min(first + frames - 1, _LARGEST_UINT16)
     fields = (points, channels * per_frame, first, last, 10, -1.0, data_block, per_frame, rate)
-    return struct.pack("<BB5HfHHf", 2, MAGIC, *fields).ljust(BLOCK, b"\x00")
+    return struct.pack("<BB5HfHHf", 2, C3D_MAGIC, *fields).ljust(BLOCK_BYTES, b"\x00")
 
 
 def _points_group(
     labels: Sequence[str],
     frames: int,
     rate: float,
-    units: str,
-    axes: tuple[str, str],
     data_block: int,
 ) -> bytes:
     return b"".join(
         (
             _group(1, "POINT"),
             _integers(1, "USED", [len(labels)]),
-            _integers(1, "FRAMES", [min(frames, _FULL)]),
-            _floats(1, "LONG_FRAMES", [float(frames)]) if frames > _FULL else b"",
+            _integers(1, "FRAMES", [min(frames, _LARGEST_UINT16)]),
+            _floats(1, "LONG_FRAMES", [float(frames)]) if frames > _LARGEST_UINT16 else b"",
             _integers(1, "DATA_START", [data_block]),
             _floats(1, "SCALE", [-1.0]),
             _floats(1, "RATE", [rate]),
-            _texts(1, "UNITS", [units]),
-            _texts(1, "X_SCREEN", [axes[0]]),
-            _texts(1, "Y_SCREEN", [axes[1]]),
+            _texts(1, "UNITS", ["mm"]),
+            _texts(1, "X_SCREEN", ["+X"]),
+            _texts(1, "Y_SCREEN", ["+Y"]),
             _long_texts(1, "LABELS", labels),
             _long_texts(1, "DESCRIPTIONS", [""] * len(labels)),
         )
@@ -149,8 +140,8 @@ def _trial_group(first: int, frames: int) -> bytes:
     return b"".join(
         (
             _group(2, "TRIAL"),
-            _integers(2, "ACTUAL_START_FIELD", [first & _FULL, first >> 16]),
-            _integers(2, "ACTUAL_END_FIELD", [last & _FULL, last >> 16]),
+            _integers(2, "ACTUAL_START_FIELD", [first & _LARGEST_UINT16, first >> 16]),
+            _integers(2, "ACTUAL_END_FIELD", [last & _LARGEST_UINT16, last >> 16]),
         )
     )
 
@@ -170,12 +161,14 @@ def _analog_group(labels: Sequence[str], rate: float) -> bytes:
 
 
 def _parameter_section(groups: bytes) -> bytes:
-    blocks = -(-(4 + len(groups) + 2) // BLOCK)  # two zero bytes end the section
+    blocks = -(-(4 + len(groups) + 2) // BLOCK_BYTES)  # two zero bytes end the section
     if blocks > _BLOCK_LIMIT:
         raise ValueError(
             f"labels fill {blocks} blocks, the format has {_BLOCK_LIMIT}; shorten them"
         )
-    return (bytes((1, MAGIC, blocks, _INTEL)) + groups).ljust(blocks * BLOCK, b"\x00")
+    return (bytes((1, C3D_MAGIC, blocks, _INTEL_PROCESSOR)) + groups).ljust(
+        blocks * BLOCK_BYTES, b"\x00"
+    )
 
 
 def _group(number: int, name: str) -> bytes:

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.capture.marker_labels import list_some
 from usdface.capture.marker_take import Capture
 from usdface.capture.sample_times import SampleTimes
 from usdface.core.assets import Take, WeightsClip
+from usdface.core.text import first_few
 
 _FIRST_FRAME = 1
 """Where takes start whose format does not number frames, as optical takes do."""
@@ -37,11 +37,8 @@ def build_channel_take(
         Unique, one per column.
     values : (samples, channels) float64 array
         Finite.
-    times : SampleTimes
     notes : sequence of str
         What the reader has noted so far.
-    format_name : str
-    timecode_start : str
     """
     found = [*notes, *_describe_times(times)]
     clip = WeightsClip(
@@ -95,7 +92,7 @@ def describe_missing(frames: NDArray[np.float64]) -> list[str]:
         runs.append(f"{first}" if first == last else f"{first}-{last}")
     return [
         f"{skipped.sum()} of {int(frames[-1]) + 1} frames were dropped by the recorder and are "
-        f"interpolated: {list_some(runs)}"
+        f"interpolated: {first_few(runs)}"
     ]
 
 

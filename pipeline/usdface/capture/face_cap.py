@@ -30,7 +30,7 @@ _ROTATIONS = (
 _BEFORE_WEIGHTS = ("time", *(f"headPosition{axis}" for axis in "XYZ"), *_ROTATIONS)
 _ROTATIONS_AT = slice(4, 11)
 _HEAD_LINES = 8
-_MS = 1e-3
+_SECONDS_PER_MS = 1e-3
 
 
 def is_face_cap(head: bytes) -> bool:
@@ -78,7 +78,7 @@ def read_face_cap(path: Path, options: CaptureOptions) -> Capture:
         )
     table = np.array(samples)
     times = settle_device_times(
-        table[:, 0] * _MS, np.array(numbers), where=f"{path} times (milliseconds)"
+        table[:, 0] * _SECONDS_PER_MS, np.array(numbers), where=f"{path} times (milliseconds)"
     )
     return build_channel_take(
         path,

@@ -33,7 +33,7 @@ from usdface.core.timecode import timecode_of
 _TIMECODE = re.compile(r"(\d\d):(\d\d):(\d\d):(\d{1,3}(?:\.\d{1,9})?)", re.ASCII)
 _TITLES = ("timecode", "blendshapecount")
 _BASES = (24, 25, 30, 48, 50, 60, 100, 120)
-_DAY = 24 * 60 * 60
+_DAY_SECONDS = 24 * 60 * 60
 _TWO_RATES_SHARE = 0.2
 """So many rows at half or twice the usual step are not dropped frames: the device changed speed."""
 _ROTATIONS = ("Yaw", "Pitch", "Roll")
@@ -49,8 +49,6 @@ class _Rows:
         Seconds of each timecode since midnight.
     parts : list of float
         Frames of each timecode within its second.
-    values : list of list of float
-    lines : list of int
     lost : int
         Rows without a face, between others.
     outside : int
@@ -183,8 +181,8 @@ def _settle_base(rows: _Rows, notes: list[str], where: str) -> int:
 def _unwrap(rows: _Rows, base: int) -> NDArray[np.float64]:
     """Return seconds since the first midnight, through later ones."""
     seconds: NDArray[np.float64] = np.array(rows.whole) + np.array(rows.parts) / base
-    midnights = np.diff(seconds) < -_DAY / 2
-    seconds[1:] += _DAY * np.cumsum(midnights)
+    midnights = np.diff(seconds) < -_DAY_SECONDS / 2
+    seconds[1:] += _DAY_SECONDS * np.cumsum(midnights)
     return seconds
 
 

@@ -3,8 +3,14 @@
 import re
 from pathlib import Path
 
-from usdface.capture.marker_table import build_table_take, settle_space
-from usdface.capture.marker_take import Capture, CaptureOptions
+from usdface.capture.marker_take import (
+    Capture,
+    CaptureHeader,
+    CaptureOptions,
+    MarkerTable,
+    build_table_take,
+    settle_space,
+)
 from usdface.capture.sample_times import rate_of_times, settle_frame_numbers
 from usdface.capture.text_table import (
     check_columns,
@@ -72,18 +78,17 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
         up_note="the table does not say which axis is up; Y assumed",
     )
     return build_table_take(
-        path,
-        list(triples),
-        table.values,
-        list(triples.values()),
-        frames=frames,
-        first_frame=first_frame,
-        rate=rate_of_times(table.values[:, time_at], frames, where=str(path)),
-        to_mm=to_mm,
-        options=options,
-        notes=notes,
-        format_name="marker-csv",
-        where=header.where,
+        CaptureHeader(
+            path,
+            "marker-csv",
+            rate_of_times(table.values[:, time_at], frames, where=str(path)),
+            first_frame,
+            notes=notes,
+        ),
+        MarkerTable(
+            list(triples), list(triples.values()), table.values, frames, to_mm, where=header.where
+        ),
+        options,
     )
 
 

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from usdface.core.errors import InputError
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 
 _UNLABELLED = re.compile(r"\*.*|u_?\d+|(?:unlabell?ed|unnamed|uname)[\W_]*\d*", re.IGNORECASE)
-_SHOWN = 6
+_SUGGESTIONS = 5
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ class MarkerLabels:
         found = []
         if self.dropped:
             found.append(
-                f"{len(self.dropped)} unlabelled markers were left out: {list_some(self.dropped)}"
+                f"{len(self.dropped)} unlabelled markers were left out: {first_few(self.dropped)}"
             )
         if self.subjects:
-            found.append(f"subject prefixes taken off: {list_some(self.subjects)}")
+            found.append(f"subject prefixes taken off: {first_few(self.subjects)}")
         return found
 
 
@@ -73,16 +73,14 @@ def settle_labels(labels: Sequence[str], *, where: str) -> MarkerLabels:
     doubled = [name for name, count in Counter(names).items() if count > 1]
     faults = []
     if empty:
-        faults.append(f"{pluralize(len(empty), 'marker')} with an empty label ({list_some(empty)})")
+        faults.append(f"{pluralize(len(empty), 'marker')} with an empty label ({first_few(empty)})")
     if doubled:
         faults.append(
-            f"{pluralize(len(doubled), 'label')} given more than once ({list_some(doubled)})"
+            f"{pluralize(len(doubled), 'label')} given more than once ({first_few(doubled)})"
         )
     if faults:
         several = (
-            f"; the file holds the subjects {list_some(list(subjects))}"
-            if len(subjects) > 1
-            else ""
+            f"; the file holds the subjects {first_few(subjects)}" if len(subjects) > 1 else ""
         )
         raise InputError(
             f"{where}: {' and '.join(faults)}{several}; give every marker its own label in the "
@@ -90,7 +88,7 @@ def settle_labels(labels: Sequence[str], *, where: str) -> MarkerLabels:
         )
     if not names:
         raise InputError(
-            f"{where}: no labelled marker among {len(labels)} ({list_some(dropped)}); "
+            f"{where}: no labelled marker among {len(labels)} ({first_few(dropped)}); "
             "label the markers in the capture software, then export again"
         )
     return MarkerLabels(tuple(names), tuple(columns), tuple(dropped), tuple(subjects))
@@ -110,15 +108,9 @@ def match_labels(
     found = tuple(name if name in known else name.rpartition(":")[2] for name in wanted)
     missing = [name for name in found if name not in known]
     if missing:
-        near = difflib.get_close_matches(missing[0], names, n=_SHOWN) or list(names)
+        near = difflib.get_close_matches(missing[0], names, n=_SUGGESTIONS) or list(names)
         raise InputError(
-            f"{where}: {role} {list_some(missing)} not among the {len(names)} markers; "
-            f"did you mean {list_some(near)}?"
+            f"{where}: {role} {first_few(missing)} not among the {len(names)} markers; "
+            f"did you mean {first_few(near)}?"
         )
     return tuple(dict.fromkeys(found))
-
-
-def list_some(items: Sequence[object]) -> str:
-    """Return the first few items, and how many more there are."""
-    shown = ", ".join(str(item) for item in items[:_SHOWN])
-    return f"{shown}, … {len(items) - _SHOWN} more" if len(items) > _SHOWN else shown

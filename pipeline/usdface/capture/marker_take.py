@@ -1,21 +1,23 @@
 """Markers as a reader found them, made into a take: nothing missing, nothing silent."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.capture.marker_labels import list_some, match_labels
+from usdface.capture.axes import mm_per_unit, rotation_to_y_up
+from usdface.capture.marker_labels import match_labels, settle_labels
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 
-_CHUNK_FRAMES = 8192
 FARTHEST_MM = 1e5
 """No capture volume is larger than 100 m: a sample beyond is damage, and is not seen."""
+
+_CHUNK_ROWS = 8192
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,6 @@ class Capture:
 
     Attributes
     ----------
-    take : Take
     format : str
         Key of the reader, such as ``'c3d'``.
     notes : tuple of str
@@ -58,25 +59,73 @@ class Capture:
     notes: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class CaptureHeader:
+    """What a reader knows of a capture beside its samples.
+
+    Attributes
+    ----------
+    path : Path
+        The capture; its stem names the take.
+    format : str
+        Key of the reader.
+    rate : Fraction
+        Frames per second.
+    first_frame : int
+        Frame number of the first sample.
+    timecode_start : str
+        SMPTE timecode of the first frame, empty when unknown.
+    notes : sequence of str
+        What the reader has noted so far.
+    """
+
+    path: Path
+    format: str
+    rate: Fraction
+    first_frame: int
+    timecode_start: str = ""
+    notes: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class MarkerTable:
+    """Markers that stand in columns X, Y, Z of a table.
+
+    Attributes
+    ----------
+    labels : sequence of str
+        As written, subject prefixes included.
+    columns : sequence of int
+        Column of each label's X; Y and Z follow.
+    values : (rows, columns) float64 array
+        NaN where a marker was not seen.
+    frames : (rows,) int array
+        Frame of each row from 0, ascending.
+    to_mm : (3, 3) float array
+        Brings the table's units and axes to mm, Y up.
+    where : str
+        File and place of the labels, for messages.
+    """
+
+    labels: Sequence[str]
+    columns: Sequence[int]
+    values: NDArray[np.float64]
+    frames: NDArray[np.int64]
+    to_mm: NDArray[np.float64]
+    where: str
+
+
 def build_marker_take(
-    path: Path,
+    header: CaptureHeader,
     names: Sequence[str],
     positions: NDArray[np.float32],
     visible: NDArray[np.bool_],
-    *,
-    rate: Fraction,
-    first_frame: int,
     options: CaptureOptions,
-    notes: Sequence[str],
-    format_name: str,
-    timecode_start: str = "",
 ) -> Capture:
     """Make a take of markers that are already in mm with Y up.
 
     Parameters
     ----------
-    path : Path
-        The capture; its stem names the take.
     names : sequence of str
         Unique, one per column.
     positions : (frames, markers, 3) float32 array
@@ -84,20 +133,14 @@ def build_marker_take(
     visible : (frames, markers) bool array
         Changed in place: samples that are not finite, at the origin or beyond `FARTHEST_MM` are
         not seen whatever the file says.
-    rate : Fraction
-    first_frame : int
-    options : CaptureOptions
-    notes : sequence of str
-        What the reader has noted so far.
-    format_name : str
-    timecode_start : str
 
     Raises
     ------
     InputError
         If no marker is ever seen, a rigid marker is unknown or the neutral frame is outside.
     """
-    found = list(notes)
+    path, first_frame = header.path, header.first_frame
+    found = [*header.notes]
     found += _hide_impossible(positions, visible)
     ever_seen = np.asarray(visible.any(axis=0))
     if not ever_seen.any():
@@ -107,7 +150,7 @@ def build_marker_take(
         )
     if not ever_seen.all():
         never = [name for name, seen in zip(names, ever_seen, strict=True) if not seen]
-        found.append(f"{pluralize(len(never), 'marker')} never seen, left out: {list_some(never)}")
+        found.append(f"{pluralize(len(never), 'marker')} never seen, left out: {first_few(never)}")
         positions, visible = positions[:, ever_seen], visible[:, ever_seen]
         names = [name for name, seen in zip(names, ever_seen, strict=True) if seen]
     if not visible.all():
@@ -125,12 +168,12 @@ def build_marker_take(
     )
     take = Take(
         name=path.stem,
-        rate=rate,
+        rate=header.rate,
         first_frame=first_frame,
         markers=markers,
-        timecode_start=timecode_start,
+        timecode_start=header.timecode_start,
     )
-    return Capture(take, format_name, tuple(found))
+    return Capture(take, header.format, tuple(found))
 
 
 def _confidence(visible: NDArray[np.bool_]) -> NDArray[np.float32]:
@@ -160,8 +203,8 @@ def hold_last_seen(positions: NDArray[np.float32], visible: NDArray[np.bool_]) -
 def _hide_impossible(positions: NDArray[np.float32], visible: NDArray[np.bool_]) -> list[str]:
     """Mark samples no camera can have seen as unseen, and say how many there were."""
     counts = np.zeros(3, np.int64)
-    for start in range(0, len(positions), _CHUNK_FRAMES):  # temporaries stay small on long takes
-        rows = slice(start, start + _CHUNK_FRAMES)
+    for start in range(0, len(positions), _CHUNK_ROWS):  # temporaries stay small on long takes
+        rows = slice(start, start + _CHUNK_ROWS)
         seen = visible[rows]
         size = np.abs(positions[rows])
         with np.errstate(invalid="ignore"):
@@ -194,3 +237,78 @@ def _settle_neutral(
             "name a frame number of the capture with --neutral"
         )
     return neutral
+
+
+def build_table_take(header: CaptureHeader, table: MarkerTable, options: CaptureOptions) -> Capture:
+    """Make a take of the markers of a table.
+
+    Frames without a row are gaps of every marker, and are reported.
+
+    Raises
+    ------
+    InputError
+        As `settle_labels` and `build_marker_take`.
+    """
+    labels = settle_labels(table.labels, where=table.where)
+    notes = [*header.notes, *labels.notes()]
+    frames = table.frames
+    count = int(frames[-1]) + 1
+    if count > len(frames):
+        notes.append(f"{count - len(frames)} of {count} frames have no row and are gaps")
+    starts = np.array([table.columns[index] for index in labels.columns], np.int64)
+    positions = np.zeros((count, len(starts), 3), np.float32)
+    visible = np.zeros((count, len(starts)), bool)
+    axes = starts[:, None] + np.arange(3)
+    for start in range(0, len(frames), _CHUNK_ROWS):  # temporaries stay small on long takes
+        rows = slice(start, start + _CHUNK_ROWS)
+        with np.errstate(invalid="ignore", over="ignore"):  # damaged samples are hidden later
+            samples = table.values[rows][:, axes] @ table.to_mm.T
+            positions[frames[rows]] = samples
+        visible[frames[rows]] = ~np.isnan(samples).any(axis=2)
+    return build_marker_take(
+        replace(header, notes=notes), labels.names, positions, visible, options
+    )
+
+
+def settle_space(
+    stated_units: str,
+    assumed_up: str,
+    options: CaptureOptions,
+    notes: list[str],
+    *,
+    where: str,
+    field: str,
+    up_note: str = "",
+) -> NDArray[np.float64]:
+    """Return the matrix to mm with Y up, from what the file states, assumes or the user says.
+
+    Parameters
+    ----------
+    stated_units : str
+        Empty where the file does not say; then mm.
+    assumed_up : {'y', 'z'}
+        The format's convention.
+    notes : list of str
+        Added to.
+    where, field : str
+        File, and what its units are called there, for notes and messages.
+    up_note : str
+        Added to `notes` when the convention decides; nothing when empty.
+
+    Raises
+    ------
+    InputError
+        If the units or the axis are not known.
+    """
+    if options.units is not None:
+        if stated_units and stated_units.lower() != options.units.lower():
+            notes.append(f"{field} says {stated_units}; {options.units} was asked for and used")
+        scale = mm_per_unit(options.units, where=f"{where} units")
+    else:
+        if not stated_units:
+            notes.append(f"no unit stated ({field}); mm assumed, say otherwise with --units")
+        scale = mm_per_unit(stated_units or "mm", where=f"{where} {field}")
+    if options.up is None and up_note:
+        notes.append(f"{up_note}; say otherwise with --up")
+    up = assumed_up if options.up is None else options.up
+    return scale * rotation_to_y_up(up=up, where=f"{where} up axis")

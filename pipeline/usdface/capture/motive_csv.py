@@ -13,9 +13,14 @@ from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
 
-from usdface.capture.marker_labels import list_some
-from usdface.capture.marker_table import build_table_take, settle_space
-from usdface.capture.marker_take import Capture, CaptureOptions
+from usdface.capture.marker_take import (
+    Capture,
+    CaptureHeader,
+    CaptureOptions,
+    MarkerTable,
+    build_table_take,
+    settle_space,
+)
 from usdface.capture.sample_times import check_rate, rate_of_times, settle_frame_numbers
 from usdface.capture.text_table import (
     TableLine,
@@ -28,6 +33,7 @@ from usdface.capture.text_table import (
 )
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
+from usdface.core.text import first_few
 from usdface.core.timecode import frames_of
 
 _MOST_HEADER_ROWS = 12
@@ -81,9 +87,9 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
     if not starts:
         raise InputError(
             f"{header.axes_line.where}: no measured markers (found "
-            f"{list_some(list(others)) or 'none'}); export with Markers switched on"
+            f"{first_few(others) or 'none'}); export with Markers switched on"
         )
-    notes = [f"left out, solved and not measured: {list_some(list(others))}"] if others else []
+    notes = [f"left out, solved and not measured: {first_few(others)}"] if others else []
     stamps = [at for at, title in enumerate(header.axes) if title.lower() == "timecode"]
     columns = [
         f"{name} {axis}".strip() for name, axis in zip(header.names, header.axes, strict=True)
@@ -95,7 +101,7 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
     rate = _rate(header.stated, path)
     if rate is None:
         rate = rate_of_times(table.values[:, 1], frames, where=str(path))
-        notes.append(f"the first line states no rate; {float(rate):g} told from the times")
+        notes.append(f"the first line states no rate; {float(rate):g} taken from the times")
     else:
         check_rate(rate, "the first line", table.values[:, 1], frames, where=str(path))
     to_mm = settle_space(
@@ -108,19 +114,23 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
     )
     stamp = table.texts[stamps[0]][0] if stamps and table.texts[stamps[0]] else ""
     return build_table_take(
-        path,
-        [header.names[at] for at in starts],
-        table.values,
-        starts,
-        frames=frames,
-        first_frame=first_frame,
-        rate=rate,
-        to_mm=to_mm,
-        options=options,
-        notes=notes,
-        format_name="motive-csv",
-        where=header.names_line.where,
-        timecode_start=_timecode(stamp, rate, notes),
+        CaptureHeader(
+            path,
+            "motive-csv",
+            rate,
+            first_frame,
+            timecode_start=_timecode(stamp, rate, notes),
+            notes=notes,
+        ),
+        MarkerTable(
+            [header.names[at] for at in starts],
+            starts,
+            table.values,
+            frames,
+            to_mm,
+            where=header.names_line.where,
+        ),
+        options,
     )
 
 

@@ -15,8 +15,13 @@ from numpy.typing import NDArray
 
 from usdface.capture.axes import mm_per_unit
 from usdface.capture.channel_take import fill_frames
-from usdface.capture.marker_table import build_table_take
-from usdface.capture.marker_take import Capture, CaptureOptions
+from usdface.capture.marker_take import (
+    Capture,
+    CaptureHeader,
+    CaptureOptions,
+    MarkerTable,
+    build_table_take,
+)
 from usdface.capture.sample_times import rate_of_times, settle_frame_numbers
 from usdface.capture.text_table import (
     NumberTable,
@@ -99,18 +104,16 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
     points = table.values[:, np.array(axes).T]
     points[~seen] = np.nan
     capture = build_table_take(
-        path,
-        [f"landmark_{number}" for number in columns.landmarks],
-        points.reshape(len(points), -1),
-        range(0, 3 * len(columns.landmarks), 3),
-        frames=frames,
-        first_frame=first_frame,
-        rate=rate,
-        to_mm=mm_per_unit(options.units or "mm", where=f"{path} units") * _TO_Y_UP,
-        options=options,
-        notes=notes,
-        format_name="openface-csv",
-        where=header.where,
+        CaptureHeader(path, "openface-csv", rate, first_frame, notes=notes),
+        MarkerTable(
+            [f"landmark_{number}" for number in columns.landmarks],
+            range(0, 3 * len(columns.landmarks), 3),
+            points.reshape(len(points), -1),
+            frames,
+            mm_per_unit(options.units or "mm", where=f"{path} units") * _TO_Y_UP,
+            where=header.where,
+        ),
+        options,
     )
     confidence = np.zeros(int(frames[-1]) + 1)
     stated = table.values[:, columns.at["confidence"]]
@@ -130,9 +133,9 @@ def _read_header(header: TableLine, delimiter: str) -> _Columns:
     units = [match[1] for match in map(_INTENSITY.fullmatch, titles) if match]
     missing = [title for title in _NEEDED if title not in at]
     if missing or not (landmarks or units):
-        lacking = ", ".join(missing) or "3-D landmarks (X_0 …) nor intensities (AU01_r …)"
+        wanted = ", ".join(missing) or "3-D landmarks (X_0 …) nor intensities (AU01_r …)"
         raise InputError(
-            f"{header.where}: no {lacking}; run FeatureExtraction on the video with -3Dfp and -aus"
+            f"{header.where}: no {wanted}; run FeatureExtraction on the video with -3Dfp and -aus"
         )
     return _Columns(titles, at, landmarks, units)
 

@@ -13,7 +13,7 @@ DEVICE_RATES = (15, 20, 24, 25, 30, 48, 50, 60, 90, 100, 120, 240)
 """What cameras and phones are set to; their clocks are close to it, never exact."""
 _CLOCK_ERROR = 0.005
 """Relative; phones measured are within 0.001."""
-_UNEVEN = 0.3
+_UNEVEN_FRAMES = 0.3
 """[frames] A step this far from a whole number of frames is not even."""
 _UNEVEN_SHARE = 0.02
 _LONGEST_SECONDS = 1e10
@@ -77,7 +77,10 @@ def settle_device_times(
     if counts.min() >= 1:
         step = float(steps.sum() / counts.sum())  # times are rounded: many tell the step better
         counts = np.rint(steps / step)
-    even = counts.min() >= 1 and np.mean(np.abs(steps / step - counts) > _UNEVEN) <= _UNEVEN_SHARE
+    even = (
+        counts.min() >= 1
+        and np.mean(np.abs(steps / step - counts) > _UNEVEN_FRAMES) <= _UNEVEN_SHARE
+    )
     nearest = min(DEVICE_RATES, key=lambda rate: abs(rate * step - 1))
     if abs(nearest * step - 1) <= (_CLOCK_ERROR if even else 0.2):
         rate = Fraction(nearest)
@@ -124,18 +127,18 @@ def rate_of_times(
     InputError
         If times do not tell a rate, or one that no capture has.
     """
-    low, told, high = _rate_limits(seconds, frames, where=where)
+    low, measured, high = _rate_limits(seconds, frames, where=where)
     if high < _LOWEST_RATE:
         raise InputError(
-            f"{where}: the times of the rows tell {told:.3g} frames per second; they must be in "
-            "seconds, not milliseconds: export the take again"
+            f"{where}: the times of the rows tell {measured:.3g} frames per second; they must be "
+            "in seconds, not milliseconds: export the take again"
         )
-    usual = min(DEVICE_RATES, key=lambda rate: abs(rate - told))
+    usual = min(DEVICE_RATES, key=lambda rate: abs(rate - measured))
     over_1001 = (Fraction(1000 * base, 1001) for base in NTSC_BASES)
-    for rate in (Fraction(usual), Fraction(round(told)), *over_1001):
+    for rate in (Fraction(usual), Fraction(round(measured)), *over_1001):
         if low <= rate <= high:
             return rate
-    return exact_rate(told, where=where)
+    return exact_rate(measured, where=where)
 
 
 def check_rate(
@@ -150,13 +153,11 @@ def check_rate(
 
     Parameters
     ----------
-    rate : Fraction
     stated_in : str
         What states it, for the message.
     seconds : (rows,) float64 array
         [s]
     frames : (rows,) int array
-    where : str
 
     Raises
     ------
@@ -165,11 +166,11 @@ def check_rate(
     """
     if np.isnan(seconds).all() or (seconds == seconds[0]).all():  # without times, or one frame
         return
-    low, told, high = _rate_limits(seconds, frames, where=where)
+    low, measured, high = _rate_limits(seconds, frames, where=where)
     if not low * 0.99 <= float(rate) <= high * 1.01:
         raise InputError(
             f"{where}: two frame rates: {stated_in} says {float(rate):g}, the times of the rows "
-            f"{told:g}; export the take again"
+            f"{measured:g}; export the take again"
         )
 
 
@@ -209,7 +210,7 @@ def check_span(frames: NDArray[np.float64], lines: NDArray[np.int64], *, where: 
 def _rate_limits(
     seconds: NDArray[np.float64], frames: NDArray[np.int64], *, where: str
 ) -> tuple[float, float, float]:
-    """Return the lowest rate that times as rounded as these can mean, the told and the highest."""
+    """Return the lowest, the measured and the highest rate that such rounded times can mean."""
     usable = len(seconds) > 1 and bool((np.abs(seconds) < _LONGEST_SECONDS).all())  # and not NaN
     span = float(seconds[-1] - seconds[0]) if usable else 0.0
     if span <= 0:

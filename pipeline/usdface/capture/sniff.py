@@ -60,7 +60,6 @@ def read_capture(
 
     Parameters
     ----------
-    path : Path
     format : str, optional
         Name of one of `FORMATS`; told from the content when left out, whatever the extension.
     units : str, optional

@@ -23,7 +23,7 @@ MOST_LINES = 10_000_000
 DELIMITERS = ("\t", ",", ";")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _NOT_A_NUMBER = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
-_SHOWN = 40
+_LONGEST_QUOTE = 40
 
 
 @dataclass(frozen=True)
@@ -163,10 +163,8 @@ def parse_cells(
 
     Parameters
     ----------
-    cells : sequence of str
     columns : sequence of str
         Name of each cell's column, for messages.
-    line : Line
     delimiter : str or None
         Unless it is the comma, numbers may have a decimal comma.
     gaps : bool
@@ -222,9 +220,6 @@ def read_number_table(
     ----------
     lines : iterable of Line
         Those after the header; empty ones are skipped.
-    columns : sequence of str
-    path : Path
-    delimiter : str or None
     gaps : bool
         See `parse_cells`.
     texts : sequence of int
@@ -285,7 +280,7 @@ def _check_line(line: TableLine, encoding: str) -> None:
 
 
 def _place(line: TableLine, columns: Sequence[str], index: int, first_column: int) -> str:
-    return f"{line.where}, column {first_column + index + 1} ({columns[index][:_SHOWN]})"
+    return f"{line.where}, column {first_column + index + 1} ({columns[index][:_LONGEST_QUOTE]})"
 
 
 def _number(cell: str, delimiter: str | None, place: str, gaps: bool) -> float:
@@ -295,7 +290,7 @@ def _number(cell: str, delimiter: str | None, place: str, gaps: bool) -> float:
         return float(cell)
     if not cell and gaps:
         return math.nan
-    found = repr(cell[:_SHOWN]) if cell else "an empty cell"
+    found = repr(cell[:_LONGEST_QUOTE]) if cell else "an empty cell"
     raise InputError(
         f"{place}: {found} where a number is expected; export the take again, or correct the cell"
     )

@@ -9,8 +9,14 @@ from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 
-from usdface.capture.marker_table import build_table_take, settle_space
-from usdface.capture.marker_take import Capture, CaptureOptions
+from usdface.capture.marker_take import (
+    Capture,
+    CaptureHeader,
+    CaptureOptions,
+    MarkerTable,
+    build_table_take,
+    settle_space,
+)
 from usdface.capture.sample_times import check_rate, settle_frame_numbers
 from usdface.capture.text_table import (
     TableLine,
@@ -67,18 +73,11 @@ def read_trc(path: Path, options: CaptureOptions) -> Capture:
         up_note="TRC does not say which axis is up; Y assumed",
     )
     return build_table_take(
-        path,
-        labels,
-        table.values,
-        range(2, len(columns), 3),
-        frames=frames,
-        first_frame=first_frame,
-        rate=rate,
-        to_mm=to_mm,
-        options=options,
-        notes=notes,
-        format_name="trc",
-        where=titles.where,
+        CaptureHeader(path, "trc", rate, first_frame, notes=notes),
+        MarkerTable(
+            labels, range(2, len(columns), 3), table.values, frames, to_mm, where=titles.where
+        ),
+        options,
     )
 
 

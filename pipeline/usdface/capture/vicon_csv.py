@@ -8,12 +8,19 @@ and an empty line at the end.
 import re
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
 from itertools import chain
 from pathlib import Path
 
-from usdface.capture.marker_labels import list_some
-from usdface.capture.marker_table import build_table_take, settle_space
-from usdface.capture.marker_take import Capture, CaptureOptions
+from usdface.capture.marker_take import (
+    Capture,
+    CaptureHeader,
+    CaptureOptions,
+    MarkerTable,
+    build_table_take,
+    settle_space,
+)
 from usdface.capture.sample_times import settle_frame_numbers
 from usdface.capture.text_table import (
     TableLine,
@@ -26,6 +33,7 @@ from usdface.capture.text_table import (
 )
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
+from usdface.core.text import first_few
 
 _COLUMNS = re.compile(r'"?Frame"?\s*[,;\t]\s*"?Sub Frame"?', re.IGNORECASE)
 _HEAD_LINES = 12
@@ -64,12 +72,12 @@ def read_vicon_csv(path: Path, options: CaptureOptions) -> Capture:
             )
     if capture is None:
         raise InputError(
-            f"{path}: no block of trajectories (found {list_some(skipped) or 'none'}); export "
+            f"{path}: no block of trajectories (found {first_few(skipped) or 'none'}); export "
             "labelled trajectories"
         )
     if not skipped:
         return capture
-    note = f"blocks left out: {list_some(skipped)}"
+    note = f"blocks left out: {first_few(skipped)}"
     return Capture(capture.take, capture.format, (note, *capture.notes))
 
 
@@ -79,10 +87,93 @@ def _title(line: TableLine) -> str | None:
     return cells[0] if len(cells) == 1 and cells[0][:1].isalpha() else None
 
 
+@dataclass(frozen=True)
+class _BlockHeader:
+    """The lines above the rows of a block.
+
+    Attributes
+    ----------
+    axes : list of str
+        Title of every column: ``Frame``, ``Sub Frame``, ``X``, ``Y``, ``Z``, ...
+    names : list of str
+        What stands above them: ``subject:marker`` over every X.
+    starts : list of int
+        Column of each marker's X.
+    unit : str
+        Of all positions; empty where none is stated.
+    first_row : TableLine or None
+        The line after the titles where that holds no units but is a row already.
+    """
+
+    rate: Fraction
+    delimiter: str | None
+    axes: list[str]
+    names: list[str]
+    names_line: TableLine
+    starts: list[int]
+    unit: str
+    unit_line: TableLine
+    first_row: TableLine | None
+
+    @property
+    def columns(self) -> list[str]:
+        """What messages call each column."""
+        return [
+            *self.axes[:2],
+            *(f"{self._name(at)} {self.axes[at]}" for at in range(2, len(self.axes))),
+        ]
+
+    @property
+    def labels(self) -> list[str]:
+        """Of the markers, as written."""
+        return [self._name(at) for at in self.starts]
+
+    def _name(self, at: int) -> str:
+        return self.names[at] if at < len(self.names) else ""
+
+
 def _read_block(path: Path, lines: Iterator[TableLine], options: CaptureOptions) -> Capture:
     """Read the block whose title was the line before."""
+    header = _read_block_header(path, lines)
+    notes = []
+    others = len(header.axes) - 2 - 3 * len(header.starts)
+    if others > 0:
+        notes.append(f"{others} columns other than positions left out")
+    table = read_number_table(
+        lines if header.first_row is None else chain([header.first_row], lines),
+        header.columns,
+        path=path,
+        delimiter=header.delimiter,
+        gaps=True,
+        stop_at_empty=True,
+    )
+    first_frame, frames = settle_frame_numbers(table.values[:, 0], table.lines, where=str(path))
+    to_mm = settle_space(
+        header.unit,
+        "z",
+        options,
+        notes,
+        where=str(path),
+        field=f"units, line {header.unit_line.number}",
+        up_note="Vicon's Z taken as up",
+    )
+    return build_table_take(
+        CaptureHeader(path, "vicon-csv", header.rate, first_frame, notes=notes),
+        MarkerTable(
+            header.labels,
+            header.starts,
+            table.values,
+            frames,
+            to_mm,
+            where=header.names_line.where,
+        ),
+        options,
+    )
+
+
+def _read_block_header(path: Path, lines: Iterator[TableLine]) -> _BlockHeader:
     rate_line = _next(lines, path)
-    names = _next(lines, path)
+    names_line = _next(lines, path)
     titles = _next(lines, path)
     if not _COLUMNS.match(titles.text):
         raise InputError(
@@ -90,67 +181,39 @@ def _read_block(path: Path, lines: Iterator[TableLine], options: CaptureOptions)
             "Sub Frame: export the take again"
         )
     delimiter = sniff_delimiter(titles.text)
-    rate_text = split_cells(rate_line, delimiter)[0]
-    try:
-        rate = exact_rate(float(rate_text.replace(",", ".")), where=f"{rate_line.where} (the rate)")
-    except ValueError as error:
-        raise InputError(
-            f"{rate_line.where}: {rate_text[:24]!r} where the rate of the trajectories is "
-            "expected; export the take again"
-        ) from error
-
+    rate = _read_rate(rate_line, delimiter)
     axes = without_empty_tail(split_cells(titles, delimiter))
     starts = [at for at in range(2, len(axes) - 2) if axes[at : at + 3] == ["X", "Y", "Z"]]
     if not starts:
         raise InputError(
             f"{titles.where}: no columns X, Y, Z; export the trajectories as positions"
         )
-    over = split_cells(names, delimiter)
-    labels = [over[at] if at < len(over) else "" for at in starts]
-    notes = []
-    if len(axes) - 2 > 3 * len(starts):
-        notes.append(f"{len(axes) - 2 - 3 * len(starts)} columns other than positions left out")
-
-    units = _next(lines, path)
-    unit_cells = split_cells(units, delimiter)
+    names = split_cells(names_line, delimiter)
+    unit_line = _next(lines, path)
+    unit_cells = split_cells(unit_line, delimiter)
     has_units = not "".join(unit_cells[:2])
-    unit = _one_unit(units, unit_cells, starts) if has_units else ""
-    columns = [
-        *axes[:2],
-        *(f"{over[at] if at < len(over) else ''} {axes[at]}" for at in range(2, len(axes))),
-    ]
-    table = read_number_table(
-        lines if has_units else chain([units], lines),
-        columns,
-        path=path,
-        delimiter=delimiter,
-        gaps=True,
-        stop_at_empty=True,
-    )
-    first_frame, frames = settle_frame_numbers(table.values[:, 0], table.lines, where=str(path))
-    to_mm = settle_space(
-        unit,
-        "z",
-        options,
-        notes,
-        where=str(path),
-        field=f"units, line {units.number}",
-        up_note="Vicon's Z taken as up",
-    )
-    return build_table_take(
-        path,
-        labels,
-        table.values,
-        starts,
-        frames=frames,
-        first_frame=first_frame,
+    return _BlockHeader(
         rate=rate,
-        to_mm=to_mm,
-        options=options,
-        notes=notes,
-        format_name="vicon-csv",
-        where=names.where,
+        delimiter=delimiter,
+        axes=axes,
+        names=names,
+        names_line=names_line,
+        starts=starts,
+        unit=_one_unit(unit_line, unit_cells, starts) if has_units else "",
+        unit_line=unit_line,
+        first_row=None if has_units else unit_line,
     )
+
+
+def _read_rate(line: TableLine, delimiter: str | None) -> Fraction:
+    text = split_cells(line, delimiter)[0]
+    try:
+        return exact_rate(float(text.replace(",", ".")), where=f"{line.where} (the rate)")
+    except ValueError as error:
+        raise InputError(
+            f"{line.where}: {text[:24]!r} where the rate of the trajectories is "
+            "expected; export the take again"
+        ) from error
 
 
 def _one_unit(line: TableLine, cells: list[str], starts: list[int]) -> str:
@@ -160,8 +223,7 @@ def _one_unit(line: TableLine, cells: list[str], starts: list[int]) -> str:
     )
     if len(units) > 1:
         raise InputError(
-            f"{line.where}: positions in several units ({list_some(list(units))}); "
-            "export them in one"
+            f"{line.where}: positions in several units ({first_few(units)}); export them in one"
         )
     return next(iter(units), "")
 

@@ -123,12 +123,10 @@ class Take:
         Frames per second of the capture.
     first_frame : int
         Frame number of the first sample; a time code of the take is a frame number.
-    markers : Markers or None
     source : WeightsClip or None
         Blendshape weights that the capture carries (Live Link, another solver).
     head_motion : (frames, 4, 4) float array or None
         Column-vector transforms that put stabilised markers back where they were captured.
-    video, audio : Video or Path or None
     timecode_start : str
         SMPTE timecode of the first frame, empty when unknown.
     events : tuple of Event
@@ -237,7 +235,6 @@ class Rig:
 
     Attributes
     ----------
-    file : Path
     prim : str
         Path of the SkelRoot.
     shapes : tuple of str
@@ -286,7 +283,6 @@ class References:
 
     Attributes
     ----------
-    marker_names, shape_names : tuple of str
     markers : (pairs, markers, 3) float array
         Stabilised positions [mm].
     weights : (pairs, shapes) float array
@@ -300,7 +296,6 @@ class References:
         The markers that move with the skull alone.
     neutral : (markers, 3) float array
         The performer's neutral face in the space of `markers` [mm].
-    rig_file, rig_prim : Path, str
     motion : MotionSpace or None
         Of the takes the pairs were selected from; None for pairs made by hand.
     visemes, emotions : tuple of str
@@ -387,14 +382,10 @@ class Performance:
 
     Attributes
     ----------
-    weights : WeightsClip
-    rig_file, rig_prim : Path, str
     confidence : (frames,) float array or None
         [0-1]
     residual_mm : (frames, regions) float array or None
         Distance of the markers from anything the references' takes showed [mm].
-    regions : tuple of str
-    timecode_start : str
     """
 
     weights: WeightsClip

@@ -90,7 +90,6 @@ class ControlClip:
 
     Attributes
     ----------
-    controls : Controls
     first_frame : int
         Frame number of the first row.
     """
@@ -112,7 +111,6 @@ class ExpressionPairs:
     ----------
     names : tuple of str
         What each pair is called; empty strings where nobody said.
-    source_shapes : tuple of str
     source : (pairs, source shapes) float array
         The paper's matrix S (eq. 1).
     target : Controls
@@ -151,7 +149,6 @@ class RetargetScore:
 
     Attributes
     ----------
-    method : str
     settings : str
         Readable.
     cyclic_mm : float
@@ -173,8 +170,6 @@ class Retargeting:
 
     Attributes
     ----------
-    method : str
-    source_shapes : tuple of str
     shapes, joints, attributes : tuples of str
         Of the target.
     mean_rotations : (joints, 4) float array
@@ -183,14 +178,10 @@ class Retargeting:
         Coordinates of the control vector at the source's nearest pair to rest.
     ranges : (k, 2) float array
         Lowest and highest coordinate that is passed on.
-    arrays : dict of str to float array
-    settings : dict
     scores : tuple of RetargetScore
         What was tried, best first.
     pairs : str
         The pairs asset it was trained on.
-    target_rig : Path or None
-    target_prim : str
     """
 
     method: str
@@ -217,7 +208,6 @@ class EmotionalSequence:
     ----------
     label : str
         The emotion.
-    source_shapes : tuple of str
     source : (m, source shapes) float array
         The paper's S^pair (eq. 10).
     target : Controls
@@ -241,7 +231,6 @@ class SequenceMatch:
     ----------
     sequence : Path
         The asset.
-    label : str
     first_frame, last_frame : int
         Of the take, inclusive.
     distance : float

@@ -11,10 +11,6 @@ from usdface.numerics.surface.triangulation import triangulate
 class Deformer:
     """All meshes of a rig, their points one after the other, and the shapes that move them.
 
-    Parameters
-    ----------
-    rig : Rig
-
     Attributes
     ----------
     neutral : (points, 3) float array

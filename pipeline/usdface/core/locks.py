@@ -33,8 +33,6 @@ class Holder:
 
     Attributes
     ----------
-    user, host : str
-    process : int
     since : str
         Local time, ISO 8601.
     key : str
@@ -91,7 +89,7 @@ class TuningLock:
             except FileExistsError:
                 holder = self.holder()
                 if holder is not None and not take_over and not self._is_stale(holder):
-                    raise InputError(self._held_by(holder, remedy)) from None
+                    raise InputError(self._holder_message(holder, remedy)) from None
                 self.taken_from = holder
                 with contextlib.suppress(FileNotFoundError):
                     self.path.unlink()
@@ -168,7 +166,7 @@ class TuningLock:
         finally:
             probe.unlink(missing_ok=True)
 
-    def _held_by(self, holder: Holder, remedy: str) -> str:
+    def _holder_message(self, holder: Holder, remedy: str) -> str:
         return (
             f"{self.path.name.removesuffix('.lock')}: {holder.user} on {holder.host} has been "
             f"tuning it since {holder.since} (process {holder.process}); {remedy}"

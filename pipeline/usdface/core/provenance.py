@@ -62,11 +62,11 @@ def hash_files(files: list[Path]) -> str:
 
     A farm's task names by absolute paths what a person names from the folder.
     """
-    told = []
+    digests = []
     for path in files:
         single = hashlib.sha256()
         with path.open("rb") as stream:
             while block := stream.read(READ_SIZE):
                 single.update(block)
-        told.append(path.name.encode("utf-8") + b"\0" + single.digest())
-    return hashlib.sha256(b"".join(sorted(told))).hexdigest()
+        digests.append(path.name.encode("utf-8") + b"\0" + single.digest())
+    return hashlib.sha256(b"".join(sorted(digests))).hexdigest()

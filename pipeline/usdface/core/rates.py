@@ -16,7 +16,7 @@ _WHOLE_TOLERANCE = 1e-4
 """Relative; single precision and three written decimals are both finer."""
 
 _LARGEST_DENOMINATOR = 1001
-_HIGHEST = 100_000
+_HIGHEST_RATE = 100_000
 """[Hz] Beyond any camera: such a number is damage."""
 
 _MOST_FRAMES = 10_000_000
@@ -51,9 +51,9 @@ def exact_rate(value: float, *, where: str) -> Fraction:
     InputError
         If the rate is not a number above 0.
     """
-    if not (isfinite(value) and 0 < value <= _HIGHEST):
+    if not (isfinite(value) and 0 < value <= _HIGHEST_RATE):
         raise InputError(
-            f"{where}: frame rate {value}; it must be above 0 and at most {_HIGHEST}; "
+            f"{where}: frame rate {value}; it must be above 0 and at most {_HIGHEST_RATE}; "
             "export the take again with its rate"
         )
     whole = round(value)

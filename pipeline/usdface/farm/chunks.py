@@ -26,7 +26,6 @@ class ChunkSizes:
 
     Attributes
     ----------
-    map : int
     movie : int or None
         None leaves a movie in one piece.
     clips : {'auto', 'always', 'never'}
@@ -55,8 +54,6 @@ def in_chunks(step: Spec, sizes: ChunkSizes, frames: FrameRange | None) -> list[
 
     Parameters
     ----------
-    step : Spec
-    sizes : ChunkSizes
     frames : (first, last), optional
         None where they are not known yet: then the step stays whole.
     """

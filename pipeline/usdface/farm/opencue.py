@@ -30,10 +30,8 @@ def build_outline(
     ----------
     name : str
         The job's; what OpenCue does not allow in a name becomes ``_``.
-    steps : sequence of FarmStep
     bundle : Path
         Where workers find it.
-    priority : int, optional
 
     Raises
     ------

@@ -61,7 +61,6 @@ def plan_job(
     ----------
     job : JobSpec
         With absolute paths, one spelling for each file.
-    sizes : ChunkSizes
     frames_of : callable
         First and last frame of a take or a performance as it lies there now; None where that is
         not known.
@@ -94,18 +93,18 @@ def _tasks(
     job: JobSpec, sizes: ChunkSizes, frames_of: Callable[[Path], FrameRange | None]
 ) -> tuple[list[Spec], list[Path]]:
     made = {path for step in job.steps for path in _changed(step)}
-    told: dict[Path, FrameRange] = {}
+    ranges: dict[Path, FrameRange] = {}
 
     def known_frames(path: Path) -> FrameRange | None:
         # What this job makes anew may have other frames than what lies there today.
-        return told.get(path) if path in made else frames_of(path)
+        return ranges.get(path) if path in made else frames_of(path)
 
     tasks: list[Spec] = []
     whole: list[Path] = []
     for step in job.steps:
         frames = frames_made(step, known_frames)
         if frames is not None:
-            told |= dict.fromkeys(step.outputs(), frames)
+            ranges |= dict.fromkeys(step.outputs(), frames)
         elif isinstance(step, MapSpec):
             whole += step.outputs()
         tasks += in_chunks(step, sizes, frames)

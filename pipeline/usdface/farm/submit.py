@@ -30,7 +30,6 @@ class Submission:
         Its name.
     bundle : Path
         The folder that describes it.
-    plan : Plan
     """
 
     job: str
@@ -43,7 +42,6 @@ def submit(spec: SubmitSpec, *, overwrite: bool = False, quiet: bool = False) ->
 
     Parameters
     ----------
-    spec : SubmitSpec
     overwrite : bool
         Replace another job's bundle in the same folder.
     quiet : bool

@@ -37,7 +37,6 @@ def job_template(name: str, steps: Sequence[FarmStep]) -> dict[str, Any]:
     ----------
     name : str
         The job's; shown on the farm, character by character as it is.
-    steps : sequence of FarmStep
 
     Raises
     ------

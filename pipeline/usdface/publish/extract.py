@@ -36,7 +36,6 @@ class ReviewOptions:
 
     Attributes
     ----------
-    sheet, movie : bool
     rows : int
         Frames on the sheet.
     quality : {'draft', 'final'}
@@ -54,7 +53,6 @@ class Extracted:
 
     Attributes
     ----------
-    item : PublishItem
     folder : Path
         Where the files are: beside where they will be, so that what they refer to stays in place.
     files : mapping of str to str
@@ -85,11 +83,8 @@ def extract_performance(
 
     Parameters
     ----------
-    item : PublishItem
     root : Path
         Folder of publishes; each item has one of its own in it.
-    review : ReviewOptions, optional
-    progress : callable
 
     Returns
     -------

@@ -22,10 +22,8 @@ class Published:
 
     Attributes
     ----------
-    name : str
     version : int
         From 1.
-    folder : Path
     files : dict of str to Path
         By role: `performance`, `weights`, `sheet`, `movie`.
     is_new : bool
@@ -48,7 +46,6 @@ def integrate_performance(extracted: Extracted, *, comment: str = "") -> Publish
 
     Parameters
     ----------
-    extracted : Extracted
     comment : str
         What its maker says of it; kept in the version's publish.json.
 

@@ -58,15 +58,7 @@ _SENT: TypeAdapter[SentChanges] = TypeAdapter(SentChanges)
 
 
 class Scene:
-    """A rig ready for the page: packed when first asked for, so that the page opens at once.
-
-    Parameters
-    ----------
-    session : TuningSession
-    rig : Rig
-    notes : list of PairNotes
-    pictures : PairPictures
-    """
+    """A rig ready for the page: packed when first asked for, so that the page opens at once."""
 
     def __init__(
         self,

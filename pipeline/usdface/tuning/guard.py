@@ -63,7 +63,6 @@ class Guard:
 
     Parameters
     ----------
-    app : ASGI application
     port : int
         That the server listens on.
     announce : callable

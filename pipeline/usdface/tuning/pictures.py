@@ -15,7 +15,7 @@ from usdface.media.picture.read import read_picture
 from usdface.usdio.references.tuning import PairNotes
 from usdface.usdio.take.read import TakeReader
 
-KEPT = 64
+CACHED_PICTURES = 64
 """Encoded pictures that are kept: going back and forth decodes nothing."""
 
 
@@ -24,7 +24,6 @@ class PairPictures:
 
     Parameters
     ----------
-    references : References
     notes : sequence of PairNotes
         One per pair.
     takes : sequence of Path
@@ -39,7 +38,7 @@ class PairPictures:
         self._faults: dict[str, str] = {}
         self._takes = self._read_takes(takes)
         self._videos: dict[str, VideoReader | ImageSequence] = {}
-        self._kept: OrderedDict[int, bytes] = OrderedDict()
+        self._cached: OrderedDict[int, bytes] = OrderedDict()
         self._guard = threading.Lock()  # one decoder, one frame at a time
 
     def reason_without(self, pair: int) -> str:
@@ -63,12 +62,12 @@ class PairPictures:
             Saying why there is none.
         """
         with self._guard:
-            if pair not in self._kept:
-                self._kept[pair] = encode_jpeg(self._find(pair))
-                while len(self._kept) > KEPT:
-                    self._kept.popitem(last=False)
-            self._kept.move_to_end(pair)
-            return self._kept[pair]
+            if pair not in self._cached:
+                self._cached[pair] = encode_jpeg(self._find(pair))
+                while len(self._cached) > CACHED_PICTURES:
+                    self._cached.popitem(last=False)
+            self._cached.move_to_end(pair)
+            return self._cached[pair]
 
     def close(self) -> None:
         """Let go of the videos."""

@@ -13,6 +13,7 @@ from pathlib import Path
 import uvicorn
 
 from usdface.core.errors import CancelledError, InputError
+from usdface.core.text import first_few
 from usdface.specs.paths import check_confined, confinement_root
 from usdface.specs.tune import TuneSpec
 from usdface.tuning.application import Scene, build_application
@@ -29,7 +30,7 @@ IDLE_SECONDS = 0.5
 
 RENEW_SECONDS = 5.0
 
-REVISIONS = 1 << 40
+REVISION_RANGE = 1 << 40
 """Far below where a browser's numbers lose their last digit."""
 
 _FIRST_PORT, _PORTS = 49152, 16384
@@ -40,7 +41,6 @@ def serve(spec: TuneSpec, *, announce: Callable[[str], None]) -> TuningSession:
 
     Parameters
     ----------
-    spec : TuneSpec
     announce : callable
         Called with a link as soon as it opens the page, and with a new one when someone tries one
         that was used.
@@ -58,7 +58,7 @@ def serve(spec: TuneSpec, *, announce: Callable[[str], None]) -> TuningSession:
     session = TuningSession(
         spec.references,
         take_over=spec.take_over,
-        first_revision=secrets.randbelow(REVISIONS),
+        first_revision=secrets.randbelow(REVISION_RANGE),
     )
     try:
         with contextlib.closing(_listen(spec)) as listener:
@@ -80,7 +80,7 @@ def _run(
     if missing:
         raise InputError(
             f"{spec.references}: {len(missing)} of its shapes are not on {rig.file}: "
-            f"{', '.join(missing[:5])}; it was selected for another rig: select again"
+            f"{first_few(missing)}; it was selected for another rig: select again"
         )
     notes = read_pair_notes(spec.references, len(references.frames))
     takes = spec.takes or take_files(spec.references)
@@ -126,7 +126,7 @@ async def _serve_and_save(
 
 async def _save_when_idle(session: TuningSession) -> None:
     """Write the layer when changes rest, and keep the lock fresh."""
-    revision, told, since_renewal = -1, "", 0.0
+    revision, warned, since_renewal = -1, "", 0.0
     while True:
         await asyncio.sleep(IDLE_SECONDS)
         since_renewal += IDLE_SECONDS
@@ -139,11 +139,11 @@ async def _save_when_idle(session: TuningSession) -> None:
             continue
         try:
             await asyncio.to_thread(session.save)
-            told = ""
+            warned = ""
         except InputError as error:  # the journal has it; the page hears of it with its next change
-            if str(error) != told:
+            if str(error) != warned:
                 log.warning("%s", error)
-            told = str(error)
+            warned = str(error)
 
 
 def _listen(spec: TuneSpec) -> socket.socket:
@@ -152,8 +152,8 @@ def _listen(spec: TuneSpec) -> socket.socket:
     The same port each time means the same origin, so that a page that outlived the server finds
     the changes that it could not send.
     """
-    asked = spec.port if spec.port else _own_port(spec.references)
-    for port in (asked, 0):
+    wanted = spec.port if spec.port else _port_of(spec.references)
+    for port in (wanted, 0):
         # By name: asyncio spares sockets of protocol 0 TCP_NODELAY, and each answer waits 40 ms.
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         try:
@@ -173,6 +173,6 @@ def _listen(spec: TuneSpec) -> socket.socket:
     raise InputError("no port of this machine can be used")
 
 
-def _own_port(path: Path) -> int:
+def _port_of(path: Path) -> int:
     digest = hashlib.sha256(str(path.resolve()).encode("utf-8")).digest()
     return _FIRST_PORT + int.from_bytes(digest[:4], "big") % _PORTS

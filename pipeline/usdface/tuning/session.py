@@ -19,7 +19,7 @@ from usdface.usdio.references.read import TunedPair, read_references, read_tuned
 from usdface.usdio.references.tuning import check_tuned_layer, read_proposals
 from usdface.usdio.references.write import write_tuned_layer
 
-_SAME = 1e-6
+_SAME_WEIGHT = 1e-6
 """Weights that differ by less are one: layers hold single precision."""
 
 
@@ -67,7 +67,6 @@ class TuningSession:
 
     Attributes
     ----------
-    path : Path
     tuned_path : Path
         The layer that holds what is tuned.
     references : References
@@ -132,7 +131,6 @@ class TuningSession:
 
         Parameters
         ----------
-        changes : sequence of Change
         revision : int
             Of the state they were made on.
 
@@ -208,7 +206,7 @@ class TuningSession:
 
     def _tuned(self) -> BoolArray:
         away = np.abs(self._weights - self._proposals).max(axis=1, initial=0.0)
-        return np.asarray(self._done | (away > _SAME))
+        return np.asarray(self._done | (away > _SAME_WEIGHT))
 
     def _read_layer(self) -> None:
         """Take the weights from disk and lay the changes over them that are not there yet."""

@@ -22,7 +22,6 @@ class MarkerTargets:
 
     Attributes
     ----------
-    names : tuple of str
     rest : (markers, 3) float32 array
         On the rig at rest [mm].
     key_deltas : (keys, markers, 3) float32 array
@@ -45,11 +44,6 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
     """Glue the references' markers to the rig as `usdface select` did to propose weights.
 
     The takes are not needed: the asset carries a sample of their motion.
-
-    Parameters
-    ----------
-    references : References
-    rig : Rig
 
     Raises
     ------

@@ -35,7 +35,6 @@ def retime_layer(layer: Sdf.Layer, rate: float) -> None:
 
     Parameters
     ----------
-    layer : Sdf.Layer
     rate : float
         Time codes per second.
     """

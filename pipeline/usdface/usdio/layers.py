@@ -42,8 +42,10 @@ def usd_reason(error: Tf.ErrorException) -> str:
     It may quote a broken file's bytes. What says the same at the end with its place is better.
     """
     try:
-        said = [each.commentary if isinstance(each, Tf.Error) else str(each) for each in error.args]
-        first, last = (" ".join(each.split()) for each in (said[0], said[-1]))
+        texts = [
+            each.commentary if isinstance(each, Tf.Error) else str(each) for each in error.args
+        ]
+        first, last = (" ".join(each.split()) for each in (texts[0], texts[-1]))
         return last if first in last else first
     except UnicodeDecodeError:
         return "it holds bytes that are no text"
@@ -142,7 +144,7 @@ def _check_tree(layer: Sdf.Layer) -> None:
 
 
 def _check_schema(layer: Sdf.Layer, path: Path) -> None:
-    schema = _said_by_us(layer).get("schema", 0)
+    schema = _usdface_data(layer).get("schema", 0)
     if isinstance(schema, int) and schema > SCHEMA_VERSION:
         raise InputError(
             f"{path}: written with usdface schema {schema}, this version knows {SCHEMA_VERSION}; "
@@ -150,10 +152,10 @@ def _check_schema(layer: Sdf.Layer, path: Path) -> None:
         )
 
 
-def _said_by_us(layer: Sdf.Layer) -> dict[str, Any]:
+def _usdface_data(layer: Sdf.Layer) -> dict[str, Any]:
     """Return what a layer keeps under our name; nothing, where that is no dictionary."""
-    said = layer.customLayerData.get("usdface")
-    return dict(said) if isinstance(said, dict) else {}
+    data = layer.customLayerData.get("usdface")
+    return dict(data) if isinstance(data, dict) else {}
 
 
 def _check_rate(layer: Sdf.Layer, path: Path) -> None:
@@ -288,7 +290,7 @@ def read_provenance(path: Path) -> Provenance | None:
     """Return what a layer says of its making, or None if this package did not write it."""
     layer = open_layer(path)
     with usd_errors_as_input_errors(path, "reading what it says of its making"):
-        data = _said_by_us(layer)
+        data = _usdface_data(layer)
         if "version" not in data:
             return None
         inputs = [data.get(key, ()) for key in ("inputs", "inputHashes")]

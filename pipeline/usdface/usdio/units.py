@@ -62,15 +62,14 @@ def author_units(layer: Sdf.Layer, *, like: Path | None = None) -> None:
 
     Parameters
     ----------
-    layer : Sdf.Layer
     like : Path, optional
         A file whose prims the layer shows as they are: USD converts no units on a reference.
     """
     metres, up = _METRES_PER_STAGE_UNIT, "Y"
     if like is not None:
-        other = open_layer(like)  # held: what a layer lends does not outlive it
-        said = other.pseudoRoot
-        metres = said.GetInfo("metersPerUnit") if said.HasInfo("metersPerUnit") else metres
-        up = said.GetInfo("upAxis") if said.HasInfo("upAxis") else UsdGeom.GetFallbackUpAxis()
+        other = open_layer(like)  # in a name: what a layer lends does not outlive it
+        root = other.pseudoRoot
+        metres = root.GetInfo("metersPerUnit") if root.HasInfo("metersPerUnit") else metres
+        up = root.GetInfo("upAxis") if root.HasInfo("upAxis") else UsdGeom.GetFallbackUpAxis()
     layer.pseudoRoot.SetInfo("metersPerUnit", metres)
     layer.pseudoRoot.SetInfo("upAxis", up)

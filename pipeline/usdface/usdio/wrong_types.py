@@ -26,10 +26,10 @@ def refusing_wrong_types(read: Callable[P, R]) -> Callable[P, R]:
             return read(*given, **named)
         except (TypeError, ValueError, IndexError, OverflowError, Tf.ErrorException) as error:
             file = getattr(given[0], "path", given[0])
-            said = usd_reason(error) if isinstance(error, Tf.ErrorException) else str(error)
+            reason = usd_reason(error) if isinstance(error, Tf.ErrorException) else str(error)
             raise InputError(
                 f"{file}: a value is not of the type or the length that its place asks for "
-                f"({said}); write the file again"
+                f"({reason}); write the file again"
             ) from error
 
     return reading

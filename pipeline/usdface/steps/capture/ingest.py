@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from usdface.capture.marker_labels import match_labels, settle_labels
-from usdface.capture.marker_take import Capture, CaptureOptions, build_marker_take
+from usdface.capture.marker_take import Capture, CaptureHeader, CaptureOptions, build_marker_take
 from usdface.capture.sniff import read_capture
 from usdface.core.assets import Take, Video
 from usdface.core.errors import InputError
@@ -97,15 +97,11 @@ def _read_usd(source: Path, spec: IngestSpec) -> Capture:
     notes = [f"markers were found as {found.kind}", *labels.notes()]
     columns = list(labels.columns)
     capture = build_marker_take(
-        source,
+        CaptureHeader(source, "usd", found.rate, found.first_frame, notes=notes),
         labels.names,
         found.positions[:, columns],
         found.visible[:, columns],
-        rate=found.rate,
-        first_frame=found.first_frame,
-        options=CaptureOptions(rigid=spec.rigid, neutral=spec.neutral),
-        notes=notes,
-        format_name="usd",
+        CaptureOptions(rigid=spec.rigid, neutral=spec.neutral),
     )
     return replace(capture, take=replace(capture.take, source=found.source))
 

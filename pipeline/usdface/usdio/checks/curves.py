@@ -5,10 +5,10 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdSkel
 
 from usdface.core.arrays import FloatArray, runs
-from usdface.core.text import pluralize
-from usdface.usdio.checks.fault import Fault, Samples, is_recorded, is_solved, read_samples, some
+from usdface.core.text import first_few, pluralize
+from usdface.usdio.checks.fault import Fault, Samples, is_recorded, is_solved, read_samples
 
-BEYOND = 0.02
+RANGE_TOLERANCE = 0.02
 """How far outside its range a weight is let pass: rounding and smoothing overshoot a little."""
 
 FASTEST_SECONDS = 0.033
@@ -71,17 +71,17 @@ def _ranges(prim: Usd.Prim, samples: Samples) -> FloatArray:
         targets = binding.GetBlendShapeTargetsRel().GetTargets() if own else []
         for name, target in zip(map(str, own), targets, strict=False):
             shape = prim.GetStage().GetPrimAtPath(target)
-            told = shape.GetAttribute("face:range").Get() if shape else None
-            if name in place and told is not None:
-                ranges[place[name]] = list(told)
+            authored = shape.GetAttribute("face:range").Get() if shape else None
+            if name in place and authored is not None:
+                ranges[place[name]] = list(authored)
     return ranges
 
 
 def _out_of_range(samples: Samples, ranges: FloatArray) -> list[Fault]:
     below = ranges[:, 0] - samples.values
     beyond = np.maximum(below, samples.values - ranges[:, 1])
-    columns = np.flatnonzero(beyond.max(axis=0) > BEYOND)
-    counts = (beyond > BEYOND).sum(axis=0)
+    columns = np.flatnonzero(beyond.max(axis=0) > RANGE_TOLERANCE)
+    counts = (beyond > RANGE_TOLERANCE).sum(axis=0)
     return [
         Fault(
             "warning",
@@ -97,7 +97,7 @@ def _out_of_range(samples: Samples, ranges: FloatArray) -> list[Fault]:
 
 
 def _jumps(samples: Samples) -> list[Fault]:
-    """Find changes faster than any face; the worst of each shape is told."""
+    """Find changes faster than any face; the worst of each shape is reported."""
     seconds = np.diff(samples.times) / samples.rate
     speed = np.abs(np.diff(samples.values, axis=0)) / seconds[:, None]
     # At film rates a blink takes a frame or two: only what outruns even that is a jump.
@@ -181,7 +181,7 @@ def _dead(samples: Samples) -> list[Fault]:
         Fault(
             "warning",
             samples.path,
-            f"{pluralize(len(dead), 'shape')} without any motion: {some(dead)}; tune "
+            f"{pluralize(len(dead), 'shape')} without any motion: {first_few(dead)}; tune "
             f"references that "
             "show movement there, or leave such shapes out of the mapping",
         )

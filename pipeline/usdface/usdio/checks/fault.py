@@ -36,7 +36,6 @@ class Samples:
     ----------
     path : str
         Of the attribute.
-    names : tuple of str
     times : (samples,) float array
     values : (samples, shapes) float32 array
     rate : float
@@ -80,8 +79,3 @@ def is_recorded(prim: Usd.Prim) -> bool:
 def is_solved(prim: Usd.Prim) -> bool:
     """Whether an animation is a solve over time, not references, pairs or a pose."""
     return bool(prim.HasAPI("FaceSolveAPI"))
-
-
-def some(names: list[str]) -> str:
-    """Return a few names, and how many more there are."""
-    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")

@@ -4,15 +4,16 @@ from pathlib import PurePosixPath, PureWindowsPath
 
 from pxr import Sdf, Usd, UsdSkel, UsdUtils
 
-from usdface.usdio.checks.fault import Fault, is_solved, some
+from usdface.core.text import first_few
+from usdface.usdio.checks.fault import Fault, is_solved
 
 
-def _own_layers(stage: Usd.Stage) -> list[Sdf.Layer]:
+def _saved_layers(stage: Usd.Stage) -> list[Sdf.Layer]:
     return [each for each in stage.GetLayerStack(includeSessionLayers=False) if not each.anonymous]
 
 
 def _is_ours(stage: Usd.Stage) -> bool:
-    return any("usdface" in layer.customLayerData for layer in _own_layers(stage))
+    return any("usdface" in layer.customLayerData for layer in _saved_layers(stage))
 
 
 def check_absolute_paths(stage: Usd.Stage) -> list[Fault]:
@@ -20,7 +21,7 @@ def check_absolute_paths(stage: Usd.Stage) -> list[Fault]:
     if not _is_ours(stage):
         return []
     found = []
-    for layer in _own_layers(stage):
+    for layer in _saved_layers(stage):
         named = [
             str(asset)
             for kind in UsdUtils.ExtractExternalReferences(layer.realPath)
@@ -36,7 +37,7 @@ def check_absolute_paths(stage: Usd.Stage) -> list[Fault]:
                 Fault(
                     "warning",
                     "/",
-                    f"{layer.GetDisplayName()} names {some(absolute)} by an absolute path: on "
+                    f"{layer.GetDisplayName()} names {first_few(absolute)} by an absolute path: on "
                     "another machine it is not there; name it relative to the layer",
                 )
             )
@@ -48,7 +49,7 @@ def check_missing_files(stage: Usd.Stage) -> list[Fault]:
     if not _is_ours(stage):
         return []
     found = []
-    for layer in _own_layers(stage):
+    for layer in _saved_layers(stage):
         missing = [
             asset
             for asset in layer.GetCompositionAssetDependencies()
@@ -59,7 +60,7 @@ def check_missing_files(stage: Usd.Stage) -> list[Fault]:
                 Fault(
                     "error",
                     "/",
-                    f"{layer.GetDisplayName()} is built from {some(missing)}, which cannot be "
+                    f"{layer.GetDisplayName()} is built from {first_few(missing)}, which cannot be "
                     "opened: was it moved? Put it back, or map again with the rig where it is now",
                 )
             )

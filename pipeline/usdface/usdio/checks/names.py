@@ -6,8 +6,9 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
 from usdface.core.arrays import FloatArray
+from usdface.core.text import first_few
 from usdface.usdio.checks.curves import pair_sides
-from usdface.usdio.checks.fault import Fault, is_recorded, some
+from usdface.usdio.checks.fault import Fault, is_recorded
 
 CLEAR_SHARE = 0.2
 """How one-sided a shape must be, of its whole movement, to count as that side's."""
@@ -22,7 +23,7 @@ def check_names(prim: Usd.Prim) -> list[Fault]:
     found = []
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
-        message = f"{some(twice)}: named twice; name each shape once"
+        message = f"{first_few(twice)}: named twice; name each shape once"
         found.append(Fault("error", path, message))
     on_meshes, followed = _who_follows(prim)
     if not followed:
@@ -37,7 +38,7 @@ def check_names(prim: Usd.Prim) -> list[Fault]:
             Fault(
                 "error",
                 path,
-                f"{len(missing)} shapes are on no mesh: {some(missing)}; is it this rig's "
+                f"{len(missing)} shapes are on no mesh: {first_few(missing)}; is it this rig's "
                 "animation? Map again for the rig, or rename the shapes",
             )
         )
@@ -60,8 +61,8 @@ def check_instances(stage: Usd.Stage) -> list[Fault]:
                 Fault(
                     "error",
                     str(prim.GetPath()),
-                    f"is instanceable, and USD ignores what {some(ignored)} says below it: the "
-                    "face would not move. Author instanceable = false on it in the shot",
+                    f"is instanceable, and USD ignores what {first_few(ignored)} says below it: "
+                    "the face would not move. Author instanceable = false on it in the shot",
                 )
             )
     return found
@@ -106,7 +107,7 @@ def check_sides(stage: Usd.Stage) -> list[Fault]:
                 Fault(
                     "error",
                     str(mesh.GetPath()),
-                    f"{some(flipped)}: left and right are exchanged, compared with the other "
+                    f"{first_few(flipped)}: left and right are exchanged, compared with the other "
                     f"{len(clear) - len(flipped)} pairs of this mesh; rename the shapes on the rig",
                 )
             )
@@ -120,8 +121,8 @@ def _leaning(mesh: Usd.Prim) -> list[float]:
     out = []
     for target in binding.GetBlendShapeTargetsRel().GetTargets():
         shape = UsdSkel.BlendShape(mesh.GetStage().GetPrimAtPath(target))
-        told = shape.GetOffsetsAttr().Get() if shape else None
-        offsets: FloatArray = np.asarray(told or np.zeros((0, 3)), dtype=np.float64)
+        authored = shape.GetOffsetsAttr().Get() if shape else None
+        offsets: FloatArray = np.asarray(authored or np.zeros((0, 3)), dtype=np.float64)
         indices = shape.GetPointIndicesAttr().Get() if shape else None
         rows = np.arange(len(offsets)) if indices is None else np.asarray(indices)
         if not len(offsets) or len(rows) != len(offsets) or rows.max(initial=0) >= len(points):

@@ -6,7 +6,8 @@ import numpy as np
 from pxr import Sdf, Usd, UsdSkel
 
 from usdface.core.errors import InputError
-from usdface.usdio.checks.fault import Fault, is_solved, read_samples, some
+from usdface.core.text import first_few
+from usdface.usdio.checks.fault import Fault, is_solved, read_samples
 from usdface.usdio.performance.clips import CLIP_SET
 from usdface.usdio.performance.edits import PREFIXES, read_edits
 from usdface.usdio.performance.weights_layer import WEIGHTS
@@ -14,7 +15,7 @@ from usdface.usdio.performance.weights_layer import WEIGHTS
 LARGEST_WEIGHT = 10.0
 """Weights may pass 1, but none that an animator means is this far beyond."""
 
-_CHANGED = 0.1
+_CHANGED_WEIGHT = 0.1
 """Change of the solve beneath an edit that an animator should look at."""
 
 
@@ -107,7 +108,7 @@ def check_edits(prim: Usd.Prim) -> list[Fault]:
     unknown = sorted(set(edits) - set(names))
     if unknown:
         message = (
-            f"edits of {some(unknown)} find no such shape and change nothing; rename them, or "
+            f"edits of {first_few(unknown)} find no such shape and change nothing; rename them, or "
             "clear them"
         )
         found.append(Fault("warning", path, message))
@@ -120,7 +121,7 @@ def check_edits(prim: Usd.Prim) -> list[Fault]:
         moved = np.abs(samples.values[:, names.index(shape)] - edit.beneath)
         moved = np.where(np.isfinite(moved) & edit.curve.active, moved, 0.0)
         row = int(moved.argmax())
-        if moved[row] > _CHANGED:
+        if moved[row] > _CHANGED_WEIGHT:
             found.append(
                 Fault(
                     "warning",

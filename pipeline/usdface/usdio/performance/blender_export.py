@@ -48,9 +48,6 @@ class BlenderWeights:
         Of the shape keys, made identifiers (`blender_names`).
     curves : tuple of tuple of MeshCurve
         By shape; that of the mesh with the most shapes first.
-    frames : tuple of int
-    rate : Fraction
-    keyed : frozenset of int
     """
 
     names: tuple[str, ...]

@@ -41,7 +41,6 @@ class ClipPart:
 
     Attributes
     ----------
-    file : Path
     first_frame, last_frame : int
         Inclusive.
     animation : str
@@ -188,14 +187,10 @@ def write_clips(
 
     Parameters
     ----------
-    path : Path
-    header : WeightsHeader
-    rig : Rig
     parts : sequence of Part
         In order, each following on the one before.
-    provenance : Provenance, optional
     """
-    parts = [own for part in parts for own in _own_parts(part, path, provenance)]
+    parts = [own for part in parts for own in _playable_parts(part, path, provenance)]
     seams = path.with_name(f"{path.stem}.seams.{_making(provenance)}{path.suffix}")
     with new_layer(seams, provenance) as layer:
         author_header(layer, header, rig)
@@ -227,7 +222,7 @@ def write_clips(
         )
 
 
-def _own_parts(part: ClipPart, path: Path, provenance: Provenance | None) -> list[ClipPart]:
+def _playable_parts(part: ClipPart, path: Path, provenance: Provenance | None) -> list[ClipPart]:
     """Return the layers to play for a part: itself, or copies of those that it plays itself.
 
     What a clip plays by clips of its own USD does not see. Copies, as the part's own layers go when

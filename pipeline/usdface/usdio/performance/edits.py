@@ -27,10 +27,10 @@ from usdface.usdio.units import author_units
 _OFFSET = "face:edit:"
 OVERRIDE = "face:override:"
 MASK = "face:mask:"
-BENEATH = "face:beneath:"
-PREFIXES = (_OFFSET, OVERRIDE, MASK, BENEATH)
+EDITED_SOLVE = "face:beneath:"
+PREFIXES = (_OFFSET, OVERRIDE, MASK, EDITED_SOLVE)
 
-BENEATH_TOLERANCE = 1e-3
+EDITED_SOLVE_TOLERANCE = 1e-3
 """The solve beneath an edit is kept as closely as this: it is only compared, never shown."""
 
 
@@ -40,7 +40,6 @@ class ShapeEdit:
 
     Attributes
     ----------
-    curve : EditCurve
     beneath : (frames,) float array
         The solved weight when the edit was made; NaN where that is not known.
     """
@@ -89,7 +88,7 @@ def _read_shape(parts: Mapping[str, Usd.Attribute], frames: IntArray) -> ShapeEd
         mask = None
     elif mask is None:
         mask = _sampled(parts[OVERRIDE], frames).astype(np.float64)
-    beneath = _read_curve(parts.get(BENEATH), frames)
+    beneath = _read_curve(parts.get(EDITED_SOLVE), frames)
     hidden = _blocked(parts.get(OVERRIDE), frames) | _blocked(parts.get(MASK), frames)
     curve = EditCurve(
         nothing.offset
@@ -100,7 +99,7 @@ def _read_shape(parts: Mapping[str, Usd.Attribute], frames: IntArray) -> ShapeEd
     )
     if beneath is None:
         return ShapeEdit(curve, np.full(len(frames), np.nan))
-    return ShapeEdit(curve, np.where(_sampled(parts[BENEATH], frames), beneath, np.nan))
+    return ShapeEdit(curve, np.where(_sampled(parts[EDITED_SOLVE], frames), beneath, np.nan))
 
 
 def _read_curve(attribute: Usd.Attribute | None, frames: IntArray) -> FloatArray | None:
@@ -108,21 +107,21 @@ def _read_curve(attribute: Usd.Attribute | None, frames: IntArray) -> FloatArray
     if attribute is None:
         return None
     times = attribute.GetTimeSamples()
-    told = [(time, attribute.Get(time)) for time in times] or [(0.0, attribute.Get())]
-    first = next((value for _, value in told if value is not None), None)
+    samples = [(time, attribute.Get(time)) for time in times] or [(0.0, attribute.Get())]
+    first = next((value for _, value in samples if value is not None), None)
     if first is None:
         return None
-    for index, (time, value) in enumerate(told):
+    for index, (time, value) in enumerate(samples):
         if value is None:  # held up to where it is blocked
-            told[index] = (time, told[index - 1][1] if index else first)
+            samples[index] = (time, samples[index - 1][1] if index else first)
     try:
-        values = np.array([float(value) for _, value in told])
+        values = np.array([float(value) for _, value in samples])
     except (TypeError, ValueError) as error:
         raise InputError(f"{_where(attribute)}: is no number; make it a float") from error
     if not np.isfinite(values).all():
-        time = told[int(np.argmin(np.isfinite(values)))][0]
+        time = samples[int(np.argmin(np.isfinite(values)))][0]
         raise InputError(f"{_where(attribute)} time code {time:g}: is not finite; correct the key")
-    curve: FloatArray = np.interp(frames, [time for time, _ in told], values)
+    curve: FloatArray = np.interp(frames, [time for time, _ in samples], values)
     return curve
 
 
@@ -237,7 +236,6 @@ def write_edits(
         Frame numbers of the curves: every frame from the first to the last.
     stamp : str, optional
         From `edits_stamp`, before the edits were read that these replace.
-    provenance : Provenance, optional
 
     Raises
     ------
@@ -358,15 +356,15 @@ def _write_shape(
     mask = curve.mask if overridden.any() or OVERRIDE in beneath else None
     _write_curve(prim, MASK + name, shape, frames, mask)
     if not len(active):
-        _write_curve(prim, BENEATH + name, shape, frames, None)
+        _write_curve(prim, EDITED_SOLVE + name, shape, frames, None)
         return
-    told = np.flatnonzero(curve.active & np.isfinite(edit.beneath))
-    if not len(told):
+    known = np.flatnonzero(curve.active & np.isfinite(edit.beneath))
+    if not len(known):
         return
-    part = slice(int(told[0]), int(told[-1]) + 1)  # beyond, there was no solve to be seen
-    filled = np.interp(np.arange(part.start, part.stop), told, edit.beneath[told])
-    keys = reduce_keys(filled[:, None], BENEATH_TOLERANCE)
-    _write_samples(prim, BENEATH + name, shape, frames[part][keys], filled[keys])
+    part = slice(int(known[0]), int(known[-1]) + 1)  # beyond, there was no solve to be seen
+    filled = np.interp(np.arange(part.start, part.stop), known, edit.beneath[known])
+    keys = reduce_keys(filled[:, None], EDITED_SOLVE_TOLERANCE)
+    _write_samples(prim, EDITED_SOLVE + name, shape, frames[part][keys], filled[keys])
 
 
 def _write_curve(

@@ -8,6 +8,7 @@ from pxr import Sdf, UsdUtils
 
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
+from usdface.core.text import first_few
 from usdface.usdio.authoring import author_timing
 from usdface.usdio.layers import provenance_data, usd_errors_as_input_errors
 from usdface.usdio.performance.read import PerformanceReader
@@ -64,7 +65,7 @@ def write_package(
         if missing:
             raise InputError(
                 f"{rig_file}: {len(missing)} files that the rig refers to cannot be found: "
-                f"{', '.join(map(str, missing[:3]))}; put them back, or package another rig"
+                f"{first_few(missing)}; put them back, or package another rig"
             )
         made = UsdUtils.CreateNewUsdzPackage(str(top_file), str(target))
     if not made:

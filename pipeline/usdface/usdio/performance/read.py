@@ -190,7 +190,6 @@ def find_animation(stage: Usd.Stage, path: Path, *, prim: str | None = None) -> 
 
     Parameters
     ----------
-    stage : Usd.Stage
     path : Path
         What messages call it.
     prim : str, optional

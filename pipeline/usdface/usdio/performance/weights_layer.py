@@ -174,7 +174,6 @@ class WeightsWriter:
 
         Parameters
         ----------
-        animation : Usd.Prim
         first, last : int
             Inclusive.
         copied_to : callable

@@ -82,12 +82,8 @@ def writing_top(
 
     Parameters
     ----------
-    path : Path
-    header : WeightsHeader
-    rig : Rig
     shown : Usd.Stage, optional
         Has the rig at the same place: what it chose of the rig's variants is chosen here.
-    provenance : Provenance, optional
     """
     with new_layer(path, provenance) as layer:
         check_not_written_since(path)

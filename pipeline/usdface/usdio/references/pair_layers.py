@@ -26,7 +26,6 @@ def open_pair_stage(path: Path, root: Sdf.Path, *, api: str, kind: str, command:
 
     Parameters
     ----------
-    path : Path
     root : Sdf.Path
         Where its pairs are.
     api : str

@@ -10,6 +10,7 @@ from pxr import Usd
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import References
 from usdface.core.errors import InputError
+from usdface.core.text import first_few
 from usdface.usdio.layers import open_layer, open_stage, read_provenance
 from usdface.usdio.references.read import FRAME, ROOT, TAKE, WEIGHTS, WEIGHTS_ATTRIBUTE
 from usdface.usdio.wrong_types import refusing_wrong_types
@@ -21,7 +22,6 @@ class PairNotes:
 
     Attributes
     ----------
-    viseme, emotion : str
     image : Path or None
         The pair's picture, where the asset names one.
     """
@@ -37,7 +37,6 @@ def read_proposals(proposed_path: Path, references: References) -> FloatArray:
 
     Parameters
     ----------
-    proposed_path : Path
     references : References
         The asset the layer belongs to.
 
@@ -139,10 +138,10 @@ def take_files(path: Path) -> tuple[Path, ...]:
     """Return the takes that a references asset was selected from, as it remembers them."""
     made = read_provenance(path)
     try:
-        said = json.loads(made.spec) if made is not None and made.spec else {}
+        spec = json.loads(made.spec) if made is not None and made.spec else {}
     except (ValueError, RecursionError):
-        said = {}
-    takes = said.get("takes", ()) if isinstance(said, dict) else ()
+        spec = {}
+    takes = spec.get("takes", ()) if isinstance(spec, dict) else ()
     return tuple(path.parent / str(take) for take in takes)
 
 
@@ -151,7 +150,7 @@ def _check_shapes(path: Path, names: list[str], references: References) -> None:
     if missing or len(names) != len(references.shape_names):
         raise InputError(
             f"{path}: holds {len(names)} shapes and the references {len(references.shape_names)}"
-            + (f", lacking {', '.join(missing[:3])}" if missing else "")
+            + (f", without {first_few(missing)}" if missing else "")
             + ": it belongs to another rig. Nothing was changed; put back the layer that belongs "
             "here, or select again"
         )
@@ -159,7 +158,7 @@ def _check_shapes(path: Path, names: list[str], references: References) -> None:
 
 @dataclass(frozen=True)
 class PairName:
-    """One pair: which frame of which take, and what is seen there; empty where nobody said."""
+    """One pair: which frame of which take, and what is seen there; empty where nobody spec."""
 
     frame: int
     take: str

@@ -63,13 +63,10 @@ def write_references(
     path : Path
         The layer to open; a tuned and a proposed layer lie beneath it. The tuned layer's tuned
         pairs stay as they are where they are among `references`, at the time codes they have.
-    references : References
-    rig : Rig
     tuned : sequence of TunedPair, optional
         Pairs that are tuned from now on, besides those kept.
     images : sequence of Path or None, optional
         The picture of each pair; named as seen from `path`, so that the folder can move.
-    provenance : Provenance, optional
     """
     layer_paths = (tuned_path(path), proposed_path(path))
     here = list(zip(references.takes, references.frames.tolist(), strict=True))
@@ -132,10 +129,8 @@ def write_tuned_layer(
     ----------
     references : References
         Its weights are the proposals.
-    pairs : list of TunedPair
     layer_path : Path
         The tuned layer, see `core.sidecars.tuned_path`.
-    provenance : Provenance, optional
     """
     with new_layer(layer_path, provenance) as layer:
         _author_tuned_layer(layer, references, pairs)

@@ -10,6 +10,7 @@ from pxr import Gf, Sdf, Usd, UsdSkel
 from usdface.core.assets import Rig
 from usdface.core.controls import Controls
 from usdface.core.errors import InputError
+from usdface.core.text import first_few
 from usdface.usdio.layers import open_stage
 from usdface.usdio.rig.read import skeletons_of
 
@@ -21,7 +22,6 @@ def find_control_attributes(rig: Rig, patterns: Sequence[str]) -> tuple[str, ...
 
     Parameters
     ----------
-    rig : Rig
     patterns : sequence of str
         ``PRIM.ATTRIBUTE``, the prim's path taken from the rig's top prim; ``*`` and ``?`` as in a
         shell.
@@ -109,7 +109,7 @@ def _examples(top: Usd.Prim) -> str:
     names = _all_floats(top)
     if not names:
         return "it has no float attributes at all"
-    return f"it has {', '.join(names[:3])}" + (", ..." if len(names) > 3 else "")
+    return f"it has {first_few(names)}"
 
 
 def rest_controls(rig: Rig, *, attributes: Sequence[str] = (), joints: bool = True) -> Controls:
@@ -117,7 +117,6 @@ def rest_controls(rig: Rig, *, attributes: Sequence[str] = (), joints: bool = Tr
 
     Parameters
     ----------
-    rig : Rig
     attributes : sequence of str
         Names or patterns; see `find_control_attributes`.
     joints : bool

@@ -28,7 +28,6 @@ class ReadControls:
 
     Attributes
     ----------
-    clip : ControlClip
     rate : Fraction
         Frames per second.
     timecode_start : str
@@ -48,7 +47,6 @@ def read_control_clip(
 
     Parameters
     ----------
-    path : Path
     attributes : sequence of str, optional
         Those to read beside weights and joints; by default what the animation itself names.
     frames : tuple of int, optional

@@ -73,9 +73,6 @@ def write_pairs(
     ----------
     path : Path
         The layer to open; `proposed_path` lies beneath it.
-    pairs : ExpressionPairs
-    source_rig, target_rig : Rig
-    provenance : Provenance, optional
     """
     samples = proposed_path(path)
     with new_layers({samples: provenance, path: provenance}) as (below, layer):

@@ -34,7 +34,7 @@ class Look:
 
 
 @dataclass(frozen=True)
-class _Said:
+class _Surface:
     """What one material says: four numbers, NaN where it does not, and what is left out."""
 
     color: tuple[float, float, float, float]
@@ -55,7 +55,6 @@ def read_look(prim: Usd.Prim, face_count: int) -> Look:
     ----------
     prim : Usd.Prim
         A UsdGeomMesh.
-    face_count : int
     """
     colors = _display_colors(prim, face_count)
     undrawn = list[str]()
@@ -65,11 +64,11 @@ def read_look(prim: Usd.Prim, face_count: int) -> Look:
             UsdShade.Tokens.preview
         )
         if material:
-            said = _said_by(material)
-            if not np.isnan(said.color[0]):
-                colors[faces] = said.color
-            if said.undrawn:
-                undrawn.append(said.undrawn)
+            surface = _read_surface(material)
+            if not np.isnan(surface.color[0]):
+                colors[faces] = surface.color
+            if surface.undrawn:
+                undrawn.append(surface.undrawn)
 
     lay_on(prim, slice(None))
     for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
@@ -101,20 +100,20 @@ def _display_colors(prim: Usd.Prim, face_count: int) -> FloatArray:
     return colors
 
 
-def _said_by(material: UsdShade.Material) -> _Said:
+def _read_surface(material: UsdShade.Material) -> _Surface:
     where = f"<{material.GetPath()}>"
     shader, _, _ = material.ComputeSurfaceSource()
     if not shader:
-        return _Said(_NOTHING, f"{where}: has no surface that a preview shows")
+        return _Surface(_NOTHING, f"{where}: has no surface that a preview shows")
     kind = shader.GetShaderId()
     if kind != SURFACE:
-        return _Said(_NOTHING, f"{where}: is a {kind or 'shader'}, not a {SURFACE}")
+        return _Surface(_NOTHING, f"{where}: is a {kind or 'shader'}, not a {SURFACE}")
     color, left_out = _constant(shader.GetInput("diffuseColor"))
     opacity, _ = _constant(shader.GetInput("opacity"))
     if color is None:
-        return _Said(_NOTHING, f"{where}: {left_out}" if left_out else "")
+        return _Surface(_NOTHING, f"{where}: {left_out}" if left_out else "")
     red, green, blue = (max(float(each), 0.0) for each in color)
-    return _Said((red, green, blue, 1.0 if opacity is None else float(opacity)))
+    return _Surface((red, green, blue, 1.0 if opacity is None else float(opacity)))
 
 
 def _constant(given: UsdShade.Input | None) -> tuple[Any, str]:

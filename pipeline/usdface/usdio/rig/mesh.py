@@ -11,6 +11,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
+from usdface.core.text import first_few
 from usdface.usdio.layers import open_stage
 from usdface.usdio.rig.rest_pose import RestPose
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
@@ -23,7 +24,6 @@ class FaceMesh:
 
     Attributes
     ----------
-    file : Path
     mesh : RigMesh
         In millimetres, Y up; its shapes are left out.
     local : (points, 3) float array
@@ -159,10 +159,10 @@ def _find_mesh(stage: Usd.Stage, path: Path, prim: str | None) -> tuple[Usd.Prim
     if len(found) > 1:
         sizes = {each: len(_at_rest(UsdGeom.Mesh(each).GetPointsAttr()) or ()) for each in found}
         named = sorted(found, key=lambda each: -sizes[each])
-        told = ", ".join(f"<{each.GetPath()}> ({sizes[each]} points)" for each in named[:6])
+        paths = first_few(f"<{each.GetPath()}> ({sizes[each]} points)" for each in named)
         raise InputError(
-            f"{path}: holds {len(found)} meshes, {told}{', ...' if len(found) > 6 else ''}; name "
-            "the one with the face's skin with --mesh-prim"
+            f"{path}: holds {len(found)} meshes, {paths}; name the "
+            " one with the face's skin with --mesh-prim"
         )
     others = tuple(str(each.GetPath()) for each in every if each != found[0])
     return found[0], others

@@ -40,8 +40,8 @@ class PosedRig:
         # A file of several faces is shown whole; the one that moves is meant.
         place = place_of(self._stage, self._stage.GetPrimAtPath(self.reader.animation.GetPath()))
         face = Sdf.Path(prim).ReplacePrefix(Sdf.Path(prim).GetPrefixes()[0], Sdf.Path(place))
-        told = str(face) if self._stage.GetPrimAtPath(face) else None
-        root = UsdSkel.Root(find_face(self._stage, path, told))
+        face_path = str(face) if self._stage.GetPrimAtPath(face) else None
+        root = UsdSkel.Root(find_face(self._stage, path, face_path))
         predicate = Usd.TraverseInstanceProxies()
         self._cache = UsdSkel.Cache()
         self._cache.Populate(root, predicate)

@@ -32,9 +32,6 @@ def define_reference(
 
     Parameters
     ----------
-    layer : Sdf.Layer
-    place : str
-    rig : Rig
     layer_path : Path
         Where the layer goes, which may have a temporary name.
     again : bool
@@ -102,7 +99,6 @@ def forget_reference(layer: Sdf.Layer, place: str, files: Collection[Path], at: 
 
     Parameters
     ----------
-    layer : Sdf.Layer
     place : str
         Where it stood. What others put there stays.
     files : collection of Path
@@ -129,8 +125,8 @@ def forget_reference(layer: Sdf.Layer, place: str, files: Collection[Path], at: 
 
 def _says_nothing(prim: Sdf.PrimSpec) -> bool:
     """Whether a prim is only there, with a type at most."""
-    told = set(prim.ListInfoKeys()) - {"specifier", "typeName"}
-    return not (told or prim.nameChildren or prim.properties or prim.variantSets)
+    opinions = set(prim.ListInfoKeys()) - {"specifier", "typeName"}
+    return not (opinions or prim.nameChildren or prim.properties or prim.variantSets)
 
 
 def _is_file_of(reference: Sdf.Reference, files: Collection[Path], at: Path) -> bool:
@@ -292,7 +288,6 @@ def carry_variants(layer: Sdf.Layer, stage: Usd.Stage, place: str, rig: Path, to
     ----------
     layer : Sdf.Layer
         Has the rig at the same place.
-    stage : Usd.Stage
     place : str
         Where the rig stands.
     rig : Path

@@ -13,12 +13,12 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
+from usdface.core.text import first_few
 from usdface.usdio.layers import open_stage
 from usdface.usdio.units import column_matrix, millimetres, stage_to_ours
 from usdface.usdio.wrong_types import refusing_wrong_types
 
-CAMERAS_TOLD = 6
-_TENTHS = 0.1  # apertures and focal lengths count tenths of a scene unit
+_UNITS_PER_TENTH = 0.1  # apertures and focal lengths count tenths of a scene unit
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,6 @@ class StageCamera:
         The stage that holds the camera.
     prim : str
         Path of the camera.
-    rig_file : Path
     rig_prim : str
         The character: where it stands in the stage is taken off the camera.
     rate : Fraction
@@ -67,7 +66,6 @@ class StageCamera:
 
     Attributes
     ----------
-    path : Path
     holds_character : bool
         False where the stage has no such character: it stands at the stage's origin then.
 
@@ -128,7 +126,7 @@ class StageCamera:
                 2 * camera.horizontalApertureOffset / high,
                 2 * camera.verticalApertureOffset / high,
             ),
-            span_mm=_TENTHS * high * scale * self._millimetres if flat else None,
+            span_mm=_UNITS_PER_TENTH * high * scale * self._millimetres if flat else None,
             aspect=float(wide / high),
         )
 
@@ -156,9 +154,8 @@ def _camera(stage: Usd.Stage, path: Path, name: str) -> Usd.Prim:
     ]
     kind = prim.GetTypeName() or "prim without a type" if prim else ""
     what = f"<{name}> is a {kind}, no camera" if prim else f"there is no prim <{name}>"
-    told = ", ".join(found[:CAMERAS_TOLD]) + (", ..." if len(found) > CAMERAS_TOLD else "")
     remedy = (
-        f"its cameras are {told}"
+        f"its cameras are {first_few(found)}"
         if found
         else "it has no camera: name the shot with --camera-stage, or use --camera auto"
     )
@@ -175,9 +172,9 @@ def _character(stage: Usd.Stage, path: Path, home: Usd.Prim) -> Usd.Prim | None:
         and any((spec.layer.realPath, spec.path) in own for spec in prim.GetPrimStack())
     ]
     if len(found) > 1:
-        told = ", ".join(f"<{prim.GetPath()}>" for prim in found[:CAMERAS_TOLD])
+        paths = first_few(f"<{prim.GetPath()}>" for prim in found)
         raise InputError(
-            f"{path}: the character is there {len(found)} times, {told}; give a stage with one of "
+            f"{path}: the character is there {len(found)} times, {paths}; give a stage with one of "
             "them as --camera-stage"
         )
     return found[0] if found else None

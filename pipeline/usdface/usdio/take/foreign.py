@@ -36,15 +36,11 @@ class ForeignTake:
 
     Attributes
     ----------
-    rate : Fraction
-    first_frame : int
     kind : str
         What the markers were found as, with their prim path; empty without markers.
-    names : tuple of str
     positions : (frames, markers, 3) float32 array
         [mm], Y up, in world space. Anything where not visible.
     visible : (frames, markers) bool array
-    source : WeightsClip or None
     """
 
     rate: Fraction
@@ -62,7 +58,6 @@ def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
 
     Parameters
     ----------
-    path : Path
     prim : str, optional
         The prim that holds the markers, or one above it, where the file holds several sets.
 

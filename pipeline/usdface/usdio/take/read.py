@@ -34,10 +34,6 @@ _LARGEST_DRIFT = 990_000.0
 class TakeReader:
     """A take on disk: its header at once, its frames when asked for.
 
-    Parameters
-    ----------
-    path : Path
-
     Raises
     ------
     InputError
@@ -242,11 +238,11 @@ class TakeReader:
         times = self._sample_times(attribute)
         if not len(times):
             times = np.array([frames[0]])
-        asked = np.asarray(frames)
-        before = np.searchsorted(times, asked, "right") - 1
-        around = np.concatenate([before, before + (times[before] != asked)])
+        wanted = np.asarray(frames)
+        before = np.searchsorted(times, wanted, "right") - 1
+        around = np.concatenate([before, before + (times[before] != wanted)])
         times = times[np.unique(np.clip(around, 0, len(times) - 1))]
-        told = np.empty((len(times), shape[1]), kind)
+        values = np.empty((len(times), shape[1]), kind)
         query = self._query(attribute)
         for index, time in enumerate(times.tolist()):
             value = query.Get(time)
@@ -255,10 +251,10 @@ class TakeReader:
                     f"{self.path} <{attribute.GetPath()}> frame {time:g}: needs one value per "
                     f"marker, {shape[1]}; ingest the capture again"
                 )
-            told[index] = value
-        if len(told) == 1:
-            return np.broadcast_to(told[0], shape)
-        return _between(times, told, asked)
+            values[index] = value
+        if len(values) == 1:
+            return np.broadcast_to(values[0], shape)
+        return _between(times, values, wanted)
 
     def _query(self, attribute: Usd.Attribute) -> Usd.AttributeQuery:
         """Return what reads an attribute in half the time: it looks for its layer only once."""
@@ -351,19 +347,19 @@ class TakeReader:
         return (self.path.parent / str(getattr(asset, "path", ""))).resolve()
 
 
-def _between(times: np.ndarray, told: np.ndarray, frames: np.ndarray) -> np.ndarray:
+def _between(times: np.ndarray, values: np.ndarray, frames: np.ndarray) -> np.ndarray:
     """Return values at frames as USD does: numbers are interpolated, the rest is held."""
     if np.array_equal(times, frames):
-        return told
+        return values
     before = np.clip(np.searchsorted(times, frames, "right") - 1, 0, len(times) - 1)
-    out = told[before]
-    if np.issubdtype(told.dtype, np.floating):
+    out = values[before]
+    if np.issubdtype(values.dtype, np.floating):
         after = np.minimum(before + 1, len(times) - 1)
         part = np.clip((frames - times[before]) / np.maximum(times[after] - times[before], 1), 0, 1)
-        jumps = np.append((told[1:] != told[:-1]).any(axis=1), False)
+        jumps = np.append((values[1:] != values[:-1]).any(axis=1), False)
         moving = np.flatnonzero((part > 0) & jumps[before])
-        step = told[after[moving]] - told[before[moving]]
-        out[moving] += (part[moving, None] * step).astype(told.dtype)
+        step = values[after[moving]] - values[before[moving]]
+        out[moving] += (part[moving, None] * step).astype(values.dtype)
     return out
 
 

@@ -35,10 +35,8 @@ def write_take(
     ----------
     path : Path
         The layer to open; samples go beside it unless it is ``.usdc``.
-    take : Take
     over : Path, optional
         A take this one is made from: it stays as it is, and the new layer, stronger, sits on it.
-    provenance : Provenance, optional
 
     Raises
     ------
@@ -144,21 +142,21 @@ def _author_markers(layer: Sdf.Layer, markers: Markers, frames: np.ndarray) -> N
     for primvar in (visible, confidence):
         primvar.SetInfo("interpolation", UsdGeom.Tokens.vertex)
     # Setting samples on the layer itself is three times faster than through the stage.
-    told = _Told(visible.path), _Told(confidence.path)
+    writers = _ChangeWriter(visible.path), _ChangeWriter(confidence.path)
     for start in range(0, len(frames), FRAMES_IN_MEMORY):
         lot = slice(start, start + FRAMES_IN_MEMORY)
         numbers = frames[lot].tolist()
         placed = markers.positions[lot] / np.float32(MM_PER_STAGE_UNIT)
         for index, frame in enumerate(numbers):
             layer.SetTimeSample(points.path, frame, Vt.Vec3fArray.FromNumpy(placed[index]))
-        told[0].tell(layer, numbers, markers.visible[lot], Vt.BoolArray)
-        told[1].tell(layer, numbers, markers.confidence[lot], Vt.FloatArray)
+        writers[0].append(layer, numbers, markers.visible[lot], Vt.BoolArray)
+        writers[1].append(layer, numbers, markers.confidence[lot], Vt.FloatArray)
         if len(frames) > FRAMES_IN_MEMORY:
             # A saved binary layer reads its samples back from disk when asked.
             layer.Save()
 
 
-class _Told:
+class _ChangeWriter:
     """Writes a value only where it changes: most frames see what the frame before saw.
 
     The frame before a change is written too, or readers would interpolate towards the change.
@@ -170,7 +168,7 @@ class _Told:
         self._frame = 0
         self._written = -1
 
-    def tell(self, layer: Sdf.Layer, frames: list[int], values: np.ndarray, kind: Any) -> None:
+    def append(self, layer: Sdf.Layer, frames: list[int], values: np.ndarray, kind: Any) -> None:
         """Write the samples of the next frames."""
         changed = np.ones(len(frames), bool)
         changed[1:] = (values[1:] != values[:-1]).any(axis=1)
@@ -247,11 +245,6 @@ def write_video_sync(path: Path, sync: VideoSync) -> None:
 
     The layer is copied, changed and put in the place of the old one at once: whoever reads sees
     the one or the other. Its other opinions, its sublayers and what it says of its making stay.
-
-    Parameters
-    ----------
-    path : Path
-    sync : VideoSync
 
     Raises
     ------
