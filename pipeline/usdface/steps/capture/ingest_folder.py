@@ -3,12 +3,11 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from usdface.capture.marker_labels import list_some
 from usdface.capture.sniff import recognise_format
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.sidecars import LAYER_SUFFIXES
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.runner.execute import execute
 from usdface.runner.result import StepResult
 from usdface.specs.capture import IngestSpec
@@ -161,7 +160,7 @@ def _left_out(folder: Path, bundles: list[Bundle]) -> tuple[str, ...]:
     ]
     if not others:
         return ()
-    return (f"in no take, as no capture is known by their content: {list_some(others)}",)
+    return (f"in no take, as no capture is known by their content: {first_few(others)}",)
 
 
 def _is_capture(path: Path) -> bool:
