@@ -117,7 +117,7 @@ def test_a_bug_is_reported_as_one_and_not_as_the_users_fault(monkeypatch, capsys
 
     monkeypatch.setattr(describe, "describe_mapping", broken)
     assert run("describe", "x.usda") == 2
-    assert "a fault in usdface itself: ZeroDivisionError: oops" in capsys.readouterr().err
+    assert "internal error: ZeroDivisionError: oops" in capsys.readouterr().err
 
 
 def test_a_line_end_in_a_name_begins_no_second_message_to_the_farm(capsys) -> None:

@@ -79,7 +79,7 @@ def test_ctrl_c_ends_a_command_as_interrupted_and_says_so(
     with pytest.raises(SystemExit) as stopped:
         app.main(["demo", "--out", str(tmp_path)])
     assert stopped.value.code == 3
-    assert "usdface: stopped on request; nothing half done was left" in capsys.readouterr().err
+    assert "usdface: interrupted; no partly written files remain" in capsys.readouterr().err
     monkeypatch.setattr("usdface.steps.edits.list_.list_edit_ranges", interrupted)
     with pytest.raises(SystemExit) as stopped:  # a command of a group, too
         app.main(["edits", "list", "shot.usda"])

@@ -1,10 +1,9 @@
-"""Command line: arguments to spec to step; the only place that prints or exits."""
+"""Command line: from arguments to spec to step. Only this folder prints and exits."""
 
 import os
 
-# The matrices here are small: a second BLAS thread waits more than it works, and on a busy machine
-# it costs four times the time. Set the variable yourself to say otherwise. It counts only before
-# numpy is first imported, so it stands before all else.
+# Matrices are small: a second BLAS thread mostly waits, and on a busy machine takes four times as
+# long. Set the variable to change this. It is read when numpy is first imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from usdface.cli.app import main

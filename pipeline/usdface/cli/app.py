@@ -43,7 +43,7 @@ ShowProgress = Annotated[
 Overwrite = Annotated[
     bool,
     typer.Option(
-        "--overwrite", help="Replace existing outputs, whoever wrote them and however new."
+        "--overwrite", help="Replace existing outputs, including newer files and files of others."
     ),
 ]
 SaveSpec = Annotated[
@@ -135,8 +135,8 @@ def _unchunked_notes(names: list[str]) -> tuple[str, ...]:
     if not names:
         return ()
     return (
-        f"not cut into chunks: {first_few(names, most=3)}; the frames of a take are known only "
-        "when it has been ingested, so give `frames` in the job",
+        f"not split into chunks: {first_few(names, most=3)}; the number of frames is known only "
+        "after ingest, so set `frames` in the job",
     )
 
 
@@ -390,8 +390,8 @@ def main(arguments: list[str] | None = None) -> None:
         if "--verbose" in given:
             traceback.print_exc()
         show_error(
-            f"a fault in usdface itself: {type(error).__name__}: {error}\n"
-            "Nothing was left half written. Please report it with the output of "
+            f"internal error: {type(error).__name__}: {error}\n"
+            "No partly written files remain. Please report it with the output of "
             "`usdface --verbose` and the same arguments."
         )
         sys.exit(exit_code_of(error))

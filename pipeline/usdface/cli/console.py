@@ -1,4 +1,4 @@
-"""How the command line speaks: results, progress, errors, signals, exit codes."""
+"""Output of the command line: results, progress, errors, signals, exit codes."""
 
 import contextlib
 import json
@@ -22,22 +22,22 @@ from usdface.runner.result import StepResult
 
 ProgressStyle = Literal["auto", "bar", "openjd", "none"]
 
-STOPPED = "stopped on request; nothing half done was left"
+STOPPED = "interrupted; no partly written files remain"
 
 RETRY_SECONDS = 0.05
-"""An import is over in a second or two; a farm waits longer before it kills."""
+"""Interval after which a signal during an import is sent again; imports take a second or two."""
 
 LONGEST_FARM_MESSAGE = 1000
-"""Farms cut or refuse longer lines."""
+"""Characters; farms truncate or refuse longer lines."""
 
 LEAST_FARM_PROGRESS = 0.01
 LEAST_FARM_SECONDS = 1.0
-"""What is nearer than both to what was said last is left out."""
+"""Progress is printed if either has passed since the last line."""
 
 
 @contextlib.contextmanager
 def progress_listener(style: ProgressStyle) -> Iterator[Listener]:
-    """Yield a listener that draws a bar on a terminal or speaks a farm's language."""
+    """Yield a listener that draws a bar on a terminal or prints Open Job Description messages."""
     if style == "openjd":
         try:
             yield _FarmProgress()
@@ -53,7 +53,7 @@ def progress_listener(style: ProgressStyle) -> Iterator[Listener]:
 
 @contextlib.contextmanager
 def _bar() -> Iterator[Listener]:
-    # Takes as long to import as all else a command starts with, and only a terminal sees it.
+    # rich takes as long to import as everything else, and only a terminal needs it.
     from rich.console import Console
     from rich.markup import escape
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -70,7 +70,7 @@ def _bar() -> Iterator[Listener]:
 
 
 class _FarmProgress:
-    """Speaks Open Job Description, which reads and keeps every line: so, not of every block."""
+    """Prints Open Job Description messages; throttled, since openjd stores every line."""
 
     def __init__(self) -> None:
         self._fraction = -math.inf
@@ -88,14 +88,14 @@ class _FarmProgress:
 
 
 def _say_to_farm(what: str, message: str) -> None:
-    """Write one line: a line's end inside a file's name must not begin a second message."""
+    """Write one line; a line break in a file name must not start a second message."""
     line = "".join(each if each.isprintable() else " " for each in message)
     sys.stdout.write(f"openjd_{what}: {line[:LONGEST_FARM_MESSAGE]}\n")
     sys.stdout.flush()
 
 
 def echo(line: str) -> None:
-    """Print a line at once, whoever reads it: a person, or a pipe."""
+    """Print a line and flush it, on a terminal and in a pipe."""
     typer.echo(line)
 
 
@@ -114,14 +114,14 @@ def show_result(report: StepResult, *, as_json: bool) -> None:
 
 
 def show_json(data: Any) -> None:
-    """Print data for a script: one JSON document, nothing beside it."""
+    """Print one JSON document for a script."""
     sys.stdout.write(json.dumps(data, indent=2, ensure_ascii=False, default=str) + "\n")
 
 
 def show_error(message: str) -> None:
     """Print an error for a person; on a farm its first line becomes the task's status."""
     text = f"usdface: {message}"
-    if "NO_COLOR" not in os.environ:  # as people ask of any command; only a terminal gets any
+    if "NO_COLOR" not in os.environ:  # a convention; typer styles on terminals only
         text = typer.style(text, fg=typer.colors.RED, bold=True)
     typer.echo(text, err=True)
 
@@ -136,10 +136,10 @@ def set_up_logging(*, verbose: bool) -> None:
 
 
 def raise_on_signals() -> None:
-    """Turn the one SIGTERM a farm sends into an exception, so that half files are removed.
+    """Turn SIGTERM, which farms send once, into an exception, so that temporary files are removed.
 
-    Inside an import it waits, and so does Ctrl+C: USD's loader would swallow the exception and go
-    on with half of itself.
+    Both SIGTERM and Ctrl+C are delayed during imports: USD's loader would ignore the exception and
+    continue partly loaded.
     """
 
     def stop(signum: int, frame: FrameType | None) -> None:
@@ -165,7 +165,7 @@ def _is_importing(frame: FrameType | None) -> bool:
 
 
 def exit_code_of(error: BaseException) -> int:
-    """Return what the process should exit with: 1 a check failed, 2 bad input, 3 interrupted."""
+    """Return the exit code: 1 a check failed, 2 bad input, 3 interrupted."""
     if isinstance(error, UsdfaceError):
         return error.exit_code
     return CancelledError.exit_code if isinstance(error, KeyboardInterrupt) else 2

@@ -1,6 +1,6 @@
-"""A command from a spec: each field an option, its documentation the help.
+"""Commands generated from specs: each field is an option, and its documentation the help.
 
-Spec, JSON Schema and command line thus never disagree.
+Spec, JSON Schema and command line cannot differ.
 """
 
 import inspect
@@ -21,7 +21,7 @@ SpecType = TypeVar("SpecType", bound=Spec)
 
 
 def options_of(spec: type[Spec]) -> list[inspect.Parameter]:
-    """Return the parameters by which the command line fills a spec."""
+    """Return the command-line parameters of a spec."""
     parameters = []
     texts = field_help(spec)
     for name, field in spec.model_fields.items():
@@ -47,19 +47,19 @@ def options_of(spec: type[Spec]) -> list[inspect.Parameter]:
 
 
 def build_spec(spec: type[SpecType], values: dict[str, Any]) -> SpecType:
-    """Make a spec of what the command line was given.
+    """Make a spec from command-line values.
 
     Raises
     ------
     InputError
-        If a value is outside its limits; every fault is named.
+        If values are invalid; the message lists all of them.
     """
     given: dict[str, Any] = {}
     for name, field in spec.model_fields.items():
         value = values.get(name)
         if value is None:
             continue
-        if _is_list_of_names(field.annotation):  # with commas, repeated, or both
+        if _is_list_of_names(field.annotation):  # separated by commas, repeated, or both
             value = [part.strip() for each in value for part in each.split(",") if part.strip()]
         given[name] = value
     try:
@@ -69,7 +69,7 @@ def build_spec(spec: type[SpecType], values: dict[str, Any]) -> SpecType:
 
 
 def command_of(spec: type[Spec], run: Callable[..., None], common: list[inspect.Parameter]) -> Any:
-    """Return a function whose signature is a spec's options and the common ones."""
+    """Return a function with a spec's options and the common ones as its signature."""
 
     def command(**values: Any) -> None:
         shared = {each.name: values.pop(each.name) for each in common}
@@ -107,7 +107,7 @@ def current_options(spec: type[Spec], arguments: list[str]) -> list[str]:
 
 
 def help_of(spec: type[Spec]) -> str:
-    """Return a spec's documentation with its example, as the command line shows it."""
+    """Return the help of a command: a spec's documentation and example."""
     text = inspect.cleandoc(spec.__doc__ or "")
     return f"{text}\n\nExample:\n\n{spec.example}" if spec.example else text
 
@@ -125,7 +125,7 @@ def _default(field: FieldInfo, kind: Any) -> Any:
 
 
 def _command_line_type(annotation: Any) -> Any:
-    """Return the type that the command line parses; limits are checked by the spec."""
+    """Return the type that the command line parses; the spec checks limits."""
     origin = get_origin(annotation)
     if origin is Annotated:
         return _command_line_type(get_args(annotation)[0])

@@ -1,4 +1,4 @@
-"""`usdface tune`: the one command that stays until it is told to stop."""
+"""`usdface tune`: serve the tuning page until interrupted."""
 
 import inspect
 import json
@@ -41,9 +41,9 @@ def _tune(spec_type: type[Spec], values: dict[str, Any], *, as_json: bool) -> No
         if as_json:
             echo(json.dumps({"link": link}))
         else:
-            echo(f"{'tune at' if not links else 'a new link:'} {link}")
+            echo(f"{'tune at' if not links else 'new link:'} {link}")
             if not links:
-                echo("  Ctrl+C saves and ends; the link opens one browser, once")
+                echo("  Ctrl+C saves and exits; the link works once, for one browser")
         if spec.browser and not links:
             webbrowser.open(link)
         links.append(link)
@@ -61,9 +61,9 @@ def _tune(spec_type: type[Spec], values: dict[str, Any], *, as_json: bool) -> No
     notes = list[str]()
     if session.recovered:
         changes = pluralize(session.recovered, "change")
-        notes.append(f"taken up again, of a session that crashed: {changes}")
+        notes.append(f"recovered from a crashed session: {changes}")
     if (before := session.lock.taken_from) is not None:
         notes.append(
-            f"taken over from {before.user} on {before.host}, who had begun {before.since}"
+            f"lock taken over from {before.user} on {before.host}, held since {before.since}"
         )
     show_result(StepResult((session.tuned_path,), summary, tuple(notes), figures), as_json=as_json)

@@ -90,8 +90,8 @@ class AlignSpec(Spec):
 
     The offset is measured from the sound recorded with the capture and the camera's sound. If both
     carry timecode, it is taken from the timecode and checked against the sound. The result has a
-    confidence, and a picture of the evidence is drawn; a doubtful result is refused with the
-    reason. Only the take's video settings are changed, in place.
+    confidence, and a picture of the evidence is drawn; if the confidence is too low, the result is
+    refused. Only the take's video settings are changed, in place.
     """
 
     example: ClassVar[str] = "usdface align kitchen.take.usda"
@@ -185,8 +185,8 @@ class PhonesSpec(Spec):
 
     step: Literal["phones"] = "phones"
     audio: Annotated[FilePath, Reads(), Positional()]
-    """Sound file, movie or take. Times of a take's phones are take times, whatever the camera's
-    clock."""
+    """Sound file, movie or take. The phones of a take have take times, even if its sound is the
+    camera's."""
     transcript: ReadPath | None = None
     """Text file with the spoken words. Remarks in brackets are ignored."""
     text: Annotated[str, Field(min_length=1)] | None = None

@@ -150,7 +150,7 @@ class MovieSpec(Spec):
 class MovieJoinSpec(Spec):
     """Join movie parts (`usdface movie --frames`) without encoding them again.
 
-    The sound is encoded anew from the take, so that it has no seams.
+    The sound is encoded again from the take, so that it has no seams.
     """
 
     example: ClassVar[str] = (

@@ -62,7 +62,7 @@ class SurfaceSpec(Spec):
     mesh: ReadPath
     """The face: any USD file with a mesh. It is referenced and never written."""
     binding: ReadPath | None = None
-    """Binding of the markers, from `usdface bind`. Without it the markers are bound anew."""
+    """Binding of the markers, from `usdface bind`. Default: the markers are bound automatically."""
     landmarks: tuple[Landmark, ...] = ()
     """Markers whose point on the mesh is known, as NAME=POINT,...; only without --binding."""
     mesh_prim: PrimPath | None = None
