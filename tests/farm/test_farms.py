@@ -292,7 +292,7 @@ def test_a_job_whose_frames_are_not_known_yet_says_so(job: Path, shot: Shot, cap
         main(["submit", str(shot / "shot.job.yaml"), "--write-only"])
     told = capsys.readouterr().out
     assert "shot: 7 tasks, written" in told
-    assert "shot.hero.usda is mapped in one piece" in told
+    assert "not split into chunks: shot.hero.usda" in told
 
 
 @pytest.mark.slow
