@@ -31,7 +31,7 @@ from usdface.specs.capture import CleanSpec, IngestSpec
 from usdface.specs.performance import TrainSpec
 from usdface.specs.references import ReferencesImportSpec, SelectSpec
 from usdface.steps.inputs.cleaned_takes import read_cleaned_takes
-from usdface.steps.references.scene import set_up_scene
+from usdface.steps.inputs.scene import set_up_scene
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take

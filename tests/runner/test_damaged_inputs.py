@@ -22,8 +22,7 @@ from usdface.speech.dictionary import read_dictionary, read_text
 from usdface.speech.phone_track import PhoneTrack, Span
 from usdface.speech.track_files import read_phone_track, write_phone_track
 from usdface.speech.transcript import spoken_words
-from usdface.steps.inputs.alpha_curve import read_alpha
-from usdface.steps.inputs.weight_tables import read_weight_table
+from usdface.steps.inputs.weight_tables import read_alpha, read_weight_table
 from usdface.steps.surface.frames import _from_csv
 
 TRACK = PhoneTrack(

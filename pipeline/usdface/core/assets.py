@@ -4,6 +4,7 @@ Lengths are millimetres, Y is up, rates are exact fractions and frames are integ
 converts once at the border. Nothing here reads, writes or computes.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
@@ -12,6 +13,8 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.errors import InputError
+from usdface.core.text import first_few, pluralize
 
 MarkerSpace = Literal["captured", "stabilized"]
 
@@ -250,6 +253,32 @@ class Rig:
     shapes: tuple[str, ...]
     meshes: tuple[RigMesh, ...]
     ranges: FloatArray
+
+    def check_has(self, shapes: Iterable[str], *, source: object, remedy: str) -> None:
+        """Raise InputError where the rig lacks shapes.
+
+        Parameters
+        ----------
+        shapes : iterable of str
+            Names that must be there.
+        source : object
+            File whose shapes they are, as the message names it.
+        remedy : str
+            What the message advises.
+        """
+        missing = [name for name in shapes if name not in self.shapes]
+        if missing:
+            raise InputError(
+                f"{source}: {pluralize(len(missing), 'shape')} of it not on {self.file}: "
+                f"{first_few(missing)}; {remedy}"
+            )
+
+    def undrawn_notes(self) -> tuple[str, ...]:
+        """Return a note on what of the materials no picture shows; empty where all is shown."""
+        undrawn = dict.fromkeys(
+            note for mesh in self.meshes if mesh.visible for note in mesh.undrawn
+        )
+        return (f"drawn without its textures: {first_few(undrawn, most=3)}",) if undrawn else ()
 
 
 @dataclass(frozen=True)

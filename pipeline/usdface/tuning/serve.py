@@ -13,7 +13,6 @@ from pathlib import Path
 import uvicorn
 
 from usdface.core.errors import CancelledError, InputError
-from usdface.core.text import first_few
 from usdface.specs.paths import check_confined, confinement_root
 from usdface.specs.tune import TuneSpec
 from usdface.tuning.application import Scene, build_application
@@ -76,12 +75,11 @@ def _run(
 ) -> None:
     references = session.references
     rig = read_rig(references.rig_file, prim=references.rig_prim)
-    missing = [name for name in references.shape_names if name not in rig.shapes]
-    if missing:
-        raise InputError(
-            f"{spec.references}: {len(missing)} of its shapes are not on {rig.file}: "
-            f"{first_few(missing)}; it was selected for another rig: select again"
-        )
+    rig.check_has(
+        references.shape_names,
+        source=spec.references,
+        remedy="it was selected for another rig: select again",
+    )
     notes = read_pair_notes(spec.references, len(references.frames))
     takes = spec.takes or take_files(spec.references)
     root = confinement_root()

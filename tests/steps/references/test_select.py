@@ -17,8 +17,8 @@ from usdface.media.picture.image import read_image_metadata
 from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
 from usdface.runner.execute import execute
 from usdface.specs.references import ReferenceSheetSpec, ReferencesImportSpec, SelectSpec
+from usdface.steps.inputs import scene as selection_scene
 from usdface.steps.inputs.tuned_pairs import read_set_references
-from usdface.steps.references import scene as selection_scene
 from usdface.usdio.references.read import read_references, read_tuned_pairs
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig

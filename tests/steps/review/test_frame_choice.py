@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from usdface.steps.review.frame_choice import choose_frames
+from usdface.steps.review.scoring import choose_frames
 
 
 def curves(frames: int = 300) -> dict[str, np.ndarray]:

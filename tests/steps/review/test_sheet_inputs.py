@@ -14,7 +14,8 @@ from usdface.runner.execute import execute
 from usdface.specs.edits import EditSpec
 from usdface.specs.performance import MapSpec
 from usdface.specs.review import SheetSpec
-from usdface.steps.review.pictures import ShotPictures, open_shot
+from usdface.steps.review.pictures import ShotPictures
+from usdface.steps.review.shot import open_shot
 
 
 def pictures_of(shot: Shot) -> ShotPictures:

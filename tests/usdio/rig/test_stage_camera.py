@@ -10,7 +10,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom
 from tests.usdio.small_rig import small_rig
 from usdface.core.errors import InputError
 from usdface.media.face.camera import Camera
-from usdface.steps.review.shot_camera import _as_camera
+from usdface.steps.review.shot import _as_camera
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.stage_camera import StageCamera
 from usdface.usdio.rig.write import write_rig

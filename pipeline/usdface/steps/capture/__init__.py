@@ -1,1 +1,4 @@
 """Captures to cleaned takes."""
+
+_commands = ("ingest_folder",)
+_helpers = ("capture_audio", "merge_captures", "timecode_offset")

@@ -1,1 +1,3 @@
 """Edits of a performance, and its publishing."""
+
+_commands = ("list_", "validate")

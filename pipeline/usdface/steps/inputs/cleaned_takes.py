@@ -51,6 +51,40 @@ class CleanedTakes:
     dropped: tuple[str, ...]
     sources: tuple[Take, ...]
 
+    def places(self, rows: IntArray) -> list[tuple[int, int]]:
+        """Return the take of each row of all frames, and its row in that take."""
+        starts = np.cumsum([0, *(len(clip) for clip in self.positions)])
+        take = np.searchsorted(starts, rows, side="right") - 1
+        return list(zip(take.tolist(), (rows - starts[take]).tolist(), strict=True))
+
+    def find_rows(self, frames: list[tuple[str, int]]) -> list[int | None]:
+        """Return the row of each take and frame; None where there is none.
+
+        A take's frames follow one another without a gap, so nothing is searched.
+        """
+        starts = np.cumsum([0, *(len(clip) for clip in self.positions)]).tolist()
+        first = {
+            source.name: (start, end, int(self.frames[start]))
+            for source, start, end in zip(self.sources, starts, starts[1:], strict=False)
+            if end > start
+        }
+        rows: list[int | None] = []
+        for take, frame in frames:
+            start, end, begins = first.get(take, (0, 0, 0))
+            row = start + frame - begins
+            rows.append(row if start <= row < end else None)
+        return rows
+
+    def positions_at(self, rows: IntArray) -> Float32Array:
+        """Return the markers at rows of all frames, (rows, markers, 3) [mm]."""
+        shape = (len(rows), len(self.marker_names), 3)
+        found = [self.positions[take][row] for take, row in self.places(rows)]
+        return np.array(found, dtype=np.float32).reshape(shape)
+
+    def usable_at(self, rows: IntArray) -> BoolArray:
+        """Return which markers were measured or repaired at rows of all frames."""
+        return np.array([self.usable[take][row] for take, row in self.places(rows)], dtype=np.bool_)
+
 
 def read_cleaned(path: Path) -> Take:
     """Read a take that has markers and no head motion.

@@ -9,13 +9,20 @@ from usdface.core.arrays import IntArray
 from usdface.core.assets import References, Rig
 from usdface.core.errors import InputError
 from usdface.core.sidecars import proposed_path, tuned_path
+from usdface.model.selection.conflicts import (
+    ReferenceConflict,
+    conflict_text,
+    find_reference_conflicts,
+)
 from usdface.specs.references import SelectSpec
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
 from usdface.usdio.references.read import TunedPair, read_references, read_tuned_pairs
 from usdface.usdio.references.tuning import check_tuned_layer, read_proposals
 
-SAME = 1e-6
-"""Weights that differ by less are one: layers hold single precision."""
+SAME_WEIGHT = 1e-6
+"""Weights that differ by less are equal: layers hold single precision."""
+
+_LISTED_CONFLICTS = 5
 
 
 def find_keyed_pairs(path: Path, references: References) -> list[int]:
@@ -37,7 +44,7 @@ def find_keyed_pairs(path: Path, references: References) -> list[int]:
     shown = read_proposals(proposed_path(path), references).copy()
     for each in read_tuned_pairs(tuned_path(path)):
         shown[each.pair] = [each.weights.get(name, 0.0) for name in references.shape_names]
-    away = np.abs(references.weights - shown).max(axis=1, initial=0.0) > SAME
+    away = np.abs(references.weights - shown).max(axis=1, initial=0.0) > SAME_WEIGHT
     return list(np.flatnonzero(away).tolist())
 
 
@@ -82,12 +89,12 @@ def find_placed_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[P
     keyed = _keyed_pairs(spec.out, marked)
     together = marked | keyed
     tuned = [together[pair] for pair in sorted(together)]
-    rows = find_rows(takes, [(each.take, each.frame) for each in tuned])
-    lost = [each for each, row in zip(tuned, rows, strict=True) if row is None]
-    if lost:
+    rows = takes.find_rows([(each.take, each.frame) for each in tuned])
+    missing = [each for each, row in zip(tuned, rows, strict=True) if row is None]
+    if missing:
         raise InputError(
-            f"{layer}: pair {lost[0].pair + 1} was tuned for frame {lost[0].frame} of "
-            f"{lost[0].take}, which is not among the takes given; give that take as well, or "
+            f"{layer}: pair {missing[0].pair + 1} was tuned for frame {missing[0].frame} of "
+            f"{missing[0].take}, which is not among the takes given; give that take as well, or "
             "write to another --out"
         )
     beyond = [each for each in tuned if each.pair >= spec.count]
@@ -97,13 +104,11 @@ def find_placed_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[P
             f"{beyond[-1].pair + 1}, not {spec.count}"
         )
     for each in tuned:
-        strange = [name for name in each.weights if name not in rig.shapes]
-        if strange:
-            raise InputError(
-                f"{layer}: pair {each.pair + 1} was tuned for another rig: "
-                f"{len(strange)} of its {len(each.weights)} shapes are not on {rig.file} "
-                f"({', '.join(strange[:3])}); give that rig, or write to another --out"
-            )
+        rig.check_has(
+            each.weights,
+            source=f"{layer} pair {each.pair + 1}",
+            remedy="it was tuned for another rig: give that rig, or write to another --out",
+        )
     return [
         PlacedPair(each.pair, row, each, each.pair in keyed)
         for each, row in zip(tuned, rows, strict=True)
@@ -136,25 +141,6 @@ def _keyed_pairs(out: Path, marked: dict[int, TunedPair]) -> dict[int, TunedPair
     }
 
 
-def find_rows(takes: CleanedTakes, places: list[tuple[str, int]]) -> list[int | None]:
-    """Return the row, among the frames of all takes, of each take and frame; None where it is not.
-
-    A take's frames follow one another without a gap, so nothing is searched.
-    """
-    starts = np.cumsum([0, *(len(clip) for clip in takes.positions)]).tolist()
-    first = {
-        source.name: (start, end, int(takes.frames[start]))
-        for source, start, end in zip(takes.sources, starts, starts[1:], strict=False)
-        if end > start
-    }
-    rows: list[int | None] = []
-    for take, frame in places:
-        start, end, begins = first.get(take, (0, 0, 0))
-        row = start + frame - begins
-        rows.append(row if start <= row < end else None)
-    return rows
-
-
 def rows_in_place(count: int, kept: list[PlacedPair], chosen: IntArray) -> list[int]:
     """Return the row of each pair: kept ones where they are, chosen ones in the gaps."""
     place = {each.pair: each.row for each in kept}
@@ -166,3 +152,40 @@ def rows_in_place(count: int, kept: list[PlacedPair], chosen: IntArray) -> list[
             break
         rows.append(row)
     return rows
+
+
+def tuned_conflicts(path: Path) -> tuple[list[str], list[dict[str, object]]]:
+    """Return what contradicts itself among the tuned pairs of an asset: for people, and as data."""
+    references = read_set_references(path)
+    places = np.flatnonzero(references.tuned)
+    tuned = replace(
+        references,
+        markers=references.markers[places],
+        weights=references.weights[places],
+        frames=references.frames[places],
+        takes=tuple(references.takes[pair] for pair in places),
+        tuned=references.tuned[places],
+    )
+    found = [
+        replace(each, first=int(places[each.first]), second=int(places[each.second]))
+        for each in find_reference_conflicts(tuned)
+    ]
+    return _texts(references, found), [_data(each) for each in found]
+
+
+def _texts(references: References, found: list[ReferenceConflict]) -> list[str]:
+    texts = [
+        f"{conflict_text(references, each)}; look at both" for each in found[:_LISTED_CONFLICTS]
+    ]
+    if len(found) > _LISTED_CONFLICTS:
+        texts.append(f"and {len(found) - _LISTED_CONFLICTS} more pairs contradict each other")
+    return texts
+
+
+def _data(conflict: ReferenceConflict) -> dict[str, object]:
+    return {
+        "pairs": [conflict.first + 1, conflict.second + 1],
+        "region": conflict.region,
+        "shape": conflict.shape,
+        "weights": list(conflict.weights),
+    }

@@ -15,7 +15,7 @@ from usdface.core.errors import InputError
 from usdface.model.mapping.head_space import MappedMarkers
 from usdface.model.mapping.predict import Prediction, WeightPredictor
 from usdface.numerics.array_namespace import CPU, ArrayDevice
-from usdface.steps.inputs.alpha_curve import read_alpha
+from usdface.steps.inputs.weight_tables import read_alpha
 
 MAX_WORKERS = 4
 """Threads at most: one that writes keeps no more of them busy."""

@@ -1,39 +1,15 @@
 """References and takes in, a picture of what they cover out."""
 
-from dataclasses import dataclass, replace
-
-import numpy as np
-
-from usdface.core.arrays import ByteImage, FloatArray, IntArray
-from usdface.core.assets import References, Rig
-from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.media.picture.image import write_image
-from usdface.numerics.rigid.rigid_alignment import align_rigid_robust, remove_motion
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesCoverageSpec
-from usdface.steps.inputs.cleaned_takes import FEWEST_RIGID, CleanedTakes, read_cleaned_takes
-from usdface.steps.inputs.coverage_report import (
-    Covered,
-    cover,
-    coverage_figures,
-    coverage_picture,
-    holes_of,
-)
-from usdface.steps.inputs.tuned_pairs import find_rows, read_set_references
-from usdface.steps.references.scene import SelectionScene, candidate_frames, set_up_scene
-from usdface.usdio.rig.read import read_rig
+from usdface.steps.inputs.coverage_report import coverage_figures, holes_of, measure_pairs
 
-_MOST_TOLD = 3
+_NAMED_FRAMES = 3
 """Further frames that are named in words; all are in the figures and the picture."""
-
-LEAST_MARKERS = 0.5
-"""Share of a take's markers that references must have to be laid on it."""
-
-_GLANCE_FRAMES = 2000
-"""Frames spread over the takes that say where the head is."""
 
 
 def run(
@@ -43,7 +19,7 @@ def run(
     progress: Progress = silent,
 ) -> StepResult:
     """Measure what the pairs cover of the takes, and draw it."""
-    measured = measure(spec, progress=progress)
+    measured = measure_pairs(spec, progress=progress)
     covered, takes, pairs = measured.covered, measured.takes, measured.pairs
     progress(0.9, f"writing {spec.out.name}")
     metadata = provenance_metadata(provenance)
@@ -58,7 +34,7 @@ def run(
         )
     notes += [
         f"frame {hole.frame} of {hole.take} next: {hole.share:.1%} would be covered"
-        for hole in holes_of(covered, takes)[:_MOST_TOLD]
+        for hole in holes_of(covered, takes)[:_NAMED_FRAMES]
     ]
     return StepResult(
         (spec.out,),
@@ -71,171 +47,3 @@ def run(
             **coverage_figures(covered, takes),
         },
     )
-
-
-@dataclass(frozen=True)
-class MeasuredCoverage:
-    """What pairs cover of takes, and which they are.
-
-    Attributes
-    ----------
-    covered : Covered
-    takes : CleanedTakes
-    pairs : (pairs,) int array
-        Those that count, from 0.
-    rows : (n,) int array
-        Rows of the takes that are pairs.
-    tuned : (m,) int array
-        Those of `rows` that a person has tuned.
-    """
-
-    covered: Covered
-    takes: CleanedTakes
-    pairs: IntArray
-    rows: IntArray
-    tuned: IntArray
-
-    def picture(self, title: str) -> ByteImage:
-        """Draw it."""
-        return coverage_picture(
-            self.covered,
-            self.takes,
-            self.rows,
-            tuned=self.tuned,
-            title=title,
-            pairs=len(self.pairs),
-        )
-
-
-def measure(spec: ReferencesCoverageSpec, *, progress: Progress) -> MeasuredCoverage:
-    """Measure what the pairs cover of the takes; nothing is written.
-
-    Raises
-    ------
-    InputError
-        If references and takes do not go together, or no pair counts.
-    """
-    progress(0.0, "reading the takes")
-    references = read_set_references(spec.references)
-    pairs = _counted(spec, references)
-    takes = _with_markers_of(read_cleaned_takes(spec.takes), references, spec)
-    rig = _rig(spec, references)
-    scene = set_up_scene(takes, rig, progress=progress)
-    progress(0.7, "measuring the coverage")
-    placed = _place(scene, references, pairs)
-    covered = cover(
-        scene.space,
-        scene.features,
-        placed.rows,
-        candidates=candidate_frames(takes, None),
-        pair_features=placed.features,
-    )
-    tuned = placed.rows[references.tuned[pairs][placed.is_here]]
-    return MeasuredCoverage(covered, takes, pairs, placed.rows, tuned)
-
-
-@dataclass(frozen=True)
-class _Placed:
-    """Pairs among the frames of takes.
-
-    Attributes
-    ----------
-    features : (pairs, d) float array
-    is_here : (pairs,) bool array
-        Whether the pair is a frame of the takes.
-    rows : (n,) int array
-        Rows of those that are.
-    """
-
-    features: FloatArray
-    is_here: np.ndarray
-    rows: IntArray
-
-
-def _counted(spec: ReferencesCoverageSpec, references: References) -> IntArray:
-    """Return which pairs count.
-
-    Raises
-    ------
-    InputError
-        If none does.
-    """
-    if not spec.tuned_only:
-        return np.arange(len(references.frames), dtype=np.int64)
-    pairs = np.flatnonzero(references.tuned)
-    if not len(pairs):
-        raise InputError(
-            f"{spec.references}: none of its {len(references.frames)} pairs is tuned, so there is "
-            "nothing that covers; leave out --tuned-only to see what its pairs would cover"
-        )
-    return pairs
-
-
-def _with_markers_of(
-    takes: CleanedTakes, references: References, spec: ReferencesCoverageSpec
-) -> CleanedTakes:
-    """Return takes with the markers that the references have as well.
-
-    Raises
-    ------
-    InputError
-        If they are too few: the references are of another marker set.
-    """
-    columns = [i for i, name in enumerate(takes.marker_names) if name in references.marker_names]
-    names = tuple(takes.marker_names[i] for i in columns)
-    rigid = tuple(name for name in takes.rigid if name in names)
-    if len(names) < LEAST_MARKERS * len(takes.marker_names) or len(rigid) < FEWEST_RIGID:
-        raise InputError(
-            f"{spec.references}: has {len(names)} of the takes' {len(takes.marker_names)} markers, "
-            f"{len(rigid)} of them rigid; at least {LEAST_MARKERS:.0%} and {FEWEST_RIGID} rigid "
-            "ones are needed. Give takes of the marker set it was selected from"
-        )
-    if len(names) == len(takes.marker_names):
-        return takes
-    return replace(
-        takes,
-        marker_names=names,
-        rigid=rigid,
-        neutral=takes.neutral[columns],
-        positions=tuple(clip[:, columns] for clip in takes.positions),
-        usable=tuple(clip[:, columns] for clip in takes.usable),
-    )
-
-
-def _rig(spec: ReferencesCoverageSpec, references: References) -> Rig:
-    rig = read_rig(references.rig_file, prim=references.rig_prim)
-    missing = [name for name in references.shape_names if name not in rig.shapes]
-    if missing:
-        raise InputError(
-            f"{spec.references}: {len(missing)} of its shapes are not on {rig.file} "
-            f"({', '.join(missing[:3])}); select again for this rig"
-        )
-    return rig
-
-
-def _place(scene: SelectionScene, references: References, pairs: IntArray) -> _Placed:
-    """Find pairs among the takes' frames; those of other takes count by their own markers."""
-    places = [(references.takes[pair], int(references.frames[pair])) for pair in pairs.tolist()]
-    found = find_rows(scene.takes, places)
-    is_here = np.array([row is not None for row in found], dtype=np.bool_)
-    rows = np.array([row for row in found if row is not None], dtype=np.int64)
-    features = np.empty((len(pairs), scene.features.shape[1]))
-    features[is_here] = scene.features[rows]
-    if not is_here.all():
-        markers = _in_head_space(scene.takes, references)[pairs[~is_here]]
-        features[~is_here] = scene.space.features(scene.coordinates_of(markers))
-    return _Placed(features, is_here, rows)
-
-
-def _in_head_space(takes: CleanedTakes, references: References) -> FloatArray:
-    """Return the markers of all pairs where the takes' head is, in the order of the takes'."""
-    columns = [references.marker_names.index(name) for name in takes.marker_names]
-    skull = [takes.marker_names.index(name) for name in takes.rigid]
-    markers = references.markers[:, columns]
-    clip = takes.positions[0]
-    step = max(len(clip) // _GLANCE_FRAMES, 1)
-    home = np.median(clip[::step, skull].astype(np.float64), axis=0)
-    middle = np.median(markers[:, skull], axis=0)[None]
-    alignment = align_rigid_robust(middle, home, visible=np.ones((1, len(skull)), bool))
-    moved = remove_motion(markers.reshape(1, -1, 3), alignment)
-    return np.asarray(moved.reshape(markers.shape), dtype=np.float64)

@@ -20,7 +20,7 @@ from usdface.runner.origin import spec_of
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesFromEditsSpec
 from usdface.steps.inputs.take_head_space import read_markers, take_head_space
-from usdface.steps.inputs.tuned_pairs import SAME
+from usdface.steps.inputs.tuned_pairs import SAME_WEIGHT
 from usdface.steps.references.tuning_guard import nobody_tunes
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.mapping import read_mapping
@@ -257,7 +257,7 @@ def _by_hand(out: Path) -> dict[tuple[str, int], dict[str, float]]:
         written = read_proposals(proposed_path(out), there)
     except InputError:  # damaged, so that nobody could tune it
         return {}
-    away = np.abs(there.weights - written).max(axis=1, initial=0.0) > SAME
+    away = np.abs(there.weights - written).max(axis=1, initial=0.0) > SAME_WEIGHT
     return {
         (there.takes[pair], int(there.frames[pair])): dict(
             zip(there.shape_names, there.weights[pair].tolist(), strict=True)

@@ -10,8 +10,8 @@ from usdface.core.sidecars import tuned_path
 from usdface.core.text import pluralize
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesImportSpec
+from usdface.steps.inputs.tuned_pairs import tuned_conflicts
 from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table, weights_meant
-from usdface.steps.references.conflict_notes import tuned_conflicts
 from usdface.usdio.references.read import TunedPair, read_references
 from usdface.usdio.references.write import write_tuned_weights
 

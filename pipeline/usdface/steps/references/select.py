@@ -27,19 +27,23 @@ from usdface.specs.references import SelectSpec
 from usdface.steps.inputs.cleaned_takes import CleanedTakes, read_cleaned_takes
 from usdface.steps.inputs.coverage_report import cover, coverage_figures, coverage_picture
 from usdface.steps.inputs.phone_labels import PhoneLabels, read_phone_labels
-from usdface.steps.inputs.tuned_pairs import PlacedPair, find_placed_pairs, rows_in_place
-from usdface.steps.references.conflict_notes import tuned_conflicts
-from usdface.steps.references.images import (
-    PairImages,
-    remove_unused_images,
-    write_pair_images,
-)
-from usdface.steps.references.scene import (
+from usdface.steps.inputs.scene import (
     SelectionScene,
     TakesPrediction,
     candidate_frames,
     set_up_scene,
     takes_prediction,
+)
+from usdface.steps.inputs.tuned_pairs import (
+    PlacedPair,
+    find_placed_pairs,
+    rows_in_place,
+    tuned_conflicts,
+)
+from usdface.steps.references.images import (
+    PairImages,
+    remove_unused_images,
+    write_pair_images,
 )
 from usdface.steps.references.tuning_guard import check_nobody_tunes, nobody_tunes
 from usdface.usdio.mapping import read_mapping
@@ -170,13 +174,8 @@ def _mapping_for(spec: SelectSpec, rig: Rig) -> TrainedMapping:
     if spec.mapping is None:
         raise InputError("no mapping is given")
     mapping = read_mapping(spec.mapping)
-    strange = [name for name in mapping.shape_names if name not in rig.shapes]
-    if strange:
-        raise InputError(
-            f"{spec.mapping}: was trained for another rig: {len(strange)} of its "
-            f"{len(mapping.shape_names)} shapes are not on {rig.file} "
-            f"({', '.join(strange[:3])}); give the mapping of this rig"
-        )
+    remedy = "it was trained for another rig: give the mapping of this one"
+    rig.check_has(mapping.shape_names, source=spec.mapping, remedy=remedy)
     return mapping
 
 

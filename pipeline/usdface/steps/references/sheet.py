@@ -29,7 +29,6 @@ from usdface.specs.paths import frame_range
 from usdface.specs.references import ReferenceSheetSpec
 from usdface.speech.visemes import viseme_label
 from usdface.steps.inputs.tuned_pairs import read_set_references
-from usdface.steps.review.pictures import undrawn
 from usdface.usdio.references.tuning import read_pair_notes
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
@@ -50,12 +49,10 @@ def run(
     progress(0.0, "reading")
     references = read_set_references(spec.references)
     rig = read_rig(references.rig_file, prim=references.rig_prim)
-    columns = [rig.shapes.index(name) for name in references.shape_names if name in rig.shapes]
-    if len(columns) < len(references.shape_names):
-        raise InputError(
-            f"{spec.references}: {len(references.shape_names) - len(columns)} of its shapes are "
-            f"not on {rig.file}; select again for this rig"
-        )
+    rig.check_has(
+        references.shape_names, source=spec.references, remedy="select again for this rig"
+    )
+    columns = [rig.shapes.index(name) for name in references.shape_names]
     takes = _takes(spec.takes, references)
     pairs = _pairs(spec, references)
     deformer, renderer = Deformer(rig), FaceRenderer(rig.meshes)
@@ -115,7 +112,7 @@ def run(
     ]
     if renderer.eyes_put_in:
         facts.append("the rig has no eyes: stand-ins are drawn")
-    plain = undrawn(rig)
+    plain = rig.undrawn_notes()
     if plain:
         facts.append("textures are not drawn")
     page = compose_reference_sheet(

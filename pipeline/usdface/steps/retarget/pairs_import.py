@@ -99,11 +99,7 @@ def _read_target(spec: PairsImportSpec, rig: Rig) -> tuple[list[int], Controls]:
 
 
 def _check_target(path: Path, clip: ControlClip, rig: Rig) -> None:
-    unknown = [name for name in clip.controls.shapes if name not in rig.shapes]
-    if unknown:
-        raise InputError(
-            f"{path}: {len(unknown)} of its shapes are not on {rig.file}: {', '.join(unknown[:5])}"
-        )
+    rig.check_has(clip.controls.shapes, source=path, remedy="give the rig it animates")
 
 
 def _check_sides(spec: PairsImportSpec, source: tuple[int, ...], target: list[int]) -> None:

@@ -16,7 +16,6 @@ from usdface.model.retarget.train import retarget
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.retarget import RetargetSpec
-from usdface.steps.inputs.alpha_curve import read_alpha
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.inputs.source_motion import (
     MOVES,
@@ -24,6 +23,7 @@ from usdface.steps.inputs.source_motion import (
     read_source_motion,
     source_columns,
 )
+from usdface.steps.inputs.weight_tables import read_alpha
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.retarget.control_performance import writing_control_performance
 from usdface.usdio.retarget.retargeting import read_retargeting
@@ -80,12 +80,7 @@ def _target(spec: RetargetSpec, index: int) -> tuple[Retargeting, Rig]:
     if file is None or not file.is_file():
         raise InputError(f"{path}: its target's rig {file or ''} is not there; name it with --rig")
     rig = read_rig(file, prim=None if spec.rig else trained.target_prim or None)
-    missing = [name for name in trained.shapes if name not in rig.shapes]
-    if missing:
-        raise InputError(
-            f"{file}: {len(missing)} of the retargeting's {len(trained.shapes)} shapes are not on "
-            f"this rig: {', '.join(missing[:5])}; train again for it"
-        )
+    rig.check_has(trained.shapes, source=path, remedy="train again for this rig")
     if spec.alpha is not None and trained.method != "hybrid":
         raise InputError(
             f"{path}: alpha blends the two parts of a hybrid, and this retargeting is "

@@ -1,1 +1,3 @@
 """Sheets, movies, reports and figures to judge a performance by."""
+
+_helpers = ("clock", "evaluation_tables", "pictures", "report_tables", "scoring", "shot")

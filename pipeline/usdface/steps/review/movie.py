@@ -25,7 +25,8 @@ from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.review import MovieSpec, Panel
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
-from usdface.steps.review.pictures import Shot, ShotPictures, open_shot, undrawn
+from usdface.steps.review.pictures import ShotPictures
+from usdface.steps.review.shot import Shot, open_shot
 
 STRETCH_PICTURES = 48
 """Drawn and encoded by one process at a time, and lost at most when a run is stopped."""
@@ -74,7 +75,7 @@ def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress = silent)
     if "performance" in panels:
         notes += [
             *shot.camera(spec.camera, spec.camera_stage).notes(clock.first_frame),
-            *undrawn(shot.rig),
+            *shot.rig.undrawn_notes(),
         ]
     _draw_all(_Plan(spec, panels, clock), waiting, shot, progress)
     progress(0.97, "joining the stretches")

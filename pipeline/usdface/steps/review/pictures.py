@@ -2,17 +2,14 @@
 
 from contextlib import ExitStack
 from dataclasses import dataclass
-from pathlib import Path
 from types import TracebackType
 from typing import Literal, Self
 
 import numpy as np
 
-from usdface.core.arrays import ByteImage, FloatArray, IntArray
-from usdface.core.assets import Performance, Rig, Take
-from usdface.core.deformer import Deformer
+from usdface.core.arrays import ByteImage, FloatArray
+from usdface.core.assets import Take
 from usdface.core.errors import InputError
-from usdface.core.timecode import shift_timecode
 from usdface.media.face.markers_view import draw_markers, frame_markers
 from usdface.media.face.render import FaceRenderer
 from usdface.media.face.sculpted_normals import SculptedNormals
@@ -20,12 +17,7 @@ from usdface.media.film.image_sequence import ImageSequence, open_video
 from usdface.media.film.video import VideoReader
 from usdface.media.picture.display_view import DisplayView
 from usdface.media.picture.sheet import Tile
-from usdface.specs.paths import frame_range
-from usdface.specs.review import AUTO
-from usdface.steps.inputs.cleaned_takes import read_cleaned
-from usdface.steps.review.shot_camera import ShotCamera
-from usdface.usdio.performance.read import PerformanceReader, read_performance
-from usdface.usdio.rig.read import read_rig
+from usdface.steps.review.shot import Shot, ShotCamera
 
 EXAGGERATION = 4.0
 """Lines from markers to where the weights put them are so many times as long: they are short."""
@@ -34,112 +26,6 @@ UNDRAWN_TOLD = 3
 
 FRAMED_BY = 2000
 """Frames of a take that its markers are framed by."""
-
-
-@dataclass(frozen=True)
-class Shot:
-    """A performance, the take it came from and the face that acts it, over shared frames.
-
-    Attributes
-    ----------
-    performance_file : Path
-    take : Take
-    performance : Performance
-    rig : Rig
-    deformer : Deformer
-    frames : (frames,) int array
-        Frame numbers.
-    weights : (frames, shapes) float array
-        In the rig's order.
-    """
-
-    performance_file: Path
-    take: Take
-    performance: Performance
-    rig: Rig
-    deformer: Deformer
-    frames: IntArray
-    weights: FloatArray
-
-    def camera(self, name: str = AUTO, stage: Path | None = None) -> ShotCamera:
-        """Return where its pictures are taken from; see `ShotCamera`."""
-        return ShotCamera(self.performance_file, self.performance, self.rig, name=name, stage=stage)
-
-    @property
-    def positions(self) -> FloatArray:
-        """Markers of the shared frames, (frames, markers, 3) [mm]."""
-        markers = self.take.markers
-        if markers is None:
-            raise InputError(f"{self.take.name}: has no markers")
-        return markers.positions[self.frames - self.take.first_frame].astype(np.float64)
-
-    def timecode(self, frame: int) -> str:
-        """Return the SMPTE label of a frame; empty when the take has none."""
-        return shift_timecode(
-            self.take.timecode_start, frame - self.take.first_frame, self.take.rate
-        )
-
-
-def open_shot(performance_file: Path, take_file: Path, *, frames: str | None = None) -> Shot:
-    """Read a performance with the take it was mapped from.
-
-    Parameters
-    ----------
-    performance_file, take_file : Path
-    frames : str, optional
-        FIRST-LAST, to use no others.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be read, they share no frame, or the performance was moved in time.
-    """
-    moved = PerformanceReader(performance_file).moved
-    if moved:
-        raise InputError(
-            f"{performance_file}: a layer offset moves its weights by {moved:+g} frames, so its "
-            f"frames are not those of {take_file}; show the performance as it was mapped, without "
-            "the offset"
-        )
-    performance = read_performance(performance_file)
-    take = read_cleaned(take_file)
-    rig = read_rig(performance.rig_file, prim=performance.rig_prim)
-    clip = performance.weights
-    first = max(clip.first_frame, take.first_frame)
-    last = min(clip.first_frame + len(clip.values), take.first_frame + take.frame_count)
-    limits = frame_range(frames)
-    if limits is not None:
-        first, last = max(first, limits[0]), min(last, limits[1] + 1)
-    if last <= first:
-        raise InputError(
-            f"{performance_file}: shares no frame with {take_file}"
-            + (f" in {frames}" if frames else "")
-            + "; is it the take it was mapped from?"
-        )
-    numbers = np.arange(first, last, dtype=np.int64)
-    weights = weights_in_rig_order(performance, rig, numbers)
-    return Shot(performance_file, take, performance, rig, Deformer(rig), numbers, weights)
-
-
-def weights_in_rig_order(performance: Performance, rig: Rig, frames: IntArray) -> FloatArray:
-    """Return (frames, shapes) weights; 0 for shapes that the performance does not drive."""
-    clip = performance.weights
-    rows = clip.values[frames - clip.first_frame].astype(np.float64)
-    place = {name: index for index, name in enumerate(clip.names)}
-    out = np.zeros((len(frames), len(rig.shapes)))
-    for index, name in enumerate(rig.shapes):
-        if name in place:
-            out[:, index] = rows[:, place[name]]
-    return out
-
-
-def undrawn(rig: Rig) -> tuple[str, ...]:
-    """Return what of a rig's materials no picture shows, each once; of many the first few."""
-    found = [note for mesh in rig.meshes if mesh.visible for note in mesh.undrawn]
-    told = list(dict.fromkeys(found))
-    if len(told) > UNDRAWN_TOLD:
-        told[UNDRAWN_TOLD:] = [f"and {len(told) - UNDRAWN_TOLD} more"]
-    return (f"drawn without its textures: {'; '.join(told)}",) if told else ()
 
 
 def _spread(take: Take) -> FloatArray:

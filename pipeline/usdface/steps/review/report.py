@@ -31,11 +31,9 @@ from usdface.runner.result import StepResult
 from usdface.specs.review import AUTO, FramePick, ReportSpec
 from usdface.steps.inputs.phone_labels import labels_at
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
-from usdface.steps.review.frame_choice import ChosenFrame, choose_frames
-from usdface.steps.review.pictures import Shot, open_shot, undrawn
-from usdface.steps.review.report_coverage import show_coverage
-from usdface.steps.review.report_tables import evaluate_shown, listings
-from usdface.steps.review.scoring import read_keys, set_up_shot_baseline
+from usdface.steps.review.report_tables import evaluate_shown, listings, show_coverage
+from usdface.steps.review.scoring import ChosenFrame, choose_frames, read_keys, set_up_shot_baseline
+from usdface.steps.review.shot import Shot, open_shot
 from usdface.usdio.performance.read import PerformanceReader
 
 LONGEST_PICTURES = 36_000
@@ -74,7 +72,7 @@ def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent
     evaluation = evaluate_shown(shot, truth)
     progress(0.2, "packing the face")
     view = shot.camera(spec.camera, spec.camera_stage)
-    notes += [*view.notes(clock.first_frame), *undrawn(shot.rig)]
+    notes += [*view.notes(clock.first_frame), *shot.rig.undrawn_notes()]
     face = pack_face(shot.rig, camera=None if spec.camera == AUTO else view.at(clock.first_frame))
     movie = _movie(spec, shot, clock, notes, part(progress, 0.25, 0.93))
     frames = shot.frames[rows]

@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import IntArray
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
@@ -15,28 +15,24 @@ from usdface.core.text import pluralize
 from usdface.media.picture.display_view import display_view
 from usdface.media.picture.error_strip import ErrorCurve
 from usdface.media.picture.image import write_image
-from usdface.media.picture.sheet import SheetPage, SheetRow, compose_sheet, round_range
+from usdface.media.picture.sheet import SheetPage, SheetRow, Tile, compose_sheet, round_range
+from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.review import AUTO, FramePick, SheetLayout, SheetSpec
 from usdface.steps.inputs.phone_labels import labels_at
-from usdface.steps.review.frame_choice import ChosenFrame, choose_frames
-from usdface.steps.review.pictures import (
-    EXAGGERATION,
-    Shot,
-    ShotPictures,
-    open_shot,
-    undrawn,
-)
+from usdface.steps.review.pictures import EXAGGERATION, ShotPictures
 from usdface.steps.review.scoring import (
+    ChosenFrame,
     Score,
+    choose_frames,
     read_keys,
     score,
     set_up_shot_baseline,
     surface_distance,
     uncertainty_curves,
 )
-from usdface.steps.review.sheet_columns import sheet_columns
+from usdface.steps.review.shot import Shot, open_shot
 
 PICKS: dict[SheetLayout, FramePick] = {
     "comparison": "expression",
@@ -93,7 +89,7 @@ def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress = silent)
                 judged,
                 stand_in_eyes=any(each.stand_in_eyes for each in pictures),
                 doubted=shot.performance.confidence is not None,
-                plain=any(undrawn(each.rig) for each in shots),
+                plain=any(each.rig.undrawn_notes() for each in shots),
                 spoken=any(said),
                 markers=spec.layout != "strip",
             ),
@@ -116,7 +112,7 @@ def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress = silent)
         written = _write_pages(spec, page, len(chosen), draw, shot, provenance)
     progress(1.0, "done")
     told = dict.fromkeys(note for each in cameras for note in each.notes(int(shot.frames[0])))
-    told |= dict.fromkeys(note for each in shots for note in undrawn(each.rig))
+    told |= dict.fromkeys(note for each in shots for note in each.rig.undrawn_notes())
     return _report(written, shot.frames, judged, chosen, truth is not None, tuple(told))
 
 
@@ -275,3 +271,79 @@ def _report(
             "against_truth": truth_known,
         },
     )
+
+
+@dataclass(frozen=True)
+class Column:
+    """Something drawn for every row."""
+
+    head: str
+    draw: Callable[[int], Tile]
+
+
+def sheet_columns(
+    spec: SheetSpec,
+    shots: list[Shot],
+    pictures: list[ShotPictures],
+    judged: list[Score],
+    equation: BlendshapeEquation,
+    truth: FloatArray | None,
+    chosen: list[ChosenFrame],
+    high: float,
+) -> list[Column]:
+    """Return what the layout puts side by side."""
+    shot, drawn = shots[0], pictures[0]
+    columns: list[Column] = []
+    if shot.take.video is not None:
+        columns.append(Column("video", lambda row: drawn.video(int(shot.frames[row]))))
+    if spec.layout != "strip":
+        explained = dict(
+            zip(
+                [frame.row for frame in chosen],
+                equation.explained(shot.weights[[frame.row for frame in chosen]]),
+                strict=True,
+            )
+        )
+        columns.append(
+            Column("markers", lambda row: Tile(drawn.markers(row, explained=explained[row])))
+        )
+    names = {"equation": "equation solving", "usdface": "this performance"}
+    others = iter(pictures[1:])
+    for each in judged:
+        own = drawn if each.label in names else next(others)
+        columns.append(Column(names.get(each.label, each.label), _face(own, each)))
+    compared = _compared(judged, truth)
+    if spec.difference and compared is not None and spec.layout in ("comparison", "worst"):
+        columns.append(
+            Column(
+                f"away from {compared[0]}", _away(drawn, shot.weights, compared[1], high_mm=high)
+            )
+        )
+    return columns
+
+
+def _face(pictures: ShotPictures, judged: Score) -> Callable[[int], Tile]:
+    def draw(row: int) -> Tile:
+        error = float(judged.error_mm[row])
+        value = None if np.isnan(error) else error
+        return Tile(pictures.face(row, judged.weights[row]), value=value)
+
+    return draw
+
+
+def _away(
+    pictures: ShotPictures, weights: FloatArray, other: FloatArray, *, high_mm: float
+) -> Callable[[int], Tile]:
+    def draw(row: int) -> Tile:
+        if np.isnan(other[row]).any():
+            return Tile(None, caption="nothing keyed here")
+        painted = pictures.difference(row, weights[row], other[row], high_mm=high_mm)
+        return Tile(painted.picture, caption=f"at most {painted.largest_mm:.1f} mm")
+
+    return draw
+
+
+def _compared(judged: list[Score], truth: FloatArray | None) -> tuple[str, FloatArray] | None:
+    if truth is not None:
+        return "truth", truth
+    return next((("equation", j.weights) for j in judged if j.label == "equation"), None)

@@ -56,12 +56,11 @@ class SelectionScene:
 
     def positions(self, rows: IntArray) -> FloatArray:
         """Return markers at rows of all takes, without putting the takes together."""
-        return _rows_of(self.takes, rows)
+        return self.takes.positions_at(rows).astype(np.float64)
 
     def usable(self, rows: IntArray) -> BoolArray:
         """Return which markers were measured or repaired at rows of all takes."""
-        places = zip(*_places(self.takes, rows), strict=True)
-        return np.array([self.takes.usable[clip][row] for clip, row in places], dtype=np.bool_)
+        return self.takes.usable_at(rows)
 
     def coordinates(self, rows: IntArray) -> FloatArray:
         """Return rows of all takes in the motion space."""
@@ -103,7 +102,9 @@ def set_up_scene(takes: CleanedTakes, rig: Rig, *, progress: Progress) -> Select
     stand_ins = CandidateMarkers(
         features=space.features(motion.sample),
         weights=weights,
-        of_rows=lambda rows: stand_in(_coordinates(motion, _rows_of(takes, rows))),
+        of_rows=lambda rows: stand_in(
+            _coordinates(motion, takes.positions_at(rows).astype(np.float64))
+        ),
         gram=deformer.shapes.gram(),
     )
     features = _features(takes, motion, space)
@@ -161,20 +162,6 @@ def _coordinates(motion: MotionSpace, positions: FloatArray) -> FloatArray:
     return np.asarray((packed - motion.mean) @ motion.components.T)
 
 
-def _places(takes: CleanedTakes, rows: IntArray) -> tuple[list[int], list[int]]:
-    """Return the take of each row, and its row there."""
-    starts = np.cumsum([0, *(len(clip) for clip in takes.positions)])
-    clip = np.searchsorted(starts, rows, side="right") - 1
-    return clip.tolist(), (rows - starts[clip]).tolist()
-
-
-def _rows_of(takes: CleanedTakes, rows: IntArray) -> FloatArray:
-    places = zip(*_places(takes, rows), strict=True)
-    return np.array([takes.positions[clip][row] for clip, row in places], dtype=np.float64).reshape(
-        len(rows), len(takes.marker_names), 3
-    )
-
-
 _GLANCE_FRAMES = 2000
 """Frames spread over a take by which its head is put where the mapping's was."""
 
@@ -206,14 +193,10 @@ def takes_prediction(mapping: TrainedMapping, takes: CleanedTakes) -> TakesPredi
 
 
 def _markers(takes: CleanedTakes, rows: IntArray) -> Markers:
-    starts = np.cumsum([0, *(len(clip) for clip in takes.positions)])
-    clip = np.searchsorted(starts, rows, side="right") - 1
-    own = rows - starts[clip]
-    at = list(zip(clip.tolist(), own.tolist(), strict=True))
-    visible = np.array([takes.usable[i][row] for i, row in at])
+    visible = takes.usable_at(rows)
     return Markers(
         names=takes.marker_names,
-        positions=np.array([takes.positions[i][row] for i, row in at], dtype=np.float32),
+        positions=takes.positions_at(rows),
         visible=visible,
         confidence=visible.astype(np.float32),
         rigid=takes.rigid,

@@ -1,0 +1,222 @@
+"""A shot: performance, take and rig over the frames they share, and where it is seen from."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.assets import Performance, Rig, Take
+from usdface.core.deformer import Deformer
+from usdface.core.errors import InputError
+from usdface.core.timecode import shift_timecode
+from usdface.media.face.camera import Camera, frame_rig, motion_weights
+from usdface.specs.paths import frame_range
+from usdface.specs.review import AUTO
+from usdface.steps.inputs.cleaned_takes import read_cleaned
+from usdface.usdio.performance.read import PerformanceReader, read_performance
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.stage_camera import StageCamera, StageView
+
+_YAW_DEGREES = 12.0
+"""A little from the side, where lips and lids show their depth."""
+
+WIDEST = 3.0
+"""Width over height at which a picture is cut: wider film would leave a face of few pixels."""
+
+SMALL_SHARE = 0.2
+"""Of the picture's height; a face that is lower cannot be judged by lips and lids."""
+
+
+class ShotCamera:
+    """One camera for all pictures of a shot.
+
+    Parameters
+    ----------
+    performance_file : Path
+    performance : Performance
+    rig : Rig
+    name : str
+        ``'auto'``, or the path of a camera.
+    stage : Path, optional
+        The stage that holds it; the performance by default.
+    """
+
+    def __init__(
+        self,
+        performance_file: Path,
+        performance: Performance,
+        rig: Rig,
+        *,
+        name: str = AUTO,
+        stage: Path | None = None,
+    ) -> None:
+        self._rig = rig
+        self._framed = frame_rig(rig.meshes, yaw_degrees=_YAW_DEGREES)
+        self._name = name
+        self._stage: StageCamera | None = None
+        if name != AUTO:
+            self._stage = StageCamera(
+                stage or performance_file,
+                name,
+                rig_file=performance.rig_file,
+                rig_prim=performance.rig_prim,
+                rate=performance.weights.rate,
+            )
+
+    def at(self, frame: int) -> Camera:
+        """Return the camera at a frame."""
+        if self._stage is None:
+            return self._framed
+        return _as_camera(self._stage.at(frame), self._framed)
+
+    def width(self, height: int, frame: int) -> int:
+        """Return how wide pictures of a height are: square, or as the camera's film at a frame."""
+        if self._stage is None:
+            return height
+        return max(round(height * min(self._stage.at(frame).aspect, WIDEST)), 1)
+
+    def notes(self, frame: int) -> tuple[str, ...]:
+        """Return what to know of the camera, by how it sees the face at a frame."""
+        if self._stage is None:
+            return ()
+        found = []
+        if not self._stage.holds_character:
+            found.append(
+                f"{self._rig.file.name} is not in the camera's stage: it is drawn at its origin"
+            )
+        height = 1000
+        width = self.width(height, frame)
+        seen = self.at(frame).project(_face_points(self._rig), width=width, height=height)
+        inside = (seen[:, 2] > 0) & np.all((seen[:, :2] > 0) & (seen[:, :2] < (width, height)), 1)
+        if not inside.any():
+            found.append(f"{self._name} does not see the face at frame {frame}")
+        elif np.ptp(seen[:, 1]) < SMALL_SHARE * height:
+            share = 100 * np.ptp(seen[:, 1]) / height
+            found.append(
+                f"the face is {share:.0f} % of the height of what {self._name} sees at frame "
+                f"{frame}: judge lips and lids with --camera auto"
+            )
+        return tuple(found)
+
+
+def _as_camera(view: StageView, framed: Camera) -> Camera:
+    """Turn a stage's view into a camera that aims at the depth of the face."""
+    reach = float(np.subtract(framed.target, view.eye) @ view.forward)
+    aim = view.eye + (reach if reach > 0 else 1000.0) * view.forward
+    return Camera(
+        eye=_triple(view.eye),
+        target=_triple(aim),
+        fov_degrees=view.fov_degrees,
+        up=_triple(view.up),
+        shift=view.shift,
+        span_mm=view.span_mm,
+    )
+
+
+def _face_points(rig: Rig) -> FloatArray:
+    points = np.concatenate([mesh.points for mesh in rig.meshes])
+    reach = motion_weights(rig.meshes)
+    return points[reach > 0] if np.any(reach > 0) else points
+
+
+def _triple(vector: FloatArray) -> tuple[float, float, float]:
+    x, y, z = (float(each) for each in vector)
+    return x, y, z
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A performance, the take it came from and the face that acts it, over shared frames.
+
+    Attributes
+    ----------
+    performance_file : Path
+    take : Take
+    performance : Performance
+    rig : Rig
+    deformer : Deformer
+    frames : (frames,) int array
+        Frame numbers.
+    weights : (frames, shapes) float array
+        In the rig's order.
+    """
+
+    performance_file: Path
+    take: Take
+    performance: Performance
+    rig: Rig
+    deformer: Deformer
+    frames: IntArray
+    weights: FloatArray
+
+    def camera(self, name: str = AUTO, stage: Path | None = None) -> ShotCamera:
+        """Return where its pictures are taken from; see `ShotCamera`."""
+        return ShotCamera(self.performance_file, self.performance, self.rig, name=name, stage=stage)
+
+    @property
+    def positions(self) -> FloatArray:
+        """Markers of the shared frames, (frames, markers, 3) [mm]."""
+        markers = self.take.markers
+        if markers is None:
+            raise InputError(f"{self.take.name}: has no markers")
+        return markers.positions[self.frames - self.take.first_frame].astype(np.float64)
+
+    def timecode(self, frame: int) -> str:
+        """Return the SMPTE label of a frame; empty when the take has none."""
+        return shift_timecode(
+            self.take.timecode_start, frame - self.take.first_frame, self.take.rate
+        )
+
+
+def open_shot(performance_file: Path, take_file: Path, *, frames: str | None = None) -> Shot:
+    """Read a performance with the take it was mapped from.
+
+    Parameters
+    ----------
+    performance_file, take_file : Path
+    frames : str, optional
+        FIRST-LAST, to use no others.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, they share no frame, or the performance was moved in time.
+    """
+    moved = PerformanceReader(performance_file).moved
+    if moved:
+        raise InputError(
+            f"{performance_file}: a layer offset moves its weights by {moved:+g} frames, so its "
+            f"frames are not those of {take_file}; show the performance as it was mapped, without "
+            "the offset"
+        )
+    performance = read_performance(performance_file)
+    take = read_cleaned(take_file)
+    rig = read_rig(performance.rig_file, prim=performance.rig_prim)
+    clip = performance.weights
+    first = max(clip.first_frame, take.first_frame)
+    last = min(clip.first_frame + len(clip.values), take.first_frame + take.frame_count)
+    limits = frame_range(frames)
+    if limits is not None:
+        first, last = max(first, limits[0]), min(last, limits[1] + 1)
+    if last <= first:
+        raise InputError(
+            f"{performance_file}: shares no frame with {take_file}"
+            + (f" in {frames}" if frames else "")
+            + "; is it the take it was mapped from?"
+        )
+    numbers = np.arange(first, last, dtype=np.int64)
+    weights = weights_in_rig_order(performance, rig, numbers)
+    return Shot(performance_file, take, performance, rig, Deformer(rig), numbers, weights)
+
+
+def weights_in_rig_order(performance: Performance, rig: Rig, frames: IntArray) -> FloatArray:
+    """Return (frames, shapes) weights; 0 for shapes that the performance does not drive."""
+    clip = performance.weights
+    rows = clip.values[frames - clip.first_frame].astype(np.float64)
+    place = {name: index for index, name in enumerate(clip.names)}
+    out = np.zeros((len(frames), len(rig.shapes)))
+    for index, name in enumerate(rig.shapes):
+        if name in place:
+            out[:, index] = rows[:, place[name]]
+    return out
