@@ -266,11 +266,12 @@ class Rig:
         remedy : str
             What the message advises.
         """
-        missing = [name for name in shapes if name not in self.shapes]
+        names = list(shapes)
+        missing = [name for name in names if name not in self.shapes]
         if missing:
             raise InputError(
-                f"{source}: {pluralize(len(missing), 'shape')} of it not on {self.file}: "
-                f"{first_few(missing)}; {remedy}"
+                f"{source}: {len(missing)} of its {pluralize(len(names), 'shape')} are not on "
+                f"{self.file} ({first_few(missing, most=3)}); {remedy}"
             )
 
     def undrawn_notes(self) -> tuple[str, ...]:
