@@ -49,7 +49,7 @@ def join_parts(path: Path) -> None:
 
 
 def read_still(path: Path) -> None:
-    from usdface.media.picture.read import read_picture
+    from usdface.media.picture.image import read_picture
 
     read_picture(path)
 

@@ -10,8 +10,7 @@ from usdface.core.assets import References, Take
 from usdface.core.errors import InputError
 from usdface.media.film.image_sequence import ImageSequence, open_video
 from usdface.media.film.video import VideoReader
-from usdface.media.picture.jpeg import encode_jpeg
-from usdface.media.picture.read import read_picture
+from usdface.media.picture.image import encode_image, read_picture
 from usdface.usdio.references.tuning import PairNotes
 from usdface.usdio.take.read import TakeReader
 
@@ -63,7 +62,7 @@ class PairPictures:
         """
         with self._guard:
             if pair not in self._cached:
-                self._cached[pair] = encode_jpeg(self._find(pair))
+                self._cached[pair] = encode_image(self._find(pair), max_height=1080)
                 while len(self._cached) > CACHED_PICTURES:
                     self._cached.popitem(last=False)
             self._cached.move_to_end(pair)

@@ -1,10 +1,12 @@
 """Curves before and after: what is chosen, what is shown, what is where."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 from usdface.core.errors import InputError
-from usdface.media.charts import motion_curves, plot
+from usdface.media.charts.axes import add_axes, new_figure, plot_curve, render
 from usdface.media.charts.motion_curves import (
     MOST_WINDOWS,
     Curve,
@@ -14,7 +16,7 @@ from usdface.media.charts.motion_curves import (
     draw_motion_curves,
     windows_around,
 )
-from usdface.media.charts.plot import Plot
+from usdface.media.picture.color import SERIES_COLORS
 
 NAMES = ("still", "left", "right", "angle", "little")
 
@@ -45,11 +47,11 @@ def test_the_curve_lies_where_its_values_are_and_the_span_is_shaded() -> None:
     panel = Panel("weight", "", (Curve("w", np.linspace(0, 1, 101), (255, 0, 0)),))
     plain = draw_motion_curves("t", (), [panel], first_frame=1)
     red = (plain[..., 0] > 200) & (plain[..., 1] < 60) & (plain[..., 2] < 60)
-    red[:190] = False  # the legend
+    red[:, -40:] = False  # the curve's name
     rows, columns = np.nonzero(red)
     rising = np.polyfit(columns, rows, 1)[0]
     assert rising < 0  # up the picture as the weight grows
-    assert np.ptp(columns) > 1600
+    assert np.ptp(columns) > 1500
     shaded = draw_motion_curves("t", (), [panel], first_frame=1, spans=[FrameSpan(40, 60, "joy")])
     changed = np.nonzero((shaded != plain).any(axis=(0, 2)))[0]
     assert changed.min() > 0.35 * 1800
@@ -71,31 +73,58 @@ def test_nothing_that_changes_is_nothing_to_draw() -> None:
         draw_motion_curves("t", (), before_and_after(NAMES, before, before), first_frame=1)
 
 
-def test_the_name_of_a_span_is_read_where_a_curve_passes(monkeypatch) -> None:
-    drawn: list[str] = []
-    for name in ("draw_text", "fill_box"):
-        real = getattr(motion_curves, name)
-
-        def keep(*given, real=real, name=name, **more):
-            drawn.append(f"{name} {given[1]}")
-            return real(*given, **more)
-
-        monkeypatch.setattr(motion_curves, name, keep)
-    curve = Curve("w", np.ones(60), (255, 0, 0))
-    monkeypatch.setattr(Plot, "draw_curve", lambda self, *given: drawn.append("curve"))
-    panel = Panel("weight", "", (curve,))
-    draw_motion_curves("t", (), [panel], first_frame=1, spans=[FrameSpan(20, 40, "joy")])
-    assert drawn.index("draw_text joy") > drawn.index("curve")
-    assert drawn[drawn.index("draw_text joy") - 1].startswith("fill_box"), "a ground of its own"
+def test_the_name_of_a_span_is_read_where_a_curve_passes() -> None:
+    values = np.where(np.arange(60) < 59, 1.0, 0.0)
+    flat = Panel("weight", "", (Curve("w", values, (255, 0, 0)),))
+    plain = draw_motion_curves("t", (), [flat], first_frame=1)
+    named = draw_motion_curves("t", (), [flat], first_frame=1, spans=[FrameSpan(20, 40, "joy")])
+    # The curve lies at the top of its panel, where the name is: a ground of its own covers it.
+    red = (plain == (255, 0, 0)).all(axis=2)
+    covered = red & (np.abs(named.astype(int) - plain).max(axis=2) > 60)
+    assert 20 < covered.any(axis=0).sum() < 80
 
 
-def test_there_is_no_half_frame_and_one_frame_is_a_dot(monkeypatch) -> None:
-    labels: list[str] = []
-    draw = plot.draw_text
-    monkeypatch.setattr(
-        plot, "draw_text", lambda *given, **more: (labels.append(given[1]), draw(*given, **more))[1]
+def test_there_is_no_half_frame_and_one_frame_is_a_dot() -> None:
+    figure = new_figure(400, 200)
+    axes = add_axes(figure, (40, 20, 340, 150), whole=True)
+    axes.set_xlim(99.5, 100.5)
+    axes.set_ylim(0, 1)
+    plot_curve(axes, np.array([100.0]), np.array([0.5]), (255, 0, 0))
+    picture = render(figure)
+    labels = {label.get_position()[0]: label.get_text() for label in axes.get_xticklabels()}
+    assert {at: label for at, label in labels.items() if 99.5 <= at <= 100.5} == {100: "100"}
+    assert (picture == (255, 0, 0)).all(axis=2).sum() > 30
+
+
+def test_every_curve_is_named_at_its_end_and_no_name_lies_on_another() -> None:
+    colors = SERIES_COLORS[:5]
+    curves = tuple(
+        Curve(f"method {k}", np.full(60, 1 + 1e-3 * k), color) for k, color in enumerate(colors)
     )
-    panel = Panel("weight", "", (Curve("w", np.array([0.5]), (255, 0, 0)),))
-    picture = draw_motion_curves("t", (), [panel], first_frame=100)
-    assert [label for label in labels if label.startswith(("99", "100"))] == ["100"]
-    assert (picture[190:] == (255, 0, 0)).all(axis=2).sum() > 30
+    picture = draw_motion_curves("t", (), [Panel("e", "mm", curves)], first_frame=1, from_zero=True)
+    names = picture[:, -110:].astype(int)
+    rows = [
+        np.flatnonzero((np.abs(names - color).max(axis=2) < 30).any(axis=1)) for color in colors
+    ]
+    for lower, higher in pairwise(rows):
+        assert higher.max() < lower.min()
+
+
+def test_a_long_curve_keeps_its_peaks() -> None:
+    heights = np.zeros(400_000)
+    heights[123_456] = 1.0
+    figure = new_figure(400, 200)
+    axes = add_axes(figure, (40, 20, 340, 150))
+    axes.set_xlim(0, len(heights))
+    axes.set_ylim(-0.1, 1.1)
+    plot_curve(axes, np.arange(400_000.0), heights, (255, 0, 0))
+    picture = render(figure).astype(int)
+    red = (picture[..., 0] > 150) & (picture[..., 1] < 60)
+    assert red[40].sum() in (1, 2, 3)
+    assert np.flatnonzero(red[40]).mean() == pytest.approx(40 + 340 * 123_456 / 400_000, abs=2)
+
+
+def test_pictures_are_the_same_each_time() -> None:
+    panels = before_and_after(NAMES, *motions())
+    one, other = (draw_motion_curves("t", (), panels, first_frame=1) for _ in range(2))
+    np.testing.assert_array_equal(one, other)

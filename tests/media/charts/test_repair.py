@@ -1,10 +1,16 @@
-"""The picture of what cleaning mended."""
+"""The picture of what cleaning repaired."""
 
 import numpy as np
 import pytest
 
 from usdface.core.errors import InputError
-from usdface.media.charts.repair import HEAD_HEIGHT, LABEL_WIDTH, MARGIN, RepairKind, draw_repairs
+from usdface.media.charts.repair import (
+    HEAD_HEIGHT,
+    LABEL_WIDTH,
+    PAGE_MARGIN,
+    RepairKind,
+    draw_repairs,
+)
 
 
 def kind(label: str, color: tuple[int, int, int], *cells: tuple[int, int]) -> RepairKind:
@@ -19,11 +25,11 @@ def draw(*kinds: RepairKind) -> np.ndarray:
 
 
 def test_a_single_repaired_sample_of_a_long_take_shows() -> None:
-    picture = draw(kind("stray", (255, 0, 255), (4321, 1)))
-    lanes = picture[HEAD_HEIGHT:, MARGIN + LABEL_WIDTH :]
+    picture = draw(kind("outlier", (255, 0, 255), (4321, 1)))
+    lanes = picture[HEAD_HEIGHT:, PAGE_MARGIN + LABEL_WIDTH :]
     columns = np.flatnonzero((lanes == (255, 0, 255)).all(axis=2).any(axis=0))
     assert len(columns) == 1
-    assert columns[0] / lanes[:, :-MARGIN].shape[1] == pytest.approx(4321 / 5000, abs=0.002)
+    assert columns[0] / lanes[:, :-PAGE_MARGIN].shape[1] == pytest.approx(4321 / 5000, abs=0.002)
 
 
 def test_only_repaired_markers_have_a_lane_and_the_worst_comes_first() -> None:

@@ -6,7 +6,7 @@ import pytest
 from tests.small_scan import small_scan
 from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
-from usdface.media.picture.binding_picture import BoundMarkers, _spread, draw_binding
+from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
 
 ORANGE = np.array([255, 128, 72])
 
@@ -25,17 +25,6 @@ def test_doubtful_markers_are_marked_and_the_sure_ones_are_not() -> None:
 
     # The key shows one orange dot in either picture.
     assert orange(0.2) > orange(0.9) + 200
-
-
-def test_names_keep_their_order_their_distance_and_the_page() -> None:
-    rng = np.random.default_rng(0)
-    rows = np.sort(rng.uniform(0, 400, 30))
-    spread = _spread(rows, spacing=12.0, height=400)
-    assert np.diff(spread).min() >= 12.0 - 1e-9
-    assert spread.min() >= 14 - 1e-9
-    assert spread.max() <= 386 + 1e-9
-    far = np.array([50.0, 150.0, 300.0])
-    np.testing.assert_allclose(_spread(far, spacing=12.0, height=400), far)
 
 
 def test_a_binding_without_markers_is_refused() -> None:

@@ -1,13 +1,20 @@
+import io
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 import pytest
+from PIL import Image
 
 from usdface.core.errors import InputError
-from usdface.media.picture.image import read_image_metadata, write_image
-from usdface.media.picture.smpte import pack_timecode, unpack_timecode
+from usdface.media.picture.image import (
+    encode_image,
+    pack_timecode,
+    read_image_metadata,
+    unpack_timecode,
+    write_image,
+)
 
 PICTURE = np.random.default_rng(0).integers(0, 256, (24, 32, 3), dtype=np.uint8)
 
@@ -112,3 +119,28 @@ def test_broken_picture_is_refused_by_name(tmp_path: Path) -> None:
     path.write_bytes(b"not a picture")
     with pytest.raises(InputError, match=r"broken\.png"):
         read_image_metadata(path)
+
+
+def decode(data: bytes) -> np.ndarray:
+    return np.array(Image.open(io.BytesIO(data)))
+
+
+def gradient(height: int, width: int) -> np.ndarray:
+    rows, columns = np.mgrid[:height, :width]
+    red, green = 255 * rows / height, 255 * columns / width
+    return np.stack([red, green, np.full_like(red, 90)], axis=-1).astype(np.uint8)
+
+
+def test_a_picture_comes_back_in_its_colours() -> None:
+    picture = gradient(101, 77)
+    back = decode(encode_image(picture))
+    assert back.shape == picture.shape
+    assert np.abs(back.astype(int) - picture).mean() < 2.5
+
+
+def test_a_tall_picture_is_made_smaller_and_keeps_its_proportions() -> None:
+    assert decode(encode_image(gradient(600, 300), max_height=200)).shape == (200, 100, 3)
+
+
+def test_png_in_memory_keeps_every_pixel() -> None:
+    np.testing.assert_array_equal(decode(encode_image(PICTURE, "png")), PICTURE)

@@ -6,7 +6,12 @@ import pytest
 from usdface.core.errors import InputError
 from usdface.media.picture import sheet as sheet_module
 from usdface.media.picture.color import bytes_from_linear, heat_ramp
-from usdface.media.picture.error_strip import ErrorCurve, draw_error_strip
+from usdface.media.picture.error_strip import (
+    LABEL_WIDTH,
+    ErrorCurve,
+    ErrorStrip,
+    draw_error_strip,
+)
 from usdface.media.picture.sheet import (
     SheetPage,
     SheetRow,
@@ -18,7 +23,7 @@ from usdface.media.picture.sheet import (
 from usdface.media.picture.sheet_layout import lay_out, legend_lines
 from usdface.media.picture.tiles import empty_tile, fit_picture
 
-COLUMNS = ("video", "markers", "baseline", "ours")
+COLUMNS = ("video", "markers", "baseline", "solve")
 
 
 def make_spec(row_count: int = 12, **changes) -> SheetPage:
@@ -44,7 +49,7 @@ def make_spec(row_count: int = 12, **changes) -> SheetPage:
         facts=("take 3", "performer Jürgen"),
         curves=(
             ErrorCurve("baseline", rng.uniform(1, 3, 500)),
-            ErrorCurve("ours", rng.random(500)),
+            ErrorCurve("solve", rng.random(500)),
         ),
         first_frame=1,
         notes=("hollow: not seen",),
@@ -92,7 +97,7 @@ def test_an_error_is_never_cut_to_other_digits(tile_height: int, monkeypatch) ->
 
     monkeypatch.setattr(sheet_module, "draw_text", keep)
     tile = Tile(np.full((96, 60, 3), 120, np.uint8), value=12.53)
-    compose_sheet(make_spec(columns=("ours",), rows=(SheetRow(1, "", (tile,)),), tile_height=64))
+    compose_sheet(make_spec(columns=("solve",), rows=(SheetRow(1, "", (tile,)),), tile_height=64))
     compose_sheet(make_spec(tile_height=tile_height))
     wanted = ("12.53", "2.00", "0.50")
     values = [(text, width) for text, width in drawn if text.startswith(wanted)]
@@ -102,7 +107,7 @@ def test_an_error_is_never_cut_to_other_digits(tile_height: int, monkeypatch) ->
 
 @pytest.mark.parametrize("width", [800, 1000, 1600, 4000])
 def test_notes_are_told_whole_whatever_the_width(width: int, monkeypatch) -> None:
-    notes = ("error: RMS distance of the markers from what the weights explain; not the truth",) * 3
+    notes = ("error: RMS distance of the markers from what the weights explain; not the keys",) * 3
     lines = legend_lines(notes, width)
     assert " ".join(lines).replace("   ·   ", " ") == " ".join(notes)
     cut: list[str] = []
@@ -123,33 +128,35 @@ def test_sheet_without_curves_values_and_facts_is_still_made() -> None:
 def test_strip_keeps_the_peak_of_a_single_frame() -> None:
     values = np.zeros(100_000)
     values[61_803] = 2.0
-    page = np.zeros((120, 700, 3), np.uint8)
-    draw_error_strip(page, [ErrorCurve("", values)], x=0, y=0, width=696, first_frame=0, high=2.0)
+    page = np.zeros((120, 720, 3), np.uint8)
+    strip = ErrorStrip((ErrorCurve("", values),), first_frame=0, high=2.0)
+    draw_error_strip(page, strip, x=0, y=0, width=LABEL_WIDTH + 584)
     hot = bytes_from_linear(heat_ramp(np.array([2.0]), high=2.0))[0]
     columns = np.flatnonzero(np.all(page == hot, axis=2).any(axis=0))
     assert len(columns) == 1
-    assert columns[0] == pytest.approx(112 + 0.61803 * 584, abs=1)
+    assert columns[0] == pytest.approx(LABEL_WIDTH + 0.61803 * 584, abs=1)
 
 
 def test_strip_marks_the_frames_of_the_rows() -> None:
-    page = np.zeros((120, 696, 3), np.uint8)
+    page = np.zeros((120, 720, 3), np.uint8)
     marked = page.copy()
     curve = ErrorCurve("", np.ones(600))
-    options = {"x": 0, "y": 0, "width": 696, "first_frame": 1000, "high": 2.0}
-    draw_error_strip(page, [curve], **options)
-    draw_error_strip(marked, [curve], **options, marks=[(1300, "1")])
+    for picture, marks in ((page, ()), (marked, ((1300, "1"),))):
+        strip = ErrorStrip((curve,), first_frame=1000, high=2.0, marks=marks)
+        draw_error_strip(picture, strip, x=0, y=0, width=LABEL_WIDTH + 584)
     columns = np.flatnonzero(np.any(page != marked, axis=(0, 2)))
-    assert abs(columns.mean() - (112 + 292)) < 4
+    assert abs(columns.mean() - (LABEL_WIDTH + 292)) < 4
 
 
 def test_unknown_errors_leave_a_gap() -> None:
     values = np.ones(600)
     values[200:400] = np.nan
-    page = np.zeros((120, 696, 3), np.uint8)
-    draw_error_strip(page, [ErrorCurve("", values)], x=0, y=0, width=696, first_frame=0, high=1.0)
-    lane = page[60]
-    assert np.all(lane[112 + 210 : 112 + 380] == lane[112 + 300])
-    assert np.any(lane[112 + 100] != lane[112 + 300])
+    page = np.zeros((120, 720, 3), np.uint8)
+    strip = ErrorStrip((ErrorCurve("", values),), first_frame=0, high=1.0)
+    draw_error_strip(page, strip, x=0, y=0, width=LABEL_WIDTH + 584)
+    lane = page[60, LABEL_WIDTH:]
+    assert np.all(lane[210:380] == lane[300])
+    assert np.any(lane[100] != lane[300])
 
 
 def test_range_is_round_and_holds_nearly_all() -> None:

@@ -2,17 +2,7 @@ import numpy as np
 import pytest
 
 from usdface.media.picture import text
-from usdface.media.picture.pixel_font import pixel_mask
 from usdface.media.picture.text import TextStyle, draw_text, shortened, text_mask, text_width
-
-
-@pytest.fixture
-def fresh_cache():
-    text.font_works.cache_clear()
-    text_mask.cache_clear()
-    yield
-    text.font_works.cache_clear()
-    text_mask.cache_clear()
 
 
 def test_umlauts_are_drawn_with_their_dots() -> None:
@@ -55,24 +45,34 @@ def test_long_names_are_cut_in_the_middle_to_fit() -> None:
 @pytest.mark.parametrize("weight", ["regular", "bold", "mono"])
 @pytest.mark.parametrize("letter", ["…", "Ł", "Ж", "Ω", "→", "撮"])
 def test_no_letter_is_left_out(weight: text.Weight, letter: str) -> None:
-    """Two of the fonts know none of these, and draw nothing."""
     with_it, without = (text_mask(word, size=30, weight=weight) for word in (f"x{letter}x", "x x"))
     gap = with_it[:, 20:-22]
     assert with_it.sum() > without.sum() + 20
     assert gap.max() > 0.5
-    apart = text_mask(f"a {letter} b", size=30, weight=weight)
-    assert apart.shape[1] > text_mask(f"a{letter}b", size=30, weight=weight).shape[1] + 6
+    spaced = text_mask(f"a {letter} b", size=30, weight=weight)
+    assert spaced.shape[1] > text_mask(f"a{letter}b", size=30, weight=weight).shape[1] + 6
 
 
-def test_without_a_font_labels_are_still_drawn(monkeypatch, fresh_cache) -> None:
-    monkeypatch.setattr(text, "_FONTS", dict.fromkeys(text._FONTS, "NoSuchFont"))
-    assert not text.font_works()
-    mask = text_mask("Größe 3.5 mm", size=20)
-    np.testing.assert_array_equal(mask, pixel_mask("GROSSE 3.5 MM", size=20))
-    assert mask.max() == 1
+@pytest.mark.parametrize("letter", ["Ł", "ż", "Ж", "й", "Ω", "ώ", "→", "…", "²"])
+def test_letters_of_europe_are_no_boxes(letter: str) -> None:
+    for weight in ("regular", "bold", "mono"):
+        assert not text._is_missing(letter, text.font_file(weight))
+
+
+def test_what_the_fonts_lack_is_drawn_by_a_font_of_this_machine(monkeypatch) -> None:
+    """STIX stands for a Japanese font: it has letters that DejaVu Sans Mono lacks."""
+    letter = "\N{MATHEMATICAL FRAKTUR CAPITAL A}"
+    mono = text.font_file("mono")
+    assert text._is_missing(letter, mono)
+    box = text_mask(letter, size=30, weight="mono").copy()
+    text_mask.cache_clear()
+    other = mono.with_name("STIXGeneral.ttf")
+    monkeypatch.setattr(text, "east_asian_font_file", lambda: other)
+    assert not np.array_equal(text_mask(letter, size=30, weight="mono"), box)
+    text_mask.cache_clear()
 
 
 def test_a_missing_font_says_what_to_install(monkeypatch) -> None:
-    monkeypatch.setattr(text, "_FONTS", dict.fromkeys(text._FONTS, "NoSuchFont"))
-    with pytest.raises(text.InputError, match=r"NoSuchFont.*install the OpenImageIO wheel"):
-        text.require_font()
+    monkeypatch.setattr(text, "_FONT_FILES", dict.fromkeys(text._FONT_FILES, "NoSuchFont.ttf"))
+    with pytest.raises(text.InputError, match=r"NoSuchFont.*install the matplotlib wheel"):
+        text.font_file("bold")

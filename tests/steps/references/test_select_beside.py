@@ -16,8 +16,7 @@ from usdface.core.errors import InputError
 from usdface.core.locks import TuningLock
 from usdface.core.sidecars import lock_path
 from usdface.core.text import pluralize
-from usdface.media.picture.image import read_image_metadata, write_image
-from usdface.media.picture.read import read_picture
+from usdface.media.picture.image import read_image_metadata, read_picture, write_image
 from usdface.runner.execute import execute
 from usdface.specs.references import (
     ReferencesCoverageSpec,

@@ -1,35 +1,59 @@
 """A performance's errors as one picture: over time by region, between the lips, shape by shape."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from usdface.core.arrays import ByteImage, FloatArray
 from usdface.core.errors import InputError
-from usdface.media.charts.plot import Plot
-from usdface.media.picture.canvas import Color, fill_box, new_picture
-from usdface.media.picture.color import bytes_from_linear, heat_ramp
-from usdface.media.picture.error_strip import ErrorCurve, draw_error_strip, strip_height
-from usdface.media.picture.palette import FIRST, PAGE, SECOND
-from usdface.media.picture.sheet import draw_header, draw_legend, round_range
-from usdface.media.picture.text import TextStyle, draw_text
+from usdface.media.charts.axes import (
+    add_axes,
+    add_label,
+    display_color,
+    new_figure,
+    plot_curve,
+    render,
+)
+from usdface.media.picture.color import (
+    BLUE,
+    BRIGHT,
+    DIM,
+    LANE,
+    ORANGE,
+    SOFT,
+    bytes_from_linear,
+    heat_ramp,
+)
+from usdface.media.picture.error_strip import (
+    LABEL_WIDTH,
+    ErrorCurve,
+    ErrorStrip,
+    draw_error_strip,
+    strip_height,
+)
+from usdface.media.picture.sheet import HEADER_HEIGHT, draw_header, draw_legend, round_range
+from usdface.media.picture.text import TextStyle, draw_text, shortened
 
-WIDTH = 1800
-MARGIN = 36
-HEAD = 112
-LEGEND = 44
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PAGE_WIDTH = 1800
+PAGE_MARGIN = 36
+_LEGEND_HEIGHT = 44
 LIPS_HEIGHT = 180
-ROW = 24
-COLUMNS = 3
+_ROW_HEIGHT = 24
+COLUMN_COUNT = 3
 MOST_SHAPES = 90
+NAME_WIDTH = 170
+_NUMBERS_WIDTH = 150
 
-_LANE: Color = (33, 35, 39)
-_BIAS: Color = (244, 245, 247)
-_HEAD = TextStyle(size=18, color=(222, 224, 228), weight="bold")
-_NAME = TextStyle(size=14, color=(196, 200, 206))
-_NUMBER = TextStyle(size=13, color=(196, 200, 206), weight="mono")
-_NOTE = TextStyle(size=14, color=(152, 157, 166))
+_CAPTION_STYLE = TextStyle(size=18, color=BRIGHT, weight="bold")
+_NAME_STYLE = TextStyle(size=16)
+_NOTE_STYLE = TextStyle(size=16, color=DIM)
 
 
 @dataclass(frozen=True)
@@ -39,6 +63,7 @@ class ShapeBar:
     Attributes
     ----------
     name : str
+        As on the rig.
     rmse, bias : float
         Root mean square and mean error of its weight.
     surface_mm : float
@@ -57,15 +82,13 @@ class EvaluationPage:
 
     Attributes
     ----------
-    title : str
-    facts : tuple of str
     curves : tuple of ErrorCurve
         The whole face first, then its regions [mm].
     first_frame : int
         Frame number of each curve's first value.
     worst : tuple of int
         Frames to mark.
-    lips_truth, lips_solved : (frames,) float array or None
+    lips_keys, lips_solve : (frames,) float array or None
         The distance between the lips [mm]; NaN at frames that were not compared.
     shapes : tuple of ShapeBar
         In the order to show.
@@ -76,8 +99,8 @@ class EvaluationPage:
     curves: tuple[ErrorCurve, ...]
     first_frame: int
     worst: tuple[int, ...] = ()
-    lips_truth: FloatArray | None = None
-    lips_solved: FloatArray | None = None
+    lips_keys: FloatArray | None = None
+    lips_solve: FloatArray | None = None
     shapes: tuple[ShapeBar, ...] = ()
 
 
@@ -91,88 +114,87 @@ def draw_evaluation(page: EvaluationPage) -> ByteImage:
     """
     if not page.curves:
         raise InputError(f"{page.title}: no error curve to draw")
-    shown = page.shapes[:MOST_SHAPES]
-    rows = -(-len(shown) // COLUMNS)
-    lips = page.lips_truth is not None and page.lips_solved is not None
-    height = HEAD + strip_height(len(page.curves)) + LEGEND + MARGIN
-    height += (LIPS_HEIGHT + 100 if lips else 0) + (rows * ROW + 70 if rows else 0)
-    picture = new_picture(WIDTH, height, PAGE)
-    inner = WIDTH - 2 * MARGIN
+    shapes = page.shapes[:MOST_SHAPES]
+    rows = -(-len(shapes) // COLUMN_COUNT)
+    lips_top = PAGE_MARGIN + HEADER_HEIGHT + strip_height(len(page.curves)) + _LEGEND_HEIGHT
+    shapes_top = lips_top
+    if page.lips_keys is not None and page.lips_solve is not None:
+        shapes_top += LIPS_HEIGHT + 100
+    bottom = shapes_top + (rows * _ROW_HEIGHT + 70 if rows else 0)
+    figure = new_figure(PAGE_WIDTH, bottom)
+    if page.lips_keys is not None and page.lips_solve is not None:
+        _draw_lips(figure, page.lips_keys, page.lips_solve, page.first_frame, y=lips_top + 28)
+    if shapes:
+        _draw_shapes(figure, shapes, y=shapes_top + 36)
+    picture = render(figure)
+
+    inner = PAGE_WIDTH - 2 * PAGE_MARGIN
     high = round_range(np.concatenate([curve.values for curve in page.curves]))
-    y = draw_header(picture, page.title, page.facts, x=MARGIN, y=MARGIN - 8, width=inner)
-    draw_error_strip(
-        picture,
-        page.curves,
-        x=MARGIN,
-        y=y,
-        width=inner,
-        first_frame=page.first_frame,
-        high=high,
-        marks=[(frame, str(frame)) for frame in page.worst],
-    )
+    y = draw_header(picture, page.title, page.facts, margin=PAGE_MARGIN)
+    marks = tuple((frame, str(frame)) for frame in page.worst)
+    strip = ErrorStrip(page.curves, page.first_frame, high, marks)
+    draw_error_strip(picture, strip, x=PAGE_MARGIN, y=y, width=inner)
     y += strip_height(len(page.curves))
-    note = "RMS distance of the surface from what it should be; numbers mark the worst frames"
-    draw_legend(picture, (note,), x=MARGIN, y=y, width=inner, high=high, unit="mm")
-    y += LEGEND
-    if page.lips_truth is not None and page.lips_solved is not None:
-        _draw_lips(picture, page.lips_truth, page.lips_solved, page.first_frame, y=y)
-        y += LIPS_HEIGHT + 100
-    if shown:
-        _draw_shapes(picture, shown, y=y, hidden=len(page.shapes) - len(shown))
+    note = "RMS distance of the surface from the keyed one; numbers mark the worst frames"
+    draw_legend(picture, (note,), x=PAGE_MARGIN, y=y, width=inner, high=high, unit="mm")
+    if shapes:
+        _write_shape_caption(picture, y=shapes_top, hidden=len(page.shapes) - len(shapes))
     return picture
 
 
 def _draw_lips(
-    picture: ByteImage, truth: FloatArray, solved: FloatArray, first_frame: int, *, y: int
+    figure: Figure, keys: FloatArray, solve: FloatArray, first_frame: int, *, y: int
 ) -> None:
-    """Draw both distances over the frames: where the orange lies above, the mouth stays open."""
-    frames = np.arange(first_frame, first_frame + len(truth), dtype=np.float64)
-    both = np.concatenate([truth, solved])
+    """Draw both distances over the frames: where the solve lies above, the mouth stays open."""
+    frames = np.arange(first_frame, first_frame + len(keys), dtype=np.float64)
+    both = np.concatenate([keys, solve])
     both = both[np.isfinite(both)]
-    low, top = min(float(both.min()), 0.0), max(float(both.max()), 1.0)
-    plot = Plot(
-        picture,
-        MARGIN + 112,
-        y + 28,
-        WIDTH - 2 * MARGIN - 112,
-        LIPS_HEIGHT,
-        float(first_frame) - 0.5,
-        float(first_frame + len(truth)) - 0.5,
-        low - 0.05 * (top - low),
-        top + 0.05 * (top - low),
-    )
-    plot.draw_axes("distance of the lips", across="frame", up="mm", whole=True)
-    plot.draw_curve(frames, truth, FIRST)
-    plot.draw_curve(frames, solved, SECOND)
-    x = plot.x + 330
-    for label, color in (("as it should be", FIRST), ("this performance", SECOND)):
-        fill_box(picture, x, y + 10, 18, 4, color)
-        x += 26 + draw_text(picture, label, x=x + 26, y=y + 2, style=_NOTE) + 28
+    low, high = min(float(both.min()), 0.0), max(float(both.max()), 1.0)
+    left = PAGE_MARGIN + LABEL_WIDTH
+    box = (left, y, PAGE_WIDTH - PAGE_MARGIN - left, LIPS_HEIGHT)
+    caption = "Distance of the lips"
+    axes = add_axes(figure, box, caption=caption, across="frame", up="mm", whole=True)
+    axes.set_xlim(first_frame - 0.5, first_frame + len(keys) - 0.5)
+    axes.set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
+    plot_curve(axes, frames, keys, BLUE)
+    plot_curve(axes, frames, solve, ORANGE)
+    for label, color, across in (("keys", BLUE, 260), ("solve", ORANGE, 320)):
+        add_label(axes, label, (0, 1), shift=(across, 10), color=color, bold=True)
 
 
-def _draw_shapes(picture: ByteImage, shapes: Sequence[ShapeBar], *, y: int, hidden: int) -> None:
-    draw_text(picture, "shape by shape", x=MARGIN, y=y, style=_HEAD)
-    note = "bar: error of the weight; colour: what it does to the surface; tick: its mean error"
+def _write_shape_caption(picture: ByteImage, *, y: int, hidden: int) -> None:
+    x = PAGE_MARGIN + 16
+    x += draw_text(picture, "Shape by shape", x=PAGE_MARGIN, y=y, style=_CAPTION_STYLE)
+    note = "bar: RMS error of the weight; colour: its error on the surface; tick: its mean error"
     if hidden:
         note += f"; {hidden} more shapes err less"
-    draw_text(picture, note, x=MARGIN + 160, y=y + 3, style=_NOTE)
-    y += 36
-    rows = -(-len(shapes) // COLUMNS)
-    column_width = (WIDTH - 2 * MARGIN) // COLUMNS
-    left, right = 170, 150
-    length = column_width - left - right
+    draw_text(picture, note, x=x, y=y + 2, style=_NOTE_STYLE)
+
+
+def _draw_shapes(figure: Figure, shapes: Sequence[ShapeBar], *, y: int) -> None:
+    rows = -(-len(shapes) // COLUMN_COUNT)
+    pitch = (PAGE_WIDTH - 2 * PAGE_MARGIN) // COLUMN_COUNT
     longest = max(max(shape.rmse for shape in shapes), 1e-9)
     high = max(max(shape.surface_mm for shape in shapes), 1e-9)
-    colors = bytes_from_linear(heat_ramp([shape.surface_mm for shape in shapes], high=high))
-    for number, shape in enumerate(shapes):
-        x = MARGIN + number // rows * column_width
-        top = y + number % rows * ROW
-        draw_text(picture, shape.name, x=x, y=top, style=_NAME, max_width=left - 10)
-        fill_box(picture, x + left, top + 3, length, ROW - 10, _LANE)
-        size = round(shape.rmse / longest * length)
-        red, green, blue = (int(value) for value in colors[number])
-        fill_box(picture, x + left, top + 3, max(size, 1), ROW - 10, (red, green, blue))
-        tick = round(min(abs(shape.bias) / longest, 1.0) * length)
-        fill_box(picture, x + left + tick, top + 1, 2, ROW - 6, _BIAS)
-        told = f"{shape.rmse:.3f} {shape.bias:+.3f}"
-        draw_text(picture, told, x=x + left + length + 8, y=top + 1, style=_NUMBER)
+    for column in range(COLUMN_COUNT):
+        listed = shapes[column * rows : (column + 1) * rows]
+        x = PAGE_MARGIN + column * pitch + NAME_WIDTH
+        box = (x, y, pitch - NAME_WIDTH - _NUMBERS_WIDTH, rows * _ROW_HEIGHT)
+        axes = add_axes(figure, box)
+        axes.set_axis_off()
+        axes.set_xlim(0, longest)
+        axes.set_ylim(rows - 0.5, -0.5)
+        places = np.arange(len(listed))
+        colors = bytes_from_linear(heat_ramp([bar.surface_mm for bar in listed], high=high)) / 255
+        thick = 14 / _ROW_HEIGHT
+        axes.barh(places, longest, thick, color=display_color(LANE))
+        axes.barh(places, [bar.rmse for bar in listed], thick, color=colors)
+        ticks = np.minimum(np.abs([bar.bias for bar in listed]), longest)
+        half = 9 / _ROW_HEIGHT
+        axes.vlines(ticks, places - half, places + half, color=display_color(BRIGHT), linewidth=2)
+        for place, bar in zip(places.tolist(), listed, strict=True):
+            middle = 1 - (place + 0.5) / rows
+            name = shortened(bar.name, _NAME_STYLE, max_width=NAME_WIDTH - 12)
+            add_label(axes, name, (0, middle), shift=(-NAME_WIDTH, -5), color=SOFT)
+            numbers = f"{bar.rmse:.3f}   {bar.bias:+.3f}".replace("-", "−")  # as wide as a plus
+            add_label(axes, numbers, (1, middle), shift=(10, -5), color=SOFT)

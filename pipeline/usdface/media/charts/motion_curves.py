@@ -1,40 +1,45 @@
 """Curves of controls before and after, and of errors of several methods: sheets to judge motion."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from usdface.core.arrays import ByteImage, FloatArray
 from usdface.core.errors import InputError
-from usdface.media.charts.plot import Plot
-from usdface.media.picture.canvas import Color, fill_box, new_picture
-from usdface.media.picture.palette import FIRST, PAGE, SECOND
-from usdface.media.picture.sheet import draw_header
-from usdface.media.picture.text import TextStyle, draw_text, shortened, text_width
+from usdface.media.charts.axes import (
+    LABEL_PIXELS,
+    add_axes,
+    add_label,
+    display_color,
+    label_ends,
+    new_figure,
+    plot_curve,
+    render,
+)
+from usdface.media.picture.color import BLUE, ORANGE, Color
+from usdface.media.picture.sheet import HEADER_HEIGHT, draw_header
+from usdface.media.picture.text import TextStyle, shortened, text_width
 
-WIDTH = 1800
-MARGIN = 36
-HEAD = 184
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+PAGE_WIDTH = 1800
+PAGE_MARGIN = 36
+_PANELS_TOP = PAGE_MARGIN + HEADER_HEIGHT + 6
 PANEL_HEIGHT = 170
-PANEL_GAP = 74
-LEFT = 76
+_PANEL_GAP = 74
+_AXIS_WIDTH = 76
 MOST_WINDOWS = 4
-ALIKE = 0.995
+SAME_CHANGE_CORRELATION = 0.995
 """Correlation of their changes beyond which two controls, left and right, are drawn once."""
 
-_SPAN: Color = (58, 66, 84)
-_NOTE = TextStyle(size=15, color=(152, 157, 166))
-_SPAN_LABEL = TextStyle(size=14, color=(160, 178, 212))
-PALETTE: tuple[Color, ...] = (
-    (255, 178, 92),
-    (120, 200, 255),
-    (140, 214, 132),
-    (236, 132, 152),
-    (188, 160, 246),
-    (220, 216, 120),
-    (152, 157, 166),
-)
+_SPAN_COLOR: Color = (58, 66, 84)
+_SPAN_LABEL_COLOR: Color = (180, 196, 228)
+_LABEL_STYLE = TextStyle(size=16)
 
 
 @dataclass(frozen=True)
@@ -44,7 +49,9 @@ class FrameSpan:
     Attributes
     ----------
     first_frame, last_frame : int
+        Both inside.
     label : str
+        Of the sequence.
     """
 
     first_frame: int
@@ -59,8 +66,11 @@ class Curve:
     Attributes
     ----------
     label : str
+        Written at its end.
     values : (frames,) float array
+        NaN where there is none.
     color : tuple of int
+        sRGB bytes.
     """
 
     label: str
@@ -75,6 +85,7 @@ class Panel:
     Attributes
     ----------
     caption, unit : str
+        Written above it.
     curves : tuple of Curve
         The last is drawn on top.
     """
@@ -92,8 +103,10 @@ def before_and_after(
     Parameters
     ----------
     names : sequence of str
+        One for each control.
     before, after : (frames, controls) float arrays
     count : int
+        Of panels at most.
     """
     change = after - before
     span = np.maximum(np.ptp(before, axis=0), np.ptp(after, axis=0))
@@ -104,15 +117,15 @@ def before_and_after(
     for index in np.argsort(-size, kind="stable").tolist():
         if len(chosen) == count or size[index] < 1e-6:
             break
-        if all(abs(unit[:, index] @ unit[:, other]) < ALIKE for other in chosen):
+        if all(abs(unit[:, index] @ unit[:, other]) < SAME_CHANGE_CORRELATION for other in chosen):
             chosen.append(index)
     return tuple(
         Panel(
             names[index],
             "",
             (
-                Curve("before", before[:, index], FIRST),
-                Curve("after", after[:, index], SECOND),
+                Curve("before", before[:, index], BLUE),
+                Curve("after", after[:, index], ORANGE),
             ),
         )
         for index in chosen
@@ -144,14 +157,13 @@ def draw_motion_curves(
 
     Parameters
     ----------
-    title : str
-    facts : tuple of str
-    panels : sequence of Panel
+    title, facts, panels
+        From above; there is at least one panel.
     first_frame, step : int
         Frame number of each curve's first value, and frames from one value to the next.
     windows : sequence of (first, last) frame
         What to show of the curves; all by default.
-    spans : sequence of Span
+    spans : sequence of FrameSpan
         Shaded in every panel, named in the first row.
     from_zero : bool
         Let every panel start at 0: for errors.
@@ -166,81 +178,68 @@ def draw_motion_curves(
     count = len(panels[0].curves[0].values)
     frames = first_frame + step * np.arange(count, dtype=np.float64)
     shown = tuple(windows) or ((first_frame, int(frames[-1])),)
-    height = HEAD + len(panels) * (PANEL_HEIGHT + PANEL_GAP) + MARGIN
-    picture = new_picture(WIDTH, height, PAGE)
-    y = draw_header(picture, title, facts, x=MARGIN, y=MARGIN - 8, width=WIDTH - 2 * MARGIN)
-    _draw_legend(picture, panels[0].curves, y=y - 6)
-    pitch = (WIDTH - 2 * MARGIN) // len(shown)
+    height = _PANELS_TOP + len(panels) * (PANEL_HEIGHT + _PANEL_GAP) + PAGE_MARGIN
+    figure = new_figure(PAGE_WIDTH, height)
+    names = {curve.label for panel in panels for curve in panel.curves}
+    end = max(text_width(name, _LABEL_STYLE) for name in names) + 12
+    pitch = (PAGE_WIDTH - 2 * PAGE_MARGIN - end) // len(shown)
     for row, panel in enumerate(panels):
-        for column, (first, last) in enumerate(shown):
-            plot = _plot(
-                picture,
-                panel,
-                (first, last),
-                x=MARGIN + LEFT + column * pitch,
-                y=HEAD + row * (PANEL_HEIGHT + PANEL_GAP) + 28,
-                width=pitch - LEFT,
-                from_zero=from_zero,
+        for column, window in enumerate(shown):
+            x = PAGE_MARGIN + _AXIS_WIDTH + column * pitch
+            y = _PANELS_TOP + row * (PANEL_HEIGHT + _PANEL_GAP) + 28
+            axes = add_axes(
+                figure,
+                (x, y, pitch - _AXIS_WIDTH, PANEL_HEIGHT),
+                caption="" if column else panel.caption,
+                across="frame",
+                up="" if column else panel.unit,
+                whole=True,
             )
-            plot.draw_axes(
-                panel.caption if not column else "", across="frame", up=panel.unit, whole=True
-            )
-            inside = [
-                span for span in spans if span.last_frame >= first and span.first_frame <= last
-            ]
-            _shade(plot, inside)
-            for curve in panel.curves:
-                plot.draw_curve(frames, curve.values, curve.color)
-            if not row:
-                _name(plot, inside)
+            _draw_panel(axes, panel, frames, window, from_zero=from_zero)
+            _shade(axes, spans, named=not row)
+        _label_curves(axes, panel, frames)
+    picture = render(figure)
+    draw_header(picture, title, facts, margin=PAGE_MARGIN)
     return picture
 
 
-def _plot(
-    picture: ByteImage,
-    panel: Panel,
-    window: tuple[int, int],
-    *,
-    x: int,
-    y: int,
-    width: int,
-    from_zero: bool,
-) -> Plot:
+def _draw_panel(
+    axes: Axes, panel: Panel, frames: FloatArray, window: tuple[int, int], *, from_zero: bool
+) -> None:
     values = np.concatenate([curve.values for curve in panel.curves])
     values = values[np.isfinite(values)]
     low = 0.0 if from_zero else float(values.min())
     high = max(float(values.max()), low + 1e-6)
     room = 0.06 * (high - low)
-    left, right = window[0] - 0.5, window[1] + 0.5
-    bottom = low - (0.0 if from_zero else room)
-    return Plot(picture, x, y, width, PANEL_HEIGHT, left, right, bottom, high + room)
+    axes.set_xlim(window[0] - 0.5, window[1] + 0.5)
+    axes.set_ylim(low - (0.0 if from_zero else room), high + room)
+    for curve in panel.curves:
+        plot_curve(axes, frames, curve.values, curve.color)
 
 
-def _shade(plot: Plot, spans: Sequence[FrameSpan]) -> None:
+def _shade(axes: Axes, spans: Sequence[FrameSpan], *, named: bool) -> None:
+    """Shade spans, and write what they are called on a ground of their own: curves pass there."""
+    low, high = axes.get_xlim()
     for span in spans:
-        left, width = _extent(plot, span)
-        fill_box(plot.picture, left, plot.y + 1, width, plot.height - 2, _SPAN, cover=0.45)
+        left, right = max(span.first_frame - 0.5, low), min(span.last_frame + 0.5, high)
+        if left >= right:
+            continue
+        axes.axvspan(left, right, color=display_color(_SPAN_COLOR), alpha=0.45, zorder=0.5)
+        if named:
+            share = (left - low) / (high - low)
+            room = round((right - left) / (high - low) * axes.bbox.width)
+            label = shortened(span.label, _LABEL_STYLE, max_width=max(room - 12, 60))
+            shift = (5.0, -LABEL_PIXELS - 3.0)
+            color = _SPAN_LABEL_COLOR
+            add_label(axes, label, (share, 1), shift=shift, color=color, ground=_SPAN_COLOR)
 
 
-def _name(plot: Plot, spans: Sequence[FrameSpan]) -> None:
-    """Write what the spans are called, on a ground of their own: curves pass there."""
-    for span in spans:
-        left, width = _extent(plot, span)
-        label = shortened(span.label, _SPAN_LABEL, max_width=max(width - 10, 60))
-        ground = text_width(label, _SPAN_LABEL) + 10
-        fill_box(plot.picture, left, plot.y + 1, ground, _SPAN_LABEL.size + 8, _SPAN, cover=0.9)
-        draw_text(plot.picture, label, x=left + 5, y=plot.y + 4, style=_SPAN_LABEL)
-
-
-def _extent(plot: Plot, span: FrameSpan) -> tuple[int, int]:
-    """Return where a span begins in a plot, and how wide it is [pixels]."""
-    left = max(round(plot.column(span.first_frame - 0.5)), plot.x + 1)
-    right = min(round(plot.column(span.last_frame + 0.5)), plot.x + plot.width - 1)
-    return left, max(right - left, 2)
-
-
-def _draw_legend(picture: ByteImage, curves: Sequence[Curve], *, y: int) -> None:
-    x = MARGIN + LEFT
-    for curve in curves:
-        fill_box(picture, x, y + 8, 20, 4, curve.color)
-        x += 28 + draw_text(picture, curve.label, x=x + 28, y=y, style=_NOTE) + 30
+def _label_curves(axes: Axes, panel: Panel, frames: FloatArray) -> None:
+    """Name the curves where the last window ends."""
+    inside = frames <= axes.get_xlim()[1]
+    ends = []
+    for curve in panel.curves:
+        known = curve.values[inside & np.isfinite(curve.values)]
+        if len(known):
+            ends.append((curve.label, float(known[-1]), curve.color))
+    label_ends(axes, ends)

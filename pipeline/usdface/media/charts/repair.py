@@ -1,4 +1,4 @@
-"""What cleaning mended, marker by marker over the frames of a take: where, how much, what kind."""
+"""What cleaning repaired, marker by marker over a take: where, how much and what kind."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,24 +8,23 @@ import numpy as np
 from usdface.core.arrays import BoolArray, ByteImage
 from usdface.core.errors import InputError
 from usdface.core.text import pluralize
-from usdface.media.picture.canvas import Color, fill_box, new_picture
+from usdface.media.picture.canvas import fill_box, new_picture
+from usdface.media.picture.color import DIM, LANE, PAGE, SOFT, Color
 from usdface.media.picture.error_strip import draw_frame_axis
 from usdface.media.picture.sheet import draw_header
 from usdface.media.picture.text import TextStyle, draw_text, text_width
 
-WIDTH = 1600
-MARGIN = 28
+PAGE_WIDTH = 1600
+PAGE_MARGIN = 28
 LABEL_WIDTH = 190
-ROW_HEIGHT = 16
+_ROW_HEIGHT = 17
 HEAD_HEIGHT = 156
 """Title, facts and the key of colours."""
 MOST_ROWS = 120
 """The markers with most repairs; the rest are counted."""
 
-_PAGE: Color = (22, 24, 28)
-_LANE: Color = (33, 35, 39)
-_LABEL = TextStyle(size=12, color=(196, 200, 206))
-_NOTE = TextStyle(size=14, color=(160, 165, 173))
+_LABEL_STYLE = TextStyle(size=14, color=SOFT)
+_NOTE_STYLE = TextStyle(size=16, color=DIM)
 
 
 @dataclass(frozen=True)
@@ -35,6 +34,7 @@ class RepairKind:
     Attributes
     ----------
     label : str
+        In the key.
     color : tuple of int
         sRGB bytes.
     where : (frames, markers) bool array
@@ -63,8 +63,8 @@ def draw_repairs(
         One per marker.
     kinds : sequence of RepairKind
         Later ones are drawn over earlier ones.
-    title : str
-    facts : sequence of str
+    title, facts
+        Written above.
     first_frame : int
         Frame number of the first row of each kind.
 
@@ -84,43 +84,43 @@ def draw_repairs(
     counts = np.sum([kind.where.sum(axis=0) for kind in kinds], axis=0)
     order = [int(i) for i in np.argsort(-counts, kind="stable") if counts[i]][:MOST_ROWS]
     head = HEAD_HEIGHT
-    height = head + max(len(order), 1) * ROW_HEIGHT + 64
-    page = new_picture(WIDTH, height, _PAGE)
-    inner = WIDTH - 2 * MARGIN
-    y = draw_header(page, title, facts, x=MARGIN, y=MARGIN - 8, width=inner)
+    height = head + max(len(order), 1) * _ROW_HEIGHT + 64
+    page = new_picture(PAGE_WIDTH, height, PAGE)
+    inner = PAGE_WIDTH - 2 * PAGE_MARGIN
+    y = draw_header(page, title, facts, margin=PAGE_MARGIN)
     _draw_key(page, kinds, y=y)
-    left, width = MARGIN + LABEL_WIDTH, inner - LABEL_WIDTH
+    left, width = PAGE_MARGIN + LABEL_WIDTH, inner - LABEL_WIDTH
     if not order:
-        draw_text(page, "nothing was repaired", x=MARGIN, y=head, style=_NOTE)
+        draw_text(page, "nothing was repaired", x=PAGE_MARGIN, y=head, style=_NOTE_STYLE)
     edges = np.unique(np.minimum(np.arange(width) * frames // width, frames - 1))
     columns = np.searchsorted(edges, np.arange(width) * frames // width, side="right") - 1
     for row, marker in enumerate(order):
-        top = head + row * ROW_HEIGHT
+        top = head + row * _ROW_HEIGHT
         label = f"{names[marker]}  {int(counts[marker])}"
-        draw_text(page, label, x=MARGIN, y=top, style=_LABEL, max_width=LABEL_WIDTH - 8)
-        fill_box(page, left, top + 1, width, ROW_HEIGHT - 3, _LANE)
-        lane = page[top + 1 : top + ROW_HEIGHT - 2, left : left + width]
+        draw_text(page, label, x=PAGE_MARGIN, y=top, style=_LABEL_STYLE, max_width=LABEL_WIDTH - 8)
+        fill_box(page, left, top + 1, width, _ROW_HEIGHT - 3, LANE)
+        lane = page[top + 1 : top + _ROW_HEIGHT - 2, left : left + width]
         for kind in kinds:
             touched = np.logical_or.reduceat(kind.where[:, marker], edges)[columns]
             lane[:, touched] = kind.color
-    bottom = head + max(len(order), 1) * ROW_HEIGHT + 4
+    bottom = head + max(len(order), 1) * _ROW_HEIGHT + 4
     draw_frame_axis(page, left, bottom, width, first_frame=first_frame, count=frames)
     hidden = int((counts > 0).sum()) - len(order)
     if hidden:
         draw_text(
             page,
             f"and {pluralize(hidden, 'marker')} with fewer",
-            x=MARGIN,
+            x=PAGE_MARGIN,
             y=bottom + 22,
-            style=_NOTE,
+            style=_NOTE_STYLE,
         )
     return page
 
 
 def _draw_key(page: ByteImage, kinds: Sequence[RepairKind], *, y: int) -> None:
-    x = MARGIN
+    x = PAGE_MARGIN
     for kind in kinds:
         fill_box(page, x, y + 4, 12, 12, kind.color)
         label = f"{kind.label}: {pluralize(int(kind.where.sum()), 'sample')}"
-        draw_text(page, label, x=x + 18, y=y, style=_NOTE)
-        x += 18 + text_width(label, _NOTE) + 28
+        draw_text(page, label, x=x + 18, y=y, style=_NOTE_STYLE)
+        x += 18 + text_width(label, _NOTE_STYLE) + 28

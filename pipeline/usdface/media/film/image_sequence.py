@@ -13,7 +13,7 @@ from usdface.core.arrays import ByteImage, FloatArray
 from usdface.core.errors import InputError
 from usdface.media.film.video import VideoReader
 from usdface.media.picture.color import bytes_from_linear
-from usdface.media.picture.read import MOST_VALUES, reason_of
+from usdface.media.picture.image import MAX_VALUES, reason_of
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".dpx")
 _NUMBERED = re.compile(r"^(.*?)(\d+)(\.[^.]+)$")
@@ -89,7 +89,7 @@ class ImageSequence:
         if picture is None:
             raise InputError(f"{path}: no picture that can be read ({reason_of(oiio)})")
         spec = picture.spec()
-        if spec.width * spec.height * spec.nchannels > MOST_VALUES:
+        if spec.width * spec.height * spec.nchannels > MAX_VALUES:
             raise InputError(
                 f"{path}: {spec.width} × {spec.height} with {spec.nchannels} channels is too large "
                 "to be shown; write it smaller"

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from usdface.core.arrays import ByteImage
-from usdface.media.picture.canvas import Color, fill_box, new_picture
-from usdface.media.picture.color import bytes_from_linear, heat_ramp
+from usdface.media.picture.canvas import fill_box, new_picture
+from usdface.media.picture.color import BRIGHT, SOFT, Color, bytes_from_linear, heat_ramp
 from usdface.media.picture.text import TextStyle, draw_text, text_width
 from usdface.media.picture.tiles import empty_tile, fit_picture
 
@@ -13,8 +13,8 @@ BAR_SHARE = 0.075
 """Of the panels' height: letters stay legible when the movie is shown at a third of its size."""
 LEAST_BAR = 26
 
-_BAR: Color = (14, 15, 17)
-_GAP = 2
+_BAR_COLOR: Color = (14, 15, 17)
+_PANEL_GAP = 2
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class MoviePanel:
 
 def movie_size(widths: Sequence[int], height: int) -> tuple[int, int]:
     """Return (width, height) of the whole picture; both even, as encoders need them."""
-    width = sum(widths) + _GAP * (len(widths) - 1)
+    width = sum(widths) + _PANEL_GAP * (len(widths) - 1)
     total = height + _bar_height(height)
     return width + width % 2, total + total % 2
 
@@ -72,9 +72,9 @@ def compose_movie_frame(
         sRGB, of the size that `movie_size` tells.
     """
     width, total = movie_size([panel.width for panel in panels], height)
-    picture = new_picture(width, total, _BAR)
+    picture = new_picture(width, total, _BAR_COLOR)
     bar = _bar_height(height)
-    small = TextStyle(size=max(round(0.4 * bar), 11), color=(188, 193, 201))
+    small = TextStyle(size=max(round(0.4 * bar), 11), color=SOFT)
     x = 0
     for panel in panels:
         if panel.pixels is None:
@@ -83,11 +83,11 @@ def compose_movie_frame(
             tile = fit_picture(panel.pixels, width=panel.width, height=height)
         picture[:height, x : x + panel.width] = tile
         # On its own ground: the picture behind may be as light as the letters.
-        label = TextStyle(size=small.size, color=(236, 238, 241))
-        ground = len(panel.label) * small.size * 6 // 10 + 12
-        fill_box(picture, x, 0, min(ground, panel.width), small.size + 9, _BAR)
+        label = TextStyle(size=small.size, color=BRIGHT)
+        ground = text_width(panel.label, label) + 12
+        fill_box(picture, x, 0, min(ground, panel.width), small.size + 9, _BAR_COLOR)
         draw_text(picture, panel.label, x=x + 6, y=2, style=label, max_width=panel.width - 12)
-        x += panel.width + _GAP
+        x += panel.width + _PANEL_GAP
     _draw_bar(picture, height, bar, title=title, clock=clock, confidence=confidence, small=small)
     return picture
 
@@ -103,7 +103,7 @@ def _draw_bar(
     small: TextStyle,
 ) -> None:
     width = picture.shape[1]
-    style = TextStyle(size=round(0.56 * bar), color=(244, 245, 247), weight="mono")
+    style = TextStyle(size=round(0.56 * bar), color=BRIGHT, weight="mono")
     y = top + (bar - style.size) // 2 - 1
     used = draw_text(
         picture, clock, x=width - 10, y=y, style=style, anchor="right", max_width=width - 20
@@ -133,7 +133,7 @@ def _draw_bar(
             (int(color[0]), int(color[1]), int(color[2])),
         )
         right -= 14
-    heading = TextStyle(size=round(0.5 * bar), color=(206, 210, 217))
+    heading = TextStyle(size=round(0.5 * bar), color=SOFT)
     y = top + (bar - heading.size) // 2 - 1
     draw_text(picture, title, x=10, y=y, style=heading, max_width=max(right - 10, 0))
 

@@ -13,17 +13,24 @@ from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
 from usdface.media.face.camera import Camera, frame_face
 from usdface.media.face.render import FaceRenderer, Quality
-from usdface.media.picture.canvas import Color, draw_dot, draw_line, fill_box, new_picture
-from usdface.media.picture.palette import PAGE
+from usdface.media.picture.canvas import (
+    draw_dot,
+    draw_line,
+    fill_box,
+    new_picture,
+    spread_rows,
+)
+from usdface.media.picture.color import BLUE, PAGE, SOFT, Color
 from usdface.media.picture.sheet import draw_header
 from usdface.media.picture.text import TextStyle, draw_text, text_width
 
-_MARGIN = 36
-_HEAD = 124
-_NAMES = 250
+_PAGE_MARGIN = 36
+_HEAD_HEIGHT = 124
+_NAMES_WIDTH = 250
 """Width of the list of names on either side of a face [pixels]."""
 
-_SURE: Color = (120, 200, 255)
+_NAME_MARGIN = 14
+
 _PLACED: Color = (140, 226, 140)
 _DOUBT: Color = (255, 128, 72)
 _LINE: Color = (92, 98, 108)
@@ -97,14 +104,14 @@ def draw_binding(
         _draw_view(mesh, renderer, markers, reach, (side, yaw_degrees), height, quality)
         for side in (-_SIDE_DEGREES, 0.0, _SIDE_DEGREES)
     ]
-    width = sum(panel.shape[1] for panel in panels) + 2 * _MARGIN
-    page = new_picture(width, _HEAD + height + _MARGIN, PAGE)
-    y = draw_header(page, title, facts, x=_MARGIN, y=_MARGIN - 8, width=width - 2 * _MARGIN)
-    x = _MARGIN
+    width = sum(panel.shape[1] for panel in panels) + 2 * _PAGE_MARGIN
+    page = new_picture(width, _HEAD_HEIGHT + height + _PAGE_MARGIN, PAGE)
+    y = draw_header(page, title, facts, margin=_PAGE_MARGIN)
+    x = _PAGE_MARGIN
     for panel in panels:
-        page[_HEAD : _HEAD + height, x : x + panel.shape[1]] = panel
+        page[_HEAD_HEIGHT : _HEAD_HEIGHT + height, x : x + panel.shape[1]] = panel
         x += panel.shape[1]
-    _draw_key(page, x=width - _MARGIN - 560, y=y - 58)
+    _draw_key(page, x=width - _PAGE_MARGIN - 560, y=y - 58)
     return page
 
 
@@ -129,7 +136,7 @@ def _draw_view(
     front = side == 0.0
     size = round(height * (0.92 if front else 0.66))
     camera = frame_face(mesh.points, weights=reach, yaw_degrees=side + facing, aspect=size / height)
-    width = size + 2 * _NAMES
+    width = size + 2 * _NAMES_WIDTH
     panel = renderer.render(mesh.points, camera=camera, width=width, height=height, quality=quality)
     at = camera.project(markers.positions, width=width, height=height)[:, :2]
     seen = _seen(mesh, camera, markers.positions)
@@ -160,7 +167,12 @@ def _draw_names(panel: ByteImage, markers: BoundMarkers, at: FloatArray, seen: B
     for left in (True, False):
         side = np.flatnonzero(seen & ((at[:, 0] < width / 2) == left))
         side = side[np.argsort(at[side, 1], kind="stable")]
-        rows = _spread(at[side, 1], spacing=min(19.0, height / max(len(side), 1)), height=height)
+        rows = spread_rows(
+            at[side, 1],
+            spacing=min(19.0, height / max(len(side), 1)),
+            height=height,
+            margin=_NAME_MARGIN,
+        )
         for marker, row in zip(side.tolist(), rows.tolist(), strict=True):
             color = _color(markers, marker)
             text = markers.names[marker]
@@ -168,9 +180,9 @@ def _draw_names(panel: ByteImage, markers: BoundMarkers, at: FloatArray, seen: B
             if doubt:
                 text = f"{text}  {markers.confidence[marker]:.2f}"
             style = TextStyle(size=15, color=color, weight="bold" if doubt else "regular")
-            x = _NAMES - 40 if left else width - _NAMES + 40
+            x = _NAMES_WIDTH - 40 if left else width - _NAMES_WIDTH + 40
             draw_line(panel, (x + (6 if left else -6), row), at[marker], _LINE, thickness=1.0)
-            long = min(text_width(text, style), _NAMES - 50)
+            long = min(text_width(text, style), _NAMES_WIDTH - 50)
             start = x - long - 3 if left else x - 3
             # A wide head reaches under the names.
             fill_box(panel, start, round(row) - 9, long + 6, 19, PAGE, cover=0.55)
@@ -181,7 +193,7 @@ def _draw_names(panel: ByteImage, markers: BoundMarkers, at: FloatArray, seen: B
                 y=round(row) - 10,
                 style=style,
                 anchor="right" if left else "left",
-                max_width=_NAMES - 50,
+                max_width=_NAMES_WIDTH - 50,
             )
     for marker in np.flatnonzero(seen).tolist():
         color = _color(markers, marker)
@@ -192,37 +204,18 @@ def _draw_names(panel: ByteImage, markers: BoundMarkers, at: FloatArray, seen: B
             draw_dot(panel, x, y, 10.0, color, hollow=True)
 
 
-def _spread(rows: FloatArray, *, spacing: float, height: int) -> FloatArray:
-    """Move ascending rows apart as little as keeps names from touching and on the picture."""
-    rows = np.clip(rows, 14, height - 14)
-    steps = spacing * np.arange(len(rows))
-    # Least squares under order: pool neighbours that would overlap (Ayer et al. 1955).
-    pools: list[tuple[float, int]] = []
-    for value in (rows - steps).tolist():
-        total, count = value, 1
-        while pools and pools[-1][0] / pools[-1][1] > total / count:
-            before, more = pools.pop()
-            total, count = total + before, count + more
-        pools.append((total, count))
-    if not pools:
-        return rows
-    apart = np.concatenate([np.full(count, total / count) for total, count in pools])
-    highest = height - 14 - steps[-1]
-    return np.asarray(np.clip(apart, 14, max(highest, 14)) + steps)
-
-
 def _color(markers: BoundMarkers, marker: int) -> Color:
     if markers.placed[marker]:
         return _PLACED
-    return _DOUBT if markers.confidence[marker] < markers.doubtful else _SURE
+    return _DOUBT if markers.confidence[marker] < markers.doubtful else BLUE
 
 
 def _draw_key(page: ByteImage, *, x: int, y: int) -> None:
     for color, label in (
-        (_SURE, "proposed"),
+        (BLUE, "proposed"),
         (_DOUBT, "doubtful: look at it"),
         (_PLACED, "placed by a person"),
     ):
         draw_dot(page, x + 8, y + 12, 6.0, color)
-        style = TextStyle(size=17, color=(198, 203, 211))
+        style = TextStyle(size=17, color=SOFT)
         x += 24 + draw_text(page, label, x=x + 22, y=y, style=style) + 22

@@ -1,12 +1,10 @@
-"""Boxes, dots and lines on a picture, antialiased, in display colours."""
+"""Boxes, dots and lines on a picture, antialiased, and rows of labels kept apart."""
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.core.arrays import ByteImage, Float32Array
-
-Color = tuple[int, int, int]
-"""sRGB bytes."""
+from usdface.core.arrays import ByteImage, Float32Array, FloatArray
+from usdface.media.picture.color import Color
 
 
 def new_picture(width: int, height: int, color: Color) -> ByteImage:
@@ -75,6 +73,40 @@ def draw_line(
     at = np.clip(((columns - x0) * along[0] + (rows - y0) * along[1]) / length, 0, 1)
     distance = np.hypot(columns - x0 - at * along[0], rows - y0 - at * along[1])
     _blend(window, np.clip(thickness / 2 + 0.5 - distance, 0, 1), color)
+
+
+def spread_rows(
+    rows: FloatArray, *, spacing: float, height: float, margin: float = 0.0
+) -> FloatArray:
+    """Move ascending rows of labels apart, as little as keeps them from touching.
+
+    Parameters
+    ----------
+    rows : (n,) float array
+        Where labels are wanted, ascending [pixels].
+    spacing : float
+        Least distance of two rows [pixels].
+    height, margin : float
+        Of the picture, and what stays free at its ends [pixels].
+
+    Returns
+    -------
+    (n,) float array
+    """
+    if not len(rows):
+        return rows
+    steps = spacing * np.arange(len(rows))
+    # Least squares under order: pool neighbours that would overlap (Ayer et al. 1955).
+    pools: list[tuple[float, int]] = []
+    for value in (np.clip(rows, margin, height - margin) - steps).tolist():
+        total, count = value, 1
+        while pools and pools[-1][0] / pools[-1][1] > total / count:
+            before, more = pools.pop()
+            total, count = total + before, count + more
+        pools.append((total, count))
+    first = np.concatenate([np.full(count, total / count) for total, count in pools])
+    highest = height - margin - steps[-1]
+    return np.asarray(np.clip(first, margin, max(highest, margin)) + steps)
 
 
 def _window(

@@ -1,9 +1,33 @@
-"""Colour arithmetic: sRGB, and a ramp for errors that colour-blind eyes read too."""
+"""Colours of pictures: sRGB, the palette, and a ramp for errors that colour-blind eyes read too."""
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from usdface.core.arrays import ByteImage, Float32Array, FloatArray
+
+Color = tuple[int, int, int]
+"""sRGB bytes."""
+
+PAGE: Color = (22, 23, 26)
+"""What pictures lie on."""
+PANEL: Color = (31, 33, 37)
+LANE: Color = (33, 35, 39)
+GRID: Color = (44, 47, 53)
+RULE: Color = (58, 61, 67)
+FRAME: Color = (64, 67, 74)
+DIM: Color = (152, 157, 166)
+SOFT: Color = (196, 200, 206)
+TEXT: Color = (222, 224, 228)
+BRIGHT: Color = (244, 245, 247)
+
+BLUE: Color = (120, 200, 255)
+ORANGE: Color = (255, 178, 92)
+"""Blue and orange, which most kinds of colour blindness keep apart: of two curves, the one that is
+given or was before, and the one that is solved, proposed or came after."""
+GREEN: Color = (129, 210, 132)
+VIOLET: Color = (188, 160, 246)
+SERIES_COLORS = (ORANGE, BLUE, GREEN, (236, 132, 152), VIOLET, (220, 216, 120), DIM)
+"""Of more than two curves, in this order; labels name every curve as well."""
 
 # Lightness, chroma and hue [degrees] in OKLCh. Lightness climbs evenly, so the ramp survives a
 # grey print; blue to yellow is the axis that the common kinds of colour blindness keep. It starts

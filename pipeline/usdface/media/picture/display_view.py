@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from usdface.core.arrays import ByteImage
 from usdface.core.errors import InputError
 from usdface.media.picture.color import bytes_from_linear
-from usdface.media.picture.read import reason_of
+from usdface.media.picture.image import reason_of
 
 BUILT_IN = "ocio://default"
 _RENDERED = "lin_rec709"

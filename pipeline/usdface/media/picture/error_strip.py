@@ -1,26 +1,23 @@
 """Errors over a whole take as coloured columns, with the frames of a sheet marked."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from usdface.core.arrays import ByteImage, FloatArray
-from usdface.media.picture.canvas import Color, fill_box
-from usdface.media.picture.color import bytes_from_linear, heat_ramp
+from usdface.media.picture.canvas import fill_box
+from usdface.media.picture.color import BRIGHT, DIM, LANE, SOFT, bytes_from_linear, heat_ramp
 from usdface.media.picture.text import TextStyle, draw_text, text_width
 
 LANE_HEIGHT = 52
-_GAP = 6
-_LABEL_WIDTH = 112
+LABEL_WIDTH = 118
+_LANE_GAP = 6
 _MARK_HEIGHT = 26
 _AXIS_HEIGHT = 30
 
-_LANE: Color = (33, 35, 39)
-_MARK: Color = (236, 238, 242)
-_LABEL = TextStyle(size=18, color=(196, 200, 206))
-_NUMBER = TextStyle(size=16, color=(236, 238, 242), weight="mono")
-_AXIS = TextStyle(size=15, color=(132, 137, 146), weight="mono")
+_LABEL_STYLE = TextStyle(size=18, color=SOFT)
+_NUMBER_STYLE = TextStyle(size=16, color=BRIGHT, weight="mono")
+_AXIS_STYLE = TextStyle(size=16, color=DIM, weight="mono")
 
 
 @dataclass(frozen=True)
@@ -30,10 +27,11 @@ class ErrorCurve:
     Attributes
     ----------
     label : str
+        Written at the left of its lane.
     values : (frames,) float array
         NaN where there is none.
     high, unit : float, str or None
-        Of a figure that is no error, such as a doubt of 0 to 1; as the sheet's errors by default.
+        Of a figure that is no error, such as an uncertainty of 0 to 1; as the strip's by default.
     """
 
     label: str
@@ -42,89 +40,76 @@ class ErrorCurve:
     unit: str | None = None
 
 
-def strip_height(curve_count: int) -> int:
-    """Return how much room the strips take [pixels]."""
-    return _MARK_HEIGHT + curve_count * (LANE_HEIGHT + _GAP) + _AXIS_HEIGHT
+@dataclass(frozen=True)
+class ErrorStrip:
+    """One lane a curve, above a frame axis.
 
-
-def draw_error_strip(
-    page: ByteImage,
-    curves: Sequence[ErrorCurve],
-    *,
-    x: int,
-    y: int,
-    width: int,
-    first_frame: int,
-    high: float,
-    marks: Sequence[tuple[int, str]] = (),
-    unit: str = "mm",
-) -> None:
-    """Draw one lane per curve above a frame axis.
-
-    A column shows the largest error of the frames it stands for, so that no peak is lost.
-
-    Parameters
+    Attributes
     ----------
-    page : (height, width, 3) uint8 array
-        Changed in place.
-    curves : sequence of ErrorCurve
-    x, y, width : int
-        Upper left corner and width [pixels].
+    curves : tuple of ErrorCurve
+        From the top.
     first_frame : int
         Frame number of each curve's first value.
     high : float
         Error at the top of a lane, in the ramp's last colour.
-    marks : sequence of (frame, label)
+    marks : tuple of (frame, label)
         Frames to mark.
     unit : str
+        Of all curves that name none.
     """
-    left, inner = x + _LABEL_WIDTH, width - _LABEL_WIDTH
-    count = max((len(curve.values) for curve in curves), default=0)
+
+    curves: tuple[ErrorCurve, ...]
+    first_frame: int
+    high: float
+    marks: tuple[tuple[int, str], ...] = ()
+    unit: str = "mm"
+
+
+def strip_height(curve_count: int) -> int:
+    """Return how much room the strips take [pixels]."""
+    return _MARK_HEIGHT + curve_count * (LANE_HEIGHT + _LANE_GAP) + _AXIS_HEIGHT
+
+
+def draw_error_strip(page: ByteImage, strip: ErrorStrip, *, x: int, y: int, width: int) -> None:
+    """Draw a strip from its upper left corner; a column shows the largest error of its frames."""
+    left, inner = x + LABEL_WIDTH, width - LABEL_WIDTH
+    count = max((len(curve.values) for curve in strip.curves), default=0)
     if not count or inner < 2:
         return
     top = y + _MARK_HEIGHT
-    for row, curve in enumerate(curves):
-        lane = top + row * (LANE_HEIGHT + _GAP)
-        draw_text(page, curve.label, x=x, y=lane + 2, style=_LABEL, max_width=_LABEL_WIDTH - 10)
+    for row, curve in enumerate(strip.curves):
+        lane = top + row * (LANE_HEIGHT + _LANE_GAP)
+        room = LABEL_WIDTH - 8
+        draw_text(page, curve.label, x=x, y=lane + 2, style=_LABEL_STYLE, max_width=room)
         finite = curve.values[np.isfinite(curve.values)]
         if len(finite):
-            mean = f"{finite.mean():.2f} {unit if curve.unit is None else curve.unit}"
-            draw_text(page, mean, x=x, y=lane + 26, style=_AXIS, max_width=_LABEL_WIDTH - 8)
-        most = high if curve.high is None else curve.high
-        _draw_lane(page, curve.values, left, lane, inner, count=count, high=most)
-
-    bottom = top + len(curves) * (LANE_HEIGHT + _GAP) - _GAP
-    taken = -(10**9)
-    for frame, label in sorted(marks):
-        at = left + int((frame - first_frame + 0.5) / count * inner)
+            mean = f"{finite.mean():.2f} {strip.unit if curve.unit is None else curve.unit}"
+            draw_text(page, mean, x=x, y=lane + 26, style=_AXIS_STYLE, max_width=room)
+        area = page[lane : lane + LANE_HEIGHT, left : left + inner]
+        _draw_lane(area, curve.values, count, strip.high if curve.high is None else curve.high)
+    bottom = top + len(strip.curves) * (LANE_HEIGHT + _LANE_GAP) - _LANE_GAP
+    last_end = -(10**9)
+    for frame, label in sorted(strip.marks):
+        at = left + int((frame - strip.first_frame + 0.5) / count * inner)
         if not left <= at < left + inner:
             continue
-        fill_box(page, at, top - 4, 1, bottom - top + 8, _MARK, cover=0.75)
-        half = text_width(label, _NUMBER) // 2
-        if at - half > taken + 3:
-            draw_text(page, label, x=at, y=y + 2, style=_NUMBER, anchor="middle")
-            taken = at + half
-    draw_frame_axis(page, left, bottom + 4, inner, first_frame=first_frame, count=count)
+        fill_box(page, at, top - 4, 1, bottom - top + 8, BRIGHT, cover=0.75)
+        half = text_width(label, _NUMBER_STYLE) // 2
+        if at - half > last_end + 3:
+            draw_text(page, label, x=at, y=y + 2, style=_NUMBER_STYLE, anchor="middle")
+            last_end = at + half
+    draw_frame_axis(page, left, bottom + 4, inner, first_frame=strip.first_frame, count=count)
 
 
-def _draw_lane(
-    page: ByteImage,
-    values: FloatArray,
-    left: int,
-    top: int,
-    width: int,
-    *,
-    count: int,
-    high: float,
-) -> None:
-    fill_box(page, left, top, width, LANE_HEIGHT, _LANE)
+def _draw_lane(area: ByteImage, values: FloatArray, count: int, high: float) -> None:
+    height, width = area.shape[:2]
+    area[:] = LANE
     error = _column_maxima(values, width, count=count)
     known = np.isfinite(error)
-    tall = np.where(known, np.clip(np.nan_to_num(error) / high, 0.03, 1) * LANE_HEIGHT, 0)
+    tall = np.where(known, np.clip(np.nan_to_num(error) / high, 0.03, 1) * height, 0)
     colors = bytes_from_linear(heat_ramp(np.nan_to_num(error), high=high))
-    depth = LANE_HEIGHT - np.arange(LANE_HEIGHT)[:, None]
+    depth = height - np.arange(height)[:, None]
     filled = depth <= np.round(tall)[None, :]
-    area = page[top : top + LANE_HEIGHT, left : left + width]
     area[filled] = np.broadcast_to(colors, area.shape)[filled]
 
 
@@ -150,6 +135,6 @@ def draw_frame_axis(
     start = -(-first_frame // step) * step
     for frame in range(start, first_frame + count, step):
         at = left + int((frame - first_frame + 0.5) / count * width)
-        fill_box(page, at, top, 1, 4, _AXIS.color)
+        fill_box(page, at, top, 1, 4, DIM)
         if at + 24 < left + width:
-            draw_text(page, str(frame), x=at + 4, y=top, style=_AXIS)
+            draw_text(page, str(frame), x=at + 4, y=top, style=_AXIS_STYLE)

@@ -1,30 +1,34 @@
-"""Write pictures that say where they come from, and read what they say."""
+"""Pictures on disk and in memory: written with their provenance, and read back."""
 
 import errno
+import io
 import json
 import os
 from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813  # the name all its users know it by
+from PIL import Image
 
 from usdface.core.arrays import ByteImage
 from usdface.core.errors import InputError
 from usdface.core.replacing import replacing
+from usdface.core.timecode import LABEL
 from usdface.core.version import __version__
 from usdface.media.picture.color import linear_from_srgb
-from usdface.media.picture.read import reason_of
-from usdface.media.picture.smpte import pack_timecode, unpack_timecode
+from usdface.media.picture.tiles import scale_picture
 
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff")
 
+JPEG_QUALITY = 92
+"""Of 100."""
 # What each format is written with: quality and a fast, lossless or nearly lossless packing.
 _COMPRESSION = {
-    ".jpg": "jpeg:92",
-    ".jpeg": "jpeg:92",
+    ".jpg": f"jpeg:{JPEG_QUALITY}",
+    ".jpeg": f"jpeg:{JPEG_QUALITY}",
     ".png": "zip:4",
     ".exr": "dwaa:45",
     ".tif": "zip",
@@ -35,6 +39,10 @@ _ENDS = {".png": b"IEND\xaeB`\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
 _MAX_JPEG = 65500
 _MAX_METADATA = 16 << 20
 _LEAST_ROOM = 64 << 10
+
+MAX_VALUES = 1 << 29
+"""Of one picture, all channels: 16,384 by 8,192 pixels of four."""
+_DROP_BIT = 1 << 6
 
 
 def write_image(
@@ -194,3 +202,102 @@ def _write(file: Path, temporary: Path, spec: Any, data: np.ndarray) -> None:
         raise InputError(
             f"{file}: cannot be written whole; is the disk full? Free it, or write elsewhere"
         )
+
+
+def encode_image(
+    pixels: ByteImage, kind: Literal["jpeg", "png"] = "jpeg", *, max_height: int | None = None
+) -> bytes:
+    """Encode a picture in memory, for pages.
+
+    Parameters
+    ----------
+    pixels : (height, width, 3) uint8 array
+        sRGB.
+    kind : {'jpeg', 'png'}
+    max_height : int, optional
+        Taller pictures are made smaller [pixels].
+    """
+    height, width = pixels.shape[:2]
+    scale = min((max_height or height) / height, 1.0)
+    size = max(round(width * scale), 1), max(round(height * scale), 1)
+    stream = io.BytesIO()
+    image = Image.fromarray(scale_picture(np.ascontiguousarray(pixels), *size))
+    if kind == "png":
+        image.save(stream, "png")
+    else:  # colour as fine as brightness: thin coloured lines stay sharp
+        image.save(stream, "jpeg", quality=JPEG_QUALITY, subsampling=0)
+    return stream.getvalue()
+
+
+def read_picture(path: Path) -> ByteImage:
+    """Read a picture as (height, width, 3) bytes.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, is damaged, or is too large to be shown.
+    """
+    buffer = oiio.ImageBuf(str(path))
+    if buffer.has_error:
+        raise InputError(f"{path}: cannot be read as a picture ({reason_of(buffer)})")
+    size = buffer.spec()
+    if size.width * size.height * size.nchannels > MAX_VALUES:
+        raise InputError(
+            f"{path}: {size.width} × {size.height} with {size.nchannels} channels is too large to "
+            "be shown; write it smaller"
+        )
+    pixels = buffer.get_pixels("uint8")
+    if buffer.has_error or pixels is None or pixels.ndim != 3:  # what is missing would be black
+        raise InputError(
+            f"{path}: cannot be read as a picture ({reason_of(buffer)}): it may be cut short or "
+            "damaged; copy or write it again"
+        )
+    channels = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
+    return np.ascontiguousarray(channels)
+
+
+def reason_of(source: Any) -> str:
+    """Return why OpenImageIO failed, which may quote a broken file's bytes.
+
+    Asking is also what keeps the library from printing it.
+    """
+    try:
+        text = str(source.geterror())
+    except UnicodeDecodeError:
+        return "its header holds bytes that are no text"
+    return " ".join("".join(each if each.isprintable() else " " for each in text).split())
+
+
+def pack_timecode(label: str) -> int:
+    """Return a label as binary-coded decimal, hours in the highest byte.
+
+    Parameters
+    ----------
+    label : str
+        ``HH:MM:SS:FF``, or ``;`` before FF for drop-frame.
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    InputError
+        If the label is malformed.
+    """
+    match = LABEL.match(label)
+    if match is None or match[1] > "23" or match[2] > "59" or match[3] > "59" or match[5] > "39":
+        raise InputError(f"timecode {label!r} is not hh:mm:ss:ff; correct it")
+    packed = 0
+    for group in (1, 2, 3, 5):
+        packed = packed << 8 | int(match[group], 16)  # decimal digits, read as hexadecimal
+    return packed | (_DROP_BIT if match[4] == ";" else 0)
+
+
+def unpack_timecode(packed: int) -> str:
+    """Return the label of a packed timecode; flags other than drop-frame are ignored."""
+    hours, minutes, seconds, frames = (
+        packed >> shift & mask for shift, mask in ((24, 0x3F), (16, 0x7F), (8, 0x7F), (0, 0x3F))
+    )
+    mark = ";" if packed & _DROP_BIT else ":"
+    return f"{hours:02x}:{minutes:02x}:{seconds:02x}{mark}{frames:02x}"

@@ -8,19 +8,29 @@ from scipy import ndimage
 from usdface.core.arrays import ByteImage
 from usdface.core.errors import InputError
 from usdface.media.face.raycast import background
-from usdface.media.picture.canvas import Color, fill_box, new_picture, outline_box
-from usdface.media.picture.color import bytes_from_linear
+from usdface.media.picture.canvas import fill_box, new_picture, outline_box
+from usdface.media.picture.color import (
+    BRIGHT,
+    DIM,
+    FRAME,
+    GREEN,
+    PAGE,
+    PANEL,
+    SOFT,
+    Color,
+    bytes_from_linear,
+)
 from usdface.media.picture.sheet import MAX_PIXELS
 from usdface.media.picture.text import TextStyle, draw_text, text_width
 from usdface.media.picture.tiles import fit_picture
 
-_MARGIN = 40
-_GUTTER = 6
+_PAGE_MARGIN = 40
+_TILE_GUTTER = 6
 BLOCK_GAP = 36
-_HEAD = 34
-FOOT = 54
+_HEAD_HEIGHT = 34
+FOOT_HEIGHT = 54
 _ROW_GAP = 26
-_TITLE = 100
+_TITLE_HEIGHT = 100
 PAGE_ASPECT = 1.414
 """Of a landscape page."""
 
@@ -40,7 +50,6 @@ class ReferenceRow:
         Take, frame and timecode.
     said : str
         Viseme and emotion; empty where unknown.
-    tuned : bool
     video : (h, w, 3) uint8 array or None
     missing : str
         Why there is no video.
@@ -49,7 +58,7 @@ class ReferenceRow:
     weights : tuple of (str, float)
         The strongest shapes, strongest first.
     residual_mm : float
-        How far the weights leave the markers [mm].
+        Distance of the markers from the rig under these weights [mm].
     """
 
     number: int
@@ -78,13 +87,13 @@ class PaperColors:
 
 
 SCREEN = PaperColors(
-    page=(22, 23, 26),
-    rule=(64, 67, 74),
-    empty=(31, 33, 37),
-    title=(244, 245, 247),
-    text=(214, 217, 223),
-    dim=(132, 137, 146),
-    tuned=(126, 204, 148),
+    page=PAGE,
+    rule=FRAME,
+    empty=PANEL,
+    title=BRIGHT,
+    text=SOFT,
+    dim=DIM,
+    tuned=GREEN,
 )
 PAPER = PaperColors(
     page=(255, 255, 255),
@@ -109,9 +118,8 @@ def compose_reference_sheet(
 
     Parameters
     ----------
-    rows : tuple of ReferenceRow
-    title : str
-    facts : tuple of str
+    rows, title, facts
+        At least one row.
     tile : int
         Height of every picture [pixels].
     paper : bool
@@ -133,14 +141,14 @@ def compose_reference_sheet(
     shapes = [row.video.shape for row in rows if row.video is not None]
     aspect = max((shape[1] / shape[0] for shape in shapes), default=0.0)
     widths = (round(tile * min(aspect, 16 / 9)), tile, tile) if aspect else (tile, tile)
-    block = sum(widths) + _GUTTER * (len(widths) - 1)
-    height = _HEAD + tile + FOOT + _ROW_GAP
+    block = sum(widths) + _TILE_GUTTER * (len(widths) - 1)
+    height = _HEAD_HEIGHT + tile + FOOT_HEIGHT + _ROW_GAP
     columns = min(
         range(1, len(rows) + 1),
         key=lambda n: abs(np.log(_size(n, len(rows), block, height) / PAGE_ASPECT)),
     )
-    wide = 2 * _MARGIN + columns * block + (columns - 1) * BLOCK_GAP
-    tall = 2 * _MARGIN + _TITLE + -(-len(rows) // columns) * height
+    wide = 2 * _PAGE_MARGIN + columns * block + (columns - 1) * BLOCK_GAP
+    tall = 2 * _PAGE_MARGIN + _TITLE_HEIGHT + -(-len(rows) // columns) * height
     if wide * tall > MAX_PIXELS:
         raise InputError(
             f"a sheet of {wide} × {tall} pixels is too large; ask for fewer --pairs or a smaller "
@@ -148,22 +156,36 @@ def compose_reference_sheet(
         )
     page = new_picture(wide, tall, palette.page)
     bold = TextStyle(size=38, color=palette.title, weight="bold")
-    draw_text(page, title, x=_MARGIN, y=_MARGIN - 10, style=bold, max_width=wide - 2 * _MARGIN)
+    draw_text(
+        page,
+        title,
+        x=_PAGE_MARGIN,
+        y=_PAGE_MARGIN - 10,
+        style=bold,
+        max_width=wide - 2 * _PAGE_MARGIN,
+    )
     style = TextStyle(size=18, color=palette.dim)
     line = "   ·   ".join(facts)
-    draw_text(page, line, x=_MARGIN, y=_MARGIN + 44, style=style, max_width=wide - 2 * _MARGIN)
-    fill_box(page, _MARGIN, _MARGIN + 78, wide - 2 * _MARGIN, 1, palette.rule)
+    draw_text(
+        page,
+        line,
+        x=_PAGE_MARGIN,
+        y=_PAGE_MARGIN + 44,
+        style=style,
+        max_width=wide - 2 * _PAGE_MARGIN,
+    )
+    fill_box(page, _PAGE_MARGIN, _PAGE_MARGIN + 78, wide - 2 * _PAGE_MARGIN, 1, palette.rule)
     for index, row in enumerate(rows):
-        x = _MARGIN + (index % columns) * (block + BLOCK_GAP)
-        y = _MARGIN + _TITLE + index // columns * height
+        x = _PAGE_MARGIN + (index % columns) * (block + BLOCK_GAP)
+        y = _PAGE_MARGIN + _TITLE_HEIGHT + index // columns * height
         _draw_row(page, row, widths, palette, x=x, y=y, tile=tile, paper=paper)
     return page
 
 
 def _size(columns: int, count: int, block: int, height: int) -> float:
     """Return width over height of a sheet."""
-    wide = 2 * _MARGIN + columns * (block + BLOCK_GAP)
-    return wide / (2 * _MARGIN + _TITLE + -(-count // columns) * height)
+    wide = 2 * _PAGE_MARGIN + columns * (block + BLOCK_GAP)
+    return wide / (2 * _PAGE_MARGIN + _TITLE_HEIGHT + -(-count // columns) * height)
 
 
 def _draw_row(
@@ -177,7 +199,7 @@ def _draw_row(
     tile: int,
     paper: bool,
 ) -> None:
-    block = sum(widths) + _GUTTER * (len(widths) - 1)
+    block = sum(widths) + _TILE_GUTTER * (len(widths) - 1)
     number = TextStyle(size=22, color=palette.title, weight="bold")
     text = TextStyle(size=16, color=palette.text)
     state = TextStyle(size=15, color=palette.tuned if row.tuned else palette.dim)
@@ -190,7 +212,7 @@ def _draw_row(
     pictures: list[ByteImage | None] = [row.markers, row.face]
     if len(widths) == 3:
         pictures.insert(0, row.video)
-    at, top = x, y + _HEAD
+    at, top = x, y + _HEAD_HEIGHT
     for picture, width in zip(pictures, widths, strict=True):
         if picture is None:
             fill_box(page, at, top, width, tile, palette.empty)
@@ -210,17 +232,17 @@ def _draw_row(
                 shown = on_paper(shown, ink=picture is row.markers)
             page[top : top + tile, at : at + width] = shown
         outline_box(page, at, top, width, tile, palette.rule)
-        at += width + _GUTTER
+        at += width + _TILE_GUTTER
     _draw_weights(page, row, palette, x=x, y=top + tile + 5, width=block)
 
 
 def _draw_weights(
     page: ByteImage, row: ReferenceRow, palette: PaperColors, *, x: int, y: int, width: int
 ) -> None:
-    """Write the strongest weights on two lines, and how far the markers are off."""
-    style = TextStyle(size=14, color=palette.text)
-    dim = TextStyle(size=14, color=palette.dim)
-    off = f"markers off by {row.residual_mm:.1f} mm"
+    """Write the strongest weights on two lines, and the residual."""
+    style = TextStyle(size=16, color=palette.text)
+    dim = TextStyle(size=16, color=palette.dim)
+    off = f"residual {row.residual_mm:.1f} mm"
     right = x + width - text_width(off, dim)
     draw_text(page, off, x=right, y=y, style=dim)
     at, line = x, 0
@@ -234,7 +256,7 @@ def _draw_weights(
             at, line = x, 1
             if at + wide > x + width:
                 break
-        draw_text(page, label, x=at, y=y + 23 * line, style=style)
+        draw_text(page, label, x=at, y=y + 22 * line, style=style)
         at += wide + 18
 
 

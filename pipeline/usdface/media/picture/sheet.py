@@ -11,19 +11,33 @@ import numpy as np
 
 from usdface.core.arrays import ByteImage, FloatArray
 from usdface.core.errors import InputError
-from usdface.media.picture.canvas import Color, fill_box, new_picture, outline_box
-from usdface.media.picture.color import bytes_from_linear, heat_ramp
-from usdface.media.picture.error_strip import ErrorCurve, draw_error_strip, strip_height
-from usdface.media.picture.palette import PAGE
+from usdface.media.picture.canvas import fill_box, new_picture, outline_box
+from usdface.media.picture.color import (
+    BRIGHT,
+    DIM,
+    FRAME,
+    PAGE,
+    RULE,
+    SOFT,
+    TEXT,
+    bytes_from_linear,
+    heat_ramp,
+)
+from usdface.media.picture.error_strip import (
+    ErrorCurve,
+    ErrorStrip,
+    draw_error_strip,
+    strip_height,
+)
 from usdface.media.picture.sheet_layout import (
-    CAPTION,
+    CAPTION_HEIGHT,
     COLUMN_HEAD,
-    FACTS,
+    FACTS_HEIGHT,
     GROUP_GAP,
-    GUTTER,
     LEGEND_LINE,
-    MARGIN,
-    TITLE,
+    PAGE_MARGIN,
+    TILE_GUTTER,
+    TITLE_HEIGHT,
     Layout,
     SheetPage,
     SheetRow,
@@ -41,18 +55,17 @@ from usdface.media.picture.tiles import empty_tile, fit_picture
 __all__ = ["ErrorCurve", "SheetPage", "SheetRow", "Tile", "compose_sheet"]
 
 MAX_PIXELS = 400_000_000
+HEADER_HEIGHT = TITLE_HEIGHT + FACTS_HEIGHT + 10
+"""Of title, facts and the rule below them, from a page's margin on [pixels]."""
 
-_RULE: Color = (58, 61, 67)
-_FRAME: Color = (64, 67, 74)
-
-_TITLE_STYLE = TextStyle(size=42, color=(244, 245, 247), weight="bold")
-_FACTS_STYLE = TextStyle(size=20, color=(166, 171, 180))
-_COLUMN = TextStyle(size=21, color=(198, 203, 211), weight="bold")
-_TEXT = TextStyle(size=17, color=(198, 203, 211))
-_DIM = TextStyle(size=17, color=(132, 137, 146))
-_CODE = TextStyle(size=17, color=(222, 225, 230), weight="mono")
-_VALUE = TextStyle(size=21, color=(214, 217, 223))
-_BEST = TextStyle(size=21, color=(255, 255, 255), weight="bold")
+_TITLE_STYLE = TextStyle(size=40, color=BRIGHT, weight="bold")
+_FACTS_STYLE = TextStyle(size=20, color=DIM)
+_COLUMN_STYLE = TextStyle(size=21, color=SOFT, weight="bold")
+_TEXT_STYLE = TextStyle(size=17, color=SOFT)
+_DIM_STYLE = TextStyle(size=17, color=DIM)
+_CODE_STYLE = TextStyle(size=17, color=TEXT, weight="mono")
+_VALUE_STYLE = TextStyle(size=21, color=TEXT)
+_BEST_STYLE = TextStyle(size=21, color=(255, 255, 255), weight="bold")
 
 
 def compose_sheet(spec: SheetPage) -> ByteImage:
@@ -81,29 +94,21 @@ def compose_sheet(spec: SheetPage) -> ByteImage:
         )
     high = spec.high if spec.high is not None else round_range(all_errors(spec))
     page = new_picture(layout.width, layout.height, PAGE)
-    inner = layout.width - 2 * MARGIN
-    y = draw_header(page, spec.title, spec.facts, x=MARGIN, y=MARGIN - 8, width=inner)
+    inner = layout.width - 2 * PAGE_MARGIN
+    y = draw_header(page, spec.title, spec.facts, margin=PAGE_MARGIN)
     if spec.curves:
-        draw_error_strip(
-            page,
-            spec.curves,
-            x=MARGIN,
-            y=y,
-            width=inner,
-            first_frame=spec.first_frame,
-            high=high,
-            marks=[(row.frame, str(n)) for n, row in enumerate(spec.rows, start=1)],
-            unit=spec.unit,
-        )
+        marks = tuple((row.frame, str(n)) for n, row in enumerate(spec.rows, start=1))
+        strip = ErrorStrip(spec.curves, spec.first_frame, high, marks, spec.unit)
+        draw_error_strip(page, strip, x=PAGE_MARGIN, y=y, width=inner)
         y += strip_height(len(spec.curves))
     if has_legend(spec):
         notes = legend_lines(spec.notes, layout.width)
-        draw_legend(page, notes, x=MARGIN, y=y, width=inner, high=high, unit=spec.unit)
+        draw_legend(page, notes, x=PAGE_MARGIN, y=y, width=inner, high=high, unit=spec.unit)
     for group in range(layout.groups):
         first = group * layout.rows_per_group
         rows = spec.rows[first : first + layout.rows_per_group]
         if rows:
-            x = MARGIN + group * (layout.group_width + GROUP_GAP)
+            x = PAGE_MARGIN + group * (layout.group_width + GROUP_GAP)
             _draw_group(page, spec, layout, rows, first, x=x, high=high)
     return page
 
@@ -120,16 +125,16 @@ def round_range(errors: FloatArray) -> float:
     )
 
 
-def draw_header(
-    page: ByteImage, title: str, facts: Sequence[str], *, x: int, y: int, width: int
-) -> int:
-    """Write title and facts; return where the next part begins."""
-    draw_text(page, title, x=x, y=y, style=_TITLE_STYLE, max_width=width)
-    y += TITLE
+def draw_header(page: ByteImage, title: str, facts: Sequence[str], *, margin: int) -> int:
+    """Write title and facts at the top of a page; return the row where the next part begins."""
+    width, y = page.shape[1] - 2 * margin, margin - 8
+    draw_text(page, title, x=margin, y=y, style=_TITLE_STYLE, max_width=width)
+    y += TITLE_HEIGHT
     if facts:
-        draw_text(page, "   ·   ".join(facts), x=x, y=y, style=_FACTS_STYLE, max_width=width)
-        y += FACTS
-    fill_box(page, x, y + 6, width, 1, _RULE)
+        line = "   ·   ".join(facts)
+        draw_text(page, line, x=margin, y=y, style=_FACTS_STYLE, max_width=width)
+        y += FACTS_HEIGHT
+    fill_box(page, margin, y + 6, width, 1, RULE)
     return y + 18
 
 
@@ -146,13 +151,13 @@ def draw_legend(
     """Draw the ramp with its ends, and notes beside it, each on a line of its own."""
     bar = legend_bar(width)
     ramp = bytes_from_linear(heat_ramp(np.linspace(0, 1, bar)))
-    start = x + draw_text(page, "0", x=x, y=y, style=_TEXT) + 8
+    start = x + draw_text(page, "0", x=x, y=y, style=_TEXT_STYLE) + 8
     page[y + 5 : y + 20, start : start + bar] = ramp
     end = start + bar + 8
-    end += draw_text(page, f"{high:g} {unit}", x=end, y=y, style=_TEXT) + 28
+    end += draw_text(page, f"{high:g} {unit}", x=end, y=y, style=_TEXT_STYLE) + 28
     for number, line in enumerate(notes):
         below = y + number * LEGEND_LINE
-        draw_text(page, line, x=end, y=below, style=_DIM, max_width=x + width - end)
+        draw_text(page, line, x=end, y=below, style=_DIM_STYLE, max_width=x + width - end)
 
 
 def _draw_group(
@@ -169,10 +174,10 @@ def _draw_group(
     y = layout.head_height
     at = x
     for label, width in zip(spec.columns, layout.column_widths, strict=True):
-        draw_text(page, label, x=at + 2, y=y, style=_COLUMN, max_width=width)
-        at += width + GUTTER
+        draw_text(page, label, x=at + 2, y=y, style=_COLUMN_STYLE, max_width=width)
+        at += width + TILE_GUTTER
     y += COLUMN_HEAD
-    fill_box(page, x, y - 4, layout.group_width, 1, _RULE)
+    fill_box(page, x, y - 4, layout.group_width, 1, RULE)
     for number, row in enumerate(rows, start=first + 1):
         _draw_row(page, spec, layout, row, number, x=x, y=y, high=high)
         y += layout.row_height
@@ -190,21 +195,21 @@ def _draw_row(
     high: float,
 ) -> None:
     badge = str(number)
-    wide = max(text_width(badge, _CODE) + 12, 26)
-    fill_box(page, x, y + 2, wide, 24, _RULE)
-    draw_text(page, badge, x=x + wide // 2, y=y + 3, style=_CODE, anchor="middle")
+    wide = max(text_width(badge, _CODE_STYLE) + 12, 26)
+    fill_box(page, x, y + 2, wide, 24, RULE)
+    draw_text(page, badge, x=x + wide // 2, y=y + 3, style=_CODE_STYLE, anchor="middle")
     at, right = x + wide + 12, x + layout.group_width
     labels = (
-        (f"frame {row.frame}", _CODE),
-        (row.timecode, _CODE),
-        (row.said, _TEXT),
-        (row.note, _DIM),
+        (f"frame {row.frame}", _CODE_STYLE),
+        (row.timecode, _CODE_STYLE),
+        (row.said, _TEXT_STYLE),
+        (row.note, _DIM_STYLE),
     )
     for label, style in labels:
         if label:
             room = max(right - at, 0)
             at += draw_text(page, label, x=at, y=y + 3, style=style, max_width=room) + 20
-    top = y + CAPTION
+    top = y + CAPTION_HEIGHT
     known = [t.value for t in row.tiles if t.value is not None and np.isfinite(t.value)]
     best = min(known) if len(known) > 1 else None
     at = x
@@ -215,15 +220,15 @@ def _draw_row(
         else:
             picture = fit_picture(tile.pixels, width=width, height=height)
         page[top : top + height, at : at + width] = picture
-        outline_box(page, at, top, width, height, _FRAME)
+        outline_box(page, at, top, width, height, FRAME)
         below = top + height + 2
         used = 0
         if tile.value is not None:
             color = bytes_from_linear(heat_ramp(np.array([tile.value]), high=high))[0]
             fill_box(page, at, below + 6, 16, 16, (int(color[0]), int(color[1]), int(color[2])))
-            style = _BEST if tile.value == best else _VALUE
+            style = _BEST_STYLE if tile.value == best else _VALUE_STYLE
             label, style = _value_label(tile.value, spec.unit, style, room=width - 24)
-            level = below + (_VALUE.size - style.size) // 2
+            level = below + (_VALUE_STYLE.size - style.size) // 2
             used = 38 + draw_text(page, label, x=at + 24, y=level, style=style)
         if tile.pixels is not None:
             draw_text(
@@ -231,10 +236,10 @@ def _draw_row(
                 tile.caption,
                 x=at + used,
                 y=below + 1,
-                style=_DIM,
+                style=_DIM_STYLE,
                 max_width=max(width - used, 0),
             )
-        at += width + GUTTER
+        at += width + TILE_GUTTER
 
 
 def _value_label(value: float, unit: str, style: TextStyle, *, room: int) -> tuple[str, TextStyle]:

@@ -13,19 +13,19 @@ from usdface.media.picture.error_strip import ErrorCurve, strip_height
 BEST_ASPECT = 1.5
 """Width over height that fills a screen and a landscape page alike."""
 
-MARGIN = 36
-GUTTER = 6
+PAGE_MARGIN = 36
+TILE_GUTTER = 6
 GROUP_GAP = 40
 _ROW_GAP = 14
-CAPTION = 30
+CAPTION_HEIGHT = 30
 COLUMN_HEAD = 36
-_LEGEND = 42
+_LEGEND_HEIGHT = 42
 LEGEND_LINE = 24
 LEGEND_LETTERS = 90  # of one line of notes; more go to lines of their own
 LEGEND_LETTER = 8  # [pixels] the width of one, about
 LEAST_WIDTH = 800  # for the title and the strip above a few small tiles
-TITLE = 60
-FACTS = 34
+TITLE_HEIGHT = 60
+FACTS_HEIGHT = 34
 
 
 @dataclass(frozen=True)
@@ -127,23 +127,23 @@ class Layout:
     @property
     def group_width(self) -> int:
         """Width of one block of rows."""
-        return sum(self.column_widths) + GUTTER * (len(self.column_widths) - 1)
+        return sum(self.column_widths) + TILE_GUTTER * (len(self.column_widths) - 1)
 
     @property
     def row_height(self) -> int:
         """From one row's head to the next one's."""
-        return CAPTION + self.tile_height + CAPTION + _ROW_GAP
+        return CAPTION_HEIGHT + self.tile_height + CAPTION_HEIGHT + _ROW_GAP
 
     @property
     def width(self) -> int:
         """Width of the sheet."""
         groups = self.groups * self.group_width + (self.groups - 1) * GROUP_GAP
-        return max(2 * MARGIN + groups, LEAST_WIDTH)
+        return max(2 * PAGE_MARGIN + groups, LEAST_WIDTH)
 
     @property
     def height(self) -> int:
         """Height of the sheet."""
-        return self.head_height + COLUMN_HEAD + self.rows_per_group * self.row_height + MARGIN
+        return self.head_height + COLUMN_HEAD + self.rows_per_group * self.row_height + PAGE_MARGIN
 
 
 def check_sheet(spec: SheetPage) -> None:
@@ -185,7 +185,7 @@ def legend_bar(width: int) -> int:
 
 def legend_lines(notes: Sequence[str], width: int) -> tuple[str, ...]:
     """Return notes on as many lines as they need to be read on a sheet so wide; at least one."""
-    inner = width - 2 * MARGIN
+    inner = width - 2 * PAGE_MARGIN
     room = (inner - legend_bar(inner) - 120) // LEGEND_LETTER
     room = min(max(room, 20), LEGEND_LETTERS)
     lines = [""]
@@ -213,10 +213,10 @@ def lay_out(spec: SheetPage) -> Layout:
 
 
 def _head_height(spec: SheetPage, width: int) -> int:
-    head = MARGIN - 8 + TITLE + (FACTS if spec.facts else 0) + 18
+    head = PAGE_MARGIN - 8 + TITLE_HEIGHT + (FACTS_HEIGHT if spec.facts else 0) + 18
     head += strip_height(len(spec.curves)) if spec.curves else 0
     if has_legend(spec):
-        head += _LEGEND + LEGEND_LINE * (len(legend_lines(spec.notes, width)) - 1)
+        head += _LEGEND_HEIGHT + LEGEND_LINE * (len(legend_lines(spec.notes, width)) - 1)
     return head
 
 

@@ -1,26 +1,42 @@
-"""Letters on pictures, drawn by OpenImageIO with the font it brings along."""
+"""Letters on pictures, drawn by Pillow with the DejaVu fonts that matplotlib brings along."""
 
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import OpenImageIO as oiio  # noqa: N813  # the name all its users know it by
+from PIL import ImageFont
 
 from usdface.core.arrays import ByteImage, Float32Array
 from usdface.core.errors import InputError
-from usdface.media.picture.canvas import Color
-from usdface.media.picture.pixel_font import pixel_mask
+from usdface.media.picture.color import Color
 
 Weight = Literal["regular", "bold", "mono"]
 Anchor = Literal["left", "middle", "right"]
 
-# OpenImageIO embeds these; names with spaces are not found.
-_FONTS: dict[Weight, str] = {
-    "regular": "DroidSans",
-    "bold": "DroidSans-Bold",
-    "mono": "DroidSansMono",
+_FONT_FILES: dict[Weight, str] = {
+    "regular": "DejaVuSans.ttf",
+    "bold": "DejaVuSans-Bold.ttf",
+    "mono": "DejaVuSansMono.ttf",
 }
+_EAST_ASIAN_FONTS = (
+    "NotoSansCJK-Regular.ttc",
+    "NotoSansCJKjp-Regular.otf",
+    "NotoSansJP-Regular.otf",
+    "DroidSansFallbackFull.ttf",
+    "DroidSansFallback.ttf",
+    "YuGothM.ttc",  # Windows
+    "msgothic.ttc",
+    "ヒラギノ角ゴシック W3.ttc",  # macOS
+    "Hiragino Sans GB.ttc",
+    "Arial Unicode.ttf",
+)
+"""File names of fonts that draw what DejaVu lacks; the first that this machine has is used."""
+
+_EM_SHARE = 0.88
+"""Of a style's size: DejaVu's letters are larger than most fonts' of the same size."""
 
 
 @dataclass(frozen=True)
@@ -42,32 +58,31 @@ class TextStyle:
     weight: Weight = "regular"
 
 
-@lru_cache(maxsize=1)
-def font_works() -> bool:
-    """Whether OpenImageIO can draw here; without it labels use a small built-in pixel font."""
-    try:
-        require_font()
-    except InputError:
-        return False
-    return True
-
-
-def require_font() -> None:
-    """Refuse to go on without a real font.
+def font_file(weight: Weight) -> Path:
+    """Return the file of a font.
 
     Raises
     ------
     InputError
-        If OpenImageIO was built without FreeType or finds none of its fonts.
+        If matplotlib's fonts are not there.
     """
-    buffer = oiio.ImageBuf(oiio.ImageSpec(64, 32, 1, "float"))
-    drawn = oiio.ImageBufAlgo.render_text(buffer, 4, 24, "A", 20, _FONTS["regular"], (1.0,))
-    if not drawn or not np.any(buffer.get_pixels("float")):
-        reason = buffer.geterror() or "nothing was drawn"
-        raise InputError(
-            f"OpenImageIO cannot draw text with {_FONTS['regular']} ({reason}); install the "
-            "OpenImageIO wheel from PyPI, which brings the font"
-        )
+    found = find_spec("matplotlib")  # found, not imported: that takes a second
+    folder = Path((found and found.origin) or "").parent / "mpl-data" / "fonts" / "ttf"
+    file = folder / _FONT_FILES[weight]
+    if not file.is_file():
+        raise InputError(f"{file}: no such font; install the matplotlib wheel, which brings it")
+    return file
+
+
+@lru_cache(maxsize=1)
+def east_asian_font_file() -> Path | None:
+    """Return a font of this machine with Chinese and Japanese letters; None if there is none."""
+    for name in _EAST_ASIAN_FONTS:
+        try:
+            return Path(str(ImageFont.truetype(name, 16).path))
+        except OSError:
+            continue
+    return None
 
 
 @lru_cache(maxsize=8192)
@@ -85,23 +100,17 @@ def text_mask(text: str, *, size: int, weight: Weight = "regular") -> Float32Arr
     Returns
     -------
     (height, width) float32 array
-        [0-1]; read-only. The base line lies at ``baseline(size)``.
+        [0-1]; read-only. The base line lies at ``round(1.02 * size)``.
     """
     line = "".join(" " if letter.isspace() else letter for letter in text)
     height = round(size * 1.35)
-    if not line.strip():
-        mask = np.zeros((height, 0), np.float32)
-    elif not font_works():
-        mask = pixel_mask(line, size=size)
-    else:
-        mask = _draw_line(line, size, weight, height)
+    runs = _runs(line, size, weight) if line.strip() else []
+    starts = np.cumsum([0, *(font.getlength(run) for run, font in runs)])
+    mask = np.zeros((height, int(np.ceil(starts[-1])) + (2 if runs else 0)), np.float32)
+    for (run, font), start in zip(runs, starts.tolist(), strict=False):
+        _draw_run(mask, run, font, start, round(size * 1.02))
     mask.setflags(write=False)
     return mask
-
-
-def baseline(size: int) -> int:
-    """Return the row of the base line in a mask of letters of this size."""
-    return round(size * 1.02)
 
 
 def text_width(text: str, style: TextStyle) -> int:
@@ -126,12 +135,14 @@ def draw_text(
     picture : (height, width, 3) uint8 array
         Changed in place.
     text : str
+        One line.
     x, y : int
         Where `anchor` of the label's top edge goes [pixels].
     style : TextStyle
+        Size, colour and weight.
     anchor : {'left', 'middle', 'right'}
     max_width : int, optional
-        Longer labels end in an ellipsis [pixels].
+        Longer labels are cut in the middle, with an ellipsis [pixels].
 
     Returns
     -------
@@ -167,60 +178,50 @@ def shortened(text: str, style: TextStyle, *, max_width: int) -> str:
     return _cut(text, fits) if fits else ""
 
 
-def _cut(text: str, kept: int) -> str:
-    head = (kept + 1) // 2
-    return text[:head].rstrip() + "…" + text[len(text) - (kept - head) :].lstrip()
+def _cut(text: str, length: int) -> str:
+    head = (length + 1) // 2
+    return text[:head].rstrip() + "…" + text[len(text) - (length - head) :].lstrip()
 
 
-def _draw_line(line: str, size: int, weight: Weight, height: int) -> Float32Array:
-    runs = _runs(line, weight)
-    drawn = [
-        _draw_run(run, size, font, height, last=number == len(runs))
-        for number, (run, font) in enumerate(runs, start=1)
-    ]
-    if any(run is None for run in drawn):
-        return pixel_mask(line, size=size)
-    return np.concatenate([run for run in drawn if run is not None], axis=1)
+@lru_cache(maxsize=256)
+def _font(file: Path, size: int) -> ImageFont.FreeTypeFont:
+    # The basic layout is on every machine; Raqm, where present, would move letters by a pixel.
+    return ImageFont.truetype(str(file), size, layout_engine=ImageFont.Layout.BASIC)
 
 
-def _runs(line: str, weight: Weight) -> list[tuple[str, str]]:
-    """Cut a line where the font changes: two of the three know no letters beyond Western Europe's.
-
-    They draw nothing for others, the ellipsis among them; the third has Greek and Cyrillic, and a
-    box for what it lacks.
-    """
-    runs: list[tuple[str, str]] = []
+def _runs(line: str, size: int, weight: Weight) -> list[tuple[str, ImageFont.FreeTypeFont]]:
+    """Split a line where letters need another font."""
+    main, other = font_file(weight), east_asian_font_file()
+    runs: list[tuple[str, Path]] = []
     for letter in line:
-        font = _FONTS["mono" if _is_blank(letter, _FONTS[weight]) else weight]
-        if runs and font == runs[-1][1]:
-            runs[-1] = runs[-1][0] + letter, font
+        file = other if other is not None and _is_missing(letter, main) else main
+        if runs and file == runs[-1][1]:
+            runs[-1] = runs[-1][0] + letter, file
         else:
-            runs.append((letter, font))
-    return runs
+            runs.append((letter, file))
+    pixels = max(round(size * _EM_SHARE), 1)
+    return [(run, _font(file, pixels)) for run, file in runs]
 
 
 @lru_cache(maxsize=4096)
-def _is_blank(letter: str, font: str) -> bool:
-    """Whether a font draws nothing for a letter that should be seen."""
-    if letter.isspace() or letter.isascii():
+def _is_missing(letter: str, file: Path) -> bool:
+    """Whether a font draws its box for a letter that it has not."""
+    if letter.isascii():
         return False
-    buffer = oiio.ImageBuf(oiio.ImageSpec(64, 64, 1, "float"))
-    oiio.ImageBufAlgo.zero(buffer)
-    drawn = oiio.ImageBufAlgo.render_text(buffer, 12, 44, letter, 30, font, (1.0,))
-    return drawn and float(np.asarray(buffer.get_pixels("float"), np.float32).sum()) < 1.0
+    font = _font(file, 24)
+    return bytes(font.getmask(letter)) == bytes(font.getmask("\U0010ffff"))
 
 
-def _draw_run(line: str, size: int, font: str, height: int, *, last: bool) -> Float32Array | None:
-    box = oiio.ImageBufAlgo.text_size(line, size, font)
-    # The advance of a last space is not in the box, and a first letter may start left of zero.
-    width = max(box.xend, box.width) + 2
-    if not last:
-        behind = oiio.ImageBufAlgo.text_size(line + "x", size, font).xend
-        width = behind - oiio.ImageBufAlgo.text_size("x", size, font).xend
-    buffer = oiio.ImageBuf(oiio.ImageSpec(max(width, 1), height, 1, "float"))
-    oiio.ImageBufAlgo.zero(buffer)
-    start = max(-box.xbegin, 0)
-    if not oiio.ImageBufAlgo.render_text(buffer, start, baseline(size), line, size, font, (1.0,)):
-        return None
-    drawn = np.asarray(buffer.get_pixels("float"), np.float32).reshape(height, max(width, 1))
-    return np.clip(drawn, 0, 1)
+def _draw_run(
+    mask: Float32Array, run: str, font: ImageFont.FreeTypeFont, start: float, baseline: int
+) -> None:
+    drawn, (left, top) = font.getmask2(run, mode="L", anchor="ls", start=(start % 1, 0))
+    width, height = drawn.size
+    if not width or not height:
+        return
+    cover = np.frombuffer(bytes(drawn), np.uint8).reshape(height, width) / np.float32(255)
+    x, y = int(start) + left, baseline + top
+    rows = slice(max(y, 0), min(y + height, mask.shape[0]))
+    columns = slice(max(x, 0), min(x + width, mask.shape[1]))
+    part = cover[rows.start - y : rows.stop - y, columns.start - x : columns.stop - x]
+    np.maximum(mask[rows, columns], part, out=mask[rows, columns])

@@ -1,17 +1,14 @@
 """Fit any picture into the box a sheet has for it, or say that there is none."""
 
-from functools import lru_cache
-
 import numpy as np
-from scipy import sparse
+from PIL import Image
 
 from usdface.core.arrays import ByteImage
 from usdface.core.errors import InputError
-from usdface.media.face.mesh_topology import Sparse
-from usdface.media.picture.canvas import Color, new_picture
+from usdface.media.picture.canvas import new_picture
+from usdface.media.picture.color import DIM, PANEL, Color
 from usdface.media.picture.text import TextStyle, draw_text
 
-_EMPTY: Color = (31, 33, 37)
 _HATCH: Color = (37, 39, 44)
 
 
@@ -47,7 +44,7 @@ def fit_picture(
     inner_height = min(max(round(given.shape[0] * scale), 1), height)
     box = new_picture(width, height, color)
     left, top = (width - inner_width) // 2, (height - inner_height) // 2
-    box[top : top + inner_height, left : left + inner_width] = _scaled(
+    box[top : top + inner_height, left : left + inner_width] = scale_picture(
         given, inner_width, inner_height
     )
     return box
@@ -56,9 +53,9 @@ def fit_picture(
 def empty_tile(width: int, height: int, message: str) -> ByteImage:
     """Return a hatched tile that says why there is nothing in it."""
     rows, columns = np.mgrid[:height, :width]
-    tile = new_picture(width, height, _EMPTY)
+    tile = new_picture(width, height, PANEL)
     tile[(rows + columns) % 12 < 3] = _HATCH
-    style = TextStyle(size=15, color=(150, 154, 162))
+    style = TextStyle(size=16, color=DIM)
     draw_text(
         tile,
         message,
@@ -71,29 +68,9 @@ def empty_tile(width: int, height: int, message: str) -> ByteImage:
     return tile
 
 
-def _scaled(picture: ByteImage, width: int, height: int) -> ByteImage:
-    """Resample rows, then columns; OpenImageIO's resize takes ten times as long for a tile."""
+def scale_picture(picture: ByteImage, width: int, height: int) -> ByteImage:
+    """Resample a picture by a three-lobed Lanczos filter, wide enough to shrink."""
     if picture.shape[:2] == (height, width):
         return picture
-    rows, columns, _ = picture.shape
-    down = _lanczos(rows, height) @ picture.reshape(rows, -1).astype(np.float32)
-    turned = down.reshape(height, columns, 3).transpose(1, 0, 2).reshape(columns, -1)
-    across = (_lanczos(columns, width) @ turned).reshape(width, height, 3).transpose(1, 0, 2)
-    return np.asarray(np.clip(across + 0.5, 0, 255), np.uint8)
-
-
-@lru_cache(maxsize=32)
-def _lanczos(given: int, wanted: int) -> Sparse:
-    """Return the (wanted, given) weights of a three-lobed Lanczos filter, wide enough to shrink."""
-    scale = max(given / wanted, 1.0)
-    centers = (np.arange(wanted) + 0.5) * given / wanted
-    reach = int(np.ceil(3 * scale))
-    taps = np.floor(centers).astype(np.int64)[:, None] + np.arange(-reach, reach + 1)
-    distance = (taps + 0.5 - centers[:, None]) / scale
-    weights = np.where(np.abs(distance) < 3, np.sinc(distance) * np.sinc(distance / 3), 0.0)
-    weights /= weights.sum(axis=1, keepdims=True)
-    rows = np.broadcast_to(np.arange(wanted)[:, None], taps.shape)
-    inside = np.clip(taps, 0, given - 1)
-    return sparse.csr_array(
-        (weights.ravel().astype(np.float32), (rows.ravel(), inside.ravel())), shape=(wanted, given)
-    )
+    image = Image.fromarray(picture).resize((width, height), Image.Resampling.LANCZOS)
+    return np.array(image)

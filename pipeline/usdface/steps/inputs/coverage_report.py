@@ -8,7 +8,7 @@ from usdface.core.arrays import BoolArray, ByteImage, FloatArray, IntArray
 from usdface.core.assets import References, Rig
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
-from usdface.media.charts.coverage import CoveragePage, Hole, draw_coverage
+from usdface.media.charts.coverage import CoveragePage, NextFrame, draw_coverage
 from usdface.media.picture.error_strip import ErrorCurve
 from usdface.model.selection.coverage import Coverage, Growth, measure_coverage, measure_growth
 from usdface.model.selection.features import Features, SelectionSpace, features_at
@@ -55,10 +55,10 @@ def cover(
     )
 
 
-def holes_of(covered: Covered, takes: CleanedTakes) -> tuple[Hole, ...]:
+def next_frames(covered: Covered, takes: CleanedTakes) -> tuple[NextFrame, ...]:
     """Return the frames that would be chosen next."""
     return tuple(
-        Hole(
+        NextFrame(
             take=takes.takes[row],
             frame=int(takes.frames[row]),
             covered=float(covered.coverage.covered[row]),
@@ -90,7 +90,7 @@ def coverage_picture(
     facts = (
         f"{len(rows) if pairs is None else pairs} references, {len(tuned)} tuned",
         f"{coverage.share:.1%} of the motion covered",
-        f"{coverage.hole_share:.1%} of the frames are holes",
+        f"{coverage.hole_share:.1%} of the frames not covered",
         f"{len(takes.frames)} frames of {len(takes.sources)} "
         + ("take" if len(takes.sources) == 1 else "takes"),
     )
@@ -106,7 +106,7 @@ def coverage_picture(
             first_frame=int(takes.frames[0]),
             marks=tuple(sorted(rows.tolist())),
             growth=covered.growth.share,
-            holes=holes_of(covered, takes),
+            next_frames=next_frames(covered, takes),
         )
     )
 
@@ -124,12 +124,12 @@ def coverage_figures(covered: Covered, takes: CleanedTakes) -> dict[str, object]
         "growth": np.round(covered.growth.share, 4).tolist(),
         "next": [
             {
-                "take": hole.take,
-                "frame": hole.frame,
-                "covered": round(hole.covered, 4),
-                "coverage_then": round(hole.share, 4),
+                "take": each.take,
+                "frame": each.frame,
+                "covered": round(each.covered, 4),
+                "coverage_then": round(each.share, 4),
             }
-            for hole in holes_of(covered, takes)
+            for each in next_frames(covered, takes)
         ],
     }
 

@@ -6,7 +6,7 @@ from usdface.media.picture.image import write_image
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesCoverageSpec
-from usdface.steps.inputs.coverage_report import coverage_figures, holes_of, measure_pairs
+from usdface.steps.inputs.coverage_report import coverage_figures, measure_pairs, next_frames
 
 _NAMED_FRAMES = 3
 """Further frames that are named in words; all are in the figures and the picture."""
@@ -33,13 +33,13 @@ def run(
             "count by their markers"
         )
     notes += [
-        f"frame {hole.frame} of {hole.take} next: {hole.share:.1%} would be covered"
-        for hole in holes_of(covered, takes)[:_NAMED_FRAMES]
+        f"frame {each.frame} of {each.take} next: {each.share:.1%} would be covered"
+        for each in next_frames(covered, takes)[:_NAMED_FRAMES]
     ]
     return StepResult(
         (spec.out,),
         f"{len(pairs)} pairs cover {coverage.share:.1%} of the motion of {len(takes.frames)} "
-        f"frames; {coverage.hole_share:.1%} of the frames are holes",
+        f"frames; {coverage.hole_share:.1%} of the frames are not covered",
         tuple(notes),
         {
             "pairs": [pair + 1 for pair in pairs.tolist()],

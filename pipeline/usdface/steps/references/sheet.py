@@ -19,8 +19,7 @@ from usdface.media.face.render import FaceRenderer
 from usdface.media.face.sculpted_normals import SculptedNormals
 from usdface.media.film.image_sequence import ImageSequence, open_video
 from usdface.media.film.video import VideoReader
-from usdface.media.picture.image import write_image
-from usdface.media.picture.read import read_picture
+from usdface.media.picture.image import read_picture, write_image
 from usdface.media.picture.reference_sheet import ReferenceRow, compose_reference_sheet
 from usdface.model.selection.baseline import set_up_equation
 from usdface.runner.origin import provenance_metadata

@@ -13,7 +13,8 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing
-from usdface.media.charts.motion_curves import PALETTE, Curve, Panel, draw_motion_curves
+from usdface.media.charts.motion_curves import Curve, Panel, draw_motion_curves
+from usdface.media.picture.color import SERIES_COLORS
 from usdface.media.picture.image import write_image
 from usdface.model.regressions.retarget_methods import find_retarget_method
 from usdface.model.retarget.checks import check_pairs
@@ -155,7 +156,7 @@ def _write(
 
 def _panels(found: tuple[CyclicError, ...]) -> tuple[Panel, ...]:
     """Return one plot of all cyclic errors, and one of direct errors where the truth is known."""
-    colors = [PALETTE[index % len(PALETTE)] for index in range(len(found))]
+    colors = [SERIES_COLORS[index % len(SERIES_COLORS)] for index in range(len(found))]
 
     def curves(values: list[FloatArray]) -> tuple[Curve, ...]:
         drawn = [

@@ -138,14 +138,15 @@ def evaluation_page(evaluation: Evaluation, *, title: str) -> EvaluationPage:
     return EvaluationPage(
         title=title,
         facts=(
-            f"{evaluation.surface.rms_mm:.3f} mm RMS, 95 % {evaluation.surface.p95_mm:.3f} mm",
+            f"{evaluation.surface.rms_mm:.3f} mm RMS",
+            f"95th percentile {evaluation.surface.p95_mm:.3f} mm",
             *facts,
         ),
         curves=tuple(curves),
         first_frame=int(frames[0]),
         worst=worst_frames(evaluation),
-        lips_truth=None if lips is None else _over_time(frames, lips.truth_mm),
-        lips_solved=None if lips is None else _over_time(frames, lips.solved_mm),
+        lips_keys=None if lips is None else _over_time(frames, lips.truth_mm),
+        lips_solve=None if lips is None else _over_time(frames, lips.solved_mm),
         shapes=tuple(
             ShapeBar(
                 evaluation.shape_names[column],

@@ -1,6 +1,5 @@
 """What a report tells in tables: errors, repairs, edits, and where everything came from."""
 
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,13 +10,13 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.media.page.report_page import Listing, PagePicture, Strip
-from usdface.media.picture.image import write_image
+from usdface.media.picture.image import encode_image
 from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
 from usdface.runner.origin import path_made_from, provenance_of, spec_of
 from usdface.runner.sandbox import confine
 from usdface.specs.references import ReferencesCoverageSpec
 from usdface.specs.review import ReportSpec
-from usdface.steps.inputs.coverage_report import MeasuredCoverage, holes_of, measure_pairs
+from usdface.steps.inputs.coverage_report import MeasuredCoverage, measure_pairs, next_frames
 from usdface.steps.inputs.edit_ranges import find_edited_ranges
 from usdface.steps.review.evaluation_tables import evaluation_figures, shapes_with_motion
 from usdface.steps.review.shot import Shot
@@ -204,10 +203,13 @@ def show_coverage(
     covered = measured.covered.coverage
     own: FloatArray = covered.covered[shot.frames - shot.take.first_frame]
     return ShownCoverage(
-        Strip("covered", own[rows], 0.0, 1.0, "by references"),
+        Strip("coverage", own[rows], 0.0, 1.0, "by references"),
         (_shares(measured, references), _next(measured)),
         PagePicture(
-            "Coverage", f"Coverage by {references.name}", _png(measured, references), "image/png"
+            "Coverage",
+            f"Coverage by {references.name}",
+            encode_image(measured.picture(references.stem), "png"),
+            "image/png",
         ),
     )
 
@@ -223,8 +225,8 @@ def _shares(measured: MeasuredCoverage, references: Path) -> Listing:
     rows = [
         ("pairs", f"{len(measured.pairs)}"),
         ("of them frames of this take, tuned", f"{len(measured.tuned)}"),
-        ("motion of the take covered", f"{100 * coverage.share:.1f} %"),
-        ("frames that are holes", f"{100 * coverage.hole_share:.1f} %"),
+        ("coverage of the take's motion", f"{100 * coverage.share:.1f} %"),
+        ("frames not covered", f"{100 * coverage.hole_share:.1f} %"),
     ]
     if len(coverage.regions) > 1:
         means = coverage.region_covered.mean(axis=0).tolist()
@@ -236,20 +238,13 @@ def _shares(measured: MeasuredCoverage, references: Path) -> Listing:
 
 
 def _next(measured: MeasuredCoverage) -> Listing:
-    holes = holes_of(measured.covered, measured.takes)
+    frames = next_frames(measured.covered, measured.takes)
     return Listing(
         "Tune these next",
-        ("frame", "covered now", "take covered then"),
+        ("frame", "coverage", "of the take, once tuned"),
         tuple(
-            (str(hole.frame), f"{100 * hole.covered:.1f} %", f"{100 * hole.share:.1f} %")
-            for hole in holes
+            (str(each.frame), f"{100 * each.covered:.1f} %", f"{100 * each.share:.1f} %")
+            for each in frames
         ),
-        tuple(hole.frame for hole in holes),
+        tuple(each.frame for each in frames),
     )
-
-
-def _png(measured: MeasuredCoverage, references: Path) -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "coverage.png"
-        write_image(file, np.ascontiguousarray(measured.picture(references.stem)))
-        return file.read_bytes()
