@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 LABEL_PIXELS = 14
 CAPTION_PIXELS = 15
-_DPI = 72
+_PIXELS_PER_INCH = 72
 """Points per inch: font sizes and line widths are then pixels."""
 _TICK_STEPS = [1, 2, 5, 10]
 _GAP_STEPS = 3.0
@@ -44,8 +44,8 @@ def new_figure(width: int, height: int) -> Figure:
     from matplotlib.figure import Figure
 
     # A little more, because matplotlib rounds down.
-    size = ((width + 1e-3) / _DPI, (height + 1e-3) / _DPI)
-    return Figure(figsize=size, dpi=_DPI, facecolor=display_color(PAGE))
+    size = ((width + 1e-3) / _PIXELS_PER_INCH, (height + 1e-3) / _PIXELS_PER_INCH)
+    return Figure(figsize=size, dpi=_PIXELS_PER_INCH, facecolor=display_color(PAGE))
 
 
 def render(figure: Figure) -> ByteImage:

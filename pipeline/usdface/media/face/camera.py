@@ -116,10 +116,6 @@ class Camera:
 def motion_weights(meshes: Sequence[RigMesh]) -> FloatArray:
     """Return how much of a shape's motion each point takes part in, of all meshes in a row.
 
-    Parameters
-    ----------
-    meshes : sequence of RigMesh
-
     Returns
     -------
     (points,) float array
@@ -213,7 +209,6 @@ def frame_rig(
 
     Parameters
     ----------
-    meshes : sequence of RigMesh
     yaw_degrees, pitch_degrees, aspect, margin : float
         As in `frame_face`.
 

@@ -14,17 +14,17 @@ from usdface.media.face.parts import FacePart, Pieces
 _CLOSED, _OPEN = 0.015, 0.09  # of the sky seen at rest: inside of a mouth below, skin above
 
 
-OPAQUE = 0.5
+LEAST_OPACITY = 0.5
 """Faces below this opacity are not drawn: corneas and tear lines would hide what is judged."""
 
-_PALE = 0.25  # linear green of an eye from which it is a white without an iris
+_PALE_LUMINANCE = 0.25  # linear green of an eye from which it is a white without an iris
 
 
 def tone(mesh: RigMesh) -> FloatArray | None:
     """Return the one colour that all opaque faces of a mesh have by material; None without."""
     if mesh.face_colors is None:
         return None
-    opaque = mesh.face_colors[~(mesh.face_colors[:, 3] < OPAQUE), :3]
+    opaque = mesh.face_colors[~(mesh.face_colors[:, 3] < LEAST_OPACITY), :3]
     if not len(opaque) or np.isnan(opaque).any() or np.ptp(opaque, axis=0).max() > 0:
         return None
     return np.asarray(opaque[0])
@@ -43,7 +43,7 @@ def is_plain_eye(colors: FloatArray) -> bool:
     if not len(colors) or np.isnan(colors).all():
         return True
     one = np.ptp(colors, axis=0).max() < 0.02  # NaN compares false: partly painted is painted
-    return bool(one and colors[0, 1] > _PALE)
+    return bool(one and colors[0, 1] > _PALE_LUMINANCE)
 
 
 def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) -> FloatArray:
@@ -51,8 +51,6 @@ def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) ->
 
     Parameters
     ----------
-    meshes : sequence of RigMesh
-    pieces : Pieces
     exposure : (points,) float array
         How much of the sky each point sees, mouth shut [0-1].
 

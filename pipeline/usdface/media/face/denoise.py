@@ -4,7 +4,7 @@ import numpy as np
 
 from usdface.core.arrays import Float32Array, IntArray
 
-_ALIKE = 0.8  # cosine between two normals of the same bit of surface
+_LEAST_COSINE = 0.8  # cosine between two normals of the same bit of surface
 # Over five pixels these add up every direction of a 4 by 4 block the same number of times.
 _TAPER = {0: 1.0, 1: 1.0, 2: 0.5}
 
@@ -58,7 +58,7 @@ def denoise(
             here, there = _aligned(dy, dx, height, width)
             n, m = normal[:, *here], normal[:, *there]
             step = place[:, *there] - place[:, *here]
-            alike = n[0] * m[0] + n[1] * m[1] + n[2] * m[2] > _ALIKE
+            alike = n[0] * m[0] + n[1] * m[1] + n[2] * m[2] > _LEAST_COSINE
             m = m + n
             off_plane = np.abs(step[0] * m[0] + step[1] * m[1] + step[2] * m[2])
             share = share * (alike & (off_plane < 2 * tolerance))

@@ -65,7 +65,6 @@ def components(face_counts: IntArray, face_indices: IntArray, *, point_count: in
     ----------
     face_counts : (faces,) int array
     face_indices : (corners,) int array
-    point_count : int
 
     Returns
     -------

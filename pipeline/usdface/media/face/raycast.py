@@ -14,7 +14,7 @@ from usdface.media.face import shading
 from usdface.media.face.camera import Camera
 from usdface.media.face.denoise import denoise
 from usdface.media.face.surface import Surface
-from usdface.media.face.tracing import PATTERNS, Found, Tracer, light_seen, sky_seen
+from usdface.media.face.tracing import PATTERN_COUNT, RayHits, Tracer, light_seen, sky_seen
 
 IRIS_ANGLE = 0.50
 """Half angle of the iris from the eyeball's middle [rad]: 11.7 mm across on a 12 mm eye."""
@@ -36,10 +36,10 @@ EFFORT = {
     "draft": Effort(3, 2, 4, 3, 2),
     "final": Effort(8, 4, 12, 6, 4),
 }
-_CONTRAST = 0.05  # step of linear light between neighbours from which a pixel is sampled again
+_CONTRAST_STEP = 0.05  # step of linear light between neighbours from which a pixel is sampled again
 _TOP, _BOTTOM = 0.060, 0.022  # background, linear
-_INSIDE = 0.04  # albedo of a back face
-_HOLE = 0.006  # seen through an eye hole that has no eye behind it
+_BACK_ALBEDO = 0.04  # albedo of a back face
+_HOLE_LIGHT = 0.006  # seen through an eye hole that has no eye behind it
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,8 @@ class View:
 
     Attributes
     ----------
-    surface : Surface
-    camera : Camera
     width, height : int
         [pixels]
-    effort : Effort
     tracer : Tracer
         Of the posed points.
     normals, colors : (drawn points, 3) float32 arrays
@@ -87,7 +84,7 @@ class View:
 class _Samples:
     """Where rays met the face, before light."""
 
-    found: Found
+    found: RayHits
     normals: Float32Array
     views: Float32Array
     albedo: Float32Array
@@ -97,7 +94,7 @@ class _Samples:
         """Return some of the samples."""
         found = self.found
         return _Samples(
-            Found(
+            RayHits(
                 found.rays[rows],
                 found.triangles[rows],
                 found.barycentric[rows],
@@ -112,10 +109,6 @@ class _Samples:
 
 def draw(view: View) -> Float32Array:
     """Draw a view.
-
-    Parameters
-    ----------
-    view : View
 
     Returns
     -------
@@ -143,7 +136,7 @@ def draw(view: View) -> Float32Array:
     hit = (slots >= 0).reshape(height, width)
     holes = ndimage.binary_fill_holes(hit) & ~hit
     picture = background(height, width)
-    picture[holes] = _HOLE
+    picture[holes] = _HOLE_LIGHT
     flat = picture.reshape(-1, 3)
     flat[rays] = _light(view, samples, seen)
     edges = np.flatnonzero(_edges(picture))
@@ -171,7 +164,7 @@ def _sample(view: View, pixels: FloatArray) -> _Samples:
         known = ~np.isnan(own[:, 0])
         albedo[known] = own[known]
     # The back of the skin, seen through an eye hole: inside of the head, no surface to judge.
-    albedo[away] *= _INSIDE
+    albedo[away] *= _BACK_ALBEDO
     if not view.heat:
         _paint_irises(view.surface, found, corners, albedo)
     return _Samples(found, normals, views, albedo, view.surface.parts[found.triangles])
@@ -184,7 +177,9 @@ def _mix(values: Float32Array, corners: IntArray, shares: Float32Array) -> Float
     return mixed
 
 
-def _paint_irises(surface: Surface, found: Found, corners: IntArray, albedo: Float32Array) -> None:
+def _paint_irises(
+    surface: Surface, found: RayHits, corners: IntArray, albedo: Float32Array
+) -> None:
     """Colour eyes by the angle from their gaze at rest: sharp on the coarsest eyeball."""
     which = surface.eyes[found.triangles]
     rows = np.flatnonzero(which >= 0)
@@ -259,10 +254,10 @@ def _edges(picture: Float32Array) -> BoolArray:
     """Return where light steps between neighbours, in display terms."""
     shown = np.sqrt(np.clip(picture, 0, 1))
     mask = np.zeros(picture.shape[:2], bool)
-    down = np.abs(np.diff(shown, axis=0)).max(axis=2) > _CONTRAST
+    down = np.abs(np.diff(shown, axis=0)).max(axis=2) > _CONTRAST_STEP
     mask[1:] |= down
     mask[:-1] |= down
-    across = np.abs(np.diff(shown, axis=1)).max(axis=2) > _CONTRAST
+    across = np.abs(np.diff(shown, axis=1)).max(axis=2) > _CONTRAST_STEP
     mask[:, 1:] |= across
     mask[:, :-1] |= across
     return mask
@@ -293,12 +288,12 @@ def _resample(view: View, edges: IntArray, near_hole: BoolArray, known: _Known) 
     seen[unknown] = _occlusion(
         view,
         rest,
-        (rest.found.rays * 5 + owner[rest.found.rays]) % PATTERNS,
+        (rest.found.rays * 5 + owner[rest.found.rays]) % PATTERN_COUNT,
         sky=view.effort.edge_sky_rays,
         light=view.effort.edge_light_rays,
     )
     light = background(view.height, view.width)[owner // view.width, 0]
-    light[near_hole[owner]] = _HOLE
+    light[near_hole[owner]] = _HOLE_LIGHT
     light[rays] = _light(view, samples, seen)
     return np.asarray(light.reshape(len(edges), count, 3).mean(axis=1), np.float32)
 

@@ -77,7 +77,6 @@ class FaceRenderer:
         ----------
         points : (points, 3) array or sequence of one such array per mesh
             [mm]; of every mesh the renderer was given, in its order.
-        camera : Camera
         width, height : int
             [pixels]
         quality : {'draft', 'final'}

@@ -44,7 +44,7 @@ class SculptedNormals:
             sculpted = mesh.normals is not None or any(k.normal_offsets is not None for k in keys)
             if mesh.subdivision != "none" or not sculpted or not len(mesh.face_counts):
                 continue
-            surface = _OwnSurface(mesh)
+            surface = _MeshSurface(mesh)
             if mesh.normals is not None:
                 own[:] = surface.sign * mesh.normals - surface.rest
             for number, key in enumerate(keys):
@@ -87,7 +87,7 @@ class SculptedNormals:
         return np.asarray(self._rest + np.asarray(moved).reshape(self._rest.shape), np.float64)
 
 
-class _OwnSurface:
+class _MeshSurface:
     """A mesh's normals by its faces, at rest and moved."""
 
     def __init__(self, mesh: RigMesh) -> None:

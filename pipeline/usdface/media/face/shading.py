@@ -83,7 +83,6 @@ def shade(hits: Hits, *, plain: bool = False) -> Float32Array:
 
     Parameters
     ----------
-    hits : Hits
     plain : bool
         Leave out highlights and colour of light, so that a heat map keeps its colours.
 

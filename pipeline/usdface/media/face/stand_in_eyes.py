@@ -19,8 +19,8 @@ from usdface.media.face.mesh_topology import Sparse, polygon_edges
 _SHARE_OF_OPENING = 0.52  # radius over the width between the corners of the lids
 _LEAST_BLINK = 0.10  # of the largest motion in a blink, by the rim of a lid
 _OPENING = (0.05, 0.45)  # width of an eye hole over the face's
-_CLEARANCE = 0.02  # of the radius, between ball and lids
-_ANCHORS = 64
+_CLEARANCE_SHARE = 0.02  # of the radius, between ball and lids
+_ANCHOR_COUNT = 64
 _ROWS, _COLUMNS = 24, 48
 
 
@@ -42,10 +42,6 @@ class StandIns:
 
 def fit_stand_in_eyes(meshes: Sequence[RigMesh]) -> StandIns | None:
     """Put a ball behind every hole whose rim blinks.
-
-    Parameters
-    ----------
-    meshes : sequence of RigMesh
 
     Returns
     -------
@@ -117,7 +113,7 @@ def _behind_lids(
     front = np.sqrt(radius**2 - flat[inside] ** 2)
     # A few points of the rim's inner side may dip in: the ball must not sink for their sake.
     depth = np.percentile(swept[inside, 2] - front, 4)
-    return np.array([middle[0], middle[1], depth - _CLEARANCE * radius])
+    return np.array([middle[0], middle[1], depth - _CLEARANCE_SHARE * radius])
 
 
 def _ball(path: str, center: FloatArray, radius: float) -> RigMesh:
@@ -155,8 +151,8 @@ def _stillness(meshes: Sequence[RigMesh]) -> FloatArray:
 
 def _hang(balls: FloatArray, rest: FloatArray, moved: FloatArray) -> Sparse:
     """Express points as affine combinations of points that no shape moves, or hardly any."""
-    still = np.argsort(moved, kind="stable")[: max(len(rest) // 10, min(len(rest), _ANCHORS))]
-    anchors = np.sort(still)[:: max(len(still) // _ANCHORS, 1)]
+    still = np.argsort(moved, kind="stable")[: max(len(rest) // 10, min(len(rest), _ANCHOR_COUNT))]
+    anchors = np.sort(still)[:: max(len(still) // _ANCHOR_COUNT, 1)]
 
     def affine(points: FloatArray) -> FloatArray:
         return np.column_stack(

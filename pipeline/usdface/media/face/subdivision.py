@@ -46,7 +46,6 @@ def catmull_clark(
     face_counts : (faces,) int array
         Polygons of fewer than three corners are left out.
     face_indices : (corners,) int array
-    point_count : int
 
     Returns
     -------

@@ -9,7 +9,7 @@ from scipy import sparse
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
-from usdface.media.face.complexion import OPAQUE, faces_painted, is_plain_eye, paint
+from usdface.media.face.complexion import LEAST_OPACITY, faces_painted, is_plain_eye, paint
 from usdface.media.face.mesh_topology import (
     Sparse,
     check_topology,
@@ -20,14 +20,14 @@ from usdface.media.face.parts import FacePart, Pieces, find_pieces
 from usdface.media.face.quad_centre_split import cut_polygons
 from usdface.media.face.stand_in_eyes import fit_stand_in_eyes
 from usdface.media.face.subdivision import catmull_clark
-from usdface.media.face.tracing import PATTERNS, Tracer, sky_seen
+from usdface.media.face.tracing import PATTERN_COUNT, Tracer, sky_seen
 
 COARSE_POINTS = 6000
 """Subdivide a Catmull-Clark cage of fewer points; finer ones look smooth at sheet size."""
 
 _EXPOSURE_RAYS = 48  # to colour by: below, the inside of the mouth has a ragged edge
 _SORTING_RAYS = 12  # to tell pieces apart, by their median
-_PROBES = 2000  # points that decide which way normals point
+_PROBE_COUNT = 2000  # points that decide which way normals point
 
 
 LONG_EDGE = 0.02
@@ -59,7 +59,6 @@ class Surface:
     triangles : (triangles, 3) int array
     normals : (drawn points, triangles) sparse array
         Adds triangle normals at their corners.
-    middles : Middles
     parts : (triangles,) int array
         A `FacePart` each.
     albedo : (drawn points, 3) float32 array
@@ -111,10 +110,6 @@ class Surface:
 
 def build_surface(meshes: Sequence[RigMesh]) -> Surface:
     """Prepare the visible meshes of a rig for drawing.
-
-    Parameters
-    ----------
-    meshes : sequence of RigMesh
 
     Returns
     -------
@@ -212,7 +207,7 @@ def _clear(mesh: RigMesh) -> BoolArray:
     """Return which polygons one looks through."""
     if mesh.face_colors is None:
         return np.zeros(len(mesh.face_counts), bool)
-    return np.asarray(mesh.face_colors[:, 3] < OPAQUE)
+    return np.asarray(mesh.face_colors[:, 3] < LEAST_OPACITY)
 
 
 def _plain_eye(meshes: Sequence[RigMesh], pieces: Pieces, piece: int, painted: FloatArray) -> bool:
@@ -308,9 +303,9 @@ def _rest_exposure(meshes: Sequence[RigMesh], drawn: _Drawn, *, rays: int) -> _E
     pose shows is the inside of the mouth and of the sockets.
     """
     rest = np.concatenate([mesh.points for mesh in meshes])
-    few = np.arange(len(rest))[:: max(len(rest) // _PROBES, 1)]
+    few = np.arange(len(rest))[:: max(len(rest) // _PROBE_COUNT, 1)]
     out, into = (
-        _sky_over(rest, drawn, few, outward=side, rays=PATTERNS).mean() for side in (1.0, -1.0)
+        _sky_over(rest, drawn, few, outward=side, rays=PATTERN_COUNT).mean() for side in (1.0, -1.0)
     )
     outward = 1.0 if out >= into else -1.0
     every = np.arange(len(rest))
@@ -345,7 +340,7 @@ def _sky_over(
         Tracer(fine.astype(np.float32), drawn.triangles),
         fine[rows].astype(np.float32) + lift * aim,
         aim,
-        patterns=which % PATTERNS,
+        patterns=which % PATTERN_COUNT,
         ray_count=rays,
         reach=1e6,
     )

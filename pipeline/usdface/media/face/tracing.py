@@ -12,12 +12,12 @@ from embreex.rtcore_scene import EmbreeScene
 
 from usdface.core.arrays import BoolArray, Float32Array, IntArray
 
-PATTERNS = 16
+PATTERN_COUNT = 16
 """Neighbouring pixels of a 4 by 4 block take different directions; a filter shares them."""
 
 
 @dataclass(frozen=True)
-class Found:
+class RayHits:
     """The first triangle that each ray met; rays that met none are left out.
 
     Attributes
@@ -55,13 +55,13 @@ class Tracer:
             np.ascontiguousarray(triangles, np.int32),
         )
 
-    def find(self, origins: Float32Array, directions: Float32Array) -> Found:
+    def find(self, origins: Float32Array, directions: Float32Array) -> RayHits:
         """Return what each ray meets first; both (n, 3), directions unit."""
         origins = np.ascontiguousarray(origins)
         met = self._scene.run(origins, np.ascontiguousarray(directions), output=1)
         rays = np.flatnonzero(met["primID"] >= 0)
         u, v = met["u"][rays], met["v"][rays]
-        return Found(
+        return RayHits(
             rays=rays,
             triangles=met["primID"][rays].astype(np.int64),
             barycentric=np.stack([1 - u - v, u, v], axis=1),
@@ -90,12 +90,10 @@ def sky_seen(
 
     Parameters
     ----------
-    tracer : Tracer
     positions, normals : (n, 3) float32 arrays
         Positions lie a little off the surface.
     patterns : (n,) int array
-        Which of the `PATTERNS` sets of directions each point takes.
-    ray_count : int
+        Which of the `PATTERN_COUNT` sets of directions each point takes.
     reach : float
         Further things do not darken [mm].
 
@@ -127,7 +125,6 @@ def light_seen(
 
     Parameters
     ----------
-    tracer : Tracer
     positions : (n, 3) float32 array
     direction : (3,) float32 array
         Towards the light's middle, unit.
@@ -155,9 +152,9 @@ def light_seen(
 
 def _sequence(ray_count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return (patterns, rays) points that fill the unit square evenly: R2 (Roberts 2018)."""
-    index = np.arange(PATTERNS)[:, None] + PATTERNS * np.arange(ray_count)[None, :]
+    index = np.arange(PATTERN_COUNT)[:, None] + PATTERN_COUNT * np.arange(ray_count)[None, :]
     # Shuffle which pattern sits where in a block, so that neighbours differ most.
-    index = (index * 7) % (PATTERNS * ray_count) if ray_count % 7 else index
+    index = (index * 7) % (PATTERN_COUNT * ray_count) if ray_count % 7 else index
     plastic = 1.32471795724474602596
     return (0.5 + index / plastic) % 1.0, (0.5 + index / plastic**2) % 1.0
 

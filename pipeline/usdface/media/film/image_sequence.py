@@ -33,7 +33,6 @@ class ImageSequence:
     ----------
     path : Path
         The first picture.
-    rate : Fraction
     times : (pictures,) float array
         When each appears [s].
     duration : float

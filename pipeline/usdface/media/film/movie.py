@@ -14,7 +14,6 @@ from usdface.core.errors import InputError
 from usdface.core.replacing import replacing
 from usdface.core.timecode import frames_of
 from usdface.media.film.containers import open_media, words_of
-from usdface.media.film.movie_sound import SoundTrack
 
 _H264 = ("libx264", "libopenh264", "h264_videotoolbox", "h264_mf")
 _OPTIONS = {
@@ -32,7 +31,9 @@ _PROXY_OPTIONS = {
     "libvpx-vp9": {"crf": "34", "b": "0", "cpu-used": "6", "row-mt": "1", "g": "15"},
     "other": {"g": "15"},
 }
-_BT709 = 1
+_BT709_CODE = 1
+_AAC_BLOCK = 1024
+"""Samples that AAC takes at a time."""
 
 
 def write_movie(
@@ -164,7 +165,7 @@ def _encode(
     context = video.codec_context
     context.time_base = 1 / rate
     # Tagged as BT.709: no player then re-maps what is made to look right on an sRGB screen.
-    context.color_primaries = context.color_trc = context.colorspace = _BT709
+    context.color_primaries = context.color_trc = context.colorspace = _BT709_CODE
     context.color_range = 1  # limited, as broadcast and every player expect
     sound = None if audio is None else SoundTrack(container, audio, sample_rate)
     for number, picture in enumerate(pictures):
@@ -207,3 +208,42 @@ def _same_size(file: Path, first: ByteImage, rest: Iterator[ByteImage]) -> Itera
         except StopIteration:
             return
         number += 1
+
+
+class SoundTrack:
+    """One row of samples on its way into a container.
+
+    Parameters
+    ----------
+    samples : (samples,) float32 array
+        Mono [-1 to 1], from the first picture on.
+    """
+
+    def __init__(self, container: Any, samples: Float32Array, sample_rate: int) -> None:
+        codec = "libopus" if container.format.name == "webm" else "aac"
+        self._container = container
+        self._stream = container.add_stream(codec, rate=sample_rate, layout="mono")
+        self._samples = samples
+        self._rate = sample_rate
+        self._done = 0
+
+    def encode_until(self, seconds: Fraction) -> None:
+        """Encode the whole blocks that begin before a moment."""
+        self._encode(min(int(seconds * self._rate), len(self._samples)), last=False)
+
+    def finish(self) -> None:
+        """Encode what is left."""
+        self._encode(len(self._samples), last=True)
+        self._container.mux(self._stream.encode())
+
+    def _encode(self, stop: int, *, last: bool) -> None:
+        while self._done < stop and (last or stop - self._done >= _AAC_BLOCK):
+            block = self._samples[self._done : min(self._done + _AAC_BLOCK, stop)]
+            limited = np.clip(np.asarray(block, np.float32), -1, 1)
+            frame = av.AudioFrame.from_ndarray(
+                np.ascontiguousarray(limited[None]), format="fltp", layout="mono"
+            )
+            frame.sample_rate, frame.pts = self._rate, self._done
+            frame.time_base = Fraction(1, self._rate)
+            self._container.mux(self._stream.encode(frame))
+            self._done += len(block)

@@ -27,8 +27,6 @@ class MoviePanel:
         Its place in every picture of the movie [pixels].
     pixels : (h, w, 3) uint8 array or None
         Of any size; None where there is nothing, and `missing` says why.
-    label : str
-    missing : str
     """
 
     width: int
@@ -56,7 +54,6 @@ def compose_movie_frame(
 
     Parameters
     ----------
-    panels : sequence of MoviePanel
     height : int
         Of the panels [pixels].
     title : str

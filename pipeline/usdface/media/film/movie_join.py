@@ -1,8 +1,8 @@
 """Movies of the same kind put one after the other without decoding them."""
 
 from collections.abc import Sequence
-from contextlib import ExitStack
 from fractions import Fraction
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,7 @@ from usdface.core.arrays import Float32Array
 from usdface.core.errors import InputError
 from usdface.core.replacing import replacing
 from usdface.media.film.containers import open_media, unreadable
-from usdface.media.film.movie import movie_format
-from usdface.media.film.movie_sound import SoundTrack
+from usdface.media.film.movie import SoundTrack, movie_format
 
 
 def join_movies(
@@ -56,56 +55,85 @@ def join_movies(
     if not parts:
         raise InputError(f"{path}: there is no part to join; give at least one")
     container_format = movie_format(path)
-    with ExitStack() as open_files, replacing(path) as temporary:
-        kinds = []
-        for part in parts:
-            source = open_files.enter_context(open_media(part))
-            kinds.append(_kind(part, source))
-            if kinds[-1] != kinds[0]:
-                raise InputError(
-                    f"{part}: is {_told(kinds[-1])} and {parts[0]} is {_told(kinds[0])}; make all "
-                    "parts with the same options"
-                )
-            source.close()
-        rate = kinds[0][3] if rate is None else rate
-        count = 0
+    stated_rate = _check_kinds(parts)
+    with replacing(path) as temporary:
         try:
             with av.open(str(temporary), "w", format=container_format) as container:
                 if timecode:
                     container.metadata["timecode"] = timecode
                 if comment:
                     container.metadata["comment"] = comment
-                stream: Any = None
-                sound: SoundTrack | None = None
-                for number, part in enumerate(parts):
-                    end = None if pictures is None else count + pictures[number]
-                    with open_media(part) as source:
-                        given = source.streams.video[0]
-                        if stream is None:
-                            stream = container.add_stream_from_template(given)
-                            stream.time_base = 1 / rate
-                            if audio is not None:
-                                sound = SoundTrack(container, audio, sample_rate)
-                        for packet in source.demux(given):
-                            if packet.size == 0 or count == end:
-                                continue
-                            # One packet is one picture, in order: counted, no rounding adds up.
-                            packet.pts = packet.dts = count
-                            packet.duration = 1
-                            packet.time_base = 1 / rate
-                            packet.stream = stream
-                            container.mux(packet)
-                            count += 1
-                            if sound is not None:
-                                sound.encode_until(Fraction(count) / rate)
-                if sound is not None:
-                    sound.finish()
+                joined = _Joined(container, stated_rate if rate is None else rate)
+                counts = repeat(None) if pictures is None else pictures
+                for part, count in zip(parts, counts, strict=False):
+                    joined.add(part, count, audio, sample_rate)
+                joined.finish()
         except (av.error.FFmpegError, OSError, ValueError) as error:
-            told = f"{parts[0]} and those after it" if len(parts) > 1 else str(parts[0])
+            which = f"{parts[0]} and those after it" if len(parts) > 1 else str(parts[0])
             raise InputError(
-                f"{path}: {told} cannot be joined ({error}); make them anew"
+                f"{path}: {which} cannot be joined ({error}); make them anew"
             ) from error
-    return count
+    return joined.count
+
+
+class _Joined:
+    """A movie that packets of others are written into, counted from 0."""
+
+    def __init__(self, container: Any, rate: Fraction) -> None:
+        self.count = 0
+        self._container = container
+        self._rate = rate
+        self._stream: Any = None
+        self._sound: SoundTrack | None = None
+
+    def add(
+        self, part: Path, most: int | None, audio: Float32Array | None, sample_rate: int
+    ) -> None:
+        """Copy the pictures of a part, `most` of them; the first decides what streams are like."""
+        end = None if most is None else self.count + most
+        with open_media(part) as source:
+            video = source.streams.video[0]
+            if self._stream is None:
+                self._begin(video, audio, sample_rate)
+            for packet in source.demux(video):
+                if packet.size and self.count != end:
+                    self._copy(packet)
+
+    def _begin(self, template: Any, audio: Float32Array | None, sample_rate: int) -> None:
+        self._stream = self._container.add_stream_from_template(template)
+        self._stream.time_base = 1 / self._rate
+        if audio is not None:
+            self._sound = SoundTrack(self._container, audio, sample_rate)
+
+    def _copy(self, packet: Any) -> None:
+        # One packet is one picture, in order: counted, no rounding adds up.
+        packet.pts = packet.dts = self.count
+        packet.duration = 1
+        packet.time_base = 1 / self._rate
+        packet.stream = self._stream
+        self._container.mux(packet)
+        self.count += 1
+        if self._sound is not None:
+            self._sound.encode_until(Fraction(self.count) / self._rate)
+
+    def finish(self) -> None:
+        """Write what is left of the sound."""
+        if self._sound is not None:
+            self._sound.finish()
+
+
+def _check_kinds(parts: Sequence[Path]) -> Fraction:
+    """Refuse parts of different kinds; return the rate that the first states."""
+    kinds = []
+    for part in parts:
+        with open_media(part) as source:
+            kinds.append(_kind(part, source))
+        if kinds[-1] != kinds[0]:
+            raise InputError(
+                f"{part}: is {_description(kinds[-1])} and {parts[0]} is "
+                f"{_description(kinds[0])}; make all parts with the same options"
+            )
+    return kinds[0][3]
 
 
 def _kind(part: Path, source: Any) -> tuple[str, int, int, Fraction, bytes]:
@@ -116,12 +144,12 @@ def _kind(part: Path, source: Any) -> tuple[str, int, int, Fraction, bytes]:
     context = stream.codec_context
     rate = stream.average_rate
     if context is None or not rate:
-        told = "its pictures are packed in an unknown way" if context is None else "it has no rate"
-        raise unreadable(part, ValueError(told))
+        reason = "its codec is unknown" if context is None else "it has no rate"
+        raise unreadable(part, ValueError(reason))
     extra = bytes(context.extradata or b"")
     return str(context.name), int(context.width), int(context.height), Fraction(rate), extra
 
 
-def _told(kind: tuple[str, int, int, Fraction, bytes]) -> str:
+def _description(kind: tuple[str, int, int, Fraction, bytes]) -> str:
     name, width, height, rate, _ = kind
     return f"{name} {width} × {height} at {float(rate):g} frames per second"

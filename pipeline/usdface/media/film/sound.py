@@ -1,6 +1,8 @@
 """Read the sound of a movie or a sound file as one row of samples."""
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import av
 import av.error
@@ -11,7 +13,7 @@ from usdface.core.errors import InputError
 from usdface.media.film.containers import open_media, start_seconds, unreadable
 
 MAX_HOURS = 4
-_MAX_GAP = 0.02  # seconds by which sound may stray from its time stamps before silence is put in
+_MAX_GAP = 0.02  # seconds by which sound may differ from its time stamps before silence is put in
 _MAX_SILENCE = 600.0  # seconds: a jump beyond is a damaged time stamp, not a pause
 _RATES = range(1000, 768_001)
 """[Hz] Fewer samples a second hold no speech, and a few of them would become hours."""
@@ -42,39 +44,51 @@ def read_audio(path: Path | str, *, rate: int = 16000) -> Float32Array:
     if not 1000 <= rate <= 384000:
         raise InputError(f"{file}: cannot be read at {rate} samples a second; ask for 16000")
     with open_media(file) as container:
-        if not container.streams.audio:
-            raise InputError(f"{file}: holds no sound; give the sound file of the take")
-        stream = container.streams.audio[0]
-        context = stream.codec_context
-        if context is None or context.sample_rate not in _RATES:
-            told = "an unknown packing" if context is None else f"{context.sample_rate} Hz"
-            raise InputError(
-                f"{file}: its sound is of {told}, which is not read; export WAV at 48000 Hz"
-            )
-        start = start_seconds(container)
-        resampler = av.AudioResampler("fltp", "mono", rate)
-        blocks, count = list[Float32Array](), 0
+        stream = _sound_stream(file, container)
         try:
-            for frame in container.decode(stream):
-                if frame.time is not None:
-                    gap = round((frame.time - start) * rate) - count
-                    if gap > _MAX_SILENCE * rate:
-                        raise InputError(
-                            f"{file}: after {count / rate:.3f} s its sound jumps to "
-                            f"{frame.time - start:.0f} s; its time stamps are damaged: export it "
-                            "again, or cut it to the take"
-                        )
-                    if gap > _MAX_GAP * rate and count + gap <= MAX_HOURS * 3600 * rate:
-                        blocks.append(np.zeros(gap, np.float32))
-                        count += gap
-                for part in resampler.resample(frame):
-                    blocks.append(part.to_ndarray()[0])
-                    count += blocks[-1].size
-                if count > MAX_HOURS * 3600 * rate:
-                    raise InputError(f"{file}: longer than {MAX_HOURS} hours; cut it to the take")
-            blocks.extend(part.to_ndarray()[0] for part in resampler.resample(None))
+            blocks = list(_blocks(file, container, stream, rate))
         except (av.error.FFmpegError, OSError, ValueError) as error:
             raise unreadable(file, error) from error
     if not blocks:
         raise InputError(f"{file}: its sound is empty; record or export it again")
     return np.concatenate(blocks)
+
+
+def _sound_stream(file: Path, container: Any) -> Any:
+    if not container.streams.audio:
+        raise InputError(f"{file}: holds no sound; give the sound file of the take")
+    stream = container.streams.audio[0]
+    context = stream.codec_context
+    if context is None or context.sample_rate not in _RATES:
+        found = "an unknown packing" if context is None else f"{context.sample_rate} Hz"
+        raise InputError(
+            f"{file}: its sound is of {found}, which is not read; export WAV at 48000 Hz"
+        )
+    return stream
+
+
+def _blocks(file: Path, container: Any, stream: Any, rate: int) -> Iterator[Float32Array]:
+    """Yield decoded sound, with silence where its time stamps leave a gap."""
+    start = start_seconds(container)
+    resampler = av.AudioResampler("fltp", "mono", rate)
+    longest = MAX_HOURS * 3600 * rate
+    count = 0
+    for frame in container.decode(stream):
+        if frame.time is not None:
+            gap = round((frame.time - start) * rate) - count
+            if gap > _MAX_SILENCE * rate:
+                raise InputError(
+                    f"{file}: after {count / rate:.3f} s its sound jumps to "
+                    f"{frame.time - start:.0f} s; its time stamps are damaged: export it "
+                    "again, or cut it to the take"
+                )
+            if gap > _MAX_GAP * rate and count + gap <= longest:
+                yield np.zeros(gap, np.float32)
+                count += gap
+        for part in resampler.resample(frame):
+            block = part.to_ndarray()[0]
+            yield block
+            count += block.size
+        if count > longest:
+            raise InputError(f"{file}: longer than {MAX_HOURS} hours; cut it to the take")
+    yield from (part.to_ndarray()[0] for part in resampler.resample(None))

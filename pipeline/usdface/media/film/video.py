@@ -47,13 +47,8 @@ class _Index:
 class VideoReader:
     """A movie whose frames are found by time; use it in a ``with`` block.
 
-    Parameters
-    ----------
-    path : Path
-
     Attributes
     ----------
-    path : Path
     rate : Fraction or None
         Frames per second; None where frames are not evenly spaced.
     times : (frames,) float array

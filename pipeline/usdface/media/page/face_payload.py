@@ -26,20 +26,20 @@ from usdface.core.deformer import Deformer
 from usdface.media.face.camera import Camera, frame_rig
 from usdface.media.face.mesh_topology import normal_operator
 from usdface.media.face.surface import Surface, build_surface
-from usdface.media.face.tracing import PATTERNS, Tracer, sky_seen
+from usdface.media.face.tracing import PATTERN_COUNT, Tracer, sky_seen
 from usdface.media.picture.color import bytes_from_linear
 from usdface.numerics.measure.face_regions import blinks, jaw_opener, region_of_shape
 
-FORMAT = 2
+PAYLOAD_FORMAT = 2
 """Version of the blob; the viewer refuses others."""
 
-MICROMETRES = 1000.0
+STEPS_PER_MM = 1000.0
 _NARROW = np.iinfo(np.int16).max
 _SKY_RAYS = 40
-_OPEN = 0.6
+_OPEN_SHARE = 0.6
 _SKY_AVERAGES = 6  # over neighbours: counting rays is noisy, and stripes follow a mesh's rows
 # Which directions a point takes, in no order that a row of a mesh could follow.
-_PATTERN_OF = np.random.default_rng(0).integers(0, PATTERNS, 4093)
+_PATTERN_OF = np.random.default_rng(0).integers(0, PATTERN_COUNT, 4093)
 _FLAT_FOV = 2.0  # [degrees]
 _SKY_REACH = 0.28  # of the head's height, as in the ray-cast pictures
 _WEB = Path(__file__).parents[1] / "web"
@@ -101,7 +101,6 @@ def pack_face(rig: Rig, *, camera: Camera | None = None) -> FacePayload:
 
     Parameters
     ----------
-    rig : Rig
     camera : Camera, optional
         Where the face is first seen from; framed on it from the front by default. Its place, aim
         and field of view are kept; roll and lens shift are not.
@@ -138,7 +137,7 @@ def pack_face(rig: Rig, *, camera: Camera | None = None) -> FacePayload:
         "offsets32": keys.wide,
     }
     header = {
-        "format": FORMAT,
+        "format": PAYLOAD_FORMAT,
         "points": len(used),
         "triangles": len(triangles),
         "shapes": _shapes(rig),
@@ -169,8 +168,6 @@ class _Keys:
     narrow, wide : (m,) int16 and int32 arrays
         Offsets [µm], each key's x, then y, then z, differenced; keys that move something more
         than 32 mm are wide.
-    counts : list of int
-    is_wide : list of bool
     """
 
     points: NDArray[np.int32]
@@ -258,7 +255,7 @@ def _openness(rig: Rig, deformer: Deformer, surface: Surface) -> Float32Array:
         if index and not poses[index].any():
             continue
         # What sees the sky at rest is skin, and no pose makes it more so.
-        rows = np.flatnonzero(best < _OPEN)
+        rows = np.flatnonzero(best < _OPEN_SHARE)
         best[rows] = np.maximum(best[rows], _sky_of(surface, cage, rows))
     return _averaged(best, surface)
 
@@ -312,7 +309,7 @@ def _camera(camera: Camera) -> dict[str, Any]:
 
 
 def _micrometres(lengths: FloatArray | Float32Array) -> NDArray[np.int64]:
-    return np.round(np.asarray(lengths, np.float64) * MICROMETRES).astype(np.int64)
+    return np.round(np.asarray(lengths, np.float64) * STEPS_PER_MM).astype(np.int64)
 
 
 def _planes(positions: NDArray[np.int64]) -> NDArray[np.int32]:

@@ -75,10 +75,8 @@ class PagePicture:
 
     Attributes
     ----------
-    title : str
     alt : str
         What it shows, for those who do not see it.
-    data : bytes
     kind : str
         Such as ``'image/png'``.
     """
@@ -95,8 +93,6 @@ class ReviewPage:
 
     Attributes
     ----------
-    title : str
-    facts : tuple of str
     rate : float
         Pictures per second.
     frames : sequence of int
@@ -109,9 +105,7 @@ class ReviewPage:
         Region of each shape.
     curves : tuple of WeightCurves
         The first poses the face.
-    strips : tuple of Strip
     worst : tuple of (picture, reason)
-    listings : tuple of Listing
     face : FacePayload
         Its shapes are matched by name.
     movie : bytes

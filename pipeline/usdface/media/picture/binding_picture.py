@@ -44,7 +44,6 @@ class BoundMarkers:
 
     Attributes
     ----------
-    names : tuple of str
     positions : (markers, 3) float array
         On the mesh [mm].
     confidence : (markers,) float array
@@ -76,10 +75,6 @@ def draw_binding(
 
     Parameters
     ----------
-    mesh : RigMesh
-    markers : BoundMarkers
-    title : str
-    facts : sequence of str
     yaw_degrees : float
         How far the face is turned from looking along +Z [degrees].
     height : int

@@ -99,10 +99,6 @@ def write_image(
 def read_image_metadata(path: Path | str) -> dict[str, Any]:
     """Return the metadata that `write_image` put in; empty if someone else made the picture.
 
-    Parameters
-    ----------
-    path : Path
-
     Returns
     -------
     dict

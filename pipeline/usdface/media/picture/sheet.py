@@ -71,10 +71,6 @@ _BEST_STYLE = TextStyle(size=21, color=(255, 255, 255), weight="bold")
 def compose_sheet(spec: SheetPage) -> ByteImage:
     """Compose a contact sheet.
 
-    Parameters
-    ----------
-    spec : SheetPage
-
     Returns
     -------
     (height, width, 3) uint8 array

@@ -53,7 +53,6 @@ class SheetRow:
 
     Attributes
     ----------
-    frame : int
     timecode : str
         Empty when unknown.
     tiles : tuple of Tile

@@ -22,13 +22,10 @@ class ComparedFrame:
 
     Attributes
     ----------
-    frame : int
-    timecode : str
     surfaces : tuple of (points, 3) float arrays
         The mesh as each way moves it [mm].
     uncertainty_mm : (points,) float array or None
         Of the last of them: standard deviation of each point [mm].
-    note : str
     """
 
     frame: int
@@ -52,8 +49,6 @@ def draw_compared(
 
     Parameters
     ----------
-    mesh : RigMesh
-    frames : sequence of ComparedFrame
     near : (markers, 3) float array
         Places on the mesh that the picture must show [mm].
     yaw_degrees : float
