@@ -109,7 +109,7 @@ def test_what_a_take_is_called_is_never_read_as_a_place(name: str) -> None:
         ({"takes": []}, "takes must be a list"),
         ({"takes": "a"}, "takes must be a list"),
         ({"takes": [{"name": "a"}]}, r"takes\[0\]: must be a name, or a table with its name"),
-        ({"takes": ["a", "a"]}, r"takes\[1\]: 'a' is there twice"),
+        ({"takes": ["a", "a"]}, r"takes\[1\]: 'a' is a duplicate"),
         ({"takes": ["../../etc/passwd"]}, "cannot name a take"),
         ({"takes": [".."]}, "cannot name a take"),
         ({"takes": ["a\nopenjd_fail: x"]}, "cannot name a take"),
@@ -117,7 +117,7 @@ def test_what_a_take_is_called_is_never_read_as_a_place(name: str) -> None:
         ({"takes": ["a"]}, r"steps\[0\]: asks for \{neutral\}, which take 'a' does not have"),
         ({"takes": None}, "needs `takes`"),
         ({"steps": [{"for_each": "hero", "steps": []}]}, "can only be `take`"),
-        ({"steps": [{"for_each": "take", "step": "x"}]}, "beside for_each stands only `steps`"),
+        ({"steps": [{"for_each": "take", "step": "x"}]}, "for_each allows only `steps`"),
         ({"steps": [{"for_each": "take", "steps": []}]}, "for_each needs `steps`"),
         (
             {"steps": [{"step": "clean", "take": "{take}.usda", "out": "x.usda"}]},

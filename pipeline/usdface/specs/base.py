@@ -1,4 +1,4 @@
-"""What every spec shares: frozen, unknown keys refused, limits in types, marked paths."""
+"""Base class of all specs: frozen, no unknown keys, limits in types, marked paths."""
 
 import ast
 import functools
@@ -28,17 +28,17 @@ Device = Annotated[str, Field(pattern=r"^(cpu|torch|cuda(:\d+)?)$", examples=["c
 
 
 Sidecar = Callable[[Path], Path]
-"""Gives the path of a layer by that of the file that needs it, such as `core.sidecars` has."""
+"""Function from the path of a file to that of a layer it needs; see `core.sidecars`."""
 
 
 @dataclass(frozen=True)
 class Positional:
-    """Marks a field that the command line takes without an option's name."""
+    """Marks a field that is an argument of the command line, not an option."""
 
 
 @functools.cache
 def field_help(spec: type) -> dict[str, str]:
-    """Return the text that stands beneath each field of a class, those it inherits included.
+    """Return the text below each field of a class, including inherited ones.
 
     Pydantic would read the source of every spec whenever a command starts. Where the package was
     installed without its source there is no help, and all else works.
@@ -69,7 +69,7 @@ def _class_help(spec: type) -> dict[str, str]:
 
 
 def _marks_within(annotation: Any) -> list[Any]:
-    """Return the marks inside an optional type: pydantic lifts only the outermost."""
+    """Return the marks inside an optional type; pydantic collects only the outermost."""
     marks = list(getattr(annotation, "__metadata__", ()))
     for inner in get_args(annotation):
         marks += _marks_within(inner)
@@ -77,7 +77,7 @@ def _marks_within(annotation: Any) -> list[Any]:
 
 
 class Spec(BaseModel):
-    """One unit of work: what to read, what to write, how."""
+    """One unit of work: inputs, outputs and options."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -87,35 +87,34 @@ class Spec(BaseModel):
     )
 
     example: ClassVar[str] = ""
-    """A command line that shows the common use."""
+    """Command line of the common use, shown in the help."""
 
     module: ClassVar[str] = ""
-    """Where the step's function is, below ``usdface.steps``: its workflow, then its file."""
+    """Module of the step below ``usdface.steps``: workflow, then file, as ``performance.map``."""
 
     section: ClassVar[str] = ""
-    """Workflow under which the command line lists it; that of `module` by default."""
+    """Workflow in the list of commands. Default: that of `module`."""
 
     makes: ClassVar[str] = ""
-    """Kind of its output: a step may replace what another of the same kind wrote. By default a kind
-    of its own."""
+    """Kind of the outputs; steps of one kind may replace each other's. Default: the step's name."""
 
     sidecar: ClassVar[Sidecar | None] = None
-    """Where the layer is that the step writes beneath an output, by the output's path."""
+    """Function from the path of an output to that of the sublayer that the step writes."""
 
     cores: ClassVar[int] = 1
-    """Least processor cores that a farm's worker needs."""
+    """Processor cores requested from a farm."""
 
     memory_mib: ClassVar[int] = 2048
-    """Least memory [MiB] that a farm's worker needs; enough for what streams over frames."""
+    """Memory requested from a farm [MiB]; the default suits steps that stream frames."""
 
     in_place: ClassVar[bool] = False
-    """Whether an output may take the place of an input."""
+    """Whether an output may replace an input."""
 
     renamed: ClassVar[Mapping[str, str]] = {}
-    """Old names of fields, with the new: accepted for one version, with a warning."""
+    """Old and new names of fields; old ones are accepted for one version, with a warning."""
 
     removed: ClassVar[Mapping[str, str]] = {}
-    """Names of fields that are gone, each with what to do instead; refused with this advice."""
+    """Removed fields, each with its replacement; refused with this advice."""
 
     step: str
 
@@ -138,8 +137,8 @@ class Spec(BaseModel):
                 str(path).encode()
             except UnicodeEncodeError as error:
                 raise ValueError(
-                    f"{str(path)!a} holds bytes that are no text, and no USD layer can name such "
-                    "a file: rename it"
+                    f"{str(path)!a} is not valid text, so that no USD layer can refer to "
+                    "the file: rename it"
                 ) from error
         return self
 
@@ -166,12 +165,12 @@ class Spec(BaseModel):
 
     @classmethod
     def kind_of_output(cls) -> str:
-        """Return the kind of file that the step makes; steps of one kind replace each other's."""
+        """Return the kind of the outputs; steps of one kind may replace each other's."""
         return cls.makes or cls.step_name()
 
     @classmethod
     def fields_marked(cls, kind: type[Any]) -> dict[str, Any]:
-        """Return the fields that carry a mark of this kind, with the mark."""
+        """Return the fields with a mark of this kind, and the mark."""
         return {
             name: mark
             for name, field in cls.model_fields.items()
@@ -191,7 +190,7 @@ class Spec(BaseModel):
         return tuple(paths)
 
     def read_alone(self) -> tuple[Path, ...]:
-        """Return the paths of which only the file itself counts, not what it refers to."""
+        """Return the inputs that are read without the layers they refer to."""
         marks = type(self).fields_marked(Reads)
         return tuple(
             path
@@ -200,7 +199,7 @@ class Spec(BaseModel):
         )
 
     def outputs(self) -> tuple[Path, ...]:
-        """Return the files this spec makes: those that tell whether it has been done."""
+        """Return the files this spec writes, whose state decides whether it is up to date."""
         return self.paths(Writes)
 
     def named_paths(self) -> Sequence[tuple[str, Path]]:
@@ -209,21 +208,21 @@ class Spec(BaseModel):
         return [(self.step, path) for path in dict.fromkeys(every)]
 
     def changes(self) -> tuple[Path, ...]:
-        """Return the files that are other files once this spec has been done."""
+        """Return all files that the step changes."""
         return self.outputs()
 
     def anchored(self, folder: Path) -> Self:
-        """Return the same spec with its relative paths taken from a folder."""
+        """Return the spec with relative paths resolved against a folder."""
         return self.with_paths(lambda path: folder / path)
 
     def relative_to(self, folder: Path) -> Self:
-        """Return the same spec with paths as they read from a folder, as a saved spec needs."""
+        """Return the spec with paths relative to a folder, to be saved there."""
         return self.with_paths(
             lambda path: path if path.is_absolute() else Path(os.path.relpath(path, folder))
         )
 
     def with_paths(self, change: Callable[[Path], Path]) -> Self:
-        """Return the same spec with every path it reads or writes changed."""
+        """Return the spec with a function applied to every path."""
         changed: dict[str, Any] = {}
         for kind in (Reads, Writes):
             for name in type(self).fields_marked(kind):
@@ -237,7 +236,7 @@ class Spec(BaseModel):
 
 @functools.cache
 def warn_of_old_name(step: str, old: str, new: str) -> None:
-    """Log, once a process, that a field was called by its old name."""
+    """Log once per process that a field has a new name."""
     log.warning(
         "%s: %s is now called %s; the old name is accepted in this version alone", step, old, new
     )

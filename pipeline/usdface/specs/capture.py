@@ -119,7 +119,7 @@ class AlignSpec(Spec):
         if self.drift is not None and self.offset is None:
             raise ValueError("drift is given without an offset; give --offset too")
         if self.offset is not None and self.by != "auto":
-            raise ValueError("offset sets the shift by hand, so --by has nothing to choose")
+            raise ValueError("offset sets the shift by hand; remove --by")
         return self
 
     def picture_path(self) -> Path:
@@ -200,7 +200,7 @@ class PhonesSpec(Spec):
     def _one_transcript(self) -> Self:
         if self.transcript is None and self.text is None:
             raise ValueError(
-                "no transcript is given: write down what is said and give the file with "
+                "no transcript is given: give a text file of the spoken words with "
                 "--transcript, or the words with --text"
             )
         if self.transcript is not None and self.text is not None:

@@ -59,7 +59,7 @@ class EditSpec(Spec):
         if sum(given) != 1:
             raise ValueError("give one of --add, --override and --clear")
         if self.fade and self.frames is None:
-            raise ValueError("a fade needs --frames: over the whole performance nothing fades")
+            raise ValueError("a fade needs --frames; an edit of all frames has none")
         return self
 
     def outputs(self) -> tuple[Path, ...]:

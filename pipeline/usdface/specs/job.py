@@ -75,7 +75,7 @@ AnyStep = Annotated[
 ]
 
 STEP_SPECS: tuple[type[Spec], ...] = get_args(get_args(AnyStep)[0])
-"""Every step of a job, in the order of a day's work."""
+"""All steps of a job, in the order of the workflow."""
 
 _BAKE = STEP_SPECS.index(BakeSpec)
 COMMAND_SPECS: tuple[type[Spec], ...] = (
@@ -84,22 +84,22 @@ COMMAND_SPECS: tuple[type[Spec], ...] = (
     EditsImportSpec,
     *STEP_SPECS[_BAKE:],
 )
-"""Every step: those of a job and edits, which are a person's and no job makes again."""
+"""All steps with a command: those of a job, and edits, which a job must not repeat."""
 
 SPEC_BY_STEP = {spec.step_name(): spec for spec in COMMAND_SPECS}
 
 
 def _with_takes(schema: dict[str, Any]) -> None:
-    """Tell editors of what is written out before the steps are validated."""
+    """Add to the schema what is expanded before steps are validated."""
     schema["properties"]["takes"] = TAKES_SCHEMA
     steps = schema["properties"]["steps"]
     steps["items"] = {"anyOf": [steps["items"], FOR_EACH_SCHEMA]}
 
 
 class JobSpec(Spec):
-    """Several steps as one file; relative paths are relative to it.
+    """Several steps in one file; relative paths are relative to it.
 
-    With `takes`, steps under `for_each: take` are done once for every take.
+    With `takes`, steps under `for_each: take` run once per take.
     """
 
     model_config = ConfigDict(json_schema_extra=_with_takes)
@@ -110,7 +110,7 @@ class JobSpec(Spec):
     job: Name
     """Name of the job."""
     steps: Annotated[tuple[AnyStep, ...], Field(min_length=1)]
-    """The steps, each after those whose files it reads."""
+    """The steps, each after the steps whose outputs it reads."""
 
     def named_paths(self) -> Sequence[tuple[str, Path]]:
         """Return the paths of every step, each with the step's name."""
@@ -135,8 +135,7 @@ class JobSpec(Spec):
             for path in step.paths(Reads):
                 if made.get(path, 0) > number:
                     raise ValueError(
-                        f"step {number} reads {path} before step {made[path]} writes it; "
-                        "put them in the other order"
+                        f"step {number} reads {path} before step {made[path]} writes it; swap them"
                     )
                 if path in step.paths(Writes):
                     raise ValueError(f"step {number} writes {path}, which it reads")

@@ -1,4 +1,4 @@
-"""What is wrong with a value, and what to give instead: the wording of all validation."""
+"""Validation messages: what is wrong with a value, and what to give instead."""
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,13 +20,13 @@ PATTERN_WORDS = {
     r"^(cpu|torch|cuda(:\d+)?)$": "give cpu, torch, cuda or, of several cards, cuda:1",
     r"^(\d\d:\d\d:\d\d[:;]\d\d)?$": "give hours, minutes, seconds and frames, such as 01:00:00:00",
 }
-"""The patterns of the specs, and what to say to who missed one."""
+"""Patterns of the specs, each with the advice for a value that does not match."""
 
 
 def validation_messages(
     error: ValidationError, spec: type[Spec], *, places: Sequence[str] = ()
 ) -> str:
-    """Return every fault of a spec as ``field -> sub[2]: reason``, one a line.
+    """Return all faults of a spec as ``field -> sub[2]: reason``, one per line.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def validation_messages(
 
 
 def _drop_secondary_errors(faults: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Return the faults that a person made; a list that others left empty is none of them."""
+    """Return the faults without those that follow from others, such as a list left empty."""
     faults = list(faults)
     return [
         fault
@@ -69,7 +69,7 @@ def _drop_secondary_errors(faults: Iterable[Mapping[str, Any]]) -> list[Mapping[
 
 
 def _reason(fault: Mapping[str, Any], spec: type[Spec]) -> str:
-    """Return the reason of one fault and, in brackets, the value given."""
+    """Return the reason of a fault and, in brackets, the value."""
     context = fault.get("ctx", {})
     if fault["type"] == "union_tag_invalid":
         known = [name.strip(" '") for name in str(context["expected_tags"]).split(",")]
@@ -100,7 +100,7 @@ def _unknown_key(location: Sequence[str | int], spec: type[Spec]) -> str:
 
 
 def removed_message(name: str, spec: type[Spec]) -> str:
-    """Return what to say of a field that is gone."""
+    """Return the message for a removed field."""
     return f"{spec.step_name()} has no {name} any more; {spec.removed[name]}"
 
 

@@ -1,4 +1,4 @@
-"""Paths and frames of a spec: how they are marked and checked, mapped and confined."""
+"""Paths and frames of specs: marks, checks, path mapping and confinement."""
 
 import json
 import os
@@ -20,7 +20,7 @@ class Reads:
     """Marks a path that a step reads."""
 
     alone: bool = False
-    """Only this very file matters, not the layers it is built from."""
+    """Whether only the file itself is read, not the layers it refers to."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ WritePath = Annotated[FilePath, Writes()]
 
 
 def file_ending(suffixes: tuple[str, ...], what: str) -> Callable[[Path], Path]:
-    """Return a validator of a path's ending; `what` is written there, such as "a picture"."""
+    """Return a validator of a path's suffix; `what` is the kind of file, such as "a picture"."""
 
     def check(path: Path) -> Path:
         if path.suffix.lower() not in suffixes:
@@ -75,11 +75,11 @@ MeasuredOut = Annotated[
 ]
 
 PRIM_PATTERN = r"(/[^\x00-@\[-^`{-\x7f][^\x00-/:-@\[-^`{-\x7f]*)+"
-"""Of prims in any script, as USD has them; which letters may stand in a name, Python knows."""
+"""Prim paths in any script, as in USD; `prim_path` checks the names with `str.isidentifier`."""
 
 
 def prim_path(path: str) -> str:
-    """Return the path of a prim, or refuse what USD would not take for one."""
+    """Return the path of a prim; refuse paths that are invalid in USD."""
     if not all(name.isidentifier() for name in path.split("/")[1:]):
         raise ValueError("give the path of a prim, such as /shot/cast/hero")
     return path
@@ -118,7 +118,7 @@ _FORMATS: dict[str, type[PurePath]] = {"POSIX": PurePosixPath, "WINDOWS": PureWi
 
 @dataclass(frozen=True)
 class PathRule:
-    """What lies below one folder on the submitting machine lies below another on this one.
+    """A folder on the submitting machine and the same folder on this one.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ PathRules = tuple[PathRule, ...]
 
 
 def read_path_rules(path: Path) -> PathRules:
-    """Read the rules that a farm's session hands to its tasks.
+    """Read the path mapping rules of a farm's session.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def read_path_rules(path: Path) -> PathRules:
 
 
 def map_path(path: Path, rules: PathRules) -> Path:
-    """Return where a path of the submitting machine lies here; without a rule, where it says."""
+    """Return a path of the submitting machine mapped to this one; unchanged if no rule applies."""
     for rule in rules:
         windows = isinstance(rule.source, PureWindowsPath)
         given = PureWindowsPath(str(path)) if windows else PurePosixPath(path.as_posix())
@@ -203,18 +203,18 @@ def _rule(given: Any, where: str) -> PathRule:
 
 
 ROOT_VARIABLE = "USDFACE_ROOT"
-"""Environment variable that confines every command and step: for a farm, or a service that runs
-what others send."""
+"""Environment variable: folder that confines every command and step, for a farm or a service that
+runs jobs of others."""
 
 
 def confinement_root() -> Path | None:
-    """Return the folder that the environment confines all work to; None where it does not."""
+    """Return the folder that the environment confines all work to; None if not set."""
     folder = os.environ.get(ROOT_VARIABLE, "")
     return Path(folder) if folder else None
 
 
 def check_confined(paths: Sequence[tuple[str, Path]], root: Path) -> None:
-    """Refuse paths outside a folder, by ``..``, by a link, or plainly.
+    """Refuse paths outside a folder: absolute, by ``..`` or by a link.
 
     Links are followed, those of folders on the way included: what counts is where the file is.
 

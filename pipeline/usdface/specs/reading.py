@@ -1,4 +1,4 @@
-"""Read specs from YAML or JSON and write them back, with messages that name the field."""
+"""Read specs from YAML or JSON, and write them."""
 
 import json
 from pathlib import Path
@@ -15,7 +15,7 @@ from usdface.specs.paths import PathRules, map_path
 from usdface.specs.takes import step_places
 
 LARGEST_SPEC_BYTES = 16 << 20
-"""A job of thousands of steps is far below this; more is not a spec."""
+"""Limit of the size of a spec; jobs of thousands of steps are far smaller."""
 
 
 def read_job(path: Path, *, path_rules: PathRules = ()) -> JobSpec:
@@ -60,7 +60,7 @@ def read_job(path: Path, *, path_rules: PathRules = ()) -> JobSpec:
 
 
 def spec_text(spec: Spec, path: Path) -> str:
-    """Return a spec as the text of a file: JSON by that extension, else YAML."""
+    """Return a spec as the text of a file: JSON if the path ends so, otherwise YAML."""
     data = _as_written(spec)
     if path.suffix == ".json":
         return json.dumps(data, indent=2, ensure_ascii=False) + "\n"
@@ -68,7 +68,7 @@ def spec_text(spec: Spec, path: Path) -> str:
 
 
 def _as_written(spec: Spec) -> dict[str, Any]:
-    """Return what a person would write: the step's name first, defaults left out."""
+    """Return a spec's data, the step's name first, without defaults."""
     if isinstance(spec, JobSpec):
         return {"job": spec.job, "steps": [_as_written(step) for step in spec.steps]}
     return {"step": spec.step, **spec.model_dump(mode="json", exclude_defaults=True)}
@@ -77,9 +77,9 @@ def _as_written(spec: Spec) -> dict[str, Any]:
 def _read_data(path: Path) -> Any:
     try:
         if path.stat().st_size > LARGEST_SPEC_BYTES:
-            raise InputError(f"{path}: {path.stat().st_size} bytes are too many for a spec")
+            raise InputError(f"{path}: {path.stat().st_size} bytes are too large for a spec")
         if not (path.is_file() or path.is_dir()):
-            raise InputError(f"{path}: a pipe or a device, not a file; write the spec to a file")
+            raise InputError(f"{path}: is a pipe or a device; write the spec to a file")
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error

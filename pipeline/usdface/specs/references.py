@@ -70,14 +70,11 @@ class SelectSpec(Spec):
                 )
         if self.method == "viseme" and not self.phones:
             raise ValueError(
-                "visemes need to be known: give --phones (make them with `usdface phones AUDIO "
-                "--transcript TEXT`), or choose --method design"
+                "viseme needs --phones (made by `usdface phones AUDIO --transcript TEXT`); or "
+                "choose --method design"
             )
         if self.method == "active" and self.mapping is None:
-            raise ValueError(
-                "active asks what would help a mapping: give the --mapping trained on the pairs "
-                "tuned so far"
-            )
+            raise ValueError("active needs --mapping, trained on the pairs tuned so far")
         return self
 
     def picture_path(self) -> Path:

@@ -102,7 +102,7 @@ class SurfaceSpec(Spec):
     @model_validator(mode="after")
     def _landmarks_are_for_binding(self) -> Self:
         if self.landmarks and self.binding is not None:
-            raise ValueError("--landmarks are for binding anew; a --binding has its own")
+            raise ValueError("--landmarks cannot be used with --binding, which has its own")
         return self
 
 

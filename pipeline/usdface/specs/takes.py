@@ -1,4 +1,4 @@
-"""A job of many takes in one spec: what is said once is written out for each.
+"""Jobs of many takes: steps that are written once are expanded for each take.
 
 ::
 
@@ -10,9 +10,8 @@
           - {step: clean, take: "{take}.take.usda", out: "{take}.clean.take.usda"}
       - {step: select, takes: ["{take}.clean.take.usda"], rig: hero.usd, out: hero.references.usda}
 
-Inside ``for_each: take`` every step is done once per take. Outside, a step is done once, and an
-item of a list that names a take's value stands for one item per take. ``{{`` and ``}}`` are plain
-braces.
+Steps inside ``for_each: take`` run once per take. Other steps run once, and a list item that
+contains a take's value is repeated for every take. ``{{`` and ``}}`` are literal braces.
 """
 
 import re
@@ -20,10 +19,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 _MOST_STEPS = 100_000
-"""A day of a whole stage is a few thousand; more is a mistake."""
+"""Limit of steps; a day of a stage has a few thousand."""
 
 _MOST_VALUES = 1_000_000
-"""YAML's aliases let a file of a few lines stand for billions of values."""
+"""Limit of values; YAML aliases can expand a few lines to billions."""
 
 _PLACE = re.compile(r"\{\{|\}\}|\{([A-Za-z_][A-Za-z0-9_]*)\}")
 _TAKE_NAME = re.compile(r"[^\x00-\x1f\x7f/\\]{1,200}")
@@ -33,8 +32,8 @@ Row = Mapping[str, Any]
 TAKES_SCHEMA: dict[str, Any] = {
     "type": "array",
     "minItems": 1,
-    "description": "Takes that steps are done for: names, or a table of values with `take` its "
-    "name. `{take}` and `{anything else of the table}` stand for the values.",
+    "description": "Takes to run steps for: names, or tables of values with the name as `take`. "
+    "`{take}` and `{KEY}` are replaced by the values.",
     "items": {
         "anyOf": [
             {"type": "string"},
@@ -47,11 +46,11 @@ TAKES_SCHEMA: dict[str, Any] = {
         ]
     },
 }
-"""What a job's ``takes`` may be, for editors that check YAML against a JSON Schema."""
+"""JSON Schema of ``takes``, for editors."""
 
 FOR_EACH_SCHEMA: dict[str, Any] = {
     "type": "object",
-    "description": "Steps done once for every take.",
+    "description": "Steps to run once per take.",
     "required": ["for_each", "steps"],
     "additionalProperties": False,
     "properties": {
@@ -70,7 +69,7 @@ FOR_EACH_SCHEMA: dict[str, Any] = {
 
 
 def write_out(job: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a job's data with its takes written out: plain steps, one after the other.
+    """Return a job's data with its takes expanded to plain steps.
 
     Parameters
     ----------
@@ -94,7 +93,9 @@ def write_out(job: Mapping[str, Any]) -> dict[str, Any]:
         return written
     if given is None:
         if any(_is_loop(step) for step in steps):
-            raise ValueError("`for_each: take` needs `takes`, a list of takes, beside `steps`")
+            raise ValueError(
+                "`for_each: take` needs `takes`, a list of takes, at the level of `steps`"
+            )
         return written
     _check_size(steps)
     rows = _rows(given)
@@ -112,7 +113,7 @@ def write_out(job: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def step_places(job: Mapping[str, Any]) -> list[str]:
-    """Return where in the file each step of the job, written out, was said.
+    """Return the position in the file of each step of the expanded job.
 
     Parameters
     ----------
@@ -154,7 +155,7 @@ def _steps_of(loop: Mapping[str, Any], number: int) -> Sequence[Any]:
         raise ValueError(f"{where}: for_each is {loop['for_each']!r}; it can only be `take`")
     unknown = sorted(map(str, set(loop) - {"for_each", "steps"}))
     if unknown:
-        raise ValueError(f"{where}: beside for_each stands only `steps`, not {', '.join(unknown)}")
+        raise ValueError(f"{where}: for_each allows only `steps`, not {', '.join(unknown)}")
     inner = loop.get("steps")
     if not isinstance(inner, Sequence) or isinstance(inner, str) or not inner:
         raise ValueError(f"{where}: for_each needs `steps`, a list of what to do for every take")
@@ -177,7 +178,7 @@ def _rows(takes: Any) -> list[Row]:
                 "does not print"
             )
         if name in seen:
-            raise ValueError(f"{where}: {name!r} is there twice; name every take once")
+            raise ValueError(f"{where}: {name!r} is a duplicate; take names must be unique")
         seen.add(name)
         for key, value in row.items():
             if not isinstance(key, str) or not isinstance(value, str | int | float | bool):
@@ -186,7 +187,7 @@ def _rows(takes: Any) -> list[Row]:
 
 
 def _filled(value: Any, row: Row, where: str) -> Any:
-    """Return a value with a take's own in its places."""
+    """Return a value with the take's values filled in."""
     if isinstance(value, str):
         whole = _PLACE.fullmatch(value)
         if whole and whole[1]:  # a number stays a number
@@ -202,7 +203,7 @@ def _filled(value: Any, row: Row, where: str) -> Any:
 
 
 def _spread(value: Any, rows: list[Row], where: str) -> Any:
-    """Return a step's value with every list item that names a take's value once per take."""
+    """Return a step's value with list items that contain a take's value repeated per take."""
     if isinstance(value, Mapping):
         return {key: _spread(each, rows, where) for key, each in value.items()}
     if isinstance(value, list | tuple):

@@ -153,7 +153,7 @@ def test_phones_and_emotions_go_with_takes(shot: Shot) -> None:
         spec(shot, phones=(said, said))
     with pytest.raises(ValidationError, match="3 emotions for 1 takes"):
         spec(shot, emotions=("joy", "anger", "fear"))
-    with pytest.raises(ValidationError, match="visemes need to be known"):
+    with pytest.raises(ValidationError, match="viseme needs --phones"):
         spec(shot, method="viseme")
 
 
