@@ -19,7 +19,7 @@ from tests.conftest import SHARED_DATA
 from usdface.capture.c3d_write import write_c3d
 from usdface.capture.sniff import read_capture
 from usdface.core.deformer import Deformer
-from usdface.model.regressions import METHODS
+from usdface.model.regressions import MAPPING_METHODS
 from usdface.model.selection.baseline import set_up_equation
 from usdface.runner.execute import execute
 from usdface.specs.capture import CleanSpec, IngestSpec
@@ -67,7 +67,7 @@ def run(
             for label, weights in _equation(folders[DAMAGES[0]], rig_file).items():
                 print_row(label, score(ruler, weights, truth, rig_file))
             spoiled: dict[str, list[dict[str, float]]] = {}
-            for method in methods or ("auto", *METHODS):
+            for method in methods or ("auto", *MAPPING_METHODS):
                 spoiled[method] = [
                     score(ruler, map_take(references[kind], rig_file, method), truth, rig_file)
                     for kind in DAMAGES

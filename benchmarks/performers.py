@@ -21,7 +21,7 @@ from usdface.capture.sniff import read_capture
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.model import fit_motion_space, predict_weights, sample_skin, train_mapping
-from usdface.model.regressions import METHODS
+from usdface.model.regressions import MAPPING_METHODS
 from usdface.numerics.regression.cross_validation import surface_rms_mm
 from usdface.numerics.regression.reference_design import design_gp_variance, whiten
 from usdface.numerics.repair.smoothing import smooth_tracks
@@ -76,12 +76,12 @@ def run(
         print(f"skipped: no rigs in {SHARED_DATA}")
         return
     if quick:
-        counts, methods = (50,), methods or ("auto", "kernel_cca", "regional", "ridge")
+        counts, methods = (50,), methods or ("auto", "kernel_cca", "ridge")
     for count in counts:
         print(f"{count} references: vertex RMS [mm] and blink bias, mean over performers\n")
         print("| method | second half | other performance | other combinations |")
         print("|---|---|---|---|")
-        rows = {method: [] for method in methods or ("auto", *METHODS)}
+        rows = {method: [] for method in methods or ("auto", *MAPPING_METHODS)}
         for performer in PERFORMERS:
             for method, figures in _score_performer(performer, count, tuple(rows)).items():
                 rows[method].append(figures)

@@ -1,12 +1,13 @@
 """Specs of performances: train, map, join."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from usdface.core.sidecars import weights_path
-from usdface.specs.base import Device, Name, Positional, Sidecar, Spec
+from usdface.specs.base import Name, Positional, Sidecar, Spec
 from usdface.specs.paths import FilePath, Frames, LayerOut, PrimPath, ReadPath, Reads
 
 
@@ -50,6 +51,9 @@ class MapSpec(Spec):
     module: ClassVar[str] = "performance.map"
     makes: ClassVar[str] = "performance"
     sidecar: ClassVar[Sidecar | None] = weights_path
+    removed: ClassVar[Mapping[str, str]] = {
+        "device": "weights are always predicted on the processor; leave it out"
+    }
 
     step: Literal["map"] = "map"
     take: Annotated[FilePath, Reads(), Positional()]
@@ -86,10 +90,6 @@ class MapSpec(Spec):
     bands: Annotated[int, Field(ge=1, le=4)] = 1
     """Octaves that --temporal bands removes, from half the take's rate downwards. At 60 frames per
     second a second octave costs blinks."""
-    device: Device = "cpu"
-    """Where weights are predicted, and smoothed by `--temporal whole`: `cpu`, a graphics card as
-    `cuda` or `cuda:1` (by torch or cupy, where installed), or `torch`, which is torch on the
-    processor. Weights agree to a millionth."""
 
 
 class JoinSpec(Spec):

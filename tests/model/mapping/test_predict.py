@@ -1,6 +1,5 @@
 from dataclasses import replace
 
-import array_api_strict
 import numpy as np
 import pytest
 
@@ -10,10 +9,8 @@ from usdface.core.errors import InputError
 from usdface.model import predict_weights, train_mapping
 from usdface.model.mapping.coordinates import marker_coordinates, noise_variance
 from usdface.model.mapping.head_space import MINIMUM_SHARE
-from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import motion_of
-from usdface.model.regressions import AUTO, METHODS, find_method
-from usdface.numerics.array_namespace import CPU, ArrayDevice, open_device
+from usdface.model.regressions import MAPPING_METHODS, REMOVED_METHODS, find_method
 
 
 def trained(face: SyntheticFace, method: str = "ridge") -> TrainedMapping:
@@ -71,7 +68,7 @@ def test_a_frame_below_the_stated_share_of_markers_has_no_confidence() -> None:
     visible[1, least:] = False
     visible[2, least - 1 :] = False
     prediction = predict_weights(trained(face), face.positions[:3], visible=visible)
-    assert prediction.lacking.tolist() == [False, False, True]
+    assert prediction.few_markers.tolist() == [False, False, True]
     assert (prediction.region_confidence[:2, 0] > 0).all()
     assert (prediction.region_confidence[2] == 0).all()
 
@@ -129,11 +126,7 @@ def test_takes_in_single_precision_are_told_as_in_double(method: str) -> None:
     np.testing.assert_allclose(found.residual_mm, wanted.residual_mm, atol=1e-4)
 
 
-ANYWHERE = ("ridge", "rbf", "d06", "ensemble", "regional")
-STRICT = ArrayDevice("strict", array_api_strict, array_api_strict.Device("CPU_DEVICE"))
-
-
-@pytest.mark.parametrize("name", sorted(METHODS))
+@pytest.mark.parametrize("name", sorted(MAPPING_METHODS))
 def test_a_mapping_whose_arrays_do_not_fit_is_refused_or_read(name: str) -> None:
     """Each array missing, one row short, and empty: nothing but InputError may escape."""
     face = synthetic_face(frames=300)
@@ -149,33 +142,34 @@ def test_a_mapping_whose_arrays_do_not_fit_is_refused_or_read(name: str) -> None
     assert refused > len(mapping.arrays)
 
 
-@pytest.mark.parametrize("name", ANYWHERE)
-def test_many_frames_on_any_device_agree_with_what_the_method_was_judged_by(name: str) -> None:
+@pytest.mark.parametrize("name", sorted(MAPPING_METHODS))
+def test_blocks_of_frames_equal_the_method_that_was_judged_cut_off_at_the_ranges(name: str) -> None:
     face = synthetic_face(bend=0.5)
     mapping = trained(face, name)
     z = marker_coordinates(motion_of(mapping), face.positions).values
     exact = find_method(name).predict(mapping.arrays, mapping.settings, z)
     exact = np.clip(exact, mapping.ranges[:, 0], mapping.ranges[:, 1])
-    for device in (CPU, STRICT):
-        found = WeightPredictor(mapping, device=device).predict(face.positions)
-        np.testing.assert_allclose(found.weights, exact, atol=1e-6)
+    found = predict_weights(mapping, face.positions).weights
+    np.testing.assert_allclose(found, exact, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ANYWHERE)
-def test_torch_maps_as_numpy_does(name: str) -> None:
-    pytest.importorskip("torch", reason="torch is not installed; nothing here requires it")
-    face = synthetic_face(bend=0.5)
-    mapping = trained(face, name)
-    here = WeightPredictor(mapping).predict(face.positions).weights
-    there = WeightPredictor(mapping, device=open_device("torch")).predict(face.positions).weights
-    np.testing.assert_allclose(there, here, atol=1e-6)
+@pytest.mark.parametrize("name", sorted(REMOVED_METHODS))
+def test_a_mapping_by_a_method_of_earlier_versions_is_to_be_trained_again(name: str) -> None:
+    face = synthetic_face()
+    with pytest.raises(InputError, match=f"trained by {name}, which left .*; train again with aut"):
+        predict_weights(replace(trained(face), method=name), face.positions)
+    with pytest.raises(InputError, match=f"^{name} left the methods in .*; use auto or ensemble"):
+        trained(face, name)
 
 
-def test_what_auto_tries_runs_on_any_device_and_others_say_that_they_do_not() -> None:
-    assert set(AUTO) <= set(ANYWHERE)
-    mapping = trained(synthetic_face(), "multiquadric")
-    with pytest.raises(InputError, match="multiquadric runs on the processor alone, not on 'stri"):
-        WeightPredictor(mapping, device=STRICT)
+def test_arrays_that_earlier_versions_added_are_not_read() -> None:
+    face = synthetic_face()
+    mapping = trained(face, "ensemble")
+    more = replace(mapping, arrays=mapping.arrays | {"condensed_dual": np.ones((2, 4, 6))})
+    np.testing.assert_array_equal(
+        predict_weights(more, face.positions).weights,
+        predict_weights(mapping, face.positions).weights,
+    )
 
 
 def test_unseen_markers_are_told_by_the_gaussian_of_the_motion_given_the_seen_ones() -> None:

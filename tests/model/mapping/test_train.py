@@ -9,17 +9,17 @@ from usdface.core.errors import InputError
 from usdface.model import predict_weights, train_mapping
 from usdface.model.mapping.checks import check_references
 from usdface.model.mapping.train import observable_shapes
-from usdface.model.regressions import METHODS
+from usdface.model.regressions import MAPPING_METHODS
 
 CHOSEN = np.arange(0, 1200, 30)
-each_method = pytest.mark.parametrize("method", sorted(METHODS))
+each_method = pytest.mark.parametrize("method", sorted(MAPPING_METHODS))
 
 
 def references() -> References:
     return references_of(synthetic_face(), CHOSEN)
 
 
-@pytest.mark.parametrize("method", [*sorted(set(METHODS) - {"d06"}), "auto"])
+@pytest.mark.parametrize("method", [*sorted(set(MAPPING_METHODS) - {"d06"}), "auto"])
 def test_a_straight_face_is_recovered(method: str) -> None:
     face = synthetic_face(noise=0.001)
     mapping = train_mapping(
@@ -87,7 +87,7 @@ def test_two_pairs_are_the_fewest_that_train(method: str) -> None:
     assert np.isfinite(predict_weights(mapping, face.positions[:50]).weights).all()
 
 
-@pytest.mark.parametrize("method", [*sorted(METHODS), "auto"])
+@pytest.mark.parametrize("method", [*sorted(MAPPING_METHODS), "auto"])
 def test_a_few_pairs_of_one_short_moment_train(method: str) -> None:
     face = synthetic_face()
     close = references_of(face, np.arange(0, 80, 10))

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import array_api_strict
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,14 +10,10 @@ from hypothesis import strategies as st
 from tests.model.synthetic import RIGID, SyntheticFace, references_of, synthetic_face
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
-from usdface.model import fit_motion_space, predict_weights, sample_skin, train_mapping
-from usdface.model.mapping.predict import WeightPredictor
-from usdface.model.regressions import corrections
+from usdface.model import predict_weights, sample_skin, train_mapping
+from usdface.model.regressions.members import WIDE_REGION_CHOICES, affordable_choices
 from usdface.model.regressions.target_curve import bend, unbend
-from usdface.model.regressions.voices import REGION_WIDE, affordable_choices
-from usdface.numerics.array_namespace import ArrayDevice
 
-STRICT = ArrayDevice("strict", array_api_strict, array_api_strict.Device("CPU_DEVICE"))
 CHOSEN = np.arange(0, 1200, 30)
 
 
@@ -90,7 +85,7 @@ def test_it_is_better_than_a_line_on_skin_that_saturates(skin: bool) -> None:
     assert errors[1] < 0.8 * errors[0]
 
 
-def test_skin_that_slows_down_is_told_by_the_curve() -> None:
+def test_the_curve_finds_skin_that_slows_down() -> None:
     face = synthetic_face()
     slowing = 1.4 * face.weights - 0.4 * face.weights**2
     positions = face.neutral + np.einsum("fs,smc->fmc", slowing, face.shapes)
@@ -146,26 +141,6 @@ def test_ranges_of_any_width_give_the_same_face(low: float) -> None:
     np.testing.assert_allclose(predict_weights(second, new).weights, expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("seed", [0, 3])
-def test_corrections_come_to_the_same_condensed(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
-    monkeypatch.setattr(corrections, "FEW_KERNELS", 0)
-    face = synthetic_face(bend=0.3, frames=6000)
-    pairs = replace(
-        references_of(face, np.arange(0, 6000, 60)), motion=fit_motion_space([face.positions])
-    )
-    mapping = train_mapping(pairs, ranges=face.ranges, gram=face.gram, method="ensemble")
-    dear = {name: value for name, value in mapping.arrays.items() if "condensed" not in name}
-    assert len(dear) < len(mapping.arrays)
-    new = synthetic_face(bend=0.3, seed=seed)
-    found = predict_weights(mapping, new.positions).weights
-    there = WeightPredictor(mapping, device=STRICT).predict(new.positions).weights
-    np.testing.assert_allclose(there, found, atol=1e-6)
-    wanted = predict_weights(replace(mapping, arrays=dear), new.positions).weights
-    away = np.abs(found - wanted)
-    assert 0 < away.max() < 0.01
-    assert np.sqrt((away**2).mean()) < 0.1 * rms(mapping, seed=seed, bent=0.3)
-
-
 def test_skin_of_other_shapes_is_refused() -> None:
     face = synthetic_face()
     skin = sample_skin(face.shapes.reshape(len(face.shapes), -1))
@@ -189,14 +164,14 @@ def test_skin_samples_are_points_that_move() -> None:
     curve=st.sampled_from([0.0, 0.15, 0.3, 0.45, 0.9]),
 )
 def test_unbending_undoes_bending(weight: float, curve: float) -> None:
-    there = bend(np.array([weight]), curve)
-    np.testing.assert_allclose(unbend(there, curve), weight, atol=1e-9)
+    bent = bend(np.array([weight]), curve)
+    np.testing.assert_allclose(unbend(bent, curve), weight, atol=1e-9)
     assert bend(np.array([0.0, 1.0]), curve).tolist() == [0.0, 1.0]
 
 
 def test_choices_are_thinned_only_where_there_is_much_to_compare() -> None:
-    assert affordable_choices(REGION_WIDE, pairs=100, shapes=60) == REGION_WIDE
-    fewer = affordable_choices(REGION_WIDE, pairs=100, shapes=1500)
-    assert 1 < len(fewer) < len(REGION_WIDE)
-    assert set(fewer) <= set(REGION_WIDE)
-    assert len(affordable_choices(REGION_WIDE, pairs=2000, shapes=1000)) == 1
+    assert affordable_choices(WIDE_REGION_CHOICES, pairs=100, shapes=60) == WIDE_REGION_CHOICES
+    fewer = affordable_choices(WIDE_REGION_CHOICES, pairs=100, shapes=1500)
+    assert 1 < len(fewer) < len(WIDE_REGION_CHOICES)
+    assert set(fewer) <= set(WIDE_REGION_CHOICES)
+    assert len(affordable_choices(WIDE_REGION_CHOICES, pairs=2000, shapes=1000)) == 1

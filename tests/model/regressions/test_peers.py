@@ -7,7 +7,7 @@ import pytest
 
 from tests.model.synthetic import references_of, synthetic_face
 from usdface.model import predict_weights, train_mapping
-from usdface.model.regressions import METHODS, hybrid, kernel_cca, multiquadric
+from usdface.model.regressions import MAPPING_METHODS, hybrid, kernel_cca, multiquadric
 
 CHOSEN = np.arange(0, 1200, 30)
 PEERS = ("multiquadric", "kernel_cca", "hybrid")
@@ -85,4 +85,4 @@ def test_pairs_all_keyed_the_same_predict_that(method: str) -> None:
 
 
 def test_they_are_registered() -> None:
-    assert set(PEERS) <= set(METHODS)
+    assert set(PEERS) <= set(MAPPING_METHODS)

@@ -4,14 +4,13 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct
 
 from usdface.numerics.regression.gaussian_process import (
-    LINE,
-    OFFSET,
+    LINE_VARIANCE,
+    OFFSET_VARIANCE,
+    GaussianProcess,
     ProcessSettings,
     fit_best_gaussian_process,
     fit_gaussian_process,
     leave_one_out_errors,
-    predict_gaussian_process,
-    radial_values,
     smoothest_near_best,
     usable_choices,
 )
@@ -25,6 +24,16 @@ def pairs(count: int = 30, dimensions: int = 5, outputs: int = 3, noise: float =
     return features, smooth + noise * rng.normal(size=smooth.shape), variances
 
 
+def radial_values(rows: np.ndarray, centres: np.ndarray, exponent: float) -> np.ndarray:
+    return np.exp(exponent * ((rows[:, None] - centres) ** 2).sum(axis=2))
+
+
+def predicted(model: GaussianProcess, features: np.ndarray) -> np.ndarray:
+    rows = features[:, : len(model.scale)] * model.scale
+    local = radial_values(rows, model.centres, model.exponent) @ model.dual
+    return rows @ model.slope + model.intercept + local
+
+
 def test_prediction_equals_sklearns_process_with_the_same_covariance() -> None:
     features, outputs, variances = pairs()
     choice = ProcessSettings(4, 0.0, radial=2.0, width=1.5)
@@ -33,14 +42,14 @@ def test_prediction_equals_sklearns_process_with_the_same_covariance() -> None:
     )
     size = variances[:4].sum()
     length = np.sqrt(-0.5 / model.exponent)
-    kernel = ConstantKernel(LINE / size, "fixed") * DotProduct(0.0, "fixed")
-    kernel += ConstantKernel(OFFSET, "fixed") + ConstantKernel(2.0, "fixed") * RBF(length, "fixed")
+    kernel = ConstantKernel(LINE_VARIANCE / size, "fixed") * DotProduct(0.0, "fixed")
+    kernel += ConstantKernel(OFFSET_VARIANCE, "fixed") + ConstantKernel(2.0, "fixed") * RBF(
+        length, "fixed"
+    )
     theirs = GaussianProcessRegressor(kernel, alpha=0.01, optimizer=None)
     theirs.fit(features[:, :4], outputs)
     new = np.random.default_rng(1).normal(size=(20, 5))
-    np.testing.assert_allclose(
-        predict_gaussian_process(model, new), theirs.predict(new[:, :4]), atol=1e-9
-    )
+    np.testing.assert_allclose(predicted(model, new), theirs.predict(new[:, :4]), atol=1e-9)
 
 
 def test_width_is_measured_in_median_distances_of_whitened_features() -> None:
@@ -61,14 +70,16 @@ def test_leave_one_out_residuals_equal_refitting_without_each_pair(radial: float
     choice, noise = ProcessSettings(5, 0.5, radial=radial), np.array([0.01, 0.1, 1.0])
     whole = fit_gaussian_process(features, outputs, variances=variances, choice=choice, noise=noise)
     scaled = features * whole.scale
-    covariance = LINE / (variances * whole.scale**2).sum() * scaled @ scaled.T + OFFSET
+    covariance = (
+        LINE_VARIANCE / (variances * whole.scale**2).sum() * scaled @ scaled.T + OFFSET_VARIANCE
+    )
     covariance += radial * radial_values(scaled, scaled, whole.exponent)
     for i in range(12):
         rest = np.arange(12) != i
         for j, level in enumerate(noise):
             inner = covariance[np.ix_(rest, rest)] + level * np.eye(11)
-            predicted = covariance[i, rest] @ np.linalg.solve(inner, outputs[rest, j])
-            assert whole.residuals[i, j] == pytest.approx(outputs[i, j] - predicted, abs=1e-8)
+            unseen = covariance[i, rest] @ np.linalg.solve(inner, outputs[rest, j])
+            assert whole.residuals[i, j] == pytest.approx(outputs[i, j] - unseen, abs=1e-8)
 
 
 def test_errors_of_the_search_are_those_of_the_fit() -> None:
@@ -100,7 +111,7 @@ def test_a_line_needs_no_local_part_and_is_recovered() -> None:
     assert not model.dual.any()
     new = rng.normal(size=(10, 5))
     expected = new @ np.linalg.lstsq(features, outputs - 3.0, rcond=None)[0] + 3.0
-    np.testing.assert_allclose(predict_gaussian_process(model, new), expected, atol=0.02)
+    np.testing.assert_allclose(predicted(model, new), expected, atol=0.02)
 
 
 def test_the_important_output_decides_the_choice() -> None:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from sklearn.linear_model import Ridge, RidgeCV
 
-from usdface.numerics.regression.linear_ridge import fit_linear_ridge, predict_linear_ridge
+from usdface.numerics.regression.linear_ridge import LinearRidge, fit_linear_ridge
 
 
 def lines(rows: int = 30, columns: int = 8, outputs: int = 4, noise: float = 0.1):
@@ -10,6 +10,10 @@ def lines(rows: int = 30, columns: int = 8, outputs: int = 4, noise: float = 0.1
     features = rng.normal(size=(rows, columns)) * 0.6 ** np.arange(columns) + 5.0
     exact = features @ rng.normal(size=(columns, outputs)) + rng.normal(size=outputs)
     return features, exact + noise * rng.normal(size=exact.shape)
+
+
+def predicted(model: LinearRidge, features: np.ndarray) -> np.ndarray:
+    return (features - model.mean) @ model.coefficients + model.intercept
 
 
 def scale_of(features: np.ndarray) -> float:
@@ -22,7 +26,7 @@ def test_fit_equals_sklearns_ridge_at_the_same_penalty() -> None:
     theirs = Ridge(alpha=1e-3 * scale_of(features)).fit(features, outputs)
     np.testing.assert_allclose(model.coefficients, theirs.coef_.T, rtol=1e-8)
     new = np.random.default_rng(1).normal(size=(5, features.shape[1]))
-    np.testing.assert_allclose(predict_linear_ridge(model, new), theirs.predict(new), rtol=1e-8)
+    np.testing.assert_allclose(predicted(model, new), theirs.predict(new), rtol=1e-8)
 
 
 def test_leave_one_out_residuals_equal_refitting_without_each_row() -> None:
@@ -49,7 +53,7 @@ def test_chosen_ridge_is_the_one_sklearns_leave_one_out_chooses() -> None:
 def test_exact_lines_are_recovered() -> None:
     features, outputs = lines(noise=0.0)
     model = fit_linear_ridge(features, outputs)
-    np.testing.assert_allclose(predict_linear_ridge(model, features), outputs, atol=1e-5)
+    np.testing.assert_allclose(predicted(model, features), outputs, atol=1e-5)
 
 
 def test_one_shared_ridge_follows_the_output_that_matters() -> None:

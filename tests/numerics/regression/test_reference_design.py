@@ -1,13 +1,18 @@
+"""Designs of reference frames, held to brute force and to other routes."""
+
 import tracemalloc
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
+from usdface.numerics.regression.design_kernel import DesignKernel, left_over, predict_from
 from usdface.numerics.regression.reference_design import (
     design_d_optimal,
     design_gp_variance,
     design_k_centre,
+    design_total_variance,
+    most_different_rows,
     whiten,
 )
 
@@ -125,3 +130,102 @@ def test_whitening_makes_variances_equal_or_leaves_them() -> None:
     variances = coordinates.var(axis=0)
     np.testing.assert_allclose(whiten(coordinates, variances, power=1.0).var(axis=0), 1.0)
     np.testing.assert_array_equal(whiten(coordinates, variances, power=0.0), coordinates)
+
+
+def rows(count: int = 60) -> np.ndarray:
+    return np.random.default_rng(0).normal(size=(count, 3))
+
+
+def dense_left(kernel: DesignKernel, known: np.ndarray, all_rows: np.ndarray) -> np.ndarray:
+    within = np.linalg.inv(kernel(known, known) + 1e-2 * np.eye(len(known)))
+    shared = kernel(known, all_rows)
+    return kernel.diagonal(all_rows) - np.einsum("ij,ik,kj->j", shared, within, shared)
+
+
+def test_each_pick_is_what_brute_force_would_pick() -> None:
+    cloud = rows()
+    kernel = DesignKernel.for_rows(cloud)
+    importance = np.random.default_rng(1).random(len(cloud))
+    known = cloud[:2]
+    design = design_total_variance(cloud, 5, kernel=kernel, known=known, importance=importance)
+    for turn, pick in enumerate(design.chosen):
+        before = np.concatenate([known, cloud[design.chosen[:turn]]])
+        total = [
+            importance @ dense_left(kernel, np.concatenate([before, cloud[i : i + 1]]), cloud)
+            if i not in design.chosen[:turn]
+            else np.inf
+            for i in range(len(cloud))
+        ]
+        assert pick == int(np.argmin(total))
+
+
+def test_gains_add_up_to_the_variance_that_went() -> None:
+    cloud = rows()
+    kernel = DesignKernel.for_rows(cloud)
+    known = cloud[:3]
+    design = design_total_variance(cloud, 8, kernel=kernel, known=known)
+    start = dense_left(kernel, known, cloud).sum()
+    end = dense_left(kernel, np.concatenate([known, cloud[design.chosen]]), cloud).sum()
+    assert design.gain.sum() == pytest.approx(1 - end / start, rel=1e-9)
+    assert len(set(design.chosen.tolist())) == 8
+
+
+def test_nothing_known_leaves_all_over_and_knowing_a_frame_leaves_its_noise() -> None:
+    cloud = rows()
+    kernel = DesignKernel.for_rows(cloud)
+    np.testing.assert_array_equal(left_over(kernel, cloud[:0], cloud, noise=1e-2), 1.0)
+    left = left_over(kernel, cloud[:1], cloud[:1], noise=1e-2)
+    prior = kernel.diagonal(cloud[:1])
+    np.testing.assert_allclose(left, 1e-2 / (prior + 1e-2), rtol=1e-6)
+
+
+def test_prediction_agrees_with_scikit_learn() -> None:
+    process = pytest.importorskip("sklearn.gaussian_process")
+    kernels = pytest.importorskip("sklearn.gaussian_process.kernels")
+    cloud = rows()
+    kernel = DesignKernel(2.0, 3.0, -0.4)
+    values = np.random.default_rng(2).normal(size=(20, 2))
+    theirs = process.GaussianProcessRegressor(
+        2.0 * kernels.DotProduct(1e-9, "fixed") + 3.0 * kernels.RBF(np.sqrt(0.5 / 0.4)),
+        alpha=1e-2,
+        optimizer=None,
+    )
+    theirs.fit(cloud[:20], values - values.mean(axis=0))
+    np.testing.assert_allclose(
+        predict_from(kernel, cloud[:20], values, cloud, noise=1e-2),
+        theirs.predict(cloud) + values.mean(axis=0),
+        atol=1e-8,
+    )
+
+
+def test_impossible_requests_for_total_variance_say_why() -> None:
+    cloud = rows(10)
+    kernel = DesignKernel.for_rows(cloud)
+    with pytest.raises(ValueError, match="cannot choose 11 of 10"):
+        design_total_variance(cloud, 11, kernel=kernel, known=cloud[:0])
+    with pytest.raises(ValueError, match="finite entry of at least 0"):
+        design_total_variance(cloud, 1, kernel=kernel, known=cloud[:0], importance=-np.ones(10))
+
+
+def test_the_chosen_rows_are_those_of_a_pivoted_qr() -> None:
+    from scipy.linalg import qr
+
+    rows = np.random.default_rng(0).normal(size=(40, 12)) * np.linspace(0.2, 3, 40)[:, None]
+    _, _, pivots = qr(rows.T, pivoting=True, mode="economic")
+    np.testing.assert_array_equal(most_different_rows(rows, 9), pivots[:9])
+
+
+def test_half_a_smile_is_not_chosen_beside_the_smile() -> None:
+    smile, jaw = np.eye(5)[:2] * [[10], [6]]
+    rows = np.array([0.5 * smile, smile, 0.9 * smile, jaw, 0.2 * jaw])
+    assert most_different_rows(rows, 4).tolist() == [1, 3]
+
+
+def test_rows_of_nothing_give_nothing() -> None:
+    assert most_different_rows(np.zeros((4, 3)), 2).tolist() == []
+    assert most_different_rows(np.zeros((0, 3)), 2).tolist() == []
+
+
+def test_a_row_of_a_thousandth_of_the_largest_is_the_least_that_counts() -> None:
+    rows = np.diag([10.0, 0.05, 0.011, 0.009])
+    assert most_different_rows(rows, 4).tolist() == [0, 1, 2]

@@ -1,4 +1,4 @@
-"""Blocks are solved ahead by threads, in order, few at a time."""
+"""Threads predict the next blocks, in order, few at a time."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -10,12 +10,12 @@ from tests.model.synthetic import references_of, synthetic_face
 from usdface.core.errors import InputError
 from usdface.model import train_mapping
 from usdface.model.mapping.head_space import MappedMarkers
-from usdface.steps.performance import predict_blocks as solving
+from usdface.steps.performance import predict_blocks
 
 ROWS = 40
 
 
-def blocks(positions: np.ndarray, taken: list[int]) -> Iterator[solving.Block]:
+def blocks(positions: np.ndarray, taken: list[int]) -> Iterator[predict_blocks.Block]:
     for start in range(0, len(positions), ROWS):
         taken.append(start)
         part = positions[start : start + ROWS].astype(np.float32)
@@ -31,17 +31,19 @@ def test_what_comes_out_does_not_depend_on_how_many_solve_and_few_blocks_wait(
         references_of(face, chosen), ranges=face.ranges, gram=face.gram, method="ensemble"
     )
     found = []
-    for solvers in (1, 4):
-        monkeypatch.setattr(solving, "MAX_WORKERS", solvers)
+    for workers in (1, 4):
+        monkeypatch.setattr(predict_blocks, "MAX_WORKERS", workers)
         monkeypatch.setattr("os.cpu_count", lambda: 8)
         taken: list[int] = []
         rows = []
-        for done, answer in enumerate(solving.solve_ahead(mapping, blocks(face.positions, taken))):
-            assert len(taken) - done <= solvers + solving.QUEUE_DEPTH
+        for done, answer in enumerate(
+            predict_blocks.predict_pipelined(mapping, blocks(face.positions, taken))
+        ):
+            assert len(taken) - done <= workers + predict_blocks.QUEUE_DEPTH
             rows.append(answer.weights)
         found.append(np.concatenate(rows))
     np.testing.assert_array_equal(found[0], found[1])
     broken = face.positions.copy()
     broken[500] = np.nan
     with pytest.raises(InputError, match="is not finite"):
-        list(solving.solve_ahead(mapping, blocks(broken, [])))
+        list(predict_blocks.predict_pipelined(mapping, blocks(broken, [])))

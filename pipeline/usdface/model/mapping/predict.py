@@ -12,8 +12,7 @@ from usdface.model.mapping.coordinates import marker_coordinates
 from usdface.model.mapping.error_model import confidence_of, likely_error, predictive_variance
 from usdface.model.mapping.head_space import MINIMUM_SHARE
 from usdface.model.mapping.train import motion_of
-from usdface.model.regressions import find_method
-from usdface.numerics.array_namespace import CPU, ArrayDevice
+from usdface.model.regressions import REMOVED_METHODS, find_method
 
 BLOCK_FRAMES = 1024
 """What is worked on stays near the processor: a quarter quicker than in large blocks."""
@@ -42,7 +41,7 @@ class Prediction:
     region_error : (frames, regions) float array
         What the error stays below nine times in ten: in mm on the surface where training knew the
         rig, else in weights.
-    lacking : (frames,) bool array
+    few_markers : (frames,) bool array
         True where fewer than `head_space.MINIMUM_SHARE` of the mapping's markers are
         seen: the face is a guess there, and the confidence 0.
     """
@@ -54,33 +53,32 @@ class Prediction:
     region_confidence: FloatArray
     region_residual_mm: FloatArray
     region_error: FloatArray
-    lacking: BoolArray
+    few_markers: BoolArray
 
 
 class WeightPredictor:
     """A mapping made ready for many frames; safe to use from several threads.
 
-    Parameters
-    ----------
-    mapping : Mapping
-    device : ArrayDevice
-        Where the method is evaluated; what goes in and comes out is numpy's.
-
     Raises
     ------
     InputError
-        If arrays are missing or do not fit each other: one frame is tried.
+        If its method is one of earlier versions, or arrays are missing or do not fit each other:
+        one frame is tried.
     """
 
-    def __init__(self, mapping: TrainedMapping, *, device: ArrayDevice = CPU) -> None:
+    def __init__(self, mapping: TrainedMapping) -> None:
+        if mapping.method in REMOVED_METHODS:
+            raise InputError(
+                f"the mapping was trained by {mapping.method}, which left the methods in this "
+                "version; train again with auto"
+            )
         self._mapping = mapping
-        self._device = device
         try:
             self._motion = motion_of(mapping)
             self._regions = regions_of(mapping)
             with np.errstate(all="ignore"):  # what is not finite is refused below
-                self._predict = find_method(mapping.method).predictor(
-                    mapping.arrays, mapping.settings, device
+                self._predict = find_method(mapping.method).prepare(
+                    mapping.arrays, mapping.settings
                 )
                 tried = self.predict(mapping.neutral[None])
         except (KeyError, ValueError, IndexError, TypeError) as error:
@@ -104,7 +102,7 @@ class WeightPredictor:
         mapping, arrays = self._mapping, self._mapping.arrays
         _check_positions(mapping, positions, visible)
         frames, regions = len(positions), len(self._regions)
-        held = arrays["region_markers"].T
+        members = arrays["region_markers"].T
         weights = np.empty((frames, len(mapping.shape_names)))
         confidence, residual, error = (np.empty((frames, regions)) for _ in range(3))
         for start in range(0, frames, BLOCK_FRAMES):
@@ -112,14 +110,14 @@ class WeightPredictor:
             found = marker_coordinates(
                 self._motion, positions[part], visible=None if visible is None else visible[part]
             )
-            raw = self._device.fetch(self._predict(self._device.put(found.values)))
+            raw = self._predict(found.values)
             np.clip(raw, mapping.ranges[:, 0], mapping.ranges[:, 1], out=weights[part])
             left = predictive_variance(arrays, found.values)
             confidence[part] = confidence_of(arrays, left) * found.certainty[:, None]
             error[part] = likely_error(arrays, left) * arrays["region_tolerance"]
-            residual[part] = _by_region(found.away_mm, held)
-        lacking = _lacking(frames, visible)
-        confidence[lacking] = 0.0
+            residual[part] = _by_region(found.away_mm, members)
+        few_markers = _has_few_markers(frames, visible)
+        confidence[few_markers] = 0.0
         return Prediction(
             weights,
             confidence[:, 0],
@@ -128,7 +126,7 @@ class WeightPredictor:
             confidence,
             residual,
             error,
-            lacking,
+            few_markers,
         )
 
 
@@ -142,7 +140,6 @@ def predict_weights(
 
     Parameters
     ----------
-    mapping : Mapping
     positions : (frames, markers, 3) float array
         In the mapping's marker order and head space [mm]; see `into_head_space`.
     visible : (frames, markers) bool array, optional
@@ -157,7 +154,7 @@ def predict_weights(
     return WeightPredictor(mapping).predict(positions, visible=visible)
 
 
-def _lacking(frames: int, visible: BoolArray | None) -> BoolArray:
+def _has_few_markers(frames: int, visible: BoolArray | None) -> BoolArray:
     """Return the frames that see too few markers: what a whole take is refused for."""
     if visible is None:
         return np.zeros(frames, dtype=np.bool_)
@@ -165,14 +162,14 @@ def _lacking(frames: int, visible: BoolArray | None) -> BoolArray:
     return few
 
 
-def _by_region(away_mm: Float32Array, held: FloatArray) -> FloatArray:
+def _by_region(away_mm: Float32Array, members: FloatArray) -> FloatArray:
     """Root mean square over each region's markers seen; 0 where there are none."""
     seen = np.isfinite(away_mm)
     if seen.all():
-        counts = held.sum(axis=0)
+        counts = members.sum(axis=0)
     else:
-        away_mm, counts = np.where(seen, away_mm, 0.0), seen @ held
-    mean: FloatArray = np.square(away_mm).astype(np.float64) @ held
+        away_mm, counts = np.where(seen, away_mm, 0.0), seen @ members
+    mean: FloatArray = np.square(away_mm).astype(np.float64) @ members
     mean /= np.maximum(counts, 1)
     return np.sqrt(mean, out=mean)
 
@@ -186,10 +183,10 @@ def regions_of(mapping: TrainedMapping) -> tuple[str, ...]:
         If the mapping was trained before there were any.
     """
     needed = ("region_markers", "region_tolerance", "familiar_error")
-    lacking = [name for name in needed if name not in mapping.arrays]
-    if lacking or "regions" not in mapping.settings:
+    missing = [name for name in needed if name not in mapping.arrays]
+    if missing or "regions" not in mapping.settings:
         raise InputError(
-            f"the mapping lacks {', '.join(lacking) or 'its regions'}; train it again with this "
+            f"the mapping lacks {', '.join(missing) or 'its regions'}; train it again with this "
             "version"
         )
     return tuple(str(mapping.settings["regions"]).split(","))

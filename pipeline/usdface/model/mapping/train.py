@@ -14,7 +14,15 @@ from usdface.model.mapping.coordinates import marker_coordinates
 from usdface.model.mapping.error_model import fit_error_model
 from usdface.model.mapping.motion_space import motion_from_pca
 from usdface.model.mapping.regions import marker_motion, membership, region_points
-from usdface.model.regressions import AUTO, Method, Pairs, Settings, find_method
+from usdface.model.regressions import (
+    AUTO,
+    Arrays,
+    Face,
+    Pairs,
+    Regression,
+    Settings,
+    find_method,
+)
 from usdface.numerics.regression.cross_validation import (
     Fold,
     blocked_folds,
@@ -25,12 +33,12 @@ from usdface.numerics.regression.cross_validation import (
 )
 from usdface.numerics.regression.pca import fit_pca
 
-_FOLDS = 5
+_FOLD_COUNT = 5
 
 MINIMUM_TO_COMPARE = 8
 """Pairs below which cross-validation says nothing: the first, simplest candidate is taken."""
 
-OBSERVABLE = 0.9
+OBSERVABLE_ERROR_SHARE = 0.9
 """Of a shape's variance: a mean squared error above it says that markers do not show the shape."""
 
 SURFACE_TOLERANCE_MM = 1.0
@@ -40,8 +48,27 @@ WEIGHT_TOLERANCE = 0.1
 
 @dataclass(frozen=True)
 class _Candidate:
-    method: Method
+    method: Regression
     settings: Settings
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """Candidates by error, the best first.
+
+    Attributes
+    ----------
+    best : _Candidate
+    errors : (pairs, shapes) float array or None
+        Of the best on unseen pairs; None where pairs were too few to compare.
+    observable : (shapes,) bool array
+    scores : tuple of CandidateScore
+    """
+
+    best: _Candidate
+    errors: FloatArray | None
+    observable: BoolArray
+    scores: tuple[CandidateScore, ...]
 
 
 def train_mapping(
@@ -73,10 +100,9 @@ def train_mapping(
         What each shape at 1 does to points spread over the rig's surface [mm]; see `sample_skin`.
         With it a mapping also knows what the rig's geometry says, beyond the pairs.
     method : str
-        A key of `usdface.model.regressions.METHODS`, or ``'auto'`` to try several.
+        A key of `usdface.model.regressions.MAPPING_METHODS`, or ``'auto'`` to try several.
     dimensions : int, optional
         Principal components to use; by default chosen.
-    progress : callable
 
     Raises
     ------
@@ -88,67 +114,95 @@ def train_mapping(
     checked = sound.references
     motion = checked.motion if checked.motion is not None else _motion_of_pairs(checked)
     check_dimensions(dimensions, pairs=len(checked.weights), available=len(motion.components))
-    pairs = Pairs(
-        coordinates=marker_coordinates(motion, checked.markers).values,
-        weights=checked.weights,
+    face = Face(
         ranges=ranges.astype(np.float64),
         gram=np.eye(len(ranges)) if gram is None else gram.astype(np.float64),
         motion=motion,
         skin=skin,
     )
+    coordinates = marker_coordinates(motion, checked.markers).values
+    pairs = Pairs(coordinates, checked.weights, face)
+    folds = blocked_folds(checked.frames, checked.takes, folds=_FOLD_COUNT)
     candidates = _candidates(pairs, method, dimensions)
-    folds = blocked_folds(checked.frames, checked.takes, folds=_FOLDS)
-    tried = []
-    for i, candidate in enumerate(candidates if len(pairs.weights) >= MINIMUM_TO_COMPARE else []):
-        progress(0.9 * i / len(candidates), f"cross-validating {candidate.method.name}")
-        tried.append((_unseen_errors(candidate, pairs, folds), candidate))
-    told = observable_shapes([errors for errors, _ in tried], pairs.weights)
-    scored = [
-        (_score(candidate, errors, told, pairs.gram if gram is not None else None), candidate)
-        for errors, candidate in tried
-    ]
-    scored.sort(key=lambda entry: _order(entry[0]))
-    best = scored[0][1] if scored else candidates[0]
+    compared = _compare(candidates, pairs, folds, in_mm=gram is not None, progress=progress)
+    best = compared.best
     progress(0.9, f"fitting {best.method.name}")
     fitted = best.method.fit(pairs, best.settings)
-    if best.method.quicken is not None:
-        fitted = best.method.quicken(pairs, fitted)
     progress(1.0, f"trained {best.method.name}")
-    space = {
-        "motion_mean": motion.mean,
-        "motion_components": motion.components,
-        "motion_variances": motion.variances,
-        "motion_total": np.array([motion.total_variance]),
-    }
-    regions = region_points(
-        checked.shape_names, marker_motion(pairs.weights, checked.markers.astype(np.float64))
-    )
-    errors = next((each for each, tried_one in tried if tried_one is best), None)
-    tolerance, seen = _seen_errors(errors, pairs, tuple(regions), checked.shape_names, gram)
-    doubt = fit_error_model(pairs.coordinates, motion, folds=folds, error_over_tolerance=seen) | {
-        "region_markers": membership(regions, len(checked.marker_names)),
-        "region_tolerance": np.array([tolerance]),
-    }
-    arrays = fitted.arrays | space | doubt
+    regions, error_arrays = _error_model(compared.errors, pairs, folds, checked, gram)
+    arrays = fitted.arrays | _motion_arrays(motion) | error_arrays
     return TrainedMapping(
         method=best.method.name,
         marker_names=checked.marker_names,
         shape_names=checked.shape_names,
         rigid=checked.rigid,
         neutral=checked.neutral.astype(np.float64),
-        ranges=pairs.ranges,
+        ranges=face.ranges,
         arrays={
             name: np.ascontiguousarray(value, dtype=np.float64) for name, value in arrays.items()
         },
         settings=fitted.settings
         | {
-            "pairs": len(pairs.weights),
+            "pairs": len(pairs.outputs),
             "limited_weights": sound.limited_weights,
             "regions": ",".join(regions),
-            "unobservable_shapes": int((~told).sum()),
+            "unobservable_shapes": int((~compared.observable).sum()),
         },
-        scores=tuple(score for score, _ in scored),
+        scores=compared.scores,
     )
+
+
+def _compare(
+    candidates: list[_Candidate],
+    pairs: Pairs,
+    folds: tuple[Fold, ...],
+    *,
+    in_mm: bool,
+    progress: Progress,
+) -> _Compared:
+    """Predict each pair by every candidate from pairs of other moments."""
+    tried = []
+    for i, candidate in enumerate(candidates if len(pairs.outputs) >= MINIMUM_TO_COMPARE else []):
+        progress(0.9 * i / len(candidates), f"cross-validating {candidate.method.name}")
+        tried.append((_unseen_errors(candidate, pairs, folds), candidate))
+    observable = observable_shapes([errors for errors, _ in tried], pairs.outputs)
+    gram = pairs.face.gram if in_mm else None
+    scored = [
+        (_score(candidate, errors, observable, gram), candidate, errors)
+        for errors, candidate in tried
+    ]
+    scored.sort(key=lambda entry: _order(entry[0]))
+    best, errors = (scored[0][1], scored[0][2]) if scored else (candidates[0], None)
+    return _Compared(best, errors, observable, tuple(score for score, _, _ in scored))
+
+
+def _error_model(
+    errors: FloatArray | None,
+    pairs: Pairs,
+    folds: tuple[Fold, ...],
+    references: References,
+    gram: FloatArray | None,
+) -> tuple[tuple[str, ...], Arrays]:
+    """Return the parts of the face, and the arrays that tell each part's expected error."""
+    motion = marker_motion(pairs.outputs, references.markers.astype(np.float64))
+    points = region_points(references.shape_names, motion)
+    regions = tuple(points)
+    tolerance, seen = _seen_errors(errors, pairs, regions, references.shape_names, gram)
+    arrays = fit_error_model(
+        pairs.inputs, pairs.face.motion, folds=folds, error_over_tolerance=seen
+    )
+    arrays["region_markers"] = membership(points, len(references.marker_names))
+    arrays["region_tolerance"] = np.array([tolerance])
+    return regions, arrays
+
+
+def _motion_arrays(motion: MotionSpace) -> Arrays:
+    return {
+        "motion_mean": motion.mean,
+        "motion_components": motion.components,
+        "motion_variances": motion.variances,
+        "motion_total": np.array([motion.total_variance]),
+    }
 
 
 def motion_of(mapping: TrainedMapping) -> MotionSpace:
@@ -199,12 +253,12 @@ def observable_shapes(errors: Sequence[FloatArray], weights: FloatArray) -> Bool
     (shapes,) bool array
         All True where there is nothing to tell by.
     """
-    usual = weights.var(axis=0)
+    variance = weights.var(axis=0)
     if not len(errors):
-        return np.ones(len(usual), dtype=np.bool_)
+        return np.ones(len(variance), dtype=np.bool_)
     least = np.min([(each**2).mean(axis=0) for each in errors], axis=0)
-    told = (least < OBSERVABLE * usual) | (usual == 0)
-    return told if told.any() else np.ones_like(told)
+    observable = (least < OBSERVABLE_ERROR_SHARE * variance) | (variance == 0)
+    return observable if observable.any() else np.ones_like(observable)
 
 
 def _unseen_errors(candidate: _Candidate, pairs: Pairs, folds: tuple[Fold, ...]) -> FloatArray:
@@ -214,25 +268,25 @@ def _unseen_errors(candidate: _Candidate, pairs: Pairs, folds: tuple[Fold, ...])
         if "dimensions" in settings:  # a fold may have too few pairs for what all of them carry
             settings["dimensions"] = min(int(settings["dimensions"]), max(len(train) - 1, 1))
         fitted = candidate.method.fit(seen, settings)
-        predicted = candidate.method.predict(
-            fitted.arrays, fitted.settings, pairs.coordinates[test]
-        )
-        return np.clip(predicted, pairs.ranges[:, 0], pairs.ranges[:, 1])
+        predicted = candidate.method.predict(fitted.arrays, fitted.settings, pairs.inputs[test])
+        return np.clip(predicted, *pairs.face.ranges.T)
 
-    predicted = predict_out_of_fold(fit_predict, folds, width=pairs.weights.shape[1])
-    return predicted - pairs.weights
+    predicted = predict_out_of_fold(fit_predict, folds, width=pairs.outputs.shape[1])
+    return predicted - pairs.outputs
 
 
 def _score(
-    candidate: _Candidate, errors: FloatArray, told: BoolArray, gram: FloatArray | None
+    candidate: _Candidate, errors: FloatArray, observable: BoolArray, gram: FloatArray | None
 ) -> CandidateScore:
-    seen = errors[:, told]
+    seen = errors[:, observable]
     return CandidateScore(
         method=candidate.method.name,
         settings=_readable(candidate.settings),
         weight_rmse=weight_rmse(seen),
         vertex_rms_mm=(
-            float("nan") if gram is None else surface_rms_mm(seen, gram[np.ix_(told, told)])
+            float("nan")
+            if gram is None
+            else surface_rms_mm(seen, gram[np.ix_(observable, observable)])
         ),
     )
 
@@ -250,10 +304,10 @@ def _seen_errors(
         return tolerance, np.ones((1, len(regions)))
     whole = np.sqrt((errors**2).mean(axis=1)) if gram is None else surface_errors_mm(errors, gram)
     each = np.tile(whole[:, None], (1, len(regions)))
-    if gram is not None and pairs.skin is not None:
-        for region, points in region_points(names, pairs.skin).items():
+    if gram is not None and pairs.face.skin is not None:
+        for region, points in region_points(names, pairs.face.skin).items():
             if region in regions[1:]:
-                moved = np.einsum("ns,spc->npc", errors, pairs.skin[:, points], optimize=True)
+                moved = np.einsum("ns,spc->npc", errors, pairs.face.skin[:, points], optimize=True)
                 size = np.sqrt((moved**2).sum(axis=2).mean(axis=1))
                 each[:, regions.index(region)] = size
     return tolerance, each / tolerance

@@ -1,51 +1,90 @@
-"""The regression methods by name; one file each."""
+"""The regressions by name, for mappings and for retargetings; one file each."""
 
 from usdface.core.errors import InputError
 from usdface.model.regressions import (
-    d06,
+    additive,
     ensemble,
     gaussian_rbf,
     hybrid,
-    inverse,
     kernel_cca,
     multiquadric,
-    regional,
-    relevance_process,
+    ridge,
 )
-from usdface.model.regressions import ridge as linear
-from usdface.model.regressions.base import Fitted, Method, Pairs, Settings
+from usdface.model.regressions.base import Arrays, Face, Fitted, Pairs, Regression, Settings
 
-__all__ = ["AUTO", "METHODS", "Fitted", "Method", "Pairs", "Settings", "find_method"]
+__all__ = [
+    "AUTO",
+    "MAPPING_METHODS",
+    "REMOVED_METHODS",
+    "RETARGET_METHODS",
+    "Arrays",
+    "Face",
+    "Fitted",
+    "Pairs",
+    "Regression",
+    "Settings",
+    "find_method",
+    "find_retarget_method",
+]
 
-_METHODS: dict[str, Method] = {
-    method.name: method
-    for method in (
-        d06.METHOD,
-        linear.METHOD,
-        gaussian_rbf.METHOD,
-        ensemble.METHOD,
-        multiquadric.METHOD,
-        kernel_cca.METHOD,
-        hybrid.METHOD,
-        relevance_process.METHOD,
-        regional.METHOD,
-        inverse.METHOD,
-        *inverse.SINGLE,
-    )
+_REGRESSIONS = (
+    ridge.METHOD,
+    gaussian_rbf.PUBLISHED,
+    gaussian_rbf.METHOD,
+    ensemble.METHOD,
+    multiquadric.METHOD,
+    kernel_cca.METHOD,
+    hybrid.METHOD,
+    additive.METHOD,
+)
+
+MAPPING_METHODS = {each.name: each for each in _REGRESSIONS if each.mapping_candidates is not None}
+RETARGET_METHODS = {
+    each.retarget_name or each.name: each for each in _REGRESSIONS if each.retarget_candidates
 }
 
 AUTO = ("ridge", "ensemble", "rbf", "d06")
-"""What `auto` tries; the first is taken where pairs are too few to compare."""
+"""What `auto` tries for a mapping; the first is taken where pairs are too few to compare."""
+
+REMOVED_METHODS = frozenset(
+    (
+        "regional",
+        "gaussian_process",
+        "inverse",
+        "least_squares",
+        "nnls",
+        "bounded",
+        "sparse",
+    )
+)
+"""Of earlier versions."""
 
 
-def find_method(name: str) -> Method:
-    """Look a method up by name.
+def find_method(name: str) -> Regression:
+    """Look a mapping's method up by name.
 
     Raises
     ------
     InputError
         If there is none; the message lists those there are.
     """
-    if name not in _METHODS:
-        raise InputError(f"no method {name!r}; choose one of auto, {', '.join(sorted(_METHODS))}")
-    return _METHODS[name]
+    if name in REMOVED_METHODS:
+        raise InputError(f"{name} left the methods in this version; use auto or ensemble")
+    if name not in MAPPING_METHODS:
+        known = ", ".join(sorted(MAPPING_METHODS))
+        raise InputError(f"no method {name!r}; choose one of auto, {known}")
+    return MAPPING_METHODS[name]
+
+
+def find_retarget_method(name: str) -> Regression:
+    """Look a retargeting's method up by name.
+
+    Raises
+    ------
+    InputError
+        If there is none; the message lists those there are.
+    """
+    if name not in RETARGET_METHODS:
+        known = ", ".join(("auto", *RETARGET_METHODS))
+        raise InputError(f"no retargeting method {name!r}; choose one of {known}")
+    return RETARGET_METHODS[name]

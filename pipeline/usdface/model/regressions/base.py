@@ -1,32 +1,39 @@
-"""What a regression method offers: candidates to try, a fit, and a prediction from its arrays."""
+"""What every regression offers: candidates to try, a fit, and a prediction from its arrays.
+
+A mapping learns weights from coordinates of markers, a retargeting a control vector from the
+source's weights. To a regression both are pairs of inputs and outputs.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
+
+import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MotionSpace
-from usdface.core.errors import InputError
-from usdface.numerics.array_namespace import CPU, ArrayDevice
 
 Settings = dict[str, float | int | str | bool]
+Arrays = dict[str, FloatArray]
 
-Predictor = Callable[[Any], Any]
-"""Coordinates (frames, dimensions) to weights (frames, shapes), both on a device."""
+Predictor = Callable[[FloatArray], FloatArray]
+"""Inputs (frames, d) to outputs (frames, k)."""
+
+WHITENING_POWERS = (0.0, 0.125, 0.25)
+"""Powers of the variance that coordinates are divided by: 0 leaves them as captured, 0.5 would make
+all components equal, and noise as loud as the jaw."""
+
+_LEAST_VARIANCE_SHARE = 1e-6
+"""Of the largest variance: a component that does not move is not divided by nothing."""
 
 
 @dataclass(frozen=True)
-class Pairs:
-    """What a method learns from.
+class Face:
+    """What is known of the face beside the pairs, where markers are mapped.
 
     Attributes
     ----------
-    coordinates : (pairs, dimensions) float array
-        Of the reference markers in the motion space [mm].
-    weights : (pairs, shapes) float array
-        What the animator set, within `ranges`.
     ranges : (shapes, 2) float array
+        Lowest and highest weight.
     gram : (shapes, shapes) float array
         Mean over the rig's points of the dot products of the shapes' displacements [mm^2]; the
         identity when no rig is known.
@@ -36,16 +43,41 @@ class Pairs:
         What each shape at 1 does to points spread over the rig's surface [mm].
     """
 
-    coordinates: FloatArray
-    weights: FloatArray
     ranges: FloatArray
     gram: FloatArray
     motion: MotionSpace
     skin: FloatArray | None = None
 
+
+@dataclass(frozen=True)
+class Pairs:
+    """What a regression learns from.
+
+    Attributes
+    ----------
+    inputs : (pairs, d) float array
+        Coordinates of the reference markers in the motion space [mm], or source weights as
+        differences from rest.
+    outputs : (pairs, k) float array
+        Weights that the animator set, or control vectors as differences from rest.
+    known_face : Face or None
+        None in retargeting.
+    """
+
+    inputs: FloatArray
+    outputs: FloatArray
+    known_face: Face | None = None
+
+    @property
+    def face(self) -> Face:
+        """The face; a regression that needs one serves mappings alone."""
+        if self.known_face is None:
+            raise ValueError("this regression needs a face's motion, and retargeting has none")
+        return self.known_face
+
     def rows(self, chosen: IntArray) -> "Pairs":
         """Keep some of the pairs, all else equal."""
-        return replace(self, coordinates=self.coordinates[chosen], weights=self.weights[chosen])
+        return replace(self, inputs=self.inputs[chosen], outputs=self.outputs[chosen])
 
 
 @dataclass(frozen=True)
@@ -60,80 +92,81 @@ class Fitted:
         Hyper-parameters, given and chosen.
     """
 
-    arrays: dict[str, FloatArray]
+    arrays: Arrays
     settings: Settings
 
 
 @dataclass(frozen=True)
-class Method:
-    """One way from coordinates to weights.
+class Regression:
+    """One way from inputs to outputs.
 
     Attributes
     ----------
     name : str
-        Key in the registry and in mappings.
+        In mappings and on the command line.
     summary : str
         One line for people who choose.
-    candidates : callable
-        ``(pairs, dimensions or None) -> settings to try``; dimensions fixes that setting.
     fit : callable
         ``(pairs, settings) -> Fitted``
-    predict : callable
-        ``(arrays, settings, coordinates (frames, dimensions)) -> weights (frames, shapes)``, not
-        yet limited to ranges. In double precision: what a method is judged and chosen by.
-    prepare : callable, optional
-        ``(arrays, settings, device) -> Predictor``, where there is work to do once for many frames;
-        agrees with `predict` to 1e-6. Without it a method runs on the processor alone.
-    quicken : callable, optional
-        ``(pairs, Fitted) -> Fitted``: what can be done once, for the fit that was chosen, so that
-        many frames take less time.
+    prepare : callable
+        ``(arrays, settings) -> Predictor``: what can be done once for many frames is done here.
+        Outputs are not yet limited to ranges.
+    mapping_candidates : callable or None
+        ``(pairs, dimensions or None) -> settings to try``; dimensions fixes that setting. None
+        where the regression does not serve mappings.
+    retarget_candidates : tuple of dict
+        Settings to try; none where the regression does not serve retargeting.
+    retarget_name : str
+        In retargetings, where it is another.
     """
 
     name: str
     summary: str
-    candidates: Callable[[Pairs, int | None], tuple[Settings, ...]]
     fit: Callable[[Pairs, Settings], Fitted]
-    predict: Callable[[dict[str, FloatArray], Settings, FloatArray], FloatArray]
-    prepare: Callable[[dict[str, FloatArray], Settings, ArrayDevice], Predictor] | None = None
-    quicken: Callable[[Pairs, Fitted], Fitted] | None = None
+    prepare: Callable[[Arrays, Settings], Predictor]
+    mapping_candidates: Callable[[Pairs, int | None], tuple[Settings, ...]] | None = None
+    retarget_candidates: tuple[Settings, ...] = ()
+    retarget_name: str = ""
 
-    def predictor(
-        self, arrays: dict[str, FloatArray], settings: Settings, device: ArrayDevice
-    ) -> Predictor:
-        """Make a fit ready to predict many frames on a device.
+    def candidates(self, pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
+        """Return the settings worth trying for a mapping."""
+        return () if self.mapping_candidates is None else self.mapping_candidates(pairs, dimensions)
 
-        Raises
-        ------
-        InputError
-            If the method runs on the processor alone, and that is not the device.
-        """
-        if self.prepare is not None:
-            return self.prepare(arrays, settings, device)
-        if device is not CPU:
-            raise InputError(
-                f"a mapping by {self.name} runs on the processor alone, not on {device.name!r}; "
-                "leave the device out, or train by another method"
-            )
-        return partial(self.predict, arrays, settings)
-
-
-def in_double_precision(
-    prepare: Callable[..., Predictor],
-) -> Callable[[dict[str, FloatArray], Settings, FloatArray], FloatArray]:
-    """Return a method's `predict` from its `prepare`, which takes ``single``."""
-
-    def predict(
-        arrays: dict[str, FloatArray], settings: Settings, coordinates: FloatArray
-    ) -> FloatArray:
-        predicted: FloatArray = prepare(arrays, settings, single=False)(coordinates)
-        return predicted
-
-    return predict
+    def predict(self, arrays: Arrays, settings: Settings, inputs: FloatArray) -> FloatArray:
+        """Evaluate a fit: (frames, d) inputs to (frames, k) outputs."""
+        return self.prepare(arrays, settings)(inputs)
 
 
 def dimension_choices(pairs: Pairs, fixed: int | None, usual: tuple[int, ...]) -> tuple[int, ...]:
     """Dimensions worth trying: the usual ones that the pairs and the motion space can carry."""
     if fixed is not None:
         return (fixed,)
-    most = min(len(pairs.coordinates) - 1, pairs.coordinates.shape[1])
+    most = min(len(pairs.inputs) - 1, pairs.inputs.shape[1])
     return tuple(sorted({min(d, most) for d in usual}))
+
+
+def leading_inputs(inputs: FloatArray, settings: Settings) -> FloatArray:
+    """Return the first ``dimensions`` columns, or all where the settings name no number."""
+    return inputs[:, : int(settings["dimensions"])] if "dimensions" in settings else inputs
+
+
+def scale_arrays(pairs: Pairs, settings: Settings) -> Arrays:
+    """Return what `scaled_inputs` reads: ``scale = variance ** -whitening`` of each dimension.
+
+    The jaw moves markers by centimetres, the lids by millimetres: in plain coordinates a distance
+    between faces is a distance between jaws. Only settings with ``whitening`` need it.
+    """
+    if "whitening" not in settings:
+        return {}
+    variances = pairs.face.motion.variances[: int(settings["dimensions"])]
+    floor = max(_LEAST_VARIANCE_SHARE * float(variances[0]), np.finfo(float).tiny)
+    return {"scale": np.maximum(variances, floor) ** -float(settings["whitening"])}
+
+
+def scaled_inputs(arrays: Arrays, settings: Settings, inputs: FloatArray) -> FloatArray:
+    """Return inputs as distances between them are measured."""
+    if "whitening" not in settings:
+        return inputs
+    scale = arrays["scale"]
+    features: FloatArray = inputs[:, : len(scale)] * scale
+    return features

@@ -1,33 +1,39 @@
-"""Gaussian RBF on as many components as the pairs carry, one wide width, a straight tail."""
+"""Gaussian radial basis functions: ours, over a straight line, and the published method (`d06`).
 
-from typing import Any
-
-import numpy as np
+Deng, Chiang, Fox and Neumann (2006), *Animating Blendshape Faces by Cross-Mapping Motion Capture
+Data*, sections 5 and 6.
+"""
 
 from usdface.core.arrays import FloatArray
-from usdface.model.regressions import d06
-from usdface.model.regressions import ridge as linear
 from usdface.model.regressions.base import (
+    Arrays,
     Fitted,
-    Method,
     Pairs,
     Predictor,
+    Regression,
     Settings,
     dimension_choices,
+    leading_inputs,
 )
-from usdface.model.regressions.d06 import rbf_arrays, rbf_from_arrays
-from usdface.numerics.array_namespace import ArrayDevice
-from usdface.numerics.regression.linear_ridge import (
-    LinearRidge,
-    fit_linear_ridge,
-    predict_linear_ridge,
-)
+from usdface.model.regressions.ridge import line_arrays, prepare_line
+from usdface.numerics.regression.linear_ridge import fit_linear_ridge
 from usdface.numerics.regression.rbf_ridge import (
+    RBFRidge,
     centre_widths,
     fit_rbf_ridge,
+    gaussian_design,
     predict_rbf_ridge,
+    reestimate_ridge,
+    rotate,
     shared_widths,
 )
+
+PAPER_DIMENSIONS = 4
+PAPER_WIDTH = 2.0
+"""Multiple of the distance to the nearest centre; the paper gives none, this is customary."""
+
+ITERATION_START = 1e-3
+"""Of the largest squared singular value; the paper gives none either."""
 
 
 def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
@@ -41,43 +47,80 @@ def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
 
 
 def _fit(pairs: Pairs, settings: Settings) -> Fitted:
-    features = pairs.coordinates[:, : int(settings["dimensions"])]
-    line = fit_linear_ridge(features, pairs.weights)
+    features = leading_inputs(pairs.inputs, settings)
+    line = fit_linear_ridge(features, pairs.outputs)
     # The network learns what the line leaves over, so far from all pairs the line goes on. It
     # learns from leave-one-out residuals: the fitted ones are small where the line overfits.
-    of = centre_widths if settings.get("widths") == "per centre" else shared_widths
-    widths = of(features, multiple=float(settings["width"]))
+    widths_of = centre_widths if settings.get("widths") == "per centre" else shared_widths
+    widths = widths_of(features, multiple=float(settings["width"]))
     network = fit_rbf_ridge(features, line.loo_residuals, widths=widths)
-    arrays = {"mean": line.mean, "slope": line.coefficients, "intercept": line.intercept}
-    return Fitted(rbf_arrays(network) | arrays, settings)
+    return Fitted(_network_arrays(network) | line_arrays(line), settings)
 
 
-def _predict(
-    arrays: dict[str, FloatArray], settings: Settings, coordinates: FloatArray
-) -> FloatArray:
-    features = coordinates[:, : int(settings["dimensions"])]
-    nothing = np.zeros(0)
-    line = LinearRidge(arrays["mean"], arrays["slope"], arrays["intercept"], nothing, nothing)
-    return predict_linear_ridge(line, features) + predict_rbf_ridge(
-        rbf_from_arrays(arrays), features
+def _prepare(arrays: Arrays, settings: Settings) -> Predictor:
+    line, network = prepare_line(arrays, settings), _prepare_network(arrays, settings)
+    return lambda inputs: line(inputs) + network(inputs)
+
+
+def _published_candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
+    choices = dimension_choices(pairs, dimensions, (PAPER_DIMENSIONS,))
+    return tuple(
+        {"dimensions": d, "width": PAPER_WIDTH, "ridge": ridge}
+        for d in choices
+        for ridge in ("closed form", "iterated")
     )
 
 
-def _prepare(arrays: dict[str, FloatArray], settings: Settings, device: ArrayDevice) -> Predictor:
-    line = linear.prepare(arrays, settings, device)
-    network = d06.prepare(arrays, settings, device)
+def _fit_published(pairs: Pairs, settings: Settings) -> Fitted:
+    centres = leading_inputs(pairs.inputs, settings)
+    widths = centre_widths(centres, multiple=float(settings["width"]))
+    ridge = None
+    if settings.get("ridge") == "iterated":
+        rotated = rotate(gaussian_design(centres, centres, widths), pairs.outputs)
+        ridge = reestimate_ridge(rotated, start=ITERATION_START)
+    model = fit_rbf_ridge(centres, pairs.outputs, widths=widths, ridge=ridge)
+    return Fitted(_network_arrays(model), settings)
 
-    def predict(coordinates: Any) -> Any:
-        return line(coordinates) + network(coordinates)
+
+def _network_arrays(model: RBFRidge) -> Arrays:
+    return {
+        "centres": model.centres,
+        "widths": model.widths,
+        "coefficients": model.coefficients,
+        "ridge": model.ridge,
+        "freedom": model.freedom,
+        "gcv": model.score,
+    }
+
+
+def _prepare_network(arrays: Arrays, settings: Settings) -> Predictor:
+    model = RBFRidge(
+        centres=arrays["centres"],
+        widths=arrays["widths"],
+        coefficients=arrays["coefficients"],
+        ridge=arrays["ridge"],
+        freedom=arrays["freedom"],
+        score=arrays["gcv"],
+    )
+
+    def predict(inputs: FloatArray) -> FloatArray:
+        return predict_rbf_ridge(model, leading_inputs(inputs, settings))
 
     return predict
 
 
-METHOD = Method(
+METHOD = Regression(
     name="rbf",
     summary="Gaussian RBF over a straight line, components and width by cross-validation",
-    candidates=_candidates,
     fit=_fit,
-    predict=_predict,
     prepare=_prepare,
+    mapping_candidates=_candidates,
+)
+
+PUBLISHED = Regression(
+    name="d06",
+    summary="Gaussian RBF, 4 components, a width per centre, ridge by GCV: the paper as published",
+    fit=_fit_published,
+    prepare=_prepare_network,
+    mapping_candidates=_published_candidates,
 )

@@ -1,13 +1,23 @@
-"""Kernel canonical correlation: Song, Choi, Seol and Noh (2011), section 4.2, on markers.
+"""Kernel canonical correlation: Song et al. (2011), section 4.2, for markers and for retargeting.
 
-With the lines of eq. 6 and 7 penalised as eq. 5 is; as published they are part of `hybrid`.
+With the lines of eq. 6 and 7 penalised as eq. 5 is; on markers, `hybrid` takes them as published.
 """
 
 import numpy as np
 
 from usdface.core.arrays import FloatArray
-from usdface.model.regressions.base import Fitted, Method, Pairs, Settings, dimension_choices
-from usdface.model.regressions.scaling import POWERS, coordinate_scale, scaled
+from usdface.model.regressions.base import (
+    WHITENING_POWERS,
+    Arrays,
+    Fitted,
+    Pairs,
+    Predictor,
+    Regression,
+    Settings,
+    dimension_choices,
+    scale_arrays,
+    scaled_inputs,
+)
 from usdface.numerics.regression.kernel_cca import (
     KernelCCA,
     fit_kernel_cca,
@@ -15,82 +25,82 @@ from usdface.numerics.regression.kernel_cca import (
     predict_expansion,
 )
 
-WIDTHS = (4.0, 8.0)
+_MAPPING_WIDTHS = (4.0, 8.0)
 """Multiples of the median distance between pairs. Narrower kernels forget between the pairs."""
+
+RETARGET_KERNELS: tuple[Settings, ...] = tuple(
+    {"width": width, "kappa": kappa}
+    for width in (1.0, 2.0, 4.0, 8.0)
+    for kappa in (1e-6, 1e-4, 1e-2)
+)
+"""Widths, in the same unit, and penalties that are tried."""
 
 
 def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
     return tuple(
         space | {"lines": "penalised", "kappa": kappa}
-        for space in spaces(pairs, dimensions)
+        for space in mapping_spaces(pairs, dimensions)
         for kappa in (1e-7, 1e-6, 1e-5)
     )
 
 
-def spaces(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
-    """Return the coordinates and kernels worth trying."""
+def mapping_spaces(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
+    """Return the coordinates and kernels worth trying on markers."""
     return tuple(
         {"dimensions": d, "whitening": power, "width": width}
         for d in dimension_choices(pairs, dimensions, (24, 40))
-        for power in POWERS
-        for width in WIDTHS
+        for power in WHITENING_POWERS
+        for width in _MAPPING_WIDTHS
     )
 
 
-def _fit(pairs: Pairs, settings: Settings) -> Fitted:
-    scale = coordinate_scale(pairs, settings)
-    model = fit_pairs(pairs, scale, settings)
-    return Fitted(kernel_cca_arrays(model) | {"scale": scale}, settings)
-
-
-def _predict(
-    arrays: dict[str, FloatArray], settings: Settings, coordinates: FloatArray
-) -> FloatArray:
-    return predict_from_arrays(arrays, scaled(coordinates, arrays["scale"]))
-
-
-def fit_pairs(pairs: Pairs, scale: FloatArray, settings: Settings) -> KernelCCA:
-    """Fit to pairs with a candidate's ``width``, ``kappa``, ``lines`` and ``components`` if any."""
-    features = scaled(pairs.coordinates, scale)
-    wide = float(settings["width"])
-    alike = bool((pairs.weights == pairs.weights[0]).all())  # nothing to tell apart: any width
-    return fit_kernel_cca(
-        features,
-        pairs.weights,
-        source_width=median_width(features, multiple=wide),
-        target_width=1.0 if alike else median_width(pairs.weights, multiple=wide),
-        kappa=float(settings["kappa"]),
-        components=int(settings["components"]) if "components" in settings else None,
-        lines="published" if settings["lines"] == "published" else "penalised",
-    )
-
-
-def kernel_cca_arrays(model: KernelCCA) -> dict[str, FloatArray]:
-    """Name a regression's parts for a mapping: what predicts, and how much correlates."""
-    return {
+def fit_expansion(pairs: Pairs, settings: Settings) -> Fitted:
+    """Fit to pairs; what is kept is what predicts, and how much correlates."""
+    scale = scale_arrays(pairs, settings)
+    model = fit_model(pairs, scale, settings)
+    arrays = {
         "sources": model.centres,
         "source_width": np.array([model.width]),
         "operator": model.operator,
         "intercept": model.intercept,
         "correlations": model.correlations,
     }
+    return Fitted(arrays | scale, settings)
 
 
-def predict_from_arrays(arrays: dict[str, FloatArray], features: FloatArray) -> FloatArray:
-    """Evaluate a regression from a mapping's arrays."""
-    return predict_expansion(
+def fit_model(pairs: Pairs, scale: Arrays, settings: Settings) -> KernelCCA:
+    """Fit with a candidate's ``width`` and ``kappa``, its ``lines`` and ``components`` if any."""
+    features = scaled_inputs(scale, settings, pairs.inputs)
+    multiple = float(settings["width"])
+    constant = bool((pairs.outputs == pairs.outputs[0]).all())  # then any width will do
+    return fit_kernel_cca(
         features,
-        arrays["sources"],
-        float(arrays["source_width"][0]),
-        arrays["operator"],
-        arrays["intercept"],
+        pairs.outputs,
+        source_width=median_width(features, multiple=multiple),
+        target_width=1.0 if constant else median_width(pairs.outputs, multiple=multiple),
+        kappa=float(settings["kappa"]),
+        components=int(settings["components"]) if "components" in settings else None,
+        lines="published" if settings.get("lines") == "published" else "penalised",
     )
 
 
-METHOD = Method(
+def prepare_expansion(arrays: Arrays, settings: Settings) -> Predictor:
+    """Make the regression ready that a mapping's or a retargeting's arrays hold."""
+    sources, width = arrays["sources"], float(arrays["source_width"][0])
+    operator, intercept = arrays["operator"], arrays["intercept"]
+
+    def predict(inputs: FloatArray) -> FloatArray:
+        features = scaled_inputs(arrays, settings, inputs)
+        return predict_expansion(features, sources, width, operator, intercept)
+
+    return predict
+
+
+METHOD = Regression(
     name="kernel_cca",
     summary="kernel canonical correlation, penalty and width by cross-validation",
-    candidates=_candidates,
-    fit=_fit,
-    predict=_predict,
+    fit=fit_expansion,
+    prepare=prepare_expansion,
+    mapping_candidates=_candidates,
+    retarget_candidates=RETARGET_KERNELS,
 )

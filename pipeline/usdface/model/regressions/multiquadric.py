@@ -1,8 +1,23 @@
-"""Hardy's multiquadric: Song, Choi, Seol and Noh (2011), section 4.1, on markers."""
+"""Hardy's multiquadric: Song, Choi, Seol and Noh (2011), *Characteristic Facial Retargeting*, 4.1.
+
+Published for retargeting, where its name is `rbf`; on markers it is `multiquadric`.
+"""
+
+import numpy as np
 
 from usdface.core.arrays import FloatArray
-from usdface.model.regressions.base import Fitted, Method, Pairs, Settings, dimension_choices
-from usdface.model.regressions.scaling import POWERS, coordinate_scale, scaled
+from usdface.model.regressions.base import (
+    WHITENING_POWERS,
+    Arrays,
+    Fitted,
+    Pairs,
+    Predictor,
+    Regression,
+    Settings,
+    dimension_choices,
+    scale_arrays,
+    scaled_inputs,
+)
 from usdface.numerics.regression.multiquadric_rbf import (
     Multiquadric,
     fit_multiquadric,
@@ -15,55 +30,52 @@ def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
         {"dimensions": d, "whitening": power, "smooth": smooth}
         for smooth in (False, True)
         for d in dimension_choices(pairs, dimensions, (16, 24, 40))
-        for power in POWERS
+        for power in WHITENING_POWERS
     )
 
 
-def _fit(pairs: Pairs, settings: Settings) -> Fitted:
-    scale = coordinate_scale(pairs, settings)
-    model, smooth = fit_pairs(pairs, scale, smooth=bool(settings["smooth"]))
-    return Fitted(multiquadric_arrays(model) | {"scale": scale}, settings | {"smooth": smooth})
+def fit_network(pairs: Pairs, settings: Settings) -> Fitted:
+    """Fit to pairs, smoothly where they cannot all be met: two inputs alike, outputs that differ.
 
-
-def _predict(
-    arrays: dict[str, FloatArray], settings: Settings, coordinates: FloatArray
-) -> FloatArray:
-    features = scaled(coordinates, arrays["scale"])
-    return predict_multiquadric(multiquadric_from_arrays(arrays), features)
-
-
-def fit_pairs(pairs: Pairs, scale: FloatArray, *, smooth: bool) -> tuple[Multiquadric, bool]:
-    """Fit to pairs, smoothly where they cannot all be met: two faces alike, keyed differently."""
-    features = scaled(pairs.coordinates, scale)
-    if not smooth:
-        try:
-            return fit_multiquadric(features, pairs.weights), False
-        except ValueError:
-            pass
-    return fit_multiquadric(features, pairs.weights, smooth=True), True
-
-
-def multiquadric_arrays(model: Multiquadric) -> dict[str, FloatArray]:
-    """Name a network's parts for a mapping."""
-    return {
+    The setting ``smooth`` asks for it, and says in the result whether it was done.
+    """
+    scale = scale_arrays(pairs, settings)
+    features = scaled_inputs(scale, settings, pairs.inputs)
+    smooth = bool(settings.get("smooth", False))
+    try:
+        model = fit_multiquadric(features, pairs.outputs, smooth=smooth)
+    except ValueError:
+        if smooth:
+            raise
+        smooth = True
+        model = fit_multiquadric(features, pairs.outputs, smooth=True)
+    arrays = {
         "centres": model.centres,
         "softness": model.softness,
         "coefficients": model.coefficients,
         "ridge": model.ridge,
     }
+    return Fitted(arrays | scale, settings | {"smooth": smooth})
 
 
-def multiquadric_from_arrays(arrays: dict[str, FloatArray]) -> Multiquadric:
-    """Put a network together again."""
-    return Multiquadric(
-        arrays["centres"], arrays["softness"], arrays["coefficients"], arrays["ridge"]
-    )
+def prepare_network(arrays: Arrays, settings: Settings) -> Predictor:
+    """Make the network ready that a mapping's or a retargeting's arrays hold."""
+    coefficients = arrays["coefficients"]
+    unpenalised = np.zeros(coefficients.shape[1])  # the ridge served the fit alone
+    model = Multiquadric(arrays["centres"], arrays["softness"], coefficients, unpenalised)
+
+    def predict(inputs: FloatArray) -> FloatArray:
+        return predict_multiquadric(model, scaled_inputs(arrays, settings, inputs))
+
+    return predict
 
 
-METHOD = Method(
+METHOD = Regression(
     name="multiquadric",
     summary="Hardy multiquadric through every pair, each centre as soft as its neighbour is far",
-    candidates=_candidates,
-    fit=_fit,
-    predict=_predict,
+    fit=fit_network,
+    prepare=prepare_network,
+    mapping_candidates=_candidates,
+    retarget_candidates=({},),
+    retarget_name="rbf",
 )

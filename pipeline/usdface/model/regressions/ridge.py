@@ -1,24 +1,17 @@
 """A straight line with a ridge chosen by leave-one-out: the baseline that others must beat."""
 
-from typing import Any
-
-import numpy as np
-
 from usdface.core.arrays import FloatArray
 from usdface.model.regressions.base import (
+    Arrays,
     Fitted,
-    Method,
     Pairs,
     Predictor,
+    Regression,
     Settings,
     dimension_choices,
+    leading_inputs,
 )
-from usdface.numerics.array_namespace import ArrayDevice
-from usdface.numerics.regression.linear_ridge import (
-    LinearRidge,
-    fit_linear_ridge,
-    predict_linear_ridge,
-)
+from usdface.numerics.regression.linear_ridge import LinearRidge, fit_linear_ridge
 
 
 def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
@@ -28,43 +21,33 @@ def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
 
 
 def _fit(pairs: Pairs, settings: Settings) -> Fitted:
-    features = pairs.coordinates[:, : int(settings["dimensions"])]
-    model = fit_linear_ridge(features, pairs.weights)
-    arrays = {
-        "mean": model.mean,
-        "slope": model.coefficients,
-        "intercept": model.intercept,
-        "ridge": model.ridge,
-    }
-    return Fitted(arrays, settings)
+    line = fit_linear_ridge(leading_inputs(pairs.inputs, settings), pairs.outputs)
+    return Fitted(line_arrays(line) | {"ridge": line.ridge}, settings)
 
 
-def _predict(
-    arrays: dict[str, FloatArray], settings: Settings, coordinates: FloatArray
-) -> FloatArray:
-    line = LinearRidge(
-        arrays["mean"], arrays["slope"], arrays["intercept"], arrays["ridge"], np.zeros((0, 0))
-    )
-    return predict_linear_ridge(line, coordinates[:, : int(settings["dimensions"])])
+def line_arrays(line: LinearRidge) -> Arrays:
+    """Name a line's parts for a mapping."""
+    return {"mean": line.mean, "slope": line.coefficients, "intercept": line.intercept}
 
 
-def prepare(arrays: dict[str, FloatArray], settings: Settings, device: ArrayDevice) -> Predictor:
-    """Put the line on a device."""
-    kept = int(settings["dimensions"])
-    slope = device.put(arrays["slope"])
-    offset = device.put(arrays["intercept"] - arrays["mean"] @ arrays["slope"])
+def prepare_line(arrays: Arrays, settings: Settings) -> Predictor:
+    """Make the line ready that a mapping's arrays hold."""
+    slope = arrays["slope"]
+    offset = arrays["intercept"] - arrays["mean"] @ slope
 
-    def predict(coordinates: Any) -> Any:
-        return coordinates[:, :kept] @ slope + offset
+    def predict(inputs: FloatArray) -> FloatArray:
+        out: FloatArray = leading_inputs(inputs, settings) @ slope
+        out += offset
+        return out
 
     return predict
 
 
-METHOD = Method(
+METHOD = Regression(
     name="ridge",
     summary="linear ridge regression, a ridge per shape by leave-one-out",
-    candidates=_candidates,
     fit=_fit,
-    predict=_predict,
-    prepare=prepare,
+    prepare=prepare_line,
+    mapping_candidates=_candidates,
+    retarget_candidates=({},),
 )

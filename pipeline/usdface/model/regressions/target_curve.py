@@ -1,25 +1,22 @@
-"""A bend between weights and what they do: skin that gives more at first than at last.
+"""A bend between weights and what they do: skin that moves more at first than at last.
 
 A shape at half its weight has often moved the skin by more than half. Trained on ``t = w + c w
-(1 - w)``, lines fit better; the prediction is bent back. Every shape has a bend of its own, as far
-as the pairs can tell it from the one that suits all: a lid saturates where a brow does not.
+(1 - w)``, lines fit better; the prediction is bent back. Each shape has its bend, as far as
+the pairs can tell it from the one that suits all: a lid saturates where a brow does not.
 """
-
-from typing import Any
 
 import numpy as np
 
 from usdface.core.arrays import FloatArray
-from usdface.numerics.array_namespace import namespace_of
 
 CURVES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)
 """Bends tried; 0 is none, 1 would stand still at full weight."""
 
-_OWN = 0.15
-"""How far the bend of one shape is from that of all: a standard deviation."""
+_SHAPE_DEVIATION = 0.15
+"""Standard deviation of the bend of one shape around that of all."""
 
-_PARTWAY = 0.05
-"""Weights this far from both ends say something about a bend."""
+_LIMIT_MARGIN = 0.05
+"""Weights this far from both 0 and 1 say something about a bend."""
 
 
 def choose_curves(errors: FloatArray, weights: FloatArray, gram: FloatArray) -> FloatArray:
@@ -41,10 +38,11 @@ def choose_curves(errors: FloatArray, weights: FloatArray, gram: FloatArray) -> 
     curves = np.array(CURVES)
     total = np.einsum("cns,st,cnt->c", errors, gram, errors, optimize=True)
     shared = curves[int(total.argmin())]
-    partway = ((weights > _PARTWAY) & (weights < 1 - _PARTWAY)).sum(axis=0)
+    partway = ((weights > _LIMIT_MARGIN) & (weights < 1 - _LIMIT_MARGIN)).sum(axis=0)
     squared = (errors**2).mean(axis=1) + 1e-6
-    doubt = 0.5 * partway * np.log(squared) + 0.5 * ((curves - shared) / _OWN)[:, None] ** 2
-    chosen: FloatArray = curves[doubt.argmin(axis=0)]
+    penalty = 0.5 * partway * np.log(squared)
+    penalty += 0.5 * ((curves - shared) / _SHAPE_DEVIATION)[:, None] ** 2
+    chosen: FloatArray = curves[penalty.argmin(axis=0)]
     return chosen
 
 
@@ -65,12 +63,11 @@ def bend(weights: FloatArray, curve: float | FloatArray) -> FloatArray:
     return bent
 
 
-def unbend(bent: Any, curve: Any) -> Any:
-    """Undo `bend`, on whichever device the arrays are."""
-    xp = namespace_of(bent)
-    inside = xp.clip(bent, 0.0, 1.0)
-    root = xp.sqrt((1 + curve) ** 2 - 4 * curve * inside)
-    weights = 2 * inside / (1 + curve + root)
-    weights += xp.clip(bent, max=0.0) / (1 + curve)
-    weights += xp.clip(bent - 1.0, min=0.0) / (1 - curve)
+def unbend(bent: FloatArray, curve: float | FloatArray) -> FloatArray:
+    """Undo `bend`."""
+    inside = np.clip(bent, 0.0, 1.0)
+    root = np.sqrt((1 + curve) ** 2 - 4 * curve * inside)
+    weights: FloatArray = 2 * inside / (1 + curve + root)
+    weights += np.minimum(bent, 0.0) / (1 + curve)
+    weights += np.maximum(bent - 1.0, 0.0) / (1 - curve)
     return weights

@@ -15,7 +15,7 @@ from usdface.model.retarget.shape_matching import correspond, match_positions
 from usdface.model.retarget.train import (
     make_examples,
     retarget,
-    there_and_back,
+    round_trip,
     train_retargeting,
 )
 
@@ -152,7 +152,7 @@ def evaluate_cyclic(
             settings = trained.scores[0].settings
             examples = make_examples(pairs, shape_ranges=shape_ranges)
             there = retarget(trained, performance).weights
-            back = there_and_back(examples, trained.method, trained.settings, performance)
+            back = round_trip(examples, trained.method, trained.settings, performance)
         returned = np.zeros_like(asked)
         returned[:, columns] = back
         direct = None

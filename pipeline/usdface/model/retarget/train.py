@@ -1,11 +1,10 @@
 """Train and apply a retargeting: from source weights to any control vector, and back.
 
 What S11 (Song et al. 2011) leaves to the eye, `auto` measures: it sends expressions to the target
-and back (section 6.3) and keeps the regression that returns them best. That needs no truth: only
-the pairs, and source expressions as the performance has them.
+and back (section 6.3) and keeps the regression with the least round-trip error. That needs the
+pairs, and source expressions as the performance has them.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,29 +13,35 @@ from usdface.core.arrays import FloatArray
 from usdface.core.controls import Controls, ExpressionPairs, Retargeting, RetargetScore
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
-from usdface.model.regressions.retarget_methods import (
+from usdface.model.regressions import (
     RETARGET_METHODS,
-    RetargetMethod,
+    Arrays,
+    Pairs,
+    Regression,
     Settings,
     find_retarget_method,
 )
+from usdface.model.regressions.hybrid import predict_blended
 from usdface.model.retarget.checks import LIVE, check_pairs
 from usdface.model.retarget.control_space import ControlSpace, control_space
 
-PROBES = 384
-"""Expressions sent there and back to compare methods."""
+PROBE_COUNT = 384
+"""Expressions for the round trip by which methods are compared."""
 
 _MOST_FRAMES = 768
-"""Frames of a performance that are sent there and back beside them."""
+"""Frames of a performance that are compared on instead, where one is given."""
 
-_ROOM = 0.5
+_RANGE_MARGIN = 0.5
 """How far beyond the pairs a joint or an attribute may go, as a share of its span in them."""
 
-ROUNDING = 1e-9
+EQUAL_PAIR_ERROR = 1e-9
 """Errors at the pairs that differ by less do not."""
 
-SAME_MM = 1e-3
-"""Errors there and back that differ by less are the same to any eye; then the pairs decide."""
+EQUAL_ROUND_TRIP_MM = 1e-3
+"""Round-trip errors that differ by less are the same to any eye; then the pairs decide."""
+
+_EARLIER_NAMES = {"width": "source_width", "offset": "intercept"}
+"""Of arrays of kernel CCA in retargetings of earlier versions."""
 
 _LEAST_SPAN = 1e-9
 
@@ -47,7 +52,6 @@ class Examples:
 
     Attributes
     ----------
-    space : ControlSpace
     source, target : (pairs, ns) and (pairs, k) float arrays
         Differences from rest.
     source_rest, target_rest : (ns,) and (k,) float arrays
@@ -73,10 +77,11 @@ class Examples:
 
 @dataclass(frozen=True)
 class _Fit:
-    method: RetargetMethod
+    name: str
+    method: Regression
     settings: Settings
-    forward: dict[str, FloatArray]
-    backward: dict[str, FloatArray]
+    forward: Arrays
+    backward: Arrays
 
 
 def train_retargeting(
@@ -93,7 +98,6 @@ def train_retargeting(
 
     Parameters
     ----------
-    pairs : ExpressionPairs
     method : str
         A key of `RETARGET_METHODS`, or ``auto``.
     shape_ranges : (target shapes, 2) float array, optional
@@ -104,7 +108,6 @@ def train_retargeting(
         What will be retargeted: methods are then compared on it as well.
     alpha : float, optional
         Fixed share of the multiquadric in the hybrid [0-1].
-    progress : callable
 
     Raises
     ------
@@ -119,12 +122,12 @@ def train_retargeting(
     for number, (each, settings) in enumerate(candidates, start=1):
         fitted = _fit(each, settings, examples)
         tried.append((_score(fitted, examples, probes, surface), fitted))
-        progress(number / len(candidates), f"tried {each.name}")
+        progress(number / len(candidates), f"tried {each}")
     moved = np.abs(pairs.source).max(axis=0) > LIVE
     tried = _best_first(tried)
     best = tried[0][1]
     return Retargeting(
-        method=best.method.name,
+        method=best.name,
         source_shapes=pairs.source_shapes,
         shapes=examples.space.shapes,
         joints=examples.space.joints,
@@ -152,7 +155,6 @@ def retarget(
 
     Parameters
     ----------
-    trained : Retargeting
     source : (frames, source shapes) float array
         In the order of ``trained.source_shapes``.
     alpha : (frames,) float array, optional
@@ -170,11 +172,15 @@ def retarget(
             "train with --method hybrid"
         )
     method = find_retarget_method(trained.method)
+    arrays = {_EARLIER_NAMES.get(name, name): each for name, each in trained.arrays.items()}
     try:
-        inputs = source - trained.arrays["source_rest"]
-        moved = method.predict(trained.arrays, trained.settings, inputs, alpha)
-        if "target_units" in trained.arrays:  # before there were any, all were 1
-            moved = moved * trained.arrays["target_units"]
+        inputs = source - arrays["source_rest"]
+        if alpha is None:
+            moved = method.predict(arrays, trained.settings, inputs)
+        else:
+            moved = predict_blended(arrays, trained.settings, inputs, alpha)
+        if "target_units" in arrays:  # before there were any, all were 1
+            moved = moved * arrays["target_units"]
         moved += trained.rest
         np.clip(moved, trained.ranges[:, 0], trained.ranges[:, 1], out=moved)
         return space_of(trained).decode(moved)
@@ -183,6 +189,33 @@ def retarget(
             f"the retargeting's arrays do not fit its method, {trained.method}, or the source: "
             f"{type(error).__name__}: {error}; train it again"
         ) from error
+
+
+def describe_retargeting_figures(trained: Retargeting) -> dict[str, object]:
+    """Return what a retargeting is, as plain data."""
+    return {
+        "method": trained.method,
+        "source_shapes": len(trained.source_shapes),
+        "shapes": len(trained.shapes),
+        "joints": len(trained.joints),
+        "attributes": len(trained.attributes),
+        "settings": dict(trained.settings),
+        "scores": [vars(score) for score in trained.scores],
+        "pairs": trained.pairs,
+    }
+
+
+def retargeting_table(trained: Retargeting) -> tuple[str, ...]:
+    """Return the best candidate of each method, for people."""
+    seen: dict[str, str] = {}
+    for score in trained.scores:
+        settings = f" ({score.settings})" if score.settings else ""
+        seen.setdefault(
+            score.method,
+            f"{score.method}{settings}: there and back {score.cyclic_mm:.4f}, pairs missed by "
+            f"{score.pair_error:.4f} of their range",
+        )
+    return tuple(seen.values())
 
 
 def space_of(trained: Retargeting) -> ControlSpace:
@@ -196,7 +229,10 @@ def make_examples(pairs: ExpressionPairs, *, shape_ranges: FloatArray | None = N
     coordinates = space.encode(pairs.target)
     rest = int(np.linalg.norm(pairs.source, axis=1).argmin())
     spans = np.ptp(coordinates, axis=0)
-    low, high = coordinates.min(axis=0) - _ROOM * spans, coordinates.max(axis=0) + _ROOM * spans
+    low, high = (
+        coordinates.min(axis=0) - _RANGE_MARGIN * spans,
+        coordinates.max(axis=0) + _RANGE_MARGIN * spans,
+    )
     count = len(space.shapes)
     if shape_ranges is None:
         low[:count] = np.minimum(coordinates[:, :count].min(axis=0), 0.0)
@@ -230,7 +266,7 @@ def make_probes(examples: Examples, performance: FloatArray | None) -> FloatArra
         return np.asarray(performance[np.unique(picks.astype(int))], np.float64)
     rng = np.random.default_rng(0)
     count = len(examples.source)
-    shares = np.zeros((PROBES, count))
+    shares = np.zeros((PROBE_COUNT, count))
     for row in shares:
         chosen = rng.choice(count, min(int(rng.integers(1, 5)), count), replace=False)
         row[chosen] = rng.uniform(0.2, 1.0, len(chosen))
@@ -238,45 +274,47 @@ def make_probes(examples: Examples, performance: FloatArray | None) -> FloatArra
     return np.asarray(np.clip(mixed, *examples.source_ranges.T))
 
 
-def there_and_back(
+def round_trip(
     examples: Examples, method: str, settings: Settings, source: FloatArray
 ) -> FloatArray:
     """Send source weights to the target and back by one method: (frames, source shapes)."""
-    return _cycle(_fit(find_retarget_method(method), settings, examples), examples, source)
+    return _cycle(_fit(method, settings, examples), examples, source)
 
 
-def _candidates(method: str, alpha: float | None) -> Sequence[tuple[RetargetMethod, Settings]]:
-    methods = RETARGET_METHODS.values() if method == "auto" else (find_retarget_method(method),)
-    found: list[tuple[RetargetMethod, Settings]] = []
-    for each in methods:
-        choices = each.candidates
-        if each.name == "hybrid" and alpha is not None:
+def _candidates(method: str, alpha: float | None) -> list[tuple[str, Settings]]:
+    names = tuple(RETARGET_METHODS) if method == "auto" else (method,)
+    found: list[tuple[str, Settings]] = []
+    for name in names:
+        choices = find_retarget_method(name).retarget_candidates
+        if name == "hybrid" and alpha is not None:
             kernels = {(s["width"], s["kappa"]) for s in choices}
             choices = tuple({"width": w, "kappa": k, "alpha": alpha} for w, k in sorted(kernels))
-        found += [(each, settings) for settings in choices]
+        found += [(name, settings) for settings in choices]
     return found
 
 
-def _fit(method: RetargetMethod, settings: Settings, examples: Examples) -> _Fit:
-    scaled = examples.target / examples.spans
-    counted = examples.target / examples.units
+def _fit(name: str, settings: Settings, examples: Examples) -> _Fit:
+    method = find_retarget_method(name)
+    forward = Pairs(examples.source, examples.target / examples.units)
+    backward = Pairs(examples.target / examples.spans, examples.source)
     return _Fit(
+        name,
         method,
         settings,
-        method.fit(examples.source, counted, settings),
-        method.fit(scaled, examples.source, settings),
+        method.fit(forward, settings).arrays,
+        method.fit(backward, settings).arrays,
     )
 
 
 def _forward(fitted: _Fit, examples: Examples, source: FloatArray) -> FloatArray:
     inputs = source - examples.source_rest
-    moved = fitted.method.predict(fitted.forward, fitted.settings, inputs, None) * examples.units
+    moved = fitted.method.predict(fitted.forward, fitted.settings, inputs) * examples.units
     return np.asarray(np.clip(moved + examples.target_rest, *examples.target_ranges.T))
 
 
 def _cycle(fitted: _Fit, examples: Examples, source: FloatArray) -> FloatArray:
-    there = (_forward(fitted, examples, source) - examples.target_rest) / examples.spans
-    back = fitted.method.predict(fitted.backward, fitted.settings, there, None)
+    target = (_forward(fitted, examples, source) - examples.target_rest) / examples.spans
+    back = fitted.method.predict(fitted.backward, fitted.settings, target)
     return np.asarray(np.clip(back + examples.source_rest, *examples.source_ranges.T))
 
 
@@ -286,10 +324,10 @@ def _score(
     error = _cycle(fitted, examples, probes) - probes
     at_pairs = _forward(fitted, examples, examples.source + examples.source_rest)
     missed = (at_pairs - examples.target_rest - examples.target) / examples.spans
-    told = ", ".join(f"{name} {value}" for name, value in fitted.settings.items())
+    settings = ", ".join(f"{name} {value}" for name, value in fitted.settings.items())
     return RetargetScore(
-        method=fitted.method.name,
-        settings=told,
+        method=fitted.name,
+        settings=settings,
         cyclic_mm=_mean_distance(error, surface),
         pair_error=float(np.sqrt((missed**2).mean())),
     )
@@ -304,8 +342,8 @@ def _best_first(
     """
     ordered = sorted(tried, key=lambda item: (item[0].cyclic_mm, item[0].pair_error))
     least = ordered[0][0].cyclic_mm
-    same = [item for item in ordered if item[0].cyclic_mm <= least + SAME_MM]
-    exact = min(item[0].pair_error for item in same) + ROUNDING
+    same = [item for item in ordered if item[0].cyclic_mm <= least + EQUAL_ROUND_TRIP_MM]
+    exact = min(item[0].pair_error for item in same) + EQUAL_PAIR_ERROR
     first = [item for item in same if item[0].pair_error <= exact]
     others = [item for item in same if item[0].pair_error > exact]
     return first + sorted(others, key=lambda item: item[0].pair_error) + ordered[len(same) :]

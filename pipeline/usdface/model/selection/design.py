@@ -8,13 +8,13 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.model.selection.features import Features, features_at
 from usdface.model.selection.visemes import Segment, extreme_frames, viseme_frames
-from usdface.numerics.regression.active_selection import design_total_variance
 from usdface.numerics.regression.design_kernel import DesignKernel, predict_from
 from usdface.numerics.regression.reference_design import (
     Design,
     design_d_optimal,
     design_gp_variance,
     design_k_centre,
+    design_total_variance,
 )
 
 DESIGNS: dict[str, Callable[..., Design]] = {

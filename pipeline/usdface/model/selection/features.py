@@ -13,8 +13,8 @@ import numpy as np
 from usdface.core.arrays import Float32Array, FloatArray, IntArray
 from usdface.core.assets import MotionSpace
 from usdface.numerics.measure.face_regions import shapes_by_region
-from usdface.numerics.regression.marker_regions import marker_relevance, regional_features
 from usdface.numerics.regression.reference_design import whiten
+from usdface.numerics.regression.regional_process import marker_relevance, regional_features
 
 Features = Float32Array | FloatArray
 """Of an hour they are kept in single precision; what is reckoned with is double."""

@@ -68,7 +68,6 @@ def left_over(
 
     Parameters
     ----------
-    kernel : DesignKernel
     known : (n, d) float array
         Features of the tuned frames; none leave everything over.
     rows : (frames, d) float array

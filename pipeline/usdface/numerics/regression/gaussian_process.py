@@ -2,7 +2,7 @@
 
 One covariance does the work of a straight line and of a local correction to it::
 
-    k(x, y) = LINE <x, y> / size + radial exp(-|x - y|^2 / (2 width m)) + OFFSET
+    k(x, y) = LINE_VARIANCE <x, y> / size + radial exp(-|x - y|^2 / (2 width m)) + OFFSET_VARIANCE
 
 on features scaled by ``variance ** (-power / 2)``, where size is the expected ``<x, x>`` and m the
 median squared distance between the pairs. What is chosen is how many features, the power, radial
@@ -16,15 +16,15 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 
-LINE = 10.0
-OFFSET = 100.0
+LINE_VARIANCE = 10.0
+OFFSET_VARIANCE = 100.0
 """Prior variance of the constant, wide against weights in [0-1]: no mean to subtract."""
 
 NOISES = 10.0 ** np.arange(-3.0, 1.1, 0.5)
 """Noise variances tried, in units of the prior variance. Below 1e-3 (weights exact to about a
 hundredth) leave-one-out would follow the markers' noise."""
 
-SLACK = 0.05
+ERROR_SLACK = 0.05
 """Of errors this near to the least the smoothest fit is taken: few pairs tell no finer."""
 
 _MOST_LEVERAGE = 1 - 1e-6
@@ -52,12 +52,15 @@ class ProcessSettings:
     power: float
     radial: float = 0.0
     width: float = 1.0
-    line: float = LINE
+    line: float = LINE_VARIANCE
 
 
 @dataclass(frozen=True)
 class GaussianProcess:
     """A fitted process: ``slope`` carries the line, ``dual`` the local part.
+
+    With ``r = x[:d] * scale``, its mean is
+    ``r @ slope + intercept + exp(exponent |r - centres|^2) @ dual``.
 
     Attributes
     ----------
@@ -111,7 +114,6 @@ def leave_one_out_errors(
     outputs : (n, s) float array
     variances : (D,) float array
         Of the features over all frames, pairs or not; positive, falling.
-    choices : sequence of Choice
     noises : (r,) float array
 
     Returns
@@ -133,7 +135,7 @@ def leave_one_out_errors(
     return out
 
 
-def smoothest_near_best(errors: FloatArray, *, slack: float = SLACK) -> IntArray:
+def smoothest_near_best(errors: FloatArray, *, slack: float = ERROR_SLACK) -> IntArray:
     """Find the last of several settings, ordered by smoothness, that is nearly the best.
 
     Parameters
@@ -182,7 +184,7 @@ def fit_gaussian_process(
         centres=scaled.rows,
         exponent=scaled.exponent,
         slope=choice.line / scaled.size * (scaled.rows.T @ dual),
-        intercept=OFFSET * dual.sum(axis=0),
+        intercept=OFFSET_VARIANCE * dual.sum(axis=0),
         dual=choice.radial * dual,
         residuals=residuals,
         noise=noise,
@@ -215,43 +217,6 @@ def fit_best_gaussian_process(
     )
 
 
-def predict_gaussian_process(model: GaussianProcess, features: FloatArray) -> FloatArray:
-    """Evaluate the process's mean.
-
-    Parameters
-    ----------
-    model : GaussianProcess
-    features : (f, D) float array
-
-    Returns
-    -------
-    (f, s) float array
-    """
-    rows = features[:, : len(model.scale)] * model.scale
-    out: FloatArray = rows @ model.slope
-    out += model.intercept
-    if model.dual.any():
-        out += radial_values(rows, model.centres, model.exponent) @ model.dual
-    return out
-
-
-def radial_values(rows: FloatArray, centres: FloatArray, exponent: float) -> FloatArray:
-    """``exp(exponent |x - c|^2)`` for every row and centre: one product, then exp in place.
-
-    The squared norms ride along as two more columns, so that the product is the exponent already.
-    """
-    left = np.empty((len(rows), rows.shape[1] + 2))
-    left[:, :-2] = rows
-    np.einsum("ij,ij->i", rows, rows, out=left[:, -2])
-    left[:, -1] = 1.0
-    ones = np.ones((len(centres), 1))
-    squares = np.einsum("ij,ij->i", centres, centres)[:, None]
-    out: FloatArray = left @ (exponent * np.hstack([-2.0 * centres, ones, squares])).T
-    np.minimum(out, 0.0, out=out)  # rounding may leave a distance below 0
-    np.exp(out, out=out)
-    return out
-
-
 class _Scaled:
     """Features under one choice: scaled, with the numbers that make its parts comparable."""
 
@@ -272,7 +237,7 @@ class _Scaled:
 
     def covariance(self) -> FloatArray:
         out: FloatArray = self.choice.line / self.size * self.product
-        out += OFFSET
+        out += OFFSET_VARIANCE
         if self.choice.radial:
             out += self.choice.radial * np.exp(self.exponent * self.distances)
         return out

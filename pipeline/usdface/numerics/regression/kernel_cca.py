@@ -30,10 +30,10 @@ from usdface.numerics.regression.rbf_ridge import BLOCK_ROWS, evaluate_network, 
 
 Lines = Literal["published", "penalised"]
 
-_NULL = 1e-12
+_NULL_SHARE = 1e-12
 """Share of the largest eigenvalue below which a direction of a kernel matrix is rounding."""
 
-_UNRELATED = 1e-6
+_LEAST_CORRELATION = 1e-6
 """Correlation below which a pair of directions says nothing of each other."""
 
 
@@ -154,7 +154,7 @@ def fit_kernel_cca(
     left, correlations, right = np.linalg.svd(
         shrunk_a[:, None] * (a.vectors.T @ b.vectors) * shrunk_b, full_matrices=False
     )
-    kept = max(1, int((correlations > _UNRELATED).sum()))
+    kept = max(1, int((correlations > _LEAST_CORRELATION).sum()))
     kept = kept if components is None else min(kept, components)
     left, right = left[:, :kept], right[:kept].T
     basis = a.vectors @ (left / np.sqrt(a.values * (a.values + penalty))[:, None])
@@ -186,7 +186,6 @@ def predict_kernel_cca(model: KernelCCA, points: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    model : KernelCCA
     points : (f, d) float array
 
     Returns
@@ -224,5 +223,5 @@ def _centred_spectrum(kernel: FloatArray) -> _Spectrum:
     centred = kernel - kernel.mean(axis=0)
     centred -= centred.mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh((centred + centred.T) / 2)
-    real = values > _NULL * max(float(values[-1]), np.finfo(float).tiny)
+    real = values > _NULL_SHARE * max(float(values[-1]), np.finfo(float).tiny)
     return _Spectrum(values[real], vectors[:, real])

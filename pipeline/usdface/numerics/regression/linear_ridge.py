@@ -95,24 +95,6 @@ def fit_linear_ridge(
     return LinearRidge(mean, right.T @ (gain * rotated), intercept, chosen, residuals)
 
 
-def predict_linear_ridge(model: LinearRidge, features: FloatArray) -> FloatArray:
-    """Evaluate the fit.
-
-    Parameters
-    ----------
-    model : LinearRidge
-    features : (f, d) float array
-
-    Returns
-    -------
-    (f, s) float array
-    """
-    offset = model.intercept - model.mean @ model.coefficients
-    predicted: FloatArray = features @ model.coefficients
-    predicted += offset
-    return predicted
-
-
 def _loo_residuals(
     left: FloatArray, singular: FloatArray, centred: FloatArray, rotated: FloatArray, ridge: float
 ) -> FloatArray:

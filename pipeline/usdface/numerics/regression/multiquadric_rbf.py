@@ -18,7 +18,7 @@ from usdface.numerics.regression.rbf_ridge import (
     rotate,
 )
 
-_SINGULAR = 1e-13
+_LEAST_CONDITION = 1e-13
 """Reciprocal condition number below which interpolation has lost all its digits."""
 
 
@@ -145,7 +145,7 @@ def _check_distinct(centres: FloatArray) -> None:
 
 def _interpolate(design: FloatArray, outputs: FloatArray) -> FloatArray:
     """Solve for coefficients that meet every pair; softness differs, so no symmetry helps."""
-    coefficients, _, rank, singular = np.linalg.lstsq(design, outputs, rcond=_SINGULAR)
+    coefficients, _, rank, singular = np.linalg.lstsq(design, outputs, rcond=_LEAST_CONDITION)
     if rank < len(design):
         raise ValueError(
             f"the pairs cannot be met exactly: rank {rank} of {len(design)}, smallest share of a "

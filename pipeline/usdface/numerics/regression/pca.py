@@ -141,7 +141,6 @@ def project(pca: PCA, data: ArrayLike) -> FloatArray:
 
     Parameters
     ----------
-    pca : PCA
     data : (n, d) float array
         Any float type; converted in slices.
 

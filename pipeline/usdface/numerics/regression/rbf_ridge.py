@@ -129,7 +129,6 @@ def gcv_scores(rotated: Rotated, ridges: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    rotated : Rotated
     ridges : (r,) float array
 
     Returns
@@ -166,7 +165,6 @@ def choose_ridge(rotated: Rotated, *, freedom_limit: float = FREEDOM_LIMIT) -> F
 
     Parameters
     ----------
-    rotated : Rotated
     freedom_limit : float
         Largest share of the pairs that a fit may use up, in (0, 1].
 
@@ -203,12 +201,10 @@ def reestimate_ridge(
 
     Parameters
     ----------
-    rotated : Rotated
     start : float
         First ridge, as a share of the largest squared singular value.
     tolerance : float
         Stop an output when its GCV score changes by less than this share.
-    max_iterations : int
 
     Returns
     -------
@@ -321,7 +317,6 @@ def evaluate_network(
         Points (m, d) to every basis function at them, (m, n).
     coefficients : (n, s) float array
     points : (f, d) float array
-    block_rows : int
 
     Returns
     -------

@@ -1,20 +1,23 @@
 """Which frames of a recording to tune by hand: designs that learn most from few frames.
 
 Every design is greedy and deterministic: one frame after another, never the same twice, ties to
-the earlier frame, memory linear in the number of frames. Frames already tuned stay in the design
-and count for what they cover.
+the earlier frame. Frames already tuned stay in the design and count for what they cover. Memory is
+linear in the number of frames, but for `design_total_variance`.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.numerics.regression.design_kernel import DesignKernel
 
-BATCH = 512
+_BATCH_FRAMES = 512
 """Frames whose variance is computed at a time by `design_gp_variance`."""
+
+_LEAST_LENGTH_SHARE = 1e-3
+"""Of the largest row's length: what is left of a row below this is no difference."""
 
 
 @dataclass(frozen=True)
@@ -189,6 +192,111 @@ def design_gp_variance(
     return _design(chosen, gain)
 
 
+def design_total_variance(
+    rows: FloatArray,
+    count: int,
+    *,
+    kernel: DesignKernel,
+    known: FloatArray,
+    importance: FloatArray | None = None,
+    candidates: BoolArray | None = None,
+    noise: float = 1e-2,
+) -> Design:
+    """Choose frames one by one so that the variance summed over all frames falls most.
+
+    `design_gp_variance` seeks the rarest face; this seeks the face that most of the take learns
+    from, where the mapping errs. Tuning frame i lowers the variance of frame j by
+    ``cov(i, j)^2 / (var(i) + noise)``.
+
+    Parameters
+    ----------
+    rows : (frames, d) float array
+        Features of the frames that count, some thousands at most: memory is quadratic.
+    known : (n, d) float array
+        Features of the frames already tuned.
+    importance : (frames,) float array, optional
+        How much the variance of each frame counts, at least 0: the squared error to expect.
+    candidates : (frames,) bool array, optional
+        Rows that may be chosen; by default all.
+    noise : float
+        Variance of a tuned weight around the truth.
+
+    Returns
+    -------
+    Design
+        `gain` is the share of the weighted variance at the start that each frame removes.
+
+    Raises
+    ------
+    ValueError
+        If fewer rows than `count` may be chosen, or `importance` is negative.
+
+    References
+    ----------
+    Cohn, Ghahramani and Jordan (1996), JAIR 4, 129-145; the I-optimal design.
+    """
+    free = np.ones(len(rows), dtype=bool) if candidates is None else candidates.copy()
+    weight = np.ones(len(rows)) if importance is None else importance
+    if not 0 <= count <= int(free.sum()):
+        raise ValueError(f"cannot choose {count} of {int(free.sum())} frames that are free")
+    if weight.shape != (len(rows),) or (weight < 0).any() or not np.isfinite(weight).all():
+        raise ValueError("importance must have one finite entry of at least 0 per frame")
+    covariance = kernel(rows, rows)
+    if len(known):
+        factor = cho_factor(kernel(known, known) + noise * np.eye(len(known)), lower=True)
+        shared = kernel(known, rows)
+        covariance -= shared.T @ cho_solve(factor, shared)
+    total = max(float(weight @ np.maximum(np.diag(covariance), 0.0)), 1e-300)
+    removed = weight @ covariance**2
+    chosen, gain = [], []
+    for _ in range(count):
+        observed = np.maximum(np.diag(covariance), 0.0) + noise
+        score = np.where(free, removed / observed, -np.inf)
+        pick = int(score.argmax())
+        chosen.append(pick)
+        gain.append(float(max(score[pick], 0.0)) / total)
+        free[pick] = False
+        column = covariance[:, pick] / np.sqrt(observed[pick])
+        covariance -= np.outer(column, column)
+        removed = weight @ covariance**2
+    return Design(np.array(chosen, dtype=np.int64), np.array(gain, dtype=np.float64))
+
+
+def most_different_rows(rows: FloatArray, count: int) -> IntArray:
+    """Choose rows that differ most, by pivoted orthogonalisation.
+
+    The longest row first; then always the one furthest from the span of those chosen. So a half
+    smile is not chosen beside the full one: as a shape it would be the same shape again.
+
+    Parameters
+    ----------
+    rows : (n, k) float array
+        Differences from the origin.
+    count : int
+        Most rows to choose.
+
+    Returns
+    -------
+    (m,) int array
+        In the order chosen; fewer than `count` where the rows span less.
+    """
+    left = np.array(rows, dtype=np.float64)
+    energy = np.einsum("nk,nk->n", left, left)
+    least = _LEAST_LENGTH_SHARE**2 * float(energy.max(initial=0.0))
+    chosen: list[int] = []
+    for _ in range(min(count, len(left))):
+        best = int(energy.argmax())
+        if not energy[best] > least:
+            break
+        direction = left[best] / np.sqrt(energy[best])
+        left -= np.outer(left @ direction, direction)
+        energy = np.einsum("nk,nk->n", left, left)
+        energy[chosen] = 0.0
+        energy[best] = 0.0
+        chosen.append(best)
+    return np.array(chosen, np.int64)
+
+
 def _lazy_best(
     features: FloatArray,
     bound: FloatArray,
@@ -204,8 +312,8 @@ def _lazy_best(
         open_rows = np.flatnonzero(free & ~fresh & (bound >= best_value))
         if not len(open_rows):
             return best
-        if len(open_rows) > BATCH:
-            top = np.argpartition(bound[open_rows], len(open_rows) - BATCH)[-BATCH:]
+        if len(open_rows) > _BATCH_FRAMES:
+            top = np.argpartition(bound[open_rows], len(open_rows) - _BATCH_FRAMES)[-_BATCH_FRAMES:]
             open_rows = np.sort(open_rows[top])
         rows = features[open_rows]
         value = kernel.diagonal(rows)

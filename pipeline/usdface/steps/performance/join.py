@@ -1,4 +1,4 @@
-"""Make one performance of parts that were mapped apart."""
+"""Make one performance of parts that were mapped separately."""
 
 import itertools
 from dataclasses import replace
@@ -8,7 +8,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.runner.result import StepResult
 from usdface.specs.performance import JoinSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
@@ -34,7 +34,7 @@ def run(
     clips = spec.clips == "always" or (spec.clips == "auto" and size > LARGEST_LAYER_BYTES)
     target = weights_path(spec.out)
 
-    def told(last: int) -> None:
+    def report(last: int) -> None:
         progress((last - whole.first_frame + 1) / whole.frame_count, f"joined to frame {last}")
 
     with writing_top(spec.out, whole, rig, provenance=provenance):
@@ -45,11 +45,14 @@ def run(
             with writing_weights(target, whole, rig, provenance=provenance) as writer:
                 for reader in readers:
                     writer.copy(
-                        reader.animation, reader.first_frame, reader.last_frame, copied_to=told
+                        reader.animation,
+                        reader.first_frame,
+                        reader.last_frame,
+                        copied_to=report,
                     )
     notes = edit_notes(spec.out)
     notes += [
-        f"{reader.path}: its edits of {', '.join(sorted(reader.edits)[:5])} stay there; edits "
+        f"{reader.path}: its edits of {first_few(sorted(reader.edits))} stay there; edits "
         "belong to the joined performance"
         for reader in readers
         if reader.edits

@@ -1,27 +1,32 @@
 """A cleaned take and a mapping in, a performance out; a take of any length in bounded memory."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 
+from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.assets import Rig, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace
-from usdface.model.mapping.predict import regions_of
+from usdface.model.mapping.predict import Prediction, regions_of
 from usdface.model.mapping.rig_match import check_same_rig
 from usdface.model.mapping.temporal import TemporalSolve, smooth_weights
-from usdface.numerics.array_namespace import ArrayDevice, open_device
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.performance import MapSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.inputs.take_head_space import read_markers, take_head_space
-from usdface.steps.performance.predict_blocks import check_blend, predict_pipelined, solve_blended
+from usdface.steps.performance.predict_blocks import (
+    check_blend,
+    predict_blended,
+    predict_pipelined,
+)
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
@@ -29,35 +34,49 @@ from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader
 
 BLOCK_FRAMES = 1024
-"""Frames are solved in blocks counted from the take's first frame, whichever of them are asked for:
-sums of another length would round otherwise, and frames mapped apart would not fit exactly."""
+"""Blocks are counted from the take's first frame, whichever frames are asked for: sums of another
+length round differently, and frames mapped in separate runs would not fit exactly."""
 
 LARGEST_LAYER_BYTES = 1 << 30
 PART_BYTES = 1 << 27
 """Weights that take more than the first are written in parts of about the second."""
 
-_DOUBTFUL = 0.5
+_LOW_CONFIDENCE = 0.5
 """Confidence below which a frame is worth a look."""
+
+
+@dataclass
+class _Written:
+    """What was written, for the report: one array per block."""
+
+    confidence: list[FloatArray] = field(default_factory=list)
+    residual_mm: list[FloatArray] = field(default_factory=list)
+    few_markers: list[BoolArray] = field(default_factory=list)
+
+    def add(self, solved: Prediction, rows: slice) -> None:
+        self.confidence.append(solved.confidence[rows])
+        self.residual_mm.append(solved.residual_mm[rows])
+        self.few_markers.append(solved.few_markers[rows])
 
 
 def run(
     spec: MapSpec, *, provenance: Provenance | None = None, progress: Progress = silent
 ) -> StepResult:
     """Map every frame of a take and write the performance as it goes."""
-    device = _open_device(spec)
     mapping = read_mapping(spec.mapping)
     rig = read_rig(spec.rig, prim=spec.rig_prim)
-    changes = _check_rig(spec, mapping, rig)
+    notes = list(_check_rig(spec, mapping, rig))
     if spec.alpha is not None:
         check_blend(spec.mapping, mapping)
     take = TakeReader(spec.take)
     first, last = frame_range(spec.frames) or (take.first_frame, take.last_frame)
     _check_frames(spec, take, first, last)
     space = take_head_space(take, mapping)
-    solve = TemporalSolve(spec.temporal, spec.cutoff, spec.lag, spec.bands)
-    confidence: list[np.ndarray] = []
-    residual: list[np.ndarray] = []
-    lacking: list[np.ndarray] = []
+    temporal = TemporalSolve(spec.temporal, spec.cutoff, spec.lag, spec.bands)
+    margin = temporal.margin_at(float(take.rate))
+    blocks = list(_blocks(take, first, last))
+    windows = [_window(take, block, margin) for block in blocks]
+    written = _Written()
     with writing_performance(
         spec.out,
         make_header(
@@ -74,52 +93,46 @@ def run(
         part_frames=_part_frames(spec, last - first + 1, len(mapping.shape_names)),
         provenance=provenance,
     ) as writer:
-        blocks = list(_blocks(take, first, last))
-        windows = [_window(take, block, solve.margin_at(float(take.rate))) for block in blocks]
-        placed = (
-            partial(space.place, read_markers(take, each.start, each.stop - 1)) for each in windows
-        )
-        answers = (
-            predict_pipelined(mapping, placed, device=device)
-            if spec.alpha is None
-            else solve_blended(mapping, placed, spec.alpha, windows, device=device)
-        )
-        for block, window, solved in zip(blocks, windows, answers, strict=True):
+        predictions = _predict(spec, mapping, take, space, windows)
+        for block, window, solved in zip(blocks, windows, predictions, strict=True):
             weights = smooth_weights(
                 solved.weights,
                 confidence=solved.confidence,
                 ranges=mapping.ranges,
                 rate=float(take.rate),
-                solve=solve,
-                device=device,
+                solve=temporal,
             )
-            asked = slice(
+            rows = slice(
                 max(first, block.start) - window.start, min(last + 1, block.stop) - window.start
             )
             writer.append(
-                weights[asked],
-                confidence=solved.confidence[asked],
-                residual_mm=solved.region_residual_mm[asked],
+                weights[rows],
+                confidence=solved.confidence[rows],
+                residual_mm=solved.region_residual_mm[rows],
             )
-            confidence.append(solved.confidence[asked])
-            residual.append(solved.residual_mm[asked])
-            lacking.append(solved.lacking[asked])
+            written.add(solved, rows)
             done = min(block.stop - 1, last)
             progress((done - first + 1) / (last - first + 1), f"mapped to frame {done}")
-    notes = [
-        *changes,
-        *_notes(space),
-        *_lacking_notes(first, np.concatenate(lacking)),
-        *edit_notes(spec.out),
-    ]
-    return _report(spec, first, np.concatenate(confidence), np.concatenate(residual), notes)
+    notes += _marker_notes(space)
+    notes += _few_marker_notes(first, np.concatenate(written.few_markers))
+    notes += edit_notes(spec.out)
+    return _report(spec, first, written, notes)
 
 
-def _open_device(spec: MapSpec) -> ArrayDevice:
-    try:
-        return open_device(spec.device)
-    except ValueError as error:
-        raise InputError(f"map --device: {error}") from error
+def _predict(
+    spec: MapSpec,
+    mapping: TrainedMapping,
+    take: TakeReader,
+    space: HeadSpace,
+    windows: list[range],
+) -> Iterator[Prediction]:
+    """Yield the prediction of each window of frames."""
+    placed = (
+        partial(space.place, read_markers(take, each.start, each.stop - 1)) for each in windows
+    )
+    if spec.alpha is None:
+        return predict_pipelined(mapping, placed)
+    return predict_blended(mapping, placed, spec.alpha, windows)
 
 
 def _check_frames(spec: MapSpec, take: TakeReader, first: int, last: int) -> None:
@@ -155,66 +168,64 @@ def _check_rig(spec: MapSpec, mapping: TrainedMapping, rig: Rig) -> tuple[str, .
     missing = [name for name in mapping.shape_names if name not in rig.shapes]
     if len(missing) == len(mapping.shape_names):
         raise InputError(
-            f"{spec.rig}: none of the mapping's {len(missing)} shapes ({', '.join(missing[:3])}, "
-            f"...) is on this rig, which has {', '.join(rig.shapes[:3])}, ...; is it the rig the "
-            "mapping was trained for?"
+            f"{spec.rig}: none of the mapping's {len(missing)} shapes ("
+            f"{first_few(missing, most=3)}) is on this rig, which has "
+            f"{first_few(rig.shapes, most=3)}; is it the rig the mapping was trained for?"
         )
     if missing:
         raise InputError(
             f"{spec.rig}: {len(missing)} of the mapping's {len(mapping.shape_names)} shapes are "
-            f"not on this rig: {', '.join(missing[:5])}; train again for it"
+            f"not on this rig: {first_few(missing)}; train again for it"
         )
     return check_same_rig(mapping, rig)
 
 
-def _notes(space: HeadSpace) -> list[str]:
+def _marker_notes(space: HeadSpace) -> list[str]:
     notes = []
     if space.missing:
         notes.append(
             f"the take lacks {len(space.missing)} of the mapping's markers: "
-            f"{', '.join(space.missing[:5])}; the others speak for them, with less confidence"
+            f"{first_few(space.missing)}; they are estimated from the others, with less confidence"
         )
     if space.extra:
         notes.append(
-            f"unknown to the mapping, and not heard: {pluralize(len(space.extra), 'marker')}, "
-            f"{', '.join(space.extra[:5])}"
+            f"unknown to the mapping, and not used: {pluralize(len(space.extra), 'marker')}, "
+            f"{first_few(space.extra)}"
         )
     return notes
 
 
-def _lacking_notes(first: int, lacking: np.ndarray) -> list[str]:
-    frames = first + np.flatnonzero(lacking)
+def _few_marker_notes(first: int, few_markers: BoolArray) -> list[str]:
+    frames = first + np.flatnonzero(few_markers)
     if not len(frames):
         return []
-    some = ", ".join(map(str, frames[:5])) + (", ..." if len(frames) > 5 else "")
     return [
         f"fewer than {MINIMUM_SHARE:.0%} of the mapping's markers in "
-        f"{pluralize(len(frames), 'frame')} ({some}): their weights are a guess, with "
-        f"confidence 0; "
-        "mend them in the take, or key them as edits"
+        f"{pluralize(len(frames), 'frame')} ({first_few(frames)}): their weights are a guess, with "
+        "confidence 0; fill them in the take, or key them as edits"
     ]
 
 
-def _report(
-    spec: MapSpec, first: int, confidence: np.ndarray, residual: np.ndarray, notes: list[str]
-) -> StepResult:
-    low = np.flatnonzero(confidence < _DOUBTFUL)
+def _report(spec: MapSpec, first: int, written: _Written, notes: list[str]) -> StepResult:
+    confidence = np.concatenate(written.confidence)
+    residual_mm = float(np.sqrt((np.concatenate(written.residual_mm) ** 2).mean()))
+    low = np.flatnonzero(confidence < _LOW_CONFIDENCE)
     if len(low):
         worst = first + int(confidence.argmin())
         notes.append(
-            f"confidence below {_DOUBTFUL:g} in {pluralize(len(low), 'frame')}, lowest at frame "
-            f"{worst}: the references show nothing like them"
+            f"confidence below {_LOW_CONFIDENCE:g} in {pluralize(len(low), 'frame')}, lowest at "
+            f"frame {worst}: the references show nothing like them"
         )
     count = len(confidence)
     return StepResult(
         (spec.out, weights_path(spec.out)),
         f"{pluralize(count, 'frame')}, mean confidence {confidence.mean():.2f}, markers "
-        f"{np.sqrt((residual**2).mean()):.2f} mm from what the references' takes showed",
+        f"{residual_mm:.2f} mm from what the references' takes showed",
         tuple(notes),
         {
             "frames": count,
             "mean_confidence": float(confidence.mean()),
             "doubtful_frames": [first + int(index) for index in low[:1000]],
-            "residual_mm": float(np.sqrt((residual**2).mean())),
+            "residual_mm": residual_mm,
         },
     )

@@ -1,4 +1,4 @@
-"""Blocks of frames solved while earlier ones are written, with a fixed or a keyed blend."""
+"""Blocks of frames predicted while earlier ones are written, with a fixed or a keyed blend."""
 
 import os
 from collections import deque
@@ -14,39 +14,36 @@ from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.head_space import MappedMarkers
 from usdface.model.mapping.predict import Prediction, WeightPredictor
-from usdface.numerics.array_namespace import CPU, ArrayDevice
 from usdface.steps.inputs.weight_tables import read_alpha
 
 MAX_WORKERS = 4
-"""Threads at most: one that writes keeps no more of them busy."""
+"""Threads: the one that writes keeps no more of them busy."""
 
 Block = Callable[[], MappedMarkers]
-"""Brings the markers of some frames into the mapping's space: the thread that solves them does."""
+"""Brings the markers of some frames into the mapping's space, in the thread that predicts them."""
 
 QUEUE_DEPTH = 2
-"""Blocks beyond those being solved that wait to be written at most: memory stays bounded."""
+"""Blocks, beside those being predicted, that wait to be written: memory stays bounded."""
 
 
-def predict_pipelined(
-    mapping: TrainedMapping, blocks: Iterator[Block], *, device: ArrayDevice = CPU
-) -> Iterator[Prediction]:
-    """Yield a mapping's answer to each block, in order, the next ones under way meanwhile.
+def predict_pipelined(mapping: TrainedMapping, blocks: Iterator[Block]) -> Iterator[Prediction]:
+    """Yield the prediction of each block, in order, while threads predict the next ones.
 
     Arithmetic on arrays leaves Python free, and writing samples is Python: threads do both at
     once. What comes out does not depend on who is faster, nor on how many there are.
     """
-    predictor = WeightPredictor(mapping, device=device)
+    predictor = WeightPredictor(mapping)
 
-    def solve(block: Block) -> Prediction:
+    def predict(block: Block) -> Prediction:
         markers = block()
         return predictor.predict(markers.positions, visible=markers.visible)
 
-    solvers = min(MAX_WORKERS, os.cpu_count() or 1) if device is CPU else 1
-    with ThreadPoolExecutor(max_workers=solvers, thread_name_prefix="solve") as pool:
+    workers = min(MAX_WORKERS, os.cpu_count() or 1)
+    with ThreadPoolExecutor(max_workers=workers, thread_name_prefix="predict") as pool:
         under_way: deque[Future[Prediction]] = deque()
         for block in blocks:
-            under_way.append(pool.submit(solve, block))
-            if len(under_way) >= solvers + QUEUE_DEPTH:
+            under_way.append(pool.submit(predict, block))
+            if len(under_way) >= workers + QUEUE_DEPTH:
                 yield under_way.popleft().result()
         while under_way:
             yield under_way.popleft().result()
@@ -67,24 +64,17 @@ def check_blend(path: Path, mapping: TrainedMapping) -> None:
         )
 
 
-def solve_blended(
-    mapping: TrainedMapping,
-    placed: Iterator[Block],
-    alpha: Path,
-    blocks: list[range],
-    *,
-    device: ArrayDevice = CPU,
+def predict_blended(
+    mapping: TrainedMapping, placed: Iterator[Block], alpha: Path, blocks: list[range]
 ) -> Iterator[Prediction]:
-    """Yield the answer to each block, blended as `alpha` says at each of its frames.
+    """Yield the prediction of each block, blended as `alpha` says at each of its frames.
 
-    Both parts are solved on their own, so that this takes twice the time of a constant blend.
+    Both parts are predicted, which takes twice the time of a constant blend.
     """
     keyed = [read_alpha(alpha, np.arange(block.start, block.stop)) for block in blocks]
     parts = [
-        predict_pipelined(
-            replace(mapping, settings=mapping.settings | {"alpha": share}), own, device=device
-        )
-        for share, own in zip((1.0, 0.0), tee(placed), strict=True)
+        predict_pipelined(replace(mapping, settings=mapping.settings | {"alpha": share}), each)
+        for share, each in zip((1.0, 0.0), tee(placed), strict=True)
     ]
     for share, network, regression in zip(keyed, *parts, strict=True):
         blend = share[:, None] * network.weights + (1 - share[:, None]) * regression.weights

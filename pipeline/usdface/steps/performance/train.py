@@ -9,7 +9,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.model.mapping.regions import sample_skin
 from usdface.model.mapping.rig_match import rig_summary
 from usdface.model.mapping.train import train_mapping
@@ -32,7 +32,7 @@ def run(
             raise InputError(
                 f"{spec.references}: no pair is tuned; tune some, or train without --tuned-only"
             )
-        references = _only(references, tuned)
+        references = _subset(references, tuned)
     elif not tuned.all():
         notes.append(
             f"{int((~tuned).sum())} of {len(tuned)} pairs are proposals that nobody has tuned"
@@ -42,7 +42,7 @@ def run(
     if missing:
         raise InputError(
             f"{spec.references}: {len(missing)} of its shapes are not on {rig.file}: "
-            f"{', '.join(missing[:5])}; select again for this rig"
+            f"{first_few(missing)}; select again for this rig"
         )
     columns = [rig.shapes.index(name) for name in references.shape_names]
     shapes = Deformer(rig).shapes
@@ -61,7 +61,7 @@ def run(
         arrays=mapping.arrays | rig_summary(rig, mapping.shape_names),
     )
     write_mapping(spec.out, mapping, provenance=provenance)
-    notes += _mended(mapping, references)
+    notes += _correction_notes(mapping, references)
     return StepResult(
         (spec.out,), _summary(mapping, references), tuple(notes), describe_figures(mapping)
     )
@@ -87,8 +87,8 @@ def describe_figures(mapping: TrainedMapping) -> dict[str, object]:
     }
 
 
-def _mended(mapping: TrainedMapping, references: References) -> list[str]:
-    """Say what of the pairs was not taken as it is."""
+def _correction_notes(mapping: TrainedMapping, references: References) -> list[str]:
+    """Name what of the pairs was corrected or left out."""
     notes = []
     limited = int(mapping.settings.get("limited_weights", 0))
     if limited:
@@ -118,7 +118,7 @@ def _summary(mapping: TrainedMapping, references: References) -> str:
     return summary
 
 
-def _only(references: References, keep: np.ndarray) -> References:
+def _subset(references: References, keep: np.ndarray) -> References:
     return replace(
         references,
         markers=references.markers[keep],

@@ -17,7 +17,11 @@ from usdface.model.retarget.checks import (
     unused_shapes,
 )
 from usdface.model.retarget.cyclic import spread_displacements
-from usdface.model.retarget.train import train_retargeting
+from usdface.model.retarget.train import (
+    describe_retargeting_figures,
+    retargeting_table,
+    train_retargeting,
+)
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import TrainRetargetSpec
 from usdface.steps.inputs.source_motion import read_source_motion, source_columns
@@ -110,33 +114,6 @@ def pair_notes(pairs: ExpressionPairs) -> list[str]:
             more = ", ..." if len(names) > SHOWN else ""
             notes.append(f"{what}: {pluralize(len(names), noun)}, {', '.join(names[:SHOWN])}{more}")
     return notes
-
-
-def describe_retargeting_figures(trained: Retargeting) -> dict[str, object]:
-    """Return what a retargeting is, as plain data."""
-    return {
-        "method": trained.method,
-        "source_shapes": len(trained.source_shapes),
-        "shapes": len(trained.shapes),
-        "joints": len(trained.joints),
-        "attributes": len(trained.attributes),
-        "settings": dict(trained.settings),
-        "scores": [vars(score) for score in trained.scores],
-        "pairs": trained.pairs,
-    }
-
-
-def retargeting_table(trained: Retargeting) -> tuple[str, ...]:
-    """Return the best candidate of each method, for people."""
-    seen: dict[str, str] = {}
-    for score in trained.scores:
-        told = f" ({score.settings})" if score.settings else ""
-        seen.setdefault(
-            score.method,
-            f"{score.method}{told}: there and back {score.cyclic_mm:.4f}, pairs missed by "
-            f"{score.pair_error:.4f} of their range",
-        )
-    return tuple(seen.values())
 
 
 def _pair(pairs: ExpressionPairs, index: int) -> str:

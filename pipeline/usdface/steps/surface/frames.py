@@ -8,7 +8,7 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.errors import InputError
-from usdface.numerics.regression.pivoted_selection import most_different_rows
+from usdface.numerics.regression.reference_design import most_different_rows
 from usdface.specs.surface import MakeShapesSpec
 from usdface.usdio.references.tuning import read_pair_names
 from usdface.usdio.take.read import TakeReader

@@ -16,7 +16,7 @@ from usdface.media.picture.surface_comparison import ComparedFrame, draw_compare
 from usdface.model.surface.binding import facing_yaw
 from usdface.model.surface.fit import SurfaceRegression, fit_surface_regression
 from usdface.numerics.manifold.hyper_posterior import HyperPrior
-from usdface.numerics.regression.pivoted_selection import most_different_rows
+from usdface.numerics.regression.reference_design import most_different_rows
 from usdface.runner.origin import provenance_metadata
 from usdface.specs.surface import DeformSpec
 from usdface.steps.surface.plan import SurfacePlan

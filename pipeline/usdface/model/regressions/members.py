@@ -1,18 +1,23 @@
 """The members of the ensemble: processes over the region of each shape, and kernel CCA.
 
-A voice is a straight line plus local corrections. Lines of several voices add up to one line;
+A member is a straight line plus local corrections. Lines of several members add up to one line;
 local corrections keep their own centres.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.model.regressions import kernel_cca
-from usdface.model.regressions.base import Pairs, Settings
-from usdface.model.regressions.scaling import coordinate_scale, scaled
-from usdface.numerics.array_namespace import CPU, ArrayDevice
+from usdface.model.regressions.base import (
+    Arrays,
+    Pairs,
+    Predictor,
+    Settings,
+    scale_arrays,
+    scaled_inputs,
+)
+from usdface.model.regressions.kernel_cca import fit_model
 from usdface.numerics.regression.gaussian_process import (
     NOISES,
     GaussianProcess,
@@ -24,17 +29,20 @@ from usdface.numerics.regression.gaussian_process import (
     usable_choices,
 )
 from usdface.numerics.regression.kernel_cca import predict_kernel_cca
-from usdface.numerics.regression.local_sums import LocalSums
-from usdface.numerics.regression.marker_regions import RegionalFeatures
+from usdface.numerics.regression.regional_process import LocalSums, RegionalFeatures
 
-GLOBAL_LINES = tuple(ProcessSettings(d, p) for d in (16, 24, 32, 40) for p in (0.0, 0.25, 0.5))
+GLOBAL_LINE_CHOICES = tuple(
+    ProcessSettings(d, p) for d in (16, 24, 32, 40) for p in (0.0, 0.25, 0.5)
+)
 _LOCAL_SIZES = ((0.0, 1.0), (1.0, 1.0), (1.0, 3.0), (3.0, 3.0))
-REGION_WIDE = tuple(
+WIDE_REGION_CHOICES = tuple(
     ProcessSettings(d, p, r, c) for d in (12, 24) for p in (0.25, 0.5) for r, c in _LOCAL_SIZES
 )
-REGION_TIGHT = tuple(ProcessSettings(d, 0.5, r, c) for d in (4, 8, 12) for r, c in _LOCAL_SIZES)
+TIGHT_REGION_CHOICES = tuple(
+    ProcessSettings(d, 0.5, r, c) for d in (4, 8, 12) for r, c in _LOCAL_SIZES
+)
 
-CORRELATIONS = tuple(
+_CORRELATION_CHOICES = tuple(
     (power, width, kappa)
     for kappa in (1e-6, 1e-7, 1e-5)
     for power in (0.0, 0.125, 0.25)
@@ -42,31 +50,31 @@ CORRELATIONS = tuple(
 )
 """Whitening, width and penalty of kernel CCA; the first are tried first where pairs are many."""
 
-FEWEST_CORRELATED = 4
+FEWEST_CORRELATED_PAIRS = 4
 """Pairs below which nothing can be said to correlate."""
 
-CORRELATION_FOLDS = 25
-MANY_PAIRS = 100
-MANY_FOLDS = 10
+_CORRELATION_FOLDS = 25
+_MANY_PAIRS = 100
+_MANY_FOLDS = 10
 """Parts in which pairs are left out: the first up to this many pairs, beyond the last."""
 
-CORRELATION_COST = 5e8
+_CORRELATION_COST = 5e8
 """Fits times cubed pairs: all choices up to 100 pairs."""
 
 REGIONAL_COST = 200 * 200.0**3
 """Shapes times cubed pairs up to which every shape has a process of its own."""
 
-GLOBAL_LOCALS = tuple(
+GLOBAL_LOCAL_CHOICES = tuple(
     ProcessSettings(d, p, 1.0, c) for d in (24, 40) for p in (0.25, 0.5) for c in (1.0, 4.0)
 )
 """Of one process for all shapes, where they are too many."""
 
-AFFORDABLE = 16 * 60 * 200.0**3
+REGIONAL_CHOICES_COST = 16 * 60 * 200.0**3
 """Choices times shapes times cubed pairs: all of them up to 200 pairs of 60 shapes."""
 
 
 @dataclass(frozen=True)
-class Voice:
+class Member:
     """One member of the ensemble.
 
     Attributes
@@ -74,18 +82,18 @@ class Voice:
     slope : (D, s) float array
     intercept : (s,) float array
     locals : dict of str to float array
-        Local corrections, as `local_sums` reads them.
+        Local corrections: `projection`, `centres`, `exponent` and `dual` of `LocalSums`.
     residuals : (n, s) float array
         Leave-one-out.
     """
 
     slope: FloatArray
     intercept: FloatArray
-    locals: dict[str, FloatArray]
+    locals: Arrays
     residuals: FloatArray
 
 
-def global_voice(
+def fit_global_member(
     coordinates: FloatArray,
     outputs: FloatArray,
     *,
@@ -93,7 +101,7 @@ def global_voice(
     choices: tuple[ProcessSettings, ...],
     importance: FloatArray,
     noises: FloatArray = NOISES,
-) -> Voice:
+) -> Member:
     """Fit one process over the whole face."""
     process = fit_best_gaussian_process(
         coordinates,
@@ -113,61 +121,61 @@ def global_voice(
         "exponent": np.array([process.exponent]),
         "dual": process.dual,
     }
-    return Voice(slope, process.intercept, parts, process.residuals)
+    return Member(slope, process.intercept, parts, process.residuals)
 
 
-def correlation_voice(pairs: Pairs, targets: FloatArray, *, dimensions: int) -> Voice:
-    """Fit kernel CCA, its kernel and penalty those that move the surface least away.
+def fit_correlation_member(pairs: Pairs, *, importance: FloatArray, dimensions: int) -> Member:
+    """Fit kernel CCA, with the kernel and penalty whose errors on unseen pairs weigh least.
 
-    Its wide kernels are nearly quadratic functions of the whole face: what happens together is
-    heard together.
+    Its wide kernels are nearly quadratic functions of the whole face: they see what happens
+    together.
+
+    Parameters
+    ----------
+    importance : (s,) float array
+        Weight of each output's squared error.
     """
-    count = len(targets)
-    parts_out = CORRELATION_FOLDS if count <= MANY_PAIRS else MANY_FOLDS
-    folds = np.arange(count) % min(count, parts_out)
-    allowed = int(CORRELATION_COST / (int(folds.max()) + 1) / count**3)
-    best: tuple[float, Settings, FloatArray] | None = None
-    taught = replace(pairs, weights=targets)
-    for power, width, kappa in CORRELATIONS[: max(allowed, 1)]:
+    count = len(pairs.outputs)
+    folds = np.arange(count) % min(
+        count, _CORRELATION_FOLDS if count <= _MANY_PAIRS else _MANY_FOLDS
+    )
+    affordable = int(_CORRELATION_COST / (int(folds.max()) + 1) / count**3)
+    tried = []
+    for power, width, kappa in _CORRELATION_CHOICES[: max(affordable, 1)]:
         settings: Settings = {
             "dimensions": dimensions,
             "whitening": power,
             "width": width,
             "kappa": kappa,
-            "lines": "penalised",
         }
-        scale = coordinate_scale(pairs, settings)
-        residuals = np.empty_like(targets)
+        scale = scale_arrays(pairs, settings)
+        residuals = np.empty_like(pairs.outputs)
         for fold in range(int(folds.max()) + 1):
             test = folds == fold
-            model = kernel_cca.fit_pairs(taught.rows(np.flatnonzero(~test)), scale, settings)
-            unseen = scaled(pairs.coordinates[test], scale)
-            residuals[test] = targets[test] - predict_kernel_cca(model, unseen)
-        error = float(np.einsum("ns,st,nt->", residuals, pairs.gram, residuals, optimize=True))
-        if best is None or error < best[0]:
-            best = error, settings, residuals
-    if best is None:
-        raise ValueError("no choice to try")
-    _, settings, residuals = best
-    scale = coordinate_scale(pairs, settings)
-    model = kernel_cca.fit_pairs(taught, scale, settings)
+            model = fit_model(pairs.rows(np.flatnonzero(~test)), scale, settings)
+            unseen = scaled_inputs(scale, settings, pairs.inputs[test])
+            residuals[test] = pairs.outputs[test] - predict_kernel_cca(model, unseen)
+        tried.append((float((residuals**2).sum(axis=0) @ importance), settings, residuals))
+    _, settings, residuals = min(tried, key=lambda entry: entry[0])
+    scale = scale_arrays(pairs, settings)
+    model = fit_model(pairs, scale, settings)
     parts = {
-        "projection": np.diag(scale),
+        "projection": np.diag(scale["scale"]),
         "centres": model.centres,
         "exponent": np.array([-0.5 / model.width**2]),
         "dual": model.operator,
     }
-    return Voice(np.zeros((dimensions, targets.shape[1])), model.intercept, parts, residuals)
+    return Member(np.zeros((dimensions, pairs.outputs.shape[1])), model.intercept, parts, residuals)
 
 
-def regional_voice(
+def fit_regional_member(
     coordinates: FloatArray,
     outputs: FloatArray,
     *,
     regions: tuple[RegionalFeatures, ...],
     choices: tuple[ProcessSettings, ...],
     shared: bool,
-) -> Voice:
+) -> Member:
     """Fit a process for each shape over its own region.
 
     With `shared` one choice serves all shapes: the one whose errors, each shape's against its
@@ -206,12 +214,12 @@ def affordable_choices(
     choices: tuple[ProcessSettings, ...], *, pairs: int, shapes: int
 ) -> tuple[ProcessSettings, ...]:
     """Thin choices out where many pairs and shapes would take minutes to compare them all."""
-    allowed = max(1, min(len(choices), int(AFFORDABLE / (shapes * pairs**3))))
+    allowed = max(1, min(len(choices), int(REGIONAL_CHOICES_COST / (shapes * pairs**3))))
     places = np.linspace(0, len(choices) - 1, allowed + 2).round().astype(int)[1:-1]
     return choices if allowed == len(choices) else tuple(choices[i] for i in places)
 
 
-def _stack(fits: list[GaussianProcess], regions: tuple[RegionalFeatures, ...]) -> Voice:
+def _stack(fits: list[GaussianProcess], regions: tuple[RegionalFeatures, ...]) -> Member:
     s, n = len(fits), len(fits[0].centres)
     full = len(regions[0].projection)
     kept = max(len(fit.scale) for fit in fits)
@@ -228,7 +236,7 @@ def _stack(fits: list[GaussianProcess], regions: tuple[RegionalFeatures, ...]) -
         "exponent": np.array([fit.exponent for fit in fits]),
         "dual": np.stack([fit.dual[:, 0] for fit in fits], axis=1),
     }
-    return Voice(
+    return Member(
         slope,
         np.array([fit.intercept[0] for fit in fits]),
         parts,
@@ -236,19 +244,38 @@ def _stack(fits: list[GaussianProcess], regions: tuple[RegionalFeatures, ...]) -
     )
 
 
-def local_sums(
-    arrays: dict[str, FloatArray],
-    *,
-    prefix: str = "",
-    single: bool = False,
-    device: ArrayDevice = CPU,
-) -> LocalSums:
-    """Make the local corrections ready that a mapping's arrays hold under a prefix."""
-    return LocalSums(
-        arrays[f"{prefix}projection"],
-        arrays[f"{prefix}centres"],
-        arrays[f"{prefix}exponent"][:, None],
-        arrays[f"{prefix}dual"],
-        single=single,
-        device=device,
+def stack_corrections(members: list[tuple[Member, FloatArray]]) -> Arrays:
+    """Gather what the members correct, as `prepare_corrections` reads it.
+
+    Parameters
+    ----------
+    members : list of (Member, (s,) float array)
+        With the share of each for each shape.
+    """
+    arrays: Arrays = {}
+    for k, (member, share) in enumerate(members):
+        if member.locals and (member.locals["dual"] * share).any():
+            arrays |= {f"local{k}_{name}": value for name, value in member.locals.items()}
+            arrays[f"local{k}_dual"] = member.locals["dual"] * share
+    return arrays
+
+
+def prepare_corrections(arrays: Arrays) -> Predictor:
+    """Make the corrections ready that a mapping's arrays hold; other arrays are not read."""
+    prefixes = sorted(
+        name.removesuffix("projection") for name in arrays if name.endswith("_projection")
     )
+    sums = [
+        LocalSums(
+            **{
+                name: arrays[prefix + name]
+                for name in ("projection", "centres", "exponent", "dual")
+            }
+        )
+        for prefix in prefixes
+    ]
+
+    def predict(points: FloatArray) -> FloatArray:
+        return sum((each(points) for each in sums[1:]), sums[0](points)) if sums else np.zeros(1)
+
+    return predict

@@ -1,0 +1,38 @@
+"""A line through rest that adds expressions up, and a multiquadric for what it leaves.
+
+Expressions of BlendShapes add up; a network of distances alone forgets that between the pairs and
+beyond them. The line carries the sums, the network what is bent.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from usdface.model.regressions.base import Arrays, Fitted, Pairs, Predictor, Regression, Settings
+from usdface.model.regressions.multiquadric import fit_network, prepare_network
+
+_SHRINKS = (1e-8, 1e-4, 1e-2)
+"""Ridges of the line that are tried, as shares of the inputs' largest squared singular value."""
+
+
+def _fit(pairs: Pairs, settings: Settings) -> Fitted:
+    inputs, outputs = pairs.inputs, pairs.outputs
+    ridge = float(settings["shrink"]) * float(np.linalg.norm(inputs, ord=2)) ** 2
+    normal = inputs.T @ inputs + ridge * np.eye(inputs.shape[1])
+    slope = np.asarray(np.linalg.solve(normal, inputs.T @ outputs), np.float64)
+    network = fit_network(replace(pairs, outputs=outputs - inputs @ slope), settings)
+    return Fitted({"slope": slope} | network.arrays, settings)
+
+
+def _prepare(arrays: Arrays, settings: Settings) -> Predictor:
+    slope, network = arrays["slope"], prepare_network(arrays, settings)
+    return lambda inputs: inputs @ slope + network(inputs)
+
+
+METHOD = Regression(
+    name="additive",
+    summary="a line that adds expressions up, a multiquadric for what it leaves",
+    fit=_fit,
+    prepare=_prepare,
+    retarget_candidates=tuple({"shrink": shrink} for shrink in _SHRINKS),
+)

@@ -1,0 +1,153 @@
+"""Processes over the part of the face that each shape moves: their features, and their sums.
+
+The jaw moves centimetres and a lid millimetres. Seen over all markers, the lid drowns; seen over
+the markers that its shapes move, it does not. Which markers those are is learned from all frames
+of a take through weights that a first, plain mapping gives them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+
+_RIDGE_SHARE = 0.02
+"""Ridge per frame on standardised weights: shapes that act together share the motion."""
+
+_BLOCK_VALUES = 1 << 17
+"""Kernel values at once: enough that calls are cheap. Larger, arrays come fresh from the system
+each time, which costs more than it saves."""
+
+
+@dataclass(frozen=True)
+class RegionalFeatures:
+    """Coordinates that measure distance over one region.
+
+    Attributes
+    ----------
+    projection : (D, D) float array
+        ``coordinates @ projection`` are uncorrelated over the sample, the largest variance first.
+    variances : (D,) float array
+    """
+
+    projection: FloatArray
+    variances: FloatArray
+
+
+def marker_relevance(
+    sample: FloatArray,
+    weights: FloatArray,
+    components: FloatArray,
+    *,
+    sharpness: float = 1.0,
+    floor: float = 0.05,
+) -> FloatArray:
+    """How much each marker has to do with each shape.
+
+    Markers are regressed on weights; a marker's relevance is how far it moves with the shape,
+    against the marker that moves most.
+
+    Parameters
+    ----------
+    sample : (frames, D) float array
+        Coordinates in the motion space.
+    weights : (frames, s) float array
+        Of the same frames, from any mapping.
+    components : (D, markers * 3) float array
+    sharpness : float
+        2 squares the fall-off.
+    floor : float
+        Least relevance: no marker is ignored wholly.
+
+    Returns
+    -------
+    (s, markers) float array
+        In [floor, 1].
+    """
+    centred = weights - weights.mean(axis=0)
+    standard = centred / (centred.std(axis=0) + 1e-4)
+    normal = standard.T @ standard + _RIDGE_SHARE * len(standard) * np.eye(standard.shape[1])
+    moves = np.linalg.solve(normal, standard.T @ (sample - sample.mean(axis=0))) @ components
+    length = np.linalg.norm(moves.reshape(len(moves), -1, 3), axis=2)
+    share = length / np.maximum(length.max(axis=1, keepdims=True), 1e-12)
+    relevance: FloatArray = np.maximum(share**sharpness, floor)
+    return relevance
+
+
+def regional_features(
+    components: FloatArray, covariance: FloatArray, relevance: FloatArray
+) -> RegionalFeatures:
+    """Principal axes of the motion under a metric that weighs markers by relevance.
+
+    Parameters
+    ----------
+    components : (D, markers * 3) float array
+    covariance : (D, D) float array
+        Of the coordinates over all frames [mm^2].
+    relevance : (markers,) float array
+    """
+    seen = components * np.repeat(relevance, 3)
+    metric = seen @ seen.T
+    metric += 1e-9 * np.trace(metric) * np.eye(len(metric))
+    factor = np.linalg.cholesky(metric)
+    values, vectors = np.linalg.eigh(factor.T @ covariance @ factor)
+    variances = np.maximum(values[::-1], 1e-9 * values[-1])
+    return RegionalFeatures(factor @ vectors[:, ::-1], variances)
+
+
+class LocalSums:
+    """``sum_i dual[i, j] exp(exponent[j] |x projection[j] - centres[j, i]|^2)`` for each output j.
+
+    Where every output has its own features, nothing of one kernel serves another; they are laid
+    side by side, so that a block of points takes few calls and not some per output.
+
+    Parameters
+    ----------
+    projection : (D, d) or (s, D, d) float array
+        From coordinates to the features of all outputs, or of each.
+    centres : (n, d) or (s, n, d) float array
+    exponent : (1,) or (s,) float array
+        Negative; of all kernels, or of each output's.
+    dual : (n, s) float array
+    """
+
+    def __init__(
+        self, projection: FloatArray, centres: FloatArray, exponent: FloatArray, dual: FloatArray
+    ) -> None:
+        self._outputs = dual.shape[1]
+        if projection.ndim == 2:
+            projection, centres, duals = projection[None], centres[None], dual[None]
+        else:
+            duals = dual.T[:, :, None]
+        used = np.flatnonzero(np.abs(duals).max(axis=(1, 2)) > 0)
+        # of features, their squared norm and 1, makes exponents
+        squares = np.einsum("knd,knd->kn", centres, centres)[:, :, None]
+        operand = np.concatenate([-2.0 * centres, np.ones_like(squares), squares], axis=2)
+        operand *= exponent[:, None, None]
+        self._columns = np.arange(self._outputs).reshape(len(duals), -1)[used].ravel()
+        self._projection = np.ascontiguousarray(projection[used])
+        self._operand = np.ascontiguousarray(operand[used].transpose(0, 2, 1))
+        self._dual = np.ascontiguousarray(duals[used])
+
+    def __call__(self, points: FloatArray) -> FloatArray:
+        """Evaluate the sums: (f, D) points to (f, s) outputs."""
+        kernels, pairs, outputs = self._dual.shape
+        found = np.empty((kernels, len(points), outputs))
+        together = max(_BLOCK_VALUES // max(len(points) * pairs, 1), 1)
+        for start in range(0, kernels, together):
+            some = slice(start, start + together)
+            found[some] = self._sums(points, some)
+        out = np.zeros((len(points), self._outputs))
+        out[:, self._columns] = found.transpose(1, 0, 2).reshape(len(points), -1)
+        return out
+
+    def _sums(self, points: FloatArray, some: slice) -> FloatArray:
+        projection = self._projection[some]
+        rows = np.empty((len(projection), len(points), projection.shape[2] + 2))
+        features = np.matmul(points, projection, out=rows[:, :, :-2])
+        np.einsum("kfd,kfd->kf", features, features, out=rows[:, :, -2])
+        rows[:, :, -1] = 1.0
+        values = np.matmul(rows, self._operand[some])
+        np.exp(values, out=values)
+        out: FloatArray = np.matmul(values, self._dual[some])
+        return out

@@ -1,0 +1,95 @@
+"""What part of the face each shape moves, and sums of kernels over it."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from usdface.numerics.regression.regional_process import (
+    LocalSums,
+    marker_relevance,
+    regional_features,
+)
+
+PAIRS, OUTPUTS, GIVEN, KEPT = 30, 7, 9, 4
+
+
+def test_relevance_names_the_markers_that_a_shape_moves() -> None:
+    rng = np.random.default_rng(0)
+    moves = np.zeros((2, 10, 3))
+    moves[0, :4] = rng.normal(size=(4, 3)) * 20  # centimetres
+    moves[1, 6:] = rng.normal(size=(4, 3))  # millimetres
+    weights = rng.uniform(0, 1, size=(500, 2))
+    packed = np.einsum("fs,smc->fmc", weights, moves).reshape(500, -1)
+    components = np.linalg.svd(packed - packed.mean(axis=0), full_matrices=False)[2][:2]
+    sample = (packed - packed.mean(axis=0)) @ components.T
+    relevance = marker_relevance(sample, weights, components)
+    assert (relevance[0, :4] > relevance[0, 4:].max()).all()
+    assert (relevance[1, 6:] > relevance[1, :6].max()).all()
+    np.testing.assert_allclose(relevance.max(axis=1), 1.0)
+    assert relevance.min() >= 0.05
+
+
+def test_regional_features_are_uncorrelated_and_measure_the_region() -> None:
+    rng = np.random.default_rng(0)
+    components = np.linalg.qr(rng.normal(size=(30, 5)))[0].T
+    sample = rng.normal(size=(4000, 5)) * [5.0, 3.0, 2.0, 1.0, 0.5]
+    relevance = rng.uniform(0.05, 1.0, size=10)
+    covariance = np.cov(sample.T)
+    region = regional_features(components, covariance, relevance)
+    rows = sample @ region.projection
+    np.testing.assert_allclose(np.cov(rows.T), np.diag(region.variances), atol=1e-6)
+    weighed = (sample @ components) * np.repeat(relevance, 3)
+    distance = np.linalg.norm(weighed[0] - weighed[1])
+    assert np.linalg.norm(rows[0] - rows[1]) == pytest.approx(distance, rel=1e-5)
+
+
+def parts(*, shared: bool = False) -> dict[str, Any]:
+    rng = np.random.default_rng(0)
+    many = () if shared else (OUTPUTS,)
+    dual = rng.normal(size=(PAIRS, OUTPUTS))
+    dual *= np.array([0.0, 0.1, 0.5, 1.0, 5.0, 20.0, 100.0]) / np.linalg.norm(dual, axis=0)
+    return {
+        "projection": rng.normal(size=(*many, GIVEN, KEPT)),
+        "centres": 3 * rng.normal(size=(*many, PAIRS, KEPT)),
+        "exponent": -rng.uniform(0.01, 0.1, size=1 if shared else OUTPUTS),
+        "dual": dual,
+    }
+
+
+def direct(
+    points: np.ndarray,
+    *,
+    projection: np.ndarray,
+    centres: np.ndarray,
+    exponent: np.ndarray,
+    dual: np.ndarray,
+) -> np.ndarray:
+    """Every sum by itself, from differences."""
+    out = np.empty((len(points), OUTPUTS))
+    for j in range(OUTPUTS):
+        kernel = j if projection.ndim == 3 else ...
+        rows = points @ projection[kernel]
+        squared = ((rows[:, None] - centres[kernel][None]) ** 2).sum(axis=2)
+        out[:, j] = np.exp(exponent[0 if projection.ndim == 2 else j] * squared) @ dual[:, j]
+    return out
+
+
+@pytest.mark.parametrize("shared", [False, True], ids=["a kernel each", "one kernel for all"])
+@pytest.mark.parametrize("frames", [0, 1, 300])
+def test_sums_side_by_side_equal_those_taken_one_by_one(shared: bool, frames: int) -> None:
+    given = parts(shared=shared)
+    points = np.random.default_rng(1).normal(size=(frames, GIVEN))
+    found = LocalSums(**given)(points)
+    np.testing.assert_allclose(found, direct(points, **given), atol=1e-12)
+
+
+def test_points_do_not_depend_on_how_many_there_are() -> None:
+    sums = LocalSums(**parts())
+    points = np.random.default_rng(1).normal(size=(3000, GIVEN))
+    np.testing.assert_allclose(sums(points)[1000:1010], sums(points[1000:1010]), atol=1e-12)
+
+
+def test_without_any_dual_there_is_nothing_to_add() -> None:
+    given = parts() | {"dual": np.zeros((PAIRS, OUTPUTS))}
+    assert not LocalSums(**given)(np.ones((5, GIVEN))).any()
