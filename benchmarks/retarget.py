@@ -23,7 +23,7 @@ from usdface.model.retarget.shape_names import match_names
 from usdface.model.retarget.train import retarget, train_retargeting
 from usdface.usdio.rig.read import read_rig
 
-METHODS = ("auto", "rbf", "kernel_cca", "hybrid", "ridge", "positions")
+METHODS = ("auto", "rbf", "kernel_cca", "hybrid", "additive", "ridge", "positions")
 EVERY = 8
 """Frames measured; methods are trained on what the pairs show, whatever the number."""
 

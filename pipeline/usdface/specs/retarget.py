@@ -165,7 +165,7 @@ class RetargetSpec(Spec):
         return self
 
 
-METHODS = ("auto", "rbf", "kernel_cca", "hybrid", "ridge", "positions")
+METHODS = ("auto", "rbf", "kernel_cca", "hybrid", "additive", "ridge", "positions")
 
 
 class CyclicSpec(Spec):
