@@ -29,7 +29,6 @@ def check_references(
 
     Parameters
     ----------
-    references : References
     ranges : (shapes, 2) float array
     gram : (shapes, shapes) float array or None
 

@@ -54,7 +54,6 @@ def marker_coordinates(
 
     Parameters
     ----------
-    motion : MotionSpace
     positions : (frames, markers, 3) float array
         In the motion space's head space [mm]; what is not visible is not read.
     visible : (frames, markers) bool array, optional
@@ -66,17 +65,17 @@ def marker_coordinates(
     # made good in the product: coordinates are within a millionth of a millimetre.
     kind = positions.dtype
     mean: NDArray[Any] = motion.mean.astype(kind)
-    lost: FloatArray = mean - motion.mean
+    rounding: FloatArray = mean - motion.mean
     offsets: NDArray[Any] = positions.reshape(frames, -1) - mean
     unseen = visible is not None and not visible.all()
     if visible is not None and unseen:
         offsets[~np.repeat(visible, 3, axis=1)] = 0.0  # also what keeps NaN out
     values = (offsets @ motion.components.T.astype(kind)).astype(np.float64)
-    values += lost @ motion.components.T
+    values += rounding @ motion.components.T
     if visible is None or not unseen:
         return Coordinates(values, certainty, _distances(motion, offsets, values))
     for pattern, rows in _patterns(visible):
-        seen = offsets[rows] + lost
+        seen = offsets[rows] + rounding
         values[rows], certainty[rows] = _conditional(motion, seen, pattern)
     distances = _distances(motion, offsets, values)
     distances[~visible] = np.nan
@@ -119,7 +118,7 @@ def _conditional(
     precision = basis @ basis.T + np.diag(prior)
     values = np.linalg.solve(precision, basis @ offsets[:, np.repeat(pattern, 3)].T).T
     left = noise * float(np.trace(np.linalg.inv(precision)))
-    held = noise * float((1 / (1 + prior)).sum())  # what stays unknown even with all markers
+    unknown = noise * float((1 / (1 + prior)).sum())  # what stays unknown even with all markers
     total = float(motion.variances.sum())
-    determined = float(np.clip(1 - (left - held) / max(total, 1e-300), 0.0, 1.0))
+    determined = float(np.clip(1 - (left - unknown) / max(total, 1e-300), 0.0, 1.0))
     return values.astype(np.float64), determined * float(pattern.mean())

@@ -18,14 +18,17 @@ from usdface.core.assets import MotionSpace
 from usdface.model.mapping.coordinates import noise_variance
 from usdface.numerics.regression.cross_validation import Fold
 
-DIMENSIONS = 24
-"""Components looked at: beyond these, noise would make every frame a stranger."""
+MAX_DIMENSIONS = 24
+"""Components used: with more, noise would make every frame look unlike the references."""
 
 SIGNAL_TO_NOISE = 4.0
-"""Least variance of a component looked at, in variances of marker noise."""
+"""Least variance of a component used, in variances of marker noise."""
 
-_NOISE = 1e-3
+_NOISE_VARIANCE = 1e-3
+"""Of a reference's output, in units of the process's variance."""
+
 LINEAR_SHARE = 0.5
+"""Variance of the linear part of the covariance, in the same units."""
 
 LEAST_SPREAD = 0.35
 """Of the logarithm of errors: few references agree by chance."""
@@ -33,21 +36,23 @@ LEAST_SPREAD = 0.35
 UNKNOWN_SPREAD = 0.7
 """The same where references were too few to compare."""
 
-_FLOOR = 0.02
-"""Variance that every frame has besides: where references are near, noise errs all the same."""
+_VARIANCE_FLOOR = 0.02
+"""Added to every frame's variance, in units of the process's: errors are proportional to
+``sqrt(variance + 0.02)``, so that marker noise leaves an error even at a reference."""
 
-EXCESS = 1.1
-_FEW_PAIRS = 12.0
+TAKE_ERROR_RATIO = 1.1
+_FOLD_LOSS_PAIRS = 12.0
 LEAST_PAIRS = 25
-"""Errors on takes over those on pairs left out: the first over 1 + (second / pairs)², for a fold
-leaves out a fifth, and of few pairs that is much; below the last nobody has looked. As the floor,
-they were chosen on performers like those of `benchmarks`, of other faces and noise: what is
-told of parts of the face holds nine times in ten there, and of the whole more often."""
+"""Errors on a take over those on pairs left out: ``1.1 / (1 + (12 / max(pairs, 25))^2)``, for a
+fold leaves out a fifth, and of few pairs that is much. As the variance floor, measured on
+performers like those of `benchmarks confidence`, of other faces and noise: errors of parts of the
+face stay below the expected error nine times in ten there, those of the whole face more often."""
 
-CONFIDENT = 0.9
+ERROR_PROBABILITY = 0.9
+"""That the error of a frame stays below the expected error that is written."""
 
 _DEVIATIONS = np.linspace(-8, 8, 8001)
-_BELOW = np.array([0.5 * math.erfc(-each / math.sqrt(2)) for each in _DEVIATIONS.tolist()])
+_CUMULATIVE = np.array([0.5 * math.erfc(-each / math.sqrt(2)) for each in _DEVIATIONS.tolist()])
 """The normal distribution: lines between these are within 2e-7 of it, at a fraction of the time."""
 
 
@@ -58,13 +63,12 @@ def fit_error_model(
     folds: Sequence[Fold],
     error_over_tolerance: FloatArray,
 ) -> dict[str, FloatArray]:
-    """Learn how errors depend on how much of a frame the references say.
+    """Learn how errors depend on the variance that the references leave of a frame.
 
     Parameters
     ----------
     coordinates : (pairs, dimensions) float array
         Of the references.
-    motion : MotionSpace
     folds : sequence of Fold
         Of the cross-validation that the errors come from.
     error_over_tolerance : (pairs, regions) float array
@@ -76,17 +80,17 @@ def fit_error_model(
     dict of str to float array
         What `confidence_of` and `likely_error` read, as part of a mapping.
     """
-    heard = int((motion.variances > SIGNAL_TO_NOISE * noise_variance(motion)).sum())
-    kept = max(1, min(DIMENSIONS, coordinates.shape[1], heard))
+    signals = int((motion.variances > SIGNAL_TO_NOISE * noise_variance(motion)).sum())
+    kept = max(1, min(MAX_DIMENSIONS, coordinates.shape[1], signals))
     scale = motion.variances[:kept] ** -0.25  # half whitened
     rows = coordinates[:, :kept] * scale
-    apart = _squared_distances(rows, rows, rows @ rows.T)[np.triu_indices(len(rows), 1)]
-    width = float(np.median(apart)) or 1.0
+    squared = _squared_distances(rows, rows, rows @ rows.T)[np.triu_indices(len(rows), 1)]
+    width = float(np.median(squared)) or 1.0
     size = float(np.einsum("ij,ij->", rows, rows)) / len(rows) or 1.0
     reach = float(np.einsum("ij,ij->i", rows, rows).max()) or 1.0
     settings = np.array([width, size, reach])
     covariance = _kernel(rows, rows, settings)
-    inverse = np.linalg.inv(covariance + _NOISE * np.eye(len(rows)))
+    inverse = np.linalg.inv(covariance + _NOISE_VARIANCE * np.eye(len(rows)))
     unseen = np.full(len(rows), np.nan)
     for fold in folds:
         unseen[fold.test] = _unseen_variance(covariance, fold)
@@ -127,9 +131,9 @@ def predictive_variance(arrays: dict[str, FloatArray], coordinates: FloatArray) 
     rows = coordinates[:, : len(scale)] * scale
     known = _kernel(rows, arrays["familiar_rows"], settings)
     distance = np.einsum("ij,ij->i", rows, rows)
-    own = 1.0 + LINEAR_SHARE * distance / settings[1]
-    left: FloatArray = own - np.einsum("ij,ij->i", known @ arrays["familiar_inverse"], known)
-    left = np.maximum(left, _NOISE)
+    prior = 1.0 + LINEAR_SHARE * distance / settings[1]
+    left: FloatArray = prior - np.einsum("ij,ij->i", known @ arrays["familiar_inverse"], known)
+    left = np.maximum(left, _NOISE_VARIANCE)
     left *= np.maximum(distance / settings[2], 1.0) ** 2
     return left
 
@@ -151,12 +155,12 @@ def confidence_of(arrays: dict[str, FloatArray], left: FloatArray) -> FloatArray
     """
     middle, spread = arrays["familiar_error"]
     deviations = -(middle + np.log(_growth(left))[:, None]) / spread
-    below: FloatArray = np.interp(deviations, _DEVIATIONS, _BELOW)
+    below: FloatArray = np.interp(deviations, _DEVIATIONS, _CUMULATIVE)
     return below
 
 
 def likely_error(
-    arrays: dict[str, FloatArray], left: FloatArray, *, probability: float = CONFIDENT
+    arrays: dict[str, FloatArray], left: FloatArray, *, probability: float = ERROR_PROBABILITY
 ) -> FloatArray:
     """Return the error, in tolerances, that is not exceeded with this probability.
 
@@ -172,21 +176,21 @@ def likely_error(
 
 
 def _excess(pairs: int) -> float:
-    return EXCESS / (1.0 + (_FEW_PAIRS / max(pairs, LEAST_PAIRS)) ** 2)
+    return TAKE_ERROR_RATIO / (1.0 + (_FOLD_LOSS_PAIRS / max(pairs, LEAST_PAIRS)) ** 2)
 
 
 def _growth(left: FloatArray) -> FloatArray:
     """Return what errors are proportional to."""
-    grown: FloatArray = np.sqrt(left + _FLOOR)
+    grown: FloatArray = np.sqrt(left + _VARIANCE_FLOOR)
     return grown
 
 
 def _unseen_variance(covariance: FloatArray, fold: Fold) -> FloatArray:
     """Variance of a fold's tested references, given those it trains on."""
-    known = covariance[np.ix_(fold.train, fold.train)] + _NOISE * np.eye(len(fold.train))
+    known = covariance[np.ix_(fold.train, fold.train)] + _NOISE_VARIANCE * np.eye(len(fold.train))
     shared = covariance[np.ix_(fold.train, fold.test)]
     explained = np.einsum("ij,ij->j", shared, np.linalg.solve(known, shared))
-    left: FloatArray = np.maximum(np.diag(covariance)[fold.test] - explained, _NOISE)
+    left: FloatArray = np.maximum(np.diag(covariance)[fold.test] - explained, _NOISE_VARIANCE)
     return left
 
 

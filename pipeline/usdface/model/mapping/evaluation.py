@@ -35,9 +35,8 @@ class RegionError:
 
     Attributes
     ----------
-    name : str
     shape_count : int
-        Shapes whose name speaks of it.
+        Shapes whose name names it.
     weight_rmse : float
         Of those that count; NaN where none does.
     surface : SurfaceError
@@ -67,8 +66,7 @@ class Evaluation:
     surface : SurfaceError
         Of the whole rig.
     regions : tuple of RegionError
-        Empty where no shape's name speaks of a part of the face.
-    shapes : ShapeErrors
+        Empty where no shape's name names a part of the face.
     shape_mm : (shapes,) float array
         What each shape's error alone does to the surface, root mean square [mm].
     lips : LipError or None
@@ -105,7 +103,6 @@ def evaluate_weights(
 
     Parameters
     ----------
-    rig : Rig
     solved, truth : (frames, shapes) float arrays
         In the rig's order; 0 for shapes that are not compared.
     frames : (frames,) int array
@@ -157,7 +154,7 @@ def evaluate_weights(
     size_mm = np.sqrt(np.diag(deformer.shapes.gram()))[compared]
     return Evaluation(
         frames=frames,
-        shape_names=tuple(name for name, held in zip(rig.shapes, compared, strict=True) if held),
+        shape_names=tuple(name for name, used in zip(rig.shapes, compared, strict=True) if used),
         observable=observable[compared],
         weight_rmse=measure_weights(errors, observable=compared & observable),
         surface=measure_surface(key_errors, region_gram(offsets, everywhere)),

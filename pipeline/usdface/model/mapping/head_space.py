@@ -94,7 +94,6 @@ def find_head_space(mapping: TrainedMapping, markers: Markers) -> HeadSpace:
 
     Parameters
     ----------
-    mapping : Mapping
     markers : Markers
         Stabilised; frames spread over the take are enough.
 

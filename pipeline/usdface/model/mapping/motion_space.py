@@ -88,6 +88,6 @@ def _spread(clips: Sequence[_Positions], count: int) -> FloatArray:
     wanted = np.linspace(0, ends[-1] - 1, count).round().astype(np.int64)
     rows = []
     for clip, end in zip(clips, ends, strict=True):
-        own = wanted[(wanted >= end - len(clip)) & (wanted < end)] - (end - len(clip))
-        rows.append(clip[own].reshape(len(own), -1).astype(np.float64))
+        rows_of_clip = wanted[(wanted >= end - len(clip)) & (wanted < end)] - (end - len(clip))
+        rows.append(clip[rows_of_clip].reshape(len(rows_of_clip), -1).astype(np.float64))
     return np.concatenate(rows)

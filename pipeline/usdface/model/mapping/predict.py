@@ -88,8 +88,8 @@ class WeightPredictor:
             ) from error
         if not all(np.isfinite(each).all() for each in (tried.weights, tried.region_error)):
             raise InputError(
-                f"the mapping says nothing finite of its own neutral face, by {mapping.method}; "
-                "its arrays are damaged: train it again"
+                "the mapping predicts values that are not finite for its neutral face, by "
+                f"{mapping.method}; its arrays are damaged: train it again"
             )
 
     def predict(

@@ -12,7 +12,8 @@ from usdface.numerics.measure.face_regions import points_by_region, shapes_by_re
 FACE = "face"
 """The first region: everything."""
 
-_RIDGE = 0.02  # of the pairs, on weights: shapes that act together share the motion
+_RIDGE_SHARE = 0.02
+"""Ridge per pair on the weights: shapes that act together share the motion."""
 
 
 def region_points(names: tuple[str, ...], motion: FloatArray) -> dict[str, IntArray]:
@@ -21,7 +22,7 @@ def region_points(names: tuple[str, ...], motion: FloatArray) -> dict[str, IntAr
     Parameters
     ----------
     names : tuple of str
-        Of the shapes; where none speaks of a part of the face there is only the whole.
+        Of the shapes; where none names a part of the face there is only the whole.
     motion : (shapes, points, 3) float array
         What each shape at 1 does [mm].
 
@@ -49,28 +50,30 @@ def marker_motion(weights: FloatArray, markers: FloatArray) -> FloatArray:
     """
     rows = weights - weights.mean(axis=0)
     seen = (markers - markers.mean(axis=0)).reshape(len(markers), -1)
-    normal = rows.T @ rows + _RIDGE * len(rows) * np.eye(rows.shape[1])
+    normal = rows.T @ rows + _RIDGE_SHARE * len(rows) * np.eye(rows.shape[1])
     moved: FloatArray = np.linalg.solve(normal, rows.T @ seen)
     return moved.reshape(rows.shape[1], -1, 3)
 
 
 def membership(points: dict[str, IntArray], count: int) -> FloatArray:
     """Return which of `count` points each region holds: (regions, count) array of 0 and 1."""
-    held = np.zeros((len(points), count))
+    table = np.zeros((len(points), count))
     for row, members in enumerate(points.values()):
-        held[row, members] = 1.0
-    return held
+        table[row, members] = 1.0
+    return table
 
 
 if TYPE_CHECKING:
     from scipy import sparse
 
-POINTS = 1500
+SKIN_POINTS = 1500
+"""Most points of the surface that stand for it."""
+
 _LEAST_SHARE = 0.02
 """Of the largest movement: points that no shape moves this far are not face."""
 
 
-def sample_skin(offsets: FloatArray | sparse.sparray, *, count: int = POINTS) -> FloatArray:
+def sample_skin(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINTS) -> FloatArray:
     """Keep evenly spaced ones of the points that shapes move.
 
     Parameters

@@ -19,7 +19,7 @@ CHANGED_SHARE = 0.01
 """Of a shape's motion, and of the weight an in-between is reached at."""
 
 _SIZE, _PLACE, _WAY, _REACHED = 0, slice(1, 4), slice(4, 7), 7
-_LISTED = 5
+_LISTED_NAMES = 5
 
 
 def rig_summary(rig: Rig, shape_names: tuple[str, ...]) -> dict[str, FloatArray]:
@@ -27,7 +27,6 @@ def rig_summary(rig: Rig, shape_names: tuple[str, ...]) -> dict[str, FloatArray]
 
     Parameters
     ----------
-    rig : Rig
     shape_names : tuple of str
         The mapping's; a rig's other shapes, and meshes that none of these moves, do not count.
 
@@ -61,7 +60,6 @@ def check_same_rig(mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
     ----------
     mapping : Mapping
         One that keeps no summary, from before there was one, is not compared.
-    rig : Rig
         With all shapes of the mapping.
 
     Returns
@@ -91,9 +89,9 @@ def check_same_rig(mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
         was, size = mapping.arrays[SHAPES][:, _SIZE], now[SHAPES][:, _SIZE]
         told = [
             f"{mapping.shape_names[shape]} (moves {size[shape]:.2f} mm, was {was[shape]:.2f})"
-            for shape in changed[:_LISTED]
+            for shape in changed[:_LISTED_NAMES]
         ]
-        more = f" and {len(changed) - _LISTED} more" if len(changed) > _LISTED else ""
+        more = f" and {len(changed) - _LISTED_NAMES} more" if len(changed) > _LISTED_NAMES else ""
         notes.append(
             f"{rig.file}: {len(changed)} of the mapping's {len(mapping.shape_names)} shapes have "
             f"been sculpted or moved since training: {', '.join(told)}{more}; weights are those "
@@ -105,7 +103,7 @@ def check_same_rig(mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
         told = [
             f"{mapping.shape_names[shape]} ({_span(ranges[shape])}, was "
             f"{_span(mapping.ranges[shape])})"
-            for shape in other[:_LISTED]
+            for shape in other[:_LISTED_NAMES]
         ]
         notes.append(
             f"{rig.file}: {len(other)} shapes have other ranges than in training: "

@@ -58,11 +58,9 @@ class _Compared:
 
     Attributes
     ----------
-    best : _Candidate
     errors : (pairs, shapes) float array or None
         Of the best on unseen pairs; None where pairs were too few to compare.
     observable : (shapes,) bool array
-    scores : tuple of CandidateScore
     """
 
     best: _Candidate

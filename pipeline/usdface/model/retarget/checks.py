@@ -1,4 +1,4 @@
-"""What can be wrong with expression pairs, said before anything is trained on them."""
+"""What can be wrong with expression pairs, checked before anything is trained on them."""
 
 from dataclasses import dataclass
 
@@ -10,14 +10,14 @@ from usdface.core.controls import ExpressionPairs
 from usdface.core.errors import InputError
 from usdface.model.retarget.control_space import control_space
 
-_ALIKE = 0.15
+_EQUAL_SHARE = 0.15
 """Two expressions are as good as the same when they differ by less than this share of the usual
 distance between expressions."""
 
-APART = 3.0
+CONFLICT_RATIO = 3.0
 """Target expressions conflict when they are this many times further apart than their sources."""
 
-LIVE = 1e-4
+LEAST_WEIGHT = 1e-4
 """Weight below which a shape is not used."""
 
 
@@ -57,7 +57,7 @@ def check_pairs(pairs: ExpressionPairs, where: str) -> None:
         bad = np.argwhere(~np.isfinite(values))
         if len(bad):
             raise InputError(f"{where}: pair {bad[0, 0] + 1} has NaN on its {side} side; key it")
-        if np.ptp(values, axis=0).max(initial=0.0) < LIVE:
+        if np.ptp(values, axis=0).max(initial=0.0) < LEAST_WEIGHT:
             raise InputError(
                 f"{where}: all {len(pairs)} pairs have the same {side} expression, so nothing "
                 "tells them apart; key different ones"
@@ -67,11 +67,13 @@ def check_pairs(pairs: ExpressionPairs, where: str) -> None:
 def find_pair_conflicts(pairs: ExpressionPairs) -> tuple[PairConflict, ...]:
     """Return pairs that contradict each other, the worst first (S11, section 4.1)."""
     target = control_space(pairs.target).encode(pairs.target)
-    source_apart = _relative_distances(pairs.source)
-    target_apart = _relative_distances(target / _spans(target))
+    source_distances = _relative_distances(pairs.source)
+    target_distances = _relative_distances(target / _spans(target))
     first, second = np.triu_indices(len(pairs), 1)
-    near, far = source_apart[first, second], target_apart[first, second]
-    found = (near < _ALIKE) & (far > APART * np.maximum(near, _ALIKE / APART))
+    near, far = source_distances[first, second], target_distances[first, second]
+    found = (near < _EQUAL_SHARE) & (
+        far > CONFLICT_RATIO * np.maximum(near, _EQUAL_SHARE / CONFLICT_RATIO)
+    )
     conflicts = [
         PairConflict(int(a), int(b), float(x), float(y))
         for a, b, x, y in zip(first[found], second[found], near[found], far[found], strict=True)
@@ -81,25 +83,25 @@ def find_pair_conflicts(pairs: ExpressionPairs) -> tuple[PairConflict, ...]:
 
 def unused_shapes(pairs: ExpressionPairs) -> tuple[str, ...]:
     """Return the source shapes that no pair uses: whatever they do, the target will not move."""
-    moved = np.abs(pairs.source).max(axis=0) > LIVE
+    moved = np.abs(pairs.source).max(axis=0) > LEAST_WEIGHT
     return tuple(name for name, used in zip(pairs.source_shapes, moved, strict=True) if not used)
 
 
 def dead_controls(pairs: ExpressionPairs) -> tuple[str, ...]:
     """Return the target's shapes and attributes that are the same in every pair."""
     target = pairs.target
-    still = np.ptp(target.weights, axis=0) < LIVE
-    held = np.ptp(target.values, axis=0) < LIVE
+    still = np.ptp(target.weights, axis=0) < LEAST_WEIGHT
+    constant = np.ptp(target.values, axis=0) < LEAST_WEIGHT
     shapes = [name for name, each in zip(target.shapes, still, strict=True) if each]
-    return (*shapes, *(n for n, each in zip(target.attributes, held, strict=True) if each))
+    return (*shapes, *(n for n, each in zip(target.attributes, constant, strict=True) if each))
 
 
 def _spans(values: FloatArray) -> FloatArray:
-    return np.asarray(np.maximum(np.ptp(values, axis=0), LIVE))
+    return np.asarray(np.maximum(np.ptp(values, axis=0), LEAST_WEIGHT))
 
 
 def _relative_distances(values: FloatArray) -> FloatArray:
     """Return distances over the median distance of pairs that differ."""
     distances = cdist(values, values)
-    apart = distances[distances > 0]
-    return np.asarray(distances / (np.median(apart) if len(apart) else 1.0))
+    positive = distances[distances > 0]
+    return np.asarray(distances / (np.median(positive) if len(positive) else 1.0))

@@ -29,7 +29,6 @@ class ControlSpace:
 
     Attributes
     ----------
-    shapes, joints, attributes : tuples of str
     mean_rotations : (joints, 4) float array
         w first.
     """

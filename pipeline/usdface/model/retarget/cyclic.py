@@ -28,7 +28,7 @@ TRAINING_POINTS = 600
 POSITIONS = "positions"
 """Name under which matching positions is compared: no regression, and nothing to be trained."""
 
-_BLOCK = 256
+_BLOCK_FRAMES = 256
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,6 @@ class CyclicError:
 
     Attributes
     ----------
-    method : str
-    settings : str
     mean_vertex_mm : (frames,) float array
         Mean distance of the source's points from where they were [mm].
     direct_mm : (frames,) float array or None
@@ -52,7 +50,7 @@ class CyclicError:
 
 
 class SurfaceMeter:
-    """Measures how far two sets of weights put a rig's surface apart, frame by frame."""
+    """Measures the distance between a rig's surfaces under two sets of weights, by frame."""
 
     def __init__(self, rig: Rig) -> None:
         shapes = Deformer(rig).shapes
@@ -63,10 +61,12 @@ class SurfaceMeter:
     def mean_vertex_mm(self, first: FloatArray, second: FloatArray) -> FloatArray:
         """Return the mean distance over points for each frame [mm]; weights in the rig's order."""
         out = np.empty(len(first))
-        for start in range(0, len(first), _BLOCK):
-            rows = slice(start, start + _BLOCK)
-            apart = self._shapes.key_weights(first[rows]) - self._shapes.key_weights(second[rows])
-            moved = (apart @ self._offsets).reshape(len(apart), -1, 3)
+        for start in range(0, len(first), _BLOCK_FRAMES):
+            rows = slice(start, start + _BLOCK_FRAMES)
+            difference = self._shapes.key_weights(first[rows]) - self._shapes.key_weights(
+                second[rows]
+            )
+            moved = (difference @ self._offsets).reshape(len(difference), -1, 3)
             out[rows] = np.sqrt(np.einsum("fpc,fpc->fp", moved, moved)).mean(axis=1)
         return out
 
@@ -106,7 +106,6 @@ def evaluate_cyclic(
 
     Parameters
     ----------
-    pairs : ExpressionPairs
     performance : (frames, source shapes) float array
         In the order of ``pairs.source_shapes``.
     methods : tuple of str
@@ -119,7 +118,6 @@ def evaluate_cyclic(
     shape_ranges : (target shapes, 2) float array, optional
     truth : (frames, target shapes) float array, optional
         What the target should do.
-    progress : callable
 
     Raises
     ------
@@ -167,7 +165,7 @@ def evaluate_cyclic(
 def _by_positions(
     pairs: ExpressionPairs, performance: FloatArray, rig: Rig, target_rig: Rig | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Match positions there and back: weights of the target's shapes, and of the source's."""
+    """Match positions both ways: weights of the target's shapes, and of the source's."""
     if target_rig is None:
         raise InputError("matching positions needs the target's rig; put it back")
     columns = [rig.shapes.index(name) for name in pairs.source_shapes]

@@ -31,13 +31,13 @@ from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squ
 CLOUD_POINTS = 400
 """Points of the source that are laid onto the target; few, for each is sought in every start."""
 
-_SAMPLES = 1500
+_SAMPLE_COUNT = 1500
 """Places where both faces are compared."""
 
-_ALIKE = 0.5
+_LEAST_SIMILARITY = 0.5
 """Cosine below which two shapes are not proposed as the same."""
 
-TRACE = 1e-3
+RIDGE_SHARE = 1e-3
 """Ridge of position matching, as a share of the mean square of the displacements."""
 
 
@@ -68,7 +68,6 @@ class ShapeMatch:
 
     Attributes
     ----------
-    source, target : str
     similarity : float
         Cosine between their displacements, at most 1.
     """
@@ -84,7 +83,7 @@ def correspond(source: Rig, target: Rig) -> Correspondence:
     Raises
     ------
     InputError
-        If one of them has no face that can be told, or none keeps upright.
+        If one of them has no recognisable face, or no alignment is upright.
     """
     one, other = _surface(source), _surface(target)
     stride = max(len(one.samples.positions) // CLOUD_POINTS, 1)
@@ -96,7 +95,7 @@ def correspond(source: Rig, target: Rig) -> Correspondence:
             areas=other.samples.areas,
             amplitude=one.activity[::stride],
         )
-    stride = max(len(one.samples.positions) // _SAMPLES, 1)
+    stride = max(len(one.samples.positions) // _SAMPLE_COUNT, 1)
     chosen = np.arange(0, len(one.samples.positions), stride)
     placed = alignment.apply(one.samples.positions[chosen])
     _, nearest = KDTree(other.samples.positions).query(placed)
@@ -114,9 +113,8 @@ def match_deformations(
 
     Parameters
     ----------
-    source, target : Rig
     source_shapes, target_shapes : tuples of str
-        Those to match; the others are spoken for.
+        Those to match.
 
     Raises
     ------
@@ -131,9 +129,9 @@ def match_deformations(
     likeness = both.similarity()[np.ix_(rows, columns)]
     found = []
     for row, column in zip(*linear_sum_assignment(-likeness), strict=True):
-        if likeness[row, column] >= _ALIKE:
-            likely = float(likeness[row, column])
-            found.append(ShapeMatch(source_shapes[row], target_shapes[column], likely))
+        if likeness[row, column] >= _LEAST_SIMILARITY:
+            cosine = float(likeness[row, column])
+            found.append(ShapeMatch(source_shapes[row], target_shapes[column], cosine))
     return tuple(sorted(found, key=lambda each: -each.similarity))
 
 
@@ -142,7 +140,6 @@ def match_positions(both: Correspondence, weights: FloatArray, *, ranges: FloatA
 
     Parameters
     ----------
-    both : Correspondence
     weights : (frames, source shapes) float array
     ranges : (target shapes, 2) float array
         Limits; 0 and infinity make it NNLS as published.
@@ -158,7 +155,7 @@ def match_positions(both: Correspondence, weights: FloatArray, *, ranges: FloatA
         wanted,
         lower=ranges[:, 0],
         upper=ranges[:, 1],
-        ridge=TRACE * float((matrix**2).sum(axis=0).mean()),
+        ridge=RIDGE_SHARE * float((matrix**2).sum(axis=0).mean()),
     ).x
 
 

@@ -22,7 +22,7 @@ from usdface.model.regressions import (
     find_retarget_method,
 )
 from usdface.model.regressions.hybrid import predict_blended
-from usdface.model.retarget.checks import LIVE, check_pairs
+from usdface.model.retarget.checks import LEAST_WEIGHT, check_pairs
 from usdface.model.retarget.control_space import ControlSpace, control_space
 
 PROBE_COUNT = 384
@@ -123,7 +123,7 @@ def train_retargeting(
         fitted = _fit(each, settings, examples)
         tried.append((_score(fitted, examples, probes, surface), fitted))
         progress(number / len(candidates), f"tried {each}")
-    moved = np.abs(pairs.source).max(axis=0) > LIVE
+    moved = np.abs(pairs.source).max(axis=0) > LEAST_WEIGHT
     tried = _best_first(tried)
     best = tried[0][1]
     return Retargeting(

@@ -41,7 +41,6 @@ class BlendshapeEquation:
 
     Attributes
     ----------
-    virtual : VirtualMarkers
     deltas : (shapes, markers, 3) float array
         What each shape at 1 does to the virtual markers [mm].
     keys : MarkerKeys
@@ -140,7 +139,6 @@ def set_up_equation(
 
     Parameters
     ----------
-    rig : Rig
     deformer : Deformer
         Of that rig.
     neutral : (markers, 3) float array

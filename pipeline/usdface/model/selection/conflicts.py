@@ -19,16 +19,17 @@ from usdface.numerics.regression.pca import fit_pca
 _FEWEST_PAIRS = 6
 """With fewer nothing tells how far weights usually go with markers."""
 
-_ALIKE = 0.2
+_NEAR_MARKERS_SHARE = 0.2
 """Share of the usual distance between pairs below which markers of a region are alike."""
 
 LEAST_STEP = 0.35
 """Least difference of any one weight: below it two animators would differ as much."""
 
-UNLIKE = 0.6
+FAR_WEIGHTS_SHARE = 0.6
 """Share of the usual distance between pairs above which weights of a region are unlike."""
 
-_SAME = 1e-6  # share of the largest distance below which a distance is rounding
+_ROUNDING_SHARE = 1e-6
+"""Of the largest distance: one below it is rounding."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,6 @@ def find_reference_conflicts(
 
     Parameters
     ----------
-    references : References
     gram : (shapes, shapes) float array, optional
         Makes differences of weights count as they show on the rig [mm^2].
     """
@@ -87,14 +87,15 @@ def find_reference_conflicts(
     for region, (a, b) in zip(space.regions, space.columns, strict=True):
         columns = by_region.get(region, np.arange(shapes))
         near = _distances(features[:, a:b], np.eye(b - a))
-        unlike = _distances(references.weights[:, columns], metric[np.ix_(columns, columns)])
-        for i, j in np.argwhere(np.triu((near < _ALIKE) & (unlike > UNLIKE), 1)).tolist():
-            apart = np.abs(references.weights[i, columns] - references.weights[j, columns])
-            times = float(unlike[i, j] / max(near[i, j], 1e-3))
+        far = _distances(references.weights[:, columns], metric[np.ix_(columns, columns)])
+        conflicting = (near < _NEAR_MARKERS_SHARE) & (far > FAR_WEIGHTS_SHARE)
+        for i, j in np.argwhere(np.triu(conflicting, 1)).tolist():
+            difference = np.abs(references.weights[i, columns] - references.weights[j, columns])
+            times = float(far[i, j] / max(near[i, j], 1e-3))
             known = worst.get((i, j))
-            if apart.max() < LEAST_STEP or (known is not None and known.times >= times):
+            if difference.max() < LEAST_STEP or (known is not None and known.times >= times):
                 continue
-            shape = int(columns[apart.argmax()])
+            shape = int(columns[difference.argmax()])
             worst[i, j] = ReferenceConflict(
                 i,
                 j,
@@ -126,8 +127,8 @@ def _distances(rows: FloatArray, metric: FloatArray) -> FloatArray:
     The usual one is the median between rows that differ: few pairs may use a region at all.
     """
     product = rows @ metric @ rows.T
-    own = np.diag(product)
-    away = np.sqrt(np.maximum(own[:, None] + own - 2 * product, 0.0))
+    squares = np.diag(product)
+    away = np.sqrt(np.maximum(squares[:, None] + squares - 2 * product, 0.0))
     between = away[np.triu_indices(len(rows), 1)]
-    apart = between[between > _SAME * away.max()]
-    return np.asarray(away / (np.median(apart) if len(apart) else 1.0))
+    positive = between[between > _ROUNDING_SHARE * away.max()]
+    return np.asarray(away / (np.median(positive) if len(positive) else 1.0))

@@ -5,15 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
-from usdface.model.selection.design import NOISE
+from usdface.model.selection.design import WEIGHT_VARIANCE
 from usdface.model.selection.features import Features, SelectionSpace, features_at
 from usdface.numerics.regression.design_kernel import DesignKernel, left_over
 from usdface.numerics.regression.reference_design import design_gp_variance
 
 _BLOCK_FRAMES = 4096
 
-HOLE = 0.25
-"""Share of a face's motion left to guess at which a frame counts as a hole."""
+UNCOVERED_SHARE = 0.25
+"""Share of a face's motion left to guess at which a frame counts as not covered."""
 
 COVERED_FRAMES = 24_000
 """Frames that are measured one by one; of longer takes every second, third ... stands for all."""
@@ -31,7 +31,6 @@ class Coverage:
     covered : (frames,) float array
         Share of each frame's motion that the pairs determine: one less the standard deviation
         that they leave of what there was [0-1].
-    regions : tuple of str
     region_covered : (frames, regions) float array
         The same, of each part of the face alone.
     """
@@ -48,7 +47,7 @@ class Coverage:
     @property
     def hole_share(self) -> float:
         """Share of the frames that are holes [0-1]."""
-        return float((self.covered < 1 - HOLE).mean())
+        return float((self.covered < 1 - UNCOVERED_SHARE).mean())
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,6 @@ def measure_coverage(
 
     Parameters
     ----------
-    space : SelectionSpace
     features : (frames, d) float array
         Of all frames of the takes.
     pair_features : (pairs, d) float array
@@ -92,10 +90,12 @@ def measure_coverage(
     parts = [DesignKernel.for_rows(thinned[some, a:b]) for a, b in space.columns]
     for start in range(0, len(thinned), _BLOCK_FRAMES):
         rows = slice(start, start + _BLOCK_FRAMES)
-        left = left_over(whole, pair_features, thinned[rows], noise=NOISE)
+        left = left_over(whole, pair_features, thinned[rows], noise=WEIGHT_VARIANCE)
         covered[rows] = 1 - np.sqrt(left)
         for index, ((a, b), kernel) in enumerate(zip(space.columns, parts, strict=True)):
-            left = left_over(kernel, pair_features[:, a:b], thinned[rows, a:b], noise=NOISE)
+            left = left_over(
+                kernel, pair_features[:, a:b], thinned[rows, a:b], noise=WEIGHT_VARIANCE
+            )
             regions[rows, index] = 1 - np.sqrt(left)
     return Coverage(
         np.repeat(covered, step)[:count], space.regions, np.repeat(regions, step, axis=0)[:count]
@@ -125,7 +125,8 @@ def measure_growth(
     together = np.concatenate([pair_features, features_at(features, rows)])
     known = np.arange(len(pair_features), dtype=np.int64)
     count = min(further, len(rows))
-    chosen = design_gp_variance(together, count, already=known, noise=NOISE).chosen - len(known)
+    design = design_gp_variance(together, count, already=known, noise=WEIGHT_VARIANCE)
+    chosen = design.chosen - len(known)
     sample = features_at(features, _spread(len(features)))
     kernel = DesignKernel.for_rows(sample)
     share = _shares(
@@ -138,7 +139,7 @@ def _shares(kernel: DesignKernel, pairs: FloatArray, sample: FloatArray) -> Floa
     """Return the mean coverage with the first 0, 1, 2 ... pairs: one factorisation for all."""
     if not len(pairs):
         return np.zeros(1)
-    factor = np.linalg.cholesky(kernel(pairs, pairs) + NOISE * np.eye(len(pairs)))
+    factor = np.linalg.cholesky(kernel(pairs, pairs) + WEIGHT_VARIANCE * np.eye(len(pairs)))
     rows = np.linalg.solve(factor, kernel(pairs, sample))
     left = np.maximum(1 - np.cumsum(rows**2, axis=0) / kernel.diagonal(sample), 0.0)
     return np.concatenate([[0.0], 1 - np.sqrt(left).mean(axis=1)])

@@ -29,8 +29,8 @@ POOL_FRAMES = 24_000
 NEXT_FRAMES = 2500
 """Frames among which the next ones to tune are found: memory is quadratic in them."""
 
-NOISE = 1e-2
-"""Variance of a tuned weight around the truth, where a kernel's own is of the order of 10."""
+WEIGHT_VARIANCE = 1e-2
+"""Variance of a tuned weight around the true one; the kernel's is of the order of 10."""
 
 
 @dataclass(frozen=True)
@@ -107,11 +107,9 @@ def choose_by_design(
     Parameters
     ----------
     features : (frames, d) float array
-    count : int
     already : (n,) int array
         Rows that are tuned.
     candidates : (frames,) bool array
-    stand_ins : StandIns
     """
     pool = pool_of(features, candidates)
     rows = np.concatenate([already, pool[~np.isin(pool, already)]])
@@ -190,12 +188,12 @@ def choose_next(
     free = candidates.copy()
     free[already] = False
     rows = pool_of(features, free, limit=max(NEXT_FRAMES, count))
-    own = features_at(features, rows)
-    kernel = DesignKernel.for_rows(own)
+    rows_features = features_at(features, rows)
+    kernel = DesignKernel.for_rows(rows_features)
     squared = expected_error(rows) ** 2
     importance = squared / max(float(squared.mean()), 1e-300)
     design = design_total_variance(
-        own,
+        rows_features,
         count,
         kernel=kernel,
         known=features_at(features, already),
@@ -212,7 +210,7 @@ def stand_in_error_mm(features: Features, rows: IntArray, stand_ins: CandidateMa
         features_at(features, rows),
         stand_ins.of_rows(rows),
         stand_ins.features,
-        noise=NOISE,
+        noise=WEIGHT_VARIANCE,
     )
     error = predicted - stand_ins.weights
     squared = np.einsum("fs,st,ft->f", error, stand_ins.gram, error)

@@ -22,9 +22,8 @@ Features = Float32Array | FloatArray
 REGION_DIMENSIONS = 10
 """Principal axes of each region: beyond these a region differs by noise."""
 
-WHITENING = 0.5
-"""Between axes as they are (0), which see only the largest motion, and all alike (1), which see
-noise."""
+WHITENING_POWER = 0.5
+"""0 leaves axes as they are, which see only the largest motion; 1 makes all equal, noise too."""
 
 WHOLE_FACE = "face"
 
@@ -38,7 +37,6 @@ class SelectionSpace:
     projection : (dimensions, features) float array
     offset : (features,) float array
         So that the mean face lies at 0.
-    regions : tuple of str
     columns : tuple of (int, int)
         Which features speak of each region, first and one past the last.
     relevance : (regions, markers) float array
@@ -68,7 +66,6 @@ def selection_space(
 
     Parameters
     ----------
-    motion : MotionSpace
     weights : (sample frames, shapes) float array
         Of `motion.sample`, from the rig's geometry or any mapping: they need only tell which
         markers move with which shapes.
@@ -92,7 +89,7 @@ def selection_space(
     parts = []
     for row in relevance:
         axes = regional_features(motion.components, covariance, row)
-        scaled = whiten(axes.projection[:, :kept], axes.variances[:kept], power=WHITENING)
+        scaled = whiten(axes.projection[:, :kept], axes.variances[:kept], power=WHITENING_POWER)
         size = np.sqrt(np.mean(np.sum(((motion.sample - mean) @ scaled) ** 2, axis=1)))
         parts.append(scaled / max(float(size), 1e-300))
     projection = np.concatenate(parts, axis=1)

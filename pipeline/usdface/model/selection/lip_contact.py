@@ -32,8 +32,8 @@ LEAST_OPENING = 0.05
 such are left, they would go to their limits and the mouth stay open."""
 
 TOUCHING_MM = 0.2
-ROUNDS = 8
-_RIDGE = 1e-3
+MAX_ROUNDS = 8
+_RIDGE_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,6 @@ class Lips:
 
     Attributes
     ----------
-    pairs : LipPairs
     upper, lower : (n,) int arrays
         Markers that sit above each other.
     columns : (n,) int array
@@ -67,8 +66,6 @@ def find_lips(
     ----------
     equation : BlendshapeEquation
         The performer's markers on the character.
-    deformer : Deformer
-    shape_names : tuple of str
     """
     jaw, regions = jaw_opener(shape_names), shapes_by_region(shape_names)
     if jaw is None or "mouth" not in regions:
@@ -106,9 +103,6 @@ def keep_lip_contact(
 
     Parameters
     ----------
-    equation : BlendshapeEquation
-    deformer : Deformer
-    lips : Lips
     positions : (frames, markers, 3) float array
         Stabilised [mm].
     weights : (frames, shapes) float array
@@ -125,10 +119,10 @@ def keep_lip_contact(
     out = weights.copy()
     low, high = equation.ranges[lips.columns].T
     gram = deformer.shapes.gram()[np.ix_(lips.columns, lips.columns)]
-    gram = gram + _RIDGE * np.trace(gram) * np.eye(len(gram))
+    gram = gram + _RIDGE_SHARE * np.trace(gram) * np.eye(len(gram))
     size = np.abs(lips.opening)
     able = size >= LEAST_OPENING * size.max(initial=0.0)
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         gap = lip_gap_mm(deformer, lips, out[closed])
         open_rows = closed[gap > TOUCHING_MM]
         if not len(open_rows):

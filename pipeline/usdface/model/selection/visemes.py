@@ -24,7 +24,6 @@ class Segment:
         Its middle frame.
     frames : int
         How long it lasts.
-    viseme, emotion : str
     """
 
     row: int
@@ -45,7 +44,6 @@ def viseme_frames(
     Parameters
     ----------
     features : (frames, d) float array
-    segments : sequence of Segment
     candidates : (frames,) bool array
         Frames that may be chosen.
 
