@@ -138,7 +138,7 @@ class LocalSums:
             some = slice(start, start + together)
             found[some] = self._sums(points, some)
         out = np.zeros((len(points), self._outputs))
-        out[:, self._columns] = found.transpose(1, 0, 2).reshape(len(points), -1)
+        out[:, self._columns] = found.transpose(1, 0, 2).reshape(len(points), kernels * outputs)
         return out
 
     def _sums(self, points: FloatArray, some: slice) -> FloatArray:
