@@ -19,8 +19,8 @@ class IntegrateFacePerformance(pyblish.api.InstancePlugin):
             instance.data["usdfaceExtracted"], comment=instance.context.data.get("comment", "")
         )
         instance.data["usdfacePublished"] = published
-        said = "is published" if published.is_new else "is what was published already"
-        self.log.info("%s v%03d %s: %s", published.name, published.version, said, published.folder)
+        state = "is published" if published.is_new else "is what was published already"
+        self.log.info("%s v%03d %s: %s", published.name, published.version, state, published.folder)
 
 
 class DiscardFacePerformance(pyblish.api.ContextPlugin):

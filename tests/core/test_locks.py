@@ -103,7 +103,7 @@ def test_a_lock_that_none_of_ours_wrote_holds_nobody_off(
     first.acquire()
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     assert first.holder() is None
-    assert not first.is_own()
+    assert not first.is_ours()
     TuningLock(path).acquire()
 
 

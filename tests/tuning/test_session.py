@@ -183,7 +183,7 @@ def test_a_tuned_layer_of_another_rig_is_refused(asset: Path) -> None:
     session.close()
     layer = tuned_path(asset)
     layer.write_text(layer.read_text().replace('"smile"', '"frown"'))
-    with pytest.raises(InputError, match=r"lacking smile: it belongs to another rig"):
+    with pytest.raises(InputError, match=r"without smile: it belongs to another rig"):
         TuningSession(asset)
 
 

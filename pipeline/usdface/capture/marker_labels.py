@@ -10,7 +10,7 @@ from usdface.core.errors import InputError
 from usdface.core.text import first_few, pluralize
 
 _UNLABELLED = re.compile(r"\*.*|u_?\d+|(?:unlabell?ed|unnamed|uname)[\W_]*\d*", re.IGNORECASE)
-_SUGGESTIONS = 5
+_SUGGESTION_COUNT = 5
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def match_labels(
     found = tuple(name if name in known else name.rpartition(":")[2] for name in wanted)
     missing = [name for name in found if name not in known]
     if missing:
-        near = difflib.get_close_matches(missing[0], names, n=_SUGGESTIONS) or list(names)
+        near = difflib.get_close_matches(missing[0], names, n=_SUGGESTION_COUNT) or list(names)
         raise InputError(
             f"{where}: {role} {first_few(missing)} not among the {len(names)} markers; "
             f"did you mean {first_few(near)}?"

@@ -349,6 +349,26 @@ class References:
 
 
 @dataclass(frozen=True)
+class CandidateScore:
+    """How well one candidate predicted references it had not seen.
+
+    Attributes
+    ----------
+    method, settings : str
+        The candidate's hyper-parameters, readable.
+    weight_rmse : float
+        Root mean square error of the weights.
+    vertex_rms_mm : float
+        The same error as it shows on the rig's surface [mm]; NaN when no rig was given.
+    """
+
+    method: str
+    settings: str
+    weight_rmse: float
+    vertex_rms_mm: float
+
+
+@dataclass(frozen=True)
 class TrainedMapping:
     """A trained function from stabilised markers to a rig's channels: all that predict needs.
 
@@ -382,28 +402,8 @@ class TrainedMapping:
     ranges: FloatArray
     arrays: dict[str, FloatArray]
     settings: dict[str, float | int | str | bool] = field(default_factory=dict)
-    scores: tuple["CandidateScore", ...] = ()
+    scores: tuple[CandidateScore, ...] = ()
     references: str = ""
-
-
-@dataclass(frozen=True)
-class CandidateScore:
-    """How well one candidate predicted references it had not seen.
-
-    Attributes
-    ----------
-    method, settings : str
-        The candidate's hyper-parameters, readable.
-    weight_rmse : float
-        Root mean square error of the weights.
-    vertex_rms_mm : float
-        The same error as it shows on the rig's surface [mm]; NaN when no rig was given.
-    """
-
-    method: str
-    settings: str
-    weight_rmse: float
-    vertex_rms_mm: float
 
 
 @dataclass(frozen=True)

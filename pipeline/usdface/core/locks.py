@@ -16,13 +16,13 @@ from usdface.core.errors import InputError
 STALE_SECONDS = 60.0
 """A lock that nobody has renewed for this long belongs to a machine that is gone."""
 
-LONGEST_LOCK = 4096
+_LONGEST_LOCK_CHARACTERS = 4096
 """Characters of a lock file that are read: ours have some two hundred."""
 
-LARGEST_PROCESS = 2**31 - 1
+_LARGEST_PROCESS_ID = 2**31 - 1
 """Numbers of processes are 32 bits, signed; 0 and below would mean whole groups of them."""
 
-TAKE_OVER = (
+_TAKE_OVER = (
     "wait until that page is closed, or take over with --take-over: what was saved there is kept"
 )
 
@@ -58,9 +58,9 @@ class TuningLock:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.taken_from: Holder | None = None
-        self._own: Holder | None = None
+        self._holding: Holder | None = None
 
-    def acquire(self, *, take_over: bool = False, remedy: str = TAKE_OVER) -> None:
+    def acquire(self, *, take_over: bool = False, remedy: str = _TAKE_OVER) -> None:
         """Take the lock.
 
         Parameters
@@ -75,17 +75,17 @@ class TuningLock:
         InputError
             If someone else holds it: who, where, since when, and what to do.
         """
-        own = Holder(
+        holding = Holder(
             user=_user(),
             host=platform.node(),
             process=os.getpid(),
             since=datetime.now(UTC).astimezone().isoformat(timespec="minutes"),
             key=secrets.token_hex(8),
         )
-        text = json.dumps(asdict(own)) + "\n"
+        text = json.dumps(asdict(holding)) + "\n"
         for _ in range(3):
             try:
-                self._make(text)
+                self._create(text)
             except FileExistsError:
                 holder = self.holder()
                 if holder is not None and not take_over and not self._is_stale(holder):
@@ -99,11 +99,11 @@ class TuningLock:
                     "the right to write, beside the references"
                 ) from error
             else:
-                self._own = own
+                self._holding = holding
                 return
         raise InputError(f"{self.path}: someone else takes it at this moment; try again")
 
-    def _make(self, text: str) -> None:
+    def _create(self, text: str) -> None:
         """Make the lock file, whole or not at all: a full disk may not leave one that is empty."""
         with self.path.open("x", encoding="utf-8") as stream:
             try:
@@ -117,23 +117,23 @@ class TuningLock:
         """Return who holds the lock; None if nobody does, or the file says nothing."""
         try:
             with self.path.open(encoding="utf-8") as stream:
-                return _holder(json.loads(stream.read(LONGEST_LOCK)))
+                return _parse_holder(json.loads(stream.read(_LONGEST_LOCK_CHARACTERS)))
         except (OSError, ValueError, RecursionError):
             return None
 
     def renew(self) -> None:
         """Say that we are still here."""
-        if self.is_own():
+        if self.is_ours():
             with contextlib.suppress(OSError):
                 os.utime(self.path)
 
-    def is_own(self) -> bool:
+    def is_ours(self) -> bool:
         """Whether the lock is still ours: someone may have taken it over."""
-        return self._own is not None and self.holder() == self._own
+        return self._holding is not None and self.holder() == self._holding
 
     def check(self) -> None:
         """Raise InputError if the lock is no longer ours."""
-        if self.is_own():
+        if self.is_ours():
             return
         holder = self.holder()
         by = f"{holder.user} on {holder.host} took it over" if holder else "its lock was removed"
@@ -144,19 +144,23 @@ class TuningLock:
 
     def release(self) -> None:
         """Give the lock back, if it is still ours."""
-        if self.is_own():
+        if self.is_ours():
             self.path.unlink(missing_ok=True)
-        self._own = None
+        self._holding = None
 
     def _is_stale(self, holder: Holder) -> bool:
-        if holder.host == platform.node() and os.name == "posix" and not _runs(holder.process):
+        if (
+            holder.host == platform.node()
+            and os.name == "posix"
+            and not _is_running(holder.process)
+        ):
             return True
         with contextlib.suppress(OSError):
             return self._now() - self.path.stat().st_mtime > STALE_SECONDS
         return True
 
     def _now(self) -> float:
-        """Return the time as the lock's own disk has it: a file server's clock may differ."""
+        """Return the time as the lock's holding disk has it: a file server's clock may differ."""
         probe = self.path.with_name(f".{self.path.name}.{secrets.token_hex(4)}")
         try:
             probe.touch()
@@ -173,20 +177,20 @@ class TuningLock:
         )
 
 
-def _holder(data: object) -> Holder | None:
+def _parse_holder(data: object) -> Holder | None:
     """Return what a lock file says, which anybody may have written; None if it makes no sense."""
     if not isinstance(data, dict) or data.keys() != {each.name for each in fields(Holder)}:
         return None
     process = data["process"]
     texts = [value for name, value in data.items() if name != "process"]
-    if type(process) is not int or not 0 < process <= LARGEST_PROCESS:
+    if type(process) is not int or not 0 < process <= _LARGEST_PROCESS_ID:
         return None
     if not all(isinstance(text, str) for text in texts):
         return None
     return Holder(**data)
 
 
-def _runs(process: int) -> bool:
+def _is_running(process: int) -> bool:
     try:
         os.kill(process, 0)
     except ProcessLookupError:

@@ -1,8 +1,8 @@
 """Write beside, then rename: whoever reads sees the old file or the new one, never half.
 
 Whoever writes holds a lock beside the file, so of two that write the same one wins whole and the
-other is told. The system lets go of the lock of a process that was killed, and what such a process
-left behind is cleared by the next that writes the file.
+other gets an error. The system releases the lock of a process that was killed, and what such a
+process left behind is removed by the next that writes the file.
 """
 
 import contextlib
@@ -25,12 +25,12 @@ try:
 except ImportError:  # Windows: files in use cannot be replaced there, which protects them as well
     fcntl = None  # type: ignore[assignment]
 
-LONGEST_STEM = 80
+_LONGEST_STEM_BYTES = 80
 """Bytes of a file's name that its temporary name repeats: names have an upper limit."""
-_LONGEST_NAME = 2 * LONGEST_STEM
+_LONGEST_LOCK_NAME_BYTES = 2 * _LONGEST_STEM_BYTES
 """Bytes of it that its lock's name repeats."""
 
-_ANYBODY_WRITES = 0o222
+_WRITE_PERMISSIONS = 0o222
 
 
 @contextmanager
@@ -88,22 +88,24 @@ def replacing_together(paths: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
                 os.fsync(written.fileno())
         for path, temporary in zip(paths, temporaries, strict=True):
             with _as_input_error(path):
-                _keep_permissions(path, temporary)
+                _copy_permissions(path, temporary)
                 temporary.replace(path)
 
 
 _Stamp = tuple[int, int] | None
-_SEEN: ContextVar[Mapping[Path, _Stamp]] = ContextVar("_SEEN", default=MappingProxyType({}))
+_STAMPS_BEFORE: ContextVar[Mapping[Path, _Stamp]] = ContextVar(
+    "_STAMPS_BEFORE", default=MappingProxyType({})
+)
 
 
 @contextmanager
 def not_written_since(paths: Iterable[Path]) -> Iterator[None]:
     """Keep in mind, while a block runs, which files there were when it began."""
-    token = _SEEN.set({path.absolute(): _stamp(path) for path in paths})
+    token = _STAMPS_BEFORE.set({path.absolute(): _stamp(path) for path in paths})
     try:
         yield
     finally:
-        _SEEN.reset(token)
+        _STAMPS_BEFORE.reset(token)
 
 
 def check_not_written_since(path: Path) -> None:
@@ -114,7 +116,7 @@ def check_not_written_since(path: Path) -> None:
     InputError
         If it is another than `not_written_since` saw.
     """
-    seen = _SEEN.get()
+    seen = _STAMPS_BEFORE.get()
     if path.absolute() in seen and _stamp(path) != seen[path.absolute()]:
         raise InputError(
             f"{path}: another process wrote it meanwhile, and what it wrote is kept; give the "
@@ -139,14 +141,14 @@ def check_unprotected(path: Path) -> None:
         If it is there and write-protected.
     """
     with contextlib.suppress(OSError):
-        if not path.stat().st_mode & _ANYBODY_WRITES:
+        if not path.stat().st_mode & _WRITE_PERMISSIONS:
             raise InputError(
                 f"{path}: is write-protected; make it writable if it may be replaced, or write "
                 "elsewhere"
             )
 
 
-def _keep_permissions(path: Path, temporary: Path) -> None:
+def _copy_permissions(path: Path, temporary: Path) -> None:
     """Let a file that is replaced stay open to those who could read and write it."""
     with contextlib.suppress(OSError):  # there was none; or a file system knows no permissions
         temporary.chmod(path.stat().st_mode & 0o777)
@@ -160,11 +162,12 @@ def _temporary(path: Path) -> Iterator[Path]:
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist; make it first")
     check_unprotected(path)
-    with _alone(path) as locked:
-        if locked:
+    with _locked(path) as is_locked:
+        if is_locked:
             _clear_leftovers(path)
-        name = f".{_cut(path.stem, LONGEST_STEM)}.{_mark(path)}{uuid.uuid4().hex[:8]}{path.suffix}"
-        temporary = path.with_name(name)
+        stem = _shorten(path.stem, _LONGEST_STEM_BYTES)
+        unique = f"{_name_digest(path)}{uuid.uuid4().hex[:8]}"
+        temporary = path.with_name(f".{stem}.{unique}{path.suffix}")
         try:
             _touch(temporary, target=path)
             yield temporary
@@ -189,19 +192,19 @@ def _touch(temporary: Path, *, target: Path) -> None:
     try:
         temporary.touch()
     except OSError as error:
-        raise _not_writable(target, error) from error
+        raise _not_writable_error(target, error) from error
 
 
 @contextmanager
-def _alone(path: Path) -> Iterator[bool]:
-    """Hold the lock of a file that is written; it is gone afterwards, and with the process.
+def _locked(path: Path) -> Iterator[bool]:
+    """Hold the lock of a file that is written until the block, or the process, ends.
 
-    Gives whether it is held: some file systems know no locks.
+    Yields whether it is locked: some file systems have no locks.
     """
     name = path.name
-    short = _cut(name, _LONGEST_NAME)
+    short = _shorten(name, _LONGEST_LOCK_NAME_BYTES)
     if short != name:  # names that begin alike are still of different files
-        name = f"{short}.{_mark(path)}"
+        name = f"{short}.{_name_digest(path)}"
     lock = path.with_name(f".{name}.lock")
     try:
         handle, locked = _lock(lock)
@@ -211,7 +214,7 @@ def _alone(path: Path) -> Iterator[bool]:
             "elsewhere"
         ) from error
     except OSError as error:
-        raise _not_writable(path, error) from error
+        raise _not_writable_error(path, error) from error
     try:
         yield locked
     finally:
@@ -274,31 +277,31 @@ def _owner(lock: Path) -> str:
         return ""
 
 
-def _cut(name: str, size: int) -> str:
+def _shorten(name: str, size: int) -> str:
     """Return as much of a name as fits into so many bytes, whole characters alone."""
     if len(name.encode(errors="surrogatepass")) <= size:
         return name
     return name.encode(errors="ignore")[:size].decode(errors="ignore")
 
 
-def _mark(path: Path) -> str:
+def _name_digest(path: Path) -> str:
     """Tell a file's temporary names from those of files that differ only in how they end."""
     return f"{zlib.crc32(path.name.encode(errors='surrogatepass')) & 0xFFFF:04x}"
 
 
 def _clear_leftovers(path: Path) -> None:
     """Remove what a killed process left; nobody else can be writing, as the lock is ours."""
-    if _cut(path.stem, LONGEST_STEM) != path.stem:
+    if _shorten(path.stem, _LONGEST_STEM_BYTES) != path.stem:
         return  # another file's temporaries could have the same name
     # While USD saves, its own temporary file lies beside ours, with other letters at its end.
-    ours = re.compile(rf"\.{re.escape(path.stem)}\.{_mark(path)}[0-9a-f]{{8}}(\.\w+)*")
+    ours = re.compile(rf"\.{re.escape(path.stem)}\.{_name_digest(path)}[0-9a-f]{{8}}(\.\w+)*")
     with contextlib.suppress(OSError):  # they are only in the way; what is wrong shows on writing
         for each in path.parent.iterdir():
             if ours.fullmatch(each.name):
                 each.unlink(missing_ok=True)
 
 
-def _not_writable(path: Path, error: OSError) -> InputError:
+def _not_writable_error(path: Path, error: OSError) -> InputError:
     return InputError(
         f"{path}: the folder {path.parent} cannot be written to ({error.strerror}); "
         "write elsewhere or ask for the right to"

@@ -4,10 +4,9 @@ Four stages, as publish tools have them: `collect_performances`, `validate_perfo
 `extract_performance`, `integrate_performance`.
 """
 
-from usdface.publish.collect import PublishItem, collect_performances
+from usdface.publish.collect import PublishItem, collect_performances, validate_performance
 from usdface.publish.extract import Extracted, ReviewOptions, extract_performance
 from usdface.publish.integrate import Published, integrate_performance
-from usdface.publish.validate import validate_performance
 
 __all__ = [
     "Extracted",

@@ -1,4 +1,4 @@
-"""Find what there is to publish, and what it was made from."""
+"""Find what there is to publish and what it was made from, and check that it is fit for it."""
 
 import json
 from collections.abc import Iterable
@@ -10,6 +10,7 @@ from usdface.core.errors import InputError
 from usdface.core.sidecars import LAYER_SUFFIXES, weights_path
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.validation import Finding, validate
 
 MAKERS = ("map", "join", "retarget", "warp")
 """Steps that write performances."""
@@ -145,3 +146,25 @@ def _spec(text: str) -> dict[str, object]:
     except (ValueError, RecursionError):
         return {}
     return data if isinstance(data, dict) else {}
+
+
+def validate_performance(item: PublishItem) -> tuple[Finding, ...]:
+    """Return what is not in order in a performance, errors first; empty where nothing is.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be opened.
+    """
+    found = list(validate(item.performance))
+    if item.take is None:
+        found.append(
+            Finding(
+                "warning",
+                "usdface:take",
+                str(item.performance),
+                "does not say what it was mapped from, or that is gone: it is published without a "
+                "sheet to judge it by; map it again to have one",
+            )
+        )
+    return tuple(sorted(found, key=lambda finding: finding.severity != "error"))

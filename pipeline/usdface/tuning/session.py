@@ -199,7 +199,7 @@ class TuningSession:
     def close(self) -> None:
         """Save, and let others tune."""
         try:
-            if self.lock.is_own():
+            if self.lock.is_ours():
                 self.save()
         finally:
             self.lock.release()

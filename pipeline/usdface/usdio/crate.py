@@ -123,7 +123,7 @@ def _check_apart(taken: list[tuple[int, int, str]]) -> None:
     taken.sort()
     for (_, end, before), (start, _, after) in itertools.pairwise(taken):
         if start < end:
-            raise ValueError(f"{before} and {after} lie over each other at {start}")
+            raise ValueError(f"{before} and {after} overlap at {start}")
 
 
 def _check_counts(parts: list[_Part]) -> None:
