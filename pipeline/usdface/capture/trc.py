@@ -109,11 +109,11 @@ def _check_counts(header: dict[str, str], markers: int, rows: int) -> list[str]:
     return [
         f"{key} says {header[key]}, {found} found: the file may be cut off"
         for key, found in (("NumMarkers", markers), ("NumFrames", rows))
-        if not _says(header.get(key, ""), found)
+        if not _states_count(header.get(key, ""), found)
     ]
 
 
-def _says(text: str, count: int) -> bool:
+def _states_count(text: str, count: int) -> bool:
     """Tell whether a header's cell is this count, however it is written, or nothing."""
     try:
         return not text or float(text) == count

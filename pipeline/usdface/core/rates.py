@@ -19,17 +19,17 @@ _LARGEST_DENOMINATOR = 1001
 _HIGHEST_RATE = 100_000
 """[Hz] Beyond any camera: such a number is damage."""
 
-_MOST_FRAMES = 10_000_000
+_LARGEST_FRAME_COUNT = 10_000_000
 """23 hours at 120 frames per second: more is a mistake, and would ask for memory nobody has."""
 
 FARTHEST_FRAME = 1e12
 """Clocks of stages that count frames from their own midnight stay far below it."""
 
 FRAMES_BETWEEN_KEYS = 100
-"""Of animation that a person keyed, on average; captures and solves have a sample a frame."""
+"""Most frames per sample on average: keyed animation has fewer, captures and solves have one."""
 
 UNSAMPLED_FRAMES = 100_000
-"""So many are counted without asking: it takes a second or two."""
+"""Frames that are accepted whatever the number of samples: reading them takes a second or two."""
 
 
 def exact_rate(value: float, *, where: str) -> Fraction:
@@ -68,7 +68,9 @@ def exact_rate(value: float, *, where: str) -> Fraction:
 
 
 def check_frame_span(where: str, first: float, last: float, *, samples: int | None) -> None:
-    """Refuse a range of frames that is none, or that a file's own samples do not bear out.
+    """Refuse a range of frames that is not finite, or too long for the samples of its file.
+
+    Readers count frame by frame: one damaged time code would have them count for hours.
 
     Parameters
     ----------
@@ -90,12 +92,14 @@ def check_frame_span(where: str, first: float, last: float, *, samples: int | No
             "file again"
         )
     count = last - first + 1
-    borne_out = _MOST_FRAMES if samples is None else FRAMES_BETWEEN_KEYS * samples
-    if count > min(_MOST_FRAMES, max(UNSAMPLED_FRAMES, borne_out)):
-        held = "nothing" if samples is None else f"{samples} samples"
+    limit = _LARGEST_FRAME_COUNT
+    if samples is not None:
+        limit = min(limit, max(UNSAMPLED_FRAMES, FRAMES_BETWEEN_KEYS * samples))
+    if count > limit:
+        sampled = "no samples" if samples is None else f"{samples} samples"
         raise InputError(
-            f"{where}: {held} on {count:.0f} frames, {first:g} to {last:g}: an end is damaged, or "
-            "a sample lies far off; correct it, or write the file again"
+            f"{where}: {sampled} on {count:.0f} frames, {first:g} to {last:g}: an end is damaged, "
+            "or a sample lies far off; correct it, or write the file again"
         )
 
 

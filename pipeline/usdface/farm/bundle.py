@@ -68,7 +68,7 @@ def write_bundle(folder: Path, files: Files, *, overwrite: bool = False) -> None
         If the folder holds something else, or another bundle that `overwrite` does not allow to
         replace, or cannot be written.
     """
-    if _holds(folder, files):
+    if _equals(folder, files):
         return
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         if not _is_bundle(folder):
@@ -90,15 +90,18 @@ def write_bundle(folder: Path, files: Files, *, overwrite: bool = False) -> None
             shutil.rmtree(folder)
         temporary.rename(folder)
     except OSError as error:
-        if not _holds(folder, files):  # else: the same job was submitted twice at the same moment
+        if not _equals(folder, files):  # else: the same job was submitted twice at the same moment
             raise InputError(f"{folder}: cannot be written: {error.strerror}") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _holds(folder: Path, files: Files) -> bool:
+def _equals(folder: Path, files: Files) -> bool:
     try:
-        there = {str(path.relative_to(folder)).replace(os.sep, "/"): path for path in _walk(folder)}
+        there = {
+            str(path.relative_to(folder)).replace(os.sep, "/"): path
+            for path in _files_below(folder)
+        }
         return set(there) == set(files) and all(
             path.read_text(encoding="utf-8") == files[place] for place, path in there.items()
         )
@@ -106,7 +109,7 @@ def _holds(folder: Path, files: Files) -> bool:
         return False
 
 
-def _walk(folder: Path) -> list[Path]:
+def _files_below(folder: Path) -> list[Path]:
     return [path for path in folder.rglob("*") if path.is_file()]
 
 

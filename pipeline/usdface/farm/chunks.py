@@ -16,7 +16,7 @@ FrameRange = tuple[int, int]
 """First and last frame, inclusive."""
 
 
-MOST_CHUNKS = 10_000
+CHUNK_LIMIT = 10_000
 """Of one step; a season of takes has fewer, and a frame number that slipped would have millions."""
 
 
@@ -87,9 +87,9 @@ def in_chunks(step: Spec, sizes: ChunkSizes, frames: FrameRange | None) -> list[
 def _chunks(frames: FrameRange, size: int) -> list[str]:
     first, last = frames
     count = -(-(last - first + 1) // size)
-    if count > MOST_CHUNKS:
+    if count > CHUNK_LIMIT:
         raise InputError(
-            f"frames {first}-{last} are {count} chunks of {size}, more than {MOST_CHUNKS}: no farm "
+            f"frames {first}-{last} are {count} chunks of {size}, more than {CHUNK_LIMIT}: no farm "
             "takes so many tasks; correct the frames, or make the chunks larger"
         )
     return [f"{start}-{min(start + size - 1, last)}" for start in range(first, last + 1, size)]

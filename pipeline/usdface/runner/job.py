@@ -24,7 +24,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
 from usdface.specs.job import JobSpec
 from usdface.specs.paths import Reads, Writes
-from usdface.usdio.referenced_files import lost_sublayers
+from usdface.usdio.referenced_files import missing_sublayers
 
 log = logging.getLogger(__name__)
 
@@ -172,7 +172,7 @@ def _state(spec: Spec, provenance: Provenance) -> StepState:
         ]
         if changed:
             return StepState(spec, "stale", f"{changed[0]} has changed since")
-        if path.suffix in LAYER_SUFFIXES and (lost := lost_sublayers(path)):
+        if path.suffix in LAYER_SUFFIXES and (lost := missing_sublayers(path)):
             return StepState(spec, "missing", f"{lost[0]} is not there")
     return StepState(spec, "done", "up to date")
 

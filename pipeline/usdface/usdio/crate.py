@@ -20,11 +20,11 @@ MAGIC, HEADER_SIZE, ENTRY_SIZE = b"PXR-USDC", 88, 32
 """What a crate begins with, and sizes [bytes]."""
 PARTS = ("TOKENS", "STRINGS", "FIELDS", "FIELDSETS", "PATHS", "SPECS")
 """Every version of the format has them all; a later one may have more."""
-MOST_PARTS = 64
+PART_LIMIT = 64
 
-OLDEST_READ = (0, 4)
+OLDEST_VERSION = (0, 4)
 """The oldest version of the format that USD still reads; of an older one it says so itself."""
-MOST_PER_BYTE = 4 * 255
+NUMBERS_PER_BYTE = 4 * 255
 """Numbers in a packed byte: each takes two bits at least, and LZ4 makes a byte of 255 at most."""
 BYTES_PER_STRING = 4
 
@@ -96,14 +96,14 @@ def _check_layer(stream: BinaryIO, start: int, size: int) -> None:
     if size < HEADER_SIZE:
         raise ValueError(f"its {size} bytes end within its header")
     head = _read(stream, start, HEADER_SIZE)
-    if (head[8], head[9]) < OLDEST_READ:
+    if (head[8], head[9]) < OLDEST_VERSION:
         return
     (table,) = struct.unpack_from("<q", head, 16)
     if not HEADER_SIZE <= table <= size - 8:
         raise ValueError(f"its table of contents is said to lie at {table} of {size} bytes")
     (count,) = struct.unpack("<Q", _read(stream, start + table, 8))
     end = table + 8 + count * ENTRY_SIZE
-    if count > MOST_PARTS or end > size:
+    if count > PART_LIMIT or end > size:
         raise ValueError(f"its table of contents, {count} parts at {table}, ends beyond {size}")
     entries = _read(stream, start + table + 8, count * ENTRY_SIZE)
     parts = []
@@ -115,11 +115,11 @@ def _check_layer(stream: BinaryIO, start: int, size: int) -> None:
         taken.append((at, at + length, called))
         (holds,) = struct.unpack("<Q", _read(stream, start + at, 8))
         parts.append(_Part(called, at, length, holds))
-    _check_apart(taken)
+    _check_overlaps(taken)
     _check_counts(parts)
 
 
-def _check_apart(taken: list[tuple[int, int, str]]) -> None:
+def _check_overlaps(taken: list[tuple[int, int, str]]) -> None:
     taken.sort()
     for (_, end, before), (start, _, after) in itertools.pairwise(taken):
         if start < end:
@@ -135,7 +135,7 @@ def _check_counts(parts: list[_Part]) -> None:
         )
     for name in PARTS:
         part = found[name]
-        most = part.size * MOST_PER_BYTE if name != "STRINGS" else part.size // BYTES_PER_STRING
+        most = part.size * NUMBERS_PER_BYTE if name != "STRINGS" else part.size // BYTES_PER_STRING
         if part.count > most:
             raise ValueError(
                 f"part {name} of {part.size} bytes is said to hold {part.count}, {most} at most"

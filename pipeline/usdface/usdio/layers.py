@@ -239,7 +239,7 @@ def new_layers(made: Mapping[Path, Provenance | None]) -> Iterator[tuple[Sdf.Lay
             save_layer(layer, path)
         del layer, layers
     for path in paths:
-        read_again(path)
+        _reload(path)
 
 
 def author_provenance(layer: Sdf.Layer, provenance: Provenance | None) -> None:
@@ -250,7 +250,7 @@ def author_provenance(layer: Sdf.Layer, provenance: Provenance | None) -> None:
         }
 
 
-def read_again(path: Path) -> None:
+def _reload(path: Path) -> None:
     """Let this process see a layer that was replaced on disk, if it has it open."""
     stale = Sdf.Layer.Find(str(path))
     if stale is not None:

@@ -48,7 +48,7 @@ def frame_range_of(path: Path) -> tuple[int, int] | None:
     return (first, last) if last >= first else None
 
 
-def lost_sublayers(path: Path) -> list[str]:
+def missing_sublayers(path: Path) -> list[str]:
     """Return the names of layers that were written with a layer, beneath it, and are gone.
 
     What others put there is theirs to bring back, and so are edits.

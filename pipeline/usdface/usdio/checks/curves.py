@@ -21,14 +21,14 @@ FROZEN_CHANGE = 1e-6
 STUCK_SECONDS = 2.0
 """How long one shape may stay at one value, not at an end of its range, while the face moves."""
 
-DEAD_SECONDS = 10.0
-"""Only of a take this long can be said that a shape which never moved should have."""
+MOTIONLESS_SECONDS = 10.0
+"""Shapes that never move are reported for takes at least this long."""
 
 SIDES = (("Left", "Right"), ("left", "right"), ("_L", "_R"), ("_l", "_r"), ("L_", "R_"))
 
 
 def check_curves(prim: Usd.Prim) -> list[Fault]:
-    """Look for weights out of range, jumps, frozen stretches, dead shapes, exchanged sides."""
+    """Look for weights out of range, jumps, frozen stretches, motionless shapes, swapped sides."""
     if is_recorded(prim) or not is_solved(prim):
         return []
     samples = read_samples(prim)
@@ -38,7 +38,7 @@ def check_curves(prim: Usd.Prim) -> list[Fault]:
     found = _out_of_range(samples, ranges)
     if len(samples.times) > 2:
         found += [*_jumps(samples), *_frozen(samples), *_stuck(samples, ranges)]
-        found += [*_dead(samples), *_exchanged(samples)]
+        found += [*_motionless(samples), *_side_swaps(samples)]
     return found
 
 
@@ -171,24 +171,23 @@ def _stretches(
     return found
 
 
-def _dead(samples: Samples) -> list[Fault]:
+def _motionless(samples: Samples) -> list[Fault]:
     seconds = (samples.times[-1] - samples.times[0]) / samples.rate
     moving = np.ptp(samples.values, axis=0) > FROZEN_CHANGE
-    if seconds < DEAD_SECONDS or moving.all() or not moving.any():
+    if seconds < MOTIONLESS_SECONDS or moving.all() or not moving.any():
         return []
-    dead = [name for name, moves in zip(samples.names, moving, strict=True) if not moves]
+    motionless = [name for name, moves in zip(samples.names, moving, strict=True) if not moves]
     return [
         Fault(
             "warning",
             samples.path,
-            f"{pluralize(len(dead), 'shape')} without any motion: {first_few(dead)}; tune "
-            f"references that "
-            "show movement there, or leave such shapes out of the mapping",
+            f"{pluralize(len(motionless), 'shape')} without any motion: {first_few(motionless)}; "
+            "tune references that show movement there, or leave such shapes out of the mapping",
         )
     ]
 
 
-def _exchanged(samples: Samples) -> list[Fault]:
+def _side_swaps(samples: Samples) -> list[Fault]:
     """Find where all left shapes take up what the right ones did, and the other way round."""
     pairs = pair_sides(samples.names)
     if len(pairs) < 2:

@@ -25,7 +25,7 @@ def check_names(prim: Usd.Prim) -> list[Fault]:
     if twice:
         message = f"{first_few(twice)}: named twice; name each shape once"
         found.append(Fault("error", path, message))
-    on_meshes, followed = _who_follows(prim)
+    on_meshes, followed = _bound_shapes(prim)
     if not followed:
         message = (
             "no skeleton follows this animation; point skel:animationSource at it, or open the "
@@ -68,7 +68,7 @@ def check_instances(stage: Usd.Stage) -> list[Fault]:
     return found
 
 
-def _who_follows(animation: Usd.Prim) -> tuple[set[str], bool]:
+def _bound_shapes(animation: Usd.Prim) -> tuple[set[str], bool]:
     """Return the shapes on the stage's meshes, and whether a skeleton follows the animation."""
     on_meshes: set[str] = set()
     followed = False
@@ -93,12 +93,12 @@ def check_sides(stage: Usd.Stage) -> list[Fault]:
         pairs = pair_sides(names)
         if len(pairs) < 3:
             continue
-        leaning = _leaning(mesh)
+        shares = _side_shares(mesh)
         clear = [
-            (names[left], leaning[left] - leaning[right])
+            (names[left], shares[left] - shares[right])
             for left, right in pairs
-            if min(abs(leaning[left]), abs(leaning[right])) > CLEAR_SHARE
-            and leaning[left] * leaning[right] < 0
+            if min(abs(shares[left]), abs(shares[right])) > CLEAR_SHARE
+            and shares[left] * shares[right] < 0
         ]
         side = np.sign(sum(np.sign(lean) for _, lean in clear))
         flipped = [name for name, lean in clear if side and np.sign(lean) != side]
@@ -114,7 +114,7 @@ def check_sides(stage: Usd.Stage) -> list[Fault]:
     return found
 
 
-def _leaning(mesh: Usd.Prim) -> list[float]:
+def _side_shares(mesh: Usd.Prim) -> list[float]:
     """Return for each shape how far its movement lies on one side: -1 all at -x, 1 all at +x."""
     points = np.asarray(UsdGeom.Mesh(mesh).GetPointsAttr().Get() or [], dtype=np.float64)
     binding = UsdSkel.BindingAPI(mesh)

@@ -143,10 +143,12 @@ def part_path(path: Path, first: int, last: int, provenance: Provenance | None) 
     It tells what the part was made from: a new mapping never writes over a part that an old
     performance still plays.
     """
-    return path.with_name(f"{path.stem}.{first}-{last}.{_making(provenance)}{path.suffix}")
+    return path.with_name(
+        f"{path.stem}.{first}-{last}.{_provenance_digest(provenance)}{path.suffix}"
+    )
 
 
-def _making(provenance: Provenance | None) -> str:
+def _provenance_digest(provenance: Provenance | None) -> str:
     """Return eight letters that are others when the spec or an input is."""
     made = "" if provenance is None else f"{provenance.spec}{sorted(provenance.inputs.items())}"
     return hash_text(made)[:8]
@@ -191,7 +193,7 @@ def write_clips(
         In order, each following on the one before.
     """
     parts = [own for part in parts for own in _playable_parts(part, path, provenance)]
-    seams = path.with_name(f"{path.stem}.seams.{_making(provenance)}{path.suffix}")
+    seams = path.with_name(f"{path.stem}.seams.{_provenance_digest(provenance)}{path.suffix}")
     with new_layer(seams, provenance) as layer:
         author_header(layer, header, rig)
         for before, after in itertools.pairwise(parts):

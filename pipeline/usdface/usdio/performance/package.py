@@ -70,14 +70,14 @@ def write_package(
         made = UsdUtils.CreateNewUsdzPackage(str(top_file), str(target))
     if not made:
         raise InputError(f"{target}: USD could not write the package; is the disk full?")
-    _forget_times(target)
+    _zero_times(target)
 
 
 _NO_TIME = struct.pack("<HH", 0, 0x0021)
 """As zip has it, the first day of 1980."""
 
 
-def _forget_times(target: Path) -> None:
+def _zero_times(target: Path) -> None:
     """Take out when files were made: the same performance gives the same bytes."""
     with zipfile.ZipFile(target) as package:
         entries = package.infolist()

@@ -144,16 +144,16 @@ class PerformanceReader:
         for index, frame in enumerate(range(first, last + 1)):
             row = query.Get(frame)
             if row is None or len(row) != len(self.names):
-                raise self._unfit(frame, f"{0 if row is None else len(row)}")
+                raise self._sample_error(frame, f"{0 if row is None else len(row)}")
             values[index] = row
         finite = np.isfinite(values).all(axis=1)
         if not finite.all():
             frame = int(np.argmin(finite))
             bad = self.names[int(np.argmin(np.isfinite(values[frame])))]
-            raise self._unfit(first + frame, f"one of {bad} that is not")
+            raise self._sample_error(first + frame, f"one of {bad} that is not")
         return values
 
-    def _unfit(self, frame: int, got: str) -> InputError:
+    def _sample_error(self, frame: int, got: str) -> InputError:
         return InputError(
             f"{self.path} <{self._weights.GetPath()}> time code {frame}: needs {len(self.names)} "
             f"finite weights, one per shape, got {got}; map again"

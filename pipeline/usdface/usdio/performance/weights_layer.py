@@ -34,11 +34,11 @@ WEIGHTS = "blendShapeWeights"
 CONFIDENCE = "face:confidence"
 RESIDUAL = "face:residual"
 
-COPIED_TOGETHER = 4096
+COPY_FRAMES = 4096
 """Frames whose samples are in memory at once when they are copied."""
 
-CONFIDENCE_WITHIN = 0.005
-RESIDUAL_WITHIN_MM = 0.01
+CONFIDENCE_TOLERANCE = 0.005
+RESIDUAL_TOLERANCE_MM = 0.01
 """Samples of confidence and residual are left out where USD's line between those kept is as near:
 nobody sees the difference, and a sample costs as much as a frame of weights. Weights are all
 written."""
@@ -103,7 +103,9 @@ class WeightsWriter:
         self._weights = header.animation.AppendProperty(WEIGHTS)
         self._confidence = header.animation.AppendProperty(CONFIDENCE)
         self._residual = header.animation.AppendProperty(RESIDUAL)
-        self._lot = min(FRAMES_IN_MEMORY, VALUES_IN_MEMORY // max(len(header.shape_names), 1) + 1)
+        self._save_frames = min(
+            FRAMES_IN_MEMORY, VALUES_IN_MEMORY // max(len(header.shape_names), 1) + 1
+        )
         self._unsaved = 0
         self._shapes = len(header.shape_names)
         self.next_frame = header.first_frame
@@ -130,9 +132,9 @@ class WeightsWriter:
         if keys is not None:
             wanted[:] = False
             wanted[keys] = True
-        for start in range(0, len(weights), self._lot):
-            part = slice(start, start + self._lot)
-            self._append_lot(
+        for start in range(0, len(weights), self._save_frames):
+            part = slice(start, start + self._save_frames)
+            self._append_block(
                 np.ascontiguousarray(weights[part], dtype=np.float32),
                 None if confidence is None else confidence[part],
                 None
@@ -141,7 +143,7 @@ class WeightsWriter:
                 np.flatnonzero(wanted[part]),
             )
 
-    def _append_lot(
+    def _append_block(
         self,
         rows: Float32Array,
         confidence: FloatArray | Float32Array | None,
@@ -155,10 +157,10 @@ class WeightsWriter:
             for index in keys.tolist():
                 write(self._weights, first + index, array(rows[index]))
             if confidence is not None:
-                for index in _samples(confidence[:, None], CONFIDENCE_WITHIN):
+                for index in _samples(confidence[:, None], CONFIDENCE_TOLERANCE):
                     write(self._confidence, first + index, float(confidence[index]))
             if residual is not None:
-                for index in _samples(residual, RESIDUAL_WITHIN_MM):
+                for index in _samples(residual, RESIDUAL_TOLERANCE_MM):
                     write(self._residual, first + index, array(residual[index]))
         self._count(len(rows))
 
@@ -177,7 +179,7 @@ class WeightsWriter:
         first, last : int
             Inclusive.
         copied_to : callable
-            Is told the last frame of every lot.
+            Is told the last frame of every block.
 
         Raises
         ------
@@ -188,15 +190,15 @@ class WeightsWriter:
         """
         if first != self.next_frame:
             raise ValueError(f"frame {self.next_frame} comes next, not {first}")
-        write, lot = self._layer.SetTimeSample, min(self._lot, COPIED_TOGETHER)
+        write, block = self._layer.SetTimeSample, min(self._save_frames, COPY_FRAMES)
         copied = []
         for path in (self._weights, self._confidence, self._residual):
             attribute = animation.GetAttribute(path.name)
             if attribute:  # times are asked for once: USD looks through all for any interval
                 times = np.array(attribute.GetTimeSamples())
                 copied.append((path, Usd.AttributeQuery(attribute), times))
-        for start in range(first, last + 1, lot):
-            stop = min(start + lot, last + 1)
+        for start in range(first, last + 1, block):
+            stop = min(start + block, last + 1)
             with Sdf.ChangeBlock():
                 for path, query, sampled in copied:
                     own = sampled[slice(*np.searchsorted(sampled, (start, stop)))].tolist()
@@ -220,7 +222,7 @@ class WeightsWriter:
     def _count(self, frames: int) -> None:
         self.next_frame += frames
         self._unsaved += frames
-        if self._unsaved >= self._lot:
+        if self._unsaved >= self._save_frames:
             # A saved binary layer reads its samples back from disk when asked.
             save_layer(self._layer, self._path)
             self._unsaved = 0

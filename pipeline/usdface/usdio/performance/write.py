@@ -25,7 +25,7 @@ from usdface.usdio.rig.reference import (
     carry_variants,
     default_place,
     define_reference,
-    forget_reference,
+    remove_reference,
 )
 from usdface.usdio.units import author_units
 
@@ -87,7 +87,7 @@ def writing_top(
     """
     with new_layer(path, provenance) as layer:
         check_not_written_since(path)
-        before = _before(path)
+        before = _previous(path)
         yield
         if path.is_file():
             layer.TransferContent(open_layer(path))
@@ -104,7 +104,7 @@ def writing_top(
         if shown is not None:
             carry_variants(layer, shown, header.place, rig.file, default_place(rig))
         if before.place not in ("", header.place):
-            forget_reference(layer, before.place, {rig.file.resolve(), *before.files}, path)
+            remove_reference(layer, before.place, {rig.file.resolve(), *before.files}, path)
         if not again:
             layer.subLayerPaths.append(weights_asset)
         edits_asset = relative_path(edits_path(path), path)
@@ -115,7 +115,7 @@ def writing_top(
 
 
 @dataclass(frozen=True)
-class _Before:
+class _Previous:
     """What is known of a performance that is written again.
 
     Attributes
@@ -130,13 +130,13 @@ class _Before:
     files: frozenset[Path] = frozenset()
 
 
-def _before(path: Path) -> _Before:
+def _previous(path: Path) -> _Previous:
     if not (path.is_file() and weights_path(path).is_file()):
-        return _Before()
+        return _Previous()
     try:
         place = place_in(open_layer(weights_path(path)))
         made = read_provenance(path)
     except InputError:  # damaged, and about to be replaced
-        return _Before()
+        return _Previous()
     folder, inputs = path.resolve().parent, () if made is None else made.inputs
-    return _Before(place, frozenset((folder / each).resolve() for each in inputs))
+    return _Previous(place, frozenset((folder / each).resolve() for each in inputs))

@@ -72,7 +72,7 @@ def write_references(
     here = list(zip(references.takes, references.frames.tolist(), strict=True))
     pairs = [
         each
-        for each in _tuned_before_and_now(layer_paths[0], tuned)
+        for each in _merge_tuned(layer_paths[0], tuned)
         if here[each.pair : each.pair + 1] == [(each.take, each.frame)]
     ]
     made = {layer_paths[1]: provenance, path: provenance}
@@ -105,13 +105,13 @@ def write_tuned_weights(
     """Add tuned pairs to the tuned layer; pairs tuned before stay unless they are given again."""
     write_tuned_layer(
         references,
-        _tuned_before_and_now(layer_path, pairs),
+        _merge_tuned(layer_path, pairs),
         layer_path=layer_path,
         provenance=provenance,
     )
 
 
-def _tuned_before_and_now(layer_path: Path, pairs: Sequence[TunedPair]) -> list[TunedPair]:
+def _merge_tuned(layer_path: Path, pairs: Sequence[TunedPair]) -> list[TunedPair]:
     together = {each.pair: each for each in (*read_tuned_pairs(layer_path), *pairs)}
     return [together[pair] for pair in sorted(together)]
 

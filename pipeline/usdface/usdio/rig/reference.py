@@ -94,7 +94,7 @@ def _ours_among(
     return range(first, first + 1)
 
 
-def forget_reference(layer: Sdf.Layer, place: str, files: Collection[Path], at: Path) -> None:
+def remove_reference(layer: Sdf.Layer, place: str, files: Collection[Path], at: Path) -> None:
     """Take out a rig that stood elsewhere before, and what was defined for it alone.
 
     Parameters
@@ -116,14 +116,14 @@ def forget_reference(layer: Sdf.Layer, place: str, files: Collection[Path], at: 
             setattr(prim.referenceList, name, kept)
     if not prim.hasReferences:
         prim.ClearReferenceList()
-    while prim is not None and _says_nothing(prim):
+    while prim is not None and _is_empty(prim):
         above = prim.nameParent
         siblings = layer.rootPrims if above is None else above.nameChildren
         del siblings[prim.name]
         prim = above
 
 
-def _says_nothing(prim: Sdf.PrimSpec) -> bool:
+def _is_empty(prim: Sdf.PrimSpec) -> bool:
     """Whether a prim is only there, with a type at most."""
     opinions = set(prim.ListInfoKeys()) - {"specifier", "typeName"}
     return not (opinions or prim.nameChildren or prim.properties or prim.variantSets)
