@@ -141,7 +141,7 @@ def test_proposals_of_a_mapping_are_nearer_the_truth_than_the_geometrys(shot: Sh
 
 
 def test_active_without_tuning_or_mapping_says_so(shot: Shot) -> None:
-    with pytest.raises(ValidationError, match="give the --mapping trained"):
+    with pytest.raises(ValidationError, match="active needs --mapping"):
         spec(shot, method="active")
     with pytest.raises(InputError, match="0 pairs are tuned, and active needs at least 2"):
         execute(spec(shot, method="active", mapping=shot / "hero.mapping.usdc"))
