@@ -144,7 +144,7 @@ def test_the_page_is_worked_by_keyboard_and_by_address(shot: Shot) -> None:
         rows = page.locator(".curve:visible")
         assert rows.count() == 1
         page.wait_for_selector(".curve:visible path.s0")
-        assert page.locator("h2", has_text="Measured against the truth").count() == 1
+        assert page.locator("h2", has_text="Measured against the keys").count() == 1
         assert page.locator("button:not([aria-label])").count() == 0
         page.emulate_media(media="print")
         page.evaluate("dispatchEvent(new Event('beforeprint'))")
@@ -212,7 +212,7 @@ def test_the_page_tells_what_the_mappings_references_cover(shot: Shot) -> None:
     report = execute(spec_of(shot, worst=6))
     text = (shot / "shot.html").read_text(encoding="utf-8")
     data = json.loads(re.search(r'id="data">(.*?)</script>', text)[1])
-    strip = next(each for each in data["strips"] if each["name"] == "covered")
+    strip = next(each for each in data["strips"] if each["name"] == "coverage")
     values = np.array(strip["values"])
     assert ((values >= 0) & (values <= 1)).all()
     assert "<h2>Covered by hero.references.usda</h2>" in text

@@ -41,14 +41,14 @@ def columns_of(shot: Shot, monkeypatch: pytest.MonkeyPatch, **options: object) -
 
 def test_a_comparison_shows_how_far_the_result_is_from_the_truth(shot, monkeypatch) -> None:
     columns = columns_of(shot, monkeypatch, against=shot / "keys.csv")
-    assert columns == ("markers", "equation solving", "this performance", "away from truth")
+    assert columns == ("markers", "baseline", "solve", "difference to keys")
 
 
 def test_worst_frames_come_with_their_reason(shot: Shot, monkeypatch) -> None:
     report = execute(spec_of(shot, layout="worst", rows=3))
     assert len(report.figures["frames"]) == 3
     columns = columns_of(shot, monkeypatch, layout="worst", baseline=False, out=shot / "b.png")
-    assert columns == ("markers", "this performance")
+    assert columns == ("markers", "solve")
 
 
 def test_a_strip_does_not_explain_lines_that_it_does_not_show(shot: Shot, monkeypatch) -> None:
@@ -74,7 +74,7 @@ def second_performance(shot: Shot) -> Path:
 def test_several_characters_stand_side_by_side(shot: Shot, monkeypatch) -> None:
     also = (second_performance(shot),)
     columns = columns_of(shot, monkeypatch, layout="characters", also=also)
-    assert columns == ("markers", "this performance", "other")
+    assert columns == ("markers", "solve", "other")
 
 
 def test_every_performance_of_a_face_is_judged_by_the_truth_and_another_face_says_how(
@@ -83,12 +83,12 @@ def test_every_performance_of_a_face_is_judged_by_the_truth_and_another_face_say
     given = {"also": (second_performance(shot),), "against": shot / "keys.csv", "rows": 1}
     told = execute(spec_of(shot, layout="characters", **given))
     means = told.figures["mean_error_mm"]
-    assert means["other"] == pytest.approx(means["usdface"])
-    assert "left by its markers" not in told.summary
+    assert means["other"] == pytest.approx(means["solve"])
+    assert "marker residual" not in told.summary
     monkeypatch.setattr(sheet_step, "_same_face", lambda *_: False)
     told = execute(spec_of(shot, layout="characters", out=shot / "b.png", **given))
-    assert told.figures["mean_error_mm"]["other"] != pytest.approx(means["usdface"])
-    assert "other (left by its markers) " in told.summary
+    assert told.figures["mean_error_mm"]["other"] != pytest.approx(means["solve"])
+    assert "other (marker residual) " in told.summary
 
 
 def test_doubt_has_a_strip_of_its_own_scale(shot: Shot, monkeypatch) -> None:
@@ -99,7 +99,7 @@ def test_doubt_has_a_strip_of_its_own_scale(shot: Shot, monkeypatch) -> None:
     )
     execute(spec_of(shot))
     doubt = pages[0].curves[-1]
-    assert (doubt.label, doubt.high, doubt.unit) == ("doubt", 1.0, "")
+    assert (doubt.label, doubt.high, doubt.unit) == ("uncertainty", 1.0, "")
     assert ((doubt.values >= 0) & (doubt.values <= 1)).all()
     assert pages[0].high == sheet_step.round_range(
         np.concatenate([curve.values for curve in pages[0].curves[:-1]])

@@ -39,7 +39,7 @@ class WeightCurves:
     Attributes
     ----------
     name : str
-        ``'solve'``, ``'edited'``, ``'equation'``, ``'truth'`` …
+        ``'solve'``, ``'edited'``, ``'baseline'``, ``'keys'`` …
     values : (pictures, shapes) float array
         NaN where there is nothing.
     """
@@ -50,7 +50,7 @@ class WeightCurves:
 
 @dataclass(frozen=True)
 class Strip:
-    """A figure over time, such as confidence; NaN where there is none."""
+    """A figure over time, such as the residual; NaN where there is none."""
 
     name: str
     values: FloatArray

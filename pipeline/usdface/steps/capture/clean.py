@@ -26,7 +26,7 @@ _FEWEST_RIGID = 3
 """Seen at once, they tell the head's pose."""
 
 POSE_COLOR, FILLED_COLOR, SWAPPED_COLOR = (92, 98, 110), (86, 156, 214), (232, 178, 66)
-STRAY_COLOR, LEFT_COLOR = (206, 96, 190), (226, 74, 66)
+OUTLIER_COLOR, LEFT_COLOR = (206, 96, 190), (226, 74, 66)
 
 SWAPS_TOLD = 20
 """More repairs than this are counted, not listed."""
@@ -172,10 +172,10 @@ def _picture(cleaned: CleanedMarkers, markers: Markers, take: Take) -> ByteImage
     interpolated[cleaned.pose_confidence < 1.0] = True
     kinds = (
         RepairKind("head pose interpolated", POSE_COLOR, interpolated),
-        RepairKind("gap filled", FILLED_COLOR, cleaned.filled & ~cleaned.outliers),
-        RepairKind("label put back", SWAPPED_COLOR, swapped),
-        RepairKind("stray replaced", STRAY_COLOR, cleaned.outliers),
-        RepairKind("gap left", LEFT_COLOR, ~cleaned.visible),
+        RepairKind("filled", FILLED_COLOR, cleaned.filled & ~cleaned.outliers),
+        RepairKind("relabelled", SWAPPED_COLOR, swapped),
+        RepairKind("outlier replaced", OUTLIER_COLOR, cleaned.outliers),
+        RepairKind("left missing", LEFT_COLOR, ~cleaned.visible),
     )
     return draw_repairs(
         markers.names,
@@ -194,8 +194,8 @@ def _picture(cleaned: CleanedMarkers, markers: Markers, take: Take) -> ByteImage
 def _summary(cleaned: CleanedMarkers, take: Take) -> str:
     return (
         f"{take.name}: head motion out, {pluralize(len(cleaned.swaps), 'swap')}, "
-        f"{pluralize(int(cleaned.outliers.sum()), 'stray')} and "
-        f"{pluralize(int(cleaned.filled.sum()), 'missing sample')} mended, noise "
+        f"{pluralize(int(cleaned.outliers.sum()), 'outlier')} replaced, "
+        f"{pluralize(int(cleaned.filled.sum()), 'missing sample')} filled, noise "
         f"{cleaned.noise_mm:.2f} mm"
     )
 

@@ -67,7 +67,7 @@ def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress = silent
     best = min(found, key=lambda each: float(each.mean_vertex_mm.mean()))
     return StepResult(
         spec.out,
-        f"{len(picks)} frames there and back; least error {best.mean_vertex_mm.mean():.3f} mm with "
+        f"{len(picks)} frames, round trip; least error {best.mean_vertex_mm.mean():.3f} mm with "
         f"{best.method}",
         tuple(notes),
         figures,
@@ -141,7 +141,7 @@ def _write(
                 text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
                 temporary.write_text(text + "\n", encoding="utf-8")
         else:
-            title = f"{spec.source.stem}: there and back with {spec.pairs.stem}"
+            title = f"{spec.source.stem}: round trip by {spec.pairs.stem}"
             facts = tuple(_line(each) for each in found[:1])
             picture = draw_motion_curves(
                 title,
@@ -169,5 +169,5 @@ def _panels(found: tuple[CyclicError, ...]) -> tuple[Panel, ...]:
     panels = [Panel("source to target to source", unit, curves([e.mean_vertex_mm for e in found]))]
     direct = [each.direct_mm for each in found if each.direct_mm is not None]
     if len(direct) == len(found):
-        panels.append(Panel("target against truth", unit, curves(direct)))
+        panels.append(Panel("target against keys", unit, curves(direct)))
     return tuple(panels)

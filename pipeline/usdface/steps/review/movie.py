@@ -31,7 +31,7 @@ from usdface.steps.review.shot import Shot, open_shot
 STRETCH_PICTURES = 48
 """Drawn and encoded by one process at a time, and lost at most when a run is stopped."""
 
-LABELS: dict[Panel, str] = {"video": "video", "markers": "markers", "performance": "usdface"}
+LABELS: dict[Panel, str] = {"video": "video", "markers": "markers", "performance": "solve"}
 
 
 @dataclass(frozen=True)

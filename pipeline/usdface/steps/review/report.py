@@ -139,15 +139,15 @@ def _curves(
                 ordered[:, column] = solved[:, place[name]]
         found.append(WeightCurves("solve", ordered[rows]))
     if truth is not None:
-        found.append(WeightCurves("truth", truth[rows]))
+        found.append(WeightCurves("keys", truth[rows]))
     if baseline is not None:
-        found.append(WeightCurves("equation", baseline[rows]))
+        found.append(WeightCurves("baseline", baseline[rows]))
     return tuple(found)
 
 
 def _strips(shot: Shot, residual: FloatArray, rows: FloatArray) -> tuple[Strip, ...]:
     strips = [
-        Strip("unexplained", residual[rows], 0.0, round_range(residual), "mm"),
+        Strip("residual", residual[rows], 0.0, round_range(residual), "mm"),
     ]
     confidence = shot.performance.confidence
     if confidence is not None:
@@ -178,7 +178,7 @@ def _worst(
     reasons: dict[int, str] = {}
     for frame in (*pick("residual", spec.worst - len(doubtful)), *doubtful):
         picture = min(round(frame.row * clock.rate / clock.take_rate), clock.picture_count - 1)
-        reasons.setdefault(picture, frame.reason.replace("error", "unexplained"))
+        reasons.setdefault(picture, frame.reason.replace("error", "residual"))
     return tuple(sorted(reasons.items()))
 
 

@@ -56,18 +56,18 @@ def _figures(evaluation: Evaluation) -> Listing:
     said = evaluation_figures(evaluation)
     names = {
         "vertex_rms_mm": ("surface error, RMS", "mm"),
-        "vertex_p95_mm": ("surface error, 95 % below", "mm"),
+        "vertex_p95_mm": ("surface error, 95th percentile", "mm"),
         "weight_rmse": ("weight error, RMS", ""),
         "lip_error_mm": ("lip opening error, RMS", "mm"),
         "blink_bias": ("blink bias", ""),
-        "jitter": ("jitter, truth 1", ""),
+        "jitter": ("jitter, over that of the keys", ""),
     }
     rows = []
     for key, (label, unit) in names.items():
         value = said.get(key)
         if isinstance(value, float):
             rows.append((label, f"{value:.3f} {unit}".strip()))
-    return Listing("Measured against the truth", ("figure", "value"), tuple(rows))
+    return Listing("Measured against the keys", ("figure", "value"), tuple(rows))
 
 
 def _regions(evaluation: Evaluation) -> Listing:
@@ -81,7 +81,7 @@ def _regions(evaluation: Evaluation) -> Listing:
         )
         for region in evaluation.regions
     )
-    return Listing("By region", ("region", "shapes", "RMS", "95 %", "most"), rows)
+    return Listing("By region", ("region", "shapes", "RMS", "95th percentile", "largest"), rows)
 
 
 def _edits(shot: Shot) -> Listing:
@@ -89,34 +89,34 @@ def _edits(shot: Shot) -> Listing:
     shown = [each for each in ranges if each.shape in shot.rig.shapes][:EDITS_TOLD]
     return Listing(
         "Edits by hand",
-        ("frames", "shape", "at most"),
+        ("frames", "shape", "largest"),
         tuple((f"{each.first}-{each.last}", each.shape, f"{each.change:+.3f}") for each in shown),
         tuple(each.first for each in shown),
     )
 
 
 def _repairs(shot: Shot) -> Listing:
-    """Return the markers that cleaning had to mend or fill most, within the frames shown."""
+    """Return the markers that cleaning repaired most, within the frames shown."""
     markers = shot.take.markers
     if markers is None:
         return Listing("Markers that were repaired", (), ())
     rows = shot.frames - shot.take.first_frame
     confidence, visible = markers.confidence[rows], markers.visible[rows]
-    mended = (confidence < 1) & (confidence > 0)
-    lost = ~visible | (confidence <= 0)
-    share = (mended | lost).mean(axis=0)
+    repaired = (confidence < 1) & (confidence > 0)
+    missing = ~visible | (confidence <= 0)
+    share = (repaired | missing).mean(axis=0)
     worst = np.argsort(-share, kind="stable")[:MARKERS_TOLD]
     told = [marker for marker in worst.tolist() if share[marker] > 0]
-    first = [int(shot.frames[np.argmax((mended | lost)[:, marker])]) for marker in told]
+    first = [int(shot.frames[np.argmax((repaired | missing)[:, marker])]) for marker in told]
     return Listing(
         "Markers that were repaired",
-        ("first at", "marker", "mended", "lost", "mean confidence"),
+        ("first at", "marker", "filled or relabelled", "missing", "mean confidence"),
         tuple(
             (
                 str(at),
                 markers.names[marker],
-                f"{100 * mended[:, marker].mean():.1f} %",
-                f"{100 * lost[:, marker].mean():.1f} %",
+                f"{100 * repaired[:, marker].mean():.1f} %",
+                f"{100 * missing[:, marker].mean():.1f} %",
                 f"{confidence[:, marker].mean():.2f}",
             )
             for at, marker in zip(first, told, strict=True)
@@ -143,7 +143,7 @@ def _provenance(shot: Shot, page: Provenance) -> Listing:
             (f"read: {path}", "SHA-256", digest[:INPUT_DIGITS])
             for path, digest in sorted(each.inputs.items())
         ]
-    return Listing("Where it came from", ("file", "made by", "with"), tuple(rows))
+    return Listing("Provenance", ("file", "made by", "with"), tuple(rows))
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,7 @@ def uncertainty_curves(shot: Shot) -> tuple[ErrorCurve, ...]:
     if confidence is None:
         return ()
     own = confidence[shot.frames - shot.performance.weights.first_frame]
-    return (ErrorCurve("doubt", 1.0 - np.asarray(own, np.float64), high=1.0, unit=""),)
+    return (ErrorCurve("uncertainty", 1.0 - np.asarray(own, np.float64), high=1.0, unit=""),)
 
 
 WORST_SHARE = 6

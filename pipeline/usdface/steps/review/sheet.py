@@ -52,15 +52,15 @@ def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress = silent)
     progress(0.1, "placing the markers on the rig")
     equations = [set_up_shot_baseline(each) for each in shots]
     truth = read_keys(spec.against, shot.rig, shot.frames)
-    judged = [score("usdface", shot, shot.weights, truth, equations[0])]
+    judged = [score("solve", shot, shot.weights, truth, equations[0])]
     if spec.baseline and spec.layout in ("comparison", "worst"):
         solved = equations[0].solve_published(shot.positions)
-        judged.insert(0, score("equation", shot, solved, truth, equations[0]))
+        judged.insert(0, score("baseline", shot, solved, truth, equations[0]))
     labels = _labels([each.performance_file for each in shots[1:]])
     for other, equation, label in zip(shots[1:], equations[1:], labels, strict=True):
         known = truth if _same_face(other, shot) else None
         judged.append(score(label, other, other.weights, known, equation))
-    chosen = _choose(spec, shot, next(each for each in judged if each.label == "usdface"))
+    chosen = _choose(spec, shot, next(each for each in judged if each.label == "solve"))
     said = labels_at(spec.phones, shot.take, shot.frames[[frame.row for frame in chosen]])
     high = round_range(np.concatenate([each.error_mm for each in judged]))
     tile = spec.tile or (STRIP_TILE if spec.layout == "strip" else OTHER_TILE)
@@ -137,7 +137,7 @@ def _open_shots(spec: SheetSpec) -> list[Shot]:
 def _labels(files: list[Path]) -> list[str]:
     """Return what each further performance is called: its name, with its folder where need be."""
     stems = [file.stem.split(".usd")[0] for file in files]
-    taken, found = {"equation", "usdface"}, list[str]()
+    taken, found = {"baseline", "solve"}, list[str]()
     for file, stem in zip(files, stems, strict=True):
         alone = stems.count(stem) == 1 and stem not in taken
         label = wanted = stem if alone else f"{file.resolve().parent.name}/{stem}"
@@ -159,7 +159,7 @@ def _same_face(shot: Shot, other: Shot) -> bool:
 def _told(judged: Score, beside: list[Score]) -> str:
     """Return a label that says so where this one is measured otherwise than those beside it."""
     by_markers = not judged.against_truth and any(each.against_truth for each in beside)
-    return f"{judged.label} (left by its markers)" if by_markers else judged.label
+    return f"{judged.label} (marker residual)" if by_markers else judged.label
 
 
 def _choose(spec: SheetSpec, shot: Shot, judged: Score) -> list[ChosenFrame]:
@@ -231,22 +231,18 @@ def _notes(
     markers: bool,
 ) -> tuple[str, ...]:
     what = (
-        "error: RMS distance of the surface from what was keyed"
+        "error: RMS distance of the surface from the keys"
         if truth_known
-        else "error: RMS distance of the markers from what the weights explain; not the truth"
+        else "residual: RMS distance of the markers from the rig under the weights"
     )
     means = ", ".join(
         f"{_told(each, judged)} {np.nanmean(each.error_mm):.2f} mm" for each in judged
     )
     eyes = ("the rig has no eyes: stand-ins are drawn",) if stand_in_eyes else ()
-    uncertainty_curves = ("doubt: 1 less the confidence",) if doubted else ()
+    uncertainty_curves = ("uncertainty: 1 less the confidence",) if doubted else ()
     phones = ("beside frames: phone and viseme",) if spoken else ()
     textures = ("textures are not drawn",) if plain else ()
-    lines = (
-        (f"lines at markers: what is left unexplained, {EXAGGERATION:g} times as long",)
-        if markers
-        else ()
-    )
+    lines = (f"lines at markers: the residual, {EXAGGERATION:g} times as long",) if markers else ()
     return (what, f"mean: {means}", *lines, *uncertainty_curves, *phones, *eyes, *textures)
 
 
@@ -260,7 +256,7 @@ def _report(
 ) -> StepResult:
     means = {each.label: float(np.nanmean(each.error_mm)) for each in judged}
     told = ", ".join(f"{_told(each, judged)} {means[each.label]:.2f} mm" for each in judged)
-    what = "surface error against the truth" if truth_known else "marker residual"
+    what = "surface error against the keys" if truth_known else "marker residual"
     return StepResult(
         written,
         f"{pluralize(len(chosen), 'row')}; mean {what}: {told}",
@@ -307,16 +303,17 @@ def sheet_columns(
         columns.append(
             Column("markers", lambda row: Tile(drawn.markers(row, explained=explained[row])))
         )
-    names = {"equation": "equation solving", "usdface": "this performance"}
+    names = ("baseline", "solve")
     others = iter(pictures[1:])
     for each in judged:
         own = drawn if each.label in names else next(others)
-        columns.append(Column(names.get(each.label, each.label), _face(own, each)))
+        columns.append(Column(each.label, _face(own, each)))
     compared = _compared(judged, truth)
     if spec.difference and compared is not None and spec.layout in ("comparison", "worst"):
         columns.append(
             Column(
-                f"away from {compared[0]}", _away(drawn, shot.weights, compared[1], high_mm=high)
+                f"difference to {compared[0]}",
+                _away(drawn, shot.weights, compared[1], high_mm=high),
             )
         )
     return columns
@@ -338,12 +335,12 @@ def _away(
         if np.isnan(other[row]).any():
             return Tile(None, caption="nothing keyed here")
         painted = pictures.difference(row, weights[row], other[row], high_mm=high_mm)
-        return Tile(painted.picture, caption=f"at most {painted.largest_mm:.1f} mm")
+        return Tile(painted.picture, caption=f"largest {painted.largest_mm:.1f} mm")
 
     return draw
 
 
 def _compared(judged: list[Score], truth: FloatArray | None) -> tuple[str, FloatArray] | None:
     if truth is not None:
-        return "truth", truth
-    return next((("equation", j.weights) for j in judged if j.label == "equation"), None)
+        return "keys", truth
+    return next((("baseline", j.weights) for j in judged if j.label == "baseline"), None)
