@@ -18,20 +18,15 @@ import numpy as np
 from tests.conftest import SHARED_DATA
 from usdface.core.assets import Markers, References, Take, TrainedMapping
 from usdface.core.deformer import Deformer
-from usdface.core.progress import silent
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.regions import sample_skin
 from usdface.model.mapping.train import train_mapping
-from usdface.model.selection.baseline import PROPOSAL_RIDGE, BlendshapeEquation
 from usdface.numerics.measure.face_regions import blinks
-from usdface.numerics.registration.registration import character_motion
-from usdface.numerics.solve.blendshape_equation import solve_weights
 from usdface.runner.execute import execute
 from usdface.specs.capture import CleanSpec, IngestSpec
 from usdface.specs.performance import TrainSpec
 from usdface.specs.references import ReferencesImportSpec, SelectSpec
 from usdface.steps.inputs.cleaned_takes import read_cleaned_takes
-from usdface.steps.inputs.scene import set_up_scene
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
@@ -42,13 +37,6 @@ HALVES = ("1-4030", "4031-8059")
 PHONES = "pau b p m k g ae aa f v ch sh iy ay ow oy n d t l eh er th dh s z r w uw hh".split()
 EMOTIONS = ("neutral", "joy", "anger", "sadness")
 LONG = 432_000
-AROUND = 5
-ASKED_OF_STARTS: tuple[tuple[str, dict[str, float]], ...] = (
-    ("the equation, few shapes (L1 1 mm²)", {"l1": 1.0}),
-    ("the equation, few shapes (L1 5 mm²)", {"l1": 5.0}),
-    ("the equation, smooth over 11 frames (10 mm²)", {"smoothness": 10.0}),
-    ("the equation, smooth over 11 frames (1000 mm²)", {"smoothness": 1000.0}),
-)
 
 
 @dataclass(frozen=True)
@@ -242,11 +230,7 @@ def _train(stage: Stage, rows: np.ndarray) -> TrainedMapping:
 
 
 def _print_starts(stage: Stage) -> None:
-    """Distance from the weights an animator starts from to those they end at, over 60 pairs.
-
-    Beside the equation as it is, what else could be asked of its solution: few shapes (an L1
-    penalty), or that it follows the frames around (second differences, five frames either side).
-    """
+    """Distance from the weights an animator starts from to those they end at, over 60 pairs."""
     print("Starting weights of 60 pairs of the first half: distance from the truth\n")
     print("| tuned before | from | vertex RMS [mm] | weight RMSE | sliders off by > 0.1 |")
     print("|---|---|---|---|---|")
@@ -259,13 +243,6 @@ def _print_starts(stage: Stage) -> None:
     place = {int(row): index for index, row in enumerate(rows)}
     proposed = start.weights[[place[int(row)] for row in judged]]
     _start_row(stage, "0", "the blendshape equation", proposed, judged)
-    scene = set_up_scene(
-        read_cleaned_takes((stage.folder / "x.clean.take.usda",)),
-        read_rig(stage.rig_file),
-        progress=silent,
-    )
-    for label, asked in ASKED_OF_STARTS:
-        _start_row(stage, "0", label, _solved(scene.equation, stage, judged, **asked), judged)
     for count in (10, 25, 50):
         mapping = _train(stage, tuned[:count])
         proposed = predict_weights(mapping, stage.positions[judged]).weights
@@ -284,34 +261,6 @@ def _start_row(
         f"| {tuned} | {label} | {np.sqrt(squared.mean()):.3f} | {rmse:.3f} | {off:.1f} |",
         flush=True,
     )
-
-
-def _solved(
-    equation: BlendshapeEquation,
-    stage: Stage,
-    rows: np.ndarray,
-    *,
-    l1: float = 0.0,
-    smoothness: float = 0.0,
-) -> np.ndarray:
-    """Solve frames with those around them, as proposals are but for what is asked."""
-    weights = []
-    for row in rows.tolist():
-        first = max(row - AROUND, 0)
-        moved = stage.positions[first : row + AROUND + 1] if smoothness else stage.positions[[row]]
-        solved = solve_weights(
-            equation.deltas,
-            character_motion(equation.virtual, moved, equation.neutral) * equation.gain[:, None],
-            method="bounded",
-            ranges=equation.ranges,
-            marker_trust=equation.trust,
-            ridge=PROPOSAL_RIDGE,
-            l1=l1,
-            smoothness=smoothness,
-            keys=equation.keys,
-        ).weights
-        weights.append(solved[row - first if smoothness else 0])
-    return np.clip(np.array(weights), equation.ranges[:, 0], equation.ranges[:, 1])
 
 
 def _print_speed(folder: Path) -> None:

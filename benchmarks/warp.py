@@ -8,7 +8,7 @@ import numpy as np
 from usdface.numerics.motion.laplacian_warp import Insertion, warp_motion
 from usdface.numerics.motion.sequence_search import (
     find_sequence,
-    held_distance,
+    mean_face_distance,
     starts_within,
 )
 
@@ -31,7 +31,7 @@ def run() -> None:
     copied = _seconds(motion.copy)
     warped = _seconds(lambda: warp_motion(motion, keys))
     published = _seconds(lambda: warp_motion(motion, keys, keep=1.0))
-    threshold = 0.5 * held_distance(sequence)
+    threshold = 0.5 * mean_face_distance(sequence)
     start = time.perf_counter()
     distances = _brute(motion, sequence)
     brute = time.perf_counter() - start

@@ -1,12 +1,9 @@
-import array_api_strict
 import numpy as np
 import pytest
 
 from usdface.core.errors import InputError
 from usdface.model.mapping.temporal import TemporalSolve, smooth_weights
-from usdface.numerics.array_namespace import CPU, ArrayDevice
 
-STRICT = ArrayDevice("strict", array_api_strict, array_api_strict.Device("CPU_DEVICE"))
 RATE = 60.0
 RANGES = np.array([[0.0, 1.0], [0.0, 1.0]])
 
@@ -72,36 +69,19 @@ def test_the_margin_is_as_wide_as_the_cutoff_is_low_and_not_less_than_before() -
 
 @pytest.mark.parametrize("mode", ["whole", "causal"])
 @pytest.mark.parametrize("rate", [24.0, 25.0, 30.0])
-def test_films_rates_are_smoothed_without_being_told_a_cutoff(mode: str, rate: float) -> None:
+def test_film_rates_are_smoothed_without_a_cutoff(mode: str, rate: float) -> None:
     _, shaky = shaky_blinks()
     solve = TemporalSolve(mode)  # type: ignore[arg-type]
     calm = smoothed(shaky, solve, rate=rate)
     assert roughness(calm) < roughness(shaky)
-    told = TemporalSolve(mode, 0.4 * rate)  # type: ignore[arg-type]
-    np.testing.assert_array_equal(calm, smoothed(shaky, told, rate=rate))
+    explicit = TemporalSolve(mode, 0.4 * rate)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(calm, smoothed(shaky, explicit, rate=rate))
     with pytest.raises(InputError, match="half the rate"):
         smoothed(shaky, TemporalSolve(mode, 20.0), rate=rate)  # type: ignore[arg-type]
 
 
 def test_ordinary_rates_are_cut_off_at_20_hz() -> None:
     assert [TemporalSolve().cutoff_at(rate) for rate in (50.0, 60.0, 120.0)] == [20.0] * 3
-
-
-@pytest.mark.parametrize("cutoff", [20.0, 1.0])
-def test_a_whole_take_is_smoothed_alike_on_any_device(cutoff: float) -> None:
-    """At 1 Hz too many steps would be needed, and the processor does it."""
-    _, shaky = shaky_blinks(300)
-    solve = TemporalSolve("whole", cutoff_hz=cutoff)
-    confidence = np.linspace(0.0, 1.0, len(shaky))
-    here, there = (
-        smooth_weights(
-            shaky, confidence=confidence, ranges=RANGES, rate=RATE, solve=solve, device=device
-        )
-        for device in (CPU, STRICT)
-    )
-    np.testing.assert_allclose(there, here, atol=1e-6)
-    assert there.min() >= 0.0
-    assert there.max() <= 1.0
 
 
 def test_the_causal_mode_knows_no_more_than_its_lag() -> None:
@@ -114,7 +94,7 @@ def test_the_causal_mode_knows_no_more_than_its_lag() -> None:
     assert (first[101] != second[101]).any()
 
 
-def test_a_frame_that_is_not_trusted_is_told_by_its_neighbours() -> None:
+def test_a_frame_of_low_confidence_follows_its_neighbours() -> None:
     weights = np.full((60, 2), 0.5)
     weights[30] = 0.9
     sure = np.ones(60)

@@ -10,9 +10,9 @@ from usdface.numerics.motion.laplacian_warp import (
     ease_weights,
     reach_frames,
     solve_warp,
+    stretch_motion,
     warp_motion,
 )
-from usdface.numerics.motion.retiming import stretch_motion
 
 CONTROLS = 5
 

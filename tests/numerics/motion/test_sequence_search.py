@@ -6,7 +6,7 @@ import pytest
 from usdface.numerics.motion.sequence_search import (
     best_match,
     find_sequence,
-    held_distance,
+    mean_face_distance,
     merge_starts,
     sequence_distances,
     starts_within,
@@ -109,7 +109,7 @@ def test_the_best_match_is_that_of_brute_force():
 def test_held_distance_is_that_of_the_best_still_face_in_the_mean():
     sequence = gesture()
     still = np.repeat(sequence.mean(0)[None], 50, axis=0)
-    assert held_distance(sequence) == pytest.approx(
+    assert mean_face_distance(sequence) == pytest.approx(
         sequence_distances(still, sequence, np.array([0]))[0]
     )
 

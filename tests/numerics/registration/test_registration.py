@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.numerics.small_face import MOUTH, small_actor, small_face
+from tests.numerics.small_face import MOUTH, marker_neutral, small_actor, small_face
 from usdface.numerics.registration.cloud_alignment import align_landmarks, align_pairs
 from usdface.numerics.registration.outer_surface import facing_direction, sample_outer_surface
 from usdface.numerics.registration.registration import (
     character_motion,
     marker_deltas,
-    marker_neutral,
     register_markers,
 )
 

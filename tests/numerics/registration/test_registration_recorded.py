@@ -7,10 +7,10 @@ import ezc3d
 import numpy as np
 import pytest
 
+from tests.numerics.small_face import marker_neutral
 from usdface.numerics.registration.registration import (
     character_motion,
     marker_deltas,
-    marker_neutral,
     register_markers,
 )
 from usdface.numerics.rigid.stabilization import stabilize

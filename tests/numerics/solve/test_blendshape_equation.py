@@ -22,7 +22,7 @@ def motion_of(weights, deltas):
     return np.einsum("fs,smc->fmc", weights, deltas)
 
 
-@pytest.mark.parametrize("method", ["lstsq", "nnls", "bounded"])
+@pytest.mark.parametrize("method", ["lstsq", "bounded"])
 def test_recovers_known_weights(deltas, weights, method):
     solve = solve_weights(deltas, motion_of(weights, deltas), method=method)
     np.testing.assert_allclose(solve.weights, weights, atol=1e-7)
@@ -62,15 +62,6 @@ def test_unseen_markers_have_no_say(deltas, weights):
     np.testing.assert_array_equal(np.isnan(solve.residual_mm), ~visible)
 
 
-def test_unseen_markers_have_no_say_over_time_either(deltas, weights):
-    slow = np.repeat(weights[:5], 20, axis=0)
-    motion = motion_of(slow, deltas)
-    visible = np.random.default_rng(6).random((100, 30)) > 0.1
-    motion[~visible] = 1e4
-    solve = solve_weights(deltas, motion, method="bounded", visible=visible, smoothness=1e-3)
-    np.testing.assert_allclose(solve.weights, slow, atol=1e-3)
-
-
 def test_a_marker_without_trust_has_no_say(deltas, weights):
     motion = motion_of(weights, deltas)
     motion[:, 4] += 50
@@ -80,7 +71,7 @@ def test_a_marker_without_trust_has_no_say(deltas, weights):
     np.testing.assert_allclose(solve.weights, weights, atol=1e-7)
 
 
-@pytest.mark.parametrize("method", ["lstsq", "nnls", "bounded"])
+@pytest.mark.parametrize("method", ["lstsq", "bounded"])
 def test_a_frame_that_sees_nothing_is_at_rest(deltas, weights, method):
     motion = motion_of(weights, deltas)
     visible = np.ones(motion.shape[:2], bool)
@@ -96,32 +87,6 @@ def test_markers_without_trust_tell_no_shapes_apart(deltas):
     solved = solve_weights(deltas, np.zeros((1, *deltas.shape[1:])), marker_trust=trust)
     assert solved.rank == np.linalg.matrix_rank(deltas[:, :2].reshape(len(deltas), -1))
     assert solved.rank < len(deltas)
-
-
-def test_sparsity_leaves_fewer_shapes_active(deltas, weights):
-    noisy = motion_of(weights, deltas) + np.random.default_rng(3).normal(size=(50, 30, 3)) * 4
-    free = solve_weights(deltas, noisy, method="bounded").weights
-    sparse = solve_weights(deltas, noisy, method="bounded", l1=200.0).weights
-    assert (sparse > 0).sum() < (free > 0).sum()
-
-
-def test_a_strong_ridge_returns_its_prior(deltas, weights):
-    solve = solve_weights(
-        deltas, 0 * motion_of(weights, deltas), method="bounded", ridge=1e12, prior=weights
-    )
-    np.testing.assert_allclose(solve.weights, weights, atol=1e-6)
-
-
-def test_smoothness_takes_jitter_out_and_keeps_the_movement(deltas):
-    time = np.linspace(0, 2 * np.pi, 200)
-    slow = np.clip(0.5 + 0.4 * np.sin(time[:, None] + np.arange(12)), 0, 1)
-    noisy = motion_of(slow, deltas) + np.random.default_rng(3).normal(size=(200, 30, 3)) * 5
-    rough = solve_weights(deltas, noisy, method="bounded").weights
-    smooth = solve_weights(deltas, noisy, method="bounded", smoothness=1e5).weights
-    assert (
-        np.abs(np.diff(smooth, 2, axis=0)).mean() < 0.2 * np.abs(np.diff(rough, 2, axis=0)).mean()
-    )
-    assert np.abs(smooth - slow).mean() < 0.5 * np.abs(rough - slow).mean()
 
 
 def test_in_betweens_are_solved_as_they_bend():
@@ -153,7 +118,7 @@ def test_rank_tells_that_shapes_are_alike(deltas):
     ("options", "message"),
     [
         ({"method": "ridge"}, "method must be"),
-        ({"l1": 1.0}, "need method 'bounded' or 'nnls'"),
+        ({"keys": MarkerKeys(np.zeros((0, 30, 3)), np.zeros(0, int), np.asarray)}, "need method"),
         ({"method": "bounded", "ranges": [[0, 1]]}, "ranges must be"),
         ({"method": "bounded", "ridge": -1.0}, "must not be negative"),
         ({"visible": np.ones((2, 2), bool)}, "visible must be"),

@@ -1,52 +1,45 @@
 """Weights that move as faces do: smoothed over time, as a whole take or as frames arrive.
 
 A mapping looks at one frame at a time. Smoothing its weights takes out what no face does, at a
-cut-off that leaves blinks standing; frames that the mapping is less sure of are told by their
-neighbours. Ranges are part of the problem, not cut off afterwards.
+cut-off that keeps blinks; frames of low confidence are interpolated from their neighbours. Ranges
+are constraints of the problem, not cut off afterwards.
 """
 
 import math
 from dataclasses import dataclass
-from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
-from usdface.numerics.array_namespace import CPU, ArrayDevice
 from usdface.numerics.solve.banded_smoothing import (
-    SLOWEST,
+    LEAST_CUTOFF_SHARE,
     FixedLagSmoother,
     cutoff_penalty,
     smooth_within_bounds,
 )
 from usdface.numerics.solve.filter_bank import apply_filter_bank, filter_reach
-from usdface.numerics.solve.projected_gradient_smoothing import (
-    MOST_STEPS,
-    smooth_on_device,
-    steps_needed,
-)
 
 CUTOFF_HZ = 20.0
-"""Motion of this frequency is halved. Blinks lose less than .005 at it; at 12 Hz they lose .01."""
+"""Motion of this frequency is halved. Blinks lose less than .005 of their peak; at 12 Hz, .01."""
 
 CUTOFF_SHARE = 0.4
-"""Most of the rate that the cut-off is unless asked for: at half of it little would be smoothed,
-and beyond there is no such motion."""
+"""[of the rate] Largest default cut-off: at half of the rate little would be smoothed, and frames
+hold no motion beyond it."""
 
 LAG_FRAMES = 2
-"""How far the causal mode is behind: with two frames nearly as good as the whole take."""
+"""Latency of the causal mode; with two frames it is nearly as good as the whole take."""
 
 BANDS = 1
 """Octaves left out by the paper's filter bank: at 60 frames per second one costs blinks .02 of
 their peaks, two .06, three .15."""
 
 MARGIN_FRAMES = 64
-"""Fewest frames around a window beyond which nothing that is heard in it happens."""
+"""Least margin of a window: what happens farther away does not change its frames."""
 
 _LEAST_TRUST = 0.25  # a blink may be the frame that references know least
-_UNHEARD = 1e-10  # share of a change that is rounding
+_ROUNDING_SHARE = 1e-10  # of a change
 
 Mode = Literal["none", "whole", "causal", "bands"]
 
@@ -59,7 +52,7 @@ class TemporalSolve:
     ----------
     mode : {'none', 'whole', 'causal', 'bands'}
         Not at all; every frame by those before and after it; by those before it and `lag` frames
-        after; or as published, by a filter bank that knows no confidence and is limited last.
+        after; or as published, by a filter bank that ignores confidence and is limited last.
     cutoff_hz : float or None
         None for `CUTOFF_HZ`, or `CUTOFF_SHARE` of the rate where that is less.
     lag : int
@@ -78,19 +71,19 @@ class TemporalSolve:
         return min(CUTOFF_HZ, CUTOFF_SHARE * rate) if self.cutoff_hz is None else self.cutoff_hz
 
     def margin_at(self, rate: float) -> int:
-        """Return how many frames to solve on either side of those asked for.
+        """Return how many frames to solve on either side of those wanted.
 
         A change fades by exp(-(trust / penalty)^(1/4) / sqrt(2)) a frame: the lower the cut-off,
-        the further it is heard.
+        the farther it reaches.
         """
         if self.mode == "none":
             return 0
         if self.mode == "bands":
             return max(MARGIN_FRAMES, filter_reach(self.bands))
-        # What is out of bounds is refused where it is smoothed.
-        cutoff = min(max(self.cutoff_at(rate), SLOWEST * rate), rate / 2)
+        # A cut-off out of bounds is refused where it is smoothed.
+        cutoff = min(max(self.cutoff_at(rate), LEAST_CUTOFF_SHARE * rate), rate / 2)
         penalty = cutoff_penalty(cutoff, rate)
-        reach = -math.log(_UNHEARD) * math.sqrt(2.0 * math.sqrt(penalty / _LEAST_TRUST))
+        reach = -math.log(_ROUNDING_SHARE) * math.sqrt(2.0 * math.sqrt(penalty / _LEAST_TRUST))
         return max(MARGIN_FRAMES, math.ceil(reach))
 
 
@@ -101,7 +94,6 @@ def smooth_weights(
     ranges: FloatArray,
     rate: float,
     solve: TemporalSolve,
-    device: ArrayDevice = CPU,
 ) -> FloatArray:
     """Smooth consecutive frames of a performance.
 
@@ -117,8 +109,6 @@ def smooth_weights(
     rate : float
         Frames per second.
     solve : TemporalSolve
-    device : ArrayDevice
-        Where whole takes are smoothed; the other modes go from frame to frame, on the processor.
 
     Returns
     -------
@@ -140,10 +130,9 @@ def smooth_weights(
             return np.clip(banded, lower, upper, out=banded)
         penalty = cutoff_penalty(solve.cutoff_at(rate), rate)
         if solve.mode == "whole":
-            quick = len(trust) > 0 and steps_needed(penalty, trust) <= MOST_STEPS
-            here = device is CPU or not quick
-            smooth = smooth_within_bounds if here else partial(smooth_on_device, device=device)
-            return smooth(weights, penalty=penalty, trust=trust, lower=lower, upper=upper)
+            return smooth_within_bounds(
+                weights, penalty=penalty, trust=trust, lower=lower, upper=upper
+            )
         smoother = FixedLagSmoother(weights.shape[1], penalty=penalty, lag=solve.lag)
     except ValueError as error:
         raise InputError(f"weights cannot be smoothed: {error}") from error

@@ -38,7 +38,7 @@ from usdface.numerics.regression.linear_posterior import (
     fit_linear_posterior,
 )
 from usdface.numerics.regression.regional_process import marker_relevance, regional_features
-from usdface.numerics.solve.box_projection import BoxProjection
+from usdface.numerics.solve.bounded_least_squares import BoxProjection
 
 _MAX_DIMENSIONS = 50
 _LEAST_VARIANCE_MM2 = 1e-4

@@ -27,7 +27,7 @@ _WORDS: tuple[tuple[str, tuple[str, ...]], ...] = (
 )
 
 _LEAST_MOTION = 0.1
-"""Share of a shape's largest motion below which it does not claim a point."""
+"""[of a shape's largest motion] With less it does not claim a point."""
 
 _CARRIED = {"jaw": 0.85}
 """How much a claim counts: what the jaw carries along, the lower lip above all, is not its own."""
@@ -46,7 +46,7 @@ def shapes_by_region(names: Sequence[str]) -> dict[str, IntArray]:
     """Return the columns of the shapes of each part of the face that has any."""
     found = np.array([region_of_shape(name) for name in names], dtype=object)
     columns = {region: np.flatnonzero(found == region) for region in REGIONS}
-    return {region: held for region, held in columns.items() if len(held)}
+    return {region: shapes for region, shapes in columns.items() if len(shapes)}
 
 
 def blinks(names: Sequence[str]) -> IntArray:
@@ -96,7 +96,7 @@ def points_by_region(
                 np.maximum(claims[row], share, out=claims[row])
     owner = claims.argmax(axis=0)
     owned = {region: np.flatnonzero(owner == row) for row, region in enumerate(regions)}
-    return {region: held for region, held in owned.items() if len(held)}
+    return {region: points for region, points in owned.items() if len(points)}
 
 
 def region_gram(key_offsets: sparse.csr_array, points: IntArray) -> FloatArray:

@@ -13,18 +13,18 @@ from scipy.spatial import cKDTree
 
 from usdface.core.arrays import FloatArray, IntArray
 
-_LIPS = 0.3
-"""Share of a mouth shape's largest motion that lips reach and teeth do not."""
+_LIP_MOTION_SHARE = 0.3
+"""[of a mouth shape's largest motion] Lips reach it and teeth do not."""
 
-_STILL, _OPENED = 0.2, 0.5
-"""Shares of the jaw's largest motion: the upper lip stays below the one, the lower lip above the
+_UPPER_LIP_SHARE, _LOWER_LIP_SHARE = 0.2, 0.5
+"""[of the jaw's largest motion] The upper lip stays below the one, the lower lip above the
 other."""
 
-_TOUCHING = 0.03
-"""Of what the jaw opens: pairs nearer than this at rest are lips upon each other."""
+_TOUCHING_SHARE = 0.03
+"""[of what the jaw opens] Pairs nearer than this at rest are lips upon each other."""
 
-_MIDDLE = 0.75
-"""Of the widest opening: pairs that open less lie towards the corners."""
+_MIDDLE_SHARE = 0.75
+"""[of the widest opening] Pairs that open less lie towards the corners."""
 
 
 @dataclass(frozen=True)
@@ -78,12 +78,15 @@ def find_lip_pairs(
         size = np.linalg.norm(moved, axis=1)
         if size.max() > 0:
             np.maximum(activity, size / size.max(), out=activity)
-    lips = np.flatnonzero(activity > _LIPS)
+    lips = np.flatnonzero(activity > _LIP_MOTION_SHARE)
     opened = _motion(offsets, jaw_open, len(rest))
     travel = np.linalg.norm(opened[lips], axis=1)
     if not len(lips) or travel.max() == 0:
         return None
-    upper, lower = lips[travel < _STILL * travel.max()], lips[travel > _OPENED * travel.max()]
+    upper, lower = (
+        lips[travel < _UPPER_LIP_SHARE * travel.max()],
+        lips[travel > _LOWER_LIP_SHARE * travel.max()],
+    )
     if not (len(upper) and len(lower)):
         return None
     distance, nearest = cKDTree(rest[upper]).query(rest[lower])
@@ -91,8 +94,8 @@ def find_lip_pairs(
     parted = opened[partner] - opened[lower]
     width = np.linalg.norm(parted, axis=1)
     ratio = distance / width
-    touching = ratio <= max(_TOUCHING, 2.0 * float(ratio.min()))
-    middle = touching & (width >= _MIDDLE * width[touching].max())
+    touching = ratio <= max(_TOUCHING_SHARE, 2.0 * float(ratio.min()))
+    middle = touching & (width >= _MIDDLE_SHARE * width[touching].max())
     direction = parted[middle].mean(axis=0)
     direction /= np.linalg.norm(direction)
     low, high = lower[middle], partner[middle]

@@ -20,8 +20,8 @@ _LETTER = re.compile(
 )
 _OTHER = {"left": "right", "right": "left", "l": "r", "r": "l"}
 
-OWN_SIDE = 0.8
-"""Share of a shape's squared motion that must lie on one side for it to be that side's."""
+_ONE_SIDE_SHARE = 0.8
+"""[of a shape's squared motion] Must lie on one side for the shape to be that side's."""
 
 
 def mirrored_shapes(names: Sequence[str]) -> IntArray:
@@ -71,7 +71,7 @@ def sided_shapes(offsets: sparse.csr_array, points: ArrayLike) -> NDArray[np.boo
     sides = np.repeat(np.column_stack([x > _middle(x), x <= _middle(x)]), 3, axis=0)
     shares = np.asarray(squared @ sides.astype(np.float64))
     total = shares.sum(axis=1)
-    return np.asarray((total > 0) & (shares.max(axis=1) >= OWN_SIDE * total))
+    return np.asarray((total > 0) & (shares.max(axis=1) >= _ONE_SIDE_SHARE * total))
 
 
 def _middle(x: FloatArray) -> float:

@@ -22,7 +22,7 @@ long, frames at it are."""
 CLOSED_MM = 1.0
 """Lips no further apart than this are meant to be closed."""
 
-_PERCENTILE = 0.95
+_QUANTILE_95 = 0.95
 _LEAST_ROUGHNESS = 1e-9
 
 
@@ -115,7 +115,7 @@ def measure_surface(key_errors: FloatArray, gram: FloatArray) -> SurfaceError:
     return SurfaceError(
         frames_mm=frames_mm,
         rms_mm=surface_rms_mm(key_errors, gram),
-        p95_mm=float(np.quantile(frames_mm, _PERCENTILE)),
+        p95_mm=float(np.quantile(frames_mm, _QUANTILE_95)),
         max_mm=float(frames_mm.max()),
     )
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from usdface.core.arrays import FloatArray
 
-NOTHING = 1e-6
-"""A change smaller than this is none: single precision, in which weights are kept, ends there."""
+_LEAST_CHANGE = 1e-6
+"""A smaller change is none: single precision, in which weights are kept, ends there."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class EditCurve:
     offset : (frames,) float array
         Added to the weight.
     override : (frames,) float array
-        Taken instead of the solved weight as far as `mask` says; anything where `mask` is 0.
+        Replaces the solved weight by the share `mask`; anything where `mask` is 0.
     mask : (frames,) float array
         [0-1]
     """
@@ -38,7 +38,9 @@ class EditCurve:
     @property
     def active(self) -> NDArray[np.bool_]:
         """Frames at which anything is changed."""
-        changed: NDArray[np.bool_] = (np.abs(self.offset) > NOTHING) | (self.mask > NOTHING)
+        changed: NDArray[np.bool_] = (np.abs(self.offset) > _LEAST_CHANGE) | (
+            self.mask > _LEAST_CHANGE
+        )
         return changed
 
 
@@ -78,21 +80,21 @@ def fade_mask(frames: NDArray[np.int64], first: int, last: int, *, fade: int = 0
 
 
 def add_to_edit(edit: EditCurve, value: float | FloatArray, mask: FloatArray) -> EditCurve:
-    """Fold in: `value` is added, as far as `mask` says."""
+    """Fold in: `mask` times `value` is added."""
     return EditCurve(edit.offset + mask * value, edit.override, edit.mask)
 
 
 def override_edit(edit: EditCurve, value: float | FloatArray, mask: FloatArray) -> EditCurve:
-    """Fold in: the weight is `value`, as far as `mask` says, whatever was there."""
-    kept = (1 - mask) * edit.mask
-    total = mask + kept
-    shown = mask * value + kept * edit.override
+    """Fold in: the weight is `value` by the share `mask`, whatever was there."""
+    earlier = (1 - mask) * edit.mask
+    total = mask + earlier
+    shown = mask * value + earlier * edit.override
     override = np.where(total > 0, shown / np.where(total > 0, total, 1.0), edit.override)
     return EditCurve((1 - mask) * edit.offset, override, total)
 
 
 def clear_edit(edit: EditCurve, mask: FloatArray) -> EditCurve:
-    """Fold in: the solve shows again, as far as `mask` says."""
+    """Fold in: the solve shows again by the share `mask`."""
     return EditCurve((1 - mask) * edit.offset, edit.override, (1 - mask) * edit.mask)
 
 

@@ -14,12 +14,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 from scipy.linalg import solveh_banded
 
 from usdface.core.arrays import FloatArray
 
-_ROUNDING = 2.0**-60
-"""Share of a change below which it is lost in the motion's own digits."""
+_ROUNDING_SHARE = 2.0**-60
+"""[of a change] Less is lost in the motion's own digits."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +184,7 @@ def reach_frames(keep: float) -> int:
     if math.isinf(keep):
         return 0
     growth = 1 + keep / 2 + math.sqrt(keep) * math.sqrt(1 + keep / 4)
-    return math.ceil(-math.log(_ROUNDING) / math.log(growth))
+    return math.ceil(-math.log(_ROUNDING_SHARE) / math.log(growth))
 
 
 def ease_weights(count: int, weight: float, *, ease: int) -> FloatArray:
@@ -191,6 +192,28 @@ def ease_weights(count: int, weight: float, *, ease: int) -> FloatArray:
     edge = np.minimum(np.arange(1, count + 1), np.arange(count, 0, -1))
     share = np.clip(edge / (ease + 1.0), 0.0, 1.0)
     return np.asarray(weight * share**2 * (3 - 2 * share))
+
+
+def stretch_motion(motion: FloatArray, frames: int) -> FloatArray:
+    """Resample a motion to another number of frames; its first and last frame stay.
+
+    Monotone cubics (Fritsch and Carlson 1980): a peak keeps its height and nothing swings past it.
+
+    Parameters
+    ----------
+    motion : (n, controls) float array
+
+    Raises
+    ------
+    ValueError
+        If either length is below 2.
+    """
+    if len(motion) < 2 or frames < 2:
+        raise ValueError(f"cannot stretch {len(motion)} frames to {frames}; both need at least 2")
+    if frames == len(motion):
+        return motion.copy()
+    old = np.linspace(0.0, 1.0, len(motion))
+    return np.asarray(PchipInterpolator(old, motion, axis=0)(np.linspace(0.0, 1.0, frames)))
 
 
 def _windows(ordered: Sequence[Insertion], frames: int, margin: int) -> list[_Window]:

@@ -10,8 +10,8 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray
 
-_SMALL = 1e-8
-"""Half angle below which its sine over itself is 1 to rounding."""
+_SMALL_HALF_ANGLE = 1e-8
+"""[rad] Below it the sine over the angle is 1 to rounding."""
 
 
 def mean_rotation(quaternions: FloatArray) -> FloatArray:
@@ -41,14 +41,16 @@ def rotation_vectors(quaternions: FloatArray, mean: FloatArray) -> FloatArray:
     turn = np.where(turn[..., :1] < 0, -turn, turn)  # the shorter way round
     sine = np.linalg.norm(turn[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, turn[..., :1])
-    per_sine = np.where(sine > _SMALL, angle / np.maximum(sine, _SMALL), 2.0)
+    per_sine = np.where(sine > _SMALL_HALF_ANGLE, angle / np.maximum(sine, _SMALL_HALF_ANGLE), 2.0)
     return np.asarray(turn[..., 1:] * per_sine)
 
 
 def rotations_at(vectors: FloatArray, mean: FloatArray) -> FloatArray:
     """Return the mean turned by rotation vectors: (..., 4) unit quaternions, w first."""
     half = 0.5 * np.sqrt(np.einsum("...i,...i->...", vectors, vectors))[..., None]
-    ratio = 0.5 * np.where(half > _SMALL, np.sin(half) / np.maximum(half, _SMALL), 1.0)
+    ratio = 0.5 * np.where(
+        half > _SMALL_HALF_ANGLE, np.sin(half) / np.maximum(half, _SMALL_HALF_ANGLE), 1.0
+    )
     return multiply_quaternions(mean, np.concatenate([np.cos(half), vectors * ratio], axis=-1))
 
 

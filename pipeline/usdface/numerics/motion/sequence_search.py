@@ -8,7 +8,7 @@ Most of a long motion is ruled out without looking at frames: by the triangle in
 distances is at least the length of the sum of differences, and running sums give that for all
 starts at once, for the whole sequence and then for its parts.
 
-Without a threshold: a match must be nearer than half of what the best face held still would reach.
+Without a threshold a match must be nearer than half of what the mean face, held still, reaches.
 """
 
 from dataclasses import dataclass
@@ -17,12 +17,14 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 
-LIKE = 0.5
-"""Share of the held face's distance below which a motion counts as the same."""
+_MATCH_SHARE = 0.5
+"""[of `mean_face_distance`] Default threshold."""
 
-_PARTS = (1, 4, 16)
-_BLOCK = 1 << 15
-_SLACK = 1e-9
+_PART_COUNTS = (1, 4, 16)
+"""Into which a sequence is cut, one pass after the other."""
+_BLOCK_STARTS = 1 << 15
+"""Looked at together: bounds the memory."""
+_ROUNDING_SLACK = 1e-9
 """Rounding of running sums, far above what they have: a true match is never ruled out."""
 
 
@@ -45,8 +47,8 @@ class Matches:
     threshold: float
 
 
-def held_distance(sequence: FloatArray) -> float:
-    """Return the distance of a sequence from its own mean held still."""
+def mean_face_distance(sequence: FloatArray) -> float:
+    """Return the distance of a sequence from its own mean face, held still."""
     off = np.linalg.norm(sequence - sequence.mean(axis=0), axis=1)
     return float(off.mean() / np.sqrt(sequence.shape[1]))
 
@@ -92,8 +94,8 @@ def starts_within(motion: FloatArray, sequence: FloatArray, *, threshold: float)
     limit = threshold * len(sequence) * np.sqrt(sequence.shape[1])
     count = len(motion) - len(sequence) + 1
     starts, distances = [], []
-    for first in range(0, count, _BLOCK):
-        stop = min(first + _BLOCK, count)
+    for first in range(0, count, _BLOCK_STARTS):
+        stop = min(first + _BLOCK_STARTS, count)
         part = motion[first : stop + len(sequence) - 1]
         left = _abandon(part, sequence, _rule_out(part, sequence, limit), limit)
         near = sequence_distances(part, sequence, left)
@@ -112,7 +114,7 @@ def find_sequence(
     motion : (frames, channels) float array
     sequence : (m, channels) float array
     threshold : float, optional
-        See `starts_within`; by default `LIKE` times `held_distance`.
+        See `starts_within`; by default `_MATCH_SHARE` times `mean_face_distance`.
 
     Raises
     ------
@@ -120,7 +122,7 @@ def find_sequence(
         As `starts_within`, and if the sequence stands still, so that any still face is like it.
     """
     if threshold is None:
-        threshold = LIKE * held_distance(sequence)
+        threshold = _MATCH_SHARE * mean_face_distance(sequence)
         if threshold == 0.0:
             raise ValueError("the sequence stands still, so nothing tells it from a face at rest")
     found = starts_within(motion, sequence, threshold=threshold)
@@ -130,7 +132,7 @@ def find_sequence(
         # Between two matches the average may be none: then the nearest beside it stands for them.
         nearest = int(np.abs(found.starts - starts[index]).argmin())
         starts[index], distances[index] = found.starts[nearest], found.distances[nearest]
-    return _apart(Matches(starts, distances, threshold), len(sequence))
+    return _drop_overlapping(Matches(starts, distances, threshold), len(sequence))
 
 
 def best_match(motion: FloatArray, sequence: FloatArray) -> Matches:
@@ -156,13 +158,13 @@ def merge_starts(starts: IntArray, length: int) -> IntArray:
     return np.array(merged, dtype=np.int64)
 
 
-def _apart(found: Matches, length: int) -> Matches:
+def _drop_overlapping(found: Matches, length: int) -> Matches:
     """Of averages that still overlap keep the nearer."""
-    kept: list[int] = []
+    chosen: list[int] = []
     for index in np.argsort(found.distances, kind="stable").tolist():
-        if all(abs(found.starts[index] - found.starts[other]) >= length for other in kept):
-            kept.append(index)
-    order = sorted(kept)
+        if all(abs(found.starts[index] - found.starts[other]) >= length for other in chosen):
+            chosen.append(index)
+    order = sorted(chosen)
     return Matches(found.starts[order], found.distances[order], found.threshold)
 
 
@@ -170,8 +172,8 @@ def _rule_out(motion: FloatArray, sequence: FloatArray, limit: float) -> IntArra
     """Return the starts that sums over parts of the sequence cannot rule out."""
     sums = np.concatenate([np.zeros((1, motion.shape[1])), np.cumsum(motion, axis=0)])
     left: IntArray = np.arange(len(motion) - len(sequence) + 1)
-    slack = _SLACK * (1.0 + float(np.abs(sums).max()))
-    for parts in _PARTS:
+    slack = _ROUNDING_SLACK * (1.0 + float(np.abs(sums).max()))
+    for parts in _PART_COUNTS:
         edges = np.unique(np.linspace(0, len(sequence), min(parts, len(sequence)) + 1).astype(int))
         least = np.zeros(len(left))
         for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
@@ -189,7 +191,7 @@ def _abandon(motion: FloatArray, sequence: FloatArray, left: IntArray, limit: fl
     """Drop starts as soon as the frames seen are too far, those furthest from the mean first."""
     order = np.argsort(-_lengths(sequence - sequence.mean(axis=0)))
     total = np.zeros(len(left))
-    slack = _SLACK * (1.0 + limit)
+    slack = _ROUNDING_SLACK * (1.0 + limit)
     for offset in order.tolist():
         if not len(left):
             break

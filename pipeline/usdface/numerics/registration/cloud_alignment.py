@@ -1,4 +1,4 @@
-"""Bring a performer's marker cloud onto a character's face, without naming a landmark.
+"""Align a performer's marker cloud with a character's face, without landmarks.
 
 The unknowns are a rotation, a translation and one scale per axis: the performer's proportions.
 Iterated closest points, started from every side and trimmed, in both directions: each marker must
@@ -18,13 +18,13 @@ from usdface.core.arrays import FloatArray, IntArray
 _YAWS_DEGREES = range(0, 360, 30)
 _PITCHES_DEGREES = (-20, 0, 20)
 _TILT_LIMIT = np.cos(np.deg2rad(40))  # Y is roughly up: a face on its side is a wrong answer
-_TRIM = 0.95  # of the pairs that are believed
+_TRUSTED_PAIR_SHARE = 0.95  # of the pairs, nearest first
 _PROPORTION_LIMIT = 1.35  # how far one axis may differ from the mean of the three
-_PROPORTION_BELIEF = 0.6  # of what one axis seems to differ: wrong pairs stretch it too
+_PROPORTION_SHARE = 0.6  # exponent on what one axis seems to differ: wrong pairs stretch it too
 _COARSE_SKIN, _FINE_SKIN = 500, 3000
 _COARSE_STEPS, _FINE_STEPS = 12, 40
 _MOTION_MM = 40.0  # what the whole range of motion counts for, on a head 200 mm high
-_BACKWARD = 1.0  # weight of skin looking for markers, against markers looking for skin
+_BACKWARD_WEIGHT = 1.0  # weight of skin looking for markers, against markers looking for skin
 
 
 @dataclass(frozen=True)
@@ -218,9 +218,11 @@ def _climb(
         moved = np.column_stack([now.apply(cloud4[:, :3]), cloud4[:, 3]])
         forward, nearest = _nearest(skin.tree, moved)
         backward, seeker = _nearest(KDTree(moved), skin.wanted)
-        keep = forward <= np.quantile(forward, _TRIM)
-        found = backward <= np.quantile(backward, _TRIM)
-        residual = np.sqrt((forward[keep] ** 2).mean() + _BACKWARD * (backward[found] ** 2).mean())
+        keep = forward <= np.quantile(forward, _TRUSTED_PAIR_SHARE)
+        found = backward <= np.quantile(backward, _TRUSTED_PAIR_SHARE)
+        residual = np.sqrt(
+            (forward[keep] ** 2).mean() + _BACKWARD_WEIGHT * (backward[found] ** 2).mean()
+        )
         now = replace(now, residual_mm=float(residual))
         if step == steps:
             break
@@ -229,7 +231,7 @@ def _climb(
         weight = np.concatenate(
             [
                 np.full(int(keep.sum()), 1 / keep.sum()),
-                np.full(int(found.sum()), _BACKWARD / found.sum()),
+                np.full(int(found.sum()), _BACKWARD_WEIGHT / found.sum()),
             ]
         )
         now = _fit(source, target, weight, now, proportions=proportions and step > steps // 2)
@@ -251,7 +253,7 @@ def _fit(
     if proportions:
         scale = (w @ (turned * xc)) / mean_square
         middle = np.prod(np.maximum(scale, 1e-9)) ** (1 / 3)
-        scale = middle * np.clip(scale / middle, 1e-3, None) ** _PROPORTION_BELIEF
+        scale = middle * np.clip(scale / middle, 1e-3, None) ** _PROPORTION_SHARE
         scale = np.clip(scale, middle / _PROPORTION_LIMIT, middle * _PROPORTION_LIMIT)
     else:
         scale = np.full(3, np.sqrt((w @ xc**2).sum() / mean_square.sum()))

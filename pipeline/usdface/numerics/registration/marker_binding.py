@@ -16,11 +16,11 @@ from usdface.numerics.registration.surface_places import SurfacePlaces
 FEWEST_MARKERS = 4
 """An affine map has four unknown points."""
 
-_BELIEF = 0.15  # weight of the similarity against the markers' own say on proportions
-_STRAY = 0.10  # of the face's size: a marker this far off counts half
-_ROUNDS = 8
-_NOISE_MM = 0.3
-_REACH_MM = 60.0  # over which neighbouring markers move alike
+_SIMILARITY_WEIGHT = 0.15  # of the similarity, over the spread of the markers themselves
+_HALF_TRUST_SIZE = 0.10  # [of the face's size] a marker this far off counts half
+_ROBUST_ROUNDS = 8
+_NOISE_MM = 0.3  # of a marker's displacement, per coordinate
+_CORRELATION_LENGTH_MM = 60.0  # over which neighbouring markers move alike
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,11 @@ class MarkerBinding:
     Attributes
     ----------
     names : tuple of str
+        Of the markers.
     places : SurfacePlaces
+        Marker by marker.
     confidence : (markers,) float array
-        [0-1]; 1 where a person said so.
+        [0-1]; 1 where a person set the place.
     distance_mm : (markers,) float array
         Between where the performer's proportions put the marker and its place [mm].
     sources : tuple of str
@@ -69,7 +71,8 @@ def fit_proportions(cloud: FloatArray, places: FloatArray, *, weight: FloatArray
     """Fit the affine map from a performer's neutral markers to their places on a mesh.
 
     Ridge regression towards the best similarity: a face's markers are nearly a plane, so that
-    without it the depth is told by noise. A marker far from where the others put it counts less.
+    without it noise would decide on the depth. A marker far from where the others put it counts
+    less.
 
     Parameters
     ----------
@@ -89,7 +92,7 @@ def fit_proportions(cloud: FloatArray, places: FloatArray, *, weight: FloatArray
         raise ValueError(f"{len(cloud)} markers; an affine map needs at least {FEWEST_MARKERS}")
     size = float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
     trust = np.maximum(weight, 1e-3)
-    for _ in range(_ROUNDS):
+    for _ in range(_ROBUST_ROUNDS):
         w = trust / trust.sum()
         root = np.sqrt(w * len(w))[:, None]
         middle, goal = w @ cloud, w @ places
@@ -97,16 +100,16 @@ def fit_proportions(cloud: FloatArray, places: FloatArray, *, weight: FloatArray
         similar = start.scale[0] * start.rotation
         y, x = cloud - middle, places - goal
         spread = (y * w[:, None]).T @ y
-        ridge = _BELIEF * np.trace(spread) / 3 * np.eye(3)
+        ridge = _SIMILARITY_WEIGHT * np.trace(spread) / 3 * np.eye(3)
         linear = ((x * w[:, None]).T @ y + similar @ ridge) @ np.linalg.inv(spread + ridge)
         shift = goal - linear @ middle
         away = np.linalg.norm(cloud @ linear.T + shift - places, axis=1)
-        trust = np.maximum(weight, 1e-3) / (1 + (away / (_STRAY * size)) ** 2)
+        trust = np.maximum(weight, 1e-3) / (1 + (away / (_HALF_TRUST_SIZE * size)) ** 2)
     return Proportions(linear, shift, away)
 
 
 def motion_agreement(displacements: FloatArray, distances: FloatArray) -> FloatArray:
-    """Say how well each marker's motion fits that of its neighbours on the mesh.
+    """Return how badly each marker's motion fits that of its neighbours on the mesh.
 
     Leave-one-out residuals of a Gaussian process over the markers, each against what it expects,
     against the median marker: a lip marker on the wrong lip, or two that were exchanged, stand out.
@@ -127,7 +130,9 @@ def motion_agreement(displacements: FloatArray, distances: FloatArray) -> FloatA
     moved = displacements.transpose(1, 0, 2).reshape(markers, -1)
     energy = float((moved**2).sum() / markers) or 1.0
     noise = 3 * frames * _NOISE_MM**2 / energy
-    kernel = np.exp(-np.asarray(distances, float) / _REACH_MM) + noise * np.eye(markers)
+    kernel = np.exp(-np.asarray(distances, float) / _CORRELATION_LENGTH_MM) + noise * np.eye(
+        markers
+    )
     inverse = np.linalg.inv((kernel + kernel.T) / 2)
     left = (inverse @ moved) / np.diag(inverse)[:, None]
     surprise = np.sqrt((left**2).sum(axis=1) * np.diag(inverse))

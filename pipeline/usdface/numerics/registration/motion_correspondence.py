@@ -15,30 +15,28 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.numerics.registration.cloud_alignment import Alignment, align_pairs
 from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
 
-_REACH = (
-    0.22,
-    0.20,
-    0.17,
-    0.14,
-    0.12,
-    0.10,
-    0.09,
-    0.08,
-    0.07,
-    0.06,
-    0.05,
-    0.05,
-)  # of the face's size
-_WARP = 0.10  # how far proportions may differ locally, of the face's size
-_WARP_LENGTH = 0.6  # over which they change, of the face's size
-_LEAST_DOUBT = 0.02  # of a marker's place, of the face's size
-_SHAPE = 0.2  # how far along the skin the nearest point may be wrong
-_STRAY = 0.25  # of the face's size: a marker this far off counts half, beyond it ever less
-_EVIDENCE = 6.0  # independent samples that a path counts for; frames repeat each other
-_NOISE_MM = 0.5  # what a marker moves for no reason
-_MODEL_ERROR = 0.04  # of a path's energy, which no correct placement explains either
-_GAINS = (0.5, 2.0)  # how much further or less far than the shapes a performer's skin may go
-_WEIGHT_RIDGE = 25.0  # [mm^2]: (1.5 mm of noise / typical weight 0.3)^2
+_SEARCH_RADII = (0.22, 0.20, 0.17, 0.14, 0.12, 0.10, 0.09, 0.08, 0.07, 0.06, 0.05, 0.05)
+"""[of the face's size] Deviation of a marker from where shape puts it, round by round."""
+_WARP_SIZE = 0.10
+"""[of the face's size] How far proportions may differ locally."""
+_WARP_LENGTH = 0.6
+"""[of the face's size] Over which they change."""
+_LEAST_DEVIATION = 0.02
+"""[of the face's size] Of a marker's place, however clear its motion."""
+_SHAPE_DEVIATION = 0.2
+"""[of the face's size] Of a marker's place, by shape alone."""
+_HALF_TRUST_SIZE = 0.25
+"""[of the face's size] A marker this far off counts half, beyond it ever less."""
+_EVIDENCE_SAMPLES = 6.0
+"""Independent samples that a path counts for; frames repeat each other."""
+_NOISE_MM = 0.5
+"""Of a marker's displacement, per coordinate."""
+_MODEL_ERROR = 0.04
+"""[of a path's energy] Left unexplained by correct placements too."""
+_GAINS = (0.5, 2.0)
+"""Least and largest motion of a performer's skin over that of the shapes."""
+_WEIGHT_RIDGE = 25.0
+"""[mm^2] (1.5 mm of noise / typical weight of 0.3)^2."""
 
 
 @dataclass(frozen=True)
@@ -96,45 +94,50 @@ def place_by_motion(
     warped = alignment.apply(cloud)
     chosen = cdist(warped, skin).argmin(axis=1)
     agreement = np.full(len(cloud), np.nan)
-    for reach in _REACH:
-        away = cdist(warped, skin, "sqeuclidean") / (2 * (reach * size) ** 2)
-        target, doubt = skin[away.argmin(axis=1)], np.full(len(cloud), (_SHAPE * size) ** 2)
+    for radius in _SEARCH_RADII:
+        away = cdist(warped, skin, "sqeuclidean") / (2 * (radius * size) ** 2)
+        target, variance = (
+            skin[away.argmin(axis=1)],
+            np.full(len(cloud), (_SHAPE_DEVIATION * size) ** 2),
+        )
         chosen = away.argmin(axis=1)
         if skin_deltas is not None and motion is not None:
             misfit = _path_misfit(alignment.apply_to_motion(motion), skin_deltas, chosen, ranges)
-            cost = away + _EVIDENCE / 2 * np.log(misfit + _MODEL_ERROR)
+            cost = away + _EVIDENCE_SAMPLES / 2 * np.log(misfit + _MODEL_ERROR)
             chosen = cost.argmin(axis=1)
             agreement = np.clip(1 - misfit[np.arange(len(cloud)), chosen], 0, 1)
-            said, said_doubt = _message(away, cost, skin)
-            said_doubt += (_LEAST_DOUBT * size) ** 2
-            target = (target / doubt[:, None] + said / said_doubt[:, None]) / (
-                1 / doubt + 1 / said_doubt
+            moved_to, moved_variance = _motion_evidence(away, cost, skin)
+            moved_variance += (_LEAST_DEVIATION * size) ** 2
+            target = (target / variance[:, None] + moved_to / moved_variance[:, None]) / (
+                1 / variance + 1 / moved_variance
             )[:, None]
-            doubt = 1 / (1 / doubt + 1 / said_doubt)
+            variance = 1 / (1 / variance + 1 / moved_variance)
         for marker, place in pins.items():
             chosen[marker] = ((skin - place) ** 2).sum(axis=1).argmin()
-            target[marker], doubt[marker] = place, 1e-6
+            target[marker], variance[marker] = place, 1e-6
         off = ((alignment.apply(cloud) - target) ** 2).sum(axis=1)
-        trust = 1 / (doubt + (_WARP * size) ** 2) / (1 + off / (_STRAY * size) ** 2)
+        trust = (
+            1 / (variance + (_WARP_SIZE * size) ** 2) / (1 + off / (_HALF_TRUST_SIZE * size) ** 2)
+        )
         alignment = align_pairs(cloud, target, weight=trust)
-        warped = _warp(alignment.apply(cloud), target, doubt, size)
+        warped = _warp(alignment.apply(cloud), target, variance, size)
     return Placement(chosen, warped, agreement, alignment)
 
 
-def _message(
+def _motion_evidence(
     before: FloatArray, after: FloatArray, skin: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what motion alone says of each marker's place, and with what variance.
+    """Return each marker's place and its variance from motion alone.
 
-    The belief after seeing the motion divided by the belief before it: markers that hardly move
-    say nothing, rather than "the middle of what is near".
+    The distribution after seeing the motion divided by that before it: for markers that hardly
+    move the variance is large, and the place does not count.
     """
     moments = []
     for cost in (before, after):
-        belief = np.exp(cost.min(axis=1, keepdims=True) - cost)
-        belief /= belief.sum(axis=1, keepdims=True)
-        mean = belief @ skin
-        spread = belief @ (skin**2).sum(axis=1) - (mean**2).sum(axis=1)
+        probability = np.exp(cost.min(axis=1, keepdims=True) - cost)
+        probability /= probability.sum(axis=1, keepdims=True)
+        mean = probability @ skin
+        spread = probability @ (skin**2).sum(axis=1) - (mean**2).sum(axis=1)
         moments.append((mean, np.maximum(spread, 1e-9) / 3))
     (mean_before, wide), (mean_after, narrow) = moments
     narrow = np.minimum(narrow, 0.9 * wide)
@@ -171,10 +174,10 @@ def _path_misfit(
     return misfit
 
 
-def _warp(start: FloatArray, target: FloatArray, doubt: FloatArray, size: float) -> FloatArray:
+def _warp(start: FloatArray, target: FloatArray, variance: FloatArray, size: float) -> FloatArray:
     """Move points towards targets, smoothly: a Gaussian process over the aligned cloud."""
     distance = cdist(start, start) / (_WARP_LENGTH * size)
-    kernel = (_WARP * size) ** 2 * np.exp(-0.5 * distance**2)
-    pull = np.linalg.solve(kernel + np.diag(doubt), target - start)
+    kernel = (_WARP_SIZE * size) ** 2 * np.exp(-0.5 * distance**2)
+    pull = np.linalg.solve(kernel + np.diag(variance), target - start)
     warped: FloatArray = start + kernel @ pull
     return warped

@@ -12,11 +12,11 @@ from scipy import sparse
 
 from usdface.core.arrays import FloatArray, IntArray
 
-_SAMPLES = 12_000  # about 2 mm apart on a face
-_PIXELS = 200  # of the depth buffer, over the larger side: about 1.3 mm on a head
+_SAMPLE_COUNT = 12_000  # about 2 mm apart on a face
+_DEPTH_PIXELS = 200  # over the larger side: about 1.3 mm on a head
 _DEPTH_TOLERANCE = 0.012  # of the larger side: folds of lids and lips stay, the mouth's inside goes
 _VIEWS_DEGREES = ((0, 0), (-30, 0), (30, 0), (-55, 0), (55, 0), (0, 20), (0, -30))  # yaw, pitch
-_REACH = 3.2  # root mean square radii of what moves: ear to ear and hairline to throat
+_REACH_RADII = 3.2  # in root mean square radii of what moves: ear to ear and hairline to throat
 _SKIN_SHARE = 0.2  # of the largest visible piece: eyeballs, teeth and lashes are smaller
 
 
@@ -59,7 +59,7 @@ def facing_direction(points: ArrayLike, triangles: ArrayLike, activity: ArrayLik
     Raises
     ------
     ValueError
-        If nothing moves, or the direction cannot be told.
+        If nothing moves, or the direction is undetermined.
     """
     P, T = np.asarray(points, float), np.asarray(triangles, np.int64)
     a = np.asarray(activity, float)[T].mean(axis=1)
@@ -75,7 +75,7 @@ def facing_direction(points: ArrayLike, triangles: ArrayLike, activity: ArrayLik
     facing += np.array([outward[0], 0, outward[2]])
     length = float(np.linalg.norm(facing))
     if length < 1e-3:
-        raise ValueError("the face's direction cannot be told from its shapes; name landmarks")
+        raise ValueError("the face's direction is not determined by its shapes; name landmarks")
     return facing / length
 
 
@@ -85,7 +85,7 @@ def sample_outer_surface(
     *,
     facing: ArrayLike,
     activity: ArrayLike,
-    sample_count: int = _SAMPLES,
+    sample_count: int = _SAMPLE_COUNT,
 ) -> SurfaceSamples:
     """Spread samples over the skin of the face that is seen from in front.
 
@@ -121,11 +121,11 @@ def sample_outer_surface(
     seen &= _on_skin(P, T, owner, seen, moves)
     if not seen.any():
         raise ValueError("no part of the surface is seen from in front; check its facing")
-    kept = np.flatnonzero(seen)
-    kept = kept[:: max(1, round(len(kept) / sample_count))]
-    share = 1 / density[owner[kept]]
+    chosen = np.flatnonzero(seen)
+    chosen = chosen[:: max(1, round(len(chosen) / sample_count))]
+    share = 1 / density[owner[chosen]]
     areas = share * (_areas(P, T).sum() * seen.mean() / share.sum())
-    return SurfaceSamples(T[owner[kept]], weights[kept], dense[kept], areas)
+    return SurfaceSamples(T[owner[chosen]], weights[chosen], dense[chosen], areas)
 
 
 def _areas(P: FloatArray, T: IntArray) -> FloatArray:
@@ -138,7 +138,9 @@ def _within_reach(P: FloatArray, T: IntArray, activity: FloatArray) -> NDArray[n
     middle, weight = P[T].mean(axis=1), activity[T].mean(axis=1) * _areas(P, T)
     centre = np.average(middle, axis=0, weights=weight)
     distance = np.linalg.norm(middle - centre, axis=1)
-    near: NDArray[np.bool_] = distance < _REACH * np.sqrt(np.average(distance**2, weights=weight))
+    near: NDArray[np.bool_] = distance < _REACH_RADII * np.sqrt(
+        np.average(distance**2, weights=weight)
+    )
     return near
 
 
@@ -168,8 +170,8 @@ def _seen_from_front(q: FloatArray) -> NDArray[np.bool_]:
         toward = np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
         across = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
         plane = np.stack([q @ across, q @ np.cross(toward, across)], axis=1)
-        pixel = np.floor((plane - plane.min(axis=0)) / size * _PIXELS).astype(np.int64)
-        flat = pixel[:, 0] * (2 * _PIXELS) + pixel[:, 1]
+        pixel = np.floor((plane - plane.min(axis=0)) / size * _DEPTH_PIXELS).astype(np.int64)
+        flat = pixel[:, 0] * (2 * _DEPTH_PIXELS) + pixel[:, 1]
         depth = q @ toward
         front = np.full(int(flat.max()) + 1, -np.inf)
         np.maximum.at(front, flat, depth)

@@ -22,8 +22,10 @@ from usdface.numerics.registration.outer_surface import (
 
 Offsets = ArrayLike | sparse.sparray
 
-_FRAMES = 150  # that placement looks at: spread over what the face does
-_POOL = 3000
+_MOST_FRAMES = 150
+"""That placement looks at: those that differ most from each other."""
+_POOL_FRAMES = 3000
+"""Spread over the take, among which they are chosen."""
 
 
 @dataclass(frozen=True)
@@ -134,20 +136,11 @@ def register_markers(
     return _glue(y, P, skin, placement.chosen, placement.alignment, placement.agreement, pins)
 
 
-def marker_neutral(virtual: VirtualMarkers, points: ArrayLike) -> FloatArray:
-    """Return where the virtual markers are on a surface: (markers, 3) float array."""
-    on_surface: FloatArray = np.einsum(
-        "mk,mkc->mc", virtual.weights, np.asarray(points, float)[virtual.points]
-    )
-    return on_surface
-
-
 def marker_deltas(virtual: VirtualMarkers, offsets: Offsets) -> FloatArray:
     """Return what each shape, or key of a shape, does to the virtual markers.
 
     Parameters
     ----------
-    virtual : VirtualMarkers
     offsets : (shapes, points, 3) array or (shapes, 3 * points) sparse array
         Of the surface that the markers were registered on.
 
@@ -165,7 +158,6 @@ def character_motion(
 
     Parameters
     ----------
-    virtual : VirtualMarkers
     positions : (frames, markers, 3) array
         Stabilised [mm].
     neutral : (markers, 3) array
@@ -257,12 +249,12 @@ def _pick_frames(
     if visible is not None:
         seen = np.asarray(visible, bool).mean(axis=1)
         usable = np.flatnonzero(seen >= min(0.999, float(np.quantile(seen, 0.5))))
-    usable = usable[:: max(1, len(usable) // _POOL)]
+    usable = usable[:: max(1, len(usable) // _POOL_FRAMES)]
     moved = positions[usable] - neutral
     moved[:, list(rigid)] = 0
     flat = moved.reshape(len(moved), -1)
     picked, far = [int((flat**2).sum(axis=1).argmax())], np.full(len(flat), np.inf)
-    while len(picked) < min(_FRAMES, len(flat)):
+    while len(picked) < min(_MOST_FRAMES, len(flat)):
         far = np.minimum(far, ((flat - flat[picked[-1]]) ** 2).sum(axis=1))
         picked.append(int(far.argmax()))
     return moved[picked]

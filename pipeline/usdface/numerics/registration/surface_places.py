@@ -57,9 +57,9 @@ def places_at_points(
     triangles, owners = triangulate(face_counts, face_indices)
     used, first = np.unique(triangles.ravel(), return_index=True)
     at = np.minimum(np.searchsorted(used, chosen), max(len(used) - 1, 0))
-    lost = chosen if not len(used) else chosen[used[at] != chosen]
-    if len(lost):
-        raise ValueError(f"point {lost[0]} belongs to no face; choose a point of the surface")
+    unused = chosen if not len(used) else chosen[used[at] != chosen]
+    if len(unused):
+        raise ValueError(f"point {unused[0]} belongs to no face; choose a point of the surface")
     rows = first[at] // 3
     corners = triangles[rows].reshape(-1, 3)
     return SurfacePlaces(owners[rows], corners, (corners == chosen[:, None]).astype(float))
@@ -72,7 +72,6 @@ def places_of_corners(
 
     Parameters
     ----------
-    face_counts, face_indices : int arrays
     corners : (places, 3) int array
     weights : (places, 3) float array
 
@@ -107,7 +106,6 @@ def nearest_places(
     Parameters
     ----------
     points : (points, 3) float array
-    face_counts, face_indices : int arrays
     wanted : (places, 3) float array
 
     Raises
@@ -142,10 +140,10 @@ def polygon_weights(
     out = []
     for face, corners, weights in zip(places.faces, places.corners, places.weights, strict=True):
         polygon = face_indices[starts[face] : starts[face] + face_counts[face]]
-        own = np.zeros(len(polygon))
+        shares = np.zeros(len(polygon))
         for corner, weight in zip(corners.tolist(), weights.tolist(), strict=True):
-            own[int(np.flatnonzero(polygon == corner)[0])] += weight
-        out.append(own)
+            shares[int(np.flatnonzero(polygon == corner)[0])] += weight
+        out.append(shares)
     return out
 
 
@@ -209,10 +207,10 @@ def _closest_on_triangles(
         t = np.clip(along / np.maximum((side**2).sum(-1), 1e-300), 0, 1)
         shares = np.zeros((*t.shape, 3))
         shares[..., first], shares[..., second] = 1 - t, t
-        own = _squared(wanted, triangles, shares)
-        closer = own < away
+        squared = _squared(wanted, triangles, shares)
+        closer = squared < away
         best = np.where(closer[..., None], shares, best)
-        away = np.where(closer, own, away)
+        away = np.where(closer, squared, away)
     return best, away
 
 

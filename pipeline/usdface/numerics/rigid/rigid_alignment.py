@@ -201,7 +201,6 @@ def remove_motion(
     Parameters
     ----------
     positions : (frames, any, 3) array_like
-    alignment : RigidAlignment
     out : (frames, any, 3) float array, optional
         Where to put the result; `positions` themselves, to take no more memory. On long takes
         fresh memory costs more time than the arithmetic.

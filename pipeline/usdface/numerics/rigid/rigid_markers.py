@@ -107,18 +107,18 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
 def _orders(deviations: NDArray[np.float64]) -> list[NDArray[np.int64]]:
     """Return orders of markers of which every beginning is a set worth judging."""
     count = len(deviations)
-    kept, taken = list(range(count)), list[int]()
-    while kept:
-        mutual = deviations[np.ix_(kept, kept)]
-        taken.append(kept.pop(int(np.argmax(mutual.mean(axis=1)))))
+    left, taken = list(range(count)), list[int]()
+    while left:
+        mutual = deviations[np.ix_(left, left)]
+        taken.append(left.pop(int(np.argmax(mutual.mean(axis=1)))))
     orders = [np.array(taken[::-1], np.int64)]
     for seed in range(count):
-        grown, apart = [seed], deviations[seed].copy()
-        apart[seed] = np.inf
-        while np.isfinite(apart).any():
-            grown.append(int(np.argmin(apart)))
-            apart += deviations[grown[-1]]
-            apart[grown[-1]] = np.inf
+        grown, total = [seed], deviations[seed].copy()
+        total[seed] = np.inf
+        while np.isfinite(total).any():
+            grown.append(int(np.argmin(total)))
+            total += deviations[grown[-1]]
+            total[grown[-1]] = np.inf
         if len(grown) >= _LEAST_MARKERS:
             orders.append(np.array(grown, np.int64))
     return orders
@@ -134,13 +134,15 @@ def _promised_errors(
     count = np.arange(1, len(order) + 1)[_LEAST_MARKERS - 1 :]
     pairs = np.tril(deviations[np.ix_(order, order)]).sum(axis=1).cumsum()[_LEAST_MARKERS - 1 :]
     deviation = 2 * pairs / (count * (count - 1))
-    own_motion2 = np.maximum(deviation**2 - 2.0 * noise**2, 0.0)  # a distance has two ends' noise
+    residual_motion2 = np.maximum(
+        deviation**2 - 2.0 * noise**2, 0.0
+    )  # a distance has two ends' noise
     points = middle[order] - middle[order].mean(axis=0)
     products = (points[:, :, None] * points[:, None, :]).cumsum(axis=0)[_LEAST_MARKERS - 1 :]
     centres = points.cumsum(axis=0)[_LEAST_MARKERS - 1 :] / count[:, None]
     spread = products / count[:, None, None] - centres[:, :, None] * centres[:, None, :]
     extent = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, 1], 0.0))
-    errors: NDArray[np.float64] = np.sqrt(own_motion2 + noise**2 / count)
+    errors: NDArray[np.float64] = np.sqrt(residual_motion2 + noise**2 / count)
     return errors / np.maximum(extent, 1e-9)
 
 

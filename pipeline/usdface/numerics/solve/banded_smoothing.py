@@ -1,9 +1,9 @@
 """Smooth tracks within bounds: a banded system, linear in the frames.
 
-What is minimised is ``sum_t r_t (w_t - y_t)^2 + penalty sum_t (w_{t-1} - 2 w_t + w_{t+1})^2``
-within bounds, for every track by itself. Its normal matrix has five diagonals. Which samples lie
-at a bound is found by a primal-dual active set: exact, in a few solves. Where a low cut-off makes
-it cycle, an interior point finds them, in some dozens.
+Minimises ``sum_t r_t (w_t - y_t)^2 + penalty sum_t (w_{t-1} - 2 w_t + w_{t+1})^2`` within bounds,
+for every track by itself. Its normal matrix has five diagonals. Which samples lie at a bound is
+found by a primal-dual active set: exact, in a few solves. Where a low cut-off makes it cycle, an
+interior point finds them, in some dozens.
 
 References
 ----------
@@ -16,15 +16,17 @@ from numpy.typing import NDArray
 
 from usdface.core.arrays import FloatArray
 
-SLOWEST = 1e-4
-"""Share of the rate below which a cut-off leaves nothing but a line, and no digits to tell it."""
+LEAST_CUTOFF_SHARE = 1e-4
+"""[of the rate] A lower cut-off leaves nothing but a line, to within rounding: the penalty grows as
+its fourth power."""
 
-_ROUNDS = 30
-_PINNED = 1e8  # weight of a sample held at its bound, against the largest of the equation
-_INNER_STEPS = 100
-_CENTRED = 0.1  # of the gap that is left, aimed at by the next step
-_CLOSED = 1e-15  # share of the gap at first at which nothing is left to tell
-_SLACK = 1e-9
+_MOST_ACTIVE_SET_ROUNDS = 30
+_PIN_WEIGHT = 1e8  # of a sample held at its bound, over the largest diagonal entry
+_MOST_INTERIOR_STEPS = 100
+_CENTRING_SHARE = 0.1  # of the duality gap, aimed at by the next step
+_CLOSED_GAP_SHARE = 1e-15  # of the first duality gap
+_BOUND_SLACK = 1e-9  # by which a weight may exceed a bound before it is held there
+_DIFFUSE_VARIANCE = 1e6  # of the prior on the first value and slope: nothing is known of them
 
 
 def cutoff_penalty(cutoff_hz: float, rate: float) -> float:
@@ -33,7 +35,7 @@ def cutoff_penalty(cutoff_hz: float, rate: float) -> float:
     Parameters
     ----------
     cutoff_hz : float
-        From `SLOWEST` of the rate to half of it.
+        From `LEAST_CUTOFF_SHARE` of the rate to half of it.
     rate : float
         Frames per second.
 
@@ -42,10 +44,10 @@ def cutoff_penalty(cutoff_hz: float, rate: float) -> float:
     ValueError
         If the frequency cannot be in frames of this rate.
     """
-    if not SLOWEST * rate <= cutoff_hz <= rate / 2:
+    if not LEAST_CUTOFF_SHARE * rate <= cutoff_hz <= rate / 2:
         raise ValueError(
-            f"a cut-off must lie between {SLOWEST * rate:g} Hz and half the rate of {rate:g} "
-            f"frames per second, got {cutoff_hz:g} Hz"
+            f"a cut-off must lie between {LEAST_CUTOFF_SHARE * rate:g} Hz and half the rate of "
+            f"{rate:g} frames per second, got {cutoff_hz:g} Hz"
         )
     return float((2 * np.sin(np.pi * cutoff_hz / rate)) ** -4)
 
@@ -61,7 +63,7 @@ def smooth_within_bounds(
     penalty : float
         On squared second differences; 0 only brings the tracks within their bounds.
     trust : (frames,) float array
-        Weight of each frame, positive: frames with little are told by their neighbours.
+        Weight of each frame, positive: frames with little follow their neighbours.
     lower, upper : (n,) float arrays
 
     Returns
@@ -73,14 +75,14 @@ def smooth_within_bounds(
     ValueError
         If a value is not finite, a trust not positive or the penalty negative.
     """
-    check_smoothing(tracks, penalty=penalty, trust=trust)
+    _check(tracks, penalty, trust)
     if len(tracks) < 3 or penalty == 0:
         clipped: FloatArray = np.clip(tracks, lower, upper)
         return clipped
     bands = _normal_bands(len(tracks), penalty, trust)
     right = trust[:, None] * tracks
     out: FloatArray = _solve(bands, right)
-    outside = (out < lower - _SLACK) | (out > upper + _SLACK)
+    outside = (out < lower - _BOUND_SLACK) | (out > upper + _BOUND_SLACK)
     for column in np.flatnonzero(outside.any(axis=0)):
         out[:, column] = _bounded(
             bands, right[:, column], out[:, column], float(lower[column]), float(upper[column])
@@ -88,14 +90,7 @@ def smooth_within_bounds(
     return out
 
 
-def check_smoothing(tracks: FloatArray, *, penalty: float, trust: FloatArray) -> None:
-    """Refuse what cannot be smoothed.
-
-    Raises
-    ------
-    ValueError
-        If a value is not finite, a trust not positive or the penalty negative.
-    """
+def _check(tracks: FloatArray, penalty: float, trust: FloatArray) -> None:
     if not np.isfinite(tracks).all():
         raise ValueError("tracks hold values that are not finite")
     if trust.shape != (len(tracks),) or not (trust > 0).all():
@@ -114,49 +109,49 @@ def _solve(bands: FloatArray, right: FloatArray) -> FloatArray:
 def _bounded(
     bands: FloatArray, right: FloatArray, free: FloatArray, lower: float, upper: float
 ) -> FloatArray:
-    """Solve one track, samples that pull beyond a bound held at it."""
-    held = np.zeros(len(free), dtype=np.int8)
+    """Solve one track; samples that pull beyond a bound are held at it."""
+    active = np.zeros(len(free), dtype=np.int8)
     value = free
-    for _ in range(_ROUNDS):
-        pull = right - _product(bands, value)  # where held: the force into the bound
-        wanted = np.where(held == 0, 0, np.where(held > 0, pull > 0, pull < 0) * held)
-        wanted = np.where((held == 0) & (value > upper + _SLACK), 1, wanted)
-        wanted = np.where((held == 0) & (value < lower - _SLACK), -1, wanted).astype(np.int8)
-        if (wanted == held).all():
+    for _ in range(_MOST_ACTIVE_SET_ROUNDS):
+        pull = right - _product(bands, value)  # where active: the force into the bound
+        wanted = np.where(active == 0, 0, np.where(active > 0, pull > 0, pull < 0) * active)
+        wanted = np.where((active == 0) & (value > upper + _BOUND_SLACK), 1, wanted)
+        wanted = np.where((active == 0) & (value < lower - _BOUND_SLACK), -1, wanted)
+        if (wanted == active).all():
             break
-        held = wanted
-        value = _pinned(bands, right, held, lower, upper)
+        active = wanted.astype(np.int8)
+        value = _pinned(bands, right, active, lower, upper)
     else:  # it cycles
-        held = _held_from_inside(bands, right, lower, upper)
-        value = _pinned(bands, right, held, lower, upper)
+        active = _active_set_by_interior_point(bands, right, lower, upper)
+        value = _pinned(bands, right, active, lower, upper)
     clipped: FloatArray = np.clip(value, lower, upper)
     return clipped
 
 
 def _pinned(
-    bands: FloatArray, right: FloatArray, held: NDArray[np.int8], lower: float, upper: float
+    bands: FloatArray, right: FloatArray, active: NDArray[np.int8], lower: float, upper: float
 ) -> FloatArray:
-    """Solve with some samples held at a bound: the upper where 1, the lower where -1."""
-    weight = _PINNED * float(bands[-1].max()) * (held != 0)
+    """Solve with samples held at a bound: the upper where active is 1, the lower where -1."""
+    weight = _PIN_WEIGHT * float(bands[-1].max()) * (active != 0)
     stiff = bands.copy()
     stiff[-1] += weight
-    value = _solve(stiff, right + weight * np.where(held > 0, upper, lower))
-    return np.where(held > 0, upper, np.where(held < 0, lower, value))
+    value = _solve(stiff, right + weight * np.where(active > 0, upper, lower))
+    return np.where(active > 0, upper, np.where(active < 0, lower, value))
 
 
-def _held_from_inside(
+def _active_set_by_interior_point(
     bands: FloatArray, right: FloatArray, lower: float, upper: float
 ) -> NDArray[np.int8]:
-    """Find which samples lie at a bound by an interior point, which never cycles."""
+    """Find which samples lie at a bound by an interior-point method, which never cycles."""
     value = np.full(len(right), (lower + upper) / 2)
     below = above = np.full(len(right), max(float(np.abs(right).max()), 1e-300))
     first = float(below[0]) * (upper - lower)
-    for _ in range(_INNER_STEPS):
+    for _ in range(_MOST_INTERIOR_STEPS):
         low, high = value - lower, upper - value
         gap = float(below @ low + above @ high) / (2 * len(value))
-        if gap < _CLOSED * first:
+        if gap < _CLOSED_GAP_SHARE * first:
             break
-        down, up = _CENTRED * gap / low - below, _CENTRED * gap / high - above
+        down, up = _CENTRING_SHARE * gap / low - below, _CENTRING_SHARE * gap / high - above
         stiff = bands.copy()
         stiff[-1] += below / low + above / high
         step = _solve(stiff, right - _product(bands, value) + below - above + down - up)
@@ -195,15 +190,15 @@ def _product(bands: FloatArray, vector: FloatArray) -> FloatArray:
 
 
 class FixedLagSmoother:
-    """The same smoothing as frames arrive: each is given out when `lag` later ones are known.
+    """The same smoothing as frames arrive: each is returned when `lag` later ones are known.
 
-    What is given out for a frame is what the whole-take smoothing of all frames up to `lag` after
-    it says of it, without bounds: a Kalman filter over the last ``lag + 1`` frames, whose gain is
-    shared by all tracks.
+    The result for a frame is that of smoothing the take up to `lag` frames after it, without
+    bounds: a Kalman filter over the last ``lag + 1`` frames, whose gain is shared by all tracks.
 
     Parameters
     ----------
     tracks : int
+        Number of tracks.
     penalty : float
         As of `smooth_within_bounds`.
     lag : int
@@ -226,8 +221,8 @@ class FixedLagSmoother:
         """Take in one frame; return the frame `lag` before it, or None while there is none."""
         if self._seen == 0:
             self._mean[:] = values
-            # Nothing is known of where the tracks come from or how fast: a wide prior on both.
-            self._covariance[:2, :2] = _DIFFUSE * np.array([[1.0, 1.0], [1.0, 2.0]])
+            # A wide prior on where the tracks come from and how fast.
+            self._covariance[:2, :2] = _DIFFUSE_VARIANCE * np.array([[1.0, 1.0], [1.0, 2.0]])
         else:
             self._mean = self._move @ self._mean
             self._covariance = self._move @ self._covariance @ self._move.T
@@ -241,9 +236,6 @@ class FixedLagSmoother:
         return self._mean[self.lag].copy() if self._seen > self.lag else None
 
     def finish(self) -> list[FloatArray]:
-        """Return the frames that are still owed, in order."""
-        owed = min(self.lag, self._seen)
-        return [self._mean[k].copy() for k in reversed(range(owed))]
-
-
-_DIFFUSE = 1e6
+        """Return the frames that are not yet returned, in order."""
+        left = min(self.lag, self._seen)
+        return [self._mean[k].copy() for k in reversed(range(left))]

@@ -10,22 +10,22 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.numerics.solve.bounded_least_squares import minimise_bounded_quadratic
-from usdface.numerics.solve.bounded_smoothing import minimise_bounded_smooth
 
-_Method = Literal["lstsq", "nnls", "bounded"]
+_Method = Literal["lstsq", "bounded"]
 
-_RELINEARISATIONS = 8
+_MOST_RELINEARISATIONS = 8
 _SMALL_STEP = 1e-6
-_FILLS = 5
-_DEPENDENT_RIDGE = 0.01  # of a shape's mean energy: settles which of many solutions is meant
+"""Of a weight, for forward differences: exact, as in-betweens are linear in pieces."""
+_DEPENDENT_RIDGE = 0.01
+"""[of a shape's mean energy] Chooses a small one of many solutions where shapes are dependent."""
 
 
 @dataclass(frozen=True)
-class _Solve:
+class EquationSolution:
     """Weights that explain a marker motion.
 
     Attributes
@@ -35,8 +35,8 @@ class _Solve:
         Distance between each marker and where the weights put it; NaN where it was not seen.
     rank : int
         Of the equation, all trusted markers seen. Below the number of shapes, several weights
-        explain the same motion: least squares returns the smallest; the bounded methods then keep
-        at least a small ridge.
+        explain the same motion: least squares returns the smallest; the bounded solve keeps at
+        least a small ridge.
     """
 
     weights: FloatArray
@@ -71,16 +71,12 @@ def solve_weights(
     ranges: ArrayLike | None = None,
     visible: ArrayLike | None = None,
     marker_trust: ArrayLike | None = None,
-    prior: ArrayLike | None = None,
     ridge: float = 0.0,
-    l1: float = 0.0,
-    smoothness: float = 0.0,
     keys: MarkerKeys | None = None,
-) -> _Solve:
+) -> EquationSolution:
     """Solve the blendshape equation for every frame.
 
-    Minimises ``sum_m trust_m |motion_m - sum_i w_i delta_im|^2 + ridge |w - prior|^2 + 2 l1 |w|_1
-    + smoothness |second difference of w over time|^2``, all in mm^2.
+    Minimises ``sum_m trust_m |motion_m - sum_i w_i delta_im|^2 + ridge |w|^2``, in mm^2.
 
     Parameters
     ----------
@@ -88,22 +84,18 @@ def solve_weights(
         What each shape at 1 does to the virtual markers [mm].
     motion : (frames, markers, 3) array
         Displacements from the neutral face, in the character's space and proportions [mm].
-    method : {'lstsq', 'nnls', 'bounded'}, optional
-        Plain least squares as in the paper; not negative; within `ranges`.
+    method : {'lstsq', 'bounded'}, optional
+        Plain least squares as in the paper; within `ranges`.
     ranges : (shapes, 2) array, optional
         Lowest and highest weights for ``'bounded'``; 0 to 1 unless given.
     visible : (frames, markers) bool array, optional
         False where a marker was not seen: it is left out of that frame's equation.
     marker_trust : (markers,) array, optional
         Weight of each marker in the sum, not negative; 1 unless given.
-    prior : (frames, shapes) or (shapes,) array, optional
-        What `ridge` pulls towards; 0 unless given.
-    ridge, l1 : float, optional
-        Penalties [mm^2].
-    smoothness : float, optional
-        Penalty over time [mm^2]; not for ``'lstsq'``.
+    ridge : float, optional
+        Penalty [mm^2], not negative.
     keys : MarkerKeys, optional
-        In-betweens: the equation is linearised again about each solution.
+        In-betweens, for ``'bounded'``: the equation is linearised again about each solution.
 
     Raises
     ------
@@ -111,66 +103,49 @@ def solve_weights(
         If arrays do not fit together, or an option does not go with the method.
     """
     problem = _checked(deltas, motion, visible, marker_trust)
-    lower, upper = _bounds(method, ranges, problem.shape_count)
-    if method == "lstsq" and (l1 or smoothness or keys is not None):
-        raise ValueError("l1, smoothness and keys need method 'bounded' or 'nnls'")
-    if not min(ridge, l1, smoothness) >= 0:
-        raise ValueError("ridge, l1 and smoothness must not be negative")
-    heard = problem.deltas[:, problem.share > 0].reshape(problem.shape_count, -1)
-    rank = int(np.linalg.matrix_rank(heard)) if heard.size else 0
-    if method != "lstsq" and rank < problem.shape_count:
+    limits = _limits(method, ranges, problem.shape_count)
+    if limits is None and keys is not None:
+        raise ValueError("keys need method 'bounded'")
+    if not ridge >= 0:
+        raise ValueError(f"ridge must not be negative, got {ridge}")
+    rank = problem.rank()
+    if limits is not None and rank < problem.shape_count:
         energy = float(np.einsum("smc,m,smc->", problem.deltas, problem.share, problem.deltas))
         ridge = max(ridge, _DEPENDENT_RIDGE * energy / problem.shape_count)
-    pull = np.zeros((problem.frame_count, problem.shape_count))
-    if prior is not None:
-        pull = pull + np.asarray(prior, float)
-
-    def solve(rows: IntArray, D: FloatArray, target: FloatArray) -> FloatArray:
-        """Solve frames that share one matrix."""
-        root = np.sqrt(problem.trust[rows[0]])[:, None]
-        A = (D * root).reshape(len(D), -1)
-        b = (target * root).reshape(len(rows), -1)
-        if method == "lstsq" and ridge == 0:
-            return np.asarray(np.linalg.lstsq(A.T, b.T)[0]).T
-        hessian = A @ A.T + ridge * np.eye(len(D))
-        linear = b @ A.T + ridge * pull[rows]
-        if method == "lstsq":
-            return np.asarray(np.linalg.solve(hessian, linear.T)).T
-        return minimise_bounded_quadratic(hessian, linear, lower=lower, upper=upper, l1=l1).x
-
-    weights = np.zeros_like(pull)
-    for rows in _alike(problem.trust):
-        weights[rows] = solve(rows, problem.deltas, problem.motion[rows])
-    if keys is not None:
-        weights = _relinearise(problem, keys, weights, solve)
-    if smoothness > 0:
-        hessian = _gram(problem.deltas, problem.share) + ridge * np.eye(problem.shape_count)
-        for _ in range(_FILLS if keys is not None or (problem.trust != problem.share).any() else 1):
-            # unseen markers, and what in-betweens add, are taken from the solution so far
-            moved = _predict(problem.deltas, keys, weights)
-            seen = problem.trust / np.maximum(problem.share, 1e-300)
-            target = np.einsum("fs,smc->fmc", weights, problem.deltas)
-            target += seen[:, :, None] * (problem.motion - moved)
-            linear = np.einsum("fmc,m,smc->fs", target, problem.share, problem.deltas)
-            weights = minimise_bounded_smooth(
-                hessian,
-                linear + ridge * pull,
-                lower=lower,
-                upper=upper,
-                l1=l1,
-                smoothness=smoothness,
-                start=weights,
-            )
+    weights = np.zeros((problem.frame_count, problem.shape_count))
+    for rows in _equal_rows(problem.trust):
+        weights[rows] = _solve_rows(
+            problem, rows, problem.deltas, problem.motion[rows], ridge, limits
+        )
+    if limits is not None and keys is not None:
+        weights = _relinearise(problem, keys, weights, ridge, limits)
     residual = np.linalg.norm(problem.motion - _predict(problem.deltas, keys, weights), axis=2)
     residual[~problem.visible] = np.nan
-    return _Solve(weights, residual, rank)
+    return EquationSolution(weights, residual, rank)
+
+
+def _solve_rows(
+    problem: "_Problem",
+    rows: IntArray,
+    deltas: FloatArray,
+    target: FloatArray,
+    ridge: float,
+    limits: "_Limits | None",
+) -> FloatArray:
+    """Solve frames that share one matrix; without limits by plain least squares."""
+    root = np.sqrt(problem.trust[rows[0]])[:, None]
+    A = (deltas * root).reshape(len(deltas), -1)
+    b = (target * root).reshape(len(rows), -1)
+    if limits is None and ridge == 0:
+        return np.asarray(np.linalg.lstsq(A.T, b.T)[0]).T
+    hessian, linear = A @ A.T + ridge * np.eye(len(deltas)), b @ A.T
+    if limits is None:
+        return np.asarray(np.linalg.solve(hessian, linear.T)).T
+    return minimise_bounded_quadratic(hessian, linear, lower=limits[0], upper=limits[1]).x
 
 
 def _relinearise(
-    problem: "_Problem",
-    keys: MarkerKeys,
-    weights: FloatArray,
-    solve: Callable[[IntArray, FloatArray, FloatArray], FloatArray],
+    problem: "_Problem", keys: MarkerKeys, weights: FloatArray, ridge: float, limits: "_Limits"
 ) -> FloatArray:
     """Solve again with each shape's slope at the last solution, keeping what fits better."""
     channels = np.asarray(keys.channels, np.int64)
@@ -178,16 +153,17 @@ def _relinearise(
     member[np.arange(len(channels)), channels] = 1
     best = weights.copy()
     error = _error(problem, keys, weights)
-    for _ in range(_RELINEARISATIONS):
+    for _ in range(_MOST_RELINEARISATIONS):
         here = keys.key_weights(weights)
-        # a forward difference is exact: keys are linear in pieces and belong to one shape each
+        # each key belongs to one shape, so one step of all shapes gives every slope
         slopes = (keys.key_weights(weights + _SMALL_STEP) - here) / _SMALL_STEP
         offset = here - slopes * weights[:, channels]
         following = np.empty_like(weights)
-        for rows in _alike(np.column_stack([problem.trust, slopes.round(4)])):
+        for rows in _equal_rows(np.column_stack([problem.trust, slopes.round(4)])):
             D = np.einsum("ks,k,kmc->smc", member, slopes[rows[0]], keys.deltas)
             fixed = np.einsum("fk,kmc->fmc", offset[rows], keys.deltas)
-            following[rows] = solve(rows, D, problem.motion[rows] - fixed)
+            target = problem.motion[rows] - fixed
+            following[rows] = _solve_rows(problem, rows, D, target, ridge, limits)
         weights = following
         after = _error(problem, keys, weights)
         better = after < error
@@ -210,12 +186,7 @@ def _error(problem: "_Problem", keys: MarkerKeys, weights: FloatArray) -> FloatA
     return np.asarray((off * problem.trust).sum(axis=1))
 
 
-def _gram(deltas: FloatArray, trust: FloatArray) -> FloatArray:
-    A = (deltas * np.sqrt(trust)[:, None]).reshape(len(deltas), -1)
-    return np.asarray(A @ A.T)
-
-
-def _alike(rows: FloatArray) -> list[IntArray]:
+def _equal_rows(rows: FloatArray) -> list[IntArray]:
     """Group equal rows: frames that share one matrix."""
     if not len(rows):
         return []
@@ -230,7 +201,7 @@ def _alike(rows: FloatArray) -> list[IntArray]:
 class _Problem:
     deltas: FloatArray
     motion: FloatArray
-    visible: NDArray[np.bool_]
+    visible: BoolArray
     share: FloatArray
     """Trust of each marker when seen."""
     trust: FloatArray
@@ -243,6 +214,11 @@ class _Problem:
     @property
     def shape_count(self) -> int:
         return len(self.deltas)
+
+    def rank(self) -> int:
+        """Return the rank of the equation, all trusted markers seen."""
+        trusted = self.deltas[:, self.share > 0].reshape(self.shape_count, -1)
+        return int(np.linalg.matrix_rank(trusted)) if trusted.size else 0
 
 
 def _checked(
@@ -268,14 +244,16 @@ def _checked(
     return _Problem(D, m, seen, share, seen * share)
 
 
-def _bounds(
-    method: _Method, ranges: ArrayLike | None, shapes: int
-) -> tuple[FloatArray, FloatArray]:
-    if method == "bounded":
-        limits = np.asarray([[0.0, 1.0]] * shapes if ranges is None else ranges, float)
-        if limits.shape != (shapes, 2):
-            raise ValueError(f"ranges must be ({shapes}, 2), got {limits.shape}")
-        return limits[:, 0], limits[:, 1]
-    if method not in ("lstsq", "nnls"):
-        raise ValueError(f"method must be 'lstsq', 'nnls' or 'bounded', got {method!r}")
-    return np.full(shapes, 0.0 if method == "nnls" else -np.inf), np.full(shapes, np.inf)
+_Limits = tuple[FloatArray, FloatArray]
+"""Lowest and highest weights, (shapes,) each."""
+
+
+def _limits(method: _Method, ranges: ArrayLike | None, shapes: int) -> _Limits | None:
+    if method == "lstsq":
+        return None
+    if method != "bounded":
+        raise ValueError(f"method must be 'lstsq' or 'bounded', got {method!r}")
+    limits = np.asarray([[0.0, 1.0]] * shapes if ranges is None else ranges, float)
+    if limits.shape != (shapes, 2):
+        raise ValueError(f"ranges must be ({shapes}, 2), got {limits.shape}")
+    return limits[:, 0], limits[:, 1]

@@ -59,6 +59,7 @@ class BlendShapes:
     channel_count : int
         Number of channels, those that move nothing included.
     tracks : sequence of Track
+        In any order.
 
     Raises
     ------

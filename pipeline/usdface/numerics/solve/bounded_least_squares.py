@@ -1,26 +1,39 @@
-"""Least squares within bounds, for many frames that share one matrix.
+"""Quadratic programmes within bounds, for many frames that share one matrix.
 
-Each frame is a small convex quadratic programme, minimise ``0.5 x'Hx - l'x`` with ``lower <= x <=
-upper``. All frames advance together: an accelerated projected gradient finds nearly the right set
-of bounds, block pivoting makes it exact, and an active-set walk finishes the few frames on which
-pivoting cycles.
+Each frame is a small convex programme: minimise ``0.5 x'Hx - l'x`` with ``lower <= x <= upper``.
+All frames advance together by accelerated projected gradient steps. From there
+`minimise_bounded_quadratic` goes on to the exact solution: the steps find nearly the right set of
+bounds, block pivoting makes it exact, and an active-set walk finishes the few frames on which
+pivoting cycles. `BoxProjection`, which every frame of a performance goes through, stops after a few
+steps.
 """
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import BoolArray, FloatArray
 
-_GRADIENT_STEPS = 60  # enough that a handful of exchanges then end it on face rigs
-_PIVOT_STEPS = 120
-_PATIENCE = 3  # rounds without progress before variables change one at a time
+_GRADIENT_STEPS = 60
+"""Enough that a handful of exchanges then end it on face rigs."""
+_MOST_PIVOT_STEPS = 120
+_PATIENCE_ROUNDS = 3
+"""Of pivoting without progress, before variables change one at a time."""
 _WALK_STEPS_PER_VARIABLE = 5
-_TOLERANCE = 1e-10
-_SYSTEM_FLOATS = 4_000_000  # size of one batch of linear systems: 32 MB
-_DEPENDENT = 1e-8  # smallest eigenvalue, at unit diagonal, of columns that count as independent
-_RIDGE = 1e-6  # added to the unit diagonal of dependent ones: of many solutions, a small one
+_WALK_TOLERANCE = 1e-10
+"""[of the largest linear term] Breach of optimality above which frames are walked."""
+_SYSTEM_FLOATS = 4_000_000
+"""Size of one batch of linear systems: 32 MB."""
+_DEPENDENT_EIGENVALUE = 1e-8
+"""At unit diagonal: columns with a smaller one count as dependent."""
+_DEPENDENT_RIDGE = 1e-6
+"""Added to the unit diagonal of dependent columns: of many solutions, a small one."""
+_MOST_PROJECTION_STEPS = 10
+_PROJECTION_ERROR = 1e-3
+"""[of the way] What a projection's steps leave, as long as those are enough."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +60,8 @@ def solve_bounded_least_squares(
     lower: ArrayLike,
     upper: ArrayLike,
     ridge: float = 0.0,
-    l1: float = 0.0,
 ) -> BoundedSolution:
-    """Minimise ``|matrix @ x - target|^2 + ridge |x|^2 + 2 l1 |x|_1`` within bounds, per target.
+    """Minimise ``|matrix @ x - target|^2 + ridge |x|^2`` within bounds, per target.
 
     Parameters
     ----------
@@ -57,23 +69,23 @@ def solve_bounded_least_squares(
     targets : (frames, rows) array
     lower, upper : (n,) arrays
         May be infinite.
-    ridge, l1 : float, optional
-        Penalties, not negative.
+    ridge : float, optional
+        Penalty, not negative.
 
     Raises
     ------
     ValueError
-        If shapes, bounds or penalties cannot be used.
+        If shapes, bounds or the penalty cannot be used.
     """
     A, b = np.asarray(matrix, float), np.asarray(targets, float)
     if A.ndim != 2 or b.ndim != 2 or A.shape[0] != b.shape[1]:
         raise ValueError(
             f"matrix (rows, n) and targets (frames, rows) must share rows; got {A.shape}, {b.shape}"
         )
-    if not ridge >= 0 or not l1 >= 0:
-        raise ValueError(f"ridge and l1 must not be negative, got {ridge} and {l1}")
+    if not ridge >= 0:
+        raise ValueError(f"ridge must not be negative, got {ridge}")
     hessian = A.T @ A + ridge * np.eye(A.shape[1])
-    return minimise_bounded_quadratic(hessian, b @ A, lower=lower, upper=upper, l1=l1)
+    return minimise_bounded_quadratic(hessian, b @ A, lower=lower, upper=upper)
 
 
 def minimise_bounded_quadratic(
@@ -82,9 +94,8 @@ def minimise_bounded_quadratic(
     *,
     lower: ArrayLike,
     upper: ArrayLike,
-    l1: float = 0.0,
 ) -> BoundedSolution:
-    """Minimise ``0.5 x'Hx - l'x + l1 |x|_1`` with ``lower <= x <= upper`` for every row ``l``.
+    """Minimise ``0.5 x'Hx - l'x`` with ``lower <= x <= upper`` for every row ``l``.
 
     Parameters
     ----------
@@ -94,8 +105,6 @@ def minimise_bounded_quadratic(
     linear : (frames, n) array
     lower, upper : (n,) arrays
         May be infinite; ``lower < upper`` or equal, which fixes a variable.
-    l1 : float, optional
-        Weight of the absolute values, not negative.
 
     Raises
     ------
@@ -106,48 +115,92 @@ def minimise_bounded_quadratic(
     ----------
     Júdice and Pires (1994), Computers & Operations Research 21(5), 587-596: block pivoting.
     Stark and Parker (1995), Computational Statistics 10, 129-141: bounds one at a time.
-    O'Donoghue and Candès (2015), Found. Comput. Math. 15, 715-732: adaptive restart.
+    Beck and Teboulle (2009), SIAM J. Imaging Sciences 2(1), 183-202: accelerated steps.
     """
     H, b = np.asarray(hessian, float), np.asarray(linear, float)
     n = len(H)
     lo, hi = (np.array(np.broadcast_to(np.asarray(v, float), n)) for v in (lower, upper))
     _check(H, b, lo, hi)
-    if l1 < 0:
-        raise ValueError(f"l1 must not be negative, got {l1}")
-    both = np.flatnonzero((lo < 0) & (hi > 0)) if l1 > 0 else np.empty(0, int)
-    if len(both):  # |x| has a kink inside the bounds: x = positive part - negative part
-        columns = np.r_[np.arange(n), both]
-        sign = np.r_[np.ones(n), -np.ones(len(both))]
-        wide_lo, wide_hi = np.r_[lo, np.zeros(len(both))], np.r_[hi, -lo[both]]
-        wide_lo[both] = 0
-        wide = H[np.ix_(columns, columns)] * np.outer(sign, sign)
-        slope = np.where(wide_hi > 0, 1.0, -1.0)  # of |.| on the side where the part may lie
-        part = _minimise(wide, b[:, columns] * sign - l1 * slope, wide_lo, wide_hi)
-        x = part.x[:, :n].copy()
-        x[:, both] -= part.x[:, n:]
-        return BoundedSolution(x, part.violation)
-    return _minimise(H, b - l1 * np.where(hi > 0, 1.0, -1.0), lo, hi)
-
-
-def _minimise(H: FloatArray, b: FloatArray, lo: FloatArray, hi: FloatArray) -> BoundedSolution:
-    n = len(H)
     diagonal = np.diagonal(H)
-    floor = float(diagonal.mean()) * 1e-12 if diagonal.any() else 1.0  # a frame may tell nothing
+    floor = float(diagonal.mean()) * 1e-12 if diagonal.any() else 1.0  # all markers may be hidden
     unit = 1 / np.sqrt(np.maximum(diagonal, floor))  # x = unit * z gives z a unit diagonal
     with np.errstate(invalid="ignore"):
         lo_z, hi_z = lo / unit, hi / unit
     scaled = H * np.outer(unit, unit)
     values = np.linalg.eigvalsh(scaled)
-    if n and values[0] < _DEPENDENT:
-        scaled += _RIDGE * np.eye(n)
+    if n and values[0] < _DEPENDENT_EIGENVALUE:
+        scaled += _DEPENDENT_RIDGE * np.eye(n)
     b_z = b * unit
-    step = 1 / max(float(values[-1]) + _RIDGE, np.finfo(float).tiny) if n else 1.0
-    z = _approach(scaled, b_z, lo_z, hi_z, step)
+    step = 1 / max(float(values[-1]) + _DEPENDENT_RIDGE, np.finfo(float).tiny) if n else 1.0
+    start = np.clip(np.zeros_like(b_z), lo_z, hi_z)
+    z = _accelerate(
+        lambda z: z - step * (z @ scaled - b_z), start, lo_z, hi_z, steps=_GRADIENT_STEPS
+    )
     z = _pivot(scaled, b_z, lo_z, hi_z, z)
     z = _walk(scaled, b_z, lo_z, hi_z, z)
     violation = _violation(scaled, b_z, lo_z, hi_z, z)
     x = np.where(z <= lo_z, lo, np.where(z >= hi_z, hi, z * unit))  # bounds stay exact
     return BoundedSolution(x, violation)
+
+
+class BoxProjection:
+    """Brings rows within bounds at the least cost under a quadratic metric.
+
+    Cutting a variable off at its bound leaves the others as they were, though they were chosen to
+    go with it. The nearest point of the box moves them along: minimises ``(x - w)' M (x - w)`` with
+    ``lower <= x <= upper`` for every row w. Rows already within their bounds stay as they are; the
+    others take a fixed number of steps from where they are cut off, which leaves them nearly, not
+    exactly, nearest.
+
+    Parameters
+    ----------
+    metric : (n, n) float array
+        Symmetric, positive definite; with `factor` (n,), the diagonal to which it adds.
+    lower, upper : (n,) float arrays
+    factor : (n, r) float array, optional
+        The metric is then ``diag(metric) + factor @ factor.T``, which is quicker where r is small.
+    steps : int, optional
+        By default as many as leave a thousandth of the way, ``log(1000) sqrt(condition)`` of the
+        metric at unit diagonal; at most 10.
+    """
+
+    def __init__(
+        self,
+        metric: FloatArray,
+        *,
+        lower: FloatArray,
+        upper: FloatArray,
+        factor: FloatArray | None = None,
+        steps: int | None = None,
+    ) -> None:
+        whole = metric if factor is None else np.diag(metric) + factor @ factor.T
+        squared = 1 / np.diag(whole)
+        curvature = np.linalg.eigvalsh(whole * np.sqrt(np.outer(squared, squared)))
+        least, largest = float(curvature[0]), float(curvature[-1])
+        step = 1 / largest
+        needed = -math.log(_PROJECTION_ERROR) * math.sqrt(largest / max(least, 1e-12 * largest))
+        self._steps = min(_MOST_PROJECTION_STEPS, math.ceil(needed)) if steps is None else steps
+        self._lower, self._upper = lower, upper
+        # in the variables' own units, a step is one product: x - step M diag(squared) x
+        self._product: FloatArray | None = None
+        if factor is None:
+            self._product = np.ascontiguousarray(np.eye(len(whole)) - step * whole * squared)
+        else:
+            self._diagonal = 1 - step * metric * squared
+            self._left = np.ascontiguousarray(-step * factor)
+            self._right = np.ascontiguousarray((factor * squared[:, None]).T)
+
+    def __call__(self, rows: FloatArray) -> FloatArray:
+        """Return the projection of (rows, n) float array, of the same shape."""
+        low, high = self._lower - rows, self._upper - rows
+        start = np.clip(np.zeros_like(low), low, high)
+        moved = _accelerate(self._descend, start, low, high, steps=self._steps)
+        return np.asarray(np.clip(rows + moved, self._lower, self._upper))
+
+    def _descend(self, ahead: FloatArray) -> FloatArray:
+        if self._product is not None:
+            return np.asarray(ahead @ self._product)
+        return np.asarray(ahead * self._diagonal + (ahead @ self._left) @ self._right)
 
 
 def _check(H: FloatArray, b: FloatArray, lo: FloatArray, hi: FloatArray) -> None:
@@ -163,20 +216,26 @@ def _check(H: FloatArray, b: FloatArray, lo: FloatArray, hi: FloatArray) -> None
         )
 
 
-def _approach(
-    H: FloatArray, b: FloatArray, lo: FloatArray, hi: FloatArray, step: float
+def _accelerate(
+    descend: Callable[[FloatArray], FloatArray],
+    start: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    *,
+    steps: int,
 ) -> FloatArray:
-    """Take accelerated projected gradient steps."""
-    z = np.clip(np.zeros_like(b), lo, hi)
-    ahead, momentum = z, np.ones(len(b))
-    for _ in range(_GRADIENT_STEPS):
-        moved = np.clip(ahead - step * (ahead @ H - b), lo, hi)
-        restart = np.einsum("fn,fn->f", ahead - moved, moved - z) > 0
-        momentum = np.where(restart, 1.0, momentum)
-        following = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
-        rate = np.where(restart, 0.0, (momentum - 1) / following)
-        ahead, z, momentum = moved + rate[:, None] * (moved - z), moved, following
-    return np.asarray(z)
+    """Take accelerated projected gradient steps; `descend` is one without the bounds."""
+    now = ahead = start
+    momentum = 1.0
+    for _ in range(steps):
+        # clip would be one call, and a slow one where its bounds are arrays
+        following = np.minimum(np.maximum(descend(ahead), lower), upper)
+        gained = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
+        ahead = following - now
+        ahead *= (momentum - 1) / gained
+        ahead += following
+        now, momentum = following, gained
+    return np.asarray(now)
 
 
 def _pivot(
@@ -186,9 +245,9 @@ def _pivot(
     out = z.copy()
     side = np.where(z <= lo, -1, np.where(z >= hi, 1, 0))
     todo = np.arange(len(b))
-    fewest, patience = np.full(len(b), H.shape[0] + 1), np.full(len(b), _PATIENCE)
+    fewest, patience = np.full(len(b), H.shape[0] + 1), np.full(len(b), _PATIENCE_ROUNDS)
     slack = 1e-11 * (1 + np.abs(b).max(axis=1, initial=0.0))
-    for _ in range(_PIVOT_STEPS):
+    for _ in range(_MOST_PIVOT_STEPS):
         at = side[todo]
         value = _solve_free(H, b[todo], np.where(at < 0, lo, np.where(at > 0, hi, 0.0)), at == 0)
         gradient = value @ H - b[todo]
@@ -200,7 +259,7 @@ def _pivot(
         count = wrong.sum(axis=1)
         better = count < fewest[todo]
         fewest[todo] = np.where(better, count, fewest[todo])
-        patience[todo] = np.where(better, _PATIENCE, patience[todo] - 1)
+        patience[todo] = np.where(better, _PATIENCE_ROUNDS, patience[todo] - 1)
         last = wrong.shape[1] - 1 - wrong[:, ::-1].argmax(axis=1)
         only = np.arange(wrong.shape[1]) == last[:, None]  # Murty: one alone, where all cycle
         change = wrong & (only | (patience[todo] >= 0)[:, None])
@@ -222,37 +281,35 @@ def _walk(
     fixes that variable; at such a minimum the bound variable that pulls hardest is set free.
     """
     out = z.copy()
-    todo = np.flatnonzero(_violation(H, b, lo, hi, z) > _TOLERANCE)
+    todo = np.flatnonzero(_violation(H, b, lo, hi, z) > _WALK_TOLERANCE)
     fixed = (z <= lo) | (z >= hi)
     for _ in range(_WALK_STEPS_PER_VARIABLE * len(H)):
         if not len(todo):
             break
         rows = np.arange(len(todo))
-        now, right, held = out[todo], b[todo], fixed[todo]
-        step = _solve_free(H, right, np.where(held, now, 0.0), ~held) - now
+        now, right, bound = out[todo], b[todo], fixed[todo]
+        step = _solve_free(H, right, np.where(bound, now, 0.0), ~bound) - now
         with np.errstate(divide="ignore", invalid="ignore"):
             room = np.where(step < 0, (lo - now) / step, (hi - now) / step)
-        room = np.where(held | (step == 0), np.inf, room)
+        room = np.where(bound | (step == 0), np.inf, room)
         blocker = room.argmin(axis=1)
         length = room[rows, blocker]
         blocked = length < 1
         now = np.clip(now + np.minimum(length, 1.0)[:, None] * step, lo, hi)
         first = rows[blocked], blocker[blocked]
         now[first] = np.where(step[first] < 0, lo[first[1]], hi[first[1]])
-        held[first] = True
+        bound[first] = True
         gradient = now @ H - right
-        pull = np.where(now <= lo, -gradient, gradient) * (held & (lo < hi))
+        pull = np.where(now <= lo, -gradient, gradient) * (bound & (lo < hi))
         hardest = pull.argmax(axis=1)
-        release = ~blocked & (pull[rows, hardest] > _TOLERANCE * np.abs(right).max(axis=1))
-        held[rows[release], hardest[release]] = False
-        out[todo], fixed[todo] = now, held
+        release = ~blocked & (pull[rows, hardest] > _WALK_TOLERANCE * np.abs(right).max(axis=1))
+        bound[rows[release], hardest[release]] = False
+        out[todo], fixed[todo] = now, bound
         todo = todo[blocked | release]
     return out
 
 
-def _solve_free(
-    H: FloatArray, b: FloatArray, fixed: FloatArray, free: NDArray[np.bool_]
-) -> FloatArray:
+def _solve_free(H: FloatArray, b: FloatArray, fixed: FloatArray, free: BoolArray) -> FloatArray:
     """Solve each frame's free variables, the others staying at their bounds."""
     rest = b - fixed @ H
     value = fixed.copy()

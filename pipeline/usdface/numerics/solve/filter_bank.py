@@ -46,47 +46,17 @@ def apply_filter_bank(values: ArrayLike, *, gains: Sequence[float]) -> FloatArra
     level = _checked(values)
     if not np.isfinite(gains).all():
         raise ValueError(f"gains must be finite, got {list(gains)}")
-    kept = np.zeros_like(level)
+    out = np.zeros_like(level)
     for band, gain in enumerate(gains):
         coarser = _smoothed(level, 1 << band)
-        kept += gain * (level - coarser)
+        out += gain * (level - coarser)
         level = coarser
-    kept += level
-    return kept
-
-
-def low_pass_kernel(bands: int) -> FloatArray:
-    """Return the one filter that the bank is when its finest bands are left out.
-
-    Gains of 0 telescope: G₀ is smoothed at every level and nothing is added again.
-
-    Parameters
-    ----------
-    bands : int
-        How many are left out; 0 leaves curves as they are.
-
-    Returns
-    -------
-    (2 * reach + 1,) float array
-        Symmetric, sums to 1; ``reach = 2 * (2**bands - 1)`` frames.
-
-    Raises
-    ------
-    ValueError
-        If `bands` is negative.
-    """
-    if bands < 0:
-        raise ValueError(f"bands left out must be 0 or more, got {bands}")
-    kernel = np.ones(1)
-    for band in range(bands):
-        spread = np.zeros(4 * (1 << band) + 1)
-        spread[:: 1 << band] = _KERNEL
-        kernel = np.convolve(kernel, spread)
-    return kernel
+    out += level
+    return out
 
 
 def filter_reach(bands: int) -> int:
-    """Return how many frames away a frame is still heard with so many bands left out."""
+    """Return how many frames away a frame still counts with so many bands left out."""
     return 2 * ((1 << bands) - 1)
 
 

@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 from usdface.core.arrays import FloatArray
 from usdface.numerics.solve.blendshape_equation import solve_weights
 
-_QUANTILE = 0.99  # of the weights over time: a peak that lasts, not a single frame
-_SEEN = 0.3  # of the range: below, the take does not show the shape
+_PEAK_QUANTILE = 0.99  # of the weights over time: a peak that lasts, not a single frame
+_SHOWN_SHARE = 0.3  # [of the range] below, the take does not show the shape
 _GAINS = (0.5, 2.5)
-_ROUNDS = 3
-_CLOSE = 0.02
-_OWN = 0.2  # of a shape's largest displacement: markers below are not its own
+_MOST_ROUNDS = 3
+_CLOSE_SHARE = 0.02  # [of the range] of the top that counts as reached
+_CARRIED_SHARE = 0.2  # [of a shape's largest displacement] markers below get no gain from it
 
 
 def match_peaks(
@@ -64,9 +64,9 @@ def match_peaks(
     limits = np.tile([0.0, 1.0], (len(D), 1)) if ranges is None else np.asarray(ranges, float)
     reach = np.linalg.norm(D, axis=2)
     share = (reach / np.maximum(reach.max(axis=0), 1e-9)) ** 2
-    share[reach < _OWN * reach.max(axis=1, keepdims=True)] = 0
+    share[reach < _CARRIED_SHARE * reach.max(axis=1, keepdims=True)] = 0
     gain = np.ones(D.shape[1])
-    for _ in range(_ROUNDS):
+    for _ in range(_MOST_ROUNDS):
         weights = solve_weights(
             D,
             m * gain[:, None],
@@ -76,9 +76,10 @@ def match_peaks(
             marker_trust=marker_trust,
             ridge=ridge,
         ).weights
-        reached = np.quantile(weights, _QUANTILE, axis=0)
+        reached = np.quantile(weights, _PEAK_QUANTILE, axis=0)
         top = limits[:, 1]
-        short = [s for s in shapes if _SEEN * top[s] < reached[s] < (1 - _CLOSE) * top[s]]
+        low, high = _SHOWN_SHARE * top, (1 - _CLOSE_SHARE) * top
+        short = [shape for shape in shapes if low[shape] < reached[shape] < high[shape]]
         if not short:
             break
         for shape in short:

@@ -29,25 +29,25 @@ LEAST_LEAD = 2.0
 SHORTEST_SECONDS = 1.5
 
 _CLEAR_PEAK, _CLEAR_RATIO, _CLEAR_AGREEMENT = 16.0, 1.5, 0.8
-"""Where nothing is left to doubt: twice the least, or thereabouts."""
+"""At which confidence reaches 1: about twice the least."""
 
-_SILENCE = 1e-5
-"""Root mean square below which nothing is heard: -100 dB, one bit of sixteen."""
+_SILENCE_RMS = 1e-5
+"""Quieter is silence: -100 dB, less than one bit of sixteen."""
 
-_TOLERANCE = 1e-3
-"""Seconds by which a window may miss the line: reverberation moves the peak by less."""
-_NOISE = 2e-5
-_LONGEST_WINDOW, _SHORTEST_WINDOW = 2.0, 0.4
+_TOLERANCE_SECONDS = 1e-3
+"""By which a window may miss the line: reverberation moves the peak by less."""
+_NOISE_SECONDS = 2e-5
+_LONGEST_WINDOW_SECONDS, _SHORTEST_WINDOW_SECONDS = 2.0, 0.4
 _WINDOWS_PER_OVERLAP = 5
 _MOST_WINDOWS = 200
 _SCANNED_WINDOWS = 16
-_COARSE_ERROR = 0.03
-_LOWEST_RATE = 4000
+_COARSE_ERROR_SECONDS = 0.03
+_LOWEST_RATE_HZ = 4000
 
 
 @dataclass(frozen=True)
 class SoundAlignment:
-    """What a second recording's clock shows when a sound is in the first: and the evidence.
+    """How the clock of a second recording runs against that of a first, and the evidence.
 
     ``second_time = offset + (1 + drift) * first_time``
 
@@ -70,8 +70,6 @@ class SoundAlignment:
         Share of windows within a millisecond of the line [0-1].
     deviation : float
         Root mean square distance of those from the line [s].
-    correlation : OnsetCorrelation or None
-    windows : WindowDelays or None
     agreeing : (windows,) bool array
     """
 
@@ -96,7 +94,7 @@ def align_sounds(
     names: tuple[str, str] = ("first", "second"),
     progress: Progress = silent,
 ) -> SoundAlignment:
-    """Find when the sounds of one recording are heard in another.
+    """Find when the sounds of one recording are in another.
 
     Parameters
     ----------
@@ -106,7 +104,6 @@ def align_sounds(
         Samples per second of both, as each recorder believes; at least 4000.
     names : (2,) tuple of str
         What to call the recordings where something is wrong with one.
-    progress : callable
 
     Returns
     -------
@@ -120,7 +117,7 @@ def align_sounds(
         If an array is not one row of finite samples, or the rate is too low.
     """
     first, second = _checked(first, names[0]), _checked(second, names[1])
-    if rate < _LOWEST_RATE:
+    if rate < _LOWEST_RATE_HZ:
         raise ValueError(f"rate {rate} is too low to tell delays; give 16000 samples per second")
     doubts = _unusable((first, second), names, rate)
     if doubts:
@@ -166,7 +163,7 @@ class _Pair:
         return len(self.first) / self.rate, len(self.second) / self.rate
 
 
-def _measure(pair: "_Pair", found: "_Found", *, count: int) -> tuple[WindowDelays, RobustLine]:
+def _measure(pair: "_Pair", found: "_RoughShift", *, count: int) -> tuple[WindowDelays, RobustLine]:
     at_zero = found.shift - found.drift * found.middle
     overlap = min(pair.seconds[0], pair.seconds[1] - at_zero) - max(0.0, -at_zero)
     windows = window_delays(
@@ -176,25 +173,25 @@ def _measure(pair: "_Pair", found: "_Found", *, count: int) -> tuple[WindowDelay
         window=_window_seconds(overlap),
         count=count,
         expected=(at_zero, found.drift),
-        radius=(_COARSE_ERROR, found.drift_unknown),
+        radius=(_COARSE_ERROR_SECONDS, found.drift_unknown),
     )
     if not len(windows.times):
         return windows, RobustLine(at_zero, found.drift, np.zeros(0, bool), 0.0)
     line = fit_robust_line(
         windows.times,
         windows.delays,
-        tolerance=_TOLERANCE,
+        tolerance=_TOLERANCE_SECONDS,
         largest_slope=_LARGEST_DRIFT,
         usual_slope=USUAL_DRIFT,
-        noise=_NOISE,
+        noise=_NOISE_SECONDS,
     )
     return windows, line
 
 
-def _against_rivals(pair: "_Pair", found: "_Found", rivals: list[float]) -> "_Found":
+def _against_rivals(pair: "_Pair", found: "_RoughShift", rivals: list[float]) -> "_RoughShift":
     """Doubt a shift if the windows agree on another too, to the millisecond."""
     for rival in rivals:
-        if not np.isfinite(rival) or abs(rival - found.shift) < _COARSE_ERROR:
+        if not np.isfinite(rival) or abs(rival - found.shift) < _COARSE_ERROR_SECONDS:
             continue
         other = replace(found, shift=rival)
         _, line = _measure(pair, other, count=_SCANNED_WINDOWS)
@@ -212,8 +209,8 @@ def _against_rivals(pair: "_Pair", found: "_Found", rivals: list[float]) -> "_Fo
 
 
 @dataclass(frozen=True)
-class _Found:
-    """A rough shift, and how sure it is by itself."""
+class _RoughShift:
+    """A shift before it is measured window by window, and its confidence."""
 
     shift: float
     middle: float
@@ -223,7 +220,7 @@ class _Found:
     doubts: tuple[str, ...]
 
 
-def _by_onsets(coarse: OnsetCorrelation, middle: float) -> _Found:
+def _by_onsets(coarse: OnsetCorrelation, middle: float) -> _RoughShift:
     doubts = []
     if coarse.peak < LEAST_PEAK:
         doubts.append(
@@ -235,7 +232,7 @@ def _by_onsets(coarse: OnsetCorrelation, middle: float) -> _Found:
             f"shifts of {coarse.shift:+.2f} and {coarse.rival:+.2f} s explain the sound about "
             f"equally well ({coarse.ratio:.2f} times, {LEAST_RATIO:g} are needed): it repeats"
         )
-    return _Found(
+    return _RoughShift(
         shift=coarse.shift,
         middle=middle,
         drift=coarse.drift,
@@ -248,7 +245,7 @@ def _by_onsets(coarse: OnsetCorrelation, middle: float) -> _Found:
     )
 
 
-def _by_phase(vote: PhaseVote) -> _Found:
+def _by_phase(vote: PhaseVote) -> _RoughShift:
     share, lead = vote.votes / vote.windows, vote.votes / max(vote.rival_votes, 1)
     doubts = []
     if vote.votes < LEAST_WINDOWS or share < LEAST_AGREEMENT:
@@ -261,7 +258,7 @@ def _by_phase(vote: PhaseVote) -> _Found:
             f"{vote.votes} windows vote for a shift of {vote.shift:+.2f} s and {vote.rival_votes} "
             f"for {vote.rival:+.2f} s: the sound repeats"
         )
-    return _Found(
+    return _RoughShift(
         shift=vote.shift,
         middle=vote.middle,
         drift=0.0,
@@ -275,7 +272,7 @@ def _by_phase(vote: PhaseVote) -> _Found:
 
 
 def _conclude(
-    found: _Found, coarse: OnsetCorrelation, windows: WindowDelays, line: RobustLine
+    found: _RoughShift, coarse: OnsetCorrelation, windows: WindowDelays, line: RobustLine
 ) -> SoundAlignment:
     agreeing = int(line.agreeing.sum())
     agreement = agreeing / max(len(line.agreeing), 1)
@@ -302,7 +299,9 @@ def _conclude(
 
 
 def _window_seconds(overlap: float) -> float:
-    return float(np.clip(overlap / _WINDOWS_PER_OVERLAP, _SHORTEST_WINDOW, _LONGEST_WINDOW))
+    return float(
+        np.clip(overlap / _WINDOWS_PER_OVERLAP, _SHORTEST_WINDOW_SECONDS, _LONGEST_WINDOW_SECONDS)
+    )
 
 
 def _unusable(
@@ -315,7 +314,7 @@ def _unusable(
                 f"the {name} recording lasts {len(sound) / rate:.2f} s, {SHORTEST_SECONDS:g} s are "
                 "needed"
             )
-        elif float(np.sqrt(np.mean(sound**2))) < _SILENCE:
+        elif float(np.sqrt(np.mean(sound**2))) < _SILENCE_RMS:
             doubts.append(f"the {name} recording is silent")
     return tuple(doubts)
 

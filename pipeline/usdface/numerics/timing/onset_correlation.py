@@ -1,7 +1,7 @@
 """Where one recording lies in another, to a hundredth of a second: onsets of sound, correlated.
 
-Two microphones in two places hear other colours of the same sound; what they share is when each
-band of it begins. Over long recordings the clocks part by more than the width of the peak, so
+Two microphones in two places record other spectra of the same sound; what they share is when each
+band of it begins. Over long recordings the clocks drift by more than the width of the peak, so
 stretches of a minute are correlated one by one and added along every drift that clocks may have.
 """
 
@@ -17,18 +17,19 @@ from usdface.core.arrays import MAD_TO_DEVIATION, Float32Array, FloatArray
 
 HOPS_PER_SECOND = 100
 _WINDOW_SECONDS = 0.025
-_BANDS = 24
+_BAND_COUNT = 24
 _LOWEST_HZ, _HIGHEST_HZ = 125.0, 7000.0
 _FRAMES_AT_ONCE = 1 << 14
 
-_STRETCH = 60 * HOPS_PER_SECOND
-"""Hops in which clocks 300 ppm apart move by less than two hops."""
+_STRETCH_HOPS = 60 * HOPS_PER_SECOND
+"""A minute, in which clocks 300 ppm apart move by less than two hops."""
 
 _PEAK_HOPS = 30
 """Half width of a peak: syllables make onsets resemble themselves this far."""
 
 _SHORTEST_OVERLAP = HOPS_PER_SECOND
 _OVERLAP_SHARE = 0.2
+"""Least overlap that is scored: one second, and this share of the shorter recording."""
 _RIVAL_PEAK = 6.0
 """Height above which a second peak is no accident: the highest of a million random scores is 5."""
 
@@ -86,12 +87,12 @@ def onset_flux(sound: Float32Array, *, rate: int) -> Float32Array:
     hop, size = rate // HOPS_PER_SECOND, round(_WINDOW_SECONDS * rate)
     count = (len(sound) - size) // hop + 1
     if count < 2:
-        return np.zeros((_BANDS, 0), np.float32)
+        return np.zeros((_BAND_COUNT, 0), np.float32)
     length = fft.next_fast_len(size, real=True)
     edges = _band_edges(rate, length)
     window = np.hanning(size).astype(np.float32)
     frames = sliding_window_view(sound, size)[::hop]
-    power = np.empty((_BANDS, count), np.float32)
+    power = np.empty((_BAND_COUNT, count), np.float32)
     for start in range(0, count, _FRAMES_AT_ONCE):
         spectrum = fft.rfft(frames[start : start + _FRAMES_AT_ONCE] * window, length, axis=1)
         energy = spectrum.real**2 + spectrum.imag**2
@@ -99,10 +100,10 @@ def onset_flux(sound: Float32Array, *, rate: int) -> Float32Array:
         power[:, start : start + len(bands)] = bands.T
     # A floor at the band's usual power keeps the flutter of noise small; digital silence, as where
     # a recording has gaps, is not usual.
-    floor = np.empty((_BANDS, 1), np.float32)
+    floor = np.empty((_BAND_COUNT, 1), np.float32)
     for band, row in enumerate(power):
-        heard = row[row > 1e-9 * row.max()]
-        floor[band] = np.median(heard) if len(heard) else 1.0
+        audible = row[row > 1e-9 * row.max()]
+        floor[band] = np.median(audible) if len(audible) else 1.0
     rise = np.maximum(np.diff(np.log(power + floor), axis=1), 0)
     rise -= rise.mean(axis=1, keepdims=True)
     deviation = rise.std(axis=1, keepdims=True)
@@ -198,7 +199,7 @@ def _stretch_products(
     products from there on.
     """
     hops = first.shape[1]
-    edges = np.linspace(0, hops, -(-hops // _STRETCH) + 1).astype(int)
+    edges = np.linspace(0, hops, -(-hops // _STRETCH_HOPS) + 1).astype(int)
     size = int(np.diff(edges).max())
     length = fft.next_fast_len(second.shape[1] + size, real=True)
     spectrum = fft.rfft(second, length, axis=1)
@@ -222,7 +223,7 @@ def _overlap(first: int, second: int) -> FloatArray:
 
 def _drifts(hops: int, largest: float) -> FloatArray:
     """Return the drifts to try: so close that between two the peak is not smeared."""
-    if hops <= _STRETCH:
+    if hops <= _STRETCH_HOPS:
         return np.zeros(1)
     count = int(np.ceil(largest * hops / 2))
     return np.linspace(-largest, largest, 2 * count + 1)
@@ -236,7 +237,7 @@ def _add_at(total: Float32Array, part: Float32Array, place: int) -> None:
 
 def _band_edges(rate: int, length: int) -> NDArray[np.int64]:
     highest = min(_HIGHEST_HZ, 0.45 * rate)
-    bins = np.geomspace(_LOWEST_HZ, highest, _BANDS + 1) * length / rate
+    bins = np.geomspace(_LOWEST_HZ, highest, _BAND_COUNT + 1) * length / rate
     edges: NDArray[np.int64] = np.round(bins).astype(np.int64)
     # Low bands may be narrower than one bin of the spectrum: each keeps at least one.
     for index in range(1, len(edges)):

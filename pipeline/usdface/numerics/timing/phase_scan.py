@@ -12,33 +12,35 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from usdface.core.arrays import Float32Array, FloatArray
-from usdface.numerics.timing.phase_transform import speech_band, whitened_product
-from usdface.numerics.timing.window_delays import loud_windows
+from usdface.numerics.timing.window_delays import loud_windows, speech_band, whitened_product
 
-_BLOCK = 1 << 20
-"""Samples searched at once, a minute at 16 kHz: longer transforms take memory and save no time."""
+_BLOCK_SAMPLES = 1 << 20
+"""A minute at 16 kHz: longer transforms take memory and save no time."""
 
-_PEAKS = 3
+_PEAKS_PER_WINDOW = 3
 """Taken of each window: a sound that repeats has several, all of them right."""
-_APART_SECONDS = 0.05
+_PEAK_SPACING_SECONDS = 0.05
+"""Peaks nearer than this are one."""
 _TOLERANCE_SECONDS = 0.002
+"""Within which windows agree on a shift."""
 
 
 @dataclass(frozen=True)
 class PhaseVote:
-    """A shift that windows agree on without having been told where to look.
+    """A shift that windows agree on, searched for everywhere.
 
     Attributes
     ----------
     shift : float
-        How much later the second recording hears the sound, at the middle of the windows [s].
+        How much later the sound is in the second recording, at the middle of the windows [s].
     middle : float
         That middle on the clock of the first recording [s].
     votes : int
         Windows that agree on it.
     rival : float
-        The shift with most votes beside it [s]; NaN where no two windows agree on another.
+        The other shift with most votes [s]; NaN where no two windows agree on another.
     rival_votes : int
+        Windows that agree on that.
     windows : int
         How many windows were searched for.
     """
@@ -87,7 +89,7 @@ def scan_phase(
     times, delays = list[float](), list[FloatArray]()
     for start in starts.tolist():
         heights = _heights(first[start : start + size] * taper, second, rate)
-        places = _highest(heights, apart=round(_APART_SECONDS * rate))
+        places = _highest(heights, spacing=round(_PEAK_SPACING_SECONDS * rate))
         if len(places):
             times.append((start + size / 2) / rate)
             delays.append((places - (size - 1) - start) / rate)
@@ -100,7 +102,7 @@ def _heights(sound: Float32Array, second: Float32Array, rate: int) -> Float32Arr
     """Return how well a window fits at each place, from wholly before the second to after it."""
     size = len(sound)
     total = len(second) + size - 1
-    length = fft.next_fast_len(min(total, _BLOCK) + size, real=True)
+    length = fft.next_fast_len(min(total, _BLOCK_SAMPLES) + size, real=True)
     step = length - size + 1
     spectrum = fft.rfft(sound, length)
     band = speech_band(length, rate=rate)
@@ -118,15 +120,15 @@ def _heights(sound: Float32Array, second: Float32Array, rate: int) -> Float32Arr
     return heights
 
 
-def _highest(heights: Float32Array, *, apart: int) -> NDArray[np.int64]:
+def _highest(heights: Float32Array, *, spacing: int) -> NDArray[np.int64]:
     left = heights.copy()
     places = list[int]()
-    for _ in range(_PEAKS):
+    for _ in range(_PEAKS_PER_WINDOW):
         place = int(np.argmax(left))
         if not left[place] > 0:
             break
         places.append(place)
-        left[max(place - apart, 0) : place + apart + 1] = 0
+        left[max(place - spacing, 0) : place + spacing + 1] = 0
     return np.array(places, np.int64)
 
 
@@ -140,7 +142,7 @@ def _count_votes(times: FloatArray, delays: list[FloatArray], largest_drift: flo
     votes = np.array([len(np.unique(owners[row])) for row in near])
     # Of equal votes the one nearest the middle, where drift has moved it least.
     best = int(np.lexsort((away, -votes))[0])
-    others = np.flatnonzero(np.abs(places - places[best]) > _APART_SECONDS)
+    others = np.flatnonzero(np.abs(places - places[best]) > _PEAK_SPACING_SECONDS)
     rival = others[int(np.argmax(votes[others]))] if len(others) else best
     rival_votes = int(votes[rival]) if len(others) else 0
     return PhaseVote(

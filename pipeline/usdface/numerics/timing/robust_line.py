@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from usdface.core.arrays import MAD_TO_DEVIATION, FloatArray
 
 _SHORTEST_BASE = 0.3
-"""Of the points' span: two points closer than this give no slope to judge others by."""
+"""[of the points' span] Two points closer than this give no slope to judge others by."""
 
-_ROUNDS = 6
-_DEVIATIONS_KEPT = 6.0
+_MOST_ROUNDS = 6
+_AGREEING_DEVIATIONS = 6.0
 _PAIRS_AT_ONCE = 2048
 
 
@@ -21,7 +21,6 @@ class RobustLine:
 
     Attributes
     ----------
-    intercept, slope : float
     agreeing : (n,) bool array
         The points it was fitted to.
     deviation : float
@@ -72,9 +71,9 @@ def fit_robust_line(
     distance = _distances_to_best(x, y, tolerance, largest_slope)
     agreeing = np.zeros(len(x), bool)
     intercept, slope = 0.0, 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(_MOST_ROUNDS):
         scale = max(noise, MAD_TO_DEVIATION * float(np.median(distance[distance < tolerance])))
-        within = distance < min(tolerance, _DEVIATIONS_KEPT * scale)
+        within = distance < min(tolerance, _AGREEING_DEVIATIONS * scale)
         if np.array_equal(within, agreeing):
             break
         agreeing = within

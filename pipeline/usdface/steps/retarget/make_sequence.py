@@ -6,7 +6,7 @@ from usdface.core.controls import EmotionalSequence
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.numerics.motion.sequence_search import held_distance
+from usdface.numerics.motion.sequence_search import mean_face_distance
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.retarget import MakeSequenceSpec
@@ -28,7 +28,7 @@ def run(
     for path, count in ((spec.source, len(source.weights)), (spec.target, len(target))):
         if count < 2:
             raise InputError(f"{path}: {count} frame is no sequence; give at least 2")
-    if held_distance(source.weights) == 0.0:
+    if mean_face_distance(source.weights) == 0.0:
         raise InputError(
             f"{spec.source}: frames {source.first_frame}-{source.last_frame} stand still, so "
             "nothing would tell them from a face at rest; choose a stretch that moves"

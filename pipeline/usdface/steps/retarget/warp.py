@@ -23,8 +23,12 @@ from usdface.media.charts.motion_curves import (
 )
 from usdface.media.picture.image import write_image
 from usdface.model.retarget.control_space import ControlSpace, control_space
-from usdface.numerics.motion.laplacian_warp import Insertion, ease_weights, warp_motion
-from usdface.numerics.motion.retiming import stretch_motion
+from usdface.numerics.motion.laplacian_warp import (
+    Insertion,
+    ease_weights,
+    stretch_motion,
+    warp_motion,
+)
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import WarpSpec

@@ -13,7 +13,7 @@ from usdface.core.arrays import Float32Array, FloatArray, IntArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.numerics.motion.sparse_samples import sparse_rows
+from usdface.numerics.motion.key_reduction import sparse_rows
 from usdface.usdio.authoring import apply_api, author_timing, author_uniform, define_prim
 from usdface.usdio.layers import (
     FRAMES_IN_MEMORY,
