@@ -16,7 +16,7 @@ from usdface.usdio.mapping import read_alpha_keys, read_mapping
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.referenced_files import frame_range_of, referenced_files
 from usdface.usdio.references.read import read_references, read_tuned_pairs
-from usdface.usdio.references.tuning import read_pair_names, read_pair_notes, read_proposals
+from usdface.usdio.references.tuning import read_pair_notes, read_proposals
 from usdface.usdio.retarget.controls import read_control_clip
 from usdface.usdio.retarget.pairs import read_pairs
 from usdface.usdio.retarget.retargeting import read_retargeting
@@ -42,7 +42,6 @@ READERS: dict[str, tuple[str, str, Read]] = {
     "references": ("hero.references.usda", "hero.references.usda", read_references),
     "proposed": ("hero.references.usda", "hero.references.proposed.usda", read_references),
     "tuned": ("hero.references.usda", "hero.references.tuned.usda", read_references),
-    "pair names": ("hero.references.usda", "hero.references.proposed.usda", read_pair_names),
     "mapping": ("hero.mapping.usdc", "hero.mapping.usdc", read_mapping),
     "performance": ("shot.hero.usda", "shot.hero.usda", read_performance),
     "weights": ("shot.hero.usda", "shot.hero.weights.usdc", read_performance),
@@ -67,7 +66,7 @@ READERS: dict[str, tuple[str, str, Read]] = {
     "notes": (
         "hero.references.usda",
         "hero.references.usda",
-        lambda path: read_pair_notes(path, 24),
+        read_pair_notes,
     ),
     "proposals": (
         "hero.references.usda",

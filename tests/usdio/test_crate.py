@@ -14,8 +14,8 @@ from pxr import Sdf, UsdUtils
 from tests.faults.crate_file import sections, table_start
 from usdface.core.errors import InputError
 from usdface.usdio.crate import PARTS, check_crate
-from usdface.usdio.layers import all_files, dependencies, open_layer, open_stage
-from usdface.usdio.referenced_files import referenced_files
+from usdface.usdio.layers import open_layer, open_stage
+from usdface.usdio.referenced_files import all_files, dependencies, referenced_files
 
 
 @pytest.fixture

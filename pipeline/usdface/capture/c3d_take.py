@@ -5,10 +5,16 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.capture.axes import mm_per_unit, rotation_from_screen, rotation_to_y_up
+from usdface.capture.axes import rotation_from_screen, rotation_to_y_up
 from usdface.capture.c3d import C3dFile, open_c3d
 from usdface.capture.marker_labels import settle_labels
-from usdface.capture.marker_take import Capture, CaptureHeader, CaptureOptions, build_marker_take
+from usdface.capture.marker_take import (
+    Capture,
+    CaptureHeader,
+    CaptureOptions,
+    build_marker_take,
+    settle_units,
+)
 from usdface.core.assets import Event
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
@@ -51,7 +57,7 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
         )
     if labels.subjects:
         notes.append(f"subject prefixes taken off: {first_few(labels.subjects)}")
-    scale = _mm_scale(file, options, notes)
+    scale = settle_units(file.units, options, notes, where=str(path), field="POINT:UNITS")
     rotation = (scale * _rotation(file, options, notes)).astype(np.float32)
     columns = np.array(labels.columns)
 
@@ -90,16 +96,6 @@ def _events(file: C3dFile) -> tuple[Event, ...]:
         if np.isfinite(event.seconds)
     ]
     return tuple(sorted(found, key=lambda event: event.frame))
-
-
-def _mm_scale(file: C3dFile, options: CaptureOptions, notes: list[str]) -> float:
-    if options.units is not None:
-        if file.units and file.units.lower() != options.units.lower():
-            notes.append(f"POINT:UNITS says {file.units}; {options.units} was asked for and used")
-        return mm_per_unit(options.units, where=f"{file.path} units")
-    if not file.units:
-        notes.append("POINT:UNITS is empty; mm assumed, say otherwise with --units")
-    return mm_per_unit(file.units or "mm", where=f"{file.path} POINT:UNITS")
 
 
 def _rotation(file: C3dFile, options: CaptureOptions, notes: list[str]) -> np.ndarray:

@@ -300,15 +300,27 @@ def settle_space(
     InputError
         If the units or the axis are not known.
     """
-    if options.units is not None:
-        if stated_units and stated_units.lower() != options.units.lower():
-            notes.append(f"{field} says {stated_units}; {options.units} was asked for and used")
-        scale = mm_per_unit(options.units, where=f"{where} units")
-    else:
-        if not stated_units:
-            notes.append(f"no unit stated ({field}); mm assumed, say otherwise with --units")
-        scale = mm_per_unit(stated_units or "mm", where=f"{where} {field}")
+    scale = settle_units(stated_units, options, notes, where=where, field=field)
     if options.up is None and up_note:
         notes.append(f"{up_note}; say otherwise with --up")
     up = assumed_up if options.up is None else options.up
     return scale * rotation_to_y_up(up=up, where=f"{where} up axis")
+
+
+def settle_units(
+    stated: str, options: CaptureOptions, notes: list[str], *, where: str, field: str
+) -> float:
+    """Return millimetres per unit, from what the file states or the user says.
+
+    Raises
+    ------
+    InputError
+        If the unit is not known.
+    """
+    if options.units is not None:
+        if stated and stated.lower() != options.units.lower():
+            notes.append(f"{field} says {stated}; {options.units} was asked for and used")
+        return mm_per_unit(options.units, where=f"{where} units")
+    if not stated:
+        notes.append(f"no unit stated ({field}); mm assumed, say otherwise with --units")
+    return mm_per_unit(stated or "mm", where=f"{where} {field}")

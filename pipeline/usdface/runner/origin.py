@@ -11,7 +11,8 @@ from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.specs.base import Spec
 from usdface.specs.paths import IMAGE_SUFFIXES, Reads, Writes
 from usdface.specs.review import MOVIE_SUFFIXES, PAGE_SUFFIXES
-from usdface.usdio.layers import dependencies, is_layer_name, read_provenance
+from usdface.usdio.layers import is_layer_name, read_provenance
+from usdface.usdio.referenced_files import dependencies
 
 LARGEST_FIGURES_BYTES = 64 << 20
 

@@ -13,7 +13,8 @@ from usdface.runner.sandbox import check_confined_inputs
 from usdface.specs.base import Spec
 from usdface.specs.job import SPEC_BY_STEP, JobSpec
 from usdface.specs.paths import Reads, Writes, confinement_root
-from usdface.usdio.layers import dependencies, is_layer_name
+from usdface.usdio.layers import is_layer_name
+from usdface.usdio.referenced_files import dependencies
 
 
 def check_inputs(spec: Spec) -> None:

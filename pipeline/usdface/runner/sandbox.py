@@ -6,7 +6,8 @@ from pathlib import Path
 from usdface.core.errors import InputError
 from usdface.specs.base import Spec
 from usdface.specs.paths import Reads, check_confined, confinement_root
-from usdface.usdio.layers import all_files, is_layer_name
+from usdface.usdio.layers import is_layer_name
+from usdface.usdio.referenced_files import all_files
 
 
 def check_confined_inputs(spec: Spec, root: Path) -> None:

@@ -80,7 +80,7 @@ def _run(
         source=spec.references,
         remedy="it was selected for another rig: select again",
     )
-    notes = read_pair_notes(spec.references, len(references.frames))
+    notes = read_pair_notes(spec.references)
     takes = spec.takes or take_files(spec.references)
     root = confinement_root()
     if root is not None:  # the asset says where its takes are

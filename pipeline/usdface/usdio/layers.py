@@ -17,6 +17,8 @@ from usdface.usdio.crate import check_crate
 from usdface.usdio.plugin import SCHEMA_VERSION
 
 FRAMES_IN_MEMORY = 1 << 15
+
+
 VALUES_IN_MEMORY = 1 << 23
 """Long takes are saved to disk in lots of this many frames or values, so that memory stays
 bounded."""
@@ -302,26 +304,6 @@ def read_provenance(path: Path) -> Provenance | None:
             inputs=dict(zip(*inputs, strict=False)),
             version=str(data["version"]),
         )
-
-
-def dependencies(path: Path) -> list[Path]:
-    """Return every layer a USD file is built from, itself first; textures and movies are not."""
-    layer = open_layer(path)
-    with usd_errors_as_input_errors(path, "finding what it is built from"):
-        check_crates_below(layer)
-        layers, _, _ = UsdUtils.ComputeAllDependencies(layer.identifier)
-    found = [Path(each.realPath) for each in layers if each.realPath]
-    return [path, *(each for each in found if each.resolve() != path.resolve())]
-
-
-def all_files(path: Path) -> list[Path]:
-    """Return every file that a USD file refers to, movies, sound and textures included."""
-    layer = open_layer(path)
-    with usd_errors_as_input_errors(path, "finding what it refers to"):
-        check_crates_below(layer)
-        layers, assets, missing = UsdUtils.ComputeAllDependencies(layer.identifier)
-    named = [each.realPath for each in layers] + [str(each) for each in (*assets, *missing)]
-    return [Path(each) for each in named if each]
 
 
 def relative_path(target: Path, layer_path: Path) -> str:

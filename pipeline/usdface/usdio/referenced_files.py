@@ -1,4 +1,4 @@
-"""Every file that a USD file needs beside it: what a farm without shared storage must carry."""
+"""What a USD file refers to, and the frames that it says it has."""
 
 from pathlib import Path
 
@@ -21,13 +21,30 @@ def referenced_files(path: Path) -> list[Path]:
     InputError
         If the file cannot be opened.
     """
+    layers, assets, _ = _dependencies(path)
+    return sorted({path, *layers, *(asset for asset in assets if asset.is_file())})
+
+
+def dependencies(path: Path) -> list[Path]:
+    """Return every layer a USD file is built from, itself first; textures and movies are not."""
+    layers, _, _ = _dependencies(path)
+    return [path, *(layer for layer in layers if layer.resolve() != path.resolve())]
+
+
+def all_files(path: Path) -> list[Path]:
+    """Return every file that a USD file refers to, there or not, movies and textures included."""
+    layers, assets, missing = _dependencies(path)
+    return [*layers, *assets, *missing]
+
+
+def _dependencies(path: Path) -> tuple[list[Path], list[Path], list[Path]]:
+    """Return the layers, the other files and the missing ones that a USD file refers to."""
     layer = open_layer(path)
     with usd_errors_as_input_errors(path, "finding what it refers to"):
         check_crates_below(layer)
-        layers, assets, _ = UsdUtils.ComputeAllDependencies(layer.identifier)
-    found = {Path(each.realPath) for each in layers if each.realPath}
-    found |= {Path(asset) for asset in assets if Path(asset).is_file()}
-    return sorted({path, *found})
+        layers, assets, missing = UsdUtils.ComputeAllDependencies(layer.identifier)
+    files = [Path(each.realPath) for each in layers if each.realPath]
+    return files, [Path(each) for each in assets if each], [Path(each) for each in missing if each]
 
 
 def frame_range_of(path: Path) -> tuple[int, int] | None:

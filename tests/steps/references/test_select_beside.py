@@ -112,7 +112,7 @@ def test_the_video_frame_of_each_pair_lies_beside_the_references(shot: Shot) -> 
     take = filmed(shot)
     report = execute(spec(shot, takes=(take,)))
     references = read_references(out)
-    notes = read_pair_notes(out, 12)
+    notes = read_pair_notes(out)
     stage = Usd.Stage.Open(str(out))
     attribute = stage.GetPrimAtPath("/References").GetAttribute("face:reference:image")
     for pair, (frame, note) in enumerate(zip(references.frames.tolist(), notes, strict=True), 1):
@@ -161,14 +161,14 @@ def test_a_video_that_is_gone_costs_its_pictures_and_nothing_else(shot: Shot) ->
             quality="draft",
         )
     )
-    pairs_without = sum(n.image is None for n in read_pair_notes(shot / "new.references.usda", 12))
+    pairs_without = sum(n.image is None for n in read_pair_notes(shot / "new.references.usda"))
     said = f"no video frame for {pluralize(pairs_without, 'pair')}"
     assert any(said in note for note in sheet.notes) == bool(pairs_without)
     report = execute(spec(shot, takes=(take,)), overwrite=True)
     # No picture of a pair can be made again, so each is kept and still referred to.
     assert any("pairs of shot keep the pictures they had, as" in note for note in report.notes)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == pictures
-    named = {note.image for note in read_pair_notes(shot / "new.references.usda", 12)}
+    named = {note.image for note in read_pair_notes(shot / "new.references.usda")}
     assert named - {None} == set(folder.iterdir())
     assert report.figures["images"] == len(pictures)
     execute(spec(shot, takes=(take,), count=6), overwrite=True)

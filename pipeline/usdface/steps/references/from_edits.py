@@ -65,7 +65,7 @@ def run(
             f"{LEAST_CHANGE:g} with its markers seen; edit the performance first"
         )
     rig = read_rig(references.rig_file, prim=references.rig_prim)
-    images = [note.image for note in read_pair_notes(spec.references, len(old.frames))]
+    images = [note.image for note in read_pair_notes(spec.references)]
     images += [None] * (len(references.frames) - len(images))
     with nobody_tunes(spec.out):
         notes += _left_out(spec.out, references)

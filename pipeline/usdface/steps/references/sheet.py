@@ -70,7 +70,7 @@ def run(
     camera = frame_rig(rig.meshes, yaw_degrees=_YAW_DEGREES)
     cloud = frame_markers(references.markers)
     rows = []
-    kept = read_pair_notes(spec.references, len(references.frames))
+    kept = read_pair_notes(spec.references)
     with ExitStack() as open_files:
         videos = {name: _open_video(take, open_files) for name, take in takes.items()}
         for number, pair in enumerate(pairs):

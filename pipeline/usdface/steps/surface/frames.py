@@ -10,7 +10,7 @@ from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.errors import InputError
 from usdface.numerics.regression.reference_design import most_different_rows
 from usdface.specs.surface import MakeShapesSpec
-from usdface.usdio.references.tuning import read_pair_names
+from usdface.usdio.references.tuning import read_pair_notes
 from usdface.usdio.take.read import TakeReader
 
 LARGEST_CSV_BYTES = 1 << 20
@@ -117,7 +117,7 @@ def _from_csv(path: Path) -> tuple[ShapeFrame, ...]:
 
 
 def _from_references(path: Path, take: TakeReader) -> tuple[ShapeFrame, ...]:
-    pairs = [pair for pair in read_pair_names(path) if pair.take == take.name]
+    pairs = [pair for pair in read_pair_notes(path) if pair.take == take.name]
     if not pairs:
         raise InputError(
             f"{path}: has no pair of the take {take.name!r}; select references from it first"

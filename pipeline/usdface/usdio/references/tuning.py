@@ -5,27 +5,33 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pxr import Usd
 
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import References
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
-from usdface.usdio.layers import open_layer, open_stage, read_provenance
+from usdface.usdio.layers import open_layer, read_provenance
+from usdface.usdio.references.pair_layers import open_pair_stage
 from usdface.usdio.references.read import FRAME, ROOT, TAKE, WEIGHTS, WEIGHTS_ATTRIBUTE
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 
 @dataclass(frozen=True)
 class PairNotes:
-    """What is known of a pair beside its markers and weights; empty where nothing is.
+    """What names a pair beside its markers and weights; empty where nothing is known.
 
     Attributes
     ----------
+    frame, take
+        Frame number, and the name of its take.
+    viseme, emotion : str
+        What is seen there.
     image : Path or None
         The pair's picture, where the asset names one.
     """
 
+    frame: int = 0
+    take: str = ""
     viseme: str = ""
     emotion: str = ""
     image: Path | None = None
@@ -111,23 +117,34 @@ def check_tuned_layer(tuned_path: Path, references: References) -> None:
 
 
 @refusing_wrong_types
-def read_pair_notes(path: Path, count: int) -> list[PairNotes]:
-    """Return what a references asset says of each pair's viseme, emotion and picture."""
-    stage = open_stage(path)
-    root = stage.GetPrimAtPath(ROOT)
+def read_pair_notes(path: Path) -> list[PairNotes]:
+    """Return what a references asset says of each pair but its markers and weights, in order.
 
-    def value(name: str, pair: int) -> object:
+    Raises
+    ------
+    InputError
+        If the file is no references asset.
+    """
+    stage = open_pair_stage(
+        path, ROOT, api="FaceReferencesAPI", kind="references", command="usdface select"
+    )
+    root = stage.GetPrimAtPath(ROOT)
+    frames = root.GetAttribute(FRAME.name)
+
+    def text(name: str, time: float) -> str:
         attribute = root.GetAttribute(f"face:reference:{name}")
-        return attribute.Get(pair + 1) if attribute else None
+        return str(attribute.Get(time) or "") if attribute else ""
 
     notes = []
-    for pair in range(count):
-        image = value("image", pair)
-        resolved = str(getattr(image, "resolvedPath", "") or "")
+    for time in frames.GetTimeSamples():
+        image = root.GetAttribute("face:reference:image")
+        resolved = str(getattr(image.Get(time) if image else None, "resolvedPath", "") or "")
         notes.append(
             PairNotes(
-                viseme=str(value("viseme", pair) or ""),
-                emotion=str(value("emotion", pair) or ""),
+                frame=int(frames.Get(time)),
+                take=text("take", time),
+                viseme=text("viseme", time),
+                emotion=text("emotion", time),
                 image=Path(resolved) if resolved else None,
             )
         )
@@ -154,46 +171,3 @@ def _check_shapes(path: Path, names: list[str], references: References) -> None:
             + ": it belongs to another rig. Nothing was changed; put back the layer that belongs "
             "here, or select again"
         )
-
-
-@dataclass(frozen=True)
-class PairName:
-    """One pair: which frame of which take, and what is seen there; empty where nobody spec."""
-
-    frame: int
-    take: str
-    viseme: str
-    emotion: str
-
-
-@refusing_wrong_types
-def read_pair_names(path: Path) -> tuple[PairName, ...]:
-    """Read the names of a references asset's pairs, in order.
-
-    Raises
-    ------
-    InputError
-        If the file is no references asset.
-    """
-    stage = open_stage(path)
-    root = stage.GetDefaultPrim()
-    if not root or not root.HasAPI("FaceReferencesAPI"):
-        raise InputError(
-            f"{path}: not a references asset: its default prim has no FaceReferencesAPI; make one "
-            "with `usdface select`"
-        )
-    times = root.GetAttribute("face:reference:frame").GetTimeSamples()
-    return tuple(
-        PairName(
-            frame=int(root.GetAttribute("face:reference:frame").Get(time)),
-            take=_text(root, "take", time),
-            viseme=_text(root, "viseme", time),
-            emotion=_text(root, "emotion", time),
-        )
-        for time in times
-    )
-
-
-def _text(root: Usd.Prim, name: str, time: float) -> str:
-    attribute = root.GetAttribute(f"face:reference:{name}")
-    return str(attribute.Get(time) or "") if attribute else ""
