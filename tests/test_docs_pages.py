@@ -66,6 +66,7 @@ def test_every_module_and_file_that_a_page_names_is_there() -> None:
         dotted = re.findall(rf"`(?:usdface\.)?((?:{FOLDERS})(?:\.(?!json`)\w+)+)`", text)
         gone += [f"{page.name}: {name}" for name in dotted if not names_in(name)]
         paths = re.findall(r"(?<![\w/.-])((?:[\w-]+/)+(?:[\w-]+\.(?:py|js|yaml))?)(?=[`:])", text)
+        paths += re.findall(r"(?<![\w/.-])((?:[\w-]+/)+[\w-]+\.py)\b", text)
         gone += [
             f"{page.name}: {path}"
             for path in paths
