@@ -1,12 +1,10 @@
 """Mapping and writing a long take, against the bare USD write of the same array in the same run.
 
 432,000 frames are an hour at 120 frames per second. Markers are simulated: an actor moves from one
-expression of a repertoire to the next, as far as the moment asks. The last route is of faces that
-never come back, every shape on its own wave, which no reference and no take before has shown: the
-ensemble then has to ask all its kernels. Making markers is not counted. Elapsed time is what the
-target speaks of, with two cores at hand; processor time is what other work on the machine spoils
-less. Every route is a process of its own, with the commands' one thread for products, so that
-peaks of memory are its own.
+expression of a repertoire to the next, as far as the moment asks. Making markers is not counted.
+Elapsed time is what the target speaks of, with two cores at hand; processor time is what other work
+on the machine spoils less. Every route is a process of its own, with the commands' one thread for
+products, so that peaks of memory are its own.
 """
 
 import json
@@ -39,7 +37,7 @@ def run(quick: bool = False) -> None:
     """Print times as ratios to the bare write, and peaks of memory as ratios to the raw array."""
     frames = QUICK_FRAMES if quick else FRAMES
     targets = {"bare": "", "weights": "", "performance": ""}
-    targets |= dict.fromkeys(METHODS, str(MOST_TIME)) | {"strange": ""}
+    targets |= dict.fromkeys(METHODS, str(MOST_TIME))
     rounds = [{name: _route(name, frames) for name in targets} for _ in range(ROUNDS)]
     print(
         f"{frames:,} frames x {SHAPES} weights; ratios to the bare write of the same round, "
@@ -69,7 +67,6 @@ _LABELS = {
     "bare": "bare write",
     "weights": "our writer, weights alone",
     "performance": "our writer, with confidence and residual",
-    "strange": "mapped (ensemble) and written, faces that never come back",
 }
 
 
@@ -182,14 +179,6 @@ def _acted(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
     return weights
 
 
-def _waves(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
-    """Return weights over time [s]: every shape by itself."""
-    phase = rng.random((2, SHAPES)) * 6
-    return lambda seconds: np.clip(
-        0.3 + 0.6 * np.sin(seconds[:, None] * (0.5 + phase[0]) + phase[1]), 0, 1
-    )
-
-
 def _mapped(folder: Path, frames: int, method: str) -> dict[str, float]:
     from usdface.core.assets import References
     from usdface.model import fit_motion_space
@@ -201,7 +190,7 @@ def _mapped(folder: Path, frames: int, method: str) -> dict[str, float]:
     neutral = rng.uniform(-70, 70, (MARKERS, 3))
     moves = 4 * rng.normal(size=(SHAPES, MARKERS, 3)) * (rng.random((SHAPES, MARKERS, 1)) < 0.3)
     moves[:, :RIGID] = 0
-    acted = (_waves if method == "strange" else _acted)(rng)
+    acted = _acted(rng)
 
     def markers(start: int, count: int) -> tuple[np.ndarray, np.ndarray]:
         weights = acted((start + np.arange(count)) / 120)
@@ -229,7 +218,7 @@ def _mapped(folder: Path, frames: int, method: str) -> dict[str, float]:
         ranges=np.tile([0.0, 1.0], (SHAPES, 1)),
         gram=np.einsum("smc,tmc->st", moves, moves) / MARKERS,
         skin=moves,
-        method="ensemble" if method == "strange" else method,
+        method=method,
     )
     clouds, _ = markers(0, 10 * BLOCK)
     visible = np.ones((BLOCK, MARKERS), dtype=bool)
