@@ -81,13 +81,16 @@ def test_sums_side_by_side_equal_those_taken_one_by_one(shared: bool, frames: in
     given = parts(shared=shared)
     points = np.random.default_rng(1).normal(size=(frames, GIVEN))
     found = LocalSums(**given)(points)
-    np.testing.assert_allclose(found, direct(points, **given), atol=1e-12)
+    wanted = direct(points, **given)
+    np.testing.assert_allclose(found, wanted, atol=1e-6)
+    large = np.linalg.norm(given["dual"], axis=0) > 1.5  # no rounding of these
+    np.testing.assert_allclose(found[:, large], wanted[:, large], atol=1e-12)
 
 
 def test_points_do_not_depend_on_how_many_there_are() -> None:
     sums = LocalSums(**parts())
     points = np.random.default_rng(1).normal(size=(3000, GIVEN))
-    np.testing.assert_allclose(sums(points)[1000:1010], sums(points[1000:1010]), atol=1e-12)
+    np.testing.assert_allclose(sums(points)[1000:1010], sums(points[1000:1010]), atol=1e-6)
 
 
 def test_without_any_dual_there_is_nothing_to_add() -> None:

@@ -9,10 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, IntArray, RealArray
 
 _RIDGE_SHARE = 0.02
 """Ridge per frame on standardised weights: shapes that act together share the motion."""
+
+_SINGLE_NORM = 1.5
+"""Norm of an output's duals up to which its kernels are evaluated in single precision: rounding
+moved sums by at most 2.6e-7 times that norm on mappings of 50 and 100 pairs, 4e-7 of a weight."""
 
 _BLOCK_VALUES = 1 << 17
 """Kernel values at once: enough that calls are cheap. Larger, arrays come fresh from the system
@@ -99,7 +103,8 @@ class LocalSums:
     """``sum_i dual[i, j] exp(exponent[j] |x projection[j] - centres[j, i]|^2)`` for each output j.
 
     Where every output has its own features, nothing of one kernel serves another; they are laid
-    side by side, so that a block of points takes few calls and not some per output.
+    side by side, so that a block of points takes few calls and not some per output. Kernels whose
+    duals are small are evaluated in single precision, at half the time.
 
     Parameters
     ----------
@@ -119,35 +124,72 @@ class LocalSums:
             projection, centres, duals = projection[None], centres[None], dual[None]
         else:
             duals = dual.T[:, :, None]
-        used = np.flatnonzero(np.abs(duals).max(axis=(1, 2)) > 0)
         # of features, their squared norm and 1, makes exponents
         squares = np.einsum("knd,knd->kn", centres, centres)[:, :, None]
         operand = np.concatenate([-2.0 * centres, np.ones_like(squares), squares], axis=2)
-        operand *= exponent[:, None, None]
-        self._columns = np.arange(self._outputs).reshape(len(duals), -1)[used].ravel()
-        self._projection = np.ascontiguousarray(projection[used])
-        self._operand = np.ascontiguousarray(operand[used].transpose(0, 2, 1))
-        self._dual = np.ascontiguousarray(duals[used])
+        operand = operand.transpose(0, 2, 1) * exponent[:, None, None]
+        norms = np.linalg.norm(duals, axis=1).max(axis=1)
+        columns = np.arange(self._outputs).reshape(len(duals), -1)
+        rounded = norms <= _SINGLE_NORM
+        self._groups = [
+            _Kernels(
+                columns[chosen].ravel(),
+                *(
+                    np.ascontiguousarray(each[chosen], dtype=kind)
+                    for each in (projection, operand, duals)
+                ),
+            )
+            for kind, chosen in (
+                (np.float32, rounded & (norms > 0)),
+                (np.float64, ~rounded),
+            )
+        ]
 
     def __call__(self, points: FloatArray) -> FloatArray:
         """Evaluate the sums: (f, D) points to (f, s) outputs."""
-        kernels, pairs, outputs = self._dual.shape
-        found = np.empty((kernels, len(points), outputs))
-        together = max(_BLOCK_VALUES // max(len(points) * pairs, 1), 1)
-        for start in range(0, kernels, together):
-            some = slice(start, start + together)
-            found[some] = self._sums(points, some)
         out = np.zeros((len(points), self._outputs))
-        out[:, self._columns] = found.transpose(1, 0, 2).reshape(len(points), kernels * outputs)
+        for group in self._groups:
+            out[:, group.columns] = group.sums(points)
         return out
 
-    def _sums(self, points: FloatArray, some: slice) -> FloatArray:
-        projection = self._projection[some]
-        rows = np.empty((len(projection), len(points), projection.shape[2] + 2))
+
+@dataclass(frozen=True)
+class _Kernels:
+    """Kernels of one precision.
+
+    Attributes
+    ----------
+    columns : (k * m,) int array
+        Which outputs they make.
+    projection : (k, D, d) float array
+    operand : (k, d + 2, n) float array
+    dual : (k, n, m) float array
+        Of the m outputs of each kernel.
+    """
+
+    columns: IntArray
+    projection: RealArray
+    operand: RealArray
+    dual: RealArray
+
+    def sums(self, points: FloatArray) -> RealArray:
+        """Evaluate them: (f, D) points to (f, k * m) outputs."""
+        kernels, pairs, outputs = self.dual.shape
+        rows = points.astype(self.dual.dtype)
+        found = np.empty((kernels, len(rows), outputs), self.dual.dtype)
+        together = max(_BLOCK_VALUES // max(len(rows) * pairs, 1), 1)
+        for start in range(0, kernels, together):
+            some = slice(start, start + together)
+            found[some] = self._sums_of(rows, some)
+        return found.transpose(1, 0, 2).reshape(len(rows), kernels * outputs)
+
+    def _sums_of(self, points: RealArray, some: slice) -> RealArray:
+        projection = self.projection[some]
+        rows = np.empty((len(projection), len(points), projection.shape[2] + 2), points.dtype)
         features = np.matmul(points, projection, out=rows[:, :, :-2])
         np.einsum("kfd,kfd->kf", features, features, out=rows[:, :, -2])
         rows[:, :, -1] = 1.0
-        values = np.matmul(rows, self._operand[some])
+        values: RealArray = np.matmul(rows, self.operand[some])
         np.exp(values, out=values)
-        out: FloatArray = np.matmul(values, self._dual[some])
-        return out
+        sums: RealArray = np.matmul(values, self.dual[some])
+        return sums
