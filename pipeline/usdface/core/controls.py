@@ -145,7 +145,7 @@ class ExpressionPairs:
 
 @dataclass(frozen=True)
 class RetargetScore:
-    """How well one candidate brings expressions there and back.
+    """The round-trip error of one candidate.
 
     Attributes
     ----------

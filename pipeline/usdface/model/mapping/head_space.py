@@ -7,6 +7,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.assets import Markers, TrainedMapping
 from usdface.core.errors import InputError
+from usdface.core.text import first_few
 from usdface.numerics.rigid.rigid_alignment import optimal_rotations
 
 MINIMUM_SHARE = 0.5
@@ -51,7 +52,7 @@ class HeadSpace:
 
     Attributes
     ----------
-    own : (n,) int array
+    columns : (n,) int array
         Columns of the take that the mapping reads.
     slots : (n,) int array
         Where they go in the mapping's order.
@@ -66,7 +67,7 @@ class HeadSpace:
         How far the take's head space was from the mapping's: root mean square over markers [mm].
     """
 
-    own: IntArray
+    columns: IntArray
     slots: IntArray
     count: int
     rotation: FloatArray
@@ -77,7 +78,7 @@ class HeadSpace:
 
     def place(self, markers: Markers) -> MappedMarkers:
         """Bring frames of the take into the mapping's order and head space."""
-        positions, visible = _in_order(markers, self.own, self.slots, self.count)
+        positions, visible = _in_order(markers, self.columns, self.slots, self.count)
         flat = positions.reshape(-1, 3) @ self.rotation.T.astype(np.float32)
         flat += self.shift.astype(np.float32)
         positions = flat.reshape(positions.shape)
@@ -112,16 +113,16 @@ def find_head_space(mapping: TrainedMapping, markers: Markers) -> HeadSpace:
     if len(common) < MINIMUM_SHARE * len(mapping.marker_names):
         raise InputError(
             f"the take has {len(common)} of the mapping's {len(known)} markers, at least "
-            f"{int(np.ceil(MINIMUM_SHARE * len(known)))} are needed; lacking {_some(missing)}. "
+            f"{int(np.ceil(MINIMUM_SHARE * len(known)))} are needed; lacking {first_few(missing)}. "
             "Rename the take's markers, or train a mapping for this marker set"
         )
     slots = np.array([i for i, name in enumerate(mapping.marker_names) if name in place])
-    own = np.array([place[mapping.marker_names[i]] for i in slots])
+    columns = np.array([place[mapping.marker_names[i]] for i in slots])
     count = len(mapping.marker_names)
-    positions, visible = _in_order(markers, own, slots, count)
+    positions, visible = _in_order(markers, columns, slots, count)
     rotation, shift, moved = _rigid_movement(mapping, positions, visible)
     extra = tuple(name for name in markers.names if name not in known)
-    return HeadSpace(own, slots, count, rotation, shift, missing, extra, moved)
+    return HeadSpace(columns, slots, count, rotation, shift, missing, extra, moved)
 
 
 def into_head_space(mapping: TrainedMapping, markers: Markers) -> MappedMarkers:
@@ -130,18 +131,18 @@ def into_head_space(mapping: TrainedMapping, markers: Markers) -> MappedMarkers:
 
 
 def _in_order(
-    markers: Markers, own: IntArray, slots: IntArray, count: int
+    markers: Markers, columns: IntArray, slots: IntArray, count: int
 ) -> tuple[Float32Array, BoolArray]:
     frames = len(markers.positions)
     if len(slots) == count:  # then they are in order: nothing to leave room for
-        positions = np.take(markers.positions, own, axis=1).astype(np.float32, copy=False)
-        visible = np.take(markers.visible, own, axis=1)
-        visible |= np.take(markers.confidence, own, axis=1) > 0
+        positions = np.take(markers.positions, columns, axis=1).astype(np.float32, copy=False)
+        visible = np.take(markers.visible, columns, axis=1)
+        visible |= np.take(markers.confidence, columns, axis=1) > 0
     else:
         positions = np.zeros((frames, count, 3), dtype=np.float32)
         visible = np.zeros((frames, count), dtype=bool)
-        positions[:, slots] = markers.positions[:, own]
-        visible[:, slots] = markers.visible[:, own] | (markers.confidence[:, own] > 0)
+        positions[:, slots] = markers.positions[:, columns]
+        visible[:, slots] = markers.visible[:, columns] | (markers.confidence[:, columns] > 0)
     with np.errstate(over="ignore", invalid="ignore"):
         doubtful = not np.isfinite(positions.sum())  # one sum tells of all
     if doubtful:
@@ -173,7 +174,7 @@ def _rigid_movement(
     breadth = np.linalg.svd(target - target.mean(axis=0), compute_uv=False)
     if breadth[1] <= ON_A_LINE * breadth[0]:
         raise InputError(
-            f"the take's rigid markers, {_some(tuple(names))}, lie on a line, and nothing tells "
+            f"the take's rigid markers, {first_few(names)}, lie on a line, and nothing tells "
             "how the head is turned about it; name another of the mapping's rigid markers in the "
             "take, or train with more"
         )
@@ -195,7 +196,3 @@ def _rigid_movement(
     shift = goal - rotation @ centre
     moved = rest @ rotation.T + shift - rest
     return rotation, shift, float(np.sqrt((moved**2).sum(axis=1).mean()))
-
-
-def _some(names: tuple[str, ...]) -> str:
-    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")

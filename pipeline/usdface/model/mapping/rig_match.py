@@ -9,6 +9,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import MeshShape, Rig, RigMesh, TrainedMapping
 from usdface.core.errors import InputError
+from usdface.core.text import first_few
 
 POINTS, SHAPES = "rig_points", "rig_shapes"
 
@@ -19,7 +20,6 @@ CHANGED_SHARE = 0.01
 """Of a shape's motion, and of the weight an in-between is reached at."""
 
 _SIZE, _PLACE, _WAY, _REACHED = 0, slice(1, 4), slice(4, 7), 7
-_LISTED_NAMES = 5
 
 
 def rig_summary(rig: Rig, shape_names: tuple[str, ...]) -> dict[str, FloatArray]:
@@ -58,8 +58,9 @@ def check_same_rig(mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
 
     Parameters
     ----------
-    mapping : Mapping
-        One that keeps no summary, from before there was one, is not compared.
+    mapping : TrainedMapping
+        One of an earlier version, without a summary, is not compared.
+    rig : Rig
         With all shapes of the mapping.
 
     Returns
@@ -87,27 +88,26 @@ def check_same_rig(mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
     changed = _changed(mapping.arrays[SHAPES], now[SHAPES])
     if len(changed):
         was, size = mapping.arrays[SHAPES][:, _SIZE], now[SHAPES][:, _SIZE]
-        told = [
+        moved = first_few(
             f"{mapping.shape_names[shape]} (moves {size[shape]:.2f} mm, was {was[shape]:.2f})"
-            for shape in changed[:_LISTED_NAMES]
-        ]
-        more = f" and {len(changed) - _LISTED_NAMES} more" if len(changed) > _LISTED_NAMES else ""
+            for shape in changed
+        )
         notes.append(
             f"{rig.file}: {len(changed)} of the mapping's {len(mapping.shape_names)} shapes have "
-            f"been sculpted or moved since training: {', '.join(told)}{more}; weights are those "
+            f"been sculpted or moved since training: {moved}; weights are those "
             "for the shapes as they were, train again to follow them"
         )
     ranges = rig.ranges[[rig.shapes.index(name) for name in mapping.shape_names]]
     other = np.flatnonzero(np.abs(ranges - mapping.ranges).max(axis=1) > 1e-6)
     if len(other):
-        told = [
+        differing = first_few(
             f"{mapping.shape_names[shape]} ({_span(ranges[shape])}, was "
             f"{_span(mapping.ranges[shape])})"
-            for shape in other[:_LISTED_NAMES]
-        ]
+            for shape in other
+        )
         notes.append(
             f"{rig.file}: {len(other)} shapes have other ranges than in training: "
-            f"{', '.join(told)}; weights keep to those of the training"
+            f"{differing}; weights keep to those of the training"
         )
     return tuple(notes)
 

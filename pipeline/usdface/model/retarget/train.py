@@ -212,7 +212,7 @@ def retargeting_table(trained: Retargeting) -> tuple[str, ...]:
         settings = f" ({score.settings})" if score.settings else ""
         seen.setdefault(
             score.method,
-            f"{score.method}{settings}: there and back {score.cyclic_mm:.4f}, pairs missed by "
+            f"{score.method}{settings}: round trip {score.cyclic_mm:.4f}, pairs missed by "
             f"{score.pair_error:.4f} of their range",
         )
     return tuple(seen.values())
@@ -336,7 +336,7 @@ def _score(
 def _best_first(
     tried: list[tuple[RetargetScore, _Fit]],
 ) -> list[tuple[RetargetScore, _Fit]]:
-    """Sort by the error there and back; the first few that are the same, by that at the pairs.
+    """Sort by the round-trip error; the first few that are equal, by the error at the pairs.
 
     Where that is the same but for rounding, which differs between machines, the first sort counts.
     """

@@ -186,7 +186,7 @@ def _number(path: Path, where: str, column: str, value: object) -> float:
 CUT_TO = (0.0, 1.0)
 """Blender's sliders after an import: weights beyond come back as these."""
 CUT_WITHIN = 1e-5
-"""float32 there and back."""
+"""float32 and its round trip."""
 
 
 def weights_meant(table: WeightTable, name: str, rows: IntArray, shown: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Pairs and a performance in; how well each method brings it there and back out."""
+"""Pairs and a performance in; the round-trip error of each method out."""
 
 import json
 from functools import partial

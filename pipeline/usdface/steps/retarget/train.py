@@ -125,5 +125,5 @@ def _summary(trained: Retargeting, pairs: ExpressionPairs, *, millimetres: bool)
     unit = " mm on the source's surface" if millimetres else " in the weights"
     return (
         f"{trained.method} on {len(pairs)} pairs, {len(trained.source_shapes)} shapes to "
-        f"{pairs.target.summary}; there and back {trained.scores[0].cyclic_mm:.3f}{unit}"
+        f"{pairs.target.summary}; round trip {trained.scores[0].cyclic_mm:.3f}{unit}"
     )
