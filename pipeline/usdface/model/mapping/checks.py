@@ -25,7 +25,7 @@ def check_references(
     """Refuse references that cannot be learned from; limit and thin those that can.
 
     Weights outside their channel's range are limited to it. A pair that repeats another, markers
-    and weights alike, says nothing new and is dropped.
+    and weights alike, adds nothing and is dropped.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ class Coordinates:
         Share of the markers that are seen times the share of the face's motion that they
         determine [0-1].
     away_mm : (frames, markers) float32 array
-        Distance of each marker from what the motion space can say; NaN where it is not seen [mm].
+        Distance of each marker from its projection onto the motion space; NaN where unseen [mm].
     """
 
     values: FloatArray
@@ -85,7 +85,7 @@ def marker_coordinates(
 def _distances(
     motion: MotionSpace, offsets: FloatArray | Float32Array, values: FloatArray
 ) -> Float32Array:
-    """How far each marker is from what the coordinates say; single precision is enough."""
+    """How far each marker is from its projection; single precision is enough."""
     away = values.astype(np.float32) @ motion.components.astype(np.float32)
     np.subtract(offsets, away, out=away, casting="same_kind")
     np.square(away, out=away)

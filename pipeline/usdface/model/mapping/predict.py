@@ -1,4 +1,4 @@
-"""Markers to weights: what a mapping says about every frame, and how sure it can be."""
+"""Markers to weights: a mapping's prediction for every frame, and its expected error."""
 
 from dataclasses import dataclass
 
@@ -143,7 +143,7 @@ def predict_weights(
     positions : (frames, markers, 3) float array
         In the mapping's marker order and head space [mm]; see `into_head_space`.
     visible : (frames, markers) bool array, optional
-        False where a position is not to be used; the others then speak for it, and the
+        False where a position is not to be used; it is then estimated from the others, and the
         confidence falls; to 0 where too few are left. By default all are used.
 
     Raises

@@ -36,7 +36,7 @@ from usdface.numerics.regression.pca import fit_pca
 _FOLD_COUNT = 5
 
 MINIMUM_TO_COMPARE = 8
-"""Pairs below which cross-validation says nothing: the first, simplest candidate is taken."""
+"""Pairs below which cross-validation is chance: the first, simplest candidate is taken."""
 
 OBSERVABLE_ERROR_SHARE = 0.9
 """Of a shape's variance: a mean squared error above it says that markers do not show the shape."""
@@ -87,7 +87,7 @@ def train_mapping(
     Parameters
     ----------
     references : References
-        Pairs; `references.motion` says what the face does beyond them.
+        Pairs; `references.motion` holds what the face does beyond them.
     ranges : (shapes, 2) float array
         Lowest and highest weight of each shape. Weights beyond are limited to it, and their
         number is kept in ``settings['limited_weights']``.
@@ -96,7 +96,7 @@ def train_mapping(
         errors count as they show. Without it every weight counts alike.
     skin : (shapes, points, 3) float array, optional
         What each shape at 1 does to points spread over the rig's surface [mm]; see `sample_skin`.
-        With it a mapping also knows what the rig's geometry says, beyond the pairs.
+        With it a mapping also uses the rig's geometry, beyond the pairs.
     method : str
         A key of `usdface.model.regressions.MAPPING_METHODS`, or ``'auto'`` to try several.
     dimensions : int, optional

@@ -1,4 +1,4 @@
-"""The default: what examples say and what the rig's geometry says, blended.
+"""The default: a blend of regressions on the examples and a linear face from the rig's geometry.
 
 Examples enter through three members (processes over the region of each shape, near and wide, and
 kernel CCA over the whole face), weighed shape by shape by their leave-one-out errors. Geometry

@@ -20,7 +20,7 @@ from usdface.numerics.regression.cross_validation import Fold, predict_out_of_fo
 
 _FOLD_COUNT = 5
 _FEWEST_PAIRS = 8
-"""Below these, cross-validation says nothing: both parts then count alike."""
+"""Below these, cross-validation is chance: both parts then have the share 0.5."""
 
 _ALPHAS = (0.25, 0.5, 0.75)
 """Shares of the multiquadric that retargeting tries."""

@@ -37,7 +37,7 @@ def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
 def fit_network(pairs: Pairs, settings: Settings) -> Fitted:
     """Fit to pairs, smoothly where they cannot all be met: two inputs alike, outputs that differ.
 
-    The setting ``smooth`` asks for it, and says in the result whether it was done.
+    The setting ``smooth`` asks for it; in the result it is whether it was done.
     """
     scale = scale_arrays(pairs, settings)
     features = scaled_inputs(scale, settings, pairs.inputs)

@@ -16,7 +16,7 @@ _SHAPE_DEVIATION = 0.15
 """Standard deviation of the bend of one shape around that of all."""
 
 _LIMIT_MARGIN = 0.05
-"""Weights this far from both 0 and 1 say something about a bend."""
+"""Weights this far from both 0 and 1 count as evidence of a bend."""
 
 
 def choose_curves(errors: FloatArray, weights: FloatArray, gram: FloatArray) -> FloatArray:

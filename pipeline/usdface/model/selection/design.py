@@ -35,7 +35,7 @@ WEIGHT_VARIANCE = 1e-2
 
 @dataclass(frozen=True)
 class CandidateMarkers:
-    """Weights that stand in for tuning while frames are chosen: what the rig's geometry says.
+    """Weights that stand in for tuning while frames are chosen: an estimate by the rig's geometry.
 
     Attributes
     ----------
@@ -218,7 +218,7 @@ def stand_in_error_mm(features: Features, rows: IntArray, stand_ins: CandidateMa
 
 
 def in_order_of_worth(features: Features, rows: IntArray, already: IntArray) -> IntArray:
-    """Return rows so that each says most beyond those before it: who stops early loses least."""
+    """Return rows in the order in which each adds most to those before it."""
     if not len(rows):
         return rows
     together = np.concatenate([already, rows])

@@ -38,7 +38,7 @@ class SelectionSpace:
     offset : (features,) float array
         So that the mean face lies at 0.
     columns : tuple of (int, int)
-        Which features speak of each region, first and one past the last.
+        Columns of the features of each region, first and one past the last.
     relevance : (regions, markers) float array
         How much each marker has to do with each region [0-1].
     """

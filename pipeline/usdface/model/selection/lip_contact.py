@@ -128,15 +128,15 @@ def keep_lip_contact(
         if not len(open_rows):
             break
         for row, excess in zip(open_rows, gap[gap > TOUCHING_MM], strict=True):
-            own = out[row, lips.columns]
+            weights = out[row, lips.columns]
             # A weight at its limit cannot go on in that direction; the others take its part.
-            free = np.where(lips.opening > 0, own > low + 1e-9, own < high - 1e-9)
+            free = np.where(lips.opening > 0, weights > low + 1e-9, weights < high - 1e-9)
             if not (free & able).any():
                 continue
             step = np.linalg.solve(gram[np.ix_(free, free)], lips.opening[free])
             step *= -excess / max(float(step @ lips.opening[free]), 1e-12)
-            own[free] += step
-            out[row, lips.columns] = np.clip(own, low, high)
+            weights[free] += step
+            out[row, lips.columns] = np.clip(weights, low, high)
     return out
 
 

@@ -95,10 +95,10 @@ def extreme_frames(
     taken[already] = True
     found: dict[str, list[int]] = {}
     for emotion in dict.fromkeys(emotions.tolist()):
-        own = np.flatnonzero((emotions == emotion) & candidates & ~taken)
+        free = np.flatnonzero((emotions == emotion) & candidates & ~taken)
         before = np.flatnonzero((emotions == emotion) & taken)
-        pool = np.concatenate([before, own])
-        wanted = min(count, len(own))
+        pool = np.concatenate([before, free])
+        wanted = min(count, len(free))
         found[emotion] = []
         if wanted > 0:
             known = np.arange(len(before), dtype=np.int64)

@@ -172,12 +172,12 @@ def blend_shares(covariance: FloatArray) -> FloatArray:
 
 def _deal(sizes: IntArray, folds: int) -> IntArray:
     """Give each run to the fold that holds least so far; ties go round in order."""
-    held = np.zeros(folds, dtype=np.int64)
+    rows_of_fold = np.zeros(folds, dtype=np.int64)
     out = np.empty(len(sizes), dtype=np.int64)
     for i, size in enumerate(sizes):
         ring = np.roll(np.arange(folds), -(i % folds))
-        out[i] = ring[held[ring].argmin()]
-        held[out[i]] += size
+        out[i] = ring[rows_of_fold[ring].argmin()]
+        rows_of_fold[out[i]] += size
     return out
 
 

@@ -1,4 +1,4 @@
-"""How much a tuned frame says about the others: the covariance that selection reckons with."""
+"""The covariance between frames that selection of references is based on."""
 
 from dataclasses import dataclass
 
@@ -56,7 +56,7 @@ class DesignKernel:
         return out
 
     def diagonal(self, rows: FloatArray) -> FloatArray:
-        """Return the variance of every row before anything is known."""
+        """Return the prior variance of every row."""
         out: FloatArray = self.linear * np.einsum("ij,ij->i", rows, rows) + self.radial
         return out
 
@@ -92,7 +92,7 @@ def left_over(
 def predict_from(
     kernel: DesignKernel, known: FloatArray, values: FloatArray, rows: FloatArray, *, noise: float
 ) -> FloatArray:
-    """Return what tuned frames say of the values at others: the Gaussian process's mean.
+    """Return values at other frames by the tuned ones: the Gaussian process's mean.
 
     Parameters
     ----------

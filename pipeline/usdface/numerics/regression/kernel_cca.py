@@ -34,7 +34,7 @@ _NULL_SHARE = 1e-12
 """Share of the largest eigenvalue below which a direction of a kernel matrix is rounding."""
 
 _LEAST_CORRELATION = 1e-6
-"""Correlation below which a pair of directions says nothing of each other."""
+"""Correlation below which a pair of directions is unrelated."""
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,7 @@ def predict_expansion(
     *,
     block_rows: int = BLOCK_ROWS,
 ) -> FloatArray:
-    """Evaluate what a regression comes to, in blocks: memory beside the result stays bounded.
+    """Evaluate what a regression comes to, in blocks: memory stays bounded.
 
     The parameters are those of `KernelCCA`; a mapping on disk keeps no more.
     """

@@ -184,10 +184,10 @@ def choose_ridge(rotated: Rotated, *, freedom_limit: float = FREEDOM_LIMIT) -> F
     for ridge in np.unique(best):
         outputs = best == ridge
         near = np.maximum(ridge * fine, floor)
-        own = replace(
+        same_ridge = replace(
             rotated, outputs=rotated.outputs[:, outputs], unreached=rotated.unreached[outputs]
         )
-        chosen[outputs] = near[gcv_scores(own, near).argmin(axis=0)]
+        chosen[outputs] = near[gcv_scores(same_ridge, near).argmin(axis=0)]
     return chosen
 
 
@@ -309,7 +309,7 @@ def evaluate_network(
     *,
     block_rows: int = BLOCK_ROWS,
 ) -> FloatArray:
-    """Evaluate a network of any basis functions in blocks: memory beside the result is bounded.
+    """Evaluate a network of any basis functions in blocks: memory is bounded.
 
     Parameters
     ----------

@@ -151,7 +151,7 @@ def design_gp_variance(
     width: float = 1.0,
     noise: float = 1e-3,
 ) -> Design:
-    """Choose frames whose weights the others say least about: greedy largest GP variance.
+    """Choose frames whose weights the others determine least: greedy largest GP variance.
 
     The covariance is ``linear * <x, y> / mean|x|^2 + radial * exp(-|x - y|^2 / (2 width m))``
     with m the median squared distance between frames. Variance never grows as frames are added,
@@ -186,9 +186,9 @@ def design_gp_variance(
         free[pick] = False
         rows[turn] = features[pick]
         row = solve_triangular(lower, kernel(seen, features[pick : pick + 1])[:, 0], lower=True)
-        own = float(kernel.diagonal(features[pick : pick + 1])[0]) + noise
+        variance = float(kernel.diagonal(features[pick : pick + 1])[0]) + noise
         factor[turn, :turn] = row
-        factor[turn, turn] = np.sqrt(max(own - float(row @ row), noise))
+        factor[turn, turn] = np.sqrt(max(variance - float(row @ row), noise))
     return _design(chosen, gain)
 
 

@@ -72,14 +72,14 @@ def _check_parts(
     """Raise InputError naming every part that does not fit the first, or leaves a gap."""
     faults = []
     for reader, header in zip(readers[1:], headers[1:], strict=True):
-        for what, own, wanted in (
+        for what, found, wanted in (
             ("shapes", header.shape_names, headers[0].shape_names),
             ("rate", header.rate, headers[0].rate),
             ("prim", header.place, headers[0].place),
             ("regions", header.regions, headers[0].regions),
             ("rig", reader.rig(), readers[0].rig()),
         ):
-            if own != wanted:
+            if found != wanted:
                 faults.append(f"{reader.path}: has another {what} than {readers[0].path}")
     for before, after in itertools.pairwise(readers):
         gap = after.first_frame - before.last_frame - 1

@@ -67,7 +67,7 @@ def check_blend(path: Path, mapping: TrainedMapping) -> None:
 def predict_blended(
     mapping: TrainedMapping, placed: Iterator[Block], alpha: Path, blocks: list[range]
 ) -> Iterator[Prediction]:
-    """Yield the prediction of each block, blended as `alpha` says at each of its frames.
+    """Yield the prediction of each block, with the share that `alpha` keys at each frame.
 
     Both parts are predicted, which takes twice the time of a constant blend.
     """
