@@ -113,7 +113,8 @@ def find_head_space(mapping: TrainedMapping, markers: Markers) -> HeadSpace:
     if len(common) < MINIMUM_SHARE * len(mapping.marker_names):
         raise InputError(
             f"the take has {len(common)} of the mapping's {len(known)} markers, at least "
-            f"{int(np.ceil(MINIMUM_SHARE * len(known)))} are needed; missing: {first_few(missing)}. "
+            f"{int(np.ceil(MINIMUM_SHARE * len(known)))} are needed; missing: "
+            f"{first_few(missing)}. "
             "Rename the take's markers, or train a mapping for this marker set"
         )
     slots = np.array([i for i, name in enumerate(mapping.marker_names) if name in place])
