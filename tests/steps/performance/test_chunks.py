@@ -16,7 +16,7 @@ from usdface.specs.performance import JoinSpec, MapSpec
 from usdface.specs.references import ReferencesFromEditsSpec
 from usdface.steps.performance import map as map_step
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.performance.weights_layer import CONFIDENCE_WITHIN, RESIDUAL_WITHIN_MM
+from usdface.usdio.performance.weights_layer import CONFIDENCE_TOLERANCE, RESIDUAL_TOLERANCE_MM
 from usdface.usdio.validation import validate
 
 
@@ -49,7 +49,7 @@ def all_values(path: Path) -> dict[str, np.ndarray]:
 
 def assert_same(one: Path, other: Path, *, cut_anywhere: bool = False) -> None:
     """All is equal; confidence and residual near where cuts make other samples of them be kept."""
-    within = {"confidence": CONFIDENCE_WITHIN, "residual": RESIDUAL_WITHIN_MM}
+    within = {"confidence": CONFIDENCE_TOLERANCE, "residual": RESIDUAL_TOLERANCE_MM}
     found, wanted = all_values(one), all_values(other)
     for name, values in wanted.items():
         if cut_anywhere and name in within:

@@ -131,19 +131,12 @@ class LocalSums:
         norms = np.linalg.norm(duals, axis=1).max(axis=1)
         columns = np.arange(self._outputs).reshape(len(duals), -1)
         rounded = norms <= _SINGLE_NORM
-        self._groups = [
-            _Kernels(
-                columns[chosen].ravel(),
-                *(
-                    np.ascontiguousarray(each[chosen], dtype=kind)
-                    for each in (projection, operand, duals)
-                ),
-            )
-            for kind, chosen in (
-                (np.float32, rounded & (norms > 0)),
-                (np.float64, ~rounded),
-            )
-        ]
+        self._groups: list[_Kernels] = []
+        for kind, chosen in ((np.float32, rounded & (norms > 0)), (np.float64, ~rounded)):
+            parts: list[RealArray] = [
+                each[chosen].astype(kind, order="C") for each in (projection, operand, duals)
+            ]
+            self._groups.append(_Kernels(columns[chosen].ravel(), *parts))
 
     def __call__(self, points: FloatArray) -> FloatArray:
         """Evaluate the sums: (f, D) points to (f, s) outputs."""
