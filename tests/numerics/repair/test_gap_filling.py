@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from usdface.numerics.repair.gap_filling import choose_spline_limit, fill_gaps, runs
+from usdface.numerics.repair.gap_filling import choose_spline_limit, fill_gaps
 
 
 def tracks(frames=400, markers=3, noise=0.0):
@@ -71,11 +71,6 @@ def test_the_spline_reaches_farther_the_worse_the_prediction():
     assert choose_spline_limit(points, seen, bad, noise=0) > choose_spline_limit(
         points, seen, good, noise=0
     )
-
-
-def test_runs_are_found_at_both_ends():
-    assert runs(np.array([1, 1, 0, 1, 0, 0, 1], bool)) == [(0, 2), (3, 4), (6, 7)]
-    assert runs(np.zeros(3, bool)) == []
 
 
 def test_input_that_does_not_fit_is_refused():

@@ -4,10 +4,10 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
 
 # A side as names carry it: a word, or a letter set off from the rest. Each match is replaced by
 # itself, so that a name with two of them finds its partner among the names there are.
@@ -49,7 +49,7 @@ def mirrored_shapes(names: Sequence[str]) -> IntArray:
     return partner
 
 
-def sided_shapes(offsets: sparse.csr_array, points: ArrayLike) -> NDArray[np.bool_]:
+def sided_shapes(offsets: sparse.csr_array, points: ArrayLike) -> BoolArray:
     """Return which shapes move one half of the face: only these are worth moving together.
 
     ``jawLeft`` and ``jawRight`` mirror each other, and yet both move the whole jaw: set to one

@@ -9,9 +9,8 @@ fades: adding *a* gives ``w + n a``, overriding with *v* gives ``(1 - n) w + n v
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
 
 _LEAST_CHANGE = 1e-6
 """A smaller change is none: single precision, in which weights are kept, ends there."""
@@ -36,11 +35,9 @@ class EditCurve:
     mask: FloatArray
 
     @property
-    def active(self) -> NDArray[np.bool_]:
+    def active(self) -> BoolArray:
         """Frames at which anything is changed."""
-        changed: NDArray[np.bool_] = (np.abs(self.offset) > _LEAST_CHANGE) | (
-            self.mask > _LEAST_CHANGE
-        )
+        changed: BoolArray = (np.abs(self.offset) > _LEAST_CHANGE) | (self.mask > _LEAST_CHANGE)
         return changed
 
 
@@ -55,7 +52,7 @@ def apply_edit(solved: FloatArray, edit: EditCurve) -> FloatArray:
     return edited
 
 
-def fade_mask(frames: NDArray[np.int64], first: int, last: int, *, fade: int = 0) -> FloatArray:
+def fade_mask(frames: IntArray, first: int, last: int, *, fade: int = 0) -> FloatArray:
     """Return 1 from `first` to `last`, and an ease from and to 0 outside.
 
     Parameters
@@ -98,7 +95,7 @@ def clear_edit(edit: EditCurve, mask: FloatArray) -> EditCurve:
     return EditCurve((1 - mask) * edit.offset, edit.override, (1 - mask) * edit.mask)
 
 
-def needed_samples(values: FloatArray) -> NDArray[np.bool_]:
+def needed_samples(values: FloatArray) -> BoolArray:
     """Return which samples a curve needs that is held and interpolated linearly between them.
 
     Inside a run of equal values none is needed: only its ends. A curve of one value needs one.

@@ -7,10 +7,10 @@ what stays are samples of the skin that some camera in front of the face would s
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
 
 _SAMPLE_COUNT = 12_000  # about 2 mm apart on a face
 _DEPTH_PIXELS = 200  # over the larger side: about 1.3 mm on a head
@@ -134,13 +134,11 @@ def _areas(P: FloatArray, T: IntArray) -> FloatArray:
     return area
 
 
-def _within_reach(P: FloatArray, T: IntArray, activity: FloatArray) -> NDArray[np.bool_]:
+def _within_reach(P: FloatArray, T: IntArray, activity: FloatArray) -> BoolArray:
     middle, weight = P[T].mean(axis=1), activity[T].mean(axis=1) * _areas(P, T)
     centre = np.average(middle, axis=0, weights=weight)
     distance = np.linalg.norm(middle - centre, axis=1)
-    near: NDArray[np.bool_] = distance < _REACH_RADII * np.sqrt(
-        np.average(distance**2, weights=weight)
-    )
+    near: BoolArray = distance < _REACH_RADII * np.sqrt(np.average(distance**2, weights=weight))
     return near
 
 
@@ -162,7 +160,7 @@ def _spread(
     return np.einsum("nk,nkc->nc", weights, P[T[owner]]), weights, owner
 
 
-def _seen_from_front(q: FloatArray) -> NDArray[np.bool_]:
+def _seen_from_front(q: FloatArray) -> BoolArray:
     """Say which points are foremost in a depth buffer of some view; the face looks along +Z."""
     size = float(np.ptp(q, axis=0).max())
     seen = np.zeros(len(q), bool)
@@ -183,9 +181,9 @@ def _on_skin(
     P: FloatArray,
     T: IntArray,
     owner: IntArray,
-    seen: NDArray[np.bool_],
+    seen: BoolArray,
     activity: FloatArray,
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Say which samples lie on a large connected piece that moves; seams of UVs are welded."""
     size = float(np.ptp(P, axis=0).max())
     _, weld = np.unique(np.round(P / (1e-5 * size)), axis=0, return_inverse=True)
@@ -202,5 +200,5 @@ def _on_skin(
     np.maximum.at(moved, piece, activity)
     visible[moved < 0.1 * moved.max()] = 0
     large = visible >= _SKIN_SHARE * visible.max()
-    on_skin: NDArray[np.bool_] = large[piece[T[owner, 0]]]
+    on_skin: BoolArray = large[piece[T[owner, 0]]]
     return on_skin

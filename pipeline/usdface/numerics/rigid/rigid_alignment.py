@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from usdface.core.arrays import BoolArray, FloatArray, RealArray
+
 _CHUNK_FRAMES = 1024
 """Keeps the working arrays of 100 points in the processor's cache."""
 _RANK_TOLERANCE = 1e-3
@@ -47,12 +49,12 @@ class RigidAlignment:
         [0-1] What each point counted in the end; 0 where not seen.
     """
 
-    rotations: NDArray[np.float64]
-    translations: NDArray[np.float64]
-    determined: NDArray[np.bool_]
-    weights: NDArray[np.float64]
+    rotations: FloatArray
+    translations: FloatArray
+    determined: BoolArray
+    weights: FloatArray
 
-    def matrices(self) -> NDArray[np.float64]:
+    def matrices(self) -> FloatArray:
         """Return (frames, 4, 4) transforms for column vectors."""
         matrices = np.zeros((len(self.rotations), 4, 4))
         matrices[:, :3, :3] = self.rotations
@@ -194,8 +196,8 @@ def remove_motion(
     positions: ArrayLike,
     alignment: RigidAlignment,
     *,
-    out: NDArray[np.floating] | None = None,
-) -> NDArray[np.floating]:
+    out: RealArray | None = None,
+) -> RealArray:
     """Bring captured positions into the reference's space.
 
     Parameters
@@ -226,7 +228,7 @@ def remove_motion(
 
 def alignment_residuals(
     positions: ArrayLike, reference: ArrayLike, alignment: RigidAlignment
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Return the distance of each point from the aligned reference, (frames, points)."""
     with np.errstate(invalid="ignore", over="ignore"):
         offsets = remove_motion(positions, alignment) - np.asarray(reference, np.float64)
@@ -234,8 +236,8 @@ def alignment_residuals(
 
 
 def optimal_rotations(
-    matrices: NDArray[np.float64], *, rank_tolerance: float
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    matrices: FloatArray, *, rank_tolerance: float
+) -> tuple[FloatArray, BoolArray]:
     """Return the rotations R that maximise ``trace(R.T @ B)``, the same as U diag(1, 1, ±1) V^T.
 
     A batched decomposition takes most of the time of aligning a take. Markley's closed form needs
@@ -291,8 +293,8 @@ def optimal_rotations(
 
 
 def _align_chunk(
-    points: NDArray[np.generic], y: NDArray[np.float64], w: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    points: NDArray[np.generic], y: FloatArray, w: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
     x = points.astype(np.float64)
     unused = w <= 0
     if unused.any():
@@ -313,9 +315,7 @@ def _align_chunk(
     return rotations, translations, determined
 
 
-def _moments(
-    x: NDArray[np.float64], y: NDArray[np.float64], w: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _moments(x: FloatArray, y: FloatArray, w: FloatArray) -> FloatArray:
     """Return per frame the weighted sums of ``x y^T``, 1, x and y: (frames, 9 + 1 + 3 + 3).
 
     One matrix product for all frames. `x` must be 0 wherever `w` is, and is changed.
@@ -333,31 +333,29 @@ def _moments(
     return np.concatenate([sums[:, :9], of_reference[:, :1], sums[:, 9:], of_reference[:, 1:]], 1)
 
 
-def _median_where(values: NDArray[np.float64], mask: NDArray[np.bool_]) -> float:
+def _median_where(values: FloatArray, mask: BoolArray) -> float:
     chosen = values[mask]
     return float(np.median(chosen)) if chosen.size else 0.0
 
 
-def _frame_medians(values: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _frame_medians(values: FloatArray, mask: BoolArray) -> FloatArray:
     """Return the median of each frame's seen values; every frame has some."""
     ordered = np.sort(np.where(mask, values, np.inf), axis=1)
     middle = (mask.sum(axis=1) - 1) // 2
     return np.asarray(ordered[np.arange(len(ordered)), middle])
 
 
-def _product(A: NDArray[np.float64], B: NDArray[np.float64]) -> NDArray[np.float64]:
+def _product(A: FloatArray, B: FloatArray) -> FloatArray:
     """Return A B of (3, 3, n) matrices."""
     return A[:, :1] * B[:1] + A[:, 1:2] * B[1:2] + A[:, 2:] * B[2:]
 
 
-def _gram(A: NDArray[np.float64]) -> NDArray[np.float64]:
+def _gram(A: FloatArray) -> FloatArray:
     """Return A.T A of (3, 3, n) matrices."""
     return _product(np.swapaxes(A, 0, 1), A)
 
 
-def _decompose(
-    B: NDArray[np.float64], rank_tolerance: float
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _decompose(B: FloatArray, rank_tolerance: float) -> tuple[FloatArray, BoolArray]:
     U, singular, Vt = np.linalg.svd(np.where(np.isfinite(B), B, 0.0))
     sign = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
     U[:, :, 2] *= sign[:, None]

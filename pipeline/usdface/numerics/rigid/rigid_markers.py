@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from usdface.core.arrays import sample_frames
+from usdface.core.arrays import FloatArray, IntArray, sample_frames
 from usdface.numerics.motion.noise import measurement_noise
 
 _SAMPLE_FRAMES = 1500
@@ -104,7 +104,7 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
     return RigidMarkers(tuple(usable[chosen].tolist()), float(deviation), float(np.rad2deg(error)))
 
 
-def _orders(deviations: NDArray[np.float64]) -> list[NDArray[np.int64]]:
+def _orders(deviations: FloatArray) -> list[IntArray]:
     """Return orders of markers of which every beginning is a set worth judging."""
     count = len(deviations)
     left, taken = list(range(count)), list[int]()
@@ -125,11 +125,11 @@ def _orders(deviations: NDArray[np.float64]) -> list[NDArray[np.int64]]:
 
 
 def _promised_errors(
-    deviations: NDArray[np.float64],
-    middle: NDArray[np.float64],
-    order: NDArray[np.int64],
+    deviations: FloatArray,
+    middle: FloatArray,
+    order: IntArray,
     noise: float,
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Return the rotation's error [rad] promised by the first four of an order, five, and so on."""
     count = np.arange(1, len(order) + 1)[_LEAST_MARKERS - 1 :]
     pairs = np.tril(deviations[np.ix_(order, order)]).sum(axis=1).cumsum()[_LEAST_MARKERS - 1 :]
@@ -142,11 +142,11 @@ def _promised_errors(
     centres = points.cumsum(axis=0)[_LEAST_MARKERS - 1 :] / count[:, None]
     spread = products / count[:, None, None] - centres[:, :, None] * centres[:, None, :]
     extent = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, 1], 0.0))
-    errors: NDArray[np.float64] = np.sqrt(residual_motion2 + noise**2 / count)
+    errors: FloatArray = np.sqrt(residual_motion2 + noise**2 / count)
     return errors / np.maximum(extent, 1e-9)
 
 
-def _distance_deviations(sample: NDArray[np.float64]) -> NDArray[np.float64]:
+def _distance_deviations(sample: FloatArray) -> FloatArray:
     """Return the robust standard deviation of every mutual distance; infinite when never seen."""
     count = sample.shape[1]
     deviations = np.zeros((count, count))

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
-from usdface.core.arrays import sample_frames
+from usdface.core.arrays import BoolArray, FloatArray, RealArray, sample_frames
 from usdface.numerics.rigid.rigid_alignment import (
     RigidAlignment,
     align_rigid,
@@ -45,11 +45,11 @@ class Stabilization:
         [0-1] How far each rigid marker was believed; near 0 when swapped or off.
     """
 
-    positions: NDArray[np.floating]
-    head_motion: NDArray[np.float64]
-    pose_confidence: NDArray[np.float64]
-    reference: NDArray[np.float64]
-    rigid_weights: NDArray[np.float64]
+    positions: RealArray
+    head_motion: FloatArray
+    pose_confidence: FloatArray
+    reference: FloatArray
+    rigid_weights: FloatArray
 
 
 def stabilize(
@@ -126,7 +126,7 @@ def bridge_poses(alignment: RigidAlignment) -> RigidAlignment:
     return RigidAlignment(rotations, translations, alignment.determined, alignment.weights)
 
 
-def _check_reference(start: NDArray[np.float64], named: int, neutral: int) -> None:
+def _check_reference(start: FloatArray, named: int, neutral: int) -> None:
     if len(start) < 3:
         raise ValueError(
             f"{len(start)} of {named} rigid markers are seen at the neutral frame (index "
@@ -140,7 +140,7 @@ def _check_reference(start: NDArray[np.float64], named: int, neutral: int) -> No
         )
 
 
-def _mean_shape(still: NDArray[np.floating], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _mean_shape(still: RealArray, seen: BoolArray) -> FloatArray:
     """Return the median place of each rigid marker; swaps and strays do not move it."""
     rows = sample_frames(len(still), _REFERENCE_SAMPLE)
     shape = np.empty(still.shape[1:])

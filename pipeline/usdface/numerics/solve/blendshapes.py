@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Key:
     """
 
     weight: float
-    points: NDArray[np.int64]
+    points: IntArray
     offsets: FloatArray
 
 
@@ -98,7 +98,7 @@ class BlendShapes:
         return any(len(knots) > 1 for _, knots in self._knots)
 
     @property
-    def key_channels(self) -> NDArray[np.int64]:
+    def key_channels(self) -> IntArray:
         """The channel that each key belongs to: (keys,) int array."""
         channels = [channel for channel, knots in self._knots for _ in knots]
         return np.array(channels, dtype=np.int64)

@@ -8,9 +8,8 @@ fail on its own, and says so: a wrong shift that looks right costs more than a r
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from usdface.core.arrays import Float32Array
+from usdface.core.arrays import BoolArray, Float32Array
 from usdface.core.progress import Progress, silent
 from usdface.numerics.timing.onset_correlation import OnsetCorrelation, correlate_onsets, onset_flux
 from usdface.numerics.timing.phase_scan import PhaseVote, scan_phase
@@ -83,7 +82,7 @@ class SoundAlignment:
     deviation: float = 0.0
     correlation: OnsetCorrelation | None = None
     windows: WindowDelays | None = None
-    agreeing: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
+    agreeing: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
 
 
 def align_sounds(

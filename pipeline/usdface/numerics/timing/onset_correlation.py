@@ -10,10 +10,9 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 from scipy import fft
 
-from usdface.core.arrays import MAD_TO_DEVIATION, Float32Array, FloatArray
+from usdface.core.arrays import MAD_TO_DEVIATION, Float32Array, FloatArray, IntArray
 
 HOPS_PER_SECOND = 100
 _WINDOW_SECONDS = 0.025
@@ -235,10 +234,10 @@ def _add_at(total: Float32Array, part: Float32Array, place: int) -> None:
         total[start:stop] += part[start - place : stop - place]
 
 
-def _band_edges(rate: int, length: int) -> NDArray[np.int64]:
+def _band_edges(rate: int, length: int) -> IntArray:
     highest = min(_HIGHEST_HZ, 0.45 * rate)
     bins = np.geomspace(_LOWEST_HZ, highest, _BAND_COUNT + 1) * length / rate
-    edges: NDArray[np.int64] = np.round(bins).astype(np.int64)
+    edges: IntArray = np.round(bins).astype(np.int64)
     # Low bands may be narrower than one bin of the spectrum: each keeps at least one.
     for index in range(1, len(edges)):
         edges[index] = max(edges[index], edges[index - 1] + 1)

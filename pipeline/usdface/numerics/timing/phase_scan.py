@@ -8,10 +8,9 @@ costs a transform of the whole recording a window, so it is for what onsets leav
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
-from usdface.core.arrays import Float32Array, FloatArray
+from usdface.core.arrays import Float32Array, FloatArray, IntArray
 from usdface.numerics.timing.window_delays import loud_windows, speech_band, whitened_product
 
 _BLOCK_SAMPLES = 1 << 20
@@ -120,7 +119,7 @@ def _heights(sound: Float32Array, second: Float32Array, rate: int) -> Float32Arr
     return heights
 
 
-def _highest(heights: Float32Array, *, spacing: int) -> NDArray[np.int64]:
+def _highest(heights: Float32Array, *, spacing: int) -> IntArray:
     left = heights.copy()
     places = list[int]()
     for _ in range(_PEAKS_PER_WINDOW):

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from usdface.core.arrays import MAD_TO_DEVIATION, FloatArray
+from usdface.core.arrays import MAD_TO_DEVIATION, BoolArray, FloatArray
 
 _SHORTEST_BASE = 0.3
 """[of the points' span] Two points closer than this give no slope to judge others by."""
@@ -29,7 +28,7 @@ class RobustLine:
 
     intercept: float
     slope: float
-    agreeing: NDArray[np.bool_]
+    agreeing: BoolArray
     deviation: float
 
 
