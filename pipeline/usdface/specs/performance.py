@@ -89,7 +89,7 @@ class MapSpec(Spec):
     """Frames of delay of the `causal` mode."""
     bands: Annotated[int, Field(ge=1, le=4)] = 1
     """Octaves that --temporal bands removes, from half the take's rate downwards. At 60 frames per
-    second a second octave costs blinks."""
+    second a second octave weakens blinks."""
 
 
 class JoinSpec(Spec):
