@@ -83,11 +83,11 @@ def test_every_performance_of_a_face_is_judged_by_the_truth_and_another_face_say
     given = {"also": (second_performance(shot),), "against": shot / "keys.csv", "rows": 1}
     told = execute(spec_of(shot, layout="characters", **given))
     means = told.figures["mean_error_mm"]
-    assert means["other"] == pytest.approx(means["solve"])
+    assert means["other"] == pytest.approx(means["usdface"])
     assert "marker residual" not in told.summary
     monkeypatch.setattr(sheet_step, "_same_face", lambda *_: False)
     told = execute(spec_of(shot, layout="characters", out=shot / "b.png", **given))
-    assert told.figures["mean_error_mm"]["other"] != pytest.approx(means["solve"])
+    assert told.figures["mean_error_mm"]["other"] != pytest.approx(means["usdface"])
     assert "other (marker residual) " in told.summary
 
 

@@ -43,6 +43,9 @@ PICKS: dict[SheetLayout, FramePick] = {
 STRIP_ROWS, STRIP_TILE = 48, 192
 OTHER_ROWS, OTHER_TILE = 12, 320
 
+FIGURE_KEYS = {"solve": "usdface", "baseline": "equation"}
+"""Of the labels on a sheet: scripts read these keys from ``--json``, so they stay."""
+
 
 def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Draw the sheet and write it."""
@@ -263,7 +266,7 @@ def _report(
         notes,
         {
             "frames": [int(frames[frame.row]) for frame in chosen],
-            "mean_error_mm": means,
+            "mean_error_mm": {FIGURE_KEYS.get(label, label): mean for label, mean in means.items()},
             "against_truth": truth_known,
         },
     )
