@@ -4,23 +4,22 @@ import numpy as np
 from scipy import sparse
 
 from benchmarks._surface_subjects import Subject, demo_subject, recorded_subject
-from usdface.model.surface.fit import (
-    fit_surface_regression,
-    surface_distances,
-)
+from usdface.model.surface.distance import surface_distances
+from usdface.model.surface.gp_surface import GpOptions, fit_gp_surface
+from usdface.model.surface.rbf_surface import RbfOptions, fit_rbf_surface
 from usdface.numerics.measure.lip_gap import find_lip_pairs
 
-WAYS = {
-    "RBF, Euclidean": {"method": "rbf", "blend": 0.0},
-    "RBF, blended": {"method": "rbf"},
-    "RBF, blended, folds as the rest": {"method": "rbf", "folds": False},
-    "GP, shared sample": {"sampler": "shared"},
-    "GP, shared sample, folds as the rest": {"sampler": "shared", "folds": False},
-    "GP, mode and Laplace": {"sampler": "map"},
-    "GP, HMC": {},
-    "GP, HMC, w chosen": {"blend": None},
-    "GP, HMC, w = 1": {"blend": 1.0},
-    "GP, HMC, eq. 7's shape": {"covariance_shape": "squared-exponential"},
+METHODS: dict[str, GpOptions | RbfOptions] = {
+    "RBF, Euclidean": RbfOptions(blend=0.0),
+    "RBF, blended": RbfOptions(),
+    "RBF, blended, folds as the rest": RbfOptions(folds=False),
+    "GP, shared sample": GpOptions(sampler="shared"),
+    "GP, shared sample, folds as the rest": GpOptions(sampler="shared", folds=False),
+    "GP, mode and Laplace": GpOptions(sampler="map"),
+    "GP, HMC": GpOptions(),
+    "GP, HMC, w chosen": GpOptions(blend=None),
+    "GP, HMC, w = 1": GpOptions(blend=1.0),
+    "GP, HMC, eq. 7's shape": GpOptions(covariance="squared-exponential"),
 }
 
 
@@ -39,9 +38,7 @@ def accuracy(subject: Subject) -> None:
         subject.points,
         subject.counts,
         subject.indices,
-        subject.places.faces,
-        subject.places.weights,
-        marker_corners=subject.places.corners,
+        subject.places,
     )
     moving = np.linalg.norm(subject.motion, axis=2).max(axis=0) > 0.5
     moving[subject.chosen] = False
@@ -52,16 +49,19 @@ def accuracy(subject: Subject) -> None:
     for noise in (0.0, 0.5):
         moved = subject.motion[:, subject.chosen]
         moved = moved + noise * rng.standard_normal(moved.shape)
-        for name, options in WAYS.items():
-            found = fit_surface_regression(distances, moved, **options).deform(moved, of_axes=True)
+        for name, options in METHODS.items():
+            if isinstance(options, RbfOptions):
+                found = fit_rbf_surface(distances, moved, options).deform(moved)
+            else:
+                found = fit_gp_surface(distances, moved, options).deform(moved, of_axes=True)
             error = (found.mean - subject.motion)[:, moving]
-            held = "-"
+            coverage = "-"
             if found.sd_of_axes is not None:
                 inside = np.abs(error) < 1.96 * found.sd_of_axes[:, moving]
-                held = f"{100 * inside.mean():.1f} %"
+                coverage = f"{100 * inside.mean():.1f} %"
             rms = float(np.sqrt((error**2).mean()))
             print(
-                f"| {noise} | {name} | {rms:.3f} | {_opening(subject, found.mean)} | {held} |",
+                f"| {noise} | {name} | {rms:.3f} | {_opening(subject, found.mean)} | {coverage} |",
                 flush=True,
             )
     print()

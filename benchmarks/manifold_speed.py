@@ -7,8 +7,9 @@ import numpy as np
 
 from benchmarks._dense_sampler import sample_densely
 from benchmarks._surface_subjects import demo_subject
-from usdface.model.surface.fit import fit_surface_regression, surface_distances
-from usdface.numerics.manifold.chain_diagnostics import effective_sample_size, split_rhat
+from usdface.model.surface.distance import surface_distances
+from usdface.model.surface.gp_surface import GpOptions, GpSurface, fit_gp_surface
+from usdface.numerics.manifold.hybrid_monte_carlo import effective_sample_size, split_rhat
 from usdface.numerics.manifold.hyper_sampling import sample_hyperparameters
 from usdface.numerics.manifold.laplace import fit_laplace
 from usdface.numerics.manifold.tabulated_energy import TabulatedEnergy
@@ -24,17 +25,13 @@ def run(frames: int = 512) -> None:
         subject.points,
         subject.counts,
         subject.indices,
-        subject.places.faces,
-        subject.places.weights,
-        marker_corners=subject.places.corners,
+        subject.places,
     )
     rng = np.random.default_rng(0)
     moved = subject.motion[:, subject.chosen]
     moved = moved + 0.15 * rng.standard_normal(moved.shape)
-    fitted = fit_surface_regression(distances, moved, length_scale=40.0)
+    fitted = fit_gp_surface(distances, moved, GpOptions(length_scale=40.0))
     table = fitted.table
-    if table is None:
-        return
     rows = np.ascontiguousarray(moved.transpose(0, 2, 1).reshape(-1, moved.shape[1]))
     samples, modes = sample_hyperparameters(rng, table, rows)
     again = sample_hyperparameters(rng, table, rows)[0]
@@ -97,10 +94,8 @@ def run(frames: int = 512) -> None:
     print(f"| the same, frames a second as measured | {frames / wall:.0f} | ≥ 120 |")
 
 
-def _grown(fitted, basis: np.ndarray, squares: np.ndarray):  # type: ignore[no-untyped-def]
-    """Return the regression on a mesh of as many points as ICT's head."""
-    widening = replace(
-        fitted.widening, of_points=np.tile(fitted.widening.of_points, 3)[: len(basis)]
-    )
+def _grown(fitted: GpSurface, basis: np.ndarray, squares: np.ndarray) -> GpSurface:
+    """Return the model on a mesh of as many points as ICT's head."""
+    factors = replace(fitted.factors, of_points=np.tile(fitted.factors.of_points, 3)[: len(basis)])
     fields = replace(fitted.fields, basis=basis, squares=squares)
-    return replace(fitted, fields=fields, widening=widening, point_count=len(basis))
+    return replace(fitted, fields=fields, factors=factors, point_count=len(basis))

@@ -63,3 +63,8 @@ def journal_path(references: Path) -> Path:
 def images_folder(references: Path) -> Path:
     """Return the folder with the pictures of a references asset."""
     return references.with_name(f"{references.stem}.images")
+
+
+def distances_path(output: Path, mesh_file: Path, surface_hash: str) -> Path:
+    """Return where the distances over a surface are cached: beside the output of a step."""
+    return output.with_name(f"{mesh_file.stem}.{surface_hash[:8]}.distances.usdc")

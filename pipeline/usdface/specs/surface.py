@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from usdface.core.sidecars import proposed_path
-from usdface.specs.base import Device, Name, Positional, Sidecar, Spec
+from usdface.specs.base import Name, Positional, Sidecar, Spec
 from usdface.specs.paths import FilePath, Frames, ImageOut, LayerOut, PrimPath, ReadPath, Reads
 
 Landmark = Annotated[str, Field(pattern=r"^[^=]+=\d+$", max_length=300, examples=["nose_tip=1203"])]
@@ -85,17 +85,10 @@ class SurfaceSpec(Spec):
     length_scale: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = None
     """Distance over which the motion of points is correlated, in mm. Default: fitted to the
     take."""
-
     reach: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = None
     """Points farther than this from every marker do not move, in mm along the surface; motion fades
     from half of it. Default: four times the marker spacing."""
 
-    device: Device = "cpu"
-    """Where frames are sampled and predicted: `cpu`, a graphics card as `cuda` or `cuda:1` (by
-    torch or cupy, where installed), or `torch`, which is torch on the processor."""
-    precision: Literal["single", "double"] = "single"
-    """Of sampling and prediction. Single is faster; in double every device gives the same result to
-    a millionth of a millimetre."""
     quality: Literal["draft", "final"] = "final"
     """`draft` omits soft shadows and ambient occlusion from the picture."""
 

@@ -3,14 +3,20 @@
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from usdface.numerics.manifold.hyper_posterior import HyperPrior, MarkerSpectrum, decompose
+from usdface.numerics.manifold.hyper_posterior import (
+    PAIRS,
+    HyperPrior,
+    MarkerSpectrum,
+    PosteriorMoments,
+    decompose,
+)
 from usdface.numerics.manifold.surface_covariance import fit_covariance
 
 
 def small_spectrum(markers: int = 12, prior: HyperPrior | None = None) -> MarkerSpectrum:
     places = small_places(markers)
     covariance = fit_covariance(cdist(places, places), length_scale=1.0)
-    return decompose(covariance.matrix(), places, prior=prior)
+    return decompose(covariance.matrix(), places, prior or HyperPrior())
 
 
 def small_places(markers: int = 12) -> np.ndarray:
@@ -42,3 +48,20 @@ def draw_rows(spectrum: MarkerSpectrum, rng: np.random.Generator, count: int) ->
     """Displacements that the process itself could have made."""
     whole = dense_covariance(spectrum, np.log([4.0, 0.05, 1.0, 1.0]))
     return rng.standard_normal((count, len(whole))) @ np.linalg.cholesky(whole).T
+
+
+def direct_moments(
+    spectrum: MarkerSpectrum, rotated: np.ndarray, x: np.ndarray
+) -> PosteriorMoments:
+    """Sum over the markers, without a table: z (chains, N) at x = log(v0 / v1)."""
+    P = spectrum.trend
+    products = np.stack([P[:, i] * P[:, j] for i, j in PAIRS], axis=1)
+    R = 1.0 / (1.0 + np.exp(x)[:, None] * spectrum.values)
+    slope = R * (R - 1.0)
+    shared = np.concatenate([(R @ products).T, -np.log(R).sum(axis=1)[None]])
+    shared_slope = np.concatenate([(slope @ products).T, (1.0 - R).sum(axis=1)[None]])
+    b, c = ((R * rotated) @ P).T, (R * rotated**2).sum(axis=1)[None]
+    b_slope, c_slope = ((slope * rotated) @ P).T, (slope * rotated**2).sum(axis=1)[None]
+    return PosteriorMoments(
+        shared, np.concatenate([b, c]), shared_slope, np.concatenate([b_slope, c_slope])
+    )

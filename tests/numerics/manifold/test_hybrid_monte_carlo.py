@@ -2,33 +2,33 @@
 
 from dataclasses import replace
 
-import array_api_strict
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from tests.numerics.manifold.small_process import dense_energy, draw_rows, small_spectrum
-from usdface.numerics.array_namespace import ArrayDevice
-from usdface.numerics.manifold.chain_diagnostics import effective_sample_size, split_rhat
+from tests.numerics.manifold.small_process import (
+    dense_energy,
+    direct_moments,
+    draw_rows,
+    small_spectrum,
+)
 from usdface.numerics.manifold.hybrid_monte_carlo import (
-    _DIFFUSE,
+    _PROPOSAL_WIDTH,
     _log_mixture,
+    effective_sample_size,
     sample_chains,
+    split_rhat,
     start_chains,
     take_hmc_step,
 )
-from usdface.numerics.manifold.hyper_posterior import (
-    HyperPrior,
-    direct_moments,
-    energy_of_moments,
-)
+from usdface.numerics.manifold.hyper_posterior import HyperPrior, energy_of_moments
 from usdface.numerics.manifold.hyper_sampling import (
-    draw_laplace,
     find_modes,
+    fit_shared_mode,
     sample_hyperparameters,
+    sample_shared,
 )
 from usdface.numerics.manifold.laplace import LaplaceFit, fit_laplace
-from usdface.numerics.manifold.shared_posterior import fit_shared_mode, sample_shared
 from usdface.numerics.manifold.tabulated_energy import SharedTable, TabulatedEnergy
 
 
@@ -42,7 +42,7 @@ class Gaussian:
         self.precision = np.linalg.inv(self.covariance)
         self.centre = np.arange(4.0)[:, None] * np.ones(chains)
 
-    def __call__(self, theta: np.ndarray, with_energy: bool = True) -> tuple:  # type: ignore[type-arg]
+    def __call__(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         gradient = self.precision @ (theta - self.centre)
         return 0.5 * ((theta - self.centre) * gradient).sum(axis=0), gradient
 
@@ -88,7 +88,7 @@ def test_chains_have_the_mean_and_covariance_of_what_they_sample() -> None:
     energy = Gaussian(400)
     fit = fit_laplace(energy, np.zeros((4, 400)))
     samples = sample_chains(np.random.default_rng(0), energy, fit, keep=100)
-    drawn = np.moveaxis(samples.places, 1, 0).reshape(4, -1)
+    drawn = np.moveaxis(samples.theta, 1, 0).reshape(4, -1)
     assert np.allclose(drawn.mean(axis=1), np.arange(4.0), atol=0.02)
     assert np.allclose(np.cov(drawn), energy.covariance, atol=0.06)
     assert samples.acceptance.mean() > 0.999
@@ -159,42 +159,6 @@ def test_two_modes_are_found_and_both_visited_in_their_proportion() -> None:
         assert above[row].mean() == pytest.approx(exact, abs=0.08)
 
 
-STRICT = ArrayDevice("strict", array_api_strict, array_api_strict.Device("CPU_DEVICE"))
-"""An array library that refuses whatever the array API does not promise."""
-
-
-def test_every_array_library_walks_the_same_chains() -> None:
-    table, rows = two_modes()  # jumps between modes included
-    some = rows[:120]
-    here, modes = sample_hyperparameters(
-        np.random.default_rng(0), table, some, burn=20, keep=30, dtype="float64"
-    )
-    there, found = sample_hyperparameters(
-        np.random.default_rng(0), table, some, burn=20, keep=30, dtype="float64", device=STRICT
-    )
-    assert modes.double.any()
-    assert np.array_equal(found.double, modes.double)
-    assert isinstance(there.theta, np.ndarray)
-    assert np.abs(there.theta - here.theta).max() < 1e-6
-    assert np.abs(there.acceptance - here.acceptance).max() < 1e-6
-    drawn = [draw_laplace(np.random.default_rng(1), table, each, keep=5) for each in (modes, found)]
-    assert np.abs(drawn[0] - drawn[1]).max() < 1e-6
-
-
-def test_single_precision_samples_the_same_posterior() -> None:
-    spectrum = small_spectrum(20)
-    rows = draw_rows(spectrum, np.random.default_rng(0), 20)
-    many, table = np.repeat(rows, 30, axis=0), SharedTable(spectrum)
-    found = []
-    for dtype in ("float32", "float64"):
-        theta = sample_hyperparameters(np.random.default_rng(0), table, many, dtype=dtype)[0].theta  # type: ignore[arg-type]
-        pooled = theta.reshape(200, 4, 20, 30)
-        found.append((pooled.mean(axis=(0, 3)), pooled.std(axis=(0, 3))))
-    # of 80 posteriors; the last of their digits is that of any other seed
-    assert np.abs(found[0][0] - found[1][0]).mean() < 0.03
-    assert np.abs(found[0][1] / found[1][1] - 1).mean() < 0.05
-
-
 def _share_above(table: SharedTable, row: np.ndarray, middle: float) -> float:
     """Of the posterior's mass, by a sum over a grid of all four parameters."""
     axes = [
@@ -213,7 +177,6 @@ def _share_above(table: SharedTable, row: np.ndarray, middle: float) -> float:
         count=len(row),
         centre=table.spectrum.prior.centre[:, None],
         precision=np.array(table.spectrum.prior.spread)[:, None] ** -2.0,
-        with_energy=True,
     )
     mass = np.exp(energy.min() - energy)
     return float(mass[grid[0] - grid[1] > middle].sum() / mass.sum())
@@ -255,8 +218,52 @@ def test_jumps_weigh_proposals_by_the_density_of_the_mixture_they_come_from() ->
     )
     theta = np.random.default_rng(0).normal(size=(4, 6))
     densities = [
-        multivariate_normal(np.full(4, middle), (_DIFFUSE * size) ** 2 * np.eye(4)).logpdf(theta.T)
-        for middle, size in ((0.0, 0.5), (1.0, 2.0))
+        multivariate_normal(np.full(4, middle), width**2 * np.eye(4)).logpdf(theta.T)
+        for middle, width in ((0.0, 0.5 * _PROPOSAL_WIDTH), (1.0, 2.0 * _PROPOSAL_WIDTH))
     ]
-    apart = _log_mixture(theta, (narrow, wide)) - np.logaddexp(*densities)
-    np.testing.assert_allclose(apart, apart[0], atol=1e-12)  # up to one constant for all places
+    difference = _log_mixture(theta, (narrow, wide)) - np.logaddexp(*densities)
+    np.testing.assert_allclose(
+        difference, difference[0], atol=1e-12
+    )  # up to one constant for all places
+
+
+def autoregressive(rng: np.random.Generator, rho: float, shape: tuple[int, ...]) -> np.ndarray:
+    out = rng.standard_normal(shape)
+    for index in range(1, len(out)):
+        out[index] = rho * out[index - 1] + np.sqrt(1 - rho**2) * out[index]
+    return out
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_of_an_autoregressive_series_it_is_the_closed_form(rho: float) -> None:
+    series = autoregressive(np.random.default_rng(0), rho, (2000, 4, 50))
+    exact = 2000 * 4 * (1 - rho) / (1 + rho)
+    assert np.median(effective_sample_size(series)) == pytest.approx(exact, rel=0.12)
+
+
+def test_lags_are_paired_from_an_even_one() -> None:
+    # Correlations of 1, .2, -.3, ...: of lags 2 and 3 the sum is negative, and nothing is added.
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal((40002, 1, 8))
+    series = noise[2:] + 0.3 * noise[1:-1] - 0.4 * noise[:-2]
+    first = (0.3 - 0.3 * 0.4) / (1 + 0.3**2 + 0.4**2)
+    assert np.median(effective_sample_size(series)) == pytest.approx(
+        40000 / (1 + 2 * first), rel=0.02
+    )
+
+
+def test_draws_that_alternate_count_no_more_than_there_are() -> None:
+    series = autoregressive(np.random.default_rng(0), -0.5, (2000, 4, 5))
+    assert (effective_sample_size(series) == 8000).all()
+
+
+def test_chains_of_one_distribution_agree_and_of_two_do_not() -> None:
+    series = np.random.default_rng(0).standard_normal((500, 4, 20))
+    assert np.abs(split_rhat(series) - 1).max() < 0.02
+    series[:, 0] += 3
+    assert split_rhat(series).min() > 1.2
+
+
+def test_one_chain_that_drifts_disagrees_with_itself() -> None:
+    series = np.random.default_rng(0).standard_normal((500, 1)) + np.linspace(0, 3, 500)[:, None]
+    assert float(split_rhat(series)) > 1.2

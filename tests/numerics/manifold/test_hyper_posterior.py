@@ -1,16 +1,27 @@
-"""The energy and its gradient, held to the dense formula and to finite differences."""
+"""The energy and its gradient against the dense formula and finite differences; coordinates."""
 
 import numpy as np
 import pytest
 
-from tests.numerics.manifold.small_process import dense_energy, draw_rows, small_spectrum
-from usdface.numerics.manifold.hyper_posterior import (
-    IMPOSSIBLE,
-    HyperPrior,
+from tests.numerics.manifold.small_process import (
+    dense_energy,
     direct_moments,
-    energy_of_moments,
+    draw_rows,
+    small_spectrum,
 )
+from usdface.numerics.manifold.hyper_posterior import (
+    REJECTED_ENERGY,
+    HyperPrior,
+    PhiEnergy,
+    energy_of_moments,
+    noise_gain,
+    to_phi,
+    to_theta,
+)
+from usdface.numerics.manifold.laplace import fit_laplace
 from usdface.numerics.manifold.tabulated_energy import SharedTable, TabulatedEnergy
+
+GAIN = 3.0
 
 
 def test_the_energy_is_eq_8_with_the_prior() -> None:
@@ -28,7 +39,7 @@ def test_the_gradient_is_that_of_finite_differences() -> None:
     spectrum = small_spectrum()
     rows = draw_rows(spectrum, rng, 10)
     theta = spectrum.prior.centre[:, None] + rng.standard_normal((4, 10))
-    _, gradient = TabulatedEnergy(SharedTable(spectrum), rows)(theta, with_energy=False)
+    _, gradient = TabulatedEnergy(SharedTable(spectrum), rows)(theta)
     step = 1e-5
     for chain in range(10):
         for parameter in range(4):
@@ -53,7 +64,6 @@ def test_tables_and_sums_say_the_same() -> None:
         count=42,
         centre=spectrum.prior.centre[:, None],
         precision=np.full((4, 1), 1.5**-2),
-        with_energy=True,
     )
     for table, direct in zip(by_table, by_sum, strict=True):
         assert np.allclose(table, direct, rtol=1e-4, atol=1e-3)
@@ -62,7 +72,7 @@ def test_tables_and_sums_say_the_same() -> None:
 def test_what_leaves_the_table_is_impossible() -> None:
     spectrum = small_spectrum()
     energy = TabulatedEnergy(SharedTable(spectrum), np.ones((1, 12)))
-    assert energy(np.array([[80.0], [0], [0], [0]]))[0][0] == IMPOSSIBLE
+    assert energy(np.array([[80.0], [0], [0], [0]]))[0][0] == REJECTED_ENERGY
 
 
 def test_chains_do_not_know_of_each_other() -> None:
@@ -79,3 +89,55 @@ def test_chains_do_not_know_of_each_other() -> None:
 def test_a_prior_needs_positive_medians(median: float) -> None:
     with pytest.raises(ValueError, match="must be positive"):
         HyperPrior(medians=(1.0, median, 1.0, 1.0))
+
+
+def test_coordinates_lead_there_and_back_even_where_noise_is_nothing_or_all() -> None:
+    theta = np.random.default_rng(0).uniform(-30, 30, (4, 50))
+    theta[1, :10] = theta[0, :10] - 300
+    theta[1, 10:20] = theta[0, 10:20] + 300
+    assert np.allclose(to_theta(to_phi(theta, GAIN), GAIN), theta, atol=1e-10)
+    phi = to_phi(theta, GAIN)
+    assert np.allclose(phi[0], np.logaddexp(theta[0], np.log(GAIN) + theta[1]))
+
+
+def test_volume_is_kept_so_that_densities_are_the_same() -> None:
+    phi = np.random.default_rng(0).uniform(-3, 3, (4, 20))
+    step = 1e-6
+    columns = []
+    for k in range(4):
+        unit = step * np.eye(4)[:, [k]]
+        columns.append((to_theta(phi + unit, GAIN) - to_theta(phi - unit, GAIN)) / (2 * step))
+    jacobian = np.moveaxis(np.stack(columns, axis=1), 2, 0)
+    assert np.allclose(np.linalg.det(jacobian), 1.0, atol=1e-8)
+
+
+def test_gradients_are_those_of_finite_differences() -> None:
+    spectrum = small_spectrum(12)
+    rows = draw_rows(spectrum, np.random.default_rng(0), 6)
+    energy = TabulatedEnergy(SharedTable(spectrum), rows)
+    of_phi = PhiEnergy(energy, GAIN)
+    phi = np.random.default_rng(1).standard_normal((4, 6))
+    value, gradient = of_phi(phi)
+    assert np.allclose(value, energy(to_theta(phi, GAIN))[0])
+    for k in range(4):
+        unit = 1e-5 * np.eye(4)[:, [k]]
+        slope = (of_phi(phi + unit)[0] - of_phi(phi - unit)[0]) / 2e-5
+        assert np.allclose(gradient[k], slope, atol=1e-5)
+
+
+def test_the_posterior_is_nearer_to_its_gaussian_than_in_theta() -> None:
+    """Of energies two standard deviations out: the Gaussian says they are 2 above the mode's."""
+    spectrum = small_spectrum(60)
+    rows = draw_rows(spectrum, np.random.default_rng(0), 200)
+    plain = TabulatedEnergy(SharedTable(spectrum), rows)
+    gain = noise_gain(spectrum)
+    of_phi = PhiEnergy(plain, gain)
+    start = np.repeat(spectrum.prior.centre[:, None], 200, axis=1)
+    wrong = []
+    for energy, begin in ((plain, start), (of_phi, to_phi(start, gain))):
+        fit = fit_laplace(energy, begin)
+        directions = np.random.default_rng(1).standard_normal((20, 4, 200))
+        directions *= 2 / np.linalg.norm(directions, axis=1, keepdims=True)
+        above = [energy(fit.theta(white))[0] - fit.energy for white in directions]
+        wrong.append(np.quantile(np.abs(np.array(above) - 2.0), 0.9))
+    assert wrong[1] < 0.6 * wrong[0]

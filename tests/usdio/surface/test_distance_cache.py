@@ -20,7 +20,7 @@ def test_distances_are_read_back_bit_for_bit_in_their_precision(tmp_path: Path) 
     write_distances(path, CachedDistances(arrays, {"islands": 3}), key="one")
     again = read_distances(path, key="one")
     assert again is not None
-    assert again.facts == {"islands": 3}
+    assert again.counts == {"islands": 3}
     for name, array in arrays.items():
         assert again.arrays[name].dtype == array.dtype
         np.testing.assert_array_equal(again.arrays[name], array)

@@ -13,7 +13,12 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import points_path
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
-from usdface.usdio.surface.point_cache import PointsFormat, PointsWriter, writing_points
+from usdface.usdio.surface.point_cache import (
+    PointsFormat,
+    PointsHeader,
+    PointsWriter,
+    writing_points,
+)
 from usdface.usdio.validation import validate
 
 FIRST, LAST = 11, 40
@@ -32,11 +37,8 @@ def writing(
     return writing_points(
         path,
         face,
-        rate=Fraction(24000, 1001),
-        first_frame=FIRST,
-        last_frame=last,
-        format_=format_,
-        method="test",
+        PointsHeader(Fraction(24000, 1001), FIRST, last, method="test"),
+        format_,
         provenance=Provenance(step="deform", spec=str(seed)),
     )
 
@@ -103,10 +105,8 @@ def test_normals_of_the_face_at_rest_are_not_left_on_the_moving_one(tmp_path: Pa
     with writing_points(
         tmp_path / "with.usda",
         face,
-        rate=Fraction(24),
-        first_frame=1,
-        last_frame=1,
-        format_=PointsFormat(normals=True),
+        PointsHeader(Fraction(24), 1, 1),
+        PointsFormat(normals=True),
     ) as writer:
         writer.append(face.local[None], normals=turned)
     _, mesh = mesh_of(tmp_path / "with.usda")
@@ -127,10 +127,8 @@ def test_a_crash_leaves_what_was_there(
         writing_points(
             tmp_path / "out.usda",
             face,
-            rate=Fraction(24),
-            first_frame=1,
-            last_frame=90,
-            format_=format_,
+            PointsHeader(Fraction(24), 1, 90),
+            format_,
             provenance=Provenance(spec="other"),
         ) as writer,
     ):
@@ -188,10 +186,8 @@ def test_nan_is_never_written(tmp_path: Path, face: FaceMesh) -> None:
         writing_points(
             tmp_path / "out.usda",
             face,
-            rate=Fraction(24),
-            first_frame=1,
-            last_frame=1,
-            format_=WHOLE,
+            PointsHeader(Fraction(24), 1, 1),
+            WHOLE,
         ) as writer,
     ):
         writer.append(np.full((1, len(face.local), 3), np.nan))

@@ -1,4 +1,4 @@
-"""Propose where a performer's markers sit on a mesh: with shapes, or with a few landmarks alone."""
+"""Propose where a performer's markers sit on a mesh, by its shapes or by a few landmarks."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import KDTree
 
-from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import Rig, RigMesh
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
@@ -30,14 +30,24 @@ from usdface.numerics.surface.triangulation import triangulate
 
 FEWEST_LANDMARKS = 3
 
-DOUBTFUL = 0.5
-"""Confidence below which a person should look at a marker's place."""
+DOUBTFUL_CONFIDENCE = 0.5
+"""Confidence [0-1] below which a person should look at a marker's place."""
 
-_FAR = 0.05  # of the face's size: a marker so far from its place is half believed
-_ODD = 3.0  # times the usual surprise: motion that does not fit the neighbours'
-_REACH = 0.35  # of the face's size: skin within it of some marker may carry markers
+_HALF_DISTANCE_SHARE = 0.05
+"""Distance over the face's size at which confidence falls to a half."""
+
+_HALF_MOTION_RATIO = 3.0
+"""`motion_agreement` above 1 at which confidence falls to a half: a marker's motion differs from
+its neighbours' by that many times the usual difference."""
+
+_SKIN_RADIUS_SHARE = 0.35
+"""Distance of skin from the nearest marker, over the face's size, at which its weight falls to
+exp(-1/2) or less."""
+
 _SAMPLE_FRAMES = 400
 _MOST_POINTS = 60_000
+"""Of a mesh, up to which distances between markers are measured over the surface: a proposal should
+take seconds."""
 
 
 def propose_binding(
@@ -61,6 +71,7 @@ def propose_binding(
     mesh : RigMesh
         At rest; its shapes are used if it has any.
     names : tuple of str
+        Of the markers.
     neutral : (markers, 3) float array
         The performer's neutral face [mm].
     positions : (frames, markers, 3) float array
@@ -71,7 +82,7 @@ def propose_binding(
     pinned : dict of int to (3,) float array, optional
         Markers whose place a person gave [mm].
     sources : dict of int to str, optional
-        Who placed each pinned marker: ``'landmark'`` or ``'corrected'``.
+        How each pinned marker was placed: ``'landmark'`` or ``'corrected'``.
 
     Raises
     ------
@@ -98,7 +109,7 @@ def propose_binding(
                 f"--landmarks {_three_of(names)}"
             )
         places = _pin(mesh, places, pins)
-        return _judge(mesh, places, names, neutral, sample, pins, sources or {})
+        return _score(mesh, places, names, neutral, sample, pins, sources or {})
     except ValueError as error:
         raise InputError(f"the markers cannot be placed on <{mesh.path}>: {error}") from error
 
@@ -134,36 +145,36 @@ def _by_landmarks(mesh: RigMesh, neutral: FloatArray, pins: dict[int, FloatArray
     start = align_landmarks(neutral[markers], targets)
     skin = _skin_near(mesh, start.apply(neutral), targets)
     found = place_by_motion(neutral, skin.positions, start, pinned=pins)
-    # The samples are some millimetres apart; the warped marker tells the place between them.
+    # The samples are millimetres apart; the warped marker's nearest place is between them.
     near = nearest_places(mesh.points, mesh.face_counts, mesh.face_indices, found.warped)
-    own = places_of_corners(
+    sampled = places_of_corners(
         mesh.face_counts, mesh.face_indices, skin.corners[found.chosen], skin.weights[found.chosen]
     )
-    return _nearby(mesh, near, own, spacing=float(np.sqrt(np.median(skin.areas))))
+    return _prefer_nearest(mesh, near, sampled, spacing=float(np.sqrt(np.median(skin.areas))))
 
 
-def _nearby(
-    mesh: RigMesh, near: SurfacePlaces, own: SurfacePlaces, *, spacing: float
+def _prefer_nearest(
+    mesh: RigMesh, near: SurfacePlaces, sampled: SurfacePlaces, *, spacing: float
 ) -> SurfacePlaces:
-    """Take the exact foot of a marker where it lies on the same piece of skin as its sample."""
-    apart = np.linalg.norm(near.positions(mesh.points) - own.positions(mesh.points), axis=1)
-    same = apart < 2 * spacing
+    """Take the nearest place to a marker where it lies on the same skin as its sample."""
+    distance = np.linalg.norm(near.positions(mesh.points) - sampled.positions(mesh.points), axis=1)
+    same = distance < 2 * spacing
     return SurfacePlaces(
-        np.where(same, near.faces, own.faces),
-        np.where(same[:, None], near.corners, own.corners),
-        np.where(same[:, None], near.weights, own.weights),
+        np.where(same, near.faces, sampled.faces),
+        np.where(same[:, None], near.corners, sampled.corners),
+        np.where(same[:, None], near.weights, sampled.weights),
     )
 
 
 def _skin_near(mesh: RigMesh, aligned: FloatArray, landmarks: FloatArray) -> SurfaceSamples:
-    """Sample the skin round the aligned cloud, seen from where the landmarks look."""
+    """Sample the skin around the aligned markers that faces where the face looks."""
     triangles, _ = triangulate(mesh.face_counts, mesh.face_indices)
     points = mesh.points
     size = float(np.sqrt(((aligned - aligned.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    away, _ = KDTree(np.concatenate([aligned, landmarks])).query(points)
-    reach = np.exp(-(away**2) / (2 * (_REACH * size) ** 2))
+    distance, _ = KDTree(np.concatenate([aligned, landmarks])).query(points)
+    weight = np.exp(-(distance**2) / (2 * (_SKIN_RADIUS_SHARE * size) ** 2))
     return sample_outer_surface(
-        points, triangles, facing=_facing(points, triangles, aligned, reach), activity=reach
+        points, triangles, facing=_facing(points, triangles, aligned, weight), activity=weight
     )
 
 
@@ -173,24 +184,26 @@ def facing_yaw(mesh: RigMesh, places: FloatArray) -> float:
     Parameters
     ----------
     mesh : RigMesh
+        At rest.
     places : (markers, 3) float array
         Where the markers sit on it [mm].
     """
     triangles, _ = triangulate(mesh.face_counts, mesh.face_indices)
     size = float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    away, _ = KDTree(places).query(mesh.points)
-    facing = _facing(mesh.points, triangles, places, np.exp(-((away / (_REACH * size)) ** 2)))
+    distance, _ = KDTree(places).query(mesh.points)
+    weight = np.exp(-((distance / (_SKIN_RADIUS_SHARE * size)) ** 2))
+    facing = _facing(mesh.points, triangles, places, weight)
     return float(np.degrees(np.arctan2(facing[0], facing[2])))
 
 
 def _facing(
-    points: FloatArray, triangles: np.ndarray, aligned: FloatArray, reach: FloatArray
+    points: FloatArray, triangles: IntArray, aligned: FloatArray, skin: FloatArray
 ) -> FloatArray:
     """Return the horizontal direction in which the skin under the cloud bulges."""
     a, b, c = (points[triangles[:, i]] for i in range(3))
-    weight = reach[triangles].mean(axis=1)
+    weight = skin[triangles].mean(axis=1)
     outward = (np.cross(b - a, c - a) * weight[:, None]).sum(axis=0)
-    # Markers sit on a bulge: their own rim lies behind their middle, whatever the winding.
+    # Markers sit on a bulge: the outer ones lie behind the middle, whatever the winding.
     rim = np.linalg.norm(aligned - aligned.mean(axis=0), axis=1)
     middle = aligned[rim <= np.median(rim)].mean(axis=0) - aligned[rim > np.median(rim)].mean(
         axis=0
@@ -199,7 +212,7 @@ def _facing(
     level = sign * np.array([outward[0], 0.0, outward[2]])
     length = float(np.linalg.norm(level))
     if length < 1e-9:
-        raise ValueError("the landmarks do not tell where the face looks; add one beside them")
+        raise ValueError("the direction of the face cannot be found from the landmarks; add one")
     facing: FloatArray = level / length
     return facing
 
@@ -216,7 +229,7 @@ def _pin(mesh: RigMesh, places: SurfacePlaces, pins: dict[int, FloatArray]) -> S
     return replace(places, faces=faces, corners=corners, weights=weights)
 
 
-def _judge(
+def _score(
     mesh: RigMesh,
     places: SurfacePlaces,
     names: tuple[str, ...],
@@ -228,12 +241,12 @@ def _judge(
     at = places.positions(mesh.points)
     fitted = fit_proportions(neutral, at, weight=np.ones(len(neutral)))
     size = float(np.sqrt(((at - at.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    # What the affine map leaves is mostly proportion, alike among neighbours: judge the rest.
-    odd = _beside_neighbours(at, fitted.away_mm)
-    confidence = 1 / (1 + (odd / (_FAR * size)) ** 2)
+    # What the affine map leaves is mostly proportion, alike among neighbours: score the rest.
+    excess = _excess_over_neighbours(at, fitted.away_mm)
+    confidence = 1 / (1 + (excess / (_HALF_DISTANCE_SHARE * size)) ** 2)
     moved = (sample - neutral) @ fitted.linear.T
-    surprise = motion_agreement(moved, _apart(mesh, places, at))
-    confidence *= 1 / (1 + (np.maximum(surprise - 1, 0) / _ODD) ** 4)
+    difference = motion_agreement(moved, _distances_between(mesh, places, at))
+    confidence *= 1 / (1 + (np.maximum(difference - 1, 0) / _HALF_MOTION_RATIO) ** 4)
     confidence[list(pins)] = 1.0
     return MarkerBinding(
         names=names,
@@ -244,10 +257,10 @@ def _judge(
     )
 
 
-def _apart(mesh: RigMesh, places: SurfacePlaces, at: FloatArray) -> FloatArray:
-    """Return how far the markers are from each other over the surface: lips are two places.
+def _distances_between(mesh: RigMesh, places: SurfacePlaces, at: FloatArray) -> FloatArray:
+    """Return distances between markers over the surface, along which the lips are far apart.
 
-    Meshes of very many points are measured through the air: a proposal must not take minutes.
+    On meshes of more than `_MOST_POINTS` points they are straight lines.
     """
     straight: FloatArray = np.linalg.norm(at[:, None] - at[None], axis=2)
     if len(mesh.points) > _MOST_POINTS:
@@ -264,8 +277,8 @@ def _apart(mesh: RigMesh, places: SurfacePlaces, at: FloatArray) -> FloatArray:
     return np.where(np.isfinite(between), between, straight)
 
 
-def _beside_neighbours(at: FloatArray, away: FloatArray) -> FloatArray:
-    """Return how much further off each marker is than its nearest neighbours."""
+def _excess_over_neighbours(at: FloatArray, away: FloatArray) -> FloatArray:
+    """Return how much farther each marker is from its place than its four neighbours [mm]."""
     near = np.argsort(np.linalg.norm(at[:, None] - at[None], axis=2), axis=1)[:, 1:5]
     usual = np.median(away[near], axis=1)
     return np.asarray(np.maximum(away - usual, 0.0))

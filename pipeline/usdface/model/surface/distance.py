@@ -1,5 +1,6 @@
 """Distances from markers to every point of a mesh, ready for regression."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,19 +8,21 @@ import numpy as np
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
+from usdface.numerics.registration.marker_binding import FEWEST_MARKERS
+from usdface.numerics.registration.surface_places import SurfacePlaces
 from usdface.numerics.surface.geodesic import Metric, euclidean_distances, geodesic_distances
 from usdface.numerics.surface.surface_graph import MeshFaults
 
-BLEND = 0.39
-"""Share of the geodesic distance that W06 found best (section 5, Fig. 6)."""
+BLEND_PUBLISHED = 0.39
+"""Share of the geodesic distance with the least error in W06 (section 5, Fig. 6) [0-1]."""
 
-FEWEST_MARKERS = 4
-"""A field that is linear over the face has four numbers for each axis."""
+
+CacheArray = FloatArray | Float32Array | BoolArray
 
 
 @dataclass(frozen=True)
 class UnreachedReport:
-    """What no path over the surface joins: there the straight line stands for the distance.
+    """Pairs without a path over the surface: their distance is the straight line.
 
     Attributes
     ----------
@@ -29,9 +32,11 @@ class UnreachedReport:
     pairs : int
         Pairs of markers on different islands.
     islands : int
-        Connected pieces of the mesh.
+        Connected parts of the mesh.
     islands_without_marker : int
+        Of them.
     faults : MeshFaults
+        Of the mesh.
     """
 
     points: BoolArray
@@ -60,7 +65,7 @@ class UnreachedReport:
 
 @dataclass(frozen=True)
 class SurfaceDistances:
-    """Distances over a mesh at rest and through the air; both finite everywhere.
+    """Distances over a mesh at rest and by the straight line; both finite everywhere.
 
     Attributes
     ----------
@@ -76,8 +81,10 @@ class SurfaceDistances:
         [mm]
     euclidean_between : (M, M) float array
         [mm]
-    metric : str
+    metric : {'dijkstra', 'dijkstra-diagonals', 'heat'}
+        Of the geodesic distances.
     unreached : UnreachedReport
+        Where geodesic distances are straight lines.
     """
 
     points: Float32Array
@@ -89,16 +96,35 @@ class SurfaceDistances:
     metric: Metric
     unreached: UnreachedReport
 
-    def blended_to_points(self, weight: float = BLEND) -> Float32Array:
+    def blended_to_points(self, weight: float) -> Float32Array:
         """``w * geodesic + (1 - w) * Euclidean`` to every point: (M, N) float32 array [mm]."""
         out = np.multiply(self.euclidean_to_points, np.float32(1 - weight))
         out += np.float32(weight) * self.geodesic_to_points
         return out
 
-    def blended_between(self, weight: float = BLEND) -> FloatArray:
-        """Blend between markers alike: (M, M) float array [mm]."""
+    def blended_between(self, weight: float) -> FloatArray:
+        """Blend the same between markers: (M, M) float array [mm]."""
         out: FloatArray = weight * self.geodesic_between + (1 - weight) * self.euclidean_between
         return out
+
+    def pack(self) -> tuple[dict[str, CacheArray], dict[str, int]]:
+        """Return what a cache needs, arrays and counts by name; see `unpack_distances`."""
+        faults = self.unreached.faults
+        arrays: dict[str, CacheArray] = {
+            "geodesicToPoints": self.geodesic_to_points,
+            "geodesicBetween": self.geodesic_between,
+            "euclideanToPoints": self.euclidean_to_points,
+            "euclideanBetween": self.euclidean_between,
+            "unreached": self.unreached.points,
+        }
+        return arrays, {
+            "pairs": self.unreached.pairs,
+            "islands": self.unreached.islands,
+            "islandsWithoutMarker": self.unreached.islands_without_marker,
+            "nonmanifoldEdges": faults.nonmanifold_edges,
+            "degenerateFaces": faults.degenerate_faces,
+            "loosePoints": faults.loose_points,
+        }
 
     def scaled(self, positions: FloatArray | Float32Array) -> FloatArray:
         """Centre positions on the markers and scale them to about 1: (n, 3) float array."""
@@ -111,10 +137,8 @@ def surface_distances(
     points: FloatArray,
     face_counts: IntArray,
     face_indices: IntArray,
-    marker_faces: IntArray,
-    marker_barycentrics: FloatArray,
+    markers: SurfacePlaces,
     *,
-    marker_corners: IntArray | None = None,
     metric: Metric = "dijkstra",
     progress: Progress = silent,
 ) -> SurfaceDistances:
@@ -126,15 +150,10 @@ def surface_distances(
         The mesh at rest [mm].
     face_counts, face_indices : int arrays
         Polygons as USD stores them.
-    marker_faces : (M,) int array
-        Polygon each marker sits on.
-    marker_barycentrics : (M, 3) float array
-        Share of each of three corners, sum 1.
-    marker_corners : (M, 3) int array, optional
-        Points that the shares belong to; by default the first three corners of the polygon.
+    markers : SurfacePlaces
+        M places on the mesh.
     metric : {'dijkstra', 'dijkstra-diagonals', 'heat'}
         The paper's, on edges; the same over polygons' diagonals too; the heat method.
-    progress : callable
 
     Raises
     ------
@@ -142,65 +161,85 @@ def surface_distances(
         If there are fewer than four markers, no faces, points that are not finite, or markers that
         are not on the mesh.
     """
-    rest = np.asarray(points, np.float64)
-    counts, indices = np.asarray(face_counts, np.int64), np.asarray(face_indices, np.int64)
-    faces = np.asarray(marker_faces, np.int64)
-    shares = np.asarray(marker_barycentrics, np.float64)
-    if len(faces) < FEWEST_MARKERS:
+    if len(markers.faces) < FEWEST_MARKERS:
         raise InputError(
-            f"{len(faces)} markers are bound to the mesh; at least {FEWEST_MARKERS} are needed"
+            f"{len(markers.faces)} markers are bound to the mesh; at least {FEWEST_MARKERS} are "
+            "needed"
         )
-    corners = marker_corners
     try:
-        if corners is None:
-            corners = _first_corners(counts, indices, faces)
         found = geodesic_distances(
-            rest,
-            counts,
-            indices,
-            faces=faces,
-            corners=np.asarray(corners, np.int64),
-            weights=shares,
+            points,
+            face_counts,
+            face_indices,
+            faces=markers.faces,
+            corners=markers.corners,
+            weights=markers.weights,
             metric=metric,
             progress=progress,
         )
     except ValueError as error:
         raise InputError(str(error)) from error
     to_points, between = found.to_points, found.between
-    straight = euclidean_distances(found.positions, rest)
+    straight = euclidean_distances(found.positions, points)
     straight_between = np.linalg.norm(found.positions[:, None] - found.positions, axis=2)
-    lost = ~np.isfinite(to_points)
-    lost_pairs = ~np.isfinite(between)
-    reached_islands = np.unique(found.islands[corners[:, 0]])
-    np.copyto(to_points, straight, where=lost)
+    unreached = ~np.isfinite(to_points)
+    unreached_pairs = ~np.isfinite(between)
+    np.copyto(to_points, straight, where=unreached)
+    islands = int(found.islands.max()) + 1
     return SurfaceDistances(
-        points=rest.astype(np.float32),
+        points=points.astype(np.float32),
         marker_positions=found.positions,
         geodesic_to_points=to_points,
-        geodesic_between=np.where(lost_pairs, straight_between, between),
+        geodesic_between=np.where(unreached_pairs, straight_between, between),
         euclidean_to_points=straight,
         euclidean_between=straight_between,
         metric=metric,
         unreached=UnreachedReport(
-            points=np.asarray(lost.all(axis=0)),
-            pairs=int(lost_pairs.sum()) // 2,
-            islands=int(found.islands.max()) + 1,
-            islands_without_marker=int(found.islands.max()) + 1 - len(reached_islands),
+            points=np.asarray(unreached.all(axis=0)),
+            pairs=int(unreached_pairs.sum()) // 2,
+            islands=islands,
+            islands_without_marker=islands - len(np.unique(found.islands[markers.corners[:, 0]])),
             faults=found.faults,
         ),
     )
 
 
-def _first_corners(counts: IntArray, indices: IntArray, faces: IntArray) -> IntArray:
-    if not len(counts):
-        raise ValueError("the mesh has no face; distances over it need a surface")
-    fits = (faces >= 0) & (faces < len(counts))
-    if not fits.all() or (counts[faces] < 3).any():
-        bad = int(np.flatnonzero(~fits)[0]) if not fits.all() else 0
-        raise ValueError(
-            f"marker {bad} sits on face {faces[bad]} and the mesh has {len(counts)} faces of 3 "
-            "corners or more; bind the markers to this mesh"
-        )
-    starts = np.cumsum(counts) - counts
-    first: IntArray = indices[starts[faces][:, None] + np.arange(3)]
-    return first
+def unpack_distances(
+    points: FloatArray,
+    markers: SurfacePlaces,
+    *,
+    metric: Metric,
+    arrays: Mapping[str, CacheArray],
+    counts: Mapping[str, int],
+) -> SurfaceDistances:
+    """Return distances that were packed with `SurfaceDistances.pack`, of the same mesh and markers.
+
+    Parameters
+    ----------
+    points : (N, 3) float array
+        The mesh at rest [mm].
+    markers : SurfacePlaces
+        On the mesh.
+    metric : {'dijkstra', 'dijkstra-diagonals', 'heat'}
+        Of the geodesic distances.
+    arrays, counts : dict
+        As packed.
+    """
+    return SurfaceDistances(
+        points=points.astype(np.float32),
+        marker_positions=markers.positions(points),
+        geodesic_to_points=arrays["geodesicToPoints"].astype(np.float32),
+        geodesic_between=arrays["geodesicBetween"].astype(np.float64),
+        euclidean_to_points=arrays["euclideanToPoints"].astype(np.float32),
+        euclidean_between=arrays["euclideanBetween"].astype(np.float64),
+        metric=metric,
+        unreached=UnreachedReport(
+            points=arrays["unreached"].astype(np.bool_),
+            pairs=counts["pairs"],
+            islands=counts["islands"],
+            islands_without_marker=counts["islandsWithoutMarker"],
+            faults=MeshFaults(
+                counts["nonmanifoldEdges"], counts["degenerateFaces"], counts["loosePoints"]
+            ),
+        ),
+    )

@@ -1,195 +1,212 @@
-"""Markers move any mesh: W06's regression over the surface, fitted once for a take."""
+"""What the models that move a mesh by markers have in common: W06's regression over the surface.
+
+A model is fitted to frames of a take by `fit_gp_surface` or `fit_rbf_surface`; every frame is then
+predicted by itself. Open settings are chosen by leaving out the markers one by one.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import Float32Array, FloatArray
 from usdface.core.errors import InputError
-from usdface.model.surface.choice import choose_settings, marker_spectrum
-from usdface.model.surface.diagnostics import SurfaceDiagnostics, sample_twice
-from usdface.model.surface.distance import (
-    BLEND,
-    FEWEST_MARKERS,
-    SurfaceDistances,
-    UnreachedReport,
-    surface_distances,
-)
-from usdface.model.surface.motion import (
-    DTYPES,
-    SAMPLES,
-    Method,
-    Precision,
-    Sampler,
-    SurfaceMotion,
-    SurfaceRegression,
-    check_displacements,
-    rows_of_axes,
-)
-from usdface.numerics.array_namespace import open_device
-from usdface.numerics.manifold.fold_sides import FoldSides, find_fold_sides
-from usdface.numerics.manifold.hyper_posterior import HyperPrior
-from usdface.numerics.manifold.hyper_sampling import find_modes
-from usdface.numerics.manifold.left_out import calibrate_spread, leave_markers_out
-from usdface.numerics.manifold.multiquadric import fit_distance_multiquadric, multiquadric_fields
-from usdface.numerics.manifold.posterior_prediction import make_fields
-from usdface.numerics.manifold.shared_posterior import sample_shared
-from usdface.numerics.manifold.surface_covariance import Shape
-from usdface.numerics.manifold.tabulated_energy import SharedTable
+from usdface.core.progress import Progress, silent
+from usdface.model.surface.distance import BLEND_PUBLISHED, SurfaceDistances
+from usdface.numerics.manifold.folds import Folds, find_folds
 
-__all__ = [
-    "BLEND",
-    "FEWEST_MARKERS",
-    "SurfaceDiagnostics",
-    "SurfaceDistances",
-    "SurfaceMotion",
-    "SurfaceRegression",
-    "UnreachedReport",
-    "fit_surface_regression",
-    "surface_distances",
-]
+BLENDS_TRIED = (0.0, 0.2, BLEND_PUBLISHED, 0.6, 0.8, 1.0)
 
-_THINNED = 10  # samples of each chain by which intervals are calibrated
+FITTED_FRAMES = 32
+"""Frames that settings are chosen on, evenly spread over the take."""
+
+_FIELD_VALUES = 1 << 22
+"""Points times frames of a part of a stream: 16 MB of each field."""
 
 
-def fit_surface_regression(
-    distances: SurfaceDistances,
-    displacements: FloatArray,
-    *,
-    method: Method = "gp",
-    sampler: Sampler = "hmc",
-    blend: float | None = BLEND,
-    length_scale: float | None = None,
-    covariance_shape: Shape = "creased",
-    prior: HyperPrior | None = None,
-    folds: bool = True,
-    samples: int = SAMPLES,
-    seed: int = 0,
-    device: str = "cpu",
-    precision: Precision = "single",
-) -> SurfaceRegression:
-    """Fit a regression from markers to a surface.
+@dataclass(frozen=True)
+class SurfaceMotion:
+    """How a mesh moves.
 
-    Parameters
+    Attributes
     ----------
-    distances : SurfaceDistances
-    displacements : (frames, markers, 3) float array
-        A take's, or frames spread over it, from the neutral frame [mm]. Settings are chosen on
-        them; every frame is regressed by itself later.
-    method : {'gp', 'rbf'}
-        A Gaussian process under eq. 7, or multiquadrics.
-    sampler : {'hmc', 'map', 'shared'}
-        Hyper-parameters of each frame and axis by Hybrid Monte Carlo; by their mode and the
-        Gaussian around it; or by one sample of them for the whole take.
-    blend : float or None
-        Share of the geodesic distance [0-1]; None chooses it by leaving markers out.
-    length_scale : float, optional
-        [mm]; by default chosen by leaving markers out.
-    covariance_shape : {'creased', 'squared-exponential'}
-        The second is eq. 7 as published.
-    prior : HyperPrior, optional
-    folds : bool
-        Whether points in folds, such as the insides of lips, follow the markers of their own
-        side; never where the distance is Euclidean (`blend` 0), which knows no sides.
-    samples : int
-    seed : int
-        Of every random choice: the same take moves the same way each time.
-    device : str
-        Where frames are sampled and predicted, as `open_device` names it. Settings are chosen on
-        the processor.
-    precision : {'single', 'double'}
-        Of sampling and prediction. In double precision every device does the same to 1e-6 mm.
+    mean : (frames, points, 3) float32 array
+        Displacements from rest [mm].
+    sd : (frames, points) float32 array or None
+        Standard deviation of a coordinate: root mean square over the axes [mm]. None where the
+        model predicts none.
+    sd_of_axes : (frames, points, 3) float32 array or None
+        The same for each axis, on request [mm].
+    """
+
+    mean: Float32Array
+    sd: Float32Array | None
+    sd_of_axes: Float32Array | None = None
+
+
+@dataclass(frozen=True)
+class SurfaceDiagnostics:
+    """Quality of a fit.
+
+    Attributes
+    ----------
+    left_out_rms_mm : float
+        Error at markers that were left out of the fit, per coordinate [mm].
+    clipped : float
+        Relative change of the covariance between markers that made it positive definite.
+    acceptance, effective_samples, rhat : float
+        Of the sampler on some of the fitted frames: mean probability of acceptance, effective
+        samples of each chain and split R-hat of two chains, both medians over frames, axes and
+        hyper-parameters. NaN without a sampler.
+    two_modes : float
+        Share of those posteriors with two modes.
+    """
+
+    left_out_rms_mm: float
+    clipped: float = 0.0
+    acceptance: float = float("nan")
+    effective_samples: float = float("nan")
+    rhat: float = float("nan")
+    two_modes: float = float("nan")
+
+
+@dataclass(frozen=True)
+class SurfaceModel(ABC):
+    """A fitted regression from displacements of markers to those of a mesh.
+
+    Attributes
+    ----------
+    blend : float
+        Share of the geodesic distance [0-1].
+    length_scale : float
+        Of the covariance [mm]; 0 of a model without one.
+    diagnostics : SurfaceDiagnostics
+        Of the fit.
+    marker_count, point_count : int
+        Of the mesh and its binding.
+    """
+
+    predicts_sd: ClassVar[bool]
+
+    blend: float
+    length_scale: float
+    diagnostics: SurfaceDiagnostics
+    marker_count: int
+    point_count: int
+
+    def deform(
+        self, displacements: FloatArray, *, of_axes: bool = False, progress: Progress = silent
+    ) -> SurfaceMotion:
+        """Move the mesh at all frames at once; `stream` needs less memory.
+
+        Parameters
+        ----------
+        displacements : (frames, markers, 3) float array
+            Of the markers from the neutral frame [mm].
+        of_axes : bool
+            Whether to predict `SurfaceMotion.sd_of_axes` too.
+
+        Raises
+        ------
+        InputError
+            If displacements do not fit the markers or are not finite.
+        """
+        parts = list(self.stream(displacements, of_axes=of_axes, progress=progress))
+        return SurfaceMotion(
+            np.concatenate([part.mean for part in parts]),
+            _concatenate([part.sd for part in parts]),
+            _concatenate([part.sd_of_axes for part in parts]),
+        )
+
+    def stream(
+        self,
+        displacements: FloatArray,
+        *,
+        frames_per_part: int | None = None,
+        of_axes: bool = False,
+        progress: Progress = silent,
+    ) -> Iterator[SurfaceMotion]:
+        """Move the mesh part by part, in bounded memory; the parts do not change the result.
+
+        Parameters
+        ----------
+        displacements : (frames, markers, 3) float array
+            [mm]
+        frames_per_part : int, optional
+            At most; by default about 16 MB of each field.
+        of_axes : bool
+            Whether to predict `SurfaceMotion.sd_of_axes` too.
+        """
+        moved = check_displacements(displacements, self.marker_count)
+        if not len(moved):
+            sd = np.zeros((0, self.point_count), np.float32) if self.predicts_sd else None
+            yield SurfaceMotion(np.zeros((0, self.point_count, 3), np.float32), sd)
+        size = frames_per_part or max(1, _FIELD_VALUES // max(self.point_count, 1))
+        done = 0
+        for part in self._predict(moved, size, of_axes=of_axes):
+            yield part
+            done += len(part.mean)
+            progress(done / len(moved), "moving the mesh")
+
+    @abstractmethod
+    def _predict(self, moved: FloatArray, size: int, *, of_axes: bool) -> Iterator[SurfaceMotion]:
+        """Predict frames, at most `size` at once."""
+
+
+def check_fit(
+    distances: SurfaceDistances, displacements: FloatArray, blend: float | None
+) -> FloatArray:
+    """Return the displacements of a take to fit a model to.
 
     Raises
     ------
     InputError
-        If displacements do not fit the markers or are not finite, two markers sit at one place, or
-        there is no such device.
+        If there is no frame, or displacements or the blend cannot be.
     """
-    count = len(distances.marker_positions)
-    moved = check_displacements(displacements, count)
+    moved = check_displacements(displacements, len(distances.marker_positions))
     if not len(moved):
         raise InputError("no frame to fit the regression to; give the take's displacements")
     if blend is not None and not 0 <= blend <= 1:
         raise InputError(f"blend is the geodesic distance's share, 0 to 1; got {blend}")
-    try:
-        there = open_device(device)
-        chosen = choose_settings(
-            distances,
-            moved,
-            method=method,
-            blend=blend,
-            length_scale=length_scale,
-            shape=covariance_shape,
-            prior=prior,
-        )
-    except ValueError as error:
-        raise InputError(str(error)) from error
-    points = distances.points
-    between = distances.blended_between(chosen.blend)
-    to_points = distances.blended_to_points(chosen.blend)
-    sides = _sides(distances) if folds and chosen.blend > 0 else None
-    if method == "rbf":
-        operator = multiquadric_fields(fit_distance_multiquadric(between), to_points)
-        if sides is not None:
-            sides.apply(operator, np.eye(count))
-        return SurfaceRegression(
-            method=method,
-            sampler=sampler,
-            blend=chosen.blend,
-            length_scale=0.0,
-            diagnostics=SurfaceDiagnostics(0.0, chosen.left_out_rms_mm),
-            marker_count=count,
-            point_count=len(points),
-            operator=operator,
-        )
-    spectrum, covariance = marker_spectrum(
-        distances, chosen.blend, chosen.length_scale, shape=covariance_shape, prior=prior
-    )
-    table = SharedTable(spectrum)
-    rng = np.random.default_rng(seed)
-    cross = covariance.cross(to_points)
-    places = distances.scaled(points).astype(np.float32)
-    if sides is not None:
-        sides.apply(cross, covariance.matrix())
-        sides.apply(places, distances.scaled(distances.marker_positions))
-    fields = make_fields(spectrum, cross, places, rng=rng, device=there, dtype=DTYPES[precision])
-    rows = rows_of_axes(chosen.frames)
-    shared = None
-    facts: dict[str, float] = {}
-    if sampler == "shared":
-        shared = sample_shared(rng, table, rows, keep=samples)
-        theta = shared.theta[:, :, None]
-        facts["acceptance"] = shared.acceptance
-    elif sampler == "map":
-        theta = find_modes(table, rows).theta[None]
-    else:
-        theta, facts = sample_twice(
-            rng, table, rows, keep=samples, device=there, dtype=DTYPES[precision]
-        )
-    thin = max(1, len(theta) // _THINNED)
-    left_out = leave_markers_out(spectrum, rows, theta[::thin], with_nearest=True)
-    return SurfaceRegression(
-        method=method,
-        sampler=sampler,
-        blend=chosen.blend,
-        length_scale=chosen.length_scale,
-        diagnostics=SurfaceDiagnostics(covariance.clipped, chosen.left_out_rms_mm, **facts),
-        marker_count=count,
-        point_count=len(points),
-        widening=calibrate_spread(left_out, covariance.matrix(), cross),
-        table=table,
-        fields=fields,
-        shared=shared,
-        samples=samples,
-        seed=seed,
-        device=there,
-        precision=precision,
-    )
+    return moved
 
 
-def _sides(distances: SurfaceDistances) -> FoldSides:
+def check_displacements(displacements: FloatArray, markers: int) -> FloatArray:
+    """Refuse displacements that are not (frames, markers, 3) or not finite."""
+    moved = np.asarray(displacements, np.float64)
+    if moved.ndim != 3 or moved.shape[1:] != (markers, 3):
+        raise InputError(
+            f"displacements must be (frames, {markers}, 3) for the {markers} markers bound to "
+            f"the mesh, got {moved.shape}"
+        )
+    bad = ~np.isfinite(moved).all(axis=(1, 2))
+    if bad.any():
+        raise InputError(
+            f"displacements of {bad.sum()} frames are not finite, the first is index "
+            f"{int(bad.argmax())}; clean the take first"
+        )
+    return moved
+
+
+def fitted_frames(moved: FloatArray) -> FloatArray:
+    """Return the frames that settings are chosen on: (frames, markers, 3)."""
+    picks = np.linspace(0, len(moved) - 1, min(FITTED_FRAMES, len(moved)))
+    frames: FloatArray = moved[np.unique(picks.astype(int))]
+    return frames
+
+
+def find_surface_folds(distances: SurfaceDistances) -> Folds:
+    """Find the folds of a mesh."""
     markers = distances.marker_positions
-    return find_fold_sides(
+    return find_folds(
         distances.geodesic_to_points,
         distances.euclidean_to_points,
         spread=float((markers - markers.mean(axis=0)).std()),
     )
+
+
+def _concatenate(parts: list[Float32Array | None]) -> Float32Array | None:
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known) if known and len(known) == len(parts) else None

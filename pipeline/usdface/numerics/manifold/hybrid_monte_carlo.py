@@ -1,102 +1,95 @@
 """Hybrid Monte Carlo (Duane et al., 1987) on many chains in lockstep: W06, section 4.1.
 
-Every chain moves in coordinates whitened by its own Laplace fit, where its energy is nearly that of
-the standard Gaussian. So a trajectory is split (Shahbaba, Lan, Johnson and Neal, 2014): the
-Gaussian's part is followed exactly, which is a rotation of place and momentum into each other; what
-the energy is beyond it kicks before and after. One gradient then makes a trajectory as long as is
-best, where leapfrog steps need several; only how far the posterior is from Gaussian is ever
-refused. Each chain finds its angle by dual averaging in the burn-in.
+Every chain moves in coordinates whitened by its Laplace fit, where its energy is nearly that of the
+standard Gaussian. A trajectory is split (Shahbaba, Lan, Johnson and Neal, 2014): the Gaussian's
+part is integrated exactly, as a rotation of position and momentum into each other; the gradient of
+the remaining energy changes the momentum before and after. One gradient then makes a trajectory of
+the best length, where leapfrog needs several, and only the deviation of the posterior from the
+Gaussian leads to rejections. Each chain tunes its angle by dual averaging in the burn-in.
+
+Whether chains have mixed is measured by split R-hat and effective sample size (Gelman et al.,
+*Bayesian Data Analysis*, 3rd ed., 2013, section 11.4-11.5).
 """
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
+from usdface.core.arrays import FloatArray, IntArray, RealArray
 from usdface.numerics.manifold.laplace import Energy, LaplaceFit
 
-ACCEPTANCE = 0.7
-"""Mean acceptance the angle is tuned to."""
+TARGET_ACCEPTANCE = 0.7
+"""Mean probability of acceptance the angle is tuned to [0-1]."""
 
 FIRST_ANGLE = 1.9
-"""A quarter of an orbit forgets where it began; a little more lands on the other side, and the
-means of samples are better for it."""
+"""Of the rotation in a step [radians]: a little more than a quarter of an orbit, pi / 2, at which a
+position is independent of the previous one; beyond it the two are anticorrelated, which lowers the
+error of means."""
 
-_LONGEST, _SHORTEST = 2.2, 0.05
-_DIFFUSE = 1.5  # standard deviations of the jumps' proposal over those of the Laplace fit
+_LARGEST_ANGLE, _SMALLEST_ANGLE = 2.2, 0.05
+_PROPOSAL_WIDTH = 1.5
+"""Standard deviations of a jump's proposal over those of the Laplace fits."""
 
 
 @dataclass(frozen=True)
 class ChainState:
-    """Where the chains are.
+    """The state of every chain.
 
     Attributes
     ----------
     white : (4, chains) array
-        In whitened coordinates.
+        Position in whitened coordinates.
     energy : (chains,) array
+        At that position.
     residual : (4, chains) array
-        Gradient of the energy beyond the Gaussian's.
+        Gradient of the energy minus that of the Gaussian.
     """
 
-    white: Any
-    energy: Any
-    residual: Any
+    white: RealArray
+    energy: RealArray
+    residual: RealArray
 
 
 @dataclass(frozen=True)
 class ChainSamples:
-    """What was kept.
+    """The samples after the burn-in.
 
     Attributes
     ----------
-    places : (kept, 4, chains) array
+    theta : (samples, 4, chains) array
         In the coordinates that the energy takes.
     acceptance : (chains,) array
-        Mean probability of acceptance of the steps kept.
-    angle : (chains,) array
-        The angle found.
+        Mean probability of acceptance after the burn-in.
     """
 
-    places: Any
-    acceptance: Any
-    angle: Any
+    theta: RealArray
+    acceptance: RealArray
 
 
 @dataclass(frozen=True)
 class Jumps:
-    """Chains whose posterior has two modes, which walking does not join.
+    """The chains whose posterior has two modes, between which trajectories do not lead.
 
     Attributes
     ----------
     chains : (n,) int array
-        numpy's.
+        Their indices.
     energy : callable
         Of these chains alone.
     modes : (LaplaceFit, LaplaceFit)
         Of these chains alone.
     """
 
-    chains: Any
+    chains: IntArray
     energy: Energy
     modes: tuple[LaplaceFit, LaplaceFit]
 
 
-def start_chains(energy: Energy, fit: LaplaceFit, white: Any) -> ChainState:
-    """Evaluate where chains are, or begin.
-
-    Parameters
-    ----------
-    energy : callable
-    fit : LaplaceFit
-        Whitens; the mass matrix is the inverse of ``root @ root'``.
-    white : (4, chains) array
-    """
-    xp = namespace_of(white)
+def start_chains(energy: Energy, fit: LaplaceFit, white: RealArray) -> ChainState:
+    """Evaluate the energy at whitened positions (4, chains) of `fit`."""
     value, gradient = energy(fit.theta(white))
-    return ChainState(white, value, xp.sum(fit.root * gradient[:, None, :], axis=0) - white)
+    return ChainState(white, value, np.sum(fit.root * gradient[:, None], axis=0) - white)
 
 
 def take_hmc_step(
@@ -105,22 +98,17 @@ def take_hmc_step(
     energy: Energy,
     fit: LaplaceFit,
     *,
-    angle: Any,
-    device: ArrayDevice = CPU,
-) -> tuple[ChainState, Any]:
-    """Throw every chain with a new momentum, follow it, accept or refuse.
+    angle: RealArray,
+) -> tuple[ChainState, RealArray]:
+    """Draw a momentum for every chain, follow its trajectory, accept or reject.
 
     Parameters
     ----------
-    rng : numpy.random.Generator
-    state : ChainState
-    energy : callable
     fit : LaplaceFit
+        Whitens; the mass matrix is the inverse of ``root @ root'``.
     angle : (chains,) array
-        By which place and momentum turn into each other [radians]; shaken by a tenth, against
-        orbits that close.
-    device : ArrayDevice
-        Where the arrays are.
+        Rotation of position and momentum into each other [radians]; multiplied by a random factor
+        of 0.9 to 1.1, against periodic orbits.
 
     Returns
     -------
@@ -128,19 +116,17 @@ def take_hmc_step(
     acceptance : (chains,) array
         Probability of acceptance.
     """
-    xp = namespace_of(angle)
-    chains = angle.shape[0]
-    dtype = np.float32 if angle.dtype == xp.float32 else np.float64
-    momentum = device.put(rng.standard_normal((4, chains), dtype=dtype))
-    uniform = device.put(rng.random((2, chains), dtype=dtype))
-    turn = angle * (0.9 + 0.2 * uniform[0, :])
-    cosine, sine = xp.cos(turn), xp.sin(turn)
-    kinetic = 0.5 * xp.sum(momentum * momentum, axis=0)
+    dtype = np.float32 if angle.dtype == np.float32 else np.float64
+    momentum = rng.standard_normal((4, len(angle)), dtype=dtype)
+    uniform = rng.random((2, len(angle)), dtype=dtype)
+    turn = angle * (0.9 + 0.2 * uniform[0])
+    cosine, sine = np.cos(turn), np.sin(turn)
+    kinetic = 0.5 * np.sum(momentum * momentum, axis=0)
     pushed = momentum - 0.5 * turn * state.residual
-    there = start_chains(energy, fit, cosine * state.white + sine * pushed)
-    pushed = cosine * pushed - sine * state.white - 0.5 * turn * there.residual
-    gained = state.energy + kinetic - there.energy - 0.5 * xp.sum(pushed * pushed, axis=0)
-    return _accept(state, there, gained, uniform[1, :])
+    proposed = start_chains(energy, fit, cosine * state.white + sine * pushed)
+    pushed = cosine * pushed - sine * state.white - 0.5 * turn * proposed.residual
+    gained = state.energy + kinetic - proposed.energy - 0.5 * np.sum(pushed * pushed, axis=0)
+    return _accept(state, proposed, gained, uniform[1])
 
 
 def sample_chains(
@@ -151,133 +137,143 @@ def sample_chains(
     burn: int = 40,
     keep: int = 200,
     jumps: Jumps | None = None,
-    device: ArrayDevice = CPU,
 ) -> ChainSamples:
-    """Run chains from a draw of their Laplace fit, tune in the burn-in, keep what follows.
+    """Run chains from a draw of their Laplace fit.
 
     Parameters
     ----------
-    rng : numpy.random.Generator
-    energy : callable
-    laplace : LaplaceFit
     burn, keep : int
+        Steps in which the angle is tuned, and steps that are returned.
     jumps : Jumps, optional
         In these chains every other step is followed by a proposal drawn from the Gaussians around
-        both modes, accepted by Metropolis and Hastings' rule.
-    device : ArrayDevice
-        Where the arrays are.
+        both modes, accepted by the rule of Metropolis and Hastings.
     """
-    xp = namespace_of(laplace.mode)
     drawn = rng.standard_normal(laplace.mode.shape)
-    kind = "float32" if laplace.mode.dtype == xp.float32 else "float64"
-    state = start_chains(energy, laplace, device.put(drawn, dtype=kind))
-    angle = xp.full_like(state.energy, FIRST_ANGLE)
-    bias, averaged = xp.zeros_like(angle), xp.zeros_like(angle)
-    accepted, kept = xp.zeros_like(angle), []
+    state = start_chains(energy, laplace, drawn.astype(laplace.mode.dtype))
+    angle = np.full_like(state.energy, FIRST_ANGLE)
+    bias, averaged, accepted = np.zeros_like(angle), np.zeros_like(angle), np.zeros_like(angle)
+    samples = []
     for index in range(burn + keep):
-        state, acceptance = take_hmc_step(rng, state, energy, laplace, angle=angle, device=device)
+        state, acceptance = take_hmc_step(rng, state, energy, laplace, angle=angle)
         if jumps is not None and index % 2:
-            state = _jump_some(rng, state, laplace, jumps, device)
+            state = _jump_some(rng, state, laplace, jumps)
         if index >= burn:
             accepted = accepted + acceptance
-            kept.append(state.white)
+            samples.append(state.white)
             continue
         # Hoffman and Gelman (2014), eq. 6, around the first angle
         m = index + 1.0
-        bias = bias + (ACCEPTANCE - acceptance - bias) / (m + 10.0)
+        bias = bias + (TARGET_ACCEPTANCE - acceptance - bias) / (m + 10.0)
         log_angle = math.log(1.2 * FIRST_ANGLE) - math.sqrt(m) / 0.5 * bias
-        log_angle = xp.clip(log_angle, math.log(_SHORTEST), math.log(_LONGEST))
+        log_angle = np.clip(log_angle, math.log(_SMALLEST_ANGLE), math.log(_LARGEST_ANGLE))
         weight = m**-0.75
         averaged = weight * log_angle + (1.0 - weight) * averaged
-        angle = xp.exp(averaged if index == burn - 1 else log_angle)
-    white = xp.stack(kept)
-    rows = [laplace.mode[a, :] + xp.sum(laplace.root[a, :, :] * white, axis=1) for a in range(4)]
-    return ChainSamples(xp.stack(rows, axis=1), accepted / keep, angle)
+        angle = np.exp(averaged if index == burn - 1 else log_angle)
+    white = np.stack(samples)
+    theta = np.stack(
+        [laplace.mode[a] + np.sum(laplace.root[a] * white, axis=1) for a in range(4)], axis=1
+    )
+    return ChainSamples(theta, accepted / keep)
+
+
+def split_rhat(samples: FloatArray) -> FloatArray:
+    """Compare the means of halves of chains with the variance within: 1 where they have mixed.
+
+    Parameters
+    ----------
+    samples : (draws, chains, ...) float array
+        Chains of the same posterior.
+
+    Returns
+    -------
+    (...) float array
+    """
+    half = len(samples) // 2
+    halves = np.concatenate([samples[:half], samples[half : 2 * half]], axis=1)
+    within = halves.var(axis=0, ddof=1).mean(axis=0)
+    between = halves.mean(axis=0).var(axis=0, ddof=1)
+    out: FloatArray = np.sqrt((half - 1) / half + between / np.maximum(within, 1e-300))
+    return out
+
+
+def effective_sample_size(samples: FloatArray) -> FloatArray:
+    """Return the number of independent draws with the same variance of the mean, at most all.
+
+    Autocorrelations are summed in the initial positive sequence of Geyer (1992), in pairs of an
+    even and the next odd lag: each such sum is positive for a reversible chain, so that the first
+    that is not is noise.
+
+    Parameters
+    ----------
+    samples : (draws, chains, ...) float array
+        Chains of the same posterior.
+
+    Returns
+    -------
+    (...) float array
+    """
+    draws, chains = samples.shape[:2]
+    centred = samples - samples.mean(axis=0)
+    spectrum = np.fft.rfft(centred, 2 * draws, axis=0)
+    products = np.fft.irfft(spectrum * spectrum.conj(), axis=0)[:draws].mean(axis=1) / draws
+    within = samples.var(axis=0, ddof=1).mean(axis=0)
+    total = (draws - 1) / draws * within
+    if chains > 1:
+        total = total + samples.mean(axis=0).var(axis=0, ddof=1)
+    total = np.maximum(total, 1e-300)
+    correlation = 1.0 - (within - products) / total
+    pairs = correlation[0:-1:2] + correlation[1::2]
+    positive = np.logical_and.accumulate(pairs > 0, axis=0)
+    time = 2.0 * np.where(positive, pairs, 0.0).sum(axis=0) - 1.0
+    return np.asarray(draws * chains / np.maximum(time, 1.0), np.float64)
 
 
 def _accept(
-    before: ChainState, after: ChainState, gained: Any, uniform: Any
-) -> tuple[ChainState, Any]:
-    xp = namespace_of(gained)
-    gained = xp.where(xp.isfinite(gained), gained, xp.full_like(gained, -50.0))
-    acceptance = xp.exp(xp.clip(gained, -50.0, 0.0))
+    before: ChainState, after: ChainState, gained: RealArray, uniform: RealArray
+) -> tuple[ChainState, RealArray]:
+    """Accept with probability ``min(1, exp(gained))``."""
+    gained = np.where(np.isfinite(gained), gained, np.full_like(gained, -50.0))
+    acceptance: RealArray = np.exp(np.clip(gained, -50.0, 0.0))
     taken = uniform < acceptance
     return ChainState(
-        xp.where(taken, after.white, before.white),
-        xp.where(taken, after.energy, before.energy),
-        xp.where(taken, after.residual, before.residual),
+        np.where(taken, after.white, before.white),
+        np.where(taken, after.energy, before.energy),
+        np.where(taken, after.residual, before.residual),
     ), acceptance
 
 
 def _jump_some(
-    rng: np.random.Generator,
-    state: ChainState,
-    laplace: LaplaceFit,
-    jumps: Jumps,
-    device: ArrayDevice,
+    rng: np.random.Generator, state: ChainState, laplace: LaplaceFit, jumps: Jumps
 ) -> ChainState:
-    xp = namespace_of(state.white)
-    some = device.put(jumps.chains)
-    fit = take_chains(laplace, some)
-    part = ChainState(
-        xp.take(state.white, some, axis=1),
-        xp.take(state.energy, some),
-        xp.take(state.residual, some, axis=1),
-    )
-    moved = _jump(rng, part, fit, jumps, device)
-    place = np.arange(state.energy.shape[0])
-    place[jumps.chains] = len(place) + np.arange(len(jumps.chains))
-    after = device.put(place)
-
-    def merge(whole: Any, changed: Any) -> Any:
-        return xp.take(xp.concat([whole, changed], axis=-1), after, axis=whole.ndim - 1)
-
-    return ChainState(
-        merge(state.white, moved.white),
-        merge(state.energy, moved.energy),
-        merge(state.residual, moved.residual),
-    )
+    """Let the chains of `jumps` propose a jump; the others stay."""
+    some = jumps.chains
+    before = ChainState(state.white[:, some], np.take(state.energy, some), state.residual[:, some])
+    after = _jump(rng, before, laplace.take(some), jumps)
+    white, energy, residual = state.white.copy(), state.energy.copy(), state.residual.copy()
+    white[:, some], energy[some], residual[:, some] = after.white, after.energy, after.residual
+    return ChainState(white, energy, residual)
 
 
-def _jump(
-    rng: np.random.Generator,
-    state: ChainState,
-    fit: LaplaceFit,
-    jumps: Jumps,
-    device: ArrayDevice,
-) -> ChainState:
-    """Propose a draw of the mixture of two Gaussians, each as likely, whatever the state."""
-    xp = namespace_of(state.white)
-    chains = state.energy.shape[0]
-    kind = "float32" if state.energy.dtype == xp.float32 else "float64"
-    first = device.put(rng.random(chains) < 0.5)
-    drawn = _DIFFUSE * device.put(rng.standard_normal((4, chains)), dtype=kind)
+def _jump(rng: np.random.Generator, state: ChainState, fit: LaplaceFit, jumps: Jumps) -> ChainState:
+    """Propose a draw of the mixture of two Gaussians with equal weights, whatever the state."""
+    chains = len(state.energy)
+    first = rng.random(chains) < 0.5
+    drawn = _PROPOSAL_WIDTH * rng.standard_normal((4, chains)).astype(state.energy.dtype)
     one, other = jumps.modes
     theta = fit.theta(state.white)
-    proposed = xp.where(first, one.theta(drawn), other.theta(drawn))
-    there = start_chains(jumps.energy, fit, fit.whiten(proposed))
-    gained = state.energy - there.energy
-    gained = gained + _log_mixture(theta, jumps.modes) - _log_mixture(proposed, jumps.modes)
-    return _accept(state, there, gained, device.put(rng.random(chains), dtype=kind))[0]
+    target = np.where(first, one.theta(drawn), other.theta(drawn))
+    proposed = start_chains(jumps.energy, fit, fit.whiten(target))
+    gained = state.energy - proposed.energy
+    gained = gained + _log_mixture(theta, jumps.modes) - _log_mixture(target, jumps.modes)
+    return _accept(state, proposed, gained, rng.random(chains).astype(state.energy.dtype))[0]
 
 
-def _log_mixture(theta: Any, modes: tuple[LaplaceFit, LaplaceFit]) -> Any:
-    xp = namespace_of(theta)
+def _log_mixture(theta: RealArray, modes: tuple[LaplaceFit, LaplaceFit]) -> RealArray:
+    """Log density of the proposals of `_jump`, up to a constant."""
     logs = []
     for mode in modes:
-        white = mode.whiten(theta) / _DIFFUSE
-        log_spread = mode.log_evidence + mode.energy  # of the root's determinant
-        logs.append(-0.5 * xp.sum(white * white, axis=0) - log_spread)
-    return xp.logaddexp(logs[0], logs[1])
-
-
-def take_chains(fit: LaplaceFit, chains: Any) -> LaplaceFit:
-    """Return the fit of some chains, by their indices."""
-    xp = namespace_of(fit.mode)
-    return LaplaceFit(
-        xp.take(fit.mode, chains, axis=1),
-        xp.take(fit.energy, chains),
-        xp.take(fit.root, chains, axis=2),
-        xp.take(fit.inverse, chains, axis=2),
-        xp.take(fit.log_evidence, chains),
-    )
+        white = mode.whiten(theta) / _PROPOSAL_WIDTH
+        log_determinant = mode.log_evidence + mode.energy  # of the root
+        logs.append(-0.5 * np.sum(white * white, axis=0) - log_determinant)
+    density: RealArray = np.logaddexp(logs[0], logs[1])
+    return density

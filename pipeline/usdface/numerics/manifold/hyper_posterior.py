@@ -20,22 +20,28 @@ and with ' for d/dx::
     2 dU/dlog A_0 = 1 - Ginv_00 / A_0 - w_0^2 / (A_0 v1)          (A_1 alike, over three)
     2 dU/dlog v1  = N - q / v1                                     (x and A held)
 
-Arrays follow the array API, so that another namespace than numpy's may hold them.
+Chains are sampled in other coordinates than theta. The displacements determine the power along each
+direction of the spectrum, ``v0 l + v1``, but hardly how much of it is noise: in theta the posterior
+is curved, since where v1 is large v0 is small. With ``k = 1 / median l`` it is nearly Gaussian in::
+
+    phi = (log(v0 + k v1), log(v1 / v0), log a0, log a1)
+
+Theta is a function of phi whose Jacobian determinant is 1: densities, modes and evidence are the
+same in both.
 """
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
-from usdface.numerics.array_namespace import namespace_of
+from usdface.core.arrays import BoolArray, FloatArray, RealArray
+from usdface.numerics.manifold.laplace import Energy
 
 PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3))
 """The order in which the ten entries of a symmetric matrix of four are stored."""
 
-IMPOSSIBLE = 1e20
-"""Energy of a proposal that left the table or overflowed: it is rejected."""
+REJECTED_ENERGY = 1e20
+"""U [-] of a theta that lies outside the table or overflows: the sampler rejects it."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +51,8 @@ class HyperPrior:
     Attributes
     ----------
     medians : tuple of float
-        [mm^2]. Of v0, what the face moves beyond a linear field; of v1, the markers' noise; of a0
-        and a1, what all of it moves, and what it moves more at one end than at the other.
+        [mm^2]. Of v0, the motion beyond a linear field; of v1, the markers' noise; of a0, the
+        motion common to all markers; of a1, the motion that is linear in the position.
     spread : tuple of float
         Standard deviations of the logarithms.
     """
@@ -66,7 +72,7 @@ class HyperPrior:
 
 @dataclass(frozen=True)
 class MarkerSpectrum:
-    """What depends on the mesh alone.
+    """The terms of U that depend on the mesh alone.
 
     Attributes
     ----------
@@ -76,31 +82,27 @@ class MarkerSpectrum:
         Q
     trend : (N, 4) float array
         P
-    prior : HyperPrior
     """
 
     values: FloatArray
     vectors: FloatArray
     trend: FloatArray
-    prior: HyperPrior = field(default_factory=HyperPrior)
+    prior: HyperPrior
 
 
-def decompose(
-    matrix: FloatArray, places: FloatArray, *, prior: HyperPrior | None = None
-) -> MarkerSpectrum:
-    """Take apart the covariance between markers.
+def decompose(matrix: FloatArray, places: FloatArray, prior: HyperPrior) -> MarkerSpectrum:
+    """Diagonalise the covariance between markers, ``K = Q diag(l) Q'``.
 
     Parameters
     ----------
     matrix : (N, N) float array
         K, positive semidefinite.
     places : (N, 3) float array
-        S, where the markers are, centred and scaled to about 1.
-    prior : HyperPrior, optional
+        S: positions of the markers, centred and scaled to about 1.
     """
     values, vectors = np.linalg.eigh(matrix)
     trend = vectors.T @ np.concatenate([np.ones((len(places), 1)), places], axis=1)
-    return MarkerSpectrum(np.maximum(values, 1e-9), vectors, trend, prior or HyperPrior())
+    return MarkerSpectrum(np.maximum(values, 1e-9), vectors, trend, prior)
 
 
 @dataclass(frozen=True)
@@ -111,117 +113,138 @@ class PosteriorMoments:
     ----------
     shared : (11, chains) array
         The entries of M in the order of `PAIRS`, then h.
-    own : (5, chains) array
+    per_chain : (5, chains) array
         b, then c.
-    shared_slope, own_slope : arrays
+    shared_slope, per_chain_slope : arrays
         d/dx of both.
     outside : (chains,) bool array or None
         Chains whose x cannot be evaluated.
     """
 
-    shared: Any
-    own: Any
-    shared_slope: Any
-    own_slope: Any
-    outside: Any = None
-
-
-def direct_moments(
-    spectrum: MarkerSpectrum, rotated: FloatArray, x: FloatArray
-) -> PosteriorMoments:
-    """Sum over the markers.
-
-    Parameters
-    ----------
-    spectrum : MarkerSpectrum
-    rotated : (chains, N) float array
-        z
-    x : (chains,) float array
-        log(v0 / v1)
-    """
-    P = spectrum.trend
-    products = np.stack([P[:, i] * P[:, j] for i, j in PAIRS], axis=1)
-    R = 1.0 / (1.0 + np.exp(x)[:, None] * spectrum.values)
-    slope = R * (R - 1.0)
-    shared = np.concatenate([(R @ products).T, -np.log(R).sum(axis=1)[None]])
-    shared_slope = np.concatenate([(slope @ products).T, (1.0 - R).sum(axis=1)[None]])
-    own = np.concatenate([((R * rotated) @ P).T, (R * rotated**2).sum(axis=1)[None]])
-    own_slope = np.concatenate([((slope * rotated) @ P).T, (slope * rotated**2).sum(axis=1)[None]])
-    return PosteriorMoments(shared, own, shared_slope, own_slope)
+    shared: RealArray
+    per_chain: RealArray
+    shared_slope: RealArray
+    per_chain_slope: RealArray
+    outside: BoolArray | None = None
 
 
 def energy_of_moments(
-    theta: Any,
+    theta: RealArray,
     moments: PosteriorMoments,
     *,
     count: int,
-    centre: Any,
-    precision: Any,
-    with_energy: bool,
-) -> tuple[Any, Any]:
+    centre: RealArray,
+    precision: RealArray,
+) -> tuple[RealArray, RealArray]:
     """Evaluate U and its gradient.
 
     Parameters
     ----------
     theta : (4, chains) array
-    moments : Moments
+    moments : PosteriorMoments
         At ``theta[0] - theta[1]``.
     count : int
         N
     centre, precision : (4, 1) arrays
         Of the prior of theta.
-    with_energy : bool
-        Curvature by differences needs the gradient alone.
 
     Returns
     -------
-    energy : (chains,) array or None
+    energy : (chains,) array
     gradient : (4, chains) array
     """
-    xp = namespace_of(theta)
-    M, D, own, slope = moments.shared, moments.shared_slope, moments.own, moments.own_slope
-    inverse_v1 = xp.exp(-theta[1, :])
-    inverse_a0, inverse_a1 = xp.exp(theta[1, :] - theta[2, :]), xp.exp(theta[1, :] - theta[3, :])
+    M, D = moments.shared, moments.shared_slope
+    inverse_v1 = np.exp(-theta[1])
+    inverse_a0, inverse_a1 = np.exp(theta[1] - theta[2]), np.exp(theta[1] - theta[3])
     (i00, i01, i02, i03, i11, i12, i13, i22, i23, i33), determinant = _invert(
         M, inverse_a0, inverse_a1
     )
-    b0, b1, b2, b3, c = (own[k, :] for k in range(5))
+    b0, b1, b2, b3, c = moments.per_chain
     w0 = i00 * b0 + i01 * b1 + i02 * b2 + i03 * b3
     w1 = i01 * b0 + i11 * b1 + i12 * b2 + i13 * b3
     w2 = i02 * b0 + i12 * b1 + i22 * b2 + i23 * b3
     w3 = i03 * b0 + i13 * b1 + i23 * b2 + i33 * b3
     fit = (c - b0 * w0 - b1 * w1 - b2 * w2 - b3 * w3) * inverse_v1
 
-    # d/dx of log|G| and of q: each entry of M' meets that of G^-1 + w w' / v1
+    # d/dx of log|G| and of q: the sum of M' times (G^-1 + w w' / v1), entry by entry
+    slope = moments.per_chain_slope
     k0, k1, k2, k3 = (inverse_v1 * w for w in (w0, w1, w2, w3))
-    along = D[0, :] * (i00 + k0 * w0) + D[4, :] * (i11 + k1 * w1)
-    along = along + D[7, :] * (i22 + k2 * w2) + D[9, :] * (i33 + k3 * w3) + D[10, :]
-    aside = D[1, :] * (i01 + k0 * w1) + D[2, :] * (i02 + k0 * w2) + D[3, :] * (i03 + k0 * w3)
-    aside = aside + D[5, :] * (i12 + k1 * w2) + D[6, :] * (i13 + k1 * w3)
-    aside = aside + D[8, :] * (i23 + k2 * w3)
-    aside = aside - slope[0, :] * k0 - slope[1, :] * k1 - slope[2, :] * k2 - slope[3, :] * k3
-    by_x = along + 2.0 * aside + slope[4, :] * inverse_v1
+    diagonal = D[0] * (i00 + k0 * w0) + D[4] * (i11 + k1 * w1)
+    diagonal = diagonal + D[7] * (i22 + k2 * w2) + D[9] * (i33 + k3 * w3) + D[10]
+    upper = D[1] * (i01 + k0 * w1) + D[2] * (i02 + k0 * w2) + D[3] * (i03 + k0 * w3)
+    upper = upper + D[5] * (i12 + k1 * w2) + D[6] * (i13 + k1 * w3)
+    upper = upper + D[8] * (i23 + k2 * w3)
+    upper = upper - slope[0] * k0 - slope[1] * k1 - slope[2] * k2 - slope[3] * k3
+    by_x = diagonal + 2.0 * upper + slope[4] * inverse_v1
     by_a0 = 1.0 - inverse_a0 * (i00 + k0 * w0)
     by_a1 = 3.0 - inverse_a1 * (i11 + i22 + i33 + k1 * w1 + k2 * w2 + k3 * w3)
-    away = theta - centre
-    pull = away * precision
-    gradient = 0.5 * xp.stack([by_x, count - fit - by_x - by_a0 - by_a1, by_a0, by_a1]) + pull
-    if not with_energy:
-        return None, gradient
-    energy = count * theta[1, :] + M[10, :] + xp.log(determinant) + fit
-    energy = energy + (theta[2, :] - theta[1, :]) + 3.0 * (theta[3, :] - theta[1, :])
-    energy = 0.5 * (energy + xp.sum(away * pull, axis=0))
-    possible = xp.isfinite(energy) & (energy < IMPOSSIBLE)
+    offset = theta - centre
+    prior_slope = offset * precision
+    by_v1 = count - fit - by_x - by_a0 - by_a1
+    gradient = 0.5 * np.stack([by_x, by_v1, by_a0, by_a1]) + prior_slope
+    energy = count * theta[1] + M[10] + np.log(determinant) + fit
+    energy = energy + (theta[2] - theta[1]) + 3.0 * (theta[3] - theta[1])
+    energy = 0.5 * (energy + np.sum(offset * prior_slope, axis=0))
+    possible = np.isfinite(energy) & (energy < REJECTED_ENERGY)
     if moments.outside is not None:
         possible = possible & ~moments.outside
-    return xp.where(possible, energy, xp.full_like(energy, IMPOSSIBLE)), gradient
+    return np.where(possible, energy, np.full_like(energy, REJECTED_ENERGY)), gradient
 
 
-def _invert(M: Any, inverse_a0: Any, inverse_a1: Any) -> tuple[tuple[Any, ...], Any]:
+def noise_gain(spectrum: MarkerSpectrum) -> float:
+    """Return ``k = 1 / median l``: the noise v1 that has the power of a unit of v0."""
+    return float(1.0 / np.median(spectrum.values))
+
+
+def to_theta(phi: RealArray, gain: float) -> RealArray:
+    """Turn phi (4, ...) into theta, for the `noise_gain` k."""
+    log_v0 = phi[0] - _log_total(phi[1], gain)
+    return np.stack([log_v0, log_v0 + phi[1], phi[2], phi[3]])
+
+
+def to_phi(theta: RealArray, gain: float) -> RealArray:
+    """Turn theta (4, ...) into phi; the inverse of `to_theta`."""
+    ratio = theta[1] - theta[0]
+    return np.stack([theta[0] + _log_total(ratio, gain), ratio, theta[2], theta[3]])
+
+
+class PhiEnergy:
+    """An energy of theta as one of phi: call it with phi of shape (4, chains).
+
+    Parameters
+    ----------
+    energy : callable
+        Of theta.
+    gain : float
+        See `noise_gain`.
+    """
+
+    def __init__(self, energy: Energy, gain: float) -> None:
+        self._energy, self._gain = energy, gain
+
+    def __call__(self, phi: RealArray) -> tuple[RealArray, RealArray]:
+        """Return the energies (chains,) and gradients (4, chains)."""
+        value, gradient = self._energy(to_theta(phi, self._gain))
+        by_total = gradient[0] + gradient[1]
+        noise_share = 1.0 / (1.0 + np.exp(-phi[1]) / self._gain)  # k v1 / (v0 + k v1)
+        by_ratio = gradient[1] - noise_share * by_total
+        return value, np.stack([by_total, by_ratio, gradient[2], gradient[3]])
+
+
+def _log_total(ratio: RealArray, gain: float) -> RealArray:
+    """``log(1 + k exp(ratio))``, without overflow."""
+    shifted = ratio + float(np.log(gain))
+    total: RealArray = np.clip(shifted, 0.0, None) + np.log1p(np.exp(-np.abs(shifted)))
+    return total
+
+
+def _invert(
+    M: RealArray, inverse_a0: RealArray, inverse_a1: RealArray
+) -> tuple[tuple[RealArray, ...], RealArray]:
     """Invert G by blocks of two: its ten entries in the order of `PAIRS`, and its determinant."""
-    g00, g11 = M[0, :] + inverse_a0, M[4, :] + inverse_a1
-    g22, g33 = M[7, :] + inverse_a1, M[9, :] + inverse_a1
-    g01, g02, g03, g12, g13, g23 = (M[k, :] for k in (1, 2, 3, 5, 6, 8))
+    g00, g11 = M[0] + inverse_a0, M[4] + inverse_a1
+    g22, g33 = M[7] + inverse_a1, M[9] + inverse_a1
+    g01, g02, g03, g12, g13, g23 = (M[k] for k in (1, 2, 3, 5, 6, 8))
     upper = g00 * g11 - g01 * g01
     r = 1.0 / upper
     a00, a01, a11 = g11 * r, -g01 * r, g00 * r

@@ -1,46 +1,36 @@
-"""Samples of the hyper-parameters of every chain: start, modes, chains."""
+"""Samples of the hyper-parameters: of every frame and axis, or of a whole take at once."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray
-from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
-from usdface.numerics.manifold.hybrid_monte_carlo import Jumps, sample_chains, take_chains
-from usdface.numerics.manifold.laplace import LaplaceFit, fit_laplace
-from usdface.numerics.manifold.straight_coordinates import (
-    StraightEnergy,
-    noise_gain,
-    phi_of,
-    theta_of,
-)
-from usdface.numerics.manifold.tabulated_energy import Precision, SharedTable, TabulatedEnergy
+from usdface.core.arrays import BoolArray, FloatArray, RealArray
+from usdface.numerics.manifold.hybrid_monte_carlo import Jumps, sample_chains
+from usdface.numerics.manifold.hyper_posterior import PhiEnergy, noise_gain, to_phi, to_theta
+from usdface.numerics.manifold.laplace import LaplaceFit, choose_fits, fit_laplace
+from usdface.numerics.manifold.tabulated_energy import SharedTable, TabulatedEnergy
 
-_APART = 2.5
-"""In standard deviations of the nearer mode: closer modes are one."""
+_LEAST_DISTANCE = 2.5
+"""Between two modes, in standard deviations of the Gaussian around either; nearer ones are one."""
 
-_RARE = 7.0
-"""A mode e^7 times less likely than the other is left out."""
+_LARGEST_LOG_RATIO = 7.0
+"""Of the evidence of the modes [-]: one e^7 times less likely than the other is left out."""
 
 
 @dataclass(frozen=True)
 class HyperSamples:
-    """Samples of the hyper-parameters.
+    """Samples of the hyper-parameters of every chain.
 
     Attributes
     ----------
-    theta : (kept, 4, chains) float array
+    theta : (samples, 4, chains) float array
         ``log(v0, v1, a0, a1)``
     acceptance : (chains,) float array
-        Mean probability of acceptance of the steps kept.
-    angle : (chains,) float array
-        That chains turn by in a step [radians].
+        Mean probability of acceptance after the burn-in.
     """
 
     theta: FloatArray
     acceptance: FloatArray
-    angle: FloatArray
 
 
 @dataclass(frozen=True)
@@ -50,15 +40,13 @@ class Modes:
     Attributes
     ----------
     best : LaplaceFit
-        The one with the more mass, in `straight_coordinates`.
+        The one with the larger evidence, in the coordinates phi of `hyper_posterior`.
     second : LaplaceFit
-        The other start's; only that of chains in `double` is a mode of its own.
+        The other start's; only that of chains in `double` is another mode.
     theta, second_theta : (4, chains) float array
         Where they are.
     double : (chains,) bool array
-        Chains with two: what moves may be signal or noise. numpy's.
-    device : ArrayDevice
-        Where the fits are.
+        Chains with two: what moves may be signal or noise.
     """
 
     best: LaplaceFit
@@ -66,28 +54,19 @@ class Modes:
     theta: FloatArray
     second_theta: FloatArray
     double: BoolArray
-    device: ArrayDevice = CPU
 
 
 def find_modes(
-    table: SharedTable,
-    displacements: FloatArray,
-    *,
-    energy: TabulatedEnergy | None = None,
-    device: ArrayDevice = CPU,
-    dtype: Precision = "float64",
+    table: SharedTable, displacements: FloatArray, *, energy: TabulatedEnergy | None = None
 ) -> Modes:
-    """Look for modes from two starts: all is signal, all is noise.
+    """Look for modes from two starts: all motion is signal, all motion is noise.
 
     Parameters
     ----------
-    table : SharedTable
     displacements : (chains, N) float array
         [mm]
     energy : TabulatedEnergy, optional
-        Of these displacements, on `device` and of `dtype`, where it is made already.
-    device : ArrayDevice
-    dtype : {'float64', 'float32'}
+        Of these displacements; in double precision by default.
     """
     centre = table.spectrum.prior.centre
     power = np.maximum(displacements.var(axis=1), 1e-3)
@@ -96,23 +75,21 @@ def find_modes(
     signal[0] = 0.5 * (centre[0] + np.log(power))
     noise[0], noise[1] = centre[0] - 3.0, np.log(power)
     gain = noise_gain(table.spectrum)
-    whole = energy or TabulatedEnergy(table, displacements, device=device, dtype=dtype)
-    straight = StraightEnergy(whole, gain)
-    with np.errstate(all="ignore"):  # a step too far overflows, and is not taken
+    tabulated = energy or TabulatedEnergy(table, displacements)
+    of_phi = PhiEnergy(tabulated, gain)
+    with np.errstate(all="ignore"):  # a step that overflows is not taken
         first, second = (
-            fit_laplace(straight, device.put(phi_of(start, gain), dtype=dtype))
+            fit_laplace(of_phi, to_phi(start, gain).astype(tabulated.dtype))
             for start in (signal, noise)
         )
         swap = second.log_evidence > first.log_evidence
-        best, other = _choose(swap, second, first), _choose(swap, first, second)
-        xp = namespace_of(swap)
-        nearer = xp.minimum(_distance(best, other), _distance(other, best))
-        likely = best.log_evidence - other.log_evidence < _RARE
+        best, other = choose_fits(swap, second, first), choose_fits(swap, first, second)
+        distance = np.minimum(_distance(best, other), _distance(other, best))
+        likely = best.log_evidence - other.log_evidence < _LARGEST_LOG_RATIO
     theta, second_theta = (
-        theta_of(device.fetch(fit.mode).astype(np.float64), gain) for fit in (best, other)
+        np.asarray(to_theta(fit.mode.astype(np.float64), gain), np.float64) for fit in (best, other)
     )
-    double = device.fetch((nearer > _APART) & likely)
-    return Modes(best, other, theta, second_theta, double, device)
+    return Modes(best, other, theta, second_theta, (distance > _LEAST_DISTANCE) & likely)
 
 
 def sample_hyperparameters(
@@ -123,81 +100,135 @@ def sample_hyperparameters(
     burn: int = 40,
     keep: int = 200,
     modes: Modes | None = None,
-    device: ArrayDevice = CPU,
-    dtype: Precision = "float32",
 ) -> tuple[HyperSamples, Modes]:
-    """Sample every chain's posterior: W06, eq. 3 and "200 sampled values".
+    """Sample every chain's posterior in single precision: W06, eq. 3 and "200 sampled values".
 
     Parameters
     ----------
-    rng : numpy.random.Generator
-        Drawn from in the same order on every device.
-    table : SharedTable
     displacements : (chains, N) float array
         [mm]
     burn, keep : int
+        See `sample_chains`.
     modes : Modes, optional
-        Known already, on this device and of this type.
-    device : ArrayDevice
-        Where chains run; the samples are numpy's.
-    dtype : {'float32', 'float64'}
-        In double precision all devices walk the same chains. In single precision a rounding may
-        accept what another device refuses: other samples of the same posterior.
+        In single precision, where they are known already.
     """
-    energy = TabulatedEnergy(table, displacements, device=device, dtype=dtype)
-    found = modes or find_modes(table, displacements, energy=energy, device=device, dtype=dtype)
+    energy = TabulatedEnergy(table, displacements, dtype=np.float32)
+    found = modes or find_modes(table, displacements, energy=energy)
     gain = noise_gain(table.spectrum)
     double = np.flatnonzero(found.double)
     jumps = None
     if len(double):
-        some = device.put(double)
+        of_double = TabulatedEnergy(table, displacements[double], dtype=np.float32)
         jumps = Jumps(
-            double,
-            StraightEnergy(
-                TabulatedEnergy(table, displacements[double], device=device, dtype=dtype), gain
-            ),
-            (take_chains(found.best, some), take_chains(found.second, some)),
+            double, PhiEnergy(of_double, gain), (found.best.take(double), found.second.take(double))
         )
     with np.errstate(all="ignore"):  # a proposal that overflows is rejected
         samples = sample_chains(
-            rng,
-            StraightEnergy(energy, gain),
-            found.best,
-            burn=burn,
-            keep=keep,
-            jumps=jumps,
-            device=device,
+            rng, PhiEnergy(energy, gain), found.best, burn=burn, keep=keep, jumps=jumps
         )
-    phi, acceptance, angle = (
-        device.fetch(each).astype(np.float64)
-        for each in (samples.places, samples.acceptance, samples.angle)
-    )
-    theta = np.moveaxis(theta_of(np.moveaxis(phi, 1, 0), gain), 0, 1)
-    return HyperSamples(theta, acceptance, angle), found
+    phi = np.moveaxis(samples.theta.astype(np.float64), 1, 0)
+    theta = np.moveaxis(np.asarray(to_theta(phi, gain), np.float64), 0, 1)
+    return HyperSamples(theta, samples.acceptance.astype(np.float64)), found
 
 
 def draw_laplace(
     rng: np.random.Generator, table: SharedTable, modes: Modes, *, keep: int
 ) -> FloatArray:
-    """Draw from the Gaussian around the best mode instead of walking: (keep, 4, chains) theta."""
-    mode, root = modes.device.fetch(modes.best.mode), modes.device.fetch(modes.best.root)
+    """Draw from the Gaussian around the best mode instead: (keep, 4, chains) theta."""
+    mode, root = modes.best.mode, modes.best.root
     drawn = rng.standard_normal((keep, *mode.shape))
     phi = mode[:, None] + np.einsum("abc,kbc->akc", root, drawn)
-    return np.moveaxis(theta_of(phi, noise_gain(table.spectrum)), 0, 1)
+    theta = to_theta(phi, noise_gain(table.spectrum))
+    return np.asarray(np.moveaxis(theta, 0, 1), np.float64)
 
 
-def _choose(which: Any, yes: LaplaceFit, no: LaplaceFit) -> LaplaceFit:
-    xp = namespace_of(which)
-    return LaplaceFit(
-        xp.where(which, yes.mode, no.mode),
-        xp.where(which, yes.energy, no.energy),
-        xp.where(which, yes.root, no.root),
-        xp.where(which, yes.inverse, no.inverse),
-        xp.where(which, yes.log_evidence, no.log_evidence),
-    )
-
-
-def _distance(of: LaplaceFit, to: LaplaceFit) -> Any:
+def _distance(of: LaplaceFit, to: LaplaceFit) -> RealArray:
     white = of.whiten(to.mode)
-    xp = namespace_of(white)
-    return xp.sqrt(xp.sum(white * white, axis=0))
+    distance: RealArray = np.sqrt(np.sum(white * white, axis=0))
+    return distance
+
+
+@dataclass(frozen=True)
+class SharedSamples:
+    """Samples of the hyper-parameters that a take's frames and axes have in common.
+
+    Attributes
+    ----------
+    mode : (4,) float array
+        The most probable theta.
+    theta : (samples, 4) float array
+    acceptance : float
+        Mean probability of acceptance after the burn-in.
+    """
+
+    mode: FloatArray
+    theta: FloatArray
+    acceptance: float
+
+
+class PooledEnergy:
+    """The energy of one theta under many rows of displacements, the prior counted once.
+
+    Parameters
+    ----------
+    displacements : (rows, N) float array
+        [mm]
+    chains : int
+        Values of theta evaluated together.
+    """
+
+    def __init__(self, table: SharedTable, displacements: FloatArray, *, chains: int) -> None:
+        self._rows = len(displacements)
+        self._energy = TabulatedEnergy(table, np.tile(displacements, (chains, 1)))
+        self._centre = table.spectrum.prior.centre[:, None]
+        self._precision = np.array(table.spectrum.prior.spread)[:, None] ** -2.0
+
+    def __call__(self, theta: RealArray) -> tuple[RealArray, RealArray]:
+        """Return the energies (chains,) and gradients (4, chains)."""
+        value, gradient = self._energy(np.repeat(theta, self._rows, axis=1))
+        offset = theta - self._centre
+        surplus = offset * self._precision * (self._rows - 1)  # of the prior's gradient
+        total = gradient.reshape(4, -1, self._rows).sum(axis=2) - surplus
+        energy = value.reshape(-1, self._rows).sum(axis=1) - 0.5 * (offset * surplus).sum(axis=0)
+        return energy, total
+
+
+def fit_shared_mode(table: SharedTable, displacements: FloatArray) -> LaplaceFit:
+    """Find the most probable theta of all rows (rows, N) [mm] together."""
+    start = table.spectrum.prior.centre[:, None].copy()
+    energy = PooledEnergy(table, displacements, chains=1)
+    with np.errstate(all="ignore"):
+        return fit_laplace(energy, start, iterations=30)
+
+
+def sample_shared(
+    rng: np.random.Generator,
+    table: SharedTable,
+    displacements: FloatArray,
+    *,
+    keep: int = 200,
+    chains: int = 4,
+) -> SharedSamples:
+    """Sample the posterior of all rows together.
+
+    Parameters
+    ----------
+    displacements : (rows, N) float array
+        [mm]
+    keep : int
+        Samples of all chains together.
+    chains : int
+        Run in lockstep from the same Laplace fit.
+    """
+    fit = fit_shared_mode(table, displacements)
+    energy = PooledEnergy(table, displacements, chains=chains)
+    with np.errstate(all="ignore"):
+        samples = sample_chains(
+            rng, energy, fit.take(np.zeros(chains, np.int64)), keep=-(-keep // chains)
+        )
+    theta = np.moveaxis(samples.theta, 1, 2).reshape(-1, 4)[:keep]
+    return SharedSamples(
+        np.asarray(fit.mode[:, 0], np.float64),
+        np.asarray(theta, np.float64),
+        float(samples.acceptance.mean()),
+    )

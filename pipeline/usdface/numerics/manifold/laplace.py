@@ -1,31 +1,33 @@
-"""The most probable hyper-parameters of many chains at once, and the Gaussian around each."""
+"""The most probable hyper-parameters of many chains at once, and the Gaussian around each mode."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields
 
-from usdface.numerics.array_namespace import namespace_of
+import numpy as np
 
-Energy = Callable[..., tuple[Any, Any]]
-"""``energy(theta, with_energy=True)`` of theta (4, chains): energies (chains,), gradients."""
+from usdface.core.arrays import BoolArray, IntArray, RealArray
 
-_DIFFERENCE = {"single": 1e-2, "double": 1e-4}
-"""Step in theta of the Hessian's finite differences of the analytic gradient: where rounding and
-curvature err alike."""
+Energy = Callable[[RealArray], tuple[RealArray, RealArray]]
+"""``energy(theta)`` of theta (4, chains): energies (chains,) and gradients (4, chains)."""
 
-_FLATTEST = 0.05
-"""Least curvature, per unit of theta squared: priors have 0.44."""
+_HESSIAN_STEPS = {"float32": 1e-2, "float64": 1e-4}
+"""Step in theta of the finite differences of the gradient, by precision: about the cube root of
+its rounding, where rounding and truncation errors are equal."""
 
-_FARTHEST = 2.0
-"""Longest Newton step in theta."""
+_LEAST_CURVATURE = 0.05
+"""Least pivot of the Hessian [per unit of theta squared]; the prior alone has 1 / 1.5^2 = 0.44."""
 
-_SETTLED = 1e-3
-"""Energy that the next step would gain: nothing samples could tell."""
+_LONGEST_STEP = 2.0
+"""Of Newton's method, in theta."""
+
+_LEAST_GAIN = 1e-3
+"""Energy that the next Newton step would gain [-] below which iteration stops: samples have a
+standard deviation of about 1.4 in energy."""
 
 
 @dataclass(frozen=True)
 class LaplaceFit:
-    """A mode of each chain's posterior and the Gaussian that touches it there.
+    """A mode of each chain's posterior and the Gaussian with the same curvature there.
 
     Attributes
     ----------
@@ -37,76 +39,92 @@ class LaplaceFit:
     inverse : (4, 4, chains) array
         Of `root`: turns theta into coordinates in which the Gaussian is the standard one.
     log_evidence : (chains,) array
-        Of the posterior's mass around the mode, up to a constant.
+        Logarithm of the posterior's mass around the mode, up to a constant.
     """
 
-    mode: Any
-    energy: Any
-    root: Any
-    inverse: Any
-    log_evidence: Any
+    mode: RealArray
+    energy: RealArray
+    root: RealArray
+    inverse: RealArray
+    log_evidence: RealArray
 
-    def whiten(self, theta: Any) -> Any:
+    def whiten(self, theta: RealArray) -> RealArray:
         """Turn theta (4, chains) into whitened coordinates."""
-        xp = namespace_of(theta)
-        return xp.sum(self.inverse * (theta - self.mode)[None, :, :], axis=1)
+        white: RealArray = np.sum(self.inverse * (theta - self.mode)[None], axis=1)
+        return white
 
-    def theta(self, white: Any) -> Any:
+    def theta(self, white: RealArray) -> RealArray:
         """Turn whitened coordinates (4, chains) into theta."""
-        xp = namespace_of(white)
-        return self.mode + xp.sum(self.root * white[None, :, :], axis=1)
+        theta: RealArray = self.mode + np.sum(self.root * white[None], axis=1)
+        return theta
+
+    def take(self, chains: IntArray) -> "LaplaceFit":
+        """Return the fits of some chains, by their indices."""
+        return LaplaceFit(
+            *(np.take(getattr(self, each.name), chains, axis=-1) for each in fields(self))
+        )
 
 
-def fit_laplace(energy: Energy, start: Any, *, iterations: int = 10) -> LaplaceFit:
-    """Go downhill from `start` by Newton steps within a trust region.
+def choose_fits(which: BoolArray, yes: LaplaceFit, no: LaplaceFit) -> LaplaceFit:
+    """Choose between two fits of each chain, as `numpy.where` does."""
+    return LaplaceFit(
+        *(
+            np.where(which, getattr(yes, each.name), getattr(no, each.name))
+            for each in fields(LaplaceFit)
+        )
+    )
+
+
+def fit_laplace(energy: Energy, start: RealArray, *, iterations: int = 10) -> LaplaceFit:
+    """Minimise the energy from `start` by Newton's method within a trust region.
 
     Parameters
     ----------
     energy : callable
+        See `Energy`.
     start : (4, chains) array
     iterations : int
         At most.
     """
-    xp = namespace_of(start)
     theta = start
     value, gradient = energy(theta)
-    radius = xp.full_like(value, _FARTHEST)
-    left = iterations
+    radius = np.full_like(value, _LONGEST_STEP)
+    remaining = iterations
     while True:
         root, inverse, log_curvature = _factorise(_hessian(energy, theta, gradient))
-        along = xp.sum(root * gradient[:, None, :], axis=0)
-        gain = 0.5 * xp.sum(along * along, axis=0)
-        gain = xp.where(xp.isfinite(gain), gain, xp.zeros_like(gain))
-        if left == 0 or float(xp.max(gain)) < _SETTLED:
+        white_slope = np.sum(root * gradient[:, None], axis=0)
+        gain = 0.5 * np.sum(white_slope * white_slope, axis=0)
+        gain = np.where(np.isfinite(gain), gain, np.zeros_like(gain))
+        if remaining == 0 or float(np.max(gain)) < _LEAST_GAIN:
             break
-        left -= 1
-        step = -xp.sum(root * along[None, :, :], axis=1)
-        length = xp.sqrt(xp.sum(step * step, axis=0))
-        step = step * xp.clip(radius / xp.clip(length, 1e-9, None), None, 1.0)
+        remaining -= 1
+        step = -np.sum(root * white_slope[None], axis=1)
+        length = np.sqrt(np.sum(step * step, axis=0))
+        step = step * np.clip(radius / np.clip(length, 1e-9, None), None, 1.0)
         new_value, new_gradient = energy(theta + step)
         better = new_value <= value
-        theta = xp.where(better, theta + step, theta)
-        gradient = xp.where(better, new_gradient, gradient)
-        value = xp.where(better, new_value, value)
-        radius = xp.clip(xp.where(better, 2.0 * radius, 0.25 * radius), None, _FARTHEST)
+        theta = np.where(better, theta + step, theta)
+        gradient = np.where(better, new_gradient, gradient)
+        value = np.where(better, new_value, value)
+        radius = np.clip(np.where(better, 2.0 * radius, 0.25 * radius), None, _LONGEST_STEP)
     return LaplaceFit(theta, value, root, inverse, -value - 0.5 * log_curvature)
 
 
-def _hessian(energy: Energy, theta: Any, gradient: Any) -> list[list[Any]]:
-    """Take finite differences: rows of four entries, (chains,) each."""
-    xp = namespace_of(theta)
-    by = _DIFFERENCE["single" if theta.dtype == xp.float32 else "double"]
-    rows = []
+def _hessian(energy: Energy, theta: RealArray, gradient: RealArray) -> RealArray:
+    """Take finite differences of the gradient: (4, 4, chains)."""
+    step = _HESSIAN_STEPS[theta.dtype.name]
+    rows = np.empty((4, *theta.shape), theta.dtype)
     for parameter in range(4):
-        moved = [theta[k, :] + by if k == parameter else theta[k, :] for k in range(4)]
-        nearby = energy(xp.stack(moved), with_energy=False)[1]
-        row = (nearby - gradient) / by
-        rows.append(xp.where(xp.isfinite(row), row, xp.zeros_like(row)))
-    return [[0.5 * (rows[i][j, :] + rows[j][i, :]) for j in range(4)] for i in range(4)]
+        moved = theta.copy()
+        moved[parameter] += step
+        row = (energy(moved)[1] - gradient) / step
+        rows[parameter] = np.where(np.isfinite(row), row, np.zeros_like(row))
+    symmetric: RealArray = 0.5 * (rows + rows.transpose(1, 0, 2))
+    return symmetric
 
 
-def _factorise(hessian: list[list[Any]]) -> tuple[Any, Any, Any]:
-    """Factorise ``L D L'`` of each chain, pivots made positive.
+def _factorise(hessian: RealArray) -> tuple[RealArray, RealArray, RealArray]:
+    """Factorise ``H = L D L'`` of each chain, pivots D made positive.
 
     Returns
     -------
@@ -116,29 +134,23 @@ def _factorise(hessian: list[list[Any]]) -> tuple[Any, Any, Any]:
         ``D^(1/2) L'``
     log_determinant : (chains,) array
     """
-    xp = namespace_of(hessian[0][0])
-    zero = xp.zeros_like(hessian[0][0])
-    L = [[zero] * 4 for _ in range(4)]
-    K = [[zero] * 4 for _ in range(4)]  # the inverse of L
-    pivots: list[Any] = []
+    L, inverse_L = np.zeros_like(hessian), np.zeros_like(hessian)
+    pivots = np.empty_like(hessian[0])
     for j in range(4):
-        pivot = hessian[j][j]
+        pivot = hessian[j, j]
         for k in range(j):
-            pivot = pivot - L[j][k] * L[j][k] * pivots[k]
-        pivots.append(xp.clip(xp.abs(pivot), _FLATTEST, None))
-        L[j][j] = K[j][j] = zero + 1.0
+            pivot = pivot - L[j, k] * L[j, k] * pivots[k]
+        pivots[j] = np.clip(np.abs(pivot), _LEAST_CURVATURE, None)
+        L[j, j] = inverse_L[j, j] = 1.0
         for i in range(j + 1, 4):
-            entry = hessian[i][j]
+            entry = hessian[i, j]
             for k in range(j):
-                entry = entry - L[i][k] * L[j][k] * pivots[k]
-            L[i][j] = entry / pivots[j]
+                entry = entry - L[i, k] * L[j, k] * pivots[k]
+            L[i, j] = entry / pivots[j]
     for j in range(4):
         for i in range(j + 1, 4):
-            entry = zero
-            for k in range(j, i):
-                entry = entry - L[i][k] * K[k][j]
-            K[i][j] = entry
-    scales = [xp.sqrt(pivot) for pivot in pivots]
-    root = xp.stack([xp.stack([K[b][a] / scales[b] for b in range(4)]) for a in range(4)])
-    inverse = xp.stack([xp.stack([L[a][b] * scales[b] for a in range(4)]) for b in range(4)])
-    return root, inverse, 2.0 * xp.sum(xp.log(xp.stack(scales)), axis=0)
+            inverse_L[i, j] = -sum(L[i, k] * inverse_L[k, j] for k in range(j, i))
+    scales = np.sqrt(pivots)
+    root = inverse_L.transpose(1, 0, 2) / scales
+    inverse = L.transpose(1, 0, 2) * scales[:, None]
+    return root, inverse, 2.0 * np.sum(np.log(scales), axis=0)

@@ -1,7 +1,7 @@
-"""Fields over the surface from samples of the hyper-parameters: W06, eq. 3.
+"""Fields over the surface from samples of the hyper-parameters (W06, eq. 3), and their calibration.
 
-The prediction at a point is linear in ``h(x) = [Q' k(x); 1; s(x)]``, which the mesh alone decides.
-So what is averaged over the samples are its weights (*dual weights*), never fields::
+The prediction at a point is linear in ``h(x) = [Q' k(x); 1; s(x)]``, which depends on the mesh
+alone. So samples are averaged in the weights on h (*dual weights*) instead of in fields::
 
     gamma = [rho R (z - P w); w]        rho = v0 / v1, in the terms of `hyper_posterior`
     mean(x) = h' mean(gamma)
@@ -9,22 +9,36 @@ So what is averaged over the samples are its weights (*dual weights*), never fie
     Sigma   = mean(Y'Y) + cov(gamma) - diag(mean(v0 rho R), 0)
     Y       = sqrt(v1) chol(G)^-1 [-rho P'R | I]
 
-The variance is that of the surface, not of a marker measured there: v1 is left out. What is done
-for every frame follows the array API, on the device that the fields are put on.
+The variance is that of the surface, without the noise v1 of a marker measured there.
+
+A Gaussian process is overconfident where a face is rougher than on average and underconfident where
+it is smoother. Errors at left-out markers, over their expected deviations, measure by how much.
+Markers come in rows along lids and lips, so that a left-out marker is predicted well by its
+neighbour in the row, which points off the row are not: its nearest neighbour is left out with it.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from usdface.core.arrays import Float32Array, FloatArray
-from usdface.numerics.array_namespace import CPU, ArrayDevice, namespace_of
+from usdface.core.arrays import Float32Array, FloatArray, RealArray
 from usdface.numerics.manifold.hyper_posterior import PAIRS, MarkerSpectrum
-from usdface.numerics.manifold.tabulated_energy import Precision
 
-_FARTHEST = 30.0
-"""Of theta: a take that stands still drives scales to 0, which single precision cannot divide."""
+_LARGEST_LOG = 30.0
+"""Bound on each entry of theta: a take without motion drives scales to 0, by which single precision
+cannot divide."""
+
+_NORMAL_95 = 1.959963984540054
+"""Half the width of a 95 % interval in standard deviations."""
+
+_JITTER_SHARE = 1e-10
+"""Of the trace, added to the diagonal: a covariance without noise stays invertible."""
+
+_LEAST_FACTOR = 1e-3
+"""Of a standard deviation [-]: a take without motion has no errors at left-out markers."""
+
+_PRIOR_MARKERS = 0.3
+"""Weight, in markers, of the average squared error in that of each place: few markers are near."""
 
 
 @dataclass(frozen=True)
@@ -33,122 +47,122 @@ class DualMoments:
 
     Attributes
     ----------
-    mean : (chains, N + 4) array
-    covariance : (chains, N + 4, N + 4) array
-    constant : (chains,) array
+    mean : (chains, N + 4) float32 array
+    covariance : (chains, N + 4, N + 4) float32 array
+    constant : (chains,) float32 array
         v0, averaged over samples.
     """
 
-    mean: Any
-    covariance: Any
-    constant: Any
+    mean: Float32Array
+    covariance: Float32Array
+    constant: Float32Array
 
 
 def average_dual_weights(
-    spectrum: MarkerSpectrum,
-    displacements: FloatArray,
-    theta: FloatArray,
-    *,
-    device: ArrayDevice = CPU,
-    dtype: Precision = "float32",
+    spectrum: MarkerSpectrum, displacements: FloatArray, theta: FloatArray
 ) -> DualMoments:
-    """Average over samples.
+    """Average the weights over samples, in single precision.
 
     Parameters
     ----------
-    spectrum : MarkerSpectrum
     displacements : (chains, N) float array
         [mm]
     theta : (samples, 4, chains) float array
-    device : ArrayDevice
-        Where the moments are wanted.
-    dtype : {'float32', 'float64'}
     """
-    xp = device.namespace
-    rotated = device.put(displacements @ spectrum.vectors, dtype=dtype)
-    P = device.put(spectrum.trend, dtype=dtype)
-    values = device.put(spectrum.values, dtype=dtype)
-    count, chains, samples = P.shape[0], rotated.shape[0], len(theta)
-    products = xp.stack([P[:, i] * P[:, j] for i, j in PAIRS], axis=1)
-    within = np.clip(np.moveaxis(theta, 2, 0), -_FARTHEST, _FARTHEST)  # chains, samples, 4
-    scales = xp.exp(device.put(np.ascontiguousarray(within), dtype=dtype))
+    rotated = (displacements @ spectrum.vectors).astype(np.float32)
+    P, values = spectrum.trend.astype(np.float32), spectrum.values.astype(np.float32)
+    count, chains, samples = len(P), len(rotated), len(theta)
+    products = np.stack([P[:, i] * P[:, j] for i, j in PAIRS], axis=1)
+    bounded = np.clip(np.moveaxis(theta, 2, 0), -_LARGEST_LOG, _LARGEST_LOG)
+    scales = np.exp(np.ascontiguousarray(bounded, np.float32))  # (chains, samples, 4)
     v0, v1, a0, a1 = (scales[:, :, k] for k in range(4))
     ratio = (v0 / v1)[:, :, None]
     R = 1.0 / (1.0 + ratio * values)
-    M = xp.reshape(xp.reshape(R, (-1, count)) @ products, (chains, samples, 10))
-    weighted = xp.reshape(R * rotated[:, None, :], (-1, count)) @ P
-    b = xp.reshape(weighted, (chains, samples, 4))
+    M = (R.reshape(-1, count) @ products).reshape(chains, samples, 10)
+    b = ((R * rotated[:, None]).reshape(-1, count) @ P).reshape(chains, samples, 4)
     M[:, :, 0] += v1 / a0
     for k in (4, 7, 9):
         M[:, :, k] += v1 / a1
     inverse_root = _inverse_roots(M)
-    w = (xp.matrix_transpose(inverse_root) @ (inverse_root @ b[:, :, :, None]))[:, :, :, 0]
+    w = (np.matrix_transpose(inverse_root) @ (inverse_root @ b[..., None]))[..., 0]
     R *= ratio  # rho R from here on
-    fitted = xp.reshape(xp.reshape(w, (-1, 4)) @ P.T, (chains, samples, count))
-    weights = device.empty((chains, samples, count + 4), dtype=dtype)
-    weights[:, :, :count] = R * (rotated[:, None, :] - fitted)
+    fitted = (w.reshape(-1, 4) @ P.T).reshape(chains, samples, count)
+    weights = np.empty((chains, samples, count + 4), np.float32)
+    weights[:, :, :count] = R * (rotated[:, None] - fitted)
     weights[:, :, count:] = w
-    mean = xp.mean(weights, axis=1)
-    weights -= mean[:, None, :]
-    scaled = xp.sqrt(v1)[:, :, None, None] * inverse_root
-    spread = device.empty((chains, samples, 4, count + 4), dtype=dtype)
-    spread[:, :, :, :count] = scaled @ P.T
-    spread[:, :, :, :count] *= -R[:, :, None, :]
-    spread[:, :, :, count:] = scaled
-    rows = xp.reshape(spread, (chains, samples * 4, count + 4))
-    covariance = xp.matrix_transpose(rows) @ rows
-    covariance += xp.matrix_transpose(weights) @ weights
-    prior = xp.sum(v0[:, :, None] * R, axis=1)
-    covariance[:, :count, :count] -= prior[:, :, None] * device.put(np.eye(count), dtype=dtype)
+    mean = np.mean(weights, axis=1)
+    weights -= mean[:, None]
+    scaled = np.sqrt(v1)[:, :, None, None] * inverse_root
+    spread = np.empty((chains, samples, 4, count + 4), np.float32)
+    spread[..., :count] = scaled @ P.T
+    spread[..., :count] *= -R[:, :, None]
+    spread[..., count:] = scaled
+    rows = spread.reshape(chains, samples * 4, count + 4)
+    covariance = np.matrix_transpose(rows) @ rows
+    covariance += np.matrix_transpose(weights) @ weights
+    prior = np.sum(v0[:, :, None] * R, axis=1)
+    covariance[:, :count, :count] -= prior[:, :, None] * np.eye(count, dtype=np.float32)
     covariance /= samples
-    return DualMoments(mean, covariance, xp.mean(v0, axis=1))
+    return DualMoments(mean, covariance, np.mean(v0, axis=1))
 
 
-def _inverse_roots(G: Any) -> Any:
+def _inverse_roots(G: RealArray) -> Float32Array:
     """Invert the Cholesky factors of symmetric matrices of four, all at once.
 
     Parameters
     ----------
-    G : (..., 10) array
+    G : (..., 10) float32 array
         Entries in the order of `PAIRS`.
 
     Returns
     -------
-    (..., 4, 4) array
+    (..., 4, 4) float32 array
         Lower triangular; its transpose times it is the inverse of G.
     """
-    xp = namespace_of(G)
-    exact = xp.astype(G, xp.float64)
+    exact = G.astype(np.float64)
     entry = {pair: exact[..., k] for k, pair in enumerate(PAIRS)}
-    root: dict[tuple[int, int], Any] = {}
+    root: dict[tuple[int, int], FloatArray] = {}
     for j in range(4):
         for i in range(j, 4):
-            left = entry[j, i]
+            rest = entry[j, i]
             for k in range(j):
-                left = left - root[i, k] * root[j, k]
-            root[i, j] = xp.sqrt(left) if i == j else left / root[j, j]
-    zero = xp.zeros_like(root[0, 0])
-    inverse = {(i, j): zero for i in range(4) for j in range(4)}
+                rest = rest - root[i, k] * root[j, k]
+            root[i, j] = np.sqrt(rest) if i == j else rest / root[j, j]
+    inverse = np.zeros((*exact.shape[:-1], 4, 4))
     for j in range(4):
         for i in range(j, 4):
-            rest = zero + float(i == j)
+            rest = np.full_like(exact[..., 0], float(i == j))
             for k in range(j, i):
-                rest = rest - root[i, k] * inverse[k, j]
-            inverse[i, j] = rest / root[i, i]
-    out = xp.stack(
-        [xp.stack([inverse[i, j] for j in range(4)], axis=-1) for i in range(4)], axis=-2
-    )
-    return xp.astype(out, G.dtype)
+                rest = rest - root[i, k] * inverse[..., k, j]
+            inverse[..., i, j] = rest / root[i, i]
+    return inverse.astype(np.float32)
 
 
 def join_moments(parts: list[DualMoments]) -> DualMoments:
-    """Put the chains of several batches after each other."""
-    xp = namespace_of(parts[0].mean)
+    """Concatenate the chains of several batches."""
     return DualMoments(
-        xp.concat([part.mean for part in parts]),
-        xp.concat([part.covariance for part in parts]),
-        xp.concat([part.constant for part in parts]),
+        np.concatenate([part.mean for part in parts]),
+        np.concatenate([part.covariance for part in parts]),
+        np.concatenate([part.constant for part in parts]),
     )
+
+
+def mix_variances(moments: DualMoments, shares: FloatArray) -> DualMoments:
+    """Add up the variances of consecutive chains before they become fields, which cost more.
+
+    Parameters
+    ----------
+    shares : (group,) float array
+        Factor of each of the chains that are added up: the axes of a frame.
+    """
+    size, count = moments.covariance.shape[1], len(shares)
+    covariance = moments.covariance.reshape(-1, count, size, size)
+    constant = moments.constant.reshape(-1, count)
+    mixed, level = np.zeros_like(covariance[:, 0]), np.zeros_like(constant[:, 0])
+    for k, share in enumerate(shares.tolist()):
+        mixed += covariance[:, k] * share
+        level += constant[:, k] * share
+    return DualMoments(moments.mean, mixed, level)
 
 
 @dataclass(frozen=True)
@@ -157,20 +171,17 @@ class SurfaceFields:
 
     Attributes
     ----------
-    basis : (points, N + 4) array
+    basis : (points, N + 4) float32 array
         h
-    squares : (points, rank) array
-    reading : (rank, (N + 4)(N + 5) / 2) array
-        ``squares @ reading`` are, nearly, the products ``h_i h_j`` of `numpy.triu_indices`'s
-        order, those with i < j twice.
-    device : ArrayDevice
-        Where they are.
+    squares : (points, rank) float32 array
+    directions : (rank, (N + 4)(N + 5) / 2) float32 array
+        ``squares @ directions`` are, nearly, the products ``h_i h_j`` in the order of
+        `numpy.triu_indices`, those with i < j twice.
     """
 
-    basis: Any
-    squares: Any
-    reading: Any
-    device: ArrayDevice = CPU
+    basis: Float32Array
+    squares: Float32Array
+    directions: Float32Array
 
 
 def make_fields(
@@ -180,25 +191,19 @@ def make_fields(
     *,
     rank: int = 128,
     rng: np.random.Generator,
-    device: ArrayDevice = CPU,
-    dtype: Precision = "float32",
 ) -> SurfaceFields:
-    """Prepare a mesh.
+    """Compute h over a mesh.
 
     Parameters
     ----------
-    spectrum : MarkerSpectrum
     cross : (points, N) float32 array
         Covariance of the points with the markers.
     places : (points, 3) float32 array
         Where points are, centred and scaled as the markers' places are.
     rank : int
-        Of the variances; the mean is exact. The basis comes from a sample of points.
+        Of the variances; the mean is exact.
     rng : numpy.random.Generator
-        Chooses the sample.
-    device : ArrayDevice
-        Where fields will be predicted.
-    dtype : {'float32', 'float64'}
+        Chooses the points from which the basis of the variances is computed.
     """
     ones = np.ones((len(cross), 1), np.float32)
     rotated = cross @ spectrum.vectors.astype(np.float32)
@@ -211,52 +216,7 @@ def make_fields(
     for start in range(0, len(basis), block):
         part = slice(start, start + block)
         np.matmul(_products(basis[part]), directions.T, out=squares[part])
-    return SurfaceFields(
-        device.put(basis, dtype=dtype),
-        device.put(squares, dtype=dtype),
-        device.put(directions, dtype=dtype),
-        device,
-    )
-
-
-def predict_mean(fields: SurfaceFields, moments: DualMoments, *, group: int = 3) -> Float32Array:
-    """Return displacements: (groups, points, group) float32 array [mm]."""
-    flat = fields.device.fetch(fields.basis @ moments.mean.T)
-    out = flat.reshape(len(flat), -1, group).transpose(1, 0, 2)
-    return np.ascontiguousarray(out, np.float32)
-
-
-def predict_variance(fields: SurfaceFields, moments: DualMoments) -> Float32Array:
-    """Return variances: (chains, points) float32 array [mm^2]."""
-    xp = namespace_of(moments.covariance)
-    chains, size = moments.covariance.shape[:2]
-    upper = np.triu_indices(size)
-    places = fields.device.put(upper[0] * size + upper[1])
-    entries = xp.take(xp.reshape(moments.covariance, (chains, size * size)), places, axis=1)
-    out = (entries @ fields.reading.T) @ fields.squares.T
-    out += moments.constant[:, None]
-    found = fields.device.fetch(out).astype(np.float32, copy=False)
-    return np.maximum(found, 0.0, out=found if found.flags.writeable else None)
-
-
-def mix_variances(moments: DualMoments, shares: FloatArray) -> DualMoments:
-    """Add up the variances of consecutive chains before they become fields, which are dear.
-
-    Parameters
-    ----------
-    moments : DualMoments
-    shares : (group,) float array
-        Of each of the chains that are added up: the axes of a frame.
-    """
-    xp = namespace_of(moments.mean)
-    size, count = moments.covariance.shape[1], len(shares)
-    covariance = xp.reshape(moments.covariance, (-1, count, size, size))
-    constant = xp.reshape(moments.constant, (-1, count))
-    return DualMoments(
-        moments.mean,
-        sum(covariance[:, k, :, :] * float(share) for k, share in enumerate(shares)),
-        sum(constant[:, k] * float(share) for k, share in enumerate(shares)),
-    )
+    return SurfaceFields(basis, squares, directions)
 
 
 def _products(basis: Float32Array) -> Float32Array:
@@ -264,3 +224,132 @@ def _products(basis: Float32Array) -> Float32Array:
     out: Float32Array = basis[:, i] * basis[:, j]
     out *= np.where(i == j, 1.0, 2.0).astype(np.float32)
     return out
+
+
+def predict_mean(fields: SurfaceFields, moments: DualMoments) -> Float32Array:
+    """Return displacements, three chains to a frame: (frames, points, 3) float32 array [mm]."""
+    flat = fields.basis @ moments.mean.T
+    return np.ascontiguousarray(flat.reshape(len(flat), -1, 3).transpose(1, 0, 2), np.float32)
+
+
+def predict_variance(fields: SurfaceFields, moments: DualMoments) -> Float32Array:
+    """Return variances: (chains, points) float32 array [mm^2]."""
+    chains, size = moments.covariance.shape[:2]
+    upper = np.triu_indices(size)
+    entries = np.take(moments.covariance.reshape(chains, -1), upper[0] * size + upper[1], axis=1)
+    out = (entries @ fields.directions.T) @ fields.squares.T
+    out += moments.constant[:, None]
+    variance: Float32Array = np.maximum(out, 0.0, out=out)
+    return variance
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Predictions of markers that were left out of the fit, one after the other.
+
+    Attributes
+    ----------
+    errors : (chains, N) float array
+        Measured minus predicted [mm].
+    expected : (chains, N) float array
+        Standard deviation of the prediction, the marker's noise included [mm].
+    """
+
+    errors: FloatArray
+    expected: FloatArray
+
+
+@dataclass(frozen=True)
+class SpreadFactors:
+    """Factors of standard deviations, by which intervals contain what they promise.
+
+    Attributes
+    ----------
+    of_axes : (3,) float array
+    of_points : (points,) float32 array
+    """
+
+    of_axes: FloatArray
+    of_points: Float32Array
+
+
+def leave_markers_out(
+    spectrum: MarkerSpectrum,
+    displacements: FloatArray,
+    theta: FloatArray,
+    *,
+    with_nearest: bool = False,
+) -> LeftOut:
+    """Predict every marker from the others, in closed form (Rasmussen and Williams, eq. 5.12).
+
+    Parameters
+    ----------
+    displacements : (chains, N) float array
+        [mm]
+    theta : (samples, 4, chains or 1) float array
+        Predictions are averaged over the samples; one theta may serve all chains.
+    with_nearest : bool
+        Whether the marker with the largest covariance is left out too.
+    """
+    Q = spectrum.vectors
+    covariance = (Q * spectrum.values) @ Q.T
+    trend = Q @ spectrum.trend
+    linear = trend[:, 1:] @ trend[:, 1:].T
+    errors, squares = np.empty_like(displacements), np.empty_like(displacements)
+    scales = np.exp(np.clip(theta, -_LARGEST_LOG, _LARGEST_LOG))
+    others = covariance - 2.0 * np.diag(np.diagonal(covariance))
+    markers, nearest = np.arange(len(Q)), others.argmax(axis=1)
+    for chain in range(theta.shape[2]):
+        rows = slice(None) if theta.shape[2] == 1 else slice(chain, chain + 1)
+        v0, v1, a0, a1 = (scales[:, k, chain][:, None, None] for k in range(4))
+        C = v0 * covariance + a0 + a1 * linear + v1 * np.eye(len(Q))
+        C += _JITTER_SHARE * np.trace(C, axis1=1, axis2=2)[:, None, None] * np.eye(len(Q))
+        inverse = np.linalg.inv(C)
+        diagonal = np.diagonal(inverse, axis1=1, axis2=2)[:, None]
+        solved = displacements[rows] @ inverse
+        error, variance = solved / diagonal, 1.0 / diagonal
+        if with_nearest:
+            across = inverse[:, None, markers, nearest]
+            of_nearest = diagonal[..., nearest]
+            determinant = diagonal * of_nearest - across**2
+            error = (of_nearest * solved - across * solved[..., nearest]) / determinant
+            variance = of_nearest / determinant
+        errors[rows] = error.mean(axis=0)
+        squares[rows] = variance.mean(axis=0) + error.var(axis=0)
+    return LeftOut(errors, np.sqrt(squares))
+
+
+def calibrate_spread(
+    left_out: LeftOut, covariance: FloatArray, cross: Float32Array
+) -> SpreadFactors:
+    """Find the factors of standard deviations, over the surface and along its axes.
+
+    With ``z = error / expected`` of left-out markers, a point's factor is the root of the mean z^2
+    of the markers weighted by their squared covariance with it; then one factor for each axis
+    puts 95 % of the left-out values into the 95 % interval.
+
+    Parameters
+    ----------
+    left_out : LeftOut
+        Chains go x, y, z, frame by frame.
+    covariance : (N, N) float array
+        Between markers, 1 on its diagonal.
+    cross : (points, N) float32 array
+        Covariance of points with markers.
+    """
+    z = (left_out.errors / left_out.expected).reshape(-1, 3, left_out.errors.shape[1])
+    size = np.sqrt((z**2).mean(axis=(0, 2), keepdims=True))
+    squares = ((z / np.maximum(size, _LEAST_FACTOR)) ** 2).mean(axis=(0, 1))
+    weights = np.maximum(covariance, 0.0) ** 2
+    np.fill_diagonal(weights, 0.0)  # a marker's factor comes from the others
+    scaled = np.abs(z) / np.sqrt(_average_nearby(weights, squares))
+    factors = np.quantile(np.moveaxis(scaled, 1, 0).reshape(3, -1), 0.95, axis=1) / _NORMAL_95
+    of_points = np.sqrt(_average_nearby(np.maximum(cross, 0.0) ** 2, squares))
+    return SpreadFactors(np.maximum(factors, _LEAST_FACTOR), of_points.astype(np.float32))
+
+
+def _average_nearby(weights: RealArray, squares: FloatArray) -> FloatArray:
+    """Average the markers' squares with weights (places, N), and the prior's: (places,)."""
+    total = weights.sum(axis=1) + _PRIOR_MARKERS
+    average: FloatArray = (weights @ squares + _PRIOR_MARKERS * squares.mean()) / total
+    return np.maximum(average, _LEAST_FACTOR)

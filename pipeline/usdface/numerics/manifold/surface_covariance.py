@@ -1,55 +1,53 @@
 """Covariance over a surface (W06 eq. 7), made positive definite, and its cross terms.
 
 With geodesic distances the paper's ``exp(-d^2 / (2 l^2))`` is no covariance: its matrix over the
-markers has negative eigenvalues for the length scales that suit a face. And it is far smoother than
-faces are: lips and lids crease between markers, and intervals come out too narrow. The default is
-``'creased'``, a smooth part (Matérn 3/2) and a rough one, with ``r = d / l``::
+markers has negative eigenvalues for the length scales that suit a face. It is also far smoother
+than faces, whose lips and lids crease between markers: intervals come out too narrow. The default
+is ``'creased'``, the sum of a Matérn 3/2 and an exponential covariance, with ``r = d / l``::
 
-    (1 - CREASES) (1 + sqrt(3) r) exp(-sqrt(3) r) + CREASES exp(-r)
+    (1 - a) (1 + sqrt(3) r) exp(-sqrt(3) r) + a exp(-r),    a = `ROUGH_SHARE`
 
-which has rarely a negative eigenvalue, though on a surface that is no theorem. So what is done
-about them is done for every shape:
+It rarely has a negative eigenvalue, but over a surface that is not guaranteed. So for either shape:
 
-1. Over the markers, the part with positive eigenvalues is kept, ``K+ = Q L Q'``.
+1. The part with positive eigenvalues is kept over the markers, ``K+ = Q L Q'``.
 2. Every point x gets features ``f(x) = L^(-1/2) Q' k(x)``, so that ``<f(x), f(y)>`` is K+ between
    markers. Where ``|f(x)| > 1`` they are shortened to 1.
-3. The covariance is ``<f(x), f(y)>``, and 1 of a point with itself: what the features leave of the
-   1 is a part of the point's own.
+3. The covariance is ``<f(x), f(y)>``, and 1 of a point with itself: ``1 - |f(x)|^2`` is variance of
+   the point alone.
 
-An inner product plus a diagonal that is 0 or more is positive definite over any set of points, so
-no predicted variance is negative; and every point has the prior variance v0 that eq. 7 gives it.
+An inner product plus a diagonal of 0 or more is positive definite over any set of points, so that
+no predicted variance is negative, and every point has the prior variance v0 of eq. 7.
 """
 
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from usdface.core.arrays import Float32Array, FloatArray
+from usdface.core.arrays import Float32Array, FloatArray, RealArray
 
-Shape = Literal["creased", "squared-exponential"]
+CovarianceShape = Literal["creased", "squared-exponential"]
 """``'squared-exponential'`` is eq. 7 as published."""
 
-CREASES = 0.4
-"""Share of the rough part. Between 0.2 and 0.7 errors hardly differ on the fixture faces; 95 %
-intervals hold 93 to 96 % of unseen points at this one, 87 to 93 % without it."""
+ROUGH_SHARE = 0.4
+"""Share a of the exponential covariance [0-1]. Between 0.2 and 0.7 errors hardly differ on the
+fixture faces; 95 % intervals contain 93 to 96 % of unseen points at 0.4, 87 to 93 % at 0."""
 
-SMALLEST = 1e-6
-"""Eigenvalues below this share of the largest are rounding, not covariance."""
+SMALLEST_EIGENVALUE_SHARE = 1e-6
+"""Eigenvalues below this share of the largest count as rounding errors."""
 
-_COLUMNS = 1 << 15  # points whose features are held in double precision at once
+_BLOCK_POINTS = 1 << 15
+"""Points whose features are computed in double precision at once."""
 
 
 @dataclass(frozen=True)
 class SurfaceCovariance:
-    """Features that make the covariance; see the module.
+    """A covariance by its features.
 
     Attributes
     ----------
-    shape : {'creased', 'squared-exponential'}
     length_scale : float
-        [mm]
+        l [mm]
     projection : (markers, rank) float array
         ``Q L^(-1/2)``: turns similarities to the markers into features.
     features : (markers, rank) float array
@@ -58,7 +56,7 @@ class SurfaceCovariance:
         Change of the markers' matrix as a share of its norm; 0 where it was positive definite.
     """
 
-    shape: Shape
+    shape: CovarianceShape
     length_scale: float
     projection: FloatArray
     features: FloatArray
@@ -70,7 +68,7 @@ class SurfaceCovariance:
         np.fill_diagonal(between, 1.0)
         return between
 
-    def cross(self, distances: NDArray[np.floating]) -> Float32Array:
+    def cross(self, distances: RealArray) -> Float32Array:
         """Covariance of points with the markers.
 
         Parameters
@@ -83,34 +81,36 @@ class SurfaceCovariance:
         (points, markers) float32 array
         """
         out = np.empty((distances.shape[1], len(self.features)), np.float32)
-        for start in range(0, len(out), _COLUMNS):
-            part = slice(start, start + _COLUMNS)
+        for start in range(0, len(out), _BLOCK_POINTS):
+            part = slice(start, start + _BLOCK_POINTS)
             similar = similarity(distances[:, part], self.length_scale, shape=self.shape)
             out[part] = _shorten(similar.T @ self.projection) @ self.features.T
         return out
 
 
-def similarity(distances: NDArray[np.floating], length_scale: float, *, shape: Shape) -> FloatArray:
-    """Evaluate the shape: 1 at no distance, falling over about the length scale."""
+def similarity(distances: RealArray, length_scale: float, *, shape: CovarianceShape) -> FloatArray:
+    """Evaluate the shape: 1 at distance 0, falling over about the length scale."""
     scaled: FloatArray = np.asarray(distances, np.float64) / length_scale
     if shape == "creased":
-        rough = CREASES * np.exp(-scaled)
+        rough = ROUGH_SHARE * np.exp(-scaled)
         scaled *= 3.0**0.5
-        return np.asarray((1.0 - CREASES) * (1.0 + scaled) * np.exp(-scaled) + rough, np.float64)
+        return np.asarray(
+            (1.0 - ROUGH_SHARE) * (1.0 + scaled) * np.exp(-scaled) + rough, np.float64
+        )
     return np.asarray(np.exp(-0.5 * scaled**2), np.float64)
 
 
 def fit_covariance(
-    between: FloatArray, *, length_scale: float, shape: Shape = "creased"
+    between: FloatArray, *, length_scale: float, shape: CovarianceShape = "creased"
 ) -> SurfaceCovariance:
-    """Make the covariance from distances between markers.
+    """Fit the covariance to the distances between markers.
 
     Parameters
     ----------
     between : (markers, markers) float array
         [mm], symmetric.
     length_scale : float
-        [mm]; the paper hides it in its unit of length.
+        l [mm]; 1 in the paper's unit of length.
     shape : {'creased', 'squared-exponential'}
 
     Raises
@@ -118,16 +118,18 @@ def fit_covariance(
     ValueError
         If there is no such shape, the length scale is not positive or distances are not finite.
     """
-    if shape not in get_args(Shape):
-        raise ValueError(f"no covariance {shape!r}; there are {', '.join(get_args(Shape))}")
+    if shape not in get_args(CovarianceShape):
+        raise ValueError(
+            f"no covariance {shape!r}; there are {', '.join(get_args(CovarianceShape))}"
+        )
     if not length_scale > 0:
         raise ValueError(f"the length scale must be positive millimetres, got {length_scale}")
     if not np.isfinite(between).all():
         raise ValueError("distances between markers are not finite; replace pairs without a path")
     similar = similarity(between, length_scale, shape=shape)
     values, vectors = np.linalg.eigh(similar)
-    kept = values > SMALLEST * values[-1]
-    projection = vectors[:, kept] / np.sqrt(values[kept])
+    positive = values > SMALLEST_EIGENVALUE_SHARE * values[-1]
+    projection = vectors[:, positive] / np.sqrt(values[positive])
     features = _shorten(similar @ projection)
     covariance = SurfaceCovariance(shape, length_scale, projection, features, 0.0)
     change = float(np.linalg.norm(covariance.matrix() - similar) / np.linalg.norm(similar))

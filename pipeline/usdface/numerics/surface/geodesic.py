@@ -1,27 +1,29 @@
 """Distances over a mesh from places on it to all its points: W06, "Geodesic manifold distances".
 
-Three ways. The paper's: Dijkstra on the edges. The same with the diagonals of every polygon. And
-the heat method, which knows no edges and so has no favourite directions. A place is anywhere on a
-face: its distance to that face's corners is the straight line, and the surface starts there.
+Three metrics: the paper's, Dijkstra on the edges; the same with the diagonals of every polygon; and
+the heat method (Crane, Weischedel and Wardetzky, 2013), which does not depend on the edges'
+directions. A place is anywhere on a face: its distance to that face's corners is the straight line,
+and paths start at the corners.
 """
 
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
+import potpourri3d
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
 
 from usdface.core.arrays import Float32Array, FloatArray, IntArray
 from usdface.core.progress import Progress, silent
-from usdface.numerics.surface.heat_distance import heat_distances
 from usdface.numerics.surface.surface_graph import MeshFaults, surface_graph
+from usdface.numerics.surface.triangulation import triangle_areas, triangulate
 
 Metric = Literal["dijkstra", "dijkstra-diagonals", "heat"]
 
-_SOURCES = 32
-"""Places solved at once: the result in double precision is held for so many only."""
+_BLOCK_PLACES = 32
+"""Places solved at once, with a result in double precision."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +39,9 @@ class Geodesics:
     positions : (places, 3) float array
         Where the places are [mm].
     islands : (points,) int array
-        Connected piece of each point.
+        Connected part of each point.
     faults : MeshFaults
+        Of the mesh.
     """
 
     to_points: Float32Array
@@ -76,7 +79,6 @@ def geodesic_distances(
     metric : {'dijkstra', 'dijkstra-diagonals', 'heat'}
         The heat method factorises the mesh first: half a million points take half a minute and
         2.4 GB, and then each corner of a place a third of a second.
-    progress : callable
 
     Raises
     ------
@@ -99,7 +101,7 @@ def geodesic_distances(
         for polygon, place in zip(polygons, positions, strict=True)
     ]
     if metric == "heat":
-        to_points = heat_distances(
+        to_points = _heat_distances(
             points,
             face_counts,
             face_indices,
@@ -119,8 +121,8 @@ def geodesic_distances(
 def euclidean_distances(positions: FloatArray, points: FloatArray) -> Float32Array:
     """Return straight lines from places to points: (places, points) float32 array."""
     out = np.empty((len(positions), len(points)), np.float32)
-    for start in range(0, len(positions), _SOURCES):
-        part = slice(start, start + _SOURCES)
+    for start in range(0, len(positions), _BLOCK_PLACES):
+        part = slice(start, start + _BLOCK_PLACES)
         out[part] = cdist(positions[part], points)
     return out
 
@@ -131,25 +133,82 @@ def _shortest_paths(
     lengths: list[FloatArray],
     progress: Progress,
 ) -> Float32Array:
-    """Run Dijkstra from places hung onto the graph by one-way segments to their face's corners.
+    """Run Dijkstra from places joined to the graph by directed segments to their face's corners.
 
-    One way, since no path may be shorter for passing under another marker.
+    Directed, so that no path leads through another place.
     """
     count = graph.shape[0]
     out = np.empty((len(polygons), count), np.float32)
-    for start in range(0, len(polygons), _SOURCES):
-        chosen = range(start, min(start + _SOURCES, len(polygons)))
+    for start in range(0, len(polygons), _BLOCK_PLACES):
+        chosen = range(start, min(start + _BLOCK_PLACES, len(polygons)))
         row = np.concatenate([np.full(len(polygons[i]), i - start) for i in chosen])
         column = np.concatenate([polygons[i] for i in chosen])
         value = np.maximum(np.concatenate([lengths[i] for i in chosen]), 1e-9)
-        hung = sparse.csr_array((value, (row, column)), (len(chosen), count))
+        joined = sparse.csr_array((value, (row, column)), (len(chosen), count))
         whole: Any = sparse.block_array(
-            [[graph, None], [hung, sparse.csr_array((len(chosen), len(chosen)))]], format="csr"
+            [[graph, None], [joined, sparse.csr_array((len(chosen), len(chosen)))]], format="csr"
         )
         sources = count + np.arange(len(chosen))
         out[start : start + len(chosen)] = dijkstra(whole, indices=sources)[:, :count]
         progress(chosen.stop / len(polygons), "measuring distances along edges")
     return out
+
+
+def _heat_distances(
+    points: FloatArray,
+    face_counts: IntArray,
+    face_indices: IntArray,
+    *,
+    islands: IntArray,
+    corners: IntArray,
+    weights: FloatArray,
+    progress: Progress,
+) -> Float32Array:
+    """Measure by the heat method (potpourri3d): (places, points) float32 array, else infinite.
+
+    The solver takes one connected mesh and starts from points. So each island is solved by itself,
+    and the distance from a place is the weighted mean of its corners': exact to second order but at
+    the face's own corners, where the caller has the straight line.
+    """
+    triangles, _ = triangulate(face_counts, face_indices)
+    triangles = triangles[triangle_areas(points, triangles) > 0]
+    out = np.full((len(corners), len(points)), np.inf, np.float32)
+    island_of_place = islands[corners[:, 0]]
+    done, total = 0, int(np.count_nonzero(weights))
+    for island in np.unique(island_of_place).tolist():
+        places = np.flatnonzero(island_of_place == island)
+        faces = triangles[islands[triangles[:, 0]] == island]
+        inside = np.unique(faces)
+        if not len(faces) or not np.isin(corners[places], inside).all():
+            raise ValueError(
+                f"marker {places[0]} sits where the mesh has no area; use metric 'dijkstra'"
+            )
+        local = np.full(len(points), -1)
+        local[inside] = np.arange(len(inside))
+        solver = _factorise(points[inside], local[faces])
+        rows: FloatArray = np.zeros((len(places), len(inside)))
+        starts, which = np.unique(corners[places], return_inverse=True)
+        share = np.zeros((len(places), len(starts)))
+        np.add.at(share, (np.arange(len(places))[:, None], which.reshape(-1, 3)), weights[places])
+        for column in np.flatnonzero(share.any(axis=0)).tolist():
+            distance = np.asarray(solver.compute_distance(int(local[starts[column]])))
+            distance -= distance.min()
+            for each in np.flatnonzero(share[:, column]).tolist():
+                rows[each] += share[each, column] * distance
+            done += 1
+            progress(min(done / total, 1.0), "measuring distances by heat")
+        for place, row in zip(places, rows, strict=True):
+            out[place, inside] = row
+    return out
+
+
+def _factorise(points: FloatArray, triangles: IntArray) -> potpourri3d.MeshHeatMethodDistanceSolver:
+    try:
+        return potpourri3d.MeshHeatMethodDistanceSolver(points, triangles, use_robust=True)
+    except (RuntimeError, ValueError) as error:
+        raise ValueError(
+            f"the heat method cannot solve this mesh ({error}); use metric 'dijkstra-diagonals'"
+        ) from error
 
 
 def _between(
@@ -159,7 +218,7 @@ def _between(
     polygons: list[IntArray],
     lengths: list[FloatArray],
 ) -> FloatArray:
-    """Enter each place by the best corner of its face; on one face the way is straight."""
+    """Reach each place by the best corner of its face; on the same face by the straight line."""
     entered = np.stack(
         [
             (to_points[:, polygon].astype(np.float64) + length).min(axis=1)
@@ -199,8 +258,8 @@ def _check_places(
             raise ValueError(
                 f"marker {place}: points {corners[place].tolist()} are not corners of face {face}"
             )
-    fine = np.isfinite(weights).all(axis=1) & (weights.min(axis=1, initial=0) > -1e-4)
-    off = np.flatnonzero(~fine | (np.abs(weights.sum(axis=1) - 1) > 1e-3))
+    valid = np.isfinite(weights).all(axis=1) & (weights.min(axis=1, initial=0) > -1e-4)
+    off = np.flatnonzero(~valid | (np.abs(weights.sum(axis=1) - 1) > 1e-3))
     if len(off):
         raise ValueError(
             f"marker {off[0]} is not on its face: its weights {weights[off[0]].tolist()} must be "

@@ -10,13 +10,13 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.numerics.surface.triangulation import triangulate
 
 _MOST_CORNERS = 8
-"""Polygons with more corners get the diagonals of their triangles alone: all pairs would be many
-and, on a face that bends, no longer lie on the surface."""
+"""Corners of a polygon up to which all its diagonals are used; beyond, only those of its triangles,
+since the others are many and, on a face that bends, not on the surface."""
 
 
 @dataclass(frozen=True)
 class MeshFaults:
-    """What a surface should not have; counted, never mended.
+    """Defects of a mesh; counted, never repaired.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class MeshFaults:
 
 
 def check_surface(points: FloatArray, face_counts: IntArray, face_indices: IntArray) -> None:
-    """Refuse what is no polygon mesh.
+    """Check that arrays are a polygon mesh.
 
     Raises
     ------
@@ -69,6 +69,7 @@ def surface_segments(
     Parameters
     ----------
     face_counts, face_indices : int arrays
+        Polygons as USD stores them.
     diagonals : bool
         Whether paths may also cross a polygon from corner to corner.
 
@@ -104,7 +105,7 @@ def _distinct(pairs: IntArray, points: int) -> tuple[IntArray, IntArray]:
     """Return pairs of two points once each, the lower first, in order, and how often they came."""
     low, high = pairs.min(axis=1), pairs.max(axis=1)
     joined = low != high
-    # a number for each pair: sorting those takes a tenth of what sorting rows takes
+    # one number for each pair: sorting rows takes ten times as long
     keys, times = np.unique(low[joined] * points + high[joined], return_counts=True)
     return np.stack([keys // points, keys % points], axis=1), times
 
@@ -121,6 +122,7 @@ def surface_graph(
     points : (points, 3) float array
         [mm]
     face_counts, face_indices : int arrays
+        Polygons as USD stores them.
     diagonals : bool
         Whether paths may cross polygons. Edges alone overestimate by 13 to 25 % on quads, with
         both diagonals about 5 % is left.
@@ -131,7 +133,7 @@ def surface_graph(
         Symmetric; lengths [mm]. Segments of no length count as 1e-9 mm, since a stored 0 means
         that there is none.
     islands : (points,) int array
-        Which connected piece each point belongs to.
+        Connected part of each point.
     faults : MeshFaults
 
     Raises

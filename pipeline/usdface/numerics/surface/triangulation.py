@@ -1,8 +1,14 @@
-"""Polygons cut into triangles."""
+"""Polygons cut into triangles, their areas and normals, and authored normals of a moving surface.
+
+An authored normal is rotated as the smooth normal of its point is, by the smallest rotation from
+rest to the moved surface: hard edges stay hard and sculpted normals keep their lean.
+"""
+
+from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import IntArray
+from usdface.core.arrays import FloatArray, IntArray
 
 
 def triangulate(face_counts: IntArray, face_indices: IntArray) -> tuple[IntArray, IntArray]:
@@ -25,3 +31,91 @@ def triangulate(face_counts: IntArray, face_indices: IntArray) -> tuple[IntArray
     step = np.arange(len(faces)) - (np.cumsum(fans) - fans)[faces]
     corners = np.stack([first, first + step + 1, first + step + 2], axis=1)
     return face_indices[corners].reshape(-1, 3), faces
+
+
+def triangle_areas(points: FloatArray, triangles: IntArray) -> FloatArray:
+    """Return the area of each triangle, in the points' unit squared."""
+    areas: FloatArray = 0.5 * np.linalg.norm(_cross_products(points, triangles), axis=1)
+    return areas
+
+
+def _cross_products(points: FloatArray, triangles: IntArray) -> FloatArray:
+    """Return normals (triangles, 3) as long as twice the triangles' areas."""
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    return np.cross(b - a, c - a)
+
+
+@dataclass(frozen=True)
+class NormalTurner:
+    """Rotates the authored normals of a mesh; made by `turner_of`.
+
+    Attributes
+    ----------
+    triangles : (triangles, 3) int array
+    smooth : (points, 3) float array
+        Unit normals at rest.
+    authored : (n, 3) float array
+    owners : (n,) int array
+        The point of each authored normal.
+    """
+
+    triangles: IntArray
+    smooth: FloatArray
+    authored: FloatArray
+    owners: IntArray
+
+    def turn(self, points: FloatArray) -> FloatArray:
+        """Return the normals (n, 3) of a moved surface (points, 3)."""
+        now = smooth_normals(points, self.triangles)[self.owners]
+        rest = self.smooth[self.owners]
+        axis = np.cross(rest, now)
+        cosine = np.einsum("ij,ij->i", rest, now)
+        across = np.cross(axis, self.authored)
+        # Rodrigues' formula for the rotation of one unit vector onto another, v + a x v +
+        # a x (a x v) / (1 + cos); the bound on 1 + cos is for opposite vectors, in folds of skin.
+        twice = np.cross(axis, across) / np.maximum(1 + cosine, 1e-3)[:, None]
+        turned: FloatArray = self.authored + across + twice
+        length = np.linalg.norm(turned, axis=1, keepdims=True)
+        return np.asarray(turned / np.maximum(length, 1e-12))
+
+
+def turner_of(
+    points: FloatArray,
+    face_counts: IntArray,
+    face_indices: IntArray,
+    authored: FloatArray,
+    *,
+    per_corner: bool,
+) -> NormalTurner:
+    """Prepare a mesh at rest.
+
+    Parameters
+    ----------
+    points : (points, 3) float array
+        At rest.
+    face_counts, face_indices : int arrays
+        Polygons as USD stores them.
+    authored : (n, 3) float array
+        Normals.
+    per_corner : bool
+        Whether there is one per corner of a face, else one per point.
+    """
+    triangles, _ = triangulate(face_counts, face_indices)
+    owners = face_indices if per_corner else np.arange(len(points))
+    return NormalTurner(triangles, smooth_normals(points, triangles), authored, owners)
+
+
+def smooth_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
+    """Return unit normals of points, each face weighted by its area; 0 where there is no face."""
+    across = _cross_products(points, triangles)
+    normals = np.stack(
+        [
+            np.bincount(
+                triangles.ravel(), weights=np.repeat(across[:, axis], 3), minlength=len(points)
+            )
+            for axis in range(3)
+        ],
+        axis=1,
+    )
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(normals / np.maximum(length, 1e-30))

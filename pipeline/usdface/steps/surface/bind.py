@@ -6,28 +6,28 @@ from usdface.core.arrays import FloatArray
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import corrected_path, proposed_path
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
 from usdface.media.picture.image import write_image
-from usdface.model.surface.binding import DOUBTFUL, facing_yaw
+from usdface.model.surface.binding import DOUBTFUL_CONFIDENCE, facing_yaw
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.surface import BindSpec
-from usdface.steps.surface.bound_take import TakeSample, bind_take, landmark_places, sample_take
+from usdface.steps.surface.plan import TakeSample, bind_take, landmark_places, sample_take
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.surface.binding import has_binding, read_binding, write_binding
 from usdface.usdio.take.read import TakeReader
 
-MANY_DOUBTFUL = 0.25
-"""Share of doubtful markers from which a landmark is suspected. On the demo's face 4 of 102 are
-doubtful, and 44 where one of three landmarks is on the neck."""
+_SUSPECT_SHARE = 0.25
+"""Share of doubtful markers [0-1] from which a landmark is suspected. On the demo's face 4 of 102
+are doubtful, and 44 if one of three landmarks is on the neck."""
 
 
 def run(
     spec: BindSpec, *, provenance: Provenance | None = None, progress: Progress = silent
 ) -> StepResult:
-    """Propose a binding, keep what people corrected, and write both."""
+    """Propose a binding, keep the corrections of an earlier one, and write both."""
     progress(0.0, "reading")
     face = read_face_mesh(spec.mesh, prim=spec.mesh_prim)
     sample = sample_take(TakeReader(spec.take))
@@ -58,7 +58,7 @@ def run(
                     at,
                     binding.confidence,
                     np.array([source != "proposed" for source in binding.sources]),
-                    DOUBTFUL,
+                    DOUBTFUL_CONFIDENCE,
                 ),
                 title=f"{TakeReader(spec.take).name} on {spec.mesh.stem}",
                 facts=_facts(binding),
@@ -74,23 +74,23 @@ def run(
 def _corrections(
     spec: BindSpec, sample: TakeSample, face: FaceMesh
 ) -> tuple[dict[int, FloatArray], tuple[str, ...]]:
-    """Return where people put markers in an earlier binding, and which they left out."""
+    """Return the corrected places of an earlier binding [mm], and the markers left out of it."""
     if not has_binding(spec.out):
         return {}, ()
     before = read_binding(spec.out, face)
     at = before.binding.places.positions(face.mesh.points)
-    kept = {
+    corrected = {
         sample.names.index(name): at[index]
         for index, (name, source) in enumerate(
             zip(before.binding.names, before.binding.sources, strict=True)
         )
         if source == "corrected" and name in sample.names
     }
-    return kept, before.left_out
+    return corrected, before.left_out
 
 
 def _facts(binding: MarkerBinding) -> tuple[str, ...]:
-    doubtful = int((binding.confidence < DOUBTFUL).sum())
+    doubtful = int((binding.confidence < DOUBTFUL_CONFIDENCE).sum())
     placed = sum(source != "proposed" for source in binding.sources)
     return (
         f"{len(binding.names)} markers",
@@ -106,23 +106,21 @@ def _report(
     doubtful = [
         binding.names[index]
         for index in np.argsort(binding.confidence).tolist()
-        if binding.confidence[index] < DOUBTFUL
+        if binding.confidence[index] < DOUBTFUL_CONFIDENCE
     ]
     notes = []
     if doubtful:
         notes.append(
-            f"doubtful: {pluralize(len(doubtful), 'marker')}, {', '.join(doubtful[:8])}; look at "
-            f"them and correct them in {corrected_path(spec.out).name}"
+            f"doubtful: {pluralize(len(doubtful), 'marker')}, {first_few(doubtful)}; check "
+            f"and correct them in {corrected_path(spec.out).name}"
         )
-    if spec.landmarks and len(doubtful) > MANY_DOUBTFUL * len(binding.names):
+    if spec.landmarks and len(doubtful) > _SUSPECT_SHARE * len(binding.names):
         notes.append(
             f"{len(doubtful)} of {len(binding.names)} markers are doubtful: is a landmark on the "
             f"wrong point? {', '.join(spec.landmarks)}"
         )
     if left_out:
-        notes.append(
-            f"still left out: {pluralize(len(left_out), 'marker')}, {', '.join(left_out[:8])}"
-        )
+        notes.append(f"still left out: {pluralize(len(left_out), 'marker')}, {first_few(left_out)}")
     if face.others:
         notes.append(f"{len(face.others)} other meshes of {spec.mesh.name} carry no marker")
     outputs = (spec.out, proposed_path(spec.out), corrected_path(spec.out))

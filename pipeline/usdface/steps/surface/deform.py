@@ -1,23 +1,20 @@
 """A cleaned take and a mesh in, the mesh moving over time out; any take in bounded memory."""
 
-from collections.abc import Iterator
-
 import numpy as np
 
-from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import points_path
 from usdface.core.text import pluralize
-from usdface.numerics.surface.turned_normals import NormalTurner, turner_of
+from usdface.numerics.surface.triangulation import NormalTurner, turner_of
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.surface import DeformSpec
 from usdface.steps.surface.picture import write_comparison
 from usdface.steps.surface.plan import SurfacePlan, plan_surface
 from usdface.usdio.rig.mesh import FaceMesh
-from usdface.usdio.surface.point_cache import PointsFormat, writing_points
+from usdface.usdio.surface.point_cache import PointsFormat, PointsHeader, writing_points
 from usdface.usdio.take.read import TakeReader
 
 _CHUNK_FRAMES = 2048
@@ -38,24 +35,28 @@ def run(
     with writing_points(
         spec.out,
         face,
-        rate=take.rate,
-        first_frame=first,
-        last_frame=last,
-        format_=PointsFormat(
+        PointsHeader(
+            rate=take.rate,
+            first_frame=first,
+            last_frame=last,
+            place=spec.prim,
+            method=_method(spec, plan),
+            timecode_start=take.timecode_at(first),
+        ),
+        PointsFormat(
             normals=turner is not None, uncertainty=uncertain, clip_bytes=spec.clip_mb << 20
         ),
-        place=spec.prim,
-        method=_method(spec, plan),
-        timecode_start=take.timecode_at(first),
         provenance=provenance,
     ) as writer:
         for start in range(first, last + 1, _CHUNK_FRAMES):
             stop = min(start + _CHUNK_FRAMES - 1, last)
-            for moved in plan.stream(_displacements(plan, take, start, stop)):
+            for moved in plan.stream(plan.frames(take, start, stop)):
                 points = face.local + face.into_mesh(moved.mean.astype(np.float64))
                 writer.append(
                     points,
-                    normals=None if turner is None else np.stack(list(_turned(turner, points))),
+                    normals=None
+                    if turner is None
+                    else np.stack([turner.turn(each) for each in points]),
                     uncertainty_mm=moved.sd if uncertain else None,
                 )
                 if moved.sd is not None:
@@ -80,15 +81,8 @@ def _frames(spec: DeformSpec, take: TakeReader) -> tuple[int, int]:
     return first, last
 
 
-def _displacements(plan: SurfacePlan, take: TakeReader, first: int, last: int) -> FloatArray:
-    markers = take.read(first, last).markers
-    if markers is None:
-        raise InputError(f"{take.path}: has no markers; ingest a capture that has")
-    return plan.displacements(markers.positions)
-
-
 def _normal_turner(face: FaceMesh) -> NormalTurner | None:
-    """Return what turns the mesh's own normals; None where no renderer would use them."""
+    """Return what rotates the mesh's authored normals; None where no renderer would use them."""
     if face.authored_normals is None or face.mesh.subdivision != "none":
         return None
     return turner_of(
@@ -100,42 +94,37 @@ def _normal_turner(face: FaceMesh) -> NormalTurner | None:
     )
 
 
-def _turned(turner: NormalTurner, points: FloatArray) -> Iterator[FloatArray]:
-    for each in points:
-        yield turner.turn(each)
-
-
 def _method(spec: DeformSpec, plan: SurfacePlan) -> str:
     name = spec.method if spec.method == "rbf" else f"{spec.method}-{spec.sampler}"
-    return f"{name}, blend {plan.regression.blend:g}, {spec.metric}"
+    return f"{name}, blend {plan.model.blend:g}, {spec.metric}"
 
 
 def _report(
     spec: DeformSpec, plan: SurfacePlan, first: int, last: int, spread: list[float]
 ) -> StepResult:
     count, points = last - first + 1, len(plan.face.mesh.points)
-    regression = plan.regression
-    told = (
+    model = plan.model
+    summary = (
         f"{pluralize(count, 'frame')} of {pluralize(points, 'point')} moved by "
         f"{pluralize(len(plan.columns), 'marker')}"
     )
     if spread:
-        told += f", standard deviation {np.median(spread):.2f} mm"
+        summary += f", standard deviation {np.median(spread):.2f} mm"
     outputs = [spec.out, points_path(spec.out)]
     if spec.picture is not None:
         outputs.append(spec.picture)
     return StepResult(
         tuple(outputs),
-        told,
+        summary,
         plan.notes,
         {
             "frames": count,
             "points": points,
             "markers": len(plan.columns),
-            "blend": regression.blend,
-            "length_scale_mm": regression.length_scale,
-            "left_out_rms_mm": regression.diagnostics.left_out_rms_mm,
-            "covariance_clipped": regression.diagnostics.clipped,
+            "blend": model.blend,
+            "length_scale_mm": model.length_scale,
+            "left_out_rms_mm": model.diagnostics.left_out_rms_mm,
+            "covariance_clipped": model.diagnostics.clipped,
             "uncertainty_mm": float(np.median(spread)) if spread else None,
             "points_without_marker": int(plan.distances.unreached.points.sum()),
         },

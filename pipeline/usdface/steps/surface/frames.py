@@ -8,17 +8,18 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.errors import InputError
+from usdface.core.text import first_few
 from usdface.numerics.regression.reference_design import most_different_rows
 from usdface.specs.surface import MakeShapesSpec
 from usdface.usdio.references.tuning import read_pair_notes
 from usdface.usdio.take.read import TakeReader
 
-LARGEST_CSV_BYTES = 1 << 20
+_LARGEST_CSV_BYTES = 1 << 20
 
 _USABLE_SHARE = 0.9
-"""A frame with fewer markers than this is no example to make a shape of."""
+"""Share of visible markers [0-1] below which a frame is not chosen."""
 
-LOOKED_AT = 4000
+CANDIDATE_FRAMES = 4000
 """Frames spread over a take among which the most different are found."""
 
 
@@ -49,7 +50,7 @@ def given_frames(spec: MakeShapesSpec, take: TakeReader) -> tuple[ShapeFrame, ..
     ]
     if outside:
         raise InputError(
-            f"{take.path}: has no frame {', '.join(map(str, outside[:5]))}; it holds "
+            f"{take.path}: has no frame {first_few(outside)}; it holds "
             f"{take.first_frame}-{take.last_frame}"
         )
     seen: set[int] = set()
@@ -73,6 +74,7 @@ def choose_shape_frames(
         From the neutral face [mm].
     usable : (frames, markers) bool array
     count : int
+        Of frames to choose.
 
     Raises
     ------
@@ -97,7 +99,7 @@ def _from_text(text: str) -> ShapeFrame:
 
 def _from_csv(path: Path) -> tuple[ShapeFrame, ...]:
     try:
-        if path.stat().st_size > LARGEST_CSV_BYTES:
+        if path.stat().st_size > _LARGEST_CSV_BYTES:
             raise InputError(f"{path}: is too large for a list of frames and names")
         rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -124,6 +126,6 @@ def _from_references(path: Path, take: TakeReader) -> tuple[ShapeFrame, ...]:
         )
     found = {}
     for pair in pairs:
-        said = "_".join(part for part in (pair.emotion, pair.viseme) if part)
-        found[pair.frame] = ShapeFrame(pair.frame, said or f"frame_{pair.frame}")
+        name = "_".join(part for part in (pair.emotion, pair.viseme) if part)
+        found[pair.frame] = ShapeFrame(pair.frame, name or f"frame_{pair.frame}")
     return tuple(found[frame] for frame in sorted(found))

@@ -2,13 +2,18 @@
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
+from usdface.core.text import first_few
 from usdface.runner.result import StepResult
 from usdface.specs.surface import MakeShapesSpec
-from usdface.steps.surface.frames import LOOKED_AT, ShapeFrame, choose_shape_frames, given_frames
+from usdface.steps.surface.frames import (
+    CANDIDATE_FRAMES,
+    ShapeFrame,
+    choose_shape_frames,
+    given_frames,
+)
 from usdface.steps.surface.picture import write_shapes_picture
 from usdface.steps.surface.plan import SurfacePlan, plan_surface
 from usdface.usdio.surface.shape_rig import NewShape, WrittenShape, write_shape_rig
@@ -22,9 +27,11 @@ def run(
     take = TakeReader(spec.take)
     chosen = given_frames(spec, take)
     plan = plan_surface(spec, take, out=spec.out, progress=part(progress, 0.0, 0.6))
-    chosen = chosen or _most_different(spec, plan, take)
+    chosen = chosen or _choose_frames(spec, plan, take)
     progress(0.6, f"making {len(chosen)} shapes")
-    moved = plan.deform(np.concatenate([_displacement(plan, take, each.frame) for each in chosen]))
+    moved = plan.deform(
+        np.concatenate([plan.frames(take, each.frame, each.frame) for each in chosen])
+    )
     shapes = [
         NewShape(each.name, moved.mean[index].astype(np.float64), take.name, each.frame)
         for index, each in enumerate(chosen)
@@ -39,32 +46,18 @@ def run(
     )
     if spec.picture is not None:
         progress(0.8, f"drawing {spec.picture.name}")
-        write_shapes_picture(
-            spec.picture,
-            plan,
-            [
-                (
-                    shape.name,
-                    given.frame,
-                    given.moved_mm,
-                    None if moved.sd is None else moved.sd[index].astype(np.float64),
-                )
-                for index, (shape, given) in enumerate(zip(written, shapes, strict=True))
-            ],
-            title=f"shapes of {take.name} on {spec.mesh.stem}",
-            quality=spec.quality,
-            provenance=provenance,
-        )
+        names = [shape.name for shape in written]
+        write_shapes_picture(spec, plan, shapes, names=names, sd_mm=moved.sd, provenance=provenance)
     progress(1.0, "done")
     return _report(spec, plan, chosen, written)
 
 
-def _most_different(
+def _choose_frames(
     spec: MakeShapesSpec, plan: SurfacePlan, take: TakeReader
 ) -> tuple[ShapeFrame, ...]:
     count = take.last_frame - take.first_frame + 1
     picks = np.unique(
-        np.linspace(take.first_frame, take.last_frame, min(count, LOOKED_AT)).astype(int)
+        np.linspace(take.first_frame, take.last_frame, min(count, CANDIDATE_FRAMES)).astype(int)
     )
     rows, usable = [], []
     for start in range(0, len(picks), 512):
@@ -74,18 +67,11 @@ def _most_different(
             raise InputError(f"{spec.take}: has no markers; ingest a capture that has")
         inside = span - span[0]
         rows.append(plan.displacements(markers.positions[inside]))
-        seen = markers.visible[inside] | (markers.confidence[inside] > 0)
-        usable.append(seen[:, plan.columns])
+        known = markers.visible[inside] | (markers.confidence[inside] > 0)
+        usable.append(known[:, plan.columns])
     return choose_shape_frames(
         picks.tolist(), np.concatenate(rows), np.concatenate(usable), count=spec.count
     )
-
-
-def _displacement(plan: SurfacePlan, take: TakeReader, frame: int) -> FloatArray:
-    markers = take.read(frame, frame).markers
-    if markers is None:
-        raise InputError(f"{take.path}: has no markers; ingest a capture that has")
-    return plan.displacements(markers.positions)
 
 
 def _report(
@@ -101,7 +87,7 @@ def _report(
         if frame.name != shape.name
     ]
     if renamed:
-        notes.append(f"names that a shape may not have were changed: {', '.join(renamed[:5])}")
+        notes.append(f"invalid or repeated names were changed: {first_few(renamed)}")
     share = np.mean([shape.points for shape in written]) / len(plan.face.mesh.points)
     return StepResult(
         (spec.out,) if spec.picture is None else (spec.out, spec.picture),
@@ -113,7 +99,7 @@ def _report(
                 shape.name: {"frame": frame.frame, "points": shape.points}
                 for frame, shape in zip(chosen, written, strict=True)
             },
-            "blend": plan.regression.blend,
-            "length_scale_mm": plan.regression.length_scale,
+            "blend": plan.model.blend,
+            "length_scale_mm": plan.model.length_scale,
         },
     )

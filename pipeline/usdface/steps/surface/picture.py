@@ -1,11 +1,12 @@
-"""The pictures of moved meshes: distances compared, and shapes as they were made."""
+"""Pictures of moved meshes: metrics compared, and shapes."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.timecode import shift_timecode
@@ -14,22 +15,26 @@ from usdface.media.picture.image import write_image
 from usdface.media.picture.sheet import SheetPage, compose_sheet
 from usdface.media.picture.surface_comparison import ComparedFrame, draw_compared
 from usdface.model.surface.binding import facing_yaw
-from usdface.model.surface.fit import SurfaceRegression, fit_surface_regression
+from usdface.model.surface.fit import SurfaceModel
+from usdface.model.surface.gp_surface import GpOptions
 from usdface.numerics.manifold.hyper_posterior import HyperPrior
 from usdface.numerics.regression.reference_design import most_different_rows
 from usdface.runner.origin import provenance_metadata
-from usdface.specs.surface import DeformSpec
-from usdface.steps.surface.plan import SurfacePlan
+from usdface.specs.surface import DeformSpec, MakeShapesSpec
+from usdface.steps.surface.plan import SurfacePlan, fit_surface
+from usdface.usdio.surface.shape_rig import NewShape
 from usdface.usdio.take.read import TakeReader
 
-NOISE_BELIEVED = HyperPrior(medians=(9.0, 1e-6, 4.0, 1.0), spread=(1.5, 0.05, 1.5, 1.5))
-"""Markers without noise: the surface then meets each of them, as an interpolant does."""
+_NO_NOISE = HyperPrior(medians=(9.0, 1e-6, 4.0, 1.0), spread=(1.5, 0.05, 1.5, 1.5))
+"""Noise v1 of about 1e-6 mm^2: the surface meets every marker, as an interpolant does."""
 
-MOVING = 0.15
-"""Of the largest motion: markers that move less need not be in the picture."""
+_MOVING_SHARE = 0.15
+"""Of the largest motion [0-1]: markers that move less need not be in the picture."""
 
 _YAW_DEGREES = 18.0
 """A little from the side, where lips and lids show their depth."""
+
+_SD_NOTE = "standard deviation of each point, and its root mean square"
 
 
 def write_comparison(
@@ -41,7 +46,7 @@ def write_comparison(
     provenance: Provenance | None,
     progress: Progress,
 ) -> None:
-    """Draw the take's most different faces by each way of measuring distance, and write it."""
+    """Draw the take's most different frames with each metric."""
     if spec.picture is None:
         return
     progress(0.0, f"drawing {spec.picture.name}")
@@ -51,11 +56,8 @@ def write_comparison(
         every = every + np.random.default_rng(0).normal(0, spec.picture_noise, every.shape)
     moved = every[inside]
     rows = np.sort(most_different_rows(moved.reshape(len(moved), -1), spec.rows))
-    chosen = moved[rows]
-    columns, ways = _ways(spec, plan, every)
-    if spec.picture_noise and spec.method == "gp":  # it must know of the noise to smooth it
-        ways = (*ways[:-1], _as_planned(spec, plan, every))
-    surfaces = [each.deform(chosen) for each in ways]
+    columns, models = _compared_models(spec, plan, every)
+    surfaces = [each.deform(moved[rows]) for each in models]
     sds = surfaces[-1].sd
     rest = plan.face.mesh.points
     compared = [
@@ -67,92 +69,76 @@ def write_comparison(
         )
         for number, row in enumerate(rows.tolist())
     ]
-    _write(
-        spec.picture,
-        plan,
-        compared,
-        quality=spec.quality,
+    page = SheetPage(
         title=f"{take.name} on {spec.mesh.stem}",
         columns=columns if sds is None else (*columns, "standard deviation"),
+        rows=(),
         facts=(
             f"{len(plan.columns)} markers",
             f"{len(rest)} points",
-            f"left-out markers {plan.regression.diagnostics.left_out_rms_mm:.2f} mm",
+            f"left-out markers {plan.model.diagnostics.left_out_rms_mm:.2f} mm",
             *((f"markers shaken by {spec.picture_noise:g} mm",) if spec.picture_noise else ()),
         ),
-        notes=("standard deviation of each point, and its root mean square",)
-        if sds is not None
-        else (),
-        provenance=provenance,
+        notes=() if sds is None else (_SD_NOTE,),
     )
+    _write(spec.picture, plan, compared, page, quality=spec.quality, provenance=provenance)
 
 
-def _ways(
+def _compared_models(
     spec: DeformSpec, plan: SurfacePlan, moved: FloatArray
-) -> tuple[tuple[str, ...], tuple[SurfaceRegression, ...]]:
-    """Return what is compared: both distances alone, the blend with noise believed, the result."""
+) -> tuple[tuple[str, ...], tuple[SurfaceModel, ...]]:
+    """Return what is compared: each metric alone, the blend without and with smoothing."""
+    options = GpOptions(sampler="shared", blend=plan.model.blend)
 
-    def fit(blend: float, prior: HyperPrior | None = None) -> SurfaceRegression:
-        return fit_surface_regression(
-            plan.distances, moved, method=spec.method, sampler="shared", blend=blend, prior=prior
-        )
+    def fit(of: GpOptions) -> SurfaceModel:
+        return fit_surface(spec, plan.distances, moved, of)
 
-    blend = plan.regression.blend
-    alone = (fit(0.0), fit(1.0))
+    alone = fit(replace(options, blend=0.0)), fit(replace(options, blend=1.0))
+    label = f"blended {plan.model.blend:.2f}"
     if spec.method == "rbf":
-        return ("Euclidean", "geodesic", f"blended {blend:.2f}: this result"), (
-            *alone,
-            plan.regression,
-        )
-    columns = ("Euclidean", "geodesic", f"blended {blend:.2f}, noise kept", "smoothed: this result")
-    return columns, (*alone, fit(blend, NOISE_BELIEVED), plan.regression)
-
-
-def _as_planned(spec: DeformSpec, plan: SurfacePlan, moved: FloatArray) -> SurfaceRegression:
-    return fit_surface_regression(
-        plan.distances, moved, method="gp", sampler=spec.sampler, blend=plan.regression.blend
-    )
+        return ("Euclidean", "geodesic", f"{label}: this result"), (*alone, plan.model)
+    result = plan.model
+    if spec.picture_noise:  # the model must be fitted to the noise to smooth it
+        result = fit(replace(options, sampler=spec.sampler))
+    columns = ("Euclidean", "geodesic", f"{label}, noise kept", "smoothed: this result")
+    return columns, (*alone, fit(replace(options, prior=_NO_NOISE)), result)
 
 
 def write_shapes_picture(
-    path: Path,
+    spec: MakeShapesSpec,
     plan: SurfacePlan,
-    shapes: Sequence[tuple[str, int, FloatArray, FloatArray | None]],
+    shapes: Sequence[NewShape],
     *,
-    title: str,
-    quality: Quality,
+    names: Sequence[str],
+    sd_mm: Float32Array | None,
     provenance: Provenance | None,
 ) -> None:
-    """Draw shapes, as (name, frame, moved points, uncertainty), and write the picture."""
+    """Draw shapes, by the names that they were written with."""
+    if spec.picture is None:
+        return
     rest = plan.face.mesh.points
+    sds = [None] * len(shapes) if sd_mm is None else list(sd_mm.astype(np.float64))
     compared = [
-        ComparedFrame(frame, "", (rest + moved,), sd, note=name)
-        for name, frame, moved, sd in shapes
+        ComparedFrame(shape.frame, "", (rest + shape.moved_mm,), sd, note=name)
+        for shape, name, sd in zip(shapes, names, sds, strict=True)
     ]
-    known = all(sd is not None for *_, sd in shapes)
-    _write(
-        path,
-        plan,
-        compared,
-        quality=quality,
-        title=title,
-        columns=("shape", "standard deviation") if known else ("shape",),
+    page = SheetPage(
+        title=f"shapes of {shapes[0].take} on {spec.mesh.stem}",
+        columns=("shape",) if sd_mm is None else ("shape", "standard deviation"),
+        rows=(),
         facts=(f"{len(shapes)} shapes", f"{len(rest)} points"),
-        notes=("standard deviation of each point, and its root mean square",) if known else (),
-        provenance=provenance,
+        notes=() if sd_mm is None else (_SD_NOTE,),
     )
+    _write(spec.picture, plan, compared, page, quality=spec.quality, provenance=provenance)
 
 
 def _write(
     path: Path,
     plan: SurfacePlan,
     compared: list[ComparedFrame],
+    page: SheetPage,
     *,
     quality: Quality,
-    title: str,
-    columns: tuple[str, ...],
-    facts: tuple[str, ...],
-    notes: tuple[str, ...],
     provenance: Provenance | None,
 ) -> None:
     at = plan.places.positions(plan.face.mesh.points)
@@ -166,18 +152,15 @@ def _write(
         high_mm=high,
         quality=quality,
     )
-    page = SheetPage(
-        title=title, columns=columns, rows=tuple(rows), facts=facts, notes=notes, high=high
-    )
     metadata = {} if provenance is None else provenance_metadata(provenance)
-    write_image(path, compose_sheet(page), metadata=metadata)
+    write_image(path, compose_sheet(replace(page, rows=tuple(rows), high=high)), metadata=metadata)
 
 
 def _moving(plan: SurfacePlan) -> BoolArray:
-    """Say which markers the face's motion shows: a head's others would make it small."""
+    """Return which markers move with the face; others of the head would make the face small."""
     moved = plan.displacements(plan.sample.positions)
     far = np.linalg.norm(moved, axis=2).max(axis=0)
-    return np.asarray(far >= MOVING * far.max(), np.bool_)
+    return np.asarray(far >= _MOVING_SHARE * far.max(), np.bool_)
 
 
 def _round_up(value: float) -> float:

@@ -1,66 +1,197 @@
-"""A take laid on a mesh and ready to move it: binding, proportions, distances, regression."""
+"""A take and a mesh, ready to move it: binding, proportions, distances, regression."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import Float32Array, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part
 from usdface.core.provenance import hash_text
-from usdface.core.text import pluralize
-from usdface.model.surface.binding import DOUBTFUL
-from usdface.model.surface.distance import (
-    SurfaceDistances,
-    UnreachedReport,
-    surface_distances,
-)
-from usdface.model.surface.fit import (
-    SurfaceMotion,
-    SurfaceRegression,
-    fit_surface_regression,
-)
+from usdface.core.sidecars import distances_path
+from usdface.core.text import first_few, pluralize
+from usdface.model.surface.binding import DOUBTFUL_CONFIDENCE, propose_binding
+from usdface.model.surface.distance import SurfaceDistances, surface_distances, unpack_distances
+from usdface.model.surface.fit import SurfaceModel, SurfaceMotion
+from usdface.model.surface.gp_surface import GpOptions, fit_gp_surface
+from usdface.model.surface.rbf_surface import RbfOptions, fit_rbf_surface
 from usdface.numerics.registration.marker_binding import (
     FEWEST_MARKERS,
     MarkerBinding,
     Proportions,
     fit_proportions,
 )
-from usdface.numerics.registration.surface_places import SurfacePlaces
-from usdface.numerics.surface.surface_graph import MeshFaults
+from usdface.numerics.registration.surface_places import SurfacePlaces, places_at_points
 from usdface.specs.surface import SurfaceSpec
-from usdface.steps.surface.bound_take import TakeSample, bind_take, landmark_places, sample_take
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
+from usdface.usdio.rig.read import read_rig
 from usdface.usdio.surface.binding import read_binding
 from usdface.usdio.surface.distance_cache import CachedDistances, read_distances, write_distances
 from usdface.usdio.take.read import TakeReader
 
-_REACH = 4.0
-"""How far markers reach by default, in the median distance from one to its nearest."""
+_REACH_SPACINGS = 4.0
+"""Default reach of the markers, in the median distance from a marker to its nearest."""
+
+_SAMPLE_FRAMES = 400
+"""Frames of a `TakeSample`."""
+
+
+@dataclass(frozen=True)
+class TakeSample:
+    """Frames spread over a take, which binding and fitting need.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the markers.
+    rigid : tuple of int
+        Markers that move with the skull alone.
+    neutral : (markers, 3) float array
+        [mm]
+    frames : tuple of int
+        Their numbers.
+    positions : (frames, markers, 3) float array
+        [mm]
+    visible : (frames, markers) bool array
+    """
+
+    names: tuple[str, ...]
+    rigid: tuple[int, ...]
+    neutral: FloatArray
+    frames: tuple[int, ...]
+    positions: FloatArray
+    visible: BoolArray
+
+
+def sample_take(take: TakeReader) -> TakeSample:
+    """Read the neutral face and frames spread over a cleaned take.
+
+    Raises
+    ------
+    InputError
+        If the take has no markers, holds head motion, or its neutral frame lies outside it.
+    """
+    head = take.read(take.first_frame, take.first_frame).markers
+    if head is None:
+        raise InputError(f"{take.path}: has no markers; ingest a capture that has")
+    if head.space != "stabilized":
+        raise InputError(
+            f"{take.path}: still holds head motion; run `usdface clean {take.path}` first"
+        )
+    if not take.first_frame <= head.neutral_frame <= take.last_frame:
+        raise InputError(
+            f"{take.path}: neutral frame {head.neutral_frame} is outside the take, "
+            f"{take.first_frame}-{take.last_frame}; clean it with --neutral"
+        )
+    count = take.last_frame - take.first_frame + 1
+    picks = np.unique(np.linspace(take.first_frame, take.last_frame, min(count, _SAMPLE_FRAMES)))
+    parts = []
+    for frame in [head.neutral_frame, *picks.astype(int).tolist()]:
+        markers = take.read(frame, frame).markers
+        if markers is not None:
+            parts.append(markers)
+    return TakeSample(
+        names=head.names,
+        rigid=tuple(head.names.index(name) for name in head.rigid),
+        neutral=parts[0].positions[0].astype(np.float64),
+        frames=tuple(picks.astype(int).tolist()),
+        positions=np.concatenate([each.positions for each in parts[1:]]).astype(np.float64),
+        visible=np.concatenate([each.visible | (each.confidence > 0) for each in parts[1:]]),
+    )
+
+
+def bind_take(
+    sample: TakeSample,
+    face: FaceMesh,
+    *,
+    pinned: dict[int, FloatArray] | None = None,
+    sources: dict[int, str] | None = None,
+) -> MarkerBinding:
+    """Propose a binding, with the shapes of the mesh where its file is a rig."""
+    return propose_binding(
+        add_shapes(face),
+        names=sample.names,
+        neutral=sample.neutral,
+        positions=sample.positions,
+        visible=sample.visible,
+        rigid=sample.rigid,
+        pinned=pinned,
+        sources=sources,
+    )
+
+
+def add_shapes(face: FaceMesh) -> RigMesh:
+    """Return the mesh with its shapes, if its file is a rig."""
+    try:
+        rig = read_rig(face.file, prim=None)
+    except InputError:
+        return face.mesh
+    found = [mesh for mesh in rig.meshes if mesh.path == face.path]
+    return replace(face.mesh, shapes=found[0].shapes) if found else face.mesh
+
+
+def landmark_places(
+    landmarks: tuple[str, ...], names: tuple[str, ...], face: FaceMesh, take: Path
+) -> dict[int, FloatArray]:
+    """Return where each named marker is on the mesh, from NAME=POINT.
+
+    Raises
+    ------
+    InputError
+        If a name is not the take's, or a point not the mesh's; every fault is named.
+    """
+    faults, found = [], {}
+    for landmark in landmarks:
+        name, _, number = landmark.rpartition("=")
+        point = int(number)
+        if name not in names:
+            faults.append(f"{take}: has no marker {name!r}; it has {first_few(names)}")
+        elif point >= len(face.mesh.points):
+            faults.append(
+                f"{face.file} <{face.path}>: has no point {point} for {name}, only "
+                f"{len(face.mesh.points)}"
+            )
+        else:
+            try:
+                at = places_at_points(
+                    face.mesh.face_counts, face.mesh.face_indices, np.array([point])
+                )
+            except ValueError as error:
+                faults.append(f"{face.file} <{face.path}>: landmark {name}: {error}")
+                continue
+            found[names.index(name)] = at.positions(face.mesh.points)[0]
+    if faults:
+        raise InputError("; ".join(faults))
+    return found
 
 
 @dataclass(frozen=True)
 class SurfacePlan:
-    """All that moving a mesh by a take needs.
+    """A mesh and the model that moves it by a take.
 
     Attributes
     ----------
     face : FaceMesh
+        The mesh.
     sample : TakeSample
+        Of the take.
     columns : (markers,) int array
         The take's markers that are bound, in the binding's order.
     places : SurfacePlaces
+        Of the bound markers on the mesh.
     proportions : Proportions
         From the performer's face to the mesh's.
     distances : SurfaceDistances
-    regression : SurfaceRegression
+        From the bound markers to the mesh.
+    model : SurfaceModel
+        Fitted to the sample.
     fade : (points, 1) float32 array
-        Share of its motion that each point keeps [0-1]; 0 far from every marker, where regression
-        would only extrapolate.
+        Factor of each point's motion [0-1]; 0 far from every marker, where the model extrapolates.
     notes : tuple of str
-        What the user should know.
+        For the user.
     """
 
     face: FaceMesh
@@ -69,7 +200,7 @@ class SurfacePlan:
     places: SurfacePlaces
     proportions: Proportions
     distances: SurfaceDistances
-    regression: SurfaceRegression
+    model: SurfaceModel
     fade: Float32Array
     notes: tuple[str, ...]
 
@@ -84,14 +215,21 @@ class SurfacePlan:
         moved = positions[:, self.columns].astype(np.float64) - self.sample.neutral[self.columns]
         return np.asarray(moved @ self.proportions.linear.T)
 
+    def frames(self, take: TakeReader, first: int, last: int) -> FloatArray:
+        """Return the displacements of frames of the take; see `displacements`."""
+        markers = take.read(first, last).markers
+        if markers is None:
+            raise InputError(f"{take.path}: has no markers; ingest a capture that has")
+        return self.displacements(markers.positions)
+
     def deform(self, displacements: FloatArray) -> SurfaceMotion:
         """Move the whole mesh at a few frames."""
-        moved = self.regression.deform(displacements)
+        moved = self.model.deform(displacements)
         return SurfaceMotion(moved.mean * self.fade, moved.sd)
 
     def stream(self, displacements: FloatArray) -> Iterator[SurfaceMotion]:
         """Move the whole mesh at many frames, some at a time."""
-        for moved in self.regression.stream(displacements):
+        for moved in self.model.stream(displacements):
             yield SurfaceMotion(moved.mean * self.fade, moved.sd)
 
 
@@ -103,10 +241,11 @@ def plan_surface(
     Parameters
     ----------
     spec : SurfaceSpec
+        Of the step.
     take : TakeReader
+        Of `spec.take`.
     out : Path
-        Distances are kept beside it.
-    progress : callable
+        Distances are cached beside it.
 
     Raises
     ------
@@ -118,24 +257,24 @@ def plan_surface(
     sample = sample_take(take)
     progress(0.1, "placing the markers")
     binding, notes = _bind(spec, sample, face)
-    kept = [i for i, name in enumerate(binding.names) if name in sample.names]
-    columns = np.array([sample.names.index(binding.names[i]) for i in kept], np.int64)
-    if len(kept) < FEWEST_MARKERS:
+    bound = [i for i, name in enumerate(binding.names) if name in sample.names]
+    columns = np.array([sample.names.index(binding.names[i]) for i in bound], np.int64)
+    if len(bound) < FEWEST_MARKERS:
         raise InputError(
-            f"{spec.take}: {len(kept)} of its {len(sample.names)} markers are bound to "
+            f"{spec.take}: {len(bound)} of its {len(sample.names)} markers are bound to "
             f"{spec.mesh}; at least {FEWEST_MARKERS} are needed: bind this take's markers"
         )
-    if len(kept) < len(binding.names):
-        lost = [name for name in binding.names if name not in sample.names]
-        notes.append(f"the take lacks {len(lost)} of the bound markers: {', '.join(lost[:5])}")
+    if len(bound) < len(binding.names):
+        missing = [name for name in binding.names if name not in sample.names]
+        notes.append(f"the take lacks {len(missing)} of the bound markers: {first_few(missing)}")
     places = SurfacePlaces(
-        binding.places.faces[kept], binding.places.corners[kept], binding.places.weights[kept]
+        binding.places.faces[bound], binding.places.corners[bound], binding.places.weights[bound]
     )
     try:
         proportions = fit_proportions(
             sample.neutral[columns],
             places.positions(face.mesh.points),
-            weight=binding.confidence[kept],
+            weight=binding.confidence[bound],
         )
     except ValueError as error:
         raise InputError(f"{spec.take} does not lie on {spec.mesh}: {error}") from error
@@ -144,21 +283,27 @@ def plan_surface(
     notes.extend(distances.unreached.describe())
     progress(0.6, "fitting the regression")
     moved = sample.positions[:, columns] - sample.neutral[columns]
-    regression = fit_surface_regression(
-        distances,
-        moved @ proportions.linear.T,
-        method=spec.method,
+    options = GpOptions(
         sampler=spec.sampler,
         blend=None if spec.choose_blend else spec.blend,
         length_scale=spec.length_scale,
-        device=spec.device,
-        precision=spec.precision,
     )
+    model = fit_surface(spec, distances, moved @ proportions.linear.T, options)
     fade = _fade(distances, spec.reach)
     progress(1.0, "ready")
     return SurfacePlan(
-        face, sample, columns, places, proportions, distances, regression, fade, tuple(notes)
+        face, sample, columns, places, proportions, distances, model, fade, tuple(notes)
     )
+
+
+def fit_surface(
+    spec: SurfaceSpec, distances: SurfaceDistances, displacements: FloatArray, options: GpOptions
+) -> SurfaceModel:
+    """Fit the model that the spec asks for; of the options `rbf` takes those that it has."""
+    if spec.method == "rbf":
+        rbf = RbfOptions(blend=options.blend, folds=options.folds)
+        return fit_rbf_surface(distances, displacements, rbf)
+    return fit_gp_surface(distances, displacements, options)
 
 
 def _bind(spec: SurfaceSpec, sample: TakeSample, face: FaceMesh) -> tuple[MarkerBinding, list[str]]:
@@ -167,12 +312,12 @@ def _bind(spec: SurfaceSpec, sample: TakeSample, face: FaceMesh) -> tuple[Marker
         read = read_binding(spec.binding, face)
         binding = read.binding
         if read.left_out:
-            notes.append(f"left out by the binding: {', '.join(read.left_out[:8])}")
+            notes.append(f"left out by the binding: {first_few(read.left_out)}")
     else:
         pinned = landmark_places(spec.landmarks, sample.names, face, spec.take)
         binding = bind_take(sample, face, pinned=pinned, sources=dict.fromkeys(pinned, "landmark"))
-        notes.append("the markers were bound anew; `usdface bind` shows where, to be corrected")
-    doubtful = int((binding.confidence < DOUBTFUL).sum())
+        notes.append("the markers were bound again; `usdface bind` shows where, to be corrected")
+    doubtful = int((binding.confidence < DOUBTFUL_CONFIDENCE).sum())
     if doubtful:
         notes.append(
             f"at doubtful places: {pluralize(doubtful, 'marker')}; look with `usdface bind`"
@@ -183,20 +328,15 @@ def _bind(spec: SurfaceSpec, sample: TakeSample, face: FaceMesh) -> tuple[Marker
 
 
 def _fade(distances: SurfaceDistances, reach: float | None) -> Float32Array:
-    """Return 1 near the markers, 0 beyond their reach, and a smooth step between."""
+    """Return 1 near the markers and 0 beyond their reach [mm], with a smooth step between."""
     if reach is None:
         others = distances.geodesic_between + np.diag(
             np.full(len(distances.geodesic_between), np.inf)
         )
-        reach = _REACH * float(np.median(others.min(axis=1)))
+        reach = _REACH_SPACINGS * float(np.median(others.min(axis=1)))
     nearest = distances.geodesic_to_points.min(axis=0)
     share = np.clip(2 - nearest / np.float32(reach / 2), 0, 1)
     return np.asarray((share**2 * (3 - 2 * share))[:, None], np.float32)
-
-
-def distances_path(out: Path, face: FaceMesh) -> Path:
-    """Return where distances are kept: beside the output, by the hash of the surface."""
-    return out.with_name(f"{face.file.stem}.{face.hash[:8]}.distances.usdc")
 
 
 def _distances(
@@ -205,64 +345,20 @@ def _distances(
     mesh = face.mesh
     numbers = (places.faces.tolist(), places.corners.tolist(), places.weights.round(7).tolist())
     key = hash_text(f"{face.hash} {spec.metric} {numbers}")
-    path = distances_path(out, face)
+    path = distances_path(out, face.file, face.hash)
     cached = read_distances(path, key=key)
     if cached is not None:
-        return _from_cache(cached, spec, face, places)
+        return unpack_distances(
+            mesh.points, places, metric=spec.metric, arrays=cached.arrays, counts=cached.counts
+        )
     found = surface_distances(
         mesh.points,
         mesh.face_counts,
         mesh.face_indices,
-        places.faces,
-        places.weights,
-        marker_corners=places.corners,
+        places,
         metric=spec.metric,
         progress=progress,
     )
-    write_distances(path, _to_cache(found), key=key)
+    arrays, counts = found.pack()
+    write_distances(path, CachedDistances(arrays, counts), key=key)
     return found
-
-
-def _to_cache(found: SurfaceDistances) -> CachedDistances:
-    unreached = found.unreached
-    return CachedDistances(
-        arrays={
-            "geodesicToPoints": found.geodesic_to_points,
-            "geodesicBetween": found.geodesic_between,
-            "euclideanToPoints": found.euclidean_to_points,
-            "euclideanBetween": found.euclidean_between,
-            "unreached": unreached.points,
-        },
-        facts={
-            "pairs": unreached.pairs,
-            "islands": unreached.islands,
-            "islandsWithoutMarker": unreached.islands_without_marker,
-            "nonmanifoldEdges": unreached.faults.nonmanifold_edges,
-            "degenerateFaces": unreached.faults.degenerate_faces,
-            "loosePoints": unreached.faults.loose_points,
-        },
-    )
-
-
-def _from_cache(
-    cached: CachedDistances, spec: SurfaceSpec, face: FaceMesh, places: SurfacePlaces
-) -> SurfaceDistances:
-    arrays, facts = cached.arrays, cached.facts
-    return SurfaceDistances(
-        points=face.mesh.points.astype(np.float32),
-        marker_positions=places.positions(face.mesh.points),
-        geodesic_to_points=arrays["geodesicToPoints"].astype(np.float32),
-        geodesic_between=arrays["geodesicBetween"].astype(np.float64),
-        euclidean_to_points=arrays["euclideanToPoints"].astype(np.float32),
-        euclidean_between=arrays["euclideanBetween"].astype(np.float64),
-        metric=spec.metric,
-        unreached=UnreachedReport(
-            points=arrays["unreached"].astype(np.bool_),
-            pairs=facts["pairs"],
-            islands=facts["islands"],
-            islands_without_marker=facts["islandsWithoutMarker"],
-            faults=MeshFaults(
-                facts["nonmanifoldEdges"], facts["degenerateFaces"], facts["loosePoints"]
-            ),
-        ),
-    )

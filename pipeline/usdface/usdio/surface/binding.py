@@ -1,9 +1,9 @@
-"""Marker bindings as layers that people read and correct: what was proposed, and what they said.
+"""Marker bindings as layers: the proposal, and the corrections of people.
 
-The layer to open shows the mesh with a ball at every marker. Beneath it lie two layers: the
-stronger holds corrections and is never rewritten, the weaker holds the proposal. A marker is
-corrected by any one of: moving its ball, another face, other weights on the face, the index of a
-point, or deactivating its prim, which leaves the marker out.
+The layer to open shows the mesh with a ball at every marker. It has two sublayers: the stronger
+holds corrections and is never rewritten, the weaker holds the proposal. A marker is corrected by
+moving its ball, setting another face, other weights on the face or the index of a point, or by
+deactivating its prim, which leaves the marker out.
 """
 
 from dataclasses import dataclass
@@ -49,9 +49,9 @@ class ReadBinding:
     Attributes
     ----------
     binding : MarkerBinding
-        Sources are ``'corrected'`` where a stronger layer spoke.
+        Sources are ``'corrected'`` where a stronger layer has an opinion.
     left_out : tuple of str
-        Markers whose prim somebody deactivated.
+        Markers whose prim is inactive.
     """
 
     binding: MarkerBinding
@@ -72,16 +72,17 @@ def write_binding(
     Parameters
     ----------
     path, corrected_path, proposed_path : Path
-        The layer to open, and the two beneath it.
+        The layer to open, and its two sublayers.
     binding : MarkerBinding
+        The proposal.
     face : FaceMesh
-    provenance : Provenance, optional
+        The mesh of the binding.
     """
     stage = open_stage(face.file)
-    made: dict[Path, Provenance | None] = {proposed_path: provenance, path: provenance}
+    written: dict[Path, Provenance | None] = {proposed_path: provenance, path: provenance}
     if not corrected_path.is_file():
-        made = {corrected_path: None, **made}
-    with new_layers(made) as layers:
+        written = {corrected_path: None, **written}
+    with new_layers(written) as layers:
         *corrected, proposed, layer = layers
         for each in corrected:
             author_units(each)
@@ -111,6 +112,7 @@ def read_binding(path: Path, face: FaceMesh) -> ReadBinding:
     Parameters
     ----------
     path : Path
+        The layer to open.
     face : FaceMesh
         The mesh it is to be used on.
 
@@ -127,13 +129,13 @@ def read_binding(path: Path, face: FaceMesh) -> ReadBinding:
             f"{path}: not a binding: its default prim has no FaceBindingAPI; make one with "
             "`usdface bind`"
         )
-    made_on = str(root.GetAttribute("face:binding:hash").Get() or "")
-    if made_on != face.hash:
+    surface = str(root.GetAttribute("face:binding:hash").Get() or "")
+    if surface != face.hash:
         raise InputError(
             f"{path}: was made on another surface than {face.file} <{face.path}>, whose points or "
             "faces differ; bind again, under another name if its corrections are to be kept"
         )
-    names, kept, left_out = [], [], []
+    names, places, left_out = [], [], []
     holder = stage.GetPrimAtPath(_MARKERS)
     for prim in holder.GetAllChildren() if holder else ():
         name = str(_value(prim, "face:binding:marker") or prim.GetName())
@@ -141,15 +143,15 @@ def read_binding(path: Path, face: FaceMesh) -> ReadBinding:
             left_out.append(name)
             continue
         names.append(name)
-        kept.append(_read_place(path, prim, face))
-    if not kept:
+        places.append(_read_place(path, prim, face))
+    if not places:
         raise InputError(f"{path} <{_MARKERS}>: binds no marker; bind again")
     binding = MarkerBinding(
         names=tuple(names),
-        places=_joined([each.places for each in kept]),
-        confidence=np.array([each.confidence for each in kept]),
-        distance_mm=np.array([each.distance_mm for each in kept]),
-        sources=tuple(each.source for each in kept),
+        places=_concatenate_places([each.places for each in places]),
+        confidence=np.array([each.confidence for each in places]),
+        distance_mm=np.array([each.distance_mm for each in places]),
+        sources=tuple(each.source for each in places),
     )
     return ReadBinding(binding, tuple(left_out))
 
@@ -197,10 +199,10 @@ def _author_proposed(layer: Sdf.Layer, binding: MarkerBinding, face: FaceMesh) -
 
 
 def _prim_name(name: str, taken: set[str]) -> str:
-    """Return a name that a prim may have and no other marker took.
+    """Return a valid and unique name of a marker's prim.
 
-    A name in any script is kept as it is: corrections find their marker by it, and what is left of
-    two Japanese names in ASCII would depend on which marker comes first.
+    A name in any script is unchanged: corrections are found by it, and two Japanese names made
+    ASCII would depend on which marker comes first.
     """
     base = unique = name if Sdf.Path.IsValidIdentifier(name) else str(Tf.MakeValidIdentifier(name))
     number = 2
@@ -230,31 +232,35 @@ def _read_place(path: Path, prim: Usd.Prim, face: FaceMesh) -> _MarkerPlace:
     mesh = face.mesh
     counts, indices = mesh.face_counts, mesh.face_indices
     point = _value(prim, "face:binding:point")
-    said = {
+    corrected = {
         key: _corrected(prim, key)
         for key in ("face:binding:face", "face:binding:weights", TRANSLATE)
     }
     source = str(_value(prim, "face:binding:source") or "proposed")
-    corrected = point is not None or any(said.values())
+    is_corrected = point is not None or any(corrected.values())
     try:
         if point is not None:
             places = places_at_points(counts, indices, np.array([int(str(point))]))
-        elif said[TRANSLATE] and not said["face:binding:face"] and not said["face:binding:weights"]:
+        elif (
+            corrected[TRANSLATE]
+            and not corrected["face:binding:face"]
+            and not corrected["face:binding:weights"]
+        ):
             places = nearest_places(mesh.points, counts, indices, _ball(prim))
         else:
             number = int(str(_value(prim, "face:binding:face")))
             weights = np.array(_value(prim, "face:binding:weights"), np.float64).reshape(-1)
-            if said["face:binding:face"] and not said["face:binding:weights"]:
+            if corrected["face:binding:face"] and not corrected["face:binding:weights"]:
                 known = 0 <= number < len(counts)
                 corners = int(counts[number]) if known else 3
-                weights = np.full(corners, 1 / corners)  # of a face alone its middle is meant
+                weights = np.full(corners, 1 / corners)  # a face alone stands for its middle
             places = place_on_polygon(mesh.points, counts, indices, face=number, weights=weights)
     except (ValueError, TypeError) as error:
         raise InputError(
             f"{path} <{prim.GetPath()}>: marker {prim.GetName()} is not on the mesh: {error}; "
             "correct its face and weights, or deactivate it"
         ) from error
-    if corrected:
+    if is_corrected:
         return _MarkerPlace(places, 1.0, 0.0, "corrected")
     confidence, distance = (
         float(str(_value(prim, f"face:binding:{key}") or 0)) for key in ("confidence", "distance")
@@ -278,7 +284,7 @@ def _corrected(prim: Usd.Prim, name: str) -> bool:
 
 
 def _value(prim: Usd.Prim, name: str) -> object:
-    """Return an attribute's value; of a prim that is not active, what its layers say."""
+    """Return an attribute's value; of an inactive prim, the strongest opinion."""
     if prim.IsActive():
         attribute = prim.GetAttribute(name)
         return attribute.Get() if attribute else None
@@ -289,7 +295,7 @@ def _value(prim: Usd.Prim, name: str) -> object:
     return None
 
 
-def _joined(parts: list[SurfacePlaces]) -> SurfacePlaces:
+def _concatenate_places(parts: list[SurfacePlaces]) -> SurfacePlaces:
     return SurfacePlaces(
         np.concatenate([each.faces for each in parts]),
         np.concatenate([each.corners for each in parts]),

@@ -1,4 +1,4 @@
-"""Distances over a mesh as a layer: found once for a surface and its markers, read ever after."""
+"""A cache of distances over a mesh as a layer, for one surface and its markers."""
 
 import json
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ _ARRAY = "face:array:"
 KEY = "face:distances:key"
 _FACTS = "face:distances:facts"
 
-AnyArray = NDArray[np.float64] | NDArray[np.float32] | NDArray[np.bool_]
+CacheArray = NDArray[np.float64] | NDArray[np.float32] | NDArray[np.bool_]
 
 _KINDS = {
     "float64": (Sdf.ValueTypeNames.DoubleArray, Vt.DoubleArray),
@@ -30,23 +30,24 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class CachedDistances:
-    """What is kept: arrays by name, in the precision they came in, and plain facts.
+    """Arrays by name, in the precision they came in, and counts.
 
     Attributes
     ----------
     arrays : dict of str to array
         float64, float32 or bool, of any shape; lengths in millimetres.
-    facts : dict of str to int
+    counts : dict of str to int
+        By name.
     """
 
-    arrays: dict[str, AnyArray]
-    facts: dict[str, int] = field(default_factory=dict)
+    arrays: dict[str, CacheArray]
+    counts: dict[str, int] = field(default_factory=dict)
 
 
 def write_distances(
     path: Path, cached: CachedDistances, *, key: str, provenance: Provenance | None = None
 ) -> None:
-    """Write distances under a key that says of which surface and markers they are."""
+    """Write distances under a key of their surface and markers."""
     kinds = Sdf.ValueTypeNames
     with new_layer(path, provenance or Provenance(step="distances")) as layer:
         author_units(layer)
@@ -54,7 +55,7 @@ def write_distances(
         prim = define_prim(layer, _ROOT, "Scope")
         apply_api(prim, "FaceDistancesAPI")
         author_uniform(prim, KEY, kinds.String, key)
-        author_uniform(prim, _FACTS, kinds.String, json.dumps(cached.facts))
+        author_uniform(prim, _FACTS, kinds.String, json.dumps(cached.counts))
         for name, array in cached.arrays.items():
             kind, container = _KINDS[array.dtype.name]
             values = container.FromNumpy(np.ascontiguousarray(array).ravel())
@@ -70,18 +71,18 @@ def read_distances(path: Path, *, key: str) -> CachedDistances | None:
     try:
         layer = open_layer(path)
     except InputError:
-        return None  # a cache that cannot be read is made again
+        return None  # a cache that cannot be read is computed again
     prim = layer.GetPrimAtPath(_ROOT)
     if prim is None or KEY not in prim.attributes or prim.attributes[KEY].default != key:
         return None
     values = {name: attribute.default for name, attribute in prim.attributes.items()}
-    arrays: dict[str, AnyArray] = {}
+    arrays: dict[str, CacheArray] = {}
     try:
         for name, value in values.items():
             if name.startswith(_ARRAY) and not name.endswith(":shape"):
                 shape = tuple(int(size) for size in values[f"{name}:shape"])
                 arrays[name.removeprefix(_ARRAY)] = np.array(value).reshape(shape)
-        facts = json.loads(values[_FACTS])
+        counts = json.loads(values[_FACTS])
     except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError):
         return None
-    return CachedDistances(arrays, facts)
+    return CachedDistances(arrays, counts)

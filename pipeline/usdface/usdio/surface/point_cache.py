@@ -1,13 +1,13 @@
-"""A mesh that moves: points over time as overs on the mesh's own asset, in one layer or in clips.
+"""A moving mesh: points over time as overs on the mesh's asset, in one layer or in value clips.
 
-NAME.usda is what to open: it references the mesh's asset and sublayers NAME.points.usdc, which
-holds only overs. A long take's samples go into value clips beside that layer, so that neither
-writing nor reading holds more than one of them.
+NAME.usda is the layer to open: it references the mesh's asset and sublayers NAME.points.usdc, which
+has only overs. The samples of a long take are in value clips next to that layer, so that neither
+writing nor reading needs the memory of more than one of them.
 """
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -25,10 +25,34 @@ from usdface.usdio.rig.mesh import FaceMesh
 from usdface.usdio.rig.reference import default_place, define_reference
 
 UNCERTAINTY = "primvars:face:uncertainty"
+UNSAVED_BYTES = 128 << 20
+"""Size of the samples that are saved to disk at once."""
 
 
-BYTES_IN_MEMORY = 128 << 20
-"""Samples are saved to disk in lots of this size."""
+@dataclass(frozen=True)
+class PointsHeader:
+    """What holds for all frames.
+
+    Attributes
+    ----------
+    rate : Fraction
+        Frames per second.
+    first_frame, last_frame : int
+        Inclusive.
+    place : str or None
+        Prim path of the mesh's asset in the new layer; None leaves it where it is in its file.
+    method : str
+        How the points were computed; written on the mesh.
+    timecode_start : str
+        Of the first frame; empty where it is unknown.
+    """
+
+    rate: Fraction
+    first_frame: int
+    last_frame: int
+    place: str | None = None
+    method: str = ""
+    timecode_start: str = ""
 
 
 @dataclass(frozen=True)
@@ -98,7 +122,7 @@ class PointsWriter:
             value = _sample(values)
             self._layer.SetTimeSample(self._place.AppendProperty(name), frame, value)
             self._unsaved += 4 * values.size
-        if self._unsaved >= BYTES_IN_MEMORY:
+        if self._unsaved >= UNSAVED_BYTES:
             # A saved binary layer reads its samples back from disk when asked.
             self._layer.Save()
             self._unsaved = 0
@@ -112,35 +136,34 @@ class _ClipsWriter(PointsWriter):
         face: FaceMesh,
         place: Sdf.Path,
         format_: PointsFormat,
-        timing: "_Timing",
-        played: set[Path],
+        clips: "_ClipNames",
+        used: set[Path],
     ) -> None:
         super().__init__(face, place, format_)
-        self._played = played
+        self._used = used
         self.files: list[Path] = []
         self.starts: list[int] = []
-        self._timing = timing
+        self._clips = clips
         self._open: contextlib.ExitStack | None = None
 
-    def begin(self) -> None:
-        self.next_frame = self._timing.first
-
     def _put(self, frame: int, rows: list[tuple[str, FloatArray | Float32Array]]) -> None:
-        offset = frame - self._timing.first
-        if offset % self._timing.clip_frames == 0:
+        offset = frame - self._clips.header.first_frame
+        if offset % self._clips.clip_frames == 0:
             if self._open is not None:
-                # The next clip's first frame, too: between clips motion is interpolated as within.
+                # A clip ends with the next one's first frame, to which motion is interpolated.
                 super()._put(frame, rows)
                 self.close()
             self._begin_clip(frame)
         super()._put(frame, rows)
 
     def _begin_clip(self, frame: int) -> None:
-        path = self._timing.clip_name(len(self.files) + 1)
-        last = min(frame + self._timing.clip_frames, self._timing.last)
+        path = self._clips.clip(len(self.files) + 1)
+        header = self._clips.header
+        last = min(frame + self._clips.clip_frames, header.last_frame)
         self._open = contextlib.ExitStack()
         layer = self._open.enter_context(new_layer(path))
-        _author_header(layer, self._face, self._place, self._timing.rate, frame, last)
+        part = replace(header, first_frame=frame, last_frame=last)
+        _author_header(layer, self._face, self._place, part)
         _declare(layer, self._face, self._place, self._format)
         self._layer, self._unsaved = layer, 0
         self.files.append(path)
@@ -153,28 +176,28 @@ class _ClipsWriter(PointsWriter):
         self._open = None
 
     def abandon(self, error: BaseException) -> None:
-        """Leave nothing of a clip that was not finished, nor of those before it.
+        """Remove the clips written so far, but for those that the existing asset uses.
 
-        What is made again from the same has the names of what the asset still plays: that stays.
+        The same spec and inputs give clips the same names.
         """
         self._layer = None
         if self._open is not None:
             with contextlib.suppress(BaseException):
                 self._open.__exit__(type(error), error, error.__traceback__)
         for file in self.files:
-            if file not in self._played:
+            if file not in self._used:
                 file.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True)
-class _Timing:
-    rate: Fraction
-    first: int
-    last: int
+class _ClipNames:
+    """The files of a take that is written as value clips."""
+
+    header: PointsHeader
     clip_frames: int
     stem: Path
 
-    def clip_name(self, number: int) -> Path:
+    def clip(self, number: int) -> Path:
         return self.stem.with_name(f"{self.stem.name}.{number:04d}.usdc")
 
     @property
@@ -186,84 +209,40 @@ class _Timing:
 def writing_points(
     path: Path,
     face: FaceMesh,
-    *,
-    rate: Fraction,
-    first_frame: int,
-    last_frame: int,
+    header: PointsHeader,
     format_: PointsFormat,
-    place: str | None = None,
-    method: str = "",
-    timecode_start: str = "",
+    *,
     provenance: Provenance | None = None,
 ) -> Iterator[PointsWriter]:
-    """Write a moving mesh frame by frame; what to open appears when the block ends well.
+    """Write a moving mesh frame by frame; the layer to open appears when the block ends well.
 
     Parameters
     ----------
     path : Path
-        The layer to open. If it exists, what others put into it stays.
+        The layer to open. If it exists, other content in it stays.
     face : FaceMesh
-    rate : Fraction
-    first_frame, last_frame : int
-        Inclusive.
+        The mesh at rest.
+    header : PointsHeader
+        What holds for all frames.
     format_ : PointsFormat
-    place : str, optional
-        Prim path of the mesh's asset in the new layer; its own by default.
-    method : str
-        What made the points; kept on the mesh.
-    timecode_start : str
-    provenance : Provenance, optional
+        What is written of each.
 
     Raises
     ------
     InputError
-        If the files cannot be written; what was there is then left as it was.
+        If the files cannot be written; existing ones are then unchanged.
     """
     asset = Rig(face.file, face.path, (), (), np.zeros((0, 2)))
-    top = place or default_place(asset)
+    top = header.place or default_place(asset)
     at = Sdf.Path(face.path).ReplacePrefix(Sdf.Path(default_place(asset)), Sdf.Path(top))
     points_file = points_path(path)
     outdated = _clip_files(points_file, at)
-    frame_bytes = _frame_bytes(face, format_)
-    frames = last_frame - first_frame + 1
-    if frames * frame_bytes > format_.clip_bytes:
-        timing = _Timing(
-            rate,
-            first_frame,
-            last_frame,
-            max(format_.clip_bytes // frame_bytes, 1),
-            points_file.with_name(f"{points_file.stem}.{_key(provenance)}"),
-        )
-        writer: PointsWriter = _ClipsWriter(face, at, format_, timing, outdated)
-    else:
-        timing = None
-        writer = PointsWriter(face, at, format_)
-    with new_layer(points_file, provenance) as layer:
-        _author_header(layer, face, at, rate, first_frame, last_frame)
-        _declare(layer, face, at, format_)
-        _say_method(layer, at, method, timecode_start)
-        writer.next_frame = first_frame
-        if not isinstance(writer, _ClipsWriter) or timing is None:
-            writer._layer = layer
-            yield writer
-        else:
-            try:
-                yield writer
-                writer.close()
-            except BaseException as error:
-                writer.abandon(error)
-                raise
-            _write_manifest(timing, face, at, format_)
-            _author_clips(layer, at, timing, writer, points_file)
-        if writer.next_frame != last_frame + 1:
-            raise ValueError(
-                f"{path}: {writer.next_frame - first_frame} frames were appended where {frames} "
-                "were announced"
-            )
+    with _writing_samples(points_file, face, at, header, format_, provenance) as writer:
+        yield writer
     with new_layer(path, provenance) as layer:
         if path.is_file():
             layer.TransferContent(open_layer(path))
-        _author_header(layer, face, at, rate, first_frame, last_frame)
+        _author_header(layer, face, at, header)
         name = relative_path(points_file, path)
         again = name in list(layer.subLayerPaths)
         define_reference(layer, top, asset, path, again=again)
@@ -271,6 +250,50 @@ def writing_points(
             layer.subLayerPaths.append(name)
     for file in outdated - _clip_files(points_file, at):
         file.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def _writing_samples(
+    points_file: Path,
+    face: FaceMesh,
+    at: Sdf.Path,
+    header: PointsHeader,
+    format_: PointsFormat,
+    provenance: Provenance | None,
+) -> Iterator[PointsWriter]:
+    """Write the points layer, and its clips where the take is larger than one."""
+    frames = header.last_frame - header.first_frame + 1
+    clip_frames = max(format_.clip_bytes // _frame_bytes(face, format_), 1)
+    with new_layer(points_file, provenance) as layer:
+        _author_header(layer, face, at, header)
+        _declare(layer, face, at, format_)
+        _author_method(layer, at, header)
+        if frames * _frame_bytes(face, format_) <= format_.clip_bytes:
+            writer = PointsWriter(face, at, format_)
+            writer._layer, writer.next_frame = layer, header.first_frame
+            yield writer
+        else:
+            stem = points_file.with_name(f"{points_file.stem}.{_key(provenance)}")
+            clips = _ClipNames(header, clip_frames, stem)
+            writer = clips_writer = _ClipsWriter(
+                face, at, format_, clips, _clip_files(points_file, at)
+            )
+            writer.next_frame = header.first_frame
+            try:
+                yield writer
+                clips_writer.close()
+            except BaseException as error:
+                clips_writer.abandon(error)
+                raise
+            with new_layer(clips.manifest) as manifest:
+                _author_header(manifest, face, at, header)
+                _declare(manifest, face, at, format_)
+            _author_clips(layer, at, clips, clips_writer, points_file)
+        if writer.next_frame != header.last_frame + 1:
+            raise ValueError(
+                f"{points_file}: {writer.next_frame - header.first_frame} frames were appended "
+                f"where {frames} were announced"
+            )
 
 
 def _frame_bytes(face: FaceMesh, format_: PointsFormat) -> int:
@@ -282,7 +305,7 @@ def _frame_bytes(face: FaceMesh, format_: PointsFormat) -> int:
 
 
 def _key(provenance: Provenance | None) -> str:
-    """Return a name for what clips are made of: other clips never take their place half-way."""
+    """Return a name for the spec and inputs of clips, so that others are not overwritten."""
     if provenance is None:
         return "clips"
     return hash_text(provenance.spec + repr(sorted(provenance.inputs.items())))[:8]
@@ -295,11 +318,9 @@ def _sample(values: FloatArray | Float32Array) -> Vt.FloatArray | Vt.Vec3fArray:
     return Vt.FloatArray.FromNumpy(array) if array.ndim == 1 else Vt.Vec3fArray.FromNumpy(array)
 
 
-def _author_header(
-    layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, rate: Fraction, first: int, last: int
-) -> None:
-    """Set timing and units: those of the mesh's own stage, which a reference does not convert."""
-    author_timing(layer, rate=rate, first=first, last=last)
+def _author_header(layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, header: PointsHeader) -> None:
+    """Set timing, and the units of the mesh's stage, which a reference does not convert."""
+    author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
     layer.defaultPrim = at.GetPrefixes()[0].name
     layer.pseudoRoot.SetInfo("metersPerUnit", face.meters_per_unit)
     layer.pseudoRoot.SetInfo("upAxis", face.up_axis)
@@ -318,7 +339,7 @@ def _declare(layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, format_: PointsForm
         normals = Sdf.AttributeSpec(prim, face.normals_attribute, kinds.Normal3fArray)
         if format_.normals:
             normals.SetInfo("interpolation", face.normals)
-        else:  # better none than those of the face at rest
+        else:  # those of the face at rest would be wrong
             normals.default = Sdf.ValueBlock()
         if face.normals_attribute.startswith("primvars:"):
             indices = Sdf.AttributeSpec(prim, "primvars:normals:indices", kinds.IntArray)
@@ -328,24 +349,19 @@ def _declare(layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, format_: PointsForm
         uncertainty.SetInfo("interpolation", "vertex")
 
 
-def _say_method(layer: Sdf.Layer, at: Sdf.Path, method: str, timecode_start: str) -> None:
+def _author_method(layer: Sdf.Layer, at: Sdf.Path, header: PointsHeader) -> None:
     prim = layer.GetPrimAtPath(at)
     apply_api(prim, "FaceDeformAPI")
-    author_uniform(prim, "face:deform:method", Sdf.ValueTypeNames.Token, method)
-    if timecode_start:
+    author_uniform(prim, "face:deform:method", Sdf.ValueTypeNames.Token, header.method)
+    if header.timecode_start:
         kind = Sdf.ValueTypeNames.String
-        author_uniform(prim, "face:timecode:start", kind, timecode_start)
-
-
-def _write_manifest(timing: _Timing, face: FaceMesh, at: Sdf.Path, format_: PointsFormat) -> None:
-    with new_layer(timing.manifest) as layer:
-        _author_header(layer, face, at, timing.rate, timing.first, timing.last)
-        _declare(layer, face, at, format_)
+        author_uniform(prim, "face:timecode:start", kind, header.timecode_start)
 
 
 def _author_clips(
-    layer: Sdf.Layer, at: Sdf.Path, timing: _Timing, writer: _ClipsWriter, points_file: Path
+    layer: Sdf.Layer, at: Sdf.Path, clips: _ClipNames, writer: _ClipsWriter, points_file: Path
 ) -> None:
+    first, last = clips.header.first_frame, clips.header.last_frame
     files = [Sdf.AssetPath(relative_path(file, points_file)) for file in writer.files]
     layer.GetPrimAtPath(at).SetInfo(
         "clips",
@@ -353,16 +369,16 @@ def _author_clips(
             "default": {
                 "assetPaths": Sdf.AssetPathArray(files),
                 "primPath": str(at),
-                "manifestAssetPath": Sdf.AssetPath(relative_path(timing.manifest, points_file)),
+                "manifestAssetPath": Sdf.AssetPath(relative_path(clips.manifest, points_file)),
                 "active": Vt.Vec2dArray([(start, i) for i, start in enumerate(writer.starts)]),
-                "times": Vt.Vec2dArray([(timing.first, timing.first), (timing.last, timing.last)]),
+                "times": Vt.Vec2dArray([(first, first), (last, last)]),
             }
         },
     )
 
 
 def _clip_files(points_file: Path, at: Sdf.Path) -> set[Path]:
-    """Return the clips and the manifest that a points layer of ours names beside itself."""
+    """Return the clips and the manifest that an existing points layer uses."""
     if not points_file.is_file():
         return set()
     layer = open_layer(points_file)  # a prim's spec does not keep its layer

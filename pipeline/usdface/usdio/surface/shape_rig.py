@@ -27,7 +27,7 @@ _LONGEST_NAME = 63
 
 @dataclass(frozen=True)
 class NewShape:
-    """One frame's face, to be kept as a shape.
+    """One frame's face, to be written as a shape.
 
     Attributes
     ----------
@@ -36,7 +36,9 @@ class NewShape:
     moved_mm : (points, 3) float array
         From the mesh at rest [mm], Y up.
     take : str
+        Name of the take it comes from.
     frame : int
+        In the take.
     """
 
     name: str
@@ -47,7 +49,7 @@ class NewShape:
 
 @dataclass(frozen=True)
 class WrittenShape:
-    """What became of a shape.
+    """A shape as it was written.
 
     Attributes
     ----------
@@ -62,7 +64,7 @@ class WrittenShape:
 
 
 def shape_names(wanted: list[str]) -> list[str]:
-    """Return names that a channel and a prim may have, no two alike, in the same order."""
+    """Return valid and unique names of channels and prims, in the same order."""
     taken: set[str] = set()
     names = []
     for each in wanted:
@@ -91,13 +93,15 @@ def write_shape_rig(
     Parameters
     ----------
     path : Path
+        Of the rig.
     face : FaceMesh
+        The mesh; its file is referenced.
     shapes : list of NewShape
+        At least one.
     name : str
         Of the SkelRoot, the new default prim.
     least_mm : float
-        Points that a shape moves less are left out of it [mm].
-    provenance : Provenance, optional
+        Smallest displacement of a point that is stored in a shape [mm].
 
     Raises
     ------
@@ -117,11 +121,11 @@ def write_shape_rig(
         define_prim(layer, root, "SkelRoot").SetInfo("kind", Kind.Tokens.component)
         _define_skeleton(layer, root.AppendChild(SKELETON))
         _reference_asset(layer, root.AppendChild(ASSET), source.GetPrimAtPath(top), face, path)
-        _quieten(layer, source, top, root.AppendChild(ASSET))
+        _override_asset_rig(layer, source, top, root.AppendChild(ASSET))
         points = _bind_mesh(layer, face, mesh, root.AppendChild(SKELETON), source)
         into_mesh = np.linalg.inv(stage_to_ours(source) @ face.world[:3, :3])
         define_prim(layer, root.AppendChild(SHAPES), "Scope")
-        written, targets, reach = [], [], [points]
+        written, targets, extremes = [], [], [points]
         for shape, given in zip(shapes, shape_names([each.name for each in shapes]), strict=True):
             target = root.AppendPath(f"{SHAPES}/{given}")
             moved = np.flatnonzero(np.linalg.norm(shape.moved_mm, axis=1) >= least_mm)
@@ -134,13 +138,13 @@ def write_shape_rig(
             _define_shape(layer, target, shape, moved, offsets)
             written.append(WrittenShape(given, len(moved)))
             targets.append(target)
-            reach.append(points[moved] + offsets)
+            extremes.append(points[moved] + offsets)
         binding = layer.GetPrimAtPath(mesh)
         names = Vt.TokenArray([each.name for each in written])
         author_uniform(binding, "skel:blendShapes", Sdf.ValueTypeNames.TokenArray, names)
         relation = Sdf.RelationshipSpec(binding, "skel:blendShapeTargets", False)
         relation.targetPathList.explicitItems = targets
-        everything = transform_points(face.world, np.concatenate(reach))
+        everything = transform_points(face.world, np.concatenate(extremes))
         extent = _vectors(np.stack([everything.min(axis=0), everything.max(axis=0)]))
         attribute = Sdf.AttributeSpec(
             layer.GetPrimAtPath(root), "extent", Sdf.ValueTypeNames.Float3Array
@@ -170,8 +174,10 @@ def _reference_asset(
         prim.SetInfo("kind", Kind.Tokens.subcomponent)  # it lies in a component now
 
 
-def _quieten(layer: Sdf.Layer, source: Usd.Stage, top: Sdf.Path, place: Sdf.Path) -> None:
-    """Take the part of a rig from what the asset already has: one SkelRoot, new shapes only."""
+def _override_asset_rig(
+    layer: Sdf.Layer, source: Usd.Stage, top: Sdf.Path, place: Sdf.Path
+) -> None:
+    """Override the SkelRoot and the shapes that the asset has: a rig has one SkelRoot."""
     for prim in Usd.PrimRange(source.GetPrimAtPath(top)):
         at = prim.GetPath().ReplacePrefix(top, place)
         if prim.IsA(UsdSkel.Root):
@@ -187,7 +193,7 @@ def _quieten(layer: Sdf.Layer, source: Usd.Stage, top: Sdf.Path, place: Sdf.Path
 def _bind_mesh(
     layer: Sdf.Layer, face: FaceMesh, path: Sdf.Path, skeleton: Sdf.Path, source: Usd.Stage
 ) -> FloatArray:
-    """Bind the mesh to the new skeleton where it stands; return its points in its own space."""
+    """Bind the mesh to the new skeleton at its place; return its points in the mesh's space."""
     prim = Sdf.CreatePrimInLayer(layer, path)
     for name in ("skel:blendShapes", "skel:blendShapeTargets"):
         if name in prim.properties:
@@ -214,7 +220,7 @@ def _bind_mesh(
     home = np.asarray(np.linalg.inv(face.world), np.float64)
     rest = transform_points(home, face.mesh.points @ np.linalg.inv(ours).T)
     if not np.allclose(rest, face.local, atol=1e-5 * max(float(np.ptp(face.local)), 1e-9)):
-        # Its own skeleton held it elsewhere; the new one does not, so its points go there.
+        # The asset's skeleton deforms the mesh at rest and the new one does not: its points do.
         Sdf.AttributeSpec(prim, "points", kinds.Point3fArray).default = _vectors(rest)
     return rest
 

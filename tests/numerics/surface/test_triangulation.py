@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tests.small_scan import small_scan
-from usdface.numerics.surface.turned_normals import smooth_normals, turner_of
+from usdface.numerics.surface.triangulation import smooth_normals, turner_of
 
 
 def test_normals_turn_with_a_rigid_surface_but_for_spin() -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usdface.numerics.manifold.fold_sides import find_fold_sides
+from usdface.numerics.manifold.folds import find_folds
 
 # a hairpin: two lips of 30 mm, 2 mm apart, joined at the left end; markers on either lip
 UPPER = np.stack([np.linspace(0, 30, 31), np.full(31, 1.0)], axis=1)
@@ -19,12 +19,12 @@ def hairpin() -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_point_deep_in_the_fold_follows_its_own_lip() -> None:
-    sides = find_fold_sides(*hairpin(), spread=40.0)
-    tip = np.flatnonzero(sides.points == 30)[0]
-    assert sides.share[tip] == 1.0
-    assert sides.follow[tip, :2].sum() > 0.999
+    folds = find_folds(*hairpin(), spread=40.0)
+    tip = np.flatnonzero(folds.points == 30)[0]
+    assert folds.share[tip] == 1.0
+    assert folds.weights[tip, :2].sum() > 0.999
     moved = np.zeros((62, 1))
-    sides.apply(moved, np.array([[1.0], [1], [-1], [-1]]))
+    folds.apply(moved, np.array([[1.0], [1], [-1], [-1]]))
     assert moved[30] > 0.99
     assert moved[61] < -0.99
 
@@ -32,27 +32,27 @@ def test_a_point_deep_in_the_fold_follows_its_own_lip() -> None:
 def test_markers_keep_what_they_say() -> None:
     values = np.random.default_rng(0).standard_normal((62, 3))
     before = values.copy()
-    find_fold_sides(*hairpin(), spread=40.0).apply(values, values[MARKERS])
+    find_folds(*hairpin(), spread=40.0).apply(values, values[MARKERS])
     assert np.allclose(values[MARKERS], before[MARKERS], atol=1e-6)
 
 
 def test_a_surface_without_folds_is_left_alone() -> None:
     _, straight = hairpin()
-    sides = find_fold_sides(1.4 * straight, straight, spread=40.0)
-    assert len(sides.points) == 0
+    folds = find_folds(1.4 * straight, straight, spread=40.0)
+    assert len(folds.points) == 0
     values = np.ones((62, 2))
-    sides.apply(values, np.zeros((4, 2)))
+    folds.apply(values, np.zeros((4, 2)))
     assert (values == 1).all()
 
 
 def test_what_is_far_through_the_air_is_no_fold() -> None:
     along, straight = hairpin()
-    assert not len(find_fold_sides(10 * along, straight + 50.0, spread=40.0).points)
+    assert not len(find_folds(10 * along, straight + 50.0, spread=40.0).points)
 
 
 def test_folds_do_not_depend_on_the_unit_of_length() -> None:
     along, straight = hairpin()
-    ours = find_fold_sides(along, straight, spread=40.0)
-    scaled = find_fold_sides(10 * along, 10 * straight, spread=400.0)
+    ours = find_folds(along, straight, spread=40.0)
+    scaled = find_folds(10 * along, 10 * straight, spread=400.0)
     assert np.allclose(ours.share, scaled.share)
-    assert np.allclose(ours.follow, scaled.follow, atol=1e-6)
+    assert np.allclose(ours.weights, scaled.weights, atol=1e-6)

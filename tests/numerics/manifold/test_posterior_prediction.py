@@ -1,8 +1,7 @@
-"""Fields over the surface against the dense formulas, and multiquadrics against what they meet."""
+"""Fields over the surface, and predictions of left-out markers, against the dense formulas."""
 
 import numpy as np
 import pytest
-from scipy.interpolate import RBFInterpolator
 from scipy.spatial.distance import cdist
 
 from tests.numerics.manifold.small_process import (
@@ -12,11 +11,12 @@ from tests.numerics.manifold.small_process import (
     small_places,
     small_spectrum,
 )
-from usdface.numerics.manifold.left_out import LeftOut, calibrate_spread, leave_markers_out
-from usdface.numerics.manifold.multiquadric import fit_distance_multiquadric, multiquadric_fields
 from usdface.numerics.manifold.posterior_prediction import (
+    LeftOut,
     average_dual_weights,
+    calibrate_spread,
     join_moments,
+    leave_markers_out,
     make_fields,
     mix_variances,
     predict_mean,
@@ -133,35 +133,6 @@ def test_intervals_widen_where_and_along_which_axis_markers_surprise() -> None:
     assert found.of_axes[1] / found.of_axes[0] == pytest.approx(3.0, rel=0.1)
     assert found.of_axes[2] / found.of_axes[0] == pytest.approx(0.5, rel=0.1)
     assert found.of_points[1] / found.of_points[0] > 1.3
-
-
-def test_multiquadrics_meet_every_marker_and_agree_with_scipy() -> None:
-    rng = np.random.default_rng(0)
-    places, points = rng.standard_normal((15, 3)), rng.standard_normal((40, 3))
-    moved = rng.standard_normal((15, 2))
-    model = fit_distance_multiquadric(cdist(places, places), stiffness=0.7)
-    ours = multiquadric_fields(model, cdist(places, points)) @ moved
-    theirs = RBFInterpolator(places, moved, kernel="multiquadric", epsilon=1 / 0.7, degree=-1)
-    assert np.allclose(ours, theirs(points), atol=1e-3)
-    assert np.allclose(multiquadric_fields(model, cdist(places, places)) @ moved, moved, atol=1e-3)
-
-
-def test_smoothing_multiquadrics_ignore_noise() -> None:
-    rng = np.random.default_rng(0)
-    places = rng.uniform(-1, 1, (60, 3))
-    clean = np.sin(places @ rng.standard_normal((3, 40)))
-    noisy = clean + 0.3 * rng.standard_normal(clean.shape)
-    between = cdist(places, places)
-    smooth = fit_distance_multiquadric(between, noisy)
-    found = multiquadric_fields(smooth, between) @ noisy
-    assert np.abs(found - clean).mean() < 0.7 * np.abs(noisy - clean).mean()
-
-
-def test_two_markers_at_one_place_are_named() -> None:
-    places = np.random.default_rng(0).standard_normal((6, 3))
-    places[4] = places[1]
-    with pytest.raises(ValueError, match="markers 1 and 4 are 0 mm apart"):
-        fit_distance_multiquadric(cdist(places, places))
 
 
 def test_what_samples_do_not_agree_on_is_part_of_the_variance_of_a_marker_left_out() -> None:

@@ -1,0 +1,282 @@
+"""A Gaussian process over the surface moves a mesh and smooths the markers' noise: W06."""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.core.errors import InputError
+from usdface.model.surface.distance import BLEND_PUBLISHED, SurfaceDistances
+from usdface.model.surface.fit import (
+    BLENDS_TRIED,
+    SurfaceDiagnostics,
+    SurfaceModel,
+    SurfaceMotion,
+    check_fit,
+    find_surface_folds,
+    fitted_frames,
+)
+from usdface.numerics.manifold.hybrid_monte_carlo import effective_sample_size, split_rhat
+from usdface.numerics.manifold.hyper_posterior import HyperPrior, MarkerSpectrum, decompose
+from usdface.numerics.manifold.hyper_sampling import (
+    draw_laplace,
+    find_modes,
+    fit_shared_mode,
+    sample_hyperparameters,
+    sample_shared,
+)
+from usdface.numerics.manifold.posterior_prediction import (
+    SpreadFactors,
+    SurfaceFields,
+    average_dual_weights,
+    calibrate_spread,
+    join_moments,
+    leave_markers_out,
+    make_fields,
+    mix_variances,
+    predict_mean,
+    predict_variance,
+)
+from usdface.numerics.manifold.surface_covariance import (
+    CovarianceShape,
+    SurfaceCovariance,
+    fit_covariance,
+)
+from usdface.numerics.manifold.tabulated_energy import SharedTable
+
+Sampler = Literal["hmc", "map", "shared"]
+
+SCALES_TRIED = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 12.0)
+"""Length scales, in median distances between a marker and its nearest."""
+
+SAMPLES_PUBLISHED = 200
+"""Of the hyper-parameters: W06, section 4.1."""
+
+_CALIBRATION_SAMPLES = 10
+"""Samples of each chain by which intervals are calibrated."""
+
+_LAPLACE_DRAWS = 16
+"""Draws around the mode with the sampler ``'map'``."""
+
+_SAMPLED_FRAMES = 1024
+"""Frames whose chains run in lockstep: half as many take a fifth longer and 75 MB less."""
+
+_MOMENT_FRAMES = 8
+"""Frames whose dual weights are averaged at once."""
+
+
+@dataclass(frozen=True)
+class GpOptions:
+    """Options of `fit_gp_surface`.
+
+    Attributes
+    ----------
+    sampler : {'hmc', 'map', 'shared'}
+        Hyper-parameters of each frame and axis by Hybrid Monte Carlo, as published; by their mode
+        and the Gaussian around it; or by one set of samples for the whole take.
+    blend : float or None
+        Share of the geodesic distance [0-1]; None chooses it by leaving markers out.
+    length_scale : float or None
+        [mm]; None chooses it by leaving markers out.
+    covariance : {'creased', 'squared-exponential'}
+        The second is eq. 7 as published.
+    prior : HyperPrior
+        Of the hyper-parameters.
+    folds : bool
+        Whether points in folds, such as the insides of lips, follow the markers of their own side;
+        never where `blend` is 0, since the Euclidean distance has no sides.
+    samples : int
+        Of the hyper-parameters, with the samplers ``'hmc'`` and ``'shared'``.
+    seed : int
+        Of every random choice: the same take moves the same way each time.
+    """
+
+    sampler: Sampler = "hmc"
+    blend: float | None = BLEND_PUBLISHED
+    length_scale: float | None = None
+    covariance: CovarianceShape = "creased"
+    prior: HyperPrior = field(default_factory=HyperPrior)
+    folds: bool = True
+    samples: int = SAMPLES_PUBLISHED
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class GpSurface(SurfaceModel):
+    """A fitted Gaussian process.
+
+    Attributes
+    ----------
+    options : GpOptions
+        It was fitted with.
+    table : SharedTable
+        Of the posterior's energy.
+    fields : SurfaceFields
+        Of the mesh.
+    factors : SpreadFactors
+        Of standard deviations.
+    shared : (samples, 4) float array or None
+        Log hyper-parameters of the whole take, with the sampler ``'shared'``.
+    """
+
+    predicts_sd: ClassVar[bool] = True
+
+    options: GpOptions
+    table: SharedTable = field(repr=False)
+    fields: SurfaceFields = field(repr=False)
+    factors: SpreadFactors = field(repr=False)
+    shared: FloatArray | None = field(repr=False)
+
+    def _predict(self, moved: FloatArray, size: int, *, of_axes: bool) -> Iterator[SurfaceMotion]:
+        # the next block is sampled while this one becomes fields
+        with ThreadPoolExecutor(max_workers=1) as executor:
+            sampled = executor.submit(self._sample, moved[:_SAMPLED_FRAMES], 0)
+            for start in range(0, len(moved), _SAMPLED_FRAMES):
+                theta = sampled.result()
+                stop = start + _SAMPLED_FRAMES
+                sampled = executor.submit(self._sample, moved[stop : stop + _SAMPLED_FRAMES], stop)
+                block = moved[start:stop]
+                for first in range(0, len(block), size):
+                    part = slice(first, min(first + size, len(block)))
+                    yield self._fields(block[part], theta[..., part], of_axes)
+
+    def _sample(self, moved: FloatArray, start: int) -> FloatArray:
+        """Hyper-parameters of each frame and axis: (samples, 4, 3, frames)."""
+        if self.shared is not None:
+            return np.broadcast_to(
+                self.shared[:, :, None, None], (*self.shared.shape, 3, len(moved))
+            )
+        if not len(moved):
+            return np.zeros((0, 4, 3, 0))
+        rng = np.random.default_rng((self.options.seed, start))
+        rows = _rows_of_axes(moved)
+        if self.options.sampler == "map":
+            modes = find_modes(self.table, rows)
+            theta = draw_laplace(rng, self.table, modes, keep=_LAPLACE_DRAWS)
+        else:
+            samples, _ = sample_hyperparameters(rng, self.table, rows, keep=self.options.samples)
+            theta = samples.theta
+        return np.moveaxis(theta.reshape(len(theta), 4, len(moved), 3), 3, 2)
+
+    def _fields(self, moved: FloatArray, theta: FloatArray, of_axes: bool) -> SurfaceMotion:
+        parts = []
+        for first in range(0, len(moved), _MOMENT_FRAMES):
+            part = slice(first, first + _MOMENT_FRAMES)
+            chains = np.moveaxis(theta[..., part], 2, 3).reshape(len(theta), 4, -1)
+            rows = _rows_of_axes(moved[part])
+            parts.append(average_dual_weights(self.table.spectrum, rows, chains))
+        moments = join_moments(parts)
+        mean = predict_mean(self.fields, moments)
+        shares = self.factors.of_axes**2
+        sd = np.sqrt(predict_variance(self.fields, mix_variances(moments, shares / 3.0)))
+        sd *= self.factors.of_points
+        if not of_axes:
+            return SurfaceMotion(mean, sd)
+        each = predict_variance(self.fields, moments).reshape(-1, 3, self.point_count)
+        each = np.sqrt(each * shares.astype(np.float32)[:, None]) * self.factors.of_points
+        return SurfaceMotion(mean, sd, np.ascontiguousarray(each.transpose(0, 2, 1)))
+
+
+def fit_gp_surface(
+    distances: SurfaceDistances, displacements: FloatArray, options: GpOptions
+) -> GpSurface:
+    """Fit a Gaussian process to the markers of a mesh.
+
+    Parameters
+    ----------
+    displacements : (frames, markers, 3) float array
+        A take's, or frames spread over it, from the neutral frame [mm]. Settings are chosen on
+        some of them; every frame is predicted by itself later.
+
+    Raises
+    ------
+    InputError
+        If displacements do not fit the markers or are not finite, or options are out of range.
+    """
+    frames = fitted_frames(check_fit(distances, displacements, options.blend))
+    rows = _rows_of_axes(frames)
+    try:
+        chosen = _choose_settings(distances, rows, options)
+    except ValueError as error:
+        raise InputError(str(error)) from error
+    covariance, table = chosen.covariance, SharedTable(chosen.spectrum)
+    rng = np.random.default_rng(options.seed)
+    cross = covariance.cross(distances.blended_to_points(chosen.blend))
+    places = distances.scaled(distances.points).astype(np.float32)
+    if options.folds and chosen.blend > 0:
+        folds = find_surface_folds(distances)
+        folds.apply(cross, covariance.matrix())
+        folds.apply(places, distances.scaled(distances.marker_positions))
+    fields = make_fields(chosen.spectrum, cross, places, rng=rng)
+    theta, facts = _sample_fitted(rng, table, rows, options)
+    thin = max(1, len(theta) // _CALIBRATION_SAMPLES)
+    left_out = leave_markers_out(chosen.spectrum, rows, theta[::thin], with_nearest=True)
+    return GpSurface(
+        blend=chosen.blend,
+        length_scale=chosen.length_scale,
+        diagnostics=SurfaceDiagnostics(chosen.left_out_rms_mm, covariance.clipped, **facts),
+        marker_count=frames.shape[1],
+        point_count=len(places),
+        options=options,
+        table=table,
+        fields=fields,
+        factors=calibrate_spread(left_out, covariance.matrix(), cross),
+        shared=theta[:, :, 0] if options.sampler == "shared" else None,
+    )
+
+
+@dataclass(frozen=True)
+class _Settings:
+    blend: float
+    length_scale: float
+    covariance: SurfaceCovariance
+    spectrum: MarkerSpectrum
+    left_out_rms_mm: float
+
+
+def _choose_settings(
+    distances: SurfaceDistances, rows: FloatArray, options: GpOptions
+) -> _Settings:
+    """Try every open setting on markers left out one by one, in closed form."""
+    tried = []
+    places = distances.scaled(distances.marker_positions)
+    for blend in BLENDS_TRIED if options.blend is None else (options.blend,):
+        between = distances.blended_between(blend)
+        spacing = float(np.median(np.where(between > 0, between, np.inf).min(axis=1)))
+        scales = [scale * spacing for scale in SCALES_TRIED]
+        for scale in scales if options.length_scale is None else [options.length_scale]:
+            covariance = fit_covariance(between, length_scale=scale, shape=options.covariance)
+            spectrum = decompose(covariance.matrix(), places, options.prior)
+            mode = fit_shared_mode(SharedTable(spectrum), rows).mode.astype(np.float64)
+            errors = leave_markers_out(spectrum, rows, mode[None]).errors
+            rms = float(np.sqrt((errors**2).mean()))
+            tried.append(_Settings(blend, scale, covariance, spectrum, rms))
+    return min(tried, key=lambda each: each.left_out_rms_mm)
+
+
+def _sample_fitted(
+    rng: np.random.Generator, table: SharedTable, rows: FloatArray, options: GpOptions
+) -> tuple[FloatArray, dict[str, float]]:
+    """Sample the fitted frames: theta (samples, 4, chains or 1), and diagnostics of the chains."""
+    if options.sampler == "shared":
+        shared = sample_shared(rng, table, rows, keep=options.samples)
+        return shared.theta[:, :, None], {"acceptance": shared.acceptance}
+    if options.sampler == "map":
+        return find_modes(table, rows).theta[None], {}
+    first, modes = sample_hyperparameters(rng, table, rows, keep=options.samples)
+    second, _ = sample_hyperparameters(rng, table, rows, keep=options.samples, modes=modes)
+    both = np.stack([first.theta, second.theta], axis=1)
+    return first.theta, {
+        "acceptance": float(np.mean(first.acceptance)),
+        "effective_samples": float(np.median(effective_sample_size(both))) / 2,
+        "rhat": float(np.median(split_rhat(both))),
+        "two_modes": float(np.mean(modes.double)),
+    }
+
+
+def _rows_of_axes(moved: FloatArray) -> FloatArray:
+    """One row for each frame and axis: (frames * 3, markers)."""
+    return np.ascontiguousarray(moved.transpose(0, 2, 1).reshape(-1, moved.shape[1]))

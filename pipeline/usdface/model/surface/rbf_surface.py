@@ -1,0 +1,107 @@
+"""Multiquadrics move a mesh through every marker: W06, "Geodesic manifold distances"."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from usdface.core.arrays import Float32Array, FloatArray
+from usdface.core.errors import InputError
+from usdface.model.surface.distance import BLEND_PUBLISHED, SurfaceDistances
+from usdface.model.surface.fit import (
+    BLENDS_TRIED,
+    SurfaceDiagnostics,
+    SurfaceModel,
+    SurfaceMotion,
+    check_fit,
+    find_surface_folds,
+    fitted_frames,
+)
+from usdface.numerics.manifold.multiquadric import (
+    DistanceMultiquadric,
+    fit_distance_multiquadric,
+    multiquadric_fields,
+    nearest_stiffness,
+)
+
+
+@dataclass(frozen=True)
+class RbfOptions:
+    """Options of `fit_rbf_surface`.
+
+    Attributes
+    ----------
+    blend : float or None
+        Share of the geodesic distance [0-1]; None chooses it by leaving markers out.
+    folds : bool
+        Whether points in folds, such as the insides of lips, follow the markers of their own side;
+        never where `blend` is 0, since the Euclidean distance has no sides.
+    """
+
+    blend: float | None = BLEND_PUBLISHED
+    folds: bool = True
+
+
+@dataclass(frozen=True)
+class RbfSurface(SurfaceModel):
+    """Displacements of points are ``operator @ displacements of markers``.
+
+    Attributes
+    ----------
+    operator : (points, markers) float32 array
+        See `multiquadric_fields`.
+    """
+
+    predicts_sd: ClassVar[bool] = False
+
+    operator: Float32Array = field(repr=False)
+
+    def _predict(self, moved: FloatArray, size: int, *, of_axes: bool) -> Iterator[SurfaceMotion]:
+        for start in range(0, len(moved), size):
+            part = moved[start : start + size].astype(np.float32)
+            flat = part.transpose(1, 0, 2).reshape(self.marker_count, -1)
+            mean = (self.operator @ flat).reshape(self.point_count, -1, 3).transpose(1, 0, 2)
+            yield SurfaceMotion(np.ascontiguousarray(mean), None)
+
+
+def fit_rbf_surface(
+    distances: SurfaceDistances, displacements: FloatArray, options: RbfOptions
+) -> RbfSurface:
+    """Fit multiquadrics to the markers of a mesh.
+
+    Parameters
+    ----------
+    displacements : (frames, markers, 3) float array
+        A take's, or frames spread over it, from the neutral frame [mm]; only an open blend depends
+        on them.
+
+    Raises
+    ------
+    InputError
+        If displacements do not fit the markers or are not finite, or two markers sit at one place.
+    """
+    frames = fitted_frames(check_fit(distances, displacements, options.blend))
+    columns = frames.transpose(1, 0, 2).reshape(frames.shape[1], -1)
+    tried: list[tuple[float, float, DistanceMultiquadric]] = []
+    for blend in BLENDS_TRIED if options.blend is None else (options.blend,):
+        between = distances.blended_between(blend)
+        try:
+            network = fit_distance_multiquadric(between, nearest_stiffness(between))
+        except ValueError as error:
+            raise InputError(str(error)) from error
+        # left-out errors in closed form: Rippa (1999)
+        errors = (network.inverse @ columns) / np.diag(network.inverse)[:, None]
+        tried.append((float(np.sqrt((errors**2).mean())), blend, network))
+    rms, blend, network = min(tried, key=lambda each: each[0])
+    operator = multiquadric_fields(network, distances.blended_to_points(blend))
+    if options.folds and blend > 0:
+        find_surface_folds(distances).apply(operator, np.eye(len(columns)))
+    return RbfSurface(
+        blend=blend,
+        length_scale=0.0,
+        diagnostics=SurfaceDiagnostics(rms),
+        marker_count=len(columns),
+        point_count=len(operator),
+        operator=operator,
+    )

@@ -1,0 +1,136 @@
+"""A Gaussian process moves a sheet with a slit for a mouth, whose true motion is known."""
+
+import numpy as np
+import pytest
+
+from tests.model.surface.mouth import Mouth, opening, rms
+from usdface.core.errors import InputError
+from usdface.model.surface.gp_surface import GpOptions, GpSurface, fit_gp_surface
+from usdface.model.surface.rbf_surface import RbfOptions, fit_rbf_surface
+
+
+def fit(mouth: Mouth, moved: np.ndarray, **options: object) -> GpSurface:
+    return fit_gp_surface(mouth.distances(), moved, GpOptions(**options))  # type: ignore[arg-type]
+
+
+def test_without_noise_errors_are_no_larger_than_of_multiquadrics_and_lips_part(
+    mouth: Mouth,
+) -> None:
+    moved = mouth.markers()
+    rbf = fit_rbf_surface(mouth.distances(), moved, RbfOptions()).deform(moved)
+    process = fit(mouth, moved, sampler="map").deform(moved)
+    assert rms(mouth, process.mean) <= rms(mouth, rbf.mean)
+    true = opening(mouth, mouth.motion)
+    assert 0.8 * true < opening(mouth, process.mean) < 1.05 * true
+
+
+def test_lips_that_follow_their_side_have_smaller_errors_and_the_rest_no_larger(
+    mouth: Mouth,
+) -> None:
+    moved = mouth.markers()
+    with_folds, without = (
+        fit(mouth, moved, sampler="shared", length_scale=40.0, folds=folds).deform(moved).mean
+        for folds in (True, False)
+    )
+    assert opening(mouth, with_folds) > opening(mouth, without)
+    lips = np.concatenate([mouth.upper, mouth.lower])
+    errors = [np.square(mean - mouth.motion)[:, lips].mean() for mean in (with_folds, without)]
+    assert errors[0] < 0.6 * errors[1]
+    assert rms(mouth, with_folds) < 1.05 * rms(mouth, without)
+
+
+@pytest.mark.parametrize("sampler", [pytest.param("hmc", marks=pytest.mark.slow), "map", "shared"])
+def test_noise_is_smoothed_and_95_percent_intervals_contain_95_percent(
+    mouth: Mouth, sampler: str
+) -> None:
+    moved = mouth.markers(noise=0.5)
+    rbf = fit_rbf_surface(mouth.distances(), moved, RbfOptions()).deform(moved)
+    found = fit(mouth, moved, sampler=sampler).deform(moved, of_axes=True)
+    assert rms(mouth, found.mean) < 0.97 * rms(mouth, rbf.mean)
+    assert found.sd_of_axes is not None
+    inside = np.abs(found.mean - mouth.motion) < 1.96 * found.sd_of_axes
+    assert 0.91 < inside.mean() < 0.99
+
+
+def test_the_published_covariance_and_samples_are_options(mouth: Mouth) -> None:
+    moved = mouth.markers(noise=0.5)
+    found = fit(
+        mouth, moved, sampler="shared", covariance="squared-exponential", samples=20, folds=False
+    )
+    assert found.diagnostics.clipped > 0
+    assert found.shared is not None
+    assert found.shared.shape == (20, 4)
+    assert rms(mouth, found.deform(moved).mean) < 1.0
+
+
+def test_diagnostics_of_the_sampler_show_that_it_mixed(mouth: Mouth) -> None:
+    diagnostics = fit(mouth, mouth.markers(noise=0.3), length_scale=40.0).diagnostics
+    assert diagnostics.effective_samples >= 150
+    assert diagnostics.rhat < 1.02
+    assert 0.7 < diagnostics.acceptance < 0.9
+    assert diagnostics.left_out_rms_mm < 1.5
+
+
+def test_streaming_gives_what_deforming_gives_in_parts_that_stay_small(mouth: Mouth) -> None:
+    moved = mouth.markers(noise=0.3)
+    fitted = fit(mouth, moved, sampler="map", length_scale=40.0)
+    long = np.tile(moved, (9, 1, 1))
+    whole = fitted.deform(long)
+    fractions: list[float] = []
+    parts = list(fitted.stream(long, frames_per_part=7, progress=lambda f, _: fractions.append(f)))
+    assert max(len(part.mean) for part in parts) == 7
+    assert np.allclose(np.concatenate([p.mean for p in parts]), whole.mean, atol=1e-4)
+    sds = [p.sd for p in parts if p.sd is not None]
+    assert np.allclose(np.concatenate(sds), whole.sd, atol=1e-3)
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
+
+
+def test_the_same_take_moves_the_same_way_twice(mouth: Mouth) -> None:
+    moved = mouth.markers(noise=0.3)[:6]
+    first, again = (
+        fit(mouth, moved, length_scale=40.0, samples=30).deform(moved) for _ in range(2)
+    )
+    assert np.array_equal(first.mean, again.mean)
+
+
+def test_open_settings_are_chosen_by_leaving_markers_out(mouth: Mouth) -> None:
+    moved = mouth.markers()[::5]
+    chosen, given = (fit(mouth, moved, sampler="map", blend=blend) for blend in (None, 0.0))
+    assert chosen.diagnostics.left_out_rms_mm < given.diagnostics.left_out_rms_mm
+    assert 0 < chosen.length_scale < 200
+
+
+@pytest.mark.parametrize("sampler", ["hmc", "map", "shared"])
+def test_a_face_at_rest_stays_at_rest(mouth: Mouth, sampler: str) -> None:
+    still = np.zeros((3, len(mouth.chosen), 3))
+    found = fit(mouth, still, sampler=sampler, length_scale=40.0, samples=40).deform(still)
+    assert np.abs(found.mean).max() < 1e-6
+    assert np.isfinite(found.sd).all()
+
+
+@pytest.mark.parametrize(
+    ("shape", "value", "options", "message"),
+    [
+        ((2, 3, 3), 0.0, {}, "displacements must be"),
+        ((2, -1, 3), np.nan, {}, "of 2 frames are not finite, the first is index 0"),
+        ((0, -1, 3), 0.0, {}, "no frame to fit"),
+        ((2, -1, 3), 1.0, {"blend": 1.5}, "0 to 1; got 1.5"),
+        ((2, -1, 3), 1.0, {"length_scale": -1.0}, "length scale must be positive"),
+    ],
+)
+def test_displacements_and_settings_that_cannot_be_are_refused(
+    mouth: Mouth, shape: tuple[int, ...], value: float, options: dict[str, float], message: str
+) -> None:
+    sizes = tuple(len(mouth.chosen) if size < 0 else size for size in shape)
+    with pytest.raises(InputError, match=message):
+        fit(mouth, np.full(sizes, value), **options)
+
+
+def test_no_frames_give_no_frames(mouth: Mouth) -> None:
+    moved = mouth.markers()[:4]
+    fitted = fit(mouth, moved, sampler="map", length_scale=40.0)
+    found = fitted.deform(np.zeros((0, len(mouth.chosen), 3)))
+    assert found.mean.shape == (0, len(mouth.points), 3)
+    assert found.sd is not None
+    assert found.sd.shape == (0, len(mouth.points))
