@@ -1,5 +1,6 @@
 """Specs of meshes without shapes: bind, deform, make-shapes."""
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
@@ -56,6 +57,11 @@ _Metric = Literal["dijkstra", "dijkstra-diagonals", "heat"]
 
 class SurfaceSpec(Spec):
     """Options common to `deform` and `make-shapes`."""
+
+    removed: ClassVar[Mapping[str, str]] = {
+        "device": "leave it out: the processor is used",
+        "precision": "leave it out",
+    }
 
     take: Annotated[FilePath, Reads(), Positional()]
     """The cleaned take."""

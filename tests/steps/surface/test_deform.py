@@ -427,6 +427,7 @@ def test_an_island_without_a_marker_is_told(folder: Path, scan: Scan) -> None:
         ({"frames": "1-20"}, "holds frames 101-140, not all of 1-20"),
         ({"landmarks": ("a=1",)}, "--landmarks cannot be used with --binding"),
         ({"blend": 1.5}, "less than or equal to 1"),
+        ({"device": "cuda"}, "device"),
     ],
 )
 def test_what_deform_cannot_do_is_said(moved: Path, more: dict[str, object], message: str) -> None:
