@@ -32,10 +32,8 @@ def execute(
 
     Parameters
     ----------
-    spec : Spec
     overwrite : bool
         Replace outputs whoever wrote them and however new they are.
-    progress : callable
     provenance : Provenance, optional
         Of this spec, where it has been computed already.
 

@@ -37,10 +37,8 @@ class StepState:
 
     Attributes
     ----------
-    spec : Spec
     state : {'done', 'stale', 'missing'}
         Whether its outputs are there, and made from the inputs as they are now.
-    reason : str
     """
 
     spec: Spec

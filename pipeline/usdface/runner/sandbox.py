@@ -29,7 +29,6 @@ def confine(what: str, *, reads: Sequence[Path] = (), writes: Sequence[Path] = (
     ----------
     what : str
         The command.
-    reads, writes : sequence of Path
 
     Raises
     ------

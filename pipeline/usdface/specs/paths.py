@@ -124,7 +124,6 @@ class PathRule:
     ----------
     source : PurePosixPath or PureWindowsPath
         In the submitting machine's manner, whatever this machine's is.
-    destination : Path
     """
 
     source: PurePath

@@ -37,10 +37,8 @@ class Evidence:
 
     Attributes
     ----------
-    sound : SoundAlignment or None
     deaf : str
         Why there is no sound to compare.
-    timecode : TimecodeShift
     """
 
     sound: SoundAlignment | None
@@ -64,10 +62,8 @@ class Decision:
 
     Attributes
     ----------
-    sync : VideoSync or None
     source : str
         What it rests on, or why nothing was accepted.
-    notes : tuple of str
     """
 
     sync: VideoSync | None

@@ -32,8 +32,6 @@ class Bundle:
     ----------
     name : str
         The files' common stem.
-    captures : tuple of Path
-    video, audio : Path or None
     """
 
     name: str
@@ -78,13 +76,10 @@ def ingest_folder(
 
     Parameters
     ----------
-    folder : Path
     out : Path
         Folder for the takes; made if it is not there.
     shared : IngestSpec
         Units, rigid markers and so on for every take; its files are not used.
-    overwrite : bool
-    progress : callable
 
     Raises
     ------

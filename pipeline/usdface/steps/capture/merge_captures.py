@@ -21,13 +21,7 @@ _LONG_SECOND = Fraction(1001, 1000)
 
 @dataclass(frozen=True)
 class Joined:
-    """One take, and what should be known about how it came together.
-
-    Attributes
-    ----------
-    take : Take
-    notes : tuple of str
-    """
+    """One take, and what should be known about how it came together."""
 
     take: Take
     notes: tuple[str, ...]

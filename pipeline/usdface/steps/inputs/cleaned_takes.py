@@ -24,7 +24,6 @@ class CleanedTakes:
     ----------
     marker_names : tuple of str
         Those that every take has.
-    rigid : tuple of str
     neutral : (markers, 3) float array
         Neutral face of the first take [mm].
     positions : tuple of (frames, markers, 3) float32 arrays

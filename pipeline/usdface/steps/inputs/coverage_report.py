@@ -140,8 +140,6 @@ class MeasuredCoverage:
 
     Attributes
     ----------
-    covered : Covered
-    takes : CleanedTakes
     pairs : (pairs,) int array
         Those that count, from 0.
     rows : (n,) int array

@@ -23,7 +23,6 @@ class EditedRange:
 
     Attributes
     ----------
-    shape : str
     first, last : int
         Frame numbers, inclusive.
     change : float

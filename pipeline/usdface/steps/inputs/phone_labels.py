@@ -32,7 +32,6 @@ class PhoneLabels:
         Of each frame; empty where unknown.
     emotion_of : tuple of str
         Of each frame; empty where unknown.
-    notes : tuple of str
     """
 
     segments: tuple[Segment, ...]
@@ -122,7 +121,6 @@ def labels_at(phones: Path | None, take: Take, frames: IntArray) -> tuple[str, .
     ----------
     phones : Path or None
         On the take's clock; None leaves every label empty.
-    take : Take
     frames : (frames,) int array
 
     Returns

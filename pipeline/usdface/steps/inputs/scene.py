@@ -33,16 +33,9 @@ class SelectionScene:
 
     Attributes
     ----------
-    takes : CleanedTakes
-    rig : Rig
-    deformer : Deformer
-    motion : MotionSpace
-    equation : BlendshapeEquation
-    space : SelectionSpace
     features : (frames, d) float32 array
         Of every frame of the takes; half the memory and time of double precision, and rounded
         far below what markers are known to.
-    stand_ins : StandIns
     """
 
     takes: CleanedTakes
@@ -73,12 +66,6 @@ class SelectionScene:
 
 def set_up_scene(takes: CleanedTakes, rig: Rig, *, progress: Progress) -> SelectionScene:
     """Measure the motion, place the markers on the rig and bring every frame into one space.
-
-    Parameters
-    ----------
-    takes : CleanedTakes
-    rig : Rig
-    progress : callable
 
     Raises
     ------

@@ -23,10 +23,7 @@ class SourceMotion:
 
     Attributes
     ----------
-    names : tuple of str
     weights : (frames, shapes) float array
-    first_frame : int
-    rate : Fraction
     timecode_start : str
         SMPTE timecode of the first frame, empty when unknown.
     emotion : str

@@ -32,8 +32,6 @@ class WeightTable:
 
     Attributes
     ----------
-    names : tuple of str
-    frames : tuple of int
     weights : (frames, shapes) float array
     rate : Fraction or None
         Frames per second; None where the file does not say.
@@ -69,7 +67,6 @@ def read_weight_table(path: Path, *, known: tuple[str, ...] = ()) -> WeightTable
 
     Parameters
     ----------
-    path : Path
     known : tuple of str
         Shapes that are expected: where a tool made identifiers of these names, they are undone.
 
@@ -194,7 +191,6 @@ def weights_meant(table: WeightTable, name: str, rows: IntArray, shown: FloatArr
 
     Parameters
     ----------
-    table : WeightTable
     name : str
         One of the table's.
     rows : (n,) int array

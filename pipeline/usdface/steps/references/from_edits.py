@@ -151,7 +151,6 @@ def meant_frames(edits: Sequence[EditCurve], changes: FloatArray) -> BoolArray:
 
     Parameters
     ----------
-    edits : sequence of EditCurve
     changes : (edits, frames) float array
         How far each moves its weight at each frame.
     """

@@ -47,12 +47,10 @@ def write_pair_images(
     ----------
     path : Path
         The references asset; pictures lie in `images_folder` of it, named by take and frame.
-    references : References
     sources : tuple of Take
         Need no samples.
     metadata : mapping
         Kept in each picture.
-    progress : callable
     """
     files: list[Path | None] = [None] * len(references.frames)
     notes = []

@@ -74,8 +74,6 @@ def take_sound(take: Take, clock: MovieClock, notes: list[str]) -> Float32Array 
 
     Parameters
     ----------
-    take : Take
-    clock : MovieClock
     notes : list of str
         What could not be had is added here.
 

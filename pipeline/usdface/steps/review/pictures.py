@@ -49,7 +49,6 @@ class ShotPictures:
 
     Parameters
     ----------
-    shot : Shot
     height : int
         Of every picture [pixels].
     quality : {'draft', 'final'}

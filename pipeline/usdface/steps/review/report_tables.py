@@ -154,8 +154,6 @@ class ShownCoverage:
     ----------
     strip : Strip
         Share of the motion that the references determine, picture by picture.
-    listings : tuple of Listing
-    picture : PagePicture
     """
 
     strip: Strip
@@ -170,13 +168,10 @@ def show_coverage(
 
     Parameters
     ----------
-    spec : ReportSpec
-    shot : Shot
     rows : (pictures,) int array
         Row of the shot that each picture shows.
     notes : list of str
         Added to, where references are known and cannot be used.
-    progress : callable
 
     Raises
     ------

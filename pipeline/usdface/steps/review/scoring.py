@@ -21,7 +21,6 @@ class Score:
 
     Attributes
     ----------
-    label : str
     weights : (frames, shapes) float array
         In the rig's order.
     error_mm : (frames,) float array

@@ -33,9 +33,6 @@ class ShotCamera:
 
     Parameters
     ----------
-    performance_file : Path
-    performance : Performance
-    rig : Rig
     name : str
         ``'auto'``, or the path of a camera.
     stage : Path, optional
@@ -131,11 +128,6 @@ class Shot:
 
     Attributes
     ----------
-    performance_file : Path
-    take : Take
-    performance : Performance
-    rig : Rig
-    deformer : Deformer
     frames : (frames,) int array
         Frame numbers.
     weights : (frames, shapes) float array
@@ -174,7 +166,6 @@ def open_shot(performance_file: Path, take_file: Path, *, frames: str | None = N
 
     Parameters
     ----------
-    performance_file, take_file : Path
     frames : str, optional
         FIRST-LAST, to use no others.
 
