@@ -25,7 +25,12 @@ from usdface.specs.references import ReferencesFromEditsSpec, ReferencesImportSp
 from usdface.steps.edits import bake
 from usdface.steps.edits import edit as edit_step
 from usdface.steps.edits.list_ import list_edit_ranges as list_edits
-from usdface.steps.references.from_edits import FULL_STRENGTH, LEAST_CHANGE, MOSTLY, meant_frames
+from usdface.steps.references.from_edits import (
+    EDITED_SHARE,
+    FULL_STRENGTH,
+    LEAST_CHANGE,
+    meant_frames,
+)
 from usdface.usdio.performance.read import PerformanceReader, read_performance, read_weights
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
@@ -452,7 +457,7 @@ def test_where_no_frame_has_all_edits_at_their_peaks_those_nearest_are_meant() -
     edits[0].offset[:], edits[1].offset[:] = rising, rising[::-1]
     changes = np.array([each.offset for each in edits])
     mean = (changes**2).sum(axis=0) / changes.sum(axis=0)
-    wanted = (mean > MOSTLY) & (changes.max(axis=0) > LEAST_CHANGE)
+    wanted = (mean > EDITED_SHARE) & (changes.max(axis=0) > LEAST_CHANGE)
     assert 0 < wanted.sum() < 120
     np.testing.assert_array_equal(meant_frames(edits, changes), wanted)
     edits[1].offset[80:111] = 1.0  # held, so that there are frames with both at full strength

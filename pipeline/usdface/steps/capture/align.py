@@ -24,7 +24,7 @@ from usdface.usdio.take.write import VideoSync, write_video_sync
 
 log = logging.getLogger(__name__)
 
-_RATE = 16000
+_SAMPLE_RATE = 16000
 """Samples per second at which sounds are compared: speech ends at 7 kHz."""
 
 UNCHECKED_CONFIDENCE = 0.5
@@ -47,7 +47,7 @@ class Evidence:
 
     @property
     def trusted(self) -> SoundAlignment | None:
-        """What the sound says, where that is beyond doubt."""
+        """The shift by sound, where it is certain."""
         return None if self.sound is None or self.sound.doubts else self.sound
 
     @property
@@ -126,8 +126,8 @@ def decide(spec: AlignSpec, evidence: Evidence) -> Decision:
         return Decision(
             None,
             f"the timecode says {labels.offset:+.3f} s and the sound {sound.offset:+.3f} s: "
-            f"{1000 * abs(apart):.0f} ms apart, where frames explain {1000 * labels.tolerance:.0f} "
-            "at most; say which to believe with --by timecode or --by sound",
+            f"{1000 * abs(apart):.0f} ms apart, where frames explain no more than "
+            f"{1000 * labels.tolerance:.0f}; choose one with --by timecode or --by sound",
         )
     sync = VideoSync(labels.offset, 1e6 * sound.drift, _confirmed(sound, apart, labels))
     return Decision(sync, "by timecode", _difference(labels.offset, evidence))
@@ -171,9 +171,9 @@ def _gather(take: Take, video: Video, progress: Progress) -> Evidence:
         return Evidence(None, f"{video.file}: pictures carry no sound", labels)
     try:
         progress(0.0, f"listening to {video.file.name}")
-        camera = read_audio(video.file, rate=_RATE)
+        camera = read_audio(video.file, rate=_SAMPLE_RATE)
         progress(0.25, f"listening to {take.audio.name}")
-        capture = read_audio(take.audio, rate=_RATE)
+        capture = read_audio(take.audio, rate=_SAMPLE_RATE)
     except InputError as error:
         return Evidence(None, str(error), labels)
     return Evidence(_compare(camera, capture, part(progress, 0.5, 1.0)), "", labels)
@@ -181,7 +181,7 @@ def _gather(take: Take, video: Video, progress: Progress) -> Evidence:
 
 def _compare(camera: Float32Array, capture: Float32Array, progress: Progress) -> SoundAlignment:
     return align_sounds(
-        camera, capture, rate=_RATE, names=("camera's", "capture's"), progress=progress
+        camera, capture, rate=_SAMPLE_RATE, names=("camera's", "capture's"), progress=progress
     )
 
 

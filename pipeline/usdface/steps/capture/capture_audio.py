@@ -56,14 +56,14 @@ def extract_sound(
         If no capture has the named channel, or the file cannot be written, or there is another
         that is not ours.
     """
-    told = list[str]()
+    faults = list[str]()
     for source in sources:
         with source.open("rb") as stream:
             if not is_c3d(stream.read(512)):
                 continue
         capture = open_c3d(source)
         names = [label.strip() for label in capture.analog_labels]
-        told.append(
+        faults.append(
             f"{source}: no analog channel {channel!r}; there are {', '.join(names) or 'none'}"
         )
         chosen = channel if channel in names else None
@@ -75,8 +75,8 @@ def extract_sound(
             return CaptureSound(out, f"sound was taken from analog channel {chosen} ({rate:g} Hz)")
     if channel is None:
         return None
-    if told:
-        raise InputError("\n".join(told))
+    if faults:
+        raise InputError("\n".join(faults))
     raise InputError(
         f"{', '.join(map(str, sources))}: only C3D carries analog channels; leave "
         "--audio-channel out"
@@ -94,10 +94,10 @@ def _write_wav(path: Path, capture: C3dFile, column: int, *, ours: bool) -> None
     count = max(sum(int(np.isfinite(samples(start)).sum()) for start in starts), 1)
     middle = total / count  # a capture card's resting voltage is not sound
 
-    def heard(start: int) -> np.ndarray:
+    def sound_from(start: int) -> np.ndarray:
         return np.nan_to_num(_numbers(samples(start)) - middle)  # a dropped sample is silent
 
-    loudest = max((float(np.abs(heard(start)).max()) for start in starts), default=0.0)
+    loudest = max((float(np.abs(sound_from(start)).max()) for start in starts), default=0.0)
     scale = 32767.0 / loudest if loudest > 0 else 0.0
     with replacing(path) as temporary:
         with wave.open(str(temporary), "wb") as stream:
@@ -105,7 +105,7 @@ def _write_wav(path: Path, capture: C3dFile, column: int, *, ours: bool) -> None
             stream.setsampwidth(2)
             stream.setframerate(round(capture.analog_rate))
             for start in starts:
-                stream.writeframes(np.round(heard(start) * scale).astype("<i2").tobytes())
+                stream.writeframes(np.round(sound_from(start) * scale).astype("<i2").tobytes())
         # A run that was killed before it wrote its take left the same.
         if not ours and path.exists() and not filecmp.cmp(path, temporary, shallow=False):
             raise InputError(

@@ -8,7 +8,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import take_samples_path
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.media.charts.repair import RepairKind, draw_repairs
 from usdface.media.picture.image import write_image
 from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
@@ -28,7 +28,7 @@ _FEWEST_RIGID = 3
 POSE_COLOR, FILLED_COLOR, SWAPPED_COLOR = (92, 98, 110), (86, 156, 214), (232, 178, 66)
 OUTLIER_COLOR, LEFT_COLOR = (206, 96, 190), (226, 74, 66)
 
-SWAPS_TOLD = 20
+_LISTED_SWAPS = 20
 """More repairs than this are counted, not listed."""
 
 
@@ -114,7 +114,7 @@ def _rigid_names(spec: CleanSpec, markers: Markers, notes: list[str]) -> tuple[s
     if unknown:
         raise InputError(
             f"{spec.take}: rigid markers {', '.join(unknown)} are not in the take, which has "
-            f"{', '.join(markers.names[:5])}, ...; correct --rigid"
+            f"{first_few(markers.names)}; correct --rigid"
         )
     if named:
         return named
@@ -134,25 +134,25 @@ def _rigid_names(spec: CleanSpec, markers: Markers, notes: list[str]) -> tuple[s
 
 def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]:
     notes = []
-    for swap in cleaned.swaps[:SWAPS_TOLD]:
+    for swap in cleaned.swaps[:_LISTED_SWAPS]:
         notes.append(
             f"frames {take.first_frame + swap.start}-{take.first_frame + swap.stop - 1}: labels "
-            f"{markers.names[swap.first]} and {markers.names[swap.second]} had changed places"
+            f"{markers.names[swap.first]} and {markers.names[swap.second]} were swapped"
         )
-    if len(cleaned.swaps) > SWAPS_TOLD:
-        notes.append(f"and {len(cleaned.swaps) - SWAPS_TOLD} more swaps")
+    if len(cleaned.swaps) > _LISTED_SWAPS:
+        notes.append(f"and {len(cleaned.swaps) - _LISTED_SWAPS} more swaps")
     if cleaned.outliers.any():
         worst = int(cleaned.outliers.sum(axis=0).argmax())
         notes.append(
-            f"replaced {pluralize(int(cleaned.outliers.sum()), 'stray sample')}, the most of "
+            f"replaced {pluralize(int(cleaned.outliers.sum()), 'outlier')}, the most of "
             f"{markers.names[worst]}"
         )
     left = ~cleaned.visible
     if left.any():
-        names = [markers.names[i] for i in np.flatnonzero(left.any(axis=0))[:5]]
+        names = [markers.names[i] for i in np.flatnonzero(left.any(axis=0))]
         notes.append(
             f"{pluralize(int(left.sum()), 'sample')} in gaps too long to fill, with confidence 0 "
-            f"({', '.join(names)}): raise --max-gap to fill them all the same"
+            f"({first_few(names)}): raise --max-gap to fill them"
         )
     doubtful = np.flatnonzero(cleaned.pose_confidence < 1.0)
     if len(doubtful):
@@ -193,7 +193,7 @@ def _picture(cleaned: CleanedMarkers, markers: Markers, take: Take) -> ByteImage
 
 def _summary(cleaned: CleanedMarkers, take: Take) -> str:
     return (
-        f"{take.name}: head motion out, {pluralize(len(cleaned.swaps), 'swap')}, "
+        f"{take.name}: head motion removed, {pluralize(len(cleaned.swaps), 'swap')} relabelled, "
         f"{pluralize(int(cleaned.outliers.sum()), 'outlier')} replaced, "
         f"{pluralize(int(cleaned.filled.sum()), 'missing sample')} filled, noise "
         f"{cleaned.noise_mm:.2f} mm"
@@ -203,7 +203,7 @@ def _summary(cleaned: CleanedMarkers, take: Take) -> str:
 def _figures(cleaned: CleanedMarkers, rigid: tuple[str, ...]) -> dict[str, object]:
     return {
         "swaps": len(cleaned.swaps),
-        "strays": int(cleaned.outliers.sum()),
+        "outliers": int(cleaned.outliers.sum()),
         "filled": int(cleaned.filled.sum()),
         "left": int((~cleaned.visible).sum()),
         "noise_mm": cleaned.noise_mm,

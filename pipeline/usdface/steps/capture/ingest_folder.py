@@ -17,7 +17,7 @@ CAPTURE_SUFFIXES = (".c3d", ".trc")
 """Whatever such a file holds, it was meant as a capture: a damaged one must not go unseen."""
 AUDIO_SUFFIXES = (".wav", ".flac", ".aif", ".aiff", ".mp3", ".m4a")
 
-_OWN = ("take", "video", "audio", "timecode")
+_FIELDS_OF_ONE_TAKE = ("take", "video", "audio", "timecode")
 """What every take of a folder has of its own."""
 
 _TAKES = (".take.usda", ".samples.usdc")
@@ -89,7 +89,7 @@ def ingest_folder(
     CheckFailedError
         If a take could not be ingested; each is named with its reason.
     """
-    for name in _OWN:
+    for name in _FIELDS_OF_ONE_TAKE:
         if getattr(shared, name):
             raise InputError(
                 f"{folder}: --{name} is of one take, and a folder holds several: each is named by "
@@ -126,10 +126,10 @@ def ingest_folder(
         except InputError as error:
             failed.append(str(error))
     if failed:
-        told = "\n".join(f"  {message}" for message in failed)
+        reasons = "\n".join(f"  {message}" for message in failed)
         raise CheckFailedError(
             f"{pluralize(len(done), 'take')} of {folder} ingested, "
-            f"{len(failed)} could not be:\n{told}"
+            f"{len(failed)} could not be:\n{reasons}"
         )
     return StepResult(
         tuple(path for report in done for path in report.outputs),

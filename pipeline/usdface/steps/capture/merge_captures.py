@@ -89,16 +89,16 @@ def _start_difference(take: Take, other: Take) -> tuple[float, str]:
     day = DROP_DAY_SECONDS if all_drop else DAY_SECONDS
     apart = _reading(other) - _reading(take)
     apart = (apart + day / 2) % day - day / 2  # recorded across midnight, too
-    doubt = ""
+    caveat = ""
     if _second(take) == _second(other):
         apart *= _second(take)
     else:
-        doubt = (
+        caveat = (
             f", as the labels read: {float(take.rate):g} and {float(other.rate):g} frames per "
             "second do not count the same seconds"
         )
     difference = float(apart)
-    note = f"by timecode the weights start {difference:+.3f} s after the markers{doubt}"
+    note = f"by timecode the weights start {difference:+.3f} s after the markers{caveat}"
     return difference, note
 
 

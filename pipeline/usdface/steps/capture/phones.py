@@ -5,7 +5,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import LAYER_SUFFIXES
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.media.film.sound import read_audio
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
@@ -116,7 +116,7 @@ def _notes(found: PhoneAlignment, outside: float) -> list[str]:
         shown = [f"{word} ({' '.join(said)})" for word, said in found.guessed.items()]
         notes.append(
             f"in no dictionary, and guessed from the letters: {pluralize(len(shown), 'word')}, "
-            f"{', '.join(shown[:NAMED_WORDS])}; say it better with --dictionary"
+            f"{first_few(shown, most=NAMED_WORDS)}; give their phones with --dictionary"
         )
     if found.score < DOUBTFUL_SCORE:
         notes.append(
@@ -131,6 +131,6 @@ def _notes(found: PhoneAlignment, outside: float) -> list[str]:
     if found.doubtful_words:
         shown = [f"{span.label} ({span.start:.1f} s)" for span in found.doubtful_words]
         notes.append(
-            f"at a bad fit: {pluralize(len(shown), 'word')}, {', '.join(shown[:NAMED_WORDS])}"
+            f"at a bad fit: {pluralize(len(shown), 'word')}, {first_few(shown, most=NAMED_WORDS)}"
         )
     return notes

@@ -7,7 +7,7 @@ from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.numerics.motion.key_reduction import Deviation, reduce_keys
 from usdface.runner.result import StepResult
 from usdface.specs.edits import BakeSpec
@@ -45,7 +45,7 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress = silent) 
     notes = []
     unknown = sorted(set(reader.edits) - set(reader.names))
     if unknown:
-        notes.append(f"edits of {', '.join(unknown[:5])} find no such shape and were left out")
+        notes.append(f"edits of {first_few(unknown)} find no such shape and were left out")
     edited = len(set(reader.edits) & set(reader.names))
     summary = f"{pluralize(header.frame_count, 'frame')}, {pluralize(edited, 'shape')} edited"
     if spec.tolerance:

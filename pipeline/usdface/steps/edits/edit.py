@@ -9,7 +9,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.rates import UNSAMPLED_FRAMES, check_frame_span
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.numerics.motion.edit_curve import (
     EditCurve,
     add_to_edit,
@@ -122,7 +122,7 @@ def _check_shapes(spec: EditSpec, reader: PerformanceReader) -> None:
     for shape in spec.shape:
         if shape not in reader.names and not (spec.clear and shape in reader.edits):
             near = difflib.get_close_matches(shape, reader.names, n=3, cutoff=0.5)
-            some = ", ".join(reader.names[:3])
+            some = first_few(reader.names, most=3)
             hint = f"did you mean {' or '.join(near)}?" if near else f"they are {some}, ..."
             raise InputError(
                 f"{spec.performance}: has no shape {shape!r} among its {len(reader.names)}; {hint}"

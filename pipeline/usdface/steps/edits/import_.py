@@ -6,7 +6,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.numerics.motion.edit_curve import EditCurve, no_edit
 from usdface.runner.result import StepResult
 from usdface.specs.edits import EditsImportSpec
@@ -111,8 +111,9 @@ def _known_shapes(
     known = [name for name in table.names if name in reader.names]
     if not known:
         raise InputError(
-            f"{spec.changed}: none of its {len(table.names)} shapes ({', '.join(table.names[:3])}, "
-            f"...) is in the performance ({', '.join(reader.names[:3])}, ...); rename them"
+            f"{spec.changed}: none of its {len(table.names)} shapes "
+            f"({first_few(table.names, most=3)}) "
+            f"is in the performance ({first_few(reader.names, most=3)}); rename them"
         )
     return known
 
@@ -139,7 +140,7 @@ def _notes(reader: PerformanceReader, table: WeightTable) -> tuple[str, ...]:
     if unknown:
         notes.append(
             f"left out {pluralize(len(unknown), 'shape')} that the performance does not have: "
-            f"{', '.join(unknown[:5])}"
+            f"{first_few(unknown)}"
         )
     outside = sum(not reader.first_frame <= f <= reader.last_frame for f in table.frames)
     if outside:

@@ -22,11 +22,11 @@ def validate_layers(layers: tuple[Path, ...]) -> StepResult:
     findings = [finding for each in found.values() for finding in each]
     errors = [finding for finding in findings if finding.severity == "error"]
     warnings = len(findings) - len(errors)
-    told, wrong = pluralize(len(layers), "layer"), pluralize(len(errors), "error")
+    counted, wrong = pluralize(len(layers), "layer"), pluralize(len(errors), "error")
     return StepResult(
         (),
-        f"{told}: {wrong}, {pluralize(warnings, 'warning')}",
+        f"{counted}: {wrong}, {pluralize(warnings, 'warning')}",
         table=tuple(f"{f.severity}: {f.where}: {f.message} [{f.check}]" for f in findings),
         figures={name: [asdict(finding) for finding in each] for name, each in found.items()},
-        failures=(f"{wrong} in {told}",) if errors else (),
+        failures=(f"{wrong} in {counted}",) if errors else (),
     )

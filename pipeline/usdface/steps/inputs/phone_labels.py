@@ -9,6 +9,7 @@ import numpy as np
 from usdface.core.arrays import IntArray
 from usdface.core.assets import Take
 from usdface.core.errors import InputError
+from usdface.core.text import first_few
 from usdface.model.selection.visemes import Segment
 from usdface.specs.references import SelectSpec
 from usdface.speech.phone_track import PhoneTrack, label_at
@@ -57,7 +58,7 @@ def read_phone_labels(spec: SelectSpec, takes: CleanedTakes) -> PhoneLabels:
     for index, source in enumerate(takes.sources):
         count = len(takes.positions[index])
         rate = float(source.rate)
-        felt = spec.emotions[index] if spec.emotions else source.emotion
+        take_emotion = spec.emotions[index] if spec.emotions else source.emotion
         seconds = (np.arange(count) / rate).tolist()
         track = PhoneTrack(())
         if spec.phones:
@@ -71,26 +72,26 @@ def read_phone_labels(spec: SelectSpec, takes: CleanedTakes) -> PhoneLabels:
             if unknown:
                 notes.append(
                     f"{spec.phones[index].name}: {len(unknown)} symbols are no phone and were "
-                    f"left out: {', '.join(map(repr, unknown[:5]))}"
+                    f"left out: {first_few(map(repr, unknown))}"
                 )
-        own = [felt] * count
+        emotion_at = [take_emotion] * count
         if track.emotions:
-            own = [label_at(track.emotions, at) or felt for at in seconds]
-        if not any(own):
+            emotion_at = [label_at(track.emotions, at) or take_emotion for at in seconds]
+        if not any(emotion_at):
             unmarked.append(source.name)
-        said = [viseme_of(label) or "" if label else "" for label in _labels(track, seconds)]
+        viseme_at = [viseme_of(label) or "" if label else "" for label in _labels(track, seconds)]
         for span in track.phones:
             row = round(span.middle * rate)
             viseme = viseme_of(span.label)
             if viseme is not None and 0 <= row < count:
                 length = max(round((span.end - span.start) * rate), 1)
-                segments.append(Segment(start + row, length, viseme, own[row]))
-        visemes += said
-        emotions += own
+                segments.append(Segment(start + row, length, viseme, emotion_at[row]))
+        visemes += viseme_at
+        emotions += emotion_at
         start += count
     if unmarked and (spec.phones or len(takes.sources) > 1):
         notes.append(
-            f"no emotion is marked in {', '.join(unmarked[:5])}: its frames count as one; say it "
+            f"no emotion is marked in {first_few(unmarked)}: its frames count as one; say it "
             "with --emotions, at `usdface ingest --emotion`, or in a tier `emotions`"
         )
     return PhoneLabels(tuple(segments), tuple(visemes), tuple(emotions), tuple(notes))
@@ -106,12 +107,9 @@ def _labels(track: PhoneTrack, seconds: Sequence[float]) -> list[str]:
     place = np.searchsorted(starts, at, side="right") - 1
     inside = (place >= 0) & (at < ends[np.maximum(place, 0)])
     return [
-        (track.phones[k].label or "sil") if held else ""
-        for k, held in zip(place.tolist(), inside.tolist(), strict=True)
+        (track.phones[k].label or "sil") if is_inside else ""
+        for k, is_inside in zip(place.tolist(), inside.tolist(), strict=True)
     ]
-
-
-"""By how much phones may outlast their take before they are thought to be of another."""
 
 
 def labels_at(phones: Path | None, take: Take, frames: IntArray) -> tuple[str, ...]:
@@ -150,9 +148,9 @@ def _label(track: PhoneTrack, seconds: float) -> str:
     phone = label_at(track.phones, seconds)
     viseme = viseme_of(phone) if phone else None
     if viseme is None:
-        said = ""
+        viseme_at = ""
     elif viseme == SILENCE:
-        said = "silent"
+        viseme_at = "silent"
     else:
-        said = f"{(arpabet_of(phone) or phone).upper()}  {viseme_label(viseme)}"
-    return ", ".join(part for part in (said, label_at(track.emotions, seconds)) if part)
+        viseme_at = f"{(arpabet_of(phone) or phone).upper()}  {viseme_label(viseme)}"
+    return ", ".join(part for part in (viseme_at, label_at(track.emotions, seconds)) if part)

@@ -8,12 +8,12 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.shape_names import match_names
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.take.read import TakeReader, is_take
 
-MOVES = 0.02
+MOVING_WEIGHT = 0.02
 """Weight beyond which a shape counts as used by a performance."""
 
 
@@ -92,26 +92,27 @@ def source_columns(
             out[:, place[name]] += share * motion.weights[:, column[match.source[0][0]]]
     if not same and not meant:
         raise InputError(
-            f"{path}: none of its {len(motion.names)} shapes ({', '.join(motion.names[:3])}, ...) "
-            f"is one of {', '.join(wanted[:3])}, ...; are they of another character?"
+            f"{path}: none of its {len(motion.names)} shapes ({first_few(motion.names, most=3)}) "
+            f"is one of {first_few(wanted, most=3)}; are they of another character?"
         )
     matched = {*same, *(match.source[0][0] for match in meant)}
     moving = [
         name
         for name in motion.names
-        if name not in matched and np.abs(motion.weights[:, column[name]]).max() > MOVES
+        if name not in matched and np.abs(motion.weights[:, column[name]]).max() > MOVING_WEIGHT
     ]
     notes = []
     if meant:
         example = meant[0]
         notes.append(
-            f"matched by what names mean: {pluralize(len(meant), 'shape')}, such as {example.name} "
+            f"matched by the meaning of their names: {pluralize(len(meant), 'shape')}, such as "
+            f"{example.name} "
             f"to {example.target[0][0]}"
         )
     if moving:
         notes.append(
-            f"{path.name}: nothing is driven by {pluralize(len(moving), 'moving shape')}: "
-            f"{', '.join(moving[:5])}"
+            f"{path.name}: no counterpart for {pluralize(len(moving), 'moving shape')}: "
+            f"{first_few(moving)}"
         )
     return out, tuple(notes)
 

@@ -21,7 +21,7 @@ def take_head_space(take: TakeReader, mapping: TrainedMapping) -> HeadSpace:
     """
     count = take.last_frame - take.first_frame + 1
     picks = np.linspace(take.first_frame, take.last_frame, min(count, _SAMPLE_FRAMES))
-    sample = _there(take, take.read_markers_at(picks.astype(int).tolist()))
+    sample = _require_markers(take, take.read_markers_at(picks.astype(int).tolist()))
     try:
         return find_head_space(mapping, sample)
     except InputError as error:
@@ -36,10 +36,10 @@ def read_markers(take: TakeReader, first: int, last: int) -> Markers:
     InputError
         If the take has none.
     """
-    return _there(take, take.read(first, last, head_motion=False).markers)
+    return _require_markers(take, take.read(first, last, head_motion=False).markers)
 
 
-def _there(take: TakeReader, markers: Markers | None) -> Markers:
+def _require_markers(take: TakeReader, markers: Markers | None) -> Markers:
     if markers is None:
         raise InputError(f"{take.path}: has no markers; ingest a capture that has")
     return markers

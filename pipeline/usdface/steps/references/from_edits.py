@@ -13,7 +13,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path, tuned_path
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.numerics.motion.edit_curve import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
 from usdface.runner.origin import spec_of
@@ -37,10 +37,10 @@ LEAST_CHANGE = 0.02
 FULL_STRENGTH = 0.8
 """Share of an edit's peak from which a frame counts as meant, not as its fade."""
 
-MINOR = 0.25
+MINOR_SHARE = 0.25
 """Edits below this share of a frame's largest do not count."""
 
-MOSTLY = 0.5
+EDITED_SHARE = 0.5
 """The same of all edits of a frame together, where no frame has every one at full strength."""
 
 
@@ -112,7 +112,7 @@ def _learn(
     missing = [name for name in reader.names if name not in old.shape_names]
     if missing:
         raise InputError(
-            f"{performance}: its shapes {', '.join(missing[:5])} are not in {spec.references}; "
+            f"{performance}: its shapes {first_few(missing)} are not in {spec.references}; "
             "are these the references its mapping was trained on?"
         )
     edited = reader.edited().astype(np.float64)
@@ -128,7 +128,7 @@ def _learn(
     rows, markers = rows[seen], markers[seen]
     if not seen.all():
         notes.append(
-            f"{performance}: left out, lacking a marker: "
+            f"{performance}: left out, missing a marker: "
             f"{pluralize(int((~seen).sum()), 'corrected frame')}"
         )
     if not len(rows):
@@ -160,11 +160,11 @@ def meant_frames(edits: Sequence[EditCurve], changes: FloatArray) -> BoolArray:
         for part in starmap(slice, runs(edit.active)):
             share[row, part] = strength[part] / strength[part].max()
     largest = changes.max(axis=0, initial=0.0)
-    counts = changes > MINOR * largest
+    counts = changes > MINOR_SHARE * largest
     meant: BoolArray = ((share >= FULL_STRENGTH) | ~counts).all(axis=0) & (largest > LEAST_CHANGE)
     if not meant.any():
         whole = changes.sum(axis=0)
-        meant = ((changes * share).sum(axis=0) > MOSTLY * whole) & (largest > LEAST_CHANGE)
+        meant = ((changes * share).sum(axis=0) > EDITED_SHARE * whole) & (largest > LEAST_CHANGE)
     return meant
 
 
@@ -209,11 +209,11 @@ def _markers_at(
     take: TakeReader, mapping: TrainedMapping, old: References, frames: IntArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return the markers at frames as the references have them, and which frames can be used."""
-    lacking = [name for name in old.marker_names if name not in mapping.marker_names]
-    if lacking:
+    missing = [name for name in old.marker_names if name not in mapping.marker_names]
+    if missing:
         raise InputError(
             f"{take.path}: its mapping does not know the references' markers "
-            f"{', '.join(lacking[:5])}; give the references that it was trained on"
+            f"{first_few(missing)}; give the references that it was trained on"
         )
     space = take_head_space(take, mapping)
     order = [mapping.marker_names.index(name) for name in old.marker_names]
@@ -268,14 +268,14 @@ def _by_hand(out: Path) -> dict[tuple[str, int], dict[str, float]]:
 def _left_out(out: Path, references: References) -> list[str]:
     """Name what was tuned in the asset that is replaced and is no pair of the new one."""
     here = set(zip(references.takes, references.frames.tolist(), strict=True))
-    lost = [
+    gone = [
         each for each in read_tuned_pairs(tuned_path(out)) if (each.take, each.frame) not in here
     ]
-    if not lost:
+    if not gone:
         return []
-    frames = ", ".join(str(each.frame) for each in lost[:5])
+    frames = first_few(each.frame for each in gone)
     return [
-        f"{out}: gone, being none of these: {pluralize(len(lost), 'pair')} tuned there before, "
+        f"{out}: no longer pairs: {pluralize(len(gone), 'pair')} tuned there before, "
         f"frames {frames}"
     ]
 
@@ -299,7 +299,7 @@ def _together(old: References, lessons: list[_Lessons], notes: list[str]) -> Ref
         notes.append(
             f"pairs already, with new weights now: {pluralize(renewed, 'corrected frame')}"
         )
-    nothing_said = ("",) * len(new)
+    unlabelled = ("",) * len(new)
     return replace(
         old,
         markers=np.concatenate([old.markers, *(markers[None] for markers, _ in new.values())]),
@@ -307,6 +307,6 @@ def _together(old: References, lessons: list[_Lessons], notes: list[str]) -> Ref
         frames=np.concatenate([old.frames, np.array([f for _, f in new], dtype=np.int64)]),
         takes=(*old.takes, *(take for take, _ in new)),
         tuned=np.concatenate([tuned, np.ones(len(new), dtype=bool)]),
-        visemes=(*old.visemes, *nothing_said) if old.visemes else (),
-        emotions=(*old.emotions, *nothing_said) if old.emotions else (),
+        visemes=(*old.visemes, *unlabelled) if old.visemes else (),
+        emotions=(*old.emotions, *unlabelled) if old.emotions else (),
     )

@@ -62,7 +62,7 @@ def write_pair_images(
             continue
         shown: dict[int, Path] = {}
         if take.video is None:
-            shown = _kept(folder, references, take, pairs)
+            shown = _existing_pictures(folder, references, take, pairs)
         else:
             try:
                 shown = _write_take(folder, references, take, pairs, metadata)
@@ -72,7 +72,7 @@ def write_pair_images(
                         f"the video of {take.name} does not show {unseen} of {len(pairs)} pairs"
                     )
             except (InputError, OSError) as error:
-                shown = _kept(folder, references, take, pairs)
+                shown = _existing_pictures(folder, references, take, pairs)
                 notes.append(_unread(take, len(shown), len(pairs), error))
         for pair, file in shown.items():
             files[pair] = file
@@ -88,10 +88,12 @@ def _unread(take: Take, kept: int, pairs: int, error: Exception) -> str:
     )
 
 
-def _kept(folder: Path, references: References, take: Take, pairs: list[int]) -> dict[int, Path]:
+def _existing_pictures(
+    folder: Path, references: References, take: Take, pairs: list[int]
+) -> dict[int, Path]:
     """Return the pictures there are of earlier selections, of frames that can be read no more."""
-    there = {pair: folder / _file_name(take, int(references.frames[pair])) for pair in pairs}
-    return {pair: file for pair, file in there.items() if file.is_file()}
+    files = {pair: folder / _file_name(take, int(references.frames[pair])) for pair in pairs}
+    return {pair: file for pair, file in files.items() if file.is_file()}
 
 
 def _file_name(take: Take, frame: int) -> str:

@@ -7,7 +7,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import tuned_path
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesImportSpec
 from usdface.steps.inputs.tuned_pairs import tuned_conflicts
@@ -29,8 +29,8 @@ def run(
     if not known:
         raise InputError(
             f"{spec.weights}: none of its {len(table.names)} columns "
-            f"({', '.join(table.names[:3])}, ...) is a shape of the rig "
-            f"({', '.join(references.shape_names[:3])}, ...); rename the columns"
+            f"({first_few(table.names, most=3)}) is a shape of the rig "
+            f"({first_few(references.shape_names, most=3)}); rename the columns"
         )
     pairs = _pairs(spec, references, table, known)
     if not pairs:
@@ -48,23 +48,22 @@ def run(
     if unknown:
         notes.append(
             f"left out {pluralize(len(unknown), 'column')}, of no shape of the rig: "
-            f"{', '.join(unknown[:5])}"
+            f"{first_few(unknown)}"
         )
     missing = [name for name in references.shape_names if name not in table.names]
     if missing:
         notes.append(
-            f"not in the file, with the weights they had: {pluralize(len(missing), 'shape')}, "
-            f"{', '.join(missing[:5])}"
+            f"not in the file, so unchanged: {pluralize(len(missing), 'shape')}, "
+            f"{first_few(missing)}"
         )
     between = sum(_key(spec, pair) not in table.keyed for pair in pairs)
     if between:
         notes.append(
-            f"given what lies between two keys, as {spec.weights.name} has no key there: "
-            f"{pluralize(between, 'pair')}"
+            f"interpolated, as {spec.weights.name} has no key there: {pluralize(between, 'pair')}"
         )
     rest = len(references.frames) - len(pairs)
     if rest:
-        notes.append(f"not in the file, and as before: {pluralize(rest, 'pair')}")
+        notes.append(f"not in the file, so unchanged: {pluralize(rest, 'pair')}")
     texts, conflicts = tuned_conflicts(spec.references)
     notes += texts
     return StepResult(

@@ -10,7 +10,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path, tuned_path
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.media.picture.image import write_image
 from usdface.model.selection.design import (
     ReferenceChoice,
@@ -85,14 +85,14 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     spoken = read_phone_labels(spec, takes)
     kept = find_placed_pairs(spec, takes, rig)
     mapping = None if spec.mapping is None else _mapping_for(spec, rig)
-    asked = _set_up(spec, takes, rig, spoken, kept, progress)
+    selection = _set_up(spec, takes, rig, spoken, kept, progress)
     progress(0.5, "choosing frames")
     mapped = None if mapping is None else takes_prediction(mapping, takes)
-    choice = _choose(asked, mapped)
+    choice = _choose(selection, mapped)
     rows = np.array(rows_in_place(spec.count, kept, choice.rows), dtype=np.int64)
     progress(0.7, "proposing weights")
-    weights = _propose(asked, mapped, rows)
-    references = _references(asked, choice, rows, weights)
+    weights = _propose(selection, mapped, rows)
+    references = _references(selection, choice, rows, weights)
     metadata = provenance_metadata(provenance)
     images = PairImages((), ())
     if spec.images:
@@ -111,10 +111,12 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
         )
     remove_unused_images(spec.out, images.files)
     progress(0.9, "measuring the coverage")
-    covered = cover(asked.scene.space, asked.scene.features, rows, candidates=asked.candidates)
+    covered = cover(
+        selection.scene.space, selection.scene.features, rows, candidates=selection.candidates
+    )
     write_image(
         spec.picture_path(),
-        coverage_picture(covered, takes, rows, tuned=asked.already, title=spec.out.stem),
+        coverage_picture(covered, takes, rows, tuned=selection.already, title=spec.out.stem),
         metadata=metadata,
     )
     progress(1.0, "done")
@@ -142,7 +144,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
         "images": sum(file is not None for file in images.files),
         **coverage_figures(covered, takes),
     }
-    notes = (*_notes(asked, choice, mapping), *images.notes, *contradictions)
+    notes = (*_notes(selection, choice, mapping), *images.notes, *contradictions)
     return StepResult(outputs, summary, notes, figures)
 
 
@@ -199,74 +201,75 @@ def _set_up(
     return _Selection(spec, scene, spoken, kept, candidates)
 
 
-def _choose(asked: _Selection, mapped: TakesPrediction | None) -> ReferenceChoice:
+def _choose(selection: _Selection, mapped: TakesPrediction | None) -> ReferenceChoice:
     """Choose the frames that are to be found, by the method asked for."""
-    spec = asked.spec
+    spec = selection.spec
     if spec.method == "active":
-        return _choose_next(asked, mapped)
+        return _choose_next(selection, mapped)
     spoken = ReferenceChoice(np.zeros(0, dtype=np.int64))
-    if asked.spoken.segments and spec.method in ("viseme", "both"):
+    if selection.spoken.segments and spec.method in ("viseme", "both"):
         spoken = choose_visemes(
-            asked.scene.features,
+            selection.scene.features,
             # With both, half of the pairs are left to design, whatever is spoken.
-            asked.wanted if spec.method == "viseme" else asked.wanted // 2,
-            segments=asked.spoken.segments,
-            emotion_of=asked.spoken.emotion_of,
+            selection.wanted if spec.method == "viseme" else selection.wanted // 2,
+            segments=selection.spoken.segments,
+            emotion_of=selection.spoken.emotion_of,
             extremes=spec.extremes if spec.method == "viseme" else 0,
-            already=asked.already,
-            candidates=asked.candidates,
+            already=selection.already,
+            candidates=selection.candidates,
         )
-    rest = asked.wanted - len(spoken.rows)
+    rest = selection.wanted - len(spoken.rows)
     if not rest:
         return spoken
     designed = choose_by_design(
-        asked.scene.features,
+        selection.scene.features,
         rest,
-        already=np.concatenate([asked.already, spoken.rows]),
-        candidates=asked.candidates,
-        stand_ins=asked.scene.stand_ins,
+        already=np.concatenate([selection.already, spoken.rows]),
+        candidates=selection.candidates,
+        stand_ins=selection.scene.stand_ins,
     )
     together = np.concatenate([spoken.rows, designed.rows])
     return replace(
         designed,
-        rows=in_order_of_worth(asked.scene.features, together, asked.already),
+        rows=in_order_of_worth(selection.scene.features, together, selection.already),
         visemes=spoken.visemes,
         missing=spoken.missing,
     )
 
 
-def _choose_next(asked: _Selection, mapped: TakesPrediction | None) -> ReferenceChoice:
-    if mapped is None or len(asked.kept) < FEWEST_TUNED:
+def _choose_next(selection: _Selection, mapped: TakesPrediction | None) -> ReferenceChoice:
+    if mapped is None or len(selection.kept) < FEWEST_TUNED:
         raise InputError(
-            f"{tuned_path(asked.spec.out)}: {len(asked.kept)} pairs are tuned, and active needs "
+            f"{tuned_path(selection.spec.out)}: {len(selection.kept)} pairs are tuned, and active "
+            "needs "
             f"at least {FEWEST_TUNED} to see what would help next; tune some, or choose --method "
             "design"
         )
     shapes = mapped.shape_names
-    tuned = np.array([[each.tuned.weights.get(s, 0.0) for s in shapes] for each in asked.kept])
-    line = fit_linear_ridge(asked.scene.coordinates(asked.already), tuned)
-    columns = [asked.scene.rig.shapes.index(name) for name in shapes]
-    gram = asked.scene.stand_ins.gram[np.ix_(columns, columns)]
+    tuned = np.array([[each.tuned.weights.get(s, 0.0) for s in shapes] for each in selection.kept])
+    line = fit_linear_ridge(selection.scene.coordinates(selection.already), tuned)
+    columns = [selection.scene.rig.shapes.index(name) for name in shapes]
+    gram = selection.scene.stand_ins.gram[np.ix_(columns, columns)]
 
     def disagreement_mm(rows: IntArray) -> FloatArray:
-        """Return how far the mapping is from a straight line through the same pairs: doubt."""
-        coordinates = asked.scene.coordinates(rows)
+        """Return how far the mapping is from a straight line through the same pairs."""
+        coordinates = selection.scene.coordinates(rows)
         straight = (coordinates - line.mean) @ line.coefficients + line.intercept
         error = mapped.weights(rows) - straight
         return np.asarray(np.sqrt(np.maximum(np.einsum("fs,st,ft->f", error, gram, error), 0.0)))
 
     return choose_next(
-        asked.scene.features,
-        asked.wanted,
-        already=asked.already,
-        candidates=asked.candidates,
+        selection.scene.features,
+        selection.wanted,
+        already=selection.already,
+        candidates=selection.candidates,
         expected_error=disagreement_mm,
     )
 
 
-def _propose(asked: _Selection, mapped: TakesPrediction | None, rows: IntArray) -> FloatArray:
+def _propose(selection: _Selection, mapped: TakesPrediction | None, rows: IntArray) -> FloatArray:
     """Return weights to start from: the mapping's where there is one, else the rig's geometry."""
-    scene = asked.scene
+    scene = selection.scene
     positions = scene.positions(rows)
     weights = scene.equation.propose(positions, visible=scene.usable(rows))
     lips = find_lips(scene.equation, scene.deformer, scene.rig.shapes)
@@ -279,9 +282,9 @@ def _propose(asked: _Selection, mapped: TakesPrediction | None, rows: IntArray) 
 
 
 def _references(
-    asked: _Selection, choice: ReferenceChoice, rows: IntArray, weights: FloatArray
+    selection: _Selection, choice: ReferenceChoice, rows: IntArray, weights: FloatArray
 ) -> References:
-    scene, takes, spoken = asked.scene, asked.scene.takes, asked.spoken
+    scene, takes, spoken = selection.scene, selection.scene.takes, selection.spoken
     return References(
         marker_names=takes.marker_names,
         shape_names=scene.rig.shapes,
@@ -300,16 +303,17 @@ def _references(
     )
 
 
-def _notes(asked: _Selection, choice: ReferenceChoice, mapping: TrainedMapping | None) -> list[str]:
-    notes, dropped = list(asked.spoken.notes), asked.scene.takes.dropped
+def _notes(
+    selection: _Selection, choice: ReferenceChoice, mapping: TrainedMapping | None
+) -> list[str]:
+    notes, dropped = list(selection.spoken.notes), selection.scene.takes.dropped
     if dropped:
         notes.append(
-            f"left out {pluralize(len(dropped), 'marker')}, not in every take: "
-            f"{', '.join(dropped[:5])}"
+            f"left out {pluralize(len(dropped), 'marker')}, not in every take: {first_few(dropped)}"
         )
-    if asked.kept:
-        notes.append(f"kept in place: {pluralize(len(asked.kept), 'tuned pair')}")
-    keyed = sum(each.is_keyed for each in asked.kept)
+    if selection.kept:
+        notes.append(f"kept in place: {pluralize(len(selection.kept), 'tuned pair')}")
+    keyed = sum(each.is_keyed for each in selection.kept)
     if keyed:
         notes.append(
             f"keyed in the asset itself, and tuned from now on: {pluralize(keyed, 'pair')}"
@@ -318,15 +322,15 @@ def _notes(asked: _Selection, choice: ReferenceChoice, mapping: TrainedMapping |
         shown = [f"{viseme} {emotion}".strip() for emotion, viseme in choice.missing]
         notes.append(
             f"not spoken in every emotion: {pluralize(len(shown), 'viseme')}, "
-            f"{', '.join(shown[:8])}"
+            f"{first_few(shown, most=8)}"
         )
-    if asked.spec.method == "viseme" and choice.design:
+    if selection.spec.method == "viseme" and choice.design:
         spoken = len(choice.rows) - len([r for r in choice.rows if int(r) not in choice.visemes])
         notes.append(
-            f"chosen by viseme: {pluralize(spoken, 'frame')}; the rest of {asked.spec.count} by "
-            "design"
+            f"chosen by viseme: {pluralize(spoken, 'frame')}; the rest of {selection.spec.count} "
+            "by design"
         )
-    if asked.spec.method == "both" and not asked.spec.phones:
+    if selection.spec.method == "both" and not selection.spec.phones:
         notes.append(
             "no phones are given, so frames were chosen by design alone; that costs nothing in "
             "accuracy, but pairs carry no viseme"

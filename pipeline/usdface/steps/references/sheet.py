@@ -35,7 +35,7 @@ from usdface.usdio.take.read import read_take
 _YAW_DEGREES = 12.0
 """A little from the side, where lips and lids show their depth."""
 
-FAINTEST = 0.05
+LEAST_WEIGHT = 0.05
 """Weights below are not worth naming."""
 
 _Video = VideoReader | ImageSequence
@@ -70,7 +70,7 @@ def run(
     camera = frame_rig(rig.meshes, yaw_degrees=_YAW_DEGREES)
     cloud = frame_markers(references.markers)
     rows = []
-    kept = read_pair_notes(spec.references)
+    pair_notes = read_pair_notes(spec.references)
     with ExitStack() as open_files:
         videos = {name: _open_video(take, open_files) for name, take in takes.items()}
         for number, pair in enumerate(pairs):
@@ -78,7 +78,7 @@ def run(
             name, frame = references.takes[pair], int(references.frames[pair])
             picture, missing = _video_picture(takes.get(name), videos.get(name), frame)
             if picture is None:
-                picture = _kept_picture(kept[pair].image)
+                picture = _archived_picture(pair_notes[pair].image)
             face = renderer.render(
                 deformer.points(weights[pair : pair + 1])[0],
                 camera=camera,
@@ -91,7 +91,7 @@ def run(
                 ReferenceRow(
                     number=pair + 1,
                     place=_place(takes.get(name), name, frame),
-                    said=_said(references, pair),
+                    said=_labels(references, pair),
                     tuned=bool(references.tuned[pair]),
                     video=picture,
                     missing=missing,
@@ -136,10 +136,10 @@ def run(
 
 def _takes(files: tuple[Path, ...], references: References) -> dict[str, Take]:
     found = {take.name: take for take in map(read_take, files)}
-    strange = [name for name in found if name not in references.takes]
-    if strange:
+    unknown = [name for name in found if name not in references.takes]
+    if unknown:
         raise InputError(
-            f"no pair is of take {strange[0]!r}, but of {', '.join(sorted(set(references.takes)))}"
+            f"no pair is of take {unknown[0]!r}, but of {', '.join(sorted(set(references.takes)))}"
             "; give the takes the references were selected from"
         )
     return found
@@ -178,8 +178,8 @@ def _video_picture(
         return None, "cannot be decoded"
 
 
-def _kept_picture(image: Path | None) -> ByteImage | None:
-    """Return what `select` kept of the video, where the asset names it and it is still there."""
+def _archived_picture(image: Path | None) -> ByteImage | None:
+    """Return the picture that `select` archived, where the asset names it and it still exists."""
     try:
         return None if image is None else read_picture(image)
     except InputError:
@@ -193,7 +193,7 @@ def _place(take: Take | None, name: str, frame: int) -> str:
     return "  ".join(part for part in (name, f"frame {frame}", timecode) if part)
 
 
-def _said(references: References, pair: int) -> str:
+def _labels(references: References, pair: int) -> str:
     viseme = references.visemes[pair] if references.visemes else ""
     emotion = references.emotions[pair] if references.emotions else ""
     return "  ".join(part for part in (viseme_label(viseme), emotion) if part)
@@ -203,5 +203,7 @@ def _strongest(references: References, pair: int) -> tuple[tuple[str, float], ..
     weights = references.weights[pair]
     order = np.argsort(-np.abs(weights), kind="stable")
     return tuple(
-        (references.shape_names[i], float(weights[i])) for i in order if abs(weights[i]) >= FAINTEST
+        (references.shape_names[i], float(weights[i]))
+        for i in order
+        if abs(weights[i]) >= LEAST_WEIGHT
     )

@@ -101,10 +101,12 @@ def _truth(
 
 def _line(each: CyclicError) -> str:
     errors = each.mean_vertex_mm
-    told = f"{each.method}: {errors.mean():.4f} mm, 95 % below {np.percentile(errors, 95):.4f} mm"
+    line = (
+        f"{each.method}: {errors.mean():.4f} mm, 95th percentile {np.percentile(errors, 95):.4f} mm"
+    )
     if each.direct_mm is not None:
-        told += f"; direct {each.direct_mm.mean():.4f} mm"
-    return told + (f" ({each.settings})" if each.settings else "")
+        line += f"; direct {each.direct_mm.mean():.4f} mm"
+    return line + (f" ({each.settings})" if each.settings else "")
 
 
 def _figures(

@@ -19,7 +19,7 @@ from usdface.usdio.retarget.sequences import check_sequence_rate, read_sequence,
 
 
 @dataclass(frozen=True)
-class _Found:
+class _RatedMatch:
     match: SequenceMatch
     nearness: float
     """Distance over the threshold: comparable between sequences."""
@@ -30,17 +30,17 @@ def run(
 ) -> StepResult:
     """Look for every sequence; where two of them overlap, keep the nearer."""
     motion = read_source_motion(spec.source, frame_range(spec.frames))
-    asked = _asked(spec, motion)
+    sequences = _read_sequences(spec, motion)
     notes: list[str] = []
-    found: list[_Found] = []
-    for number, (path, sequence) in enumerate(asked, start=1):
+    found: list[_RatedMatch] = []
+    for number, (path, sequence) in enumerate(sequences, start=1):
         told = check_sequence_rate(path, motion.rate)
         notes += [told] if told else []
         here, said = _find(spec, path, sequence, motion)
         found += here
         notes += said
-        progress(number / len(asked), f"looked for {sequence.label}")
-    kept, dropped = _apart(found)
+        progress(number / len(sequences), f"looked for {sequence.label}")
+    kept, dropped = _without_overlaps(found)
     notes += [
         f"frames {d.first_frame}-{d.last_frame} are like {d.label} ({d.sequence.name}) as well, "
         "and less so than the sequence kept there"
@@ -49,7 +49,7 @@ def run(
     write_matches(spec.out, kept, provenance=provenance)
     return StepResult(
         (spec.out,),
-        f"{pluralize(len(asked), 'sequence')} at {pluralize(len(kept), 'place')} in "
+        f"{pluralize(len(sequences), 'sequence')} at {pluralize(len(kept), 'place')} in "
         f"{len(motion.weights)} frames",
         tuple(notes),
         {
@@ -71,7 +71,9 @@ def run(
     )
 
 
-def _asked(spec: FindSequencesSpec, motion: SourceMotion) -> list[tuple[Path, EmotionalSequence]]:
+def _read_sequences(
+    spec: FindSequencesSpec, motion: SourceMotion
+) -> list[tuple[Path, EmotionalSequence]]:
     sequences = [(path, read_sequence(path)) for path in spec.sequence]
     label = spec.label or (motion.emotion if spec.by == "label" else None)
     if spec.by == "label" and not label:
@@ -96,7 +98,7 @@ def _asked(spec: FindSequencesSpec, motion: SourceMotion) -> list[tuple[Path, Em
 
 def _find(
     spec: FindSequencesSpec, path: Path, sequence: EmotionalSequence, motion: SourceMotion
-) -> tuple[list[_Found], list[str]]:
+) -> tuple[list[_RatedMatch], list[str]]:
     weights, notes = source_columns(spec.source, motion, sequence.source_shapes)
     columns = _columns(spec, path, sequence)
     taken, wanted = weights[:, columns], sequence.source[:, columns]
@@ -109,7 +111,7 @@ def _find(
     for start, distance in zip(matches.starts.tolist(), matches.distances.tolist(), strict=True):
         first = motion.first_frame + start
         match = SequenceMatch(path, sequence.label, first, first + length - 1, distance)
-        found.append(_Found(match, distance / max(matches.threshold, 1e-12)))
+        found.append(_RatedMatch(match, distance / max(matches.threshold, 1e-12)))
     if not found:
         notes = (
             *notes,
@@ -140,7 +142,9 @@ def _columns(spec: FindSequencesSpec, path: Path, sequence: EmotionalSequence) -
     return chosen
 
 
-def _apart(found: list[_Found]) -> tuple[tuple[SequenceMatch, ...], tuple[SequenceMatch, ...]]:
+def _without_overlaps(
+    found: list[_RatedMatch],
+) -> tuple[tuple[SequenceMatch, ...], tuple[SequenceMatch, ...]]:
     kept: list[SequenceMatch] = []
     dropped: list[SequenceMatch] = []
     for each in sorted(found, key=lambda item: item.nearness):

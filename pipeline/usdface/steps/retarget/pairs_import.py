@@ -8,7 +8,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import LAYER_SUFFIXES, proposed_path
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.checks import check_pairs, unused_shapes
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import PairsImportSpec
@@ -30,8 +30,8 @@ def run(
     unknown = [name for name in table.names if name not in source_rig.shapes]
     if len(unknown) == len(table.names):
         raise InputError(
-            f"{spec.source}: none of its shapes ({', '.join(unknown[:3])}, ...) is on "
-            f"{spec.source_rig} ({', '.join(source_rig.shapes[:3])}, ...); rename them"
+            f"{spec.source}: none of its shapes ({first_few(unknown, most=3)}) is on "
+            f"{spec.source_rig} ({first_few(source_rig.shapes, most=3)}); rename them"
         )
     frames, target = _read_target(spec, target_rig)
     _check_sides(spec, table.frames, frames)
@@ -56,13 +56,13 @@ def run(
     if unknown:
         notes.append(
             f"left out {pluralize(len(unknown), 'column')}, of no shape of {spec.source_rig}: "
-            f"{', '.join(unknown[:5])}"
+            f"{first_few(unknown)}"
         )
     unused = unused_shapes(pairs)
     if unused:
         notes.append(
             f"in no pair and without effect: {pluralize(len(unused), 'source shape')}, "
-            f"{', '.join(unused[:5])}"
+            f"{first_few(unused)}"
         )
     return StepResult(
         (spec.out, proposed_path(spec.out)),
@@ -79,7 +79,8 @@ def _check_nothing_hides(out: Path) -> None:
     if keyed:
         raise InputError(
             f"{out}: keys made in it by hand, of {pluralize(len(keyed), 'attribute')} "
-            f"({', '.join(keyed[:3])}), would hide what is imported; nothing was changed. Write "
+            f"({first_few(keyed, most=3)}), would hide what is imported; nothing was changed. "
+            "Write "
             "to another --out, or remove these keys"
         )
 
@@ -107,10 +108,10 @@ def _check_sides(spec: PairsImportSpec, source: tuple[int, ...], target: list[in
         (source, target, spec.target, "target"),
         (target, source, spec.source, "source"),
     ):
-        lacking = sorted(set(these) - set(those))
-        if lacking:
-            numbers = ", ".join(map(str, lacking[:5])) + (", ..." if len(lacking) > 5 else "")
+        missing = sorted(set(these) - set(those))
+        if missing:
+            numbers = first_few(missing)
             raise InputError(
-                f"{path}: {len(lacking)} pairs have no {side} side: it holds nothing at frames "
+                f"{path}: {len(missing)} pairs have no {side} side: it holds nothing at frames "
                 f"{numbers}; key both sides at the same frames"
             )

@@ -9,7 +9,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.checks import dead_controls
 from usdface.model.retarget.shape_matching import ShapeMatch, match_deformations
 from usdface.model.retarget.shape_names import NameMatch, match_names
@@ -48,7 +48,8 @@ def run(
         if keyed and len(merged) > kept:
             notes.append(
                 f"left out {pluralize(len(merged) - kept, 'new pair')} "
-                f"({', '.join(merged.names[kept:][:3])}): keys made by hand, of {keyed[0]}, hide "
+                f"({first_few(merged.names[kept:], most=3)}): keys made by hand, of {keyed[0]}, "
+                "hide "
                 "what lies beneath at every time code; key them there, or propose to another --out"
             )
         pairs = old if keyed else merged
@@ -58,7 +59,7 @@ def run(
     dead = dead_controls(pairs)
     if dead:
         notes.append(
-            f"{len(dead)} controls of the target are at rest in every pair: {', '.join(dead[:5])}; "
+            f"{len(dead)} controls of the target are at rest in every pair: {first_few(dead)}; "
             "key expressions that use them"
         )
     if kept:
@@ -90,7 +91,7 @@ def _match(
     if unmatched:
         notes.append(
             f"in no pair and without effect: {pluralize(len(unmatched), 'source shape')}, "
-            f"{', '.join(unmatched[:5])}"
+            f"{first_few(unmatched)}"
         )
     return named, notes
 

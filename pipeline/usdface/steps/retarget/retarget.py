@@ -11,14 +11,14 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import controls_path, weights_path
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.train import retarget
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.retarget import RetargetSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.inputs.source_motion import (
-    MOVES,
+    MOVING_WEIGHT,
     SourceMotion,
     read_source_motion,
     source_columns,
@@ -128,7 +128,7 @@ def _write(
 
 def _dead(trained: Retargeting, source: FloatArray) -> list[str]:
     """Name source shapes that move here though no pair used them."""
-    moving = np.abs(source).max(axis=0) > MOVES
+    moving = np.abs(source).max(axis=0) > MOVING_WEIGHT
     unused = trained.arrays.get("unused", np.zeros(len(trained.source_shapes))) > 0
     names = [
         name
@@ -139,5 +139,5 @@ def _dead(trained: Retargeting, source: FloatArray) -> list[str]:
         return []
     return [
         f"{len(names)} source shapes move in this performance and no pair uses them, so the target "
-        f"does not follow: {', '.join(names[:5])}"
+        f"does not follow: {first_few(names)}"
     ]

@@ -9,7 +9,7 @@ from usdface.core.controls import ExpressionPairs, Retargeting
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.checks import (
     check_pairs,
     dead_controls,
@@ -29,7 +29,7 @@ from usdface.usdio.retarget.pairs import read_pairs
 from usdface.usdio.retarget.retargeting import write_retargeting
 from usdface.usdio.rig.read import read_rig
 
-SHOWN = 5
+LISTED_CONFLICTS = 5
 """How many of a kind a note names."""
 
 
@@ -100,7 +100,7 @@ def target_ranges(pairs: ExpressionPairs) -> FloatArray | None:
 def pair_notes(pairs: ExpressionPairs) -> list[str]:
     """Say what is doubtful about pairs, though they can be learned from."""
     notes = []
-    for each in find_pair_conflicts(pairs)[:SHOWN]:
+    for each in find_pair_conflicts(pairs)[:LISTED_CONFLICTS]:
         notes.append(
             f"pairs {_pair(pairs, each.first)} and {_pair(pairs, each.second)} conflict: the "
             f"sources are {each.source:.2f} of the usual distance apart, the targets "
@@ -111,8 +111,7 @@ def pair_notes(pairs: ExpressionPairs) -> list[str]:
         (dead_controls(pairs), "target control", "the same in every pair and in the result"),
     ):
         if names:
-            more = ", ..." if len(names) > SHOWN else ""
-            notes.append(f"{what}: {pluralize(len(names), noun)}, {', '.join(names[:SHOWN])}{more}")
+            notes.append(f"{what}: {pluralize(len(names), noun)}, {first_few(names)}")
     return notes
 
 

@@ -14,7 +14,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import controls_path, weights_path
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.media.charts.motion_curves import (
     FrameSpan,
     before_and_after,
@@ -170,7 +170,7 @@ def _check_controls(
         if unknown:
             raise InputError(
                 f"{match.sequence}: {len(unknown)} of its {what} are not in {performance}: "
-                f"{', '.join(unknown[:5])}; is it of another character?"
+                f"{first_few(unknown)}; is it of another character?"
             )
 
 

@@ -12,7 +12,7 @@ from usdface.core.errors import InputError
 from usdface.core.timecode import frames_of, timecode_of
 from usdface.media.film.sound import read_audio
 
-FASTEST = 60
+HIGHEST_RATE = 60
 """[pictures per second] More no review screen shows."""
 
 
@@ -61,7 +61,7 @@ class MovieClock:
 def movie_rate(take: Take) -> Fraction:
     """Return the rate of a take's video, else its own, halved until a screen can show it."""
     rate = take.video.rate if take.video is not None and take.video.rate is not None else take.rate
-    while rate > FASTEST:
+    while rate > HIGHEST_RATE:
         rate /= 2
     return rate
 

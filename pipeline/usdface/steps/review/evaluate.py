@@ -11,7 +11,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.media.charts.evaluation import draw_evaluation
 from usdface.media.picture.image import write_image
 from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
@@ -86,12 +86,15 @@ def _compare(
     driven = [name for name in truth.names if name in rig.shapes]
     if not driven:
         raise InputError(
-            f"{spec.against}: none of its {len(truth.names)} shapes ({', '.join(truth.names[:3])}, "
-            f"...) is on {rig.file} ({', '.join(rig.shapes[:3])}, ...); rename its columns"
+            f"{spec.against}: none of its {len(truth.names)} shapes "
+            f"({first_few(truth.names, most=3)}) "
+            f"is on {rig.file} ({first_few(rig.shapes, most=3)}); rename its columns"
         )
-    own = np.arange(clip.first_frame, clip.first_frame + len(clip.values), dtype=np.int64)
-    theirs = np.array(truth.frames, dtype=np.int64)
-    frames, mine, other = np.intersect1d(own, theirs, assume_unique=True, return_indices=True)
+    solved_frames = np.arange(clip.first_frame, clip.first_frame + len(clip.values), dtype=np.int64)
+    truth_frames = np.array(truth.frames, dtype=np.int64)
+    frames, mine, other = np.intersect1d(
+        solved_frames, truth_frames, assume_unique=True, return_indices=True
+    )
     limits = frame_range(spec.frames)
     if limits is not None:
         inside = (frames >= limits[0]) & (frames <= limits[1])
@@ -99,8 +102,9 @@ def _compare(
     if not len(frames):
         within = f" in {spec.frames}" if spec.frames else ""
         raise InputError(
-            f"{spec.performance} (frames {own[0]}-{own[-1]}) and {spec.against} (frames "
-            f"{theirs.min()}-{theirs.max()}) share no frame{within}; are they of one take?"
+            f"{spec.performance} (frames {solved_frames[0]}-{solved_frames[-1]}) and "
+            f"{spec.against} (frames {truth_frames.min()}-{truth_frames.max()}) share no "
+            f"frame{within}; are they of one take?"
         )
     solved = WeightTable(clip.names, (), clip.values[mine].astype(np.float64))
     names = np.array(rig.shapes)
@@ -127,17 +131,17 @@ def _notes(
     if unknown:
         notes.append(
             f"left out {pluralize(len(unknown), 'shape')} of {spec.against}, not on the rig: "
-            f"{', '.join(unknown[:5])}"
+            f"{first_few(unknown)}"
         )
     for label, these, those in (
         (spec.performance, truth, solved),
         (spec.against, solved, truth),
     ):
-        lacking = [name for name in these if name not in those and name in rig.shapes]
-        if lacking:
+        missing = [name for name in these if name not in those and name in rig.shapes]
+        if missing:
             notes.append(
-                f"{label} lacks {pluralize(len(lacking), 'shape')}, taken as 0: "
-                f"{', '.join(lacking[:5])}"
+                f"{label} lacks {pluralize(len(missing), 'shape')}, taken as 0: "
+                f"{first_few(missing)}"
             )
     return tuple(notes)
 

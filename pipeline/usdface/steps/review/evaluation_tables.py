@@ -37,14 +37,14 @@ def evaluation_summary(evaluation: Evaluation) -> str:
     return (
         f"{pluralize(len(evaluation.frames), 'frame')}: "
         f"{evaluation.surface.rms_mm:.3f} mm on the surface "
-        f"({evaluation.surface.p95_mm:.3f} mm at the 95th percentile), "
+        f"(95th percentile {evaluation.surface.p95_mm:.3f} mm), "
         f"{_number(evaluation.weight_rmse)} in the weights"
     )
 
 
 def evaluation_table(evaluation: Evaluation) -> tuple[str, ...]:
     """Return the figures as lines of a table: by region, then what eyes see, then by shape."""
-    lines = [f"{'region':<17}{'weights':>9}{'RMS mm':>9}{'p95 mm':>9}{'worst mm':>10}"]
+    lines = [f"{'region':<17}{'weights':>9}{'RMS mm':>9}{'p95 mm':>9}{'largest mm':>11}"]
     parts: list[tuple[str, float, SurfaceError]] = [
         ("face", evaluation.weight_rmse, evaluation.surface)
     ]
@@ -52,17 +52,19 @@ def evaluation_table(evaluation: Evaluation) -> tuple[str, ...]:
     for name, weights, surface in parts:
         lines.append(
             f"{name:<17}{_number(weights):>9}{surface.rms_mm:>9.3f}{surface.p95_mm:>9.3f}"
-            f"{surface.max_mm:>10.3f}"
+            f"{surface.max_mm:>11.3f}"
         )
     lines.append("")
     if evaluation.lips is not None:
         closed = evaluation.lips.closed_bias_mm
-        told = "" if math.isnan(closed) else f"; {closed:+.2f} mm where they should be closed"
-        lines.append(f"lips: distance off by {evaluation.lips.rms_mm:.2f} mm{told}")
+        when_closed = (
+            "" if math.isnan(closed) else f"; {closed:+.2f} mm where they should be closed"
+        )
+        lines.append(f"lips: distance off by {evaluation.lips.rms_mm:.2f} mm{when_closed}")
     if not math.isnan(evaluation.blink_bias):
         lines.append(f"blinks at their peaks: {evaluation.blink_bias:+.3f}")
     if not math.isnan(evaluation.jitter):
-        lines.append(f"jitter: {evaluation.jitter:.2f} of the keys'")
+        lines.append(f"jitter: {evaluation.jitter:.2f} of that of the keys")
     lines.append("worst frames: " + ", ".join(map(str, worst_frames(evaluation))))
     lines += ["", f"{'shape':<24}{'RMSE':>8}{'bias':>9}{'largest':>9}{'alone mm':>10}"]
     for column in _by_surface(evaluation)[:WORST_SHAPES]:

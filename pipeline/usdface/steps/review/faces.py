@@ -22,7 +22,7 @@ from usdface.usdio.rig.posed_points import PosedRig
 MOVES_MM = 2.0
 """Points that go further than this between the frames belong in the picture."""
 
-_ROOM = 1.06
+_MARGIN_FACTOR = 1.06
 """Between what moves and the picture's edge."""
 
 MOST_POSES = 4000
@@ -93,7 +93,9 @@ def _with_all_that_moves(camera: Camera, posed: FloatArray) -> Camera:
     away = posed[:, moving].reshape(-1, 3) - np.array(camera.target)
     wide = np.tan(np.deg2rad(camera.fov_degrees / 2))
     across = np.maximum(np.abs(away @ right), np.abs(away @ up))
-    needed = _ROOM * across / wide + away @ back  # distance from which each point is just inside
+    needed = (
+        _MARGIN_FACTOR * across / wide + away @ back
+    )  # distance from which each point is just inside
     distance = float(np.linalg.norm(np.subtract(camera.eye, camera.target)))
     share = max(float(needed.max()) / distance, 1.0)
     x, y, z = np.array(camera.target) + share * np.subtract(camera.eye, camera.target)
@@ -107,12 +109,12 @@ def _shared(spec: FacesSpec, actors: list[PosedRig]) -> IntArray:
     if limits is not None:
         first, last = max(first, limits[0]), min(last, limits[1])
     if last < first:
-        told = ", ".join(
+        ranges = ", ".join(
             f"{actor.path.name} {actor.reader.first_frame}-{actor.reader.last_frame}"
             for actor in actors
         )
         within = f" in {spec.frames}" if spec.frames else ""
-        raise InputError(f"the performances share no frame{within}: {told}")
+        raise InputError(f"the performances share no frame{within}: {ranges}")
     return np.arange(first, last + 1, dtype=np.int64)
 
 

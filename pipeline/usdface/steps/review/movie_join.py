@@ -24,9 +24,9 @@ from usdface.usdio.take.read import TakeReader
 def run(spec: MovieJoinSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Join the parts' pictures; the sound is put in whole."""
     progress(0.0, "reading")
-    said = [_said(path.name, read_movie_comment(path)) for path in spec.parts]
-    rate = said[0].rate
-    for path, part, before in zip(spec.parts[1:], said[1:], said[:-1], strict=True):
+    parts_info = [_read_part(path.name, read_movie_comment(path)) for path in spec.parts]
+    rate = parts_info[0].rate
+    for path, part, before in zip(spec.parts[1:], parts_info[1:], parts_info[:-1], strict=True):
         if part.rate != rate:
             raise InputError(
                 f"{path}: has {float(part.rate):g} pictures a second, not {float(rate):g}"
@@ -36,15 +36,15 @@ def run(spec: MovieJoinSpec, *, provenance: Provenance, progress: Progress = sil
                 f"{path}: begins at frame {part.first}, before the part that it follows; name the "
                 "parts in order"
             )
-    pictures = [part.pictures for part in said]
+    pictures = [part.pictures for part in parts_info]
     count = sum(pictures)
     notes: list[str] = []
     sound, timecode = None, ""
     if spec.take is not None:
         reader = TakeReader(spec.take)
         take = reader.read(reader.first_frame, reader.first_frame)
-        _check_nothing_between(spec.parts, said, take.rate)
-        pictures = _in_step(said, take.rate)
+        _check_nothing_between(spec.parts, parts_info, take.rate)
+        pictures = _in_step(parts_info, take.rate)
         if sum(pictures) < count:
             notes.append(
                 f"{pluralize(count - sum(pictures), 'picture')} at the ends of parts left out, so "
@@ -54,15 +54,15 @@ def run(spec: MovieJoinSpec, *, provenance: Provenance, progress: Progress = sil
         clock = MovieClock(
             rate=rate,
             take_rate=take.rate,
-            first_frame=said[0].first,
+            first_frame=parts_info[0].first,
             frame_count=round(count * take.rate / rate),
         )
         sound = take_sound(take, clock, notes)
         timecode = clock.timecode(reader.timecode_at(reader.first_frame), reader.first_frame)
     progress(0.3, "joining")
     written = provenance_metadata(provenance)
-    written |= {"rate": str(rate), "first_frame": said[0].first, "pictures": count}
-    written["movie_parts"] = sum(part.movies for part in said)
+    written |= {"rate": str(rate), "first_frame": parts_info[0].first, "pictures": count}
+    written["movie_parts"] = sum(part.movies for part in parts_info)
     join_movies(
         spec.out,
         spec.parts,
@@ -94,13 +94,13 @@ class _Part:
 
 
 def _check_nothing_between(
-    parts: tuple[Path, ...], said: Sequence[_Part], take_rate: Fraction
+    parts: tuple[Path, ...], parts_info: Sequence[_Part], take_rate: Fraction
 ) -> None:
     """Refuse parts that leave frames out or show some twice.
 
     The last picture of a part may last longer than its frames, so less than one is no fault.
     """
-    for path, part, before in zip(parts[1:], said[1:], said[:-1], strict=True):
+    for path, part, before in zip(parts[1:], parts_info[1:], parts_info[:-1], strict=True):
         shown = part.first - before.first
         surplus = before.pictures - shown * part.rate / take_rate
         if -1 < surplus < before.movies:
@@ -115,20 +115,22 @@ def _check_nothing_between(
         )
 
 
-def _in_step(said: Sequence[_Part], take_rate: Fraction) -> list[int]:
+def _in_step(parts_info: Sequence[_Part], take_rate: Fraction) -> list[int]:
     """Return how many pictures of each part to show, so that each begins nearest its moment.
 
     A part that is no whole number of pictures long has its last one for less than a picture's time;
     shown in full, these would add up, and the sound would run ahead of the pictures.
     """
     shown: list[int] = []
-    for part, after in pairwise(said):
-        end = math.floor((after.first - said[0].first) * part.rate / take_rate + Fraction(1, 2))
+    for part, after in pairwise(parts_info):
+        end = math.floor(
+            (after.first - parts_info[0].first) * part.rate / take_rate + Fraction(1, 2)
+        )
         shown.append(min(max(end - sum(shown), 0), part.pictures))
-    return [*shown, said[-1].pictures]
+    return [*shown, parts_info[-1].pictures]
 
 
-def _said(name: str, comment: str) -> _Part:
+def _read_part(name: str, comment: str) -> _Part:
     """Return rate, first frame and number of pictures, as `usdface movie` wrote them."""
     try:
         data = json.loads(comment)

@@ -19,7 +19,7 @@ from usdface.media.picture.display_view import DisplayView
 from usdface.media.picture.sheet import Tile
 from usdface.steps.review.shot import Shot, ShotCamera
 
-EXAGGERATION = 4.0
+RESIDUAL_SCALE = 4.0
 """Lines from markers to where the weights put them are so many times as long: they are short."""
 
 UNDRAWN_TOLD = 3
@@ -138,7 +138,7 @@ class ShotPictures:
             frame=self._cloud,
             visible=markers.visible[at],
             explained=explained,
-            exaggeration=EXAGGERATION,
+            exaggeration=RESIDUAL_SCALE,
         )
 
     def face(self, row: int, weights: FloatArray) -> ByteImage:

@@ -39,7 +39,7 @@ from usdface.usdio.performance.read import PerformanceReader
 LONGEST_PICTURES = 36_000
 """Ten minutes at 60 pictures per second: a longer page would not open."""
 
-SURE = 0.95
+SURE_CONFIDENCE = 0.95
 """Confidence from which a frame is not worth a look for its lack."""
 
 LARGEST_SHEET_BYTES = 64 << 20
@@ -151,15 +151,17 @@ def _strips(shot: Shot, residual: FloatArray, rows: FloatArray) -> tuple[Strip, 
     ]
     confidence = shot.performance.confidence
     if confidence is not None:
-        own = confidence[shot.frames - shot.performance.weights.first_frame][rows]
-        strips.insert(0, Strip("confidence", np.asarray(own, np.float64), 0.0, 1.0, ""))
+        shown_confidence = confidence[shot.frames - shot.performance.weights.first_frame][rows]
+        strips.insert(
+            0, Strip("confidence", np.asarray(shown_confidence, np.float64), 0.0, 1.0, "")
+        )
     return tuple(strips)
 
 
 def _worst(
     spec: ReportSpec, shot: Shot, residual: FloatArray, clock: MovieClock
 ) -> tuple[tuple[int, str], ...]:
-    """Return pictures to look at first: by residual, up to half by what is doubted; by time."""
+    """Return pictures to look at first: by residual, up to half by confidence; by time."""
     confidence = shot.performance.confidence
     if confidence is not None:
         confidence = confidence[shot.frames - shot.performance.weights.first_frame]
@@ -173,7 +175,9 @@ def _worst(
     doubtful: list[ChosenFrame] = []
     if confidence is not None and spec.worst > 1:
         doubtful = [
-            frame for frame in pick("confidence", spec.worst // 2) if confidence[frame.row] < SURE
+            frame
+            for frame in pick("confidence", spec.worst // 2)
+            if confidence[frame.row] < SURE_CONFIDENCE
         ]
     reasons: dict[int, str] = {}
     for frame in (*pick("residual", spec.worst - len(doubtful)), *doubtful):

@@ -1,4 +1,4 @@
-"""What a report tells in tables: errors, repairs, edits, and where everything came from."""
+"""What a report tells in tables: errors, repairs, edits, and provenance."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,8 +22,8 @@ from usdface.steps.review.evaluation_tables import evaluation_figures, shapes_wi
 from usdface.steps.review.shot import Shot
 from usdface.usdio.performance.read import PerformanceReader
 
-MARKERS_TOLD = 12
-EDITS_TOLD = 200
+_LISTED_MARKERS = 12
+_LISTED_EDITS = 200
 INPUT_DIGITS = 12
 
 
@@ -53,7 +53,7 @@ def listings(
 
 
 def _figures(evaluation: Evaluation) -> Listing:
-    said = evaluation_figures(evaluation)
+    figures = evaluation_figures(evaluation)
     names = {
         "vertex_rms_mm": ("surface error, RMS", "mm"),
         "vertex_p95_mm": ("surface error, 95th percentile", "mm"),
@@ -64,7 +64,7 @@ def _figures(evaluation: Evaluation) -> Listing:
     }
     rows = []
     for key, (label, unit) in names.items():
-        value = said.get(key)
+        value = figures.get(key)
         if isinstance(value, float):
             rows.append((label, f"{value:.3f} {unit}".strip()))
     return Listing("Measured against the keys", ("figure", "value"), tuple(rows))
@@ -86,7 +86,7 @@ def _regions(evaluation: Evaluation) -> Listing:
 
 def _edits(shot: Shot) -> Listing:
     ranges = find_edited_ranges(PerformanceReader(shot.performance_file))
-    shown = [each for each in ranges if each.shape in shot.rig.shapes][:EDITS_TOLD]
+    shown = [each for each in ranges if each.shape in shot.rig.shapes][:_LISTED_EDITS]
     return Listing(
         "Edits by hand",
         ("frames", "shape", "largest"),
@@ -105,9 +105,9 @@ def _repairs(shot: Shot) -> Listing:
     repaired = (confidence < 1) & (confidence > 0)
     missing = ~visible | (confidence <= 0)
     share = (repaired | missing).mean(axis=0)
-    worst = np.argsort(-share, kind="stable")[:MARKERS_TOLD]
-    told = [marker for marker in worst.tolist() if share[marker] > 0]
-    first = [int(shot.frames[np.argmax((repaired | missing)[:, marker])]) for marker in told]
+    worst = np.argsort(-share, kind="stable")[:_LISTED_MARKERS]
+    listed = [marker for marker in worst.tolist() if share[marker] > 0]
+    first = [int(shot.frames[np.argmax((repaired | missing)[:, marker])]) for marker in listed]
     return Listing(
         "Markers that were repaired",
         ("first at", "marker", "filled or relabelled", "missing", "mean confidence"),
@@ -119,7 +119,7 @@ def _repairs(shot: Shot) -> Listing:
                 f"{100 * missing[:, marker].mean():.1f} %",
                 f"{confidence[:, marker].mean():.2f}",
             )
-            for at, marker in zip(first, told, strict=True)
+            for at, marker in zip(first, listed, strict=True)
         ),
         tuple(first),
     )
@@ -195,10 +195,10 @@ def show_coverage(
             raise
         notes.append(f"coverage is left out: {error}")
         return None
-    covered = measured.covered.coverage
-    own: FloatArray = covered.covered[shot.frames - shot.take.first_frame]
+    coverage = measured.covered.coverage
+    covered: FloatArray = coverage.covered[shot.frames - shot.take.first_frame]
     return ShownCoverage(
-        Strip("coverage", own[rows], 0.0, 1.0, "by references"),
+        Strip("coverage", covered[rows], 0.0, 1.0, "by references"),
         (_shares(measured, references), _next(measured)),
         PagePicture(
             "Coverage",
@@ -226,10 +226,10 @@ def _shares(measured: MeasuredCoverage, references: Path) -> Listing:
     if len(coverage.regions) > 1:
         means = coverage.region_covered.mean(axis=0).tolist()
         rows += [
-            (f"{region} covered", f"{100 * mean:.1f} %")
+            (f"coverage of {region}", f"{100 * mean:.1f} %")
             for region, mean in zip(coverage.regions, means, strict=True)
         ]
-    return Listing(f"Covered by {references.name}", ("figure", "value"), tuple(rows))
+    return Listing(f"Coverage by {references.name}", ("figure", "value"), tuple(rows))
 
 
 def _next(measured: MeasuredCoverage) -> Listing:

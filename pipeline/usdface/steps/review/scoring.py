@@ -26,7 +26,7 @@ class Score:
     error_mm : (frames,) float array
         NaN where it is not known.
     against_truth : bool
-        Whether the error is one of the surface; else it is what markers leave unexplained.
+        Whether the error is one of the surface; else it is the residual of the markers.
     """
 
     label: str
@@ -36,7 +36,7 @@ class Score:
 
 
 def set_up_shot_baseline(shot: Shot) -> BlendshapeEquation:
-    """Bind a shot's markers to its rig, as the equation-solving baseline needs them."""
+    """Bind a shot's markers to its rig, as the baseline needs them."""
     take, markers = shot.take, shot.take.markers
     if markers is None:
         raise InputError(f"{take.name}: has no markers")
@@ -89,12 +89,12 @@ def surface_distance(shot: Shot, difference: FloatArray) -> FloatArray:
 
 
 def uncertainty_curves(shot: Shot) -> tuple[ErrorCurve, ...]:
-    """Return how little the performance trusts itself, 1 less its confidence; none if unknown."""
+    """Return the uncertainty of the solve, 1 - confidence; none if unknown."""
     confidence = shot.performance.confidence
     if confidence is None:
         return ()
-    own = confidence[shot.frames - shot.performance.weights.first_frame]
-    return (ErrorCurve("uncertainty", 1.0 - np.asarray(own, np.float64), high=1.0, unit=""),)
+    confidence = confidence[shot.frames - shot.performance.weights.first_frame]
+    return (ErrorCurve("uncertainty", 1.0 - np.asarray(confidence, np.float64), high=1.0, unit=""),)
 
 
 WORST_SHARE = 6

@@ -1,4 +1,4 @@
-"""Contact sheets: video, markers, the equation-solving baseline, performances, differences."""
+"""Contact sheets: video, markers, baseline, performances, differences."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -21,7 +21,7 @@ from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.review import AUTO, FramePick, SheetLayout, SheetSpec
 from usdface.steps.inputs.phone_labels import labels_at
-from usdface.steps.review.pictures import EXAGGERATION, ShotPictures
+from usdface.steps.review.pictures import RESIDUAL_SCALE, ShotPictures
 from usdface.steps.review.scoring import (
     ChosenFrame,
     Score,
@@ -83,7 +83,7 @@ def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress = silent)
             columns=tuple(column.head for column in columns),
             rows=(),
             curves=(
-                *(ErrorCurve(_told(each, judged), each.error_mm) for each in judged),
+                *(ErrorCurve(_label_of(each, judged), each.error_mm) for each in judged),
                 *uncertainty_curves(shot),
             ),
             first_frame=int(shot.frames[0]),
@@ -91,9 +91,9 @@ def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress = silent)
                 truth is not None,
                 judged,
                 stand_in_eyes=any(each.stand_in_eyes for each in pictures),
-                doubted=shot.performance.confidence is not None,
-                plain=any(each.rig.undrawn_notes() for each in shots),
-                spoken=any(said),
+                has_uncertainty=shot.performance.confidence is not None,
+                untextured=any(each.rig.undrawn_notes() for each in shots),
+                has_phones=any(said),
                 markers=spec.layout != "strip",
             ),
             tile_height=tile,
@@ -114,9 +114,9 @@ def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress = silent)
 
         written = _write_pages(spec, page, len(chosen), draw, shot, provenance)
     progress(1.0, "done")
-    told = dict.fromkeys(note for each in cameras for note in each.notes(int(shot.frames[0])))
-    told |= dict.fromkeys(note for each in shots for note in each.rig.undrawn_notes())
-    return _report(written, shot.frames, judged, chosen, truth is not None, tuple(told))
+    listed = dict.fromkeys(note for each in cameras for note in each.notes(int(shot.frames[0])))
+    listed |= dict.fromkeys(note for each in shots for note in each.rig.undrawn_notes())
+    return _report(written, shot.frames, judged, chosen, truth is not None, tuple(listed))
 
 
 def _open_shots(spec: SheetSpec) -> list[Shot]:
@@ -159,10 +159,10 @@ def _same_face(shot: Shot, other: Shot) -> bool:
     return faces[0] == faces[1]
 
 
-def _told(judged: Score, beside: list[Score]) -> str:
+def _label_of(judged: Score, beside: list[Score]) -> str:
     """Return a label that says so where this one is measured otherwise than those beside it."""
     by_markers = not judged.against_truth and any(each.against_truth for each in beside)
-    return f"{judged.label} (marker residual)" if by_markers else judged.label
+    return f"{judged.label} (residual)" if by_markers else judged.label
 
 
 def _choose(spec: SheetSpec, shot: Shot, judged: Score) -> list[ChosenFrame]:
@@ -228,24 +228,24 @@ def _notes(
     judged: list[Score],
     *,
     stand_in_eyes: bool,
-    doubted: bool,
-    plain: bool,
-    spoken: bool,
+    has_uncertainty: bool,
+    untextured: bool,
+    has_phones: bool,
     markers: bool,
 ) -> tuple[str, ...]:
     what = (
         "error: RMS distance of the surface from the keys"
         if truth_known
-        else "residual: RMS distance of the markers from the rig under the weights"
+        else "error: RMS distance of the markers from the rig (residual); the keys are not known"
     )
     means = ", ".join(
-        f"{_told(each, judged)} {np.nanmean(each.error_mm):.2f} mm" for each in judged
+        f"{_label_of(each, judged)} {np.nanmean(each.error_mm):.2f} mm" for each in judged
     )
     eyes = ("the rig has no eyes: stand-ins are drawn",) if stand_in_eyes else ()
-    uncertainty_curves = ("uncertainty: 1 less the confidence",) if doubted else ()
-    phones = ("beside frames: phone and viseme",) if spoken else ()
-    textures = ("textures are not drawn",) if plain else ()
-    lines = (f"lines at markers: the residual, {EXAGGERATION:g} times as long",) if markers else ()
+    uncertainty_curves = ("uncertainty: 1 - confidence",) if has_uncertainty else ()
+    phones = ("beside frames: phone and viseme",) if has_phones else ()
+    textures = ("textures are not drawn",) if untextured else ()
+    lines = (f"lines at markers: residual, {RESIDUAL_SCALE:g} times as long",) if markers else ()
     return (what, f"mean: {means}", *lines, *uncertainty_curves, *phones, *eyes, *textures)
 
 
@@ -258,11 +258,11 @@ def _report(
     notes: tuple[str, ...],
 ) -> StepResult:
     means = {each.label: float(np.nanmean(each.error_mm)) for each in judged}
-    told = ", ".join(f"{_told(each, judged)} {means[each.label]:.2f} mm" for each in judged)
+    listed = ", ".join(f"{_label_of(each, judged)} {means[each.label]:.2f} mm" for each in judged)
     what = "surface error against the keys" if truth_known else "marker residual"
     return StepResult(
         written,
-        f"{pluralize(len(chosen), 'row')}; mean {what}: {told}",
+        f"{pluralize(len(chosen), 'row')}; mean {what}: {listed}",
         notes,
         {
             "frames": [int(frames[frame.row]) for frame in chosen],
@@ -315,8 +315,7 @@ def sheet_columns(
     if spec.difference and compared is not None and spec.layout in ("comparison", "worst"):
         columns.append(
             Column(
-                f"difference to {compared[0]}",
-                _away(drawn, shot.weights, compared[1], high_mm=high),
+                f"distance to {compared[0]}", _away(drawn, shot.weights, compared[1], high_mm=high)
             )
         )
     return columns

@@ -21,7 +21,7 @@ from usdface.usdio.rig.stage_camera import StageCamera, StageView
 _YAW_DEGREES = 12.0
 """A little from the side, where lips and lids show their depth."""
 
-WIDEST = 3.0
+WIDEST_ASPECT = 3.0
 """Width over height at which a picture is cut: wider film would leave a face of few pixels."""
 
 SMALL_SHARE = 0.2
@@ -71,7 +71,7 @@ class ShotCamera:
         """Return how wide pictures of a height are: square, or as the camera's film at a frame."""
         if self._stage is None:
             return height
-        return max(round(height * min(self._stage.at(frame).aspect, WIDEST)), 1)
+        return max(round(height * min(self._stage.at(frame).aspect, WIDEST_ASPECT)), 1)
 
     def notes(self, frame: int) -> tuple[str, ...]:
         """Return what to know of the camera, by how it sees the face at a frame."""
