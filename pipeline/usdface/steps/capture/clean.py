@@ -36,32 +36,11 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
     """Stabilise, relabel, fill and smooth the markers of a take."""
     progress(0.0, f"reading {spec.take.name}")
     take = read_take(spec.take)
-    markers = take.markers
-    if markers is None:
-        raise InputError(f"{spec.take}: has no markers to clean")
-    if (
-        markers.space == "stabilized" and take.head_motion is not None
-    ):  # a second one would hide it, and the face lose its head's
-        raise InputError(
-            f"{spec.take}: is clean already, its head's motion taken out; clean the captured take, "
-            "the layer below it, with the options that you want"
-        )
+    markers = _check_captured(spec, take)
     notes: list[str] = []
     rigid = _rigid_names(spec, markers, notes)
     neutral = markers.neutral_frame if spec.neutral is None else spec.neutral
-    row = neutral - take.first_frame
-    if not 0 <= row < take.frame_count:
-        raise InputError(
-            f"{spec.take}: neutral frame {neutral} is outside the take, {take.first_frame}-"
-            f"{take.first_frame + take.frame_count - 1}; name one with --neutral"
-        )
-    shown = int(markers.visible[row, [markers.names.index(name) for name in rigid]].sum())
-    if shown < _FEWEST_RIGID:
-        raise InputError(
-            f"{spec.take}: {shown} of the rigid markers {', '.join(rigid)} are seen at the neutral "
-            f"frame {neutral}, {_FEWEST_RIGID} are needed; choose another with --neutral, or name "
-            "more with --rigid"
-        )
+    _check_neutral(spec, take, markers, rigid, neutral)
     max_gap = spec.max_gap
     if max_gap is None:
         max_gap = round(LONGEST_GAP_SECONDS * float(take.rate))
@@ -70,7 +49,7 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
             markers.positions,
             markers.visible,
             rigid=[markers.names.index(name) for name in rigid],
-            neutral=row,
+            neutral=neutral - take.first_frame,
             max_gap=max_gap,
             smooth=spec.smooth,
             relabel=spec.relabel,
@@ -101,11 +80,42 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
     outputs = tuple(dict.fromkeys((spec.out, take_samples_path(spec.out))))
     if spec.report is not None:
         picture = _picture(cleaned, markers, take)
-        made = provenance_metadata(provenance)
-        write_image(spec.report, picture, metadata=made)
+        write_image(spec.report, picture, metadata=provenance_metadata(provenance))
         outputs += (spec.report,)
     progress(1.0, "done")
     return StepResult(outputs, _summary(cleaned, take), tuple(notes), _figures(cleaned, rigid))
+
+
+def _check_captured(spec: CleanSpec, take: Take) -> Markers:
+    """Return a take's markers, or refuse one that has none or is clean already."""
+    if take.markers is None:
+        raise InputError(f"{spec.take}: has no markers to clean")
+    # A second head motion would hide the first, and the face would lose its head's.
+    if take.markers.space == "stabilized" and take.head_motion is not None:
+        raise InputError(
+            f"{spec.take}: is clean already, its head motion removed; clean the captured take, "
+            "the layer below it, with the options that you want"
+        )
+    return take.markers
+
+
+def _check_neutral(
+    spec: CleanSpec, take: Take, markers: Markers, rigid: tuple[str, ...], neutral: int
+) -> None:
+    """Refuse a neutral frame that is not in the take, or that shows too few rigid markers."""
+    row = neutral - take.first_frame
+    if not 0 <= row < take.frame_count:
+        raise InputError(
+            f"{spec.take}: neutral frame {neutral} is outside the take, {take.first_frame}-"
+            f"{take.first_frame + take.frame_count - 1}; name one with --neutral"
+        )
+    shown = int(markers.visible[row, [markers.names.index(name) for name in rigid]].sum())
+    if shown < _FEWEST_RIGID:
+        raise InputError(
+            f"{spec.take}: {shown} of the rigid markers {', '.join(rigid)} are seen at the neutral "
+            f"frame {neutral}, {_FEWEST_RIGID} are needed; choose another with --neutral, or name "
+            "more with --rigid"
+        )
 
 
 def _rigid_names(spec: CleanSpec, markers: Markers, notes: list[str]) -> tuple[str, ...]:

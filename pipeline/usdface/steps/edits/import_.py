@@ -75,7 +75,8 @@ def run(
     notes = _notes(reader, table) + elsewhere_notes(table, elsewhere)
     if not changed:
         return StepResult((), "nothing differs from the solve; no edits were made", notes)
-    if 2 * int(differing.sum()) > len(rows) > 1:
+    count = int(differing.sum())
+    if 2 * count > len(rows) > 1:
         notes += (
             "most frames differ: if the take was mapped again after this file was baked, what the "
             "new solve changed is taken for edits, too; bake again, change that and import it",
@@ -86,10 +87,10 @@ def run(
     progress(1.0, "written")
     return StepResult(
         (path,),
-        f"{int(differing.sum())} of {len(rows)} frames differ from the solve, in {len(changed)} "
-        "shapes",
+        f"{count} of {len(rows)} frames differ from the solve, in "
+        f"{pluralize(len(changed), 'shape')}",
         notes,
-        {"frames": int(differing.sum()), "shapes": sorted(changed)},
+        {"frames": count, "shapes": sorted(changed)},
     )
 
 

@@ -93,8 +93,8 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     progress(0.7, "proposing weights")
     weights = _propose(selection, mapped, rows)
     references = _references(selection, choice, rows, weights)
-    metadata = provenance_metadata(provenance)
     images = PairImages((), ())
+    metadata = provenance_metadata(provenance)
     if spec.images:
         progress(0.75, "keeping the video frames of the pairs")
         images = write_pair_images(spec.out, references, takes.sources, metadata=metadata)
@@ -111,41 +111,31 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
         )
     remove_unused_images(spec.out, images.files)
     progress(0.9, "measuring the coverage")
-    covered = cover(
-        selection.scene.space, selection.scene.features, rows, candidates=selection.candidates
-    )
-    write_image(
-        spec.picture_path(),
-        coverage_picture(covered, takes, rows, tuned=selection.already, title=spec.out.stem),
-        metadata=metadata,
-    )
+    scene = selection.scene
+    covered = cover(scene.space, scene.features, rows, candidates=selection.candidates)
+    picture = coverage_picture(covered, takes, rows, tuned=selection.already, title=spec.out.stem)
+    write_image(spec.picture_path(), picture, metadata=metadata)
     progress(1.0, "done")
     contradictions, conflicts = tuned_conflicts(spec.out)
-    outputs = (
-        spec.out,
-        proposed_path(spec.out),
-        tuned_path(spec.out),
-        spec.picture_path(),
-    )
-    summary = (
+    return StepResult(
+        (spec.out, proposed_path(spec.out), tuned_path(spec.out), spec.picture_path()),
         f"{len(rows)} pairs of {len(takes.frames)} frames, {len(rig.shapes)} shapes proposed; "
-        f"they cover {covered.coverage.share:.0%} of the takes"
+        f"they cover {covered.coverage.share:.0%} of the takes",
+        (*_notes(selection, choice, mapping), *images.notes, *contradictions),
+        {
+            "pairs": len(rows),
+            "frames": references.frames.tolist(),
+            "takes": list(references.takes),
+            "kept": len(kept),
+            "conflicts": conflicts,
+            "design": choice.design,
+            "measured_mm": {name: round(mm, 4) for name, mm in choice.measured_mm.items()},
+            "visemes": list(references.visemes),
+            "emotions": list(references.emotions),
+            "images": sum(file is not None for file in images.files),
+            **coverage_figures(covered, takes),
+        },
     )
-    figures: dict[str, object] = {
-        "pairs": len(rows),
-        "frames": [int(takes.frames[row]) for row in rows],
-        "takes": [takes.takes[row] for row in rows],
-        "kept": len(kept),
-        "conflicts": conflicts,
-        "design": choice.design,
-        "measured_mm": {name: round(mm, 4) for name, mm in choice.measured_mm.items()},
-        "visemes": list(references.visemes),
-        "emotions": list(references.emotions),
-        "images": sum(file is not None for file in images.files),
-        **coverage_figures(covered, takes),
-    }
-    notes = (*_notes(selection, choice, mapping), *images.notes, *contradictions)
-    return StepResult(outputs, summary, notes, figures)
 
 
 def _check_tuning_is_as_read(spec: SelectSpec, kept: list[PlacedPair]) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.arrays import ByteImage
-from usdface.core.assets import References, Take
+from usdface.core.assets import References, Rig, Take
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
@@ -51,68 +51,23 @@ def run(
     rig.check_has(
         references.shape_names, source=spec.references, remedy="select again for this rig"
     )
-    columns = [rig.shapes.index(name) for name in references.shape_names]
-    takes = _takes(spec.takes, references)
     pairs = _pairs(spec, references)
-    deformer, renderer = Deformer(rig), FaceRenderer(rig.meshes)
-    normals = SculptedNormals(rig, deformer)
-    weights = np.zeros((len(references.weights), len(rig.shapes)))
-    weights[:, columns] = references.weights
-    equation = set_up_equation(
-        rig,
-        deformer,
-        neutral=references.neutral,
-        positions=references.markers,
-        visible=np.ones(references.markers.shape[:2], dtype=np.bool_),
-        rigid=tuple(references.marker_names.index(name) for name in references.rigid),
-    )
-    residual = equation.residual_mm(references.markers, weights)
-    camera = frame_rig(rig.meshes, yaw_degrees=_YAW_DEGREES)
-    cloud = frame_markers(references.markers)
     rows = []
-    pair_notes = read_pair_notes(spec.references)
     with ExitStack() as open_files:
-        videos = {name: _open_video(take, open_files) for name, take in takes.items()}
+        pictures = _PairPictures(spec, references, rig, open_files)
         for number, pair in enumerate(pairs):
             progress(0.2 + 0.7 * number / len(pairs), f"drawing pair {pair + 1}")
-            name, frame = references.takes[pair], int(references.frames[pair])
-            picture, missing = _video_picture(takes.get(name), videos.get(name), frame)
-            if picture is None:
-                picture = _archived_picture(pair_notes[pair].image)
-            face = renderer.render(
-                deformer.points(weights[pair : pair + 1])[0],
-                camera=camera,
-                width=spec.tile,
-                height=spec.tile,
-                quality=spec.quality,
-                sculpted=normals.at(weights[pair]),
-            )
-            rows.append(
-                ReferenceRow(
-                    number=pair + 1,
-                    place=_place(takes.get(name), name, frame),
-                    said=_labels(references, pair),
-                    tuned=bool(references.tuned[pair]),
-                    video=picture,
-                    missing=missing,
-                    markers=draw_markers(
-                        references.markers[pair], width=spec.tile, height=spec.tile, frame=cloud
-                    ),
-                    face=face,
-                    weights=_strongest(references, pair),
-                    residual_mm=float(residual[pair]),
-                )
-            )
+            rows.append(pictures.row(pair))
     progress(0.95, f"writing {spec.out.name}")
     facts = [
         rig.file.name,
         f"{len(pairs)} of {len(references.frames)} pairs",
         f"{int(references.tuned.sum())} tuned",
     ]
-    if renderer.eyes_put_in:
+    if pictures.stand_in_eyes:
         facts.append("the rig has no eyes: stand-ins are drawn")
-    plain = rig.undrawn_notes()
-    if plain:
+    undrawn = rig.undrawn_notes()
+    if undrawn:
         facts.append("textures are not drawn")
     page = compose_reference_sheet(
         tuple(rows),
@@ -121,17 +76,81 @@ def run(
         tile=spec.tile,
         paper=spec.paper,
     )
-    metadata = provenance_metadata(provenance)
-    write_image(spec.out, page, metadata=metadata)
+    write_image(spec.out, page, metadata=provenance_metadata(provenance))
     progress(1.0, "done")
     blind = sum(row.video is None for row in rows)
-    notes = (*((f"no video frame for {pluralize(blind, 'pair')}",) if blind else ()), *plain)
+    notes = (*((f"no video frame for {pluralize(blind, 'pair')}",) if blind else ()), *undrawn)
     return StepResult(
         (spec.out,),
         f"{pluralize(len(rows), 'pair')} drawn, {int(references.tuned[pairs].sum())} of them tuned",
         notes,
         {"pairs": [pair + 1 for pair in pairs], "width": page.shape[1], "height": page.shape[0]},
     )
+
+
+class _PairPictures:
+    """Draws single pairs; holds what all of them share, videos opened on a stack."""
+
+    def __init__(
+        self, spec: ReferenceSheetSpec, references: References, rig: Rig, open_files: ExitStack
+    ) -> None:
+        self._spec, self._references = spec, references
+        self._takes = _takes(spec.takes, references)
+        self._videos = {name: _open_video(each, open_files) for name, each in self._takes.items()}
+        self._images = read_pair_notes(spec.references)
+        self._deformer, self._renderer = Deformer(rig), FaceRenderer(rig.meshes)
+        self._normals = SculptedNormals(rig, self._deformer)
+        self._camera = frame_rig(rig.meshes, yaw_degrees=_YAW_DEGREES)
+        self._cloud = frame_markers(references.markers)
+        columns = [rig.shapes.index(name) for name in references.shape_names]
+        self._weights = np.zeros((len(references.weights), len(rig.shapes)))
+        self._weights[:, columns] = references.weights
+        equation = set_up_equation(
+            rig,
+            self._deformer,
+            neutral=references.neutral,
+            positions=references.markers,
+            visible=np.ones(references.markers.shape[:2], dtype=np.bool_),
+            rigid=tuple(references.marker_names.index(name) for name in references.rigid),
+        )
+        self._residual_mm = equation.residual_mm(references.markers, self._weights)
+
+    @property
+    def stand_in_eyes(self) -> bool:
+        """Whether the rig has no eyes and some were put in."""
+        return self._renderer.eyes_put_in
+
+    def row(self, pair: int) -> ReferenceRow:
+        """Draw one pair."""
+        references, tile = self._references, self._spec.tile
+        name, frame = references.takes[pair], int(references.frames[pair])
+        picture, missing = _video_picture(self._takes.get(name), self._videos.get(name), frame)
+        if picture is None:
+            picture = _archived_picture(self._images[pair].image)
+        markers = draw_markers(references.markers[pair], width=tile, height=tile, frame=self._cloud)
+        return ReferenceRow(
+            number=pair + 1,
+            place=_place(self._takes.get(name), name, frame),
+            said=_labels(references, pair),
+            tuned=bool(references.tuned[pair]),
+            video=picture,
+            missing=missing,
+            markers=markers,
+            face=self._face(pair),
+            weights=_strongest(references, pair),
+            residual_mm=float(self._residual_mm[pair]),
+        )
+
+    def _face(self, pair: int) -> ByteImage:
+        weights = self._weights[pair]
+        return self._renderer.render(
+            self._deformer.points(weights[None])[0],
+            camera=self._camera,
+            width=self._spec.tile,
+            height=self._spec.tile,
+            quality=self._spec.quality,
+            sculpted=self._normals.at(weights),
+        )
 
 
 def _takes(files: tuple[Path, ...], references: References) -> dict[str, Take]:

@@ -50,61 +50,9 @@ def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent
     """Gather everything and write the page."""
     progress(0.0, "reading")
     shot = open_shot(spec.performance, spec.take, frames=spec.frames)
-    take = shot.take
-    clock = MovieClock(
-        rate=movie_rate(take),
-        take_rate=take.rate,
-        first_frame=int(shot.frames[0]),
-        frame_count=len(shot.frames),
-    )
-    if clock.picture_count > LONGEST_PICTURES:
-        raise InputError(
-            f"{spec.performance}: {clock.picture_count} pictures are too many for a page, which "
-            f"holds {LONGEST_PICTURES}; show parts of it with --frames"
-        )
-    rows = np.array([clock.row(picture) for picture in range(clock.picture_count)])
+    clock = _clock(spec, shot)
     notes: list[str] = []
-    truth = read_keys(spec.against, shot.rig, shot.frames)
-    progress(0.05, "placing the markers on the rig")
-    equation = set_up_shot_baseline(shot)
-    residual = equation.residual_mm(shot.positions, shot.weights)
-    baseline = equation.solve_published(shot.positions) if spec.baseline else None
-    evaluation = evaluate_shown(shot, truth)
-    progress(0.2, "packing the face")
-    view = shot.camera(spec.camera, spec.camera_stage)
-    notes += [*view.notes(clock.first_frame), *shot.rig.undrawn_notes()]
-    face = pack_face(shot.rig, camera=None if spec.camera == AUTO else view.at(clock.first_frame))
-    movie = _movie(spec, shot, clock, notes, part(progress, 0.25, 0.93))
-    frames = shot.frames[rows]
-    pictures = _sheet(spec)
-    strips = _strips(shot, residual, rows)
-    tables = listings(shot, evaluation, provenance)
-    coverage = show_coverage(spec, shot, rows, notes, part(progress, 0.93, 0.97))
-    if coverage is not None:
-        strips = (*strips, coverage.strip)
-        tables = (*tables[:-1], *coverage.listings, tables[-1])  # where it came from is last
-        pictures = (*pictures, coverage.picture)
-    page = ReviewPage(
-        title=f"{take.name} on {shot.rig.file.stem}",
-        facts=_facts(shot),
-        rate=float(clock.rate),
-        frames=frames.tolist(),
-        timecodes=[shot.timecode(frame) for frame in frames.tolist()]
-        if take.timecode_start
-        else [],
-        shapes=shot.rig.shapes,
-        regions=tuple(region_of_shape(name) or "other" for name in shot.rig.shapes),
-        curves=_curves(shot, rows, truth, baseline),
-        strips=strips,
-        worst=_worst(spec, shot, residual, clock),
-        listings=tables,
-        face=face,
-        movie=movie,
-        movie_type=_movie_kind()[1],
-        pictures=pictures,
-        said=labels_at(spec.phones, take, frames) if spec.phones else (),
-        origin=provenance_metadata(provenance),
-    )
+    page = _page(spec, shot, clock, notes, provenance, progress)
     progress(0.97, f"writing {spec.out.name}")
     text = build_page(page)
     with replacing(spec.out) as temporary:
@@ -118,8 +66,73 @@ def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent
         {
             "pictures": clock.picture_count,
             "megabytes": len(text) / 1e6,
-            "worst_frames": [int(frames[picture]) for picture, _ in page.worst],
+            "worst_frames": [int(page.frames[picture]) for picture, _ in page.worst],
         },
+    )
+
+
+def _clock(spec: ReportSpec, shot: Shot) -> MovieClock:
+    clock = MovieClock(
+        rate=movie_rate(shot.take),
+        take_rate=shot.take.rate,
+        first_frame=int(shot.frames[0]),
+        frame_count=len(shot.frames),
+    )
+    if clock.picture_count > LONGEST_PICTURES:
+        raise InputError(
+            f"{spec.performance}: {clock.picture_count} pictures are too many for a page, which "
+            f"holds {LONGEST_PICTURES}; show parts of it with --frames"
+        )
+    return clock
+
+
+def _page(
+    spec: ReportSpec,
+    shot: Shot,
+    clock: MovieClock,
+    notes: list[str],
+    provenance: Provenance,
+    progress: Progress,
+) -> ReviewPage:
+    """Measure, pack and draw what the page shows; what could not be had is added to the notes."""
+    take, rig = shot.take, shot.rig
+    rows = np.array([clock.row(picture) for picture in range(clock.picture_count)])
+    frames = shot.frames[rows]
+    keys = read_keys(spec.against, rig, shot.frames)
+    progress(0.05, "placing the markers on the rig")
+    equation = set_up_shot_baseline(shot)
+    residual = equation.residual_mm(shot.positions, shot.weights)
+    baseline = equation.solve_published(shot.positions) if spec.baseline else None
+    pictures, strips = _sheet(spec), _strips(shot, residual, rows)
+    tables = listings(shot, evaluate_shown(shot, keys), provenance)
+    progress(0.2, "packing the face")
+    view = shot.camera(spec.camera, spec.camera_stage)
+    notes += [*view.notes(clock.first_frame), *rig.undrawn_notes()]
+    face = pack_face(rig, camera=None if spec.camera == AUTO else view.at(clock.first_frame))
+    movie = _movie(spec, shot, clock, notes, part(progress, 0.25, 0.93))
+    coverage = show_coverage(spec, shot, rows, notes, part(progress, 0.93, 0.97))
+    if coverage is not None:
+        strips = (*strips, coverage.strip)
+        tables = (*tables[:-1], *coverage.listings, tables[-1])  # provenance is last
+        pictures = (*pictures, coverage.picture)
+    return ReviewPage(
+        title=f"{take.name} on {rig.file.stem}",
+        facts=_facts(shot),
+        rate=float(clock.rate),
+        frames=frames.tolist(),
+        timecodes=list(map(shot.timecode, frames.tolist())) if take.timecode_start else [],
+        shapes=rig.shapes,
+        regions=tuple(region_of_shape(name) or "other" for name in rig.shapes),
+        curves=_curves(shot, rows, keys, baseline),
+        strips=strips,
+        worst=_worst(spec, shot, residual, clock),
+        listings=tables,
+        face=face,
+        movie=movie,
+        movie_type=_movie_kind()[1],
+        pictures=pictures,
+        said=labels_at(spec.phones, take, frames) if spec.phones else (),
+        origin=provenance_metadata(provenance),
     )
 
 

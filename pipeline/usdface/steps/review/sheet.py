@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
@@ -32,7 +32,7 @@ from usdface.steps.review.scoring import (
     surface_distance,
     uncertainty_curves,
 )
-from usdface.steps.review.shot import Shot, open_shot
+from usdface.steps.review.shot import Shot, ShotCamera, open_shot
 
 PICKS: dict[SheetLayout, FramePick] = {
     "comparison": "expression",
@@ -47,76 +47,131 @@ FIGURE_KEYS = {"solve": "usdface", "baseline": "equation"}
 """Of the labels on a sheet: scripts read these keys from ``--json``, so they stay."""
 
 
+@dataclass(frozen=True)
+class _Comparison:
+    """What a sheet shows: shots, their weights with errors, and the frames chosen.
+
+    Attributes
+    ----------
+    shots : list of Shot
+        The performance first, then those beside it.
+    truth : (frames, shapes) float array or None
+        The keys; NaN at frames that have none.
+    chosen : list of ChosenFrame
+        Rows of the sheet.
+    labels : tuple of str
+        Phone and viseme of each chosen frame; empty where unknown.
+    """
+
+    shots: list[Shot]
+    equation: BlendshapeEquation
+    truth: FloatArray | None
+    scores: list[Score]
+    chosen: list[ChosenFrame]
+    labels: tuple[str, ...]
+
+    @property
+    def high_mm(self) -> float:
+        """Upper end of the range of errors."""
+        return round_range(np.concatenate([each.error_mm for each in self.scores]))
+
+
+@dataclass(frozen=True)
+class Column:
+    """Something drawn for every row."""
+
+    head: str
+    draw: Callable[[int], Tile]
+
+
 def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Draw the sheet and write it."""
+    comparison = _compare(spec, progress)
+    shots = comparison.shots
+    cameras = [each.camera(spec.camera, spec.camera_stage) for each in shots]
+    with ExitStack() as open_files:
+        pictures = _open_pictures(spec, shots, cameras, open_files)
+        columns = sheet_columns(spec, comparison, pictures)
+        page = _page(spec, comparison, columns, pictures)
+
+        def draw(number: int) -> SheetRow:
+            frame = comparison.chosen[number]
+            at = int(shots[0].frames[frame.row])
+            progress(0.2 + 0.75 * number / len(comparison.chosen), f"drawing frame {at}")
+            return SheetRow(
+                frame=at,
+                timecode=shots[0].timecode(at),
+                tiles=tuple(column.draw(frame.row) for column in columns),
+                note=frame.reason,
+                said=comparison.labels[number],
+            )
+
+        written = _write_pages(spec, page, draw, comparison, provenance)
+    progress(1.0, "done")
+    first = int(shots[0].frames[0])
+    notes = dict.fromkeys(note for each in cameras for note in each.notes(first))
+    notes |= dict.fromkeys(note for each in shots for note in each.rig.undrawn_notes())
+    return _result(written, comparison, tuple(notes))
+
+
+def _compare(spec: SheetSpec, progress: Progress) -> _Comparison:
+    """Read the shots, measure their weights and choose frames."""
     progress(0.0, "reading")
     shots = _open_shots(spec)
     shot = shots[0]
     progress(0.1, "placing the markers on the rig")
     equations = [set_up_shot_baseline(each) for each in shots]
     truth = read_keys(spec.against, shot.rig, shot.frames)
-    judged = [score("solve", shot, shot.weights, truth, equations[0])]
+    solve = score("solve", shot, shot.weights, truth, equations[0])
+    scores = [solve]
     if spec.baseline and spec.layout in ("comparison", "worst"):
         solved = equations[0].solve_published(shot.positions)
-        judged.insert(0, score("baseline", shot, solved, truth, equations[0]))
+        scores.insert(0, score("baseline", shot, solved, truth, equations[0]))
     labels = _labels([each.performance_file for each in shots[1:]])
     for other, equation, label in zip(shots[1:], equations[1:], labels, strict=True):
         known = truth if _same_face(other, shot) else None
-        judged.append(score(label, other, other.weights, known, equation))
-    chosen = _choose(spec, shot, next(each for each in judged if each.label == "solve"))
-    said = labels_at(spec.phones, shot.take, shot.frames[[frame.row for frame in chosen]])
-    high = round_range(np.concatenate([each.error_mm for each in judged]))
-    tile = spec.tile or (STRIP_TILE if spec.layout == "strip" else OTHER_TILE)
-    show = display_view(spec.view)
-    cameras = [each.camera(spec.camera, spec.camera_stage) for each in shots]
-    with ExitStack() as open_files:
-        pictures = [
-            ShotPictures(s, height=tile, quality=spec.quality, display=show, camera=camera)
-            for s, camera in zip(shots, cameras, strict=True)
-        ]
-        for each in pictures:
-            open_files.enter_context(each)
-        columns = sheet_columns(spec, shots, pictures, judged, equations[0], truth, chosen, high)
-        page = SheetPage(
-            title=f"{shot.take.name} on {', '.join(dict.fromkeys(s.rig.file.stem for s in shots))}",
-            facts=_facts(spec, shot),
-            columns=tuple(column.head for column in columns),
-            rows=(),
-            curves=(
-                *(ErrorCurve(_label_of(each, judged), each.error_mm) for each in judged),
-                *uncertainty_curves(shot),
-            ),
-            first_frame=int(shot.frames[0]),
-            notes=_notes(
-                truth is not None,
-                judged,
-                stand_in_eyes=any(each.stand_in_eyes for each in pictures),
-                has_uncertainty=shot.performance.confidence is not None,
-                untextured=any(each.rig.undrawn_notes() for each in shots),
-                has_phones=any(said),
-                markers=spec.layout != "strip",
-            ),
-            tile_height=tile,
-            high=high,
-        )
+        scores.append(score(label, other, other.weights, known, equation))
+    chosen = _choose(spec, shot, solve)
+    spoken = labels_at(spec.phones, shot.take, shot.frames[[frame.row for frame in chosen]])
+    return _Comparison(shots, equations[0], truth, scores, chosen, spoken)
 
-        def draw(number: int) -> SheetRow:
-            frame = chosen[number]
-            at = int(shot.frames[frame.row])
-            progress(0.2 + 0.75 * number / len(chosen), f"drawing frame {at}")
-            return SheetRow(
-                frame=at,
-                timecode=shot.timecode(at),
-                tiles=tuple(column.draw(frame.row) for column in columns),
-                note=frame.reason,
-                said=said[number],
-            )
 
-        written = _write_pages(spec, page, len(chosen), draw, shot, provenance)
-    progress(1.0, "done")
-    listed = dict.fromkeys(note for each in cameras for note in each.notes(int(shot.frames[0])))
-    listed |= dict.fromkeys(note for each in shots for note in each.rig.undrawn_notes())
-    return _report(written, shot.frames, judged, chosen, truth is not None, tuple(listed))
+def _open_pictures(
+    spec: SheetSpec, shots: list[Shot], cameras: list[ShotCamera], open_files: ExitStack
+) -> list[ShotPictures]:
+    display, tile = display_view(spec.view), _tile_height(spec)
+    pictures = [
+        ShotPictures(shot, height=tile, quality=spec.quality, display=display, camera=camera)
+        for shot, camera in zip(shots, cameras, strict=True)
+    ]
+    for each in pictures:
+        open_files.enter_context(each)
+    return pictures
+
+
+def _tile_height(spec: SheetSpec) -> int:
+    return spec.tile or (STRIP_TILE if spec.layout == "strip" else OTHER_TILE)
+
+
+def _page(
+    spec: SheetSpec, comparison: _Comparison, columns: list[Column], pictures: list[ShotPictures]
+) -> SheetPage:
+    shot = comparison.shots[0]
+    rigs = dict.fromkeys(each.rig.file.stem for each in comparison.shots)
+    errors = (
+        ErrorCurve(_label_of(each, comparison.scores), each.error_mm) for each in comparison.scores
+    )
+    return SheetPage(
+        title=f"{shot.take.name} on {', '.join(rigs)}",
+        facts=_facts(spec, shot),
+        columns=tuple(column.head for column in columns),
+        rows=(),
+        curves=(*errors, *uncertainty_curves(shot)),
+        first_frame=int(shot.frames[0]),
+        notes=_notes(spec, comparison, stand_in_eyes=any(each.stand_in_eyes for each in pictures)),
+        tile_height=_tile_height(spec),
+        high=comparison.high_mm,
+    )
 
 
 def _open_shots(spec: SheetSpec) -> list[Shot]:
@@ -183,15 +238,15 @@ def _choose(spec: SheetSpec, shot: Shot, judged: Score) -> list[ChosenFrame]:
 def _write_pages(
     spec: SheetSpec,
     page: SheetPage,
-    count: int,
     draw: Callable[[int], SheetRow],
-    shot: Shot,
+    comparison: _Comparison,
     provenance: Provenance,
 ) -> tuple[Path, ...]:
     """Draw and write page by page, so that thousands of tiles are not held at once.
 
     The first page carries the name that was asked for.
     """
+    shot, count = comparison.shots[0], len(comparison.chosen)
     pages = -(-count // spec.page_rows)
     written = []
     for number in range(pages):
@@ -223,101 +278,68 @@ def _facts(spec: SheetSpec, shot: Shot) -> tuple[str, ...]:
     return tuple(facts)
 
 
-def _notes(
-    truth_known: bool,
-    judged: list[Score],
-    *,
-    stand_in_eyes: bool,
-    has_uncertainty: bool,
-    untextured: bool,
-    has_phones: bool,
-    markers: bool,
-) -> tuple[str, ...]:
-    what = (
-        "error: RMS distance of the surface from the keys"
-        if truth_known
-        else "error: RMS distance of the markers from the rig (residual); the keys are not known"
-    )
-    means = ", ".join(
-        f"{_label_of(each, judged)} {np.nanmean(each.error_mm):.2f} mm" for each in judged
-    )
-    eyes = ("the rig has no eyes: stand-ins are drawn",) if stand_in_eyes else ()
-    uncertainty_curves = ("uncertainty: 1 - confidence",) if has_uncertainty else ()
-    phones = ("beside frames: phone and viseme",) if has_phones else ()
-    textures = ("textures are not drawn",) if untextured else ()
-    lines = (f"lines at markers: residual, {RESIDUAL_SCALE:g} times as long",) if markers else ()
-    return (what, f"mean: {means}", *lines, *uncertainty_curves, *phones, *eyes, *textures)
+def _notes(spec: SheetSpec, comparison: _Comparison, *, stand_in_eyes: bool) -> tuple[str, ...]:
+    scores, shots = comparison.scores, comparison.shots
+    what = "markers from the rig (residual); the keys are not known"
+    if comparison.truth is not None:
+        what = "surface from the keys"
+    means = (f"{_label_of(each, scores)} {np.nanmean(each.error_mm):.2f} mm" for each in scores)
+    notes = [f"error: RMS distance of the {what}", f"mean: {', '.join(means)}"]
+    if spec.layout != "strip":
+        notes.append(f"lines at markers: residual, {RESIDUAL_SCALE:g} times as long")
+    if shots[0].performance.confidence is not None:
+        notes.append("uncertainty: 1 - confidence")
+    if any(comparison.labels):
+        notes.append("beside frames: phone and viseme")
+    if stand_in_eyes:
+        notes.append("the rig has no eyes: stand-ins are drawn")
+    if any(each.rig.undrawn_notes() for each in shots):
+        notes.append("textures are not drawn")
+    return tuple(notes)
 
 
-def _report(
-    written: tuple[Path, ...],
-    frames: IntArray,
-    judged: list[Score],
-    chosen: list[ChosenFrame],
-    truth_known: bool,
-    notes: tuple[str, ...],
+def _result(
+    written: tuple[Path, ...], comparison: _Comparison, notes: tuple[str, ...]
 ) -> StepResult:
-    means = {each.label: float(np.nanmean(each.error_mm)) for each in judged}
-    listed = ", ".join(f"{_label_of(each, judged)} {means[each.label]:.2f} mm" for each in judged)
-    what = "surface error against the keys" if truth_known else "marker residual"
+    scores, chosen = comparison.scores, comparison.chosen
+    against_keys = comparison.truth is not None
+    means = {each.label: float(np.nanmean(each.error_mm)) for each in scores}
+    listed = ", ".join(f"{_label_of(each, scores)} {means[each.label]:.2f} mm" for each in scores)
+    what = "surface error against the keys" if against_keys else "marker residual"
     return StepResult(
         written,
         f"{pluralize(len(chosen), 'row')}; mean {what}: {listed}",
         notes,
         {
-            "frames": [int(frames[frame.row]) for frame in chosen],
+            "frames": [int(comparison.shots[0].frames[frame.row]) for frame in chosen],
             "mean_error_mm": {FIGURE_KEYS.get(label, label): mean for label, mean in means.items()},
-            "against_truth": truth_known,
+            "against_truth": against_keys,
         },
     )
 
 
-@dataclass(frozen=True)
-class Column:
-    """Something drawn for every row."""
-
-    head: str
-    draw: Callable[[int], Tile]
-
-
 def sheet_columns(
-    spec: SheetSpec,
-    shots: list[Shot],
-    pictures: list[ShotPictures],
-    judged: list[Score],
-    equation: BlendshapeEquation,
-    truth: FloatArray | None,
-    chosen: list[ChosenFrame],
-    high: float,
+    spec: SheetSpec, comparison: _Comparison, pictures: list[ShotPictures]
 ) -> list[Column]:
     """Return what the layout puts side by side."""
-    shot, drawn = shots[0], pictures[0]
+    shot, drawn = comparison.shots[0], pictures[0]
     columns: list[Column] = []
     if shot.take.video is not None:
         columns.append(Column("video", lambda row: drawn.video(int(shot.frames[row]))))
     if spec.layout != "strip":
-        explained = dict(
-            zip(
-                [frame.row for frame in chosen],
-                equation.explained(shot.weights[[frame.row for frame in chosen]]),
-                strict=True,
-            )
-        )
-        columns.append(
-            Column("markers", lambda row: Tile(drawn.markers(row, explained=explained[row])))
-        )
-    names = ("baseline", "solve")
+        rows = [frame.row for frame in comparison.chosen]
+        explained = comparison.equation.explained(shot.weights[rows])
+        at = dict(zip(rows, explained, strict=True))
+        columns.append(Column("markers", lambda row: Tile(drawn.markers(row, explained=at[row]))))
     others = iter(pictures[1:])
-    for each in judged:
-        own = drawn if each.label in names else next(others)
-        columns.append(Column(each.label, _face(own, each)))
-    compared = _compared(judged, truth)
+    for each in comparison.scores:
+        face = drawn if each.label in ("baseline", "solve") else next(others)
+        columns.append(Column(each.label, _face(face, each)))
+    compared = _compared(comparison.scores, comparison.truth)
     if spec.difference and compared is not None and spec.layout in ("comparison", "worst"):
-        columns.append(
-            Column(
-                f"distance to {compared[0]}", _away(drawn, shot.weights, compared[1], high_mm=high)
-            )
-        )
+        label, weights = compared
+        distances = _distances(drawn, shot.weights, weights, high_mm=comparison.high_mm)
+        columns.append(Column(f"distance to {label}", distances))
     return columns
 
 
@@ -330,7 +352,7 @@ def _face(pictures: ShotPictures, judged: Score) -> Callable[[int], Tile]:
     return draw
 
 
-def _away(
+def _distances(
     pictures: ShotPictures, weights: FloatArray, other: FloatArray, *, high_mm: float
 ) -> Callable[[int], Tile]:
     def draw(row: int) -> Tile:
