@@ -37,7 +37,7 @@ def evaluation_summary(evaluation: Evaluation) -> str:
     return (
         f"{pluralize(len(evaluation.frames), 'frame')}: "
         f"{evaluation.surface.rms_mm:.3f} mm on the surface "
-        f"(95th percentile {evaluation.surface.p95_mm:.3f} mm), "
+        f"({evaluation.surface.p95_mm:.3f} mm at the 95th percentile), "
         f"{_number(evaluation.weight_rmse)} in the weights"
     )
 

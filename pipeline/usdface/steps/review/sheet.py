@@ -217,7 +217,7 @@ def _same_face(shot: Shot, other: Shot) -> bool:
 def _label_of(judged: Score, beside: list[Score]) -> str:
     """Return a label that says so where this one is measured otherwise than those beside it."""
     by_markers = not judged.against_truth and any(each.against_truth for each in beside)
-    return f"{judged.label} (residual)" if by_markers else judged.label
+    return f"{judged.label} (marker residual)" if by_markers else judged.label
 
 
 def _choose(spec: SheetSpec, shot: Shot, judged: Score) -> list[ChosenFrame]:
@@ -280,15 +280,15 @@ def _facts(spec: SheetSpec, shot: Shot) -> tuple[str, ...]:
 
 def _notes(spec: SheetSpec, comparison: _Comparison, *, stand_in_eyes: bool) -> tuple[str, ...]:
     scores, shots = comparison.scores, comparison.shots
-    what = "markers from the rig (residual); the keys are not known"
+    what = "residual: RMS distance of the markers from the rig under the weights"
     if comparison.truth is not None:
-        what = "surface from the keys"
+        what = "error: RMS distance of the surface from the keys"
     means = (f"{_label_of(each, scores)} {np.nanmean(each.error_mm):.2f} mm" for each in scores)
-    notes = [f"error: RMS distance of the {what}", f"mean: {', '.join(means)}"]
+    notes = [what, f"mean: {', '.join(means)}"]
     if spec.layout != "strip":
-        notes.append(f"lines at markers: residual, {RESIDUAL_SCALE:g} times as long")
+        notes.append(f"lines at markers: the residual, {RESIDUAL_SCALE:g} times as long")
     if shots[0].performance.confidence is not None:
-        notes.append("uncertainty: 1 - confidence")
+        notes.append("uncertainty: 1 less the confidence")
     if any(comparison.labels):
         notes.append("beside frames: phone and viseme")
     if stand_in_eyes:
@@ -339,7 +339,7 @@ def sheet_columns(
     if spec.difference and compared is not None and spec.layout in ("comparison", "worst"):
         label, weights = compared
         distances = _distances(drawn, shot.weights, weights, high_mm=comparison.high_mm)
-        columns.append(Column(f"distance to {label}", distances))
+        columns.append(Column(f"difference to {label}", distances))
     return columns
 
 
