@@ -23,9 +23,6 @@ log = logging.getLogger(__name__)
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Axis = Literal["y", "z"]
 Units = Literal["mm", "cm", "m", "in"]
-Device = Annotated[str, Field(pattern=r"^(cpu|torch|cuda(:\d+)?)$", examples=["cpu", "cuda"])]
-"""What `numerics.array_namespace` opens."""
-
 
 Sidecar = Callable[[Path], Path]
 """Function from the path of a file to that of a layer it needs; see `core.sidecars`."""

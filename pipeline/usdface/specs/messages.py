@@ -17,7 +17,6 @@ PATTERN_WORDS = {
     r"^[^=]+=\d+$": "give a marker and a point of the mesh, such as nose_tip=1203",
     f"^{PRIM_PATTERN}$": "give the path of a prim, such as /shot/cast/hero",
     f"^(auto|{PRIM_PATTERN})$": "give auto or a camera's path, such as /Shot/main",
-    r"^(cpu|torch|cuda(:\d+)?)$": "give cpu, torch, cuda or, of several cards, cuda:1",
     r"^(\d\d:\d\d:\d\d[:;]\d\d)?$": "give hours, minutes, seconds and frames, such as 01:00:00:00",
 }
 """Patterns of the specs, each with the advice for a value that does not match."""
