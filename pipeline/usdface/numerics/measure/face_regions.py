@@ -34,7 +34,7 @@ _CARRIED = {"jaw": 0.85}
 
 
 def region_of_shape(name: str) -> str:
-    """Return the part of the face a shape's name speaks of; empty where it speaks of none."""
+    """Return the part of the face that a shape's name names; empty where it names none."""
     lowered = name.lower()
     for region, words in _WORDS:
         if any(word in lowered for word in words):
@@ -56,7 +56,7 @@ def blinks(names: Sequence[str]) -> IntArray:
 
 
 def jaw_opener(names: Sequence[str]) -> int | None:
-    """Return the column of the shape that opens the jaw; None where no name says so."""
+    """Return the column of the shape that opens the jaw; None without such a name."""
     for column, name in enumerate(names):
         lowered = name.lower()
         if region_of_shape(name) == "jaw" and ("open" in lowered or "drop" in lowered):

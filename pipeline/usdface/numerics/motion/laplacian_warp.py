@@ -1,10 +1,10 @@
 """Sequences put into a motion by 1-D Laplacian warping: Song et al. (2011), section 5.3, eq. 11-12.
 
 The step from each frame to the next (the 1-D Laplacian coordinates of eq. 11) is kept as far as
-soft constraints allow: over the interval of a sequence its keys are asked for, outside the motion
+soft constraints allow: over the interval of a sequence the targets are its keys, outside the motion
 itself. With X what is added to the motion, D the (n - 1, n) matrix of eq. 11 and W the constraints'
 weights on a diagonal, eq. 12 is ``(D' D + W) X = W (keys - motion)``: tridiagonal, positive
-definite, and without a right side where the motion itself is asked for. There X decays
+definite, and without a right side where the motion itself is the target. There X decays
 geometrically, so that windows round the sequences are all there is to solve.
 """
 
@@ -136,7 +136,7 @@ def solve_warp(
         If nothing holds the motion anywhere: then any offset of it is as good.
     """
     if not (weights.any() or fixed_before or fixed_after):
-        raise ValueError("every weight is 0, so nothing says where the motion goes")
+        raise ValueError("every weight is 0, so the warped motion is undetermined")
     banded = np.zeros((2, len(motion)))
     banded[0, 1:] = -1.0
     banded[1] = weights + 2.0

@@ -124,12 +124,12 @@ def find_sequence(
     if threshold is None:
         threshold = _MATCH_SHARE * mean_face_distance(sequence)
         if threshold == 0.0:
-            raise ValueError("the sequence stands still, so nothing tells it from a face at rest")
+            raise ValueError("the sequence stands still, so any face at rest matches it")
     found = starts_within(motion, sequence, threshold=threshold)
     starts = merge_starts(found.starts, len(sequence))
     distances = sequence_distances(motion, sequence, starts)
     for index in np.flatnonzero(distances > threshold).tolist():
-        # Between two matches the average may be none: then the nearest beside it stands for them.
+        # Between two matches the average may be none: then the nearest match stands for them.
         nearest = int(np.abs(found.starts - starts[index]).argmin())
         starts[index], distances[index] = found.starts[nearest], found.distances[nearest]
     return _drop_overlapping(Matches(starts, distances, threshold), len(sequence))

@@ -81,7 +81,7 @@ def align_landmarks(cloud: ArrayLike, targets: ArrayLike) -> Alignment:
     yc, xc = y - y.mean(axis=0), x - x.mean(axis=0)
     spread = np.linalg.svd(yc, compute_uv=False)
     if spread[1] < 0.02 * spread[0]:
-        raise ValueError("the landmarks lie on a line; add one beside it")
+        raise ValueError("the landmarks lie on a line; add one off that line")
     u, s, vt = np.linalg.svd(xc.T @ yc)
     handed = float(np.sign(np.linalg.det(u @ vt)))
     proper = s @ np.array([1, 1, handed])
@@ -141,7 +141,7 @@ def align_cloud(
     a = np.zeros(len(y)) if amplitude is None else np.asarray(amplitude, float)
     usual = float(np.quantile(a, 0.97))
     skin_motion, cloud_motion = np.zeros(len(x)), np.zeros(len(y))
-    if usual > 0:  # a take of one frame tells nothing of where a face moves
+    if usual > 0:  # a take of one frame does not show where a face moves
         skin_motion = _MOTION_MM * size / 80 * moving
         cloud_motion = _MOTION_MM * size / 80 * np.sqrt(np.minimum(a / usual, 1.2))
     skin4, cloud4 = np.column_stack([x, skin_motion]), np.column_stack([y, cloud_motion])

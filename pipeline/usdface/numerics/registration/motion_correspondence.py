@@ -1,7 +1,7 @@
 """Settle where on the skin each marker sits, from shape and from how it moves.
 
-Lips, lids and nostrils are a few millimetres apart and move in opposite ways: motion tells them
-apart where shape cannot. Expectation-maximisation: solve the shapes' weights from the markers as
+Lips, lids and nostrils are a few millimetres apart and move in opposite ways: motion distinguishes
+them where shape cannot. Expectation-maximisation: solve the shapes' weights from the markers as
 they are placed now, compare each marker's path with what every nearby piece of skin would do under
 those weights, place it again, and keep neighbours together with a smooth warp.
 """

@@ -161,7 +161,7 @@ def _spread(
 
 
 def _seen_from_front(q: FloatArray) -> BoolArray:
-    """Say which points are foremost in a depth buffer of some view; the face looks along +Z."""
+    """Return which points are foremost in a depth buffer of some view; the face looks along +Z."""
     size = float(np.ptp(q, axis=0).max())
     seen = np.zeros(len(q), bool)
     for yaw, pitch in np.deg2rad(_VIEWS_DEGREES):
@@ -184,7 +184,7 @@ def _on_skin(
     seen: BoolArray,
     activity: FloatArray,
 ) -> BoolArray:
-    """Say which samples lie on a large connected piece that moves; seams of UVs are welded."""
+    """Return which samples lie on a large connected part that moves; seams of UVs are welded."""
     size = float(np.ptp(P, axis=0).max())
     _, weld = np.unique(np.round(P / (1e-5 * size)), axis=0, return_inverse=True)
     weld = weld.ravel()

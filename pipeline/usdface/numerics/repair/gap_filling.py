@@ -1,8 +1,8 @@
 """Fill gaps in marker tracks: short ones along the curve, long ones from the other markers.
 
 Short gaps follow a cubic spline through the samples on both sides. For long ones, a prediction from
-the other markers (see `low_rank`) says where the hidden marker goes, and the samples next to the
-gap say how far that prediction is off there: this offset is blended from one end to the other.
+the other markers (see `low_rank`) gives the path of the hidden marker, and the samples next to the
+gap the offset of that prediction there, which is blended from one end to the other.
 The length up to which a spline is better depends on the capture's noise, the rate and the face; it
 is found by hiding samples that are known.
 """
@@ -102,7 +102,7 @@ def complete_take(
         [mm] Without head motion; changed.
     good : (frames, markers) bool array
     model : LowRankModel
-        Learned from the same take.
+        Fitted to the same take.
     max_gap : int
         [frames]
     noise : float
@@ -220,7 +220,7 @@ def fill_gaps(
             if inner and stop - start <= reach:
                 values = _spline(track, ok, start, stop)
             elif base is not None:
-                # Only what stands beside the gap: over all frames, gaps times frames are too many.
+                # Only next to the gap: over all frames, the work would be gaps times frames.
                 low, high = max(0, start - _END_SAMPLES), stop + _END_SAMPLES
                 rest = track[low:high] - base[low:high]
                 values = base[start:stop] + _blend_offsets(
@@ -307,7 +307,7 @@ def _blend_offsets(
 
 
 def _end_offset(offsets: RealArray, ok: BoolArray, frames: range, noise: float) -> FloatArray:
-    """Return the mean rest of the samples beside a gap, as far as it rises above the noise.
+    """Return the mean offset of the samples next to a gap, as far as it rises above the noise.
 
     Positive-part James-Stein shrinkage in three dimensions.
     """

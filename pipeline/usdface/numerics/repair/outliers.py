@@ -1,8 +1,8 @@
 """Samples that do not belong to their marker: a reflection, another marker's label.
 
 `find_outliers` compares each marker with what all others predict of it. `find_spikes` needs no
-model: it looks for leaps away and back in a marker's own track, before a model is learned. A short
-take would otherwise learn its own faults as ways in which the face moves.
+model: it looks for leaps away and back in a marker's own track, before a model is fitted. A short
+take would otherwise have its faults fitted as directions of the face's motion.
 """
 
 from itertools import pairwise
@@ -66,7 +66,7 @@ def find_outliers(
         [mm] Without head motion; anything where not visible.
     visible : (frames, markers) bool array
     model : LowRankModel
-        Learned from the same take.
+        Fitted to the same take.
     noise : (markers,) float array
         Standard deviation of the measurement noise per coordinate [mm].
 

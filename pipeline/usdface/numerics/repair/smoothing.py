@@ -96,7 +96,7 @@ def smooth_take(positions: RealArray, model: LowRankModel, *, noise: FloatArray)
     positions : (frames, markers, 3) float array
         [mm] Complete, without head motion; changed.
     model : LowRankModel
-        Learned from the same take.
+        Fitted to the same take.
     noise : (markers,) float array
         Standard deviation of the measurement noise per coordinate [mm].
     """

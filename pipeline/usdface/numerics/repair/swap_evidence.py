@@ -212,10 +212,10 @@ def _jump_evidence(views: _Views, step_scale: float) -> RealArray:
     x_from_y, y_from_x = x[:, 1:] - y[:, :-1], y[:, 1:] - x[:, :-1]
     together = np.maximum(_dot(x_from_y, x_from_y) - x_square, _dot(y_from_x, y_from_x) - y_square)
     # Where one is hidden, only the way between the positions of the two is known.
-    apart = (views.between + views.x_away - views.y_away)[:, 1:]
-    length = _dot(apart, apart)
-    x_alone = length - 2.0 * np.abs(_dot(x_step, apart))
-    y_alone = length - 2.0 * np.abs(_dot(y_step, apart))
+    offset = (views.between + views.x_away - views.y_away)[:, 1:]
+    length = _dot(offset, offset)
+    x_alone = length - 2.0 * np.abs(_dot(x_step, offset))
+    y_alone = length - 2.0 * np.abs(_dot(y_step, offset))
     jump = np.zeros(x.shape[1], x.dtype)
     jump[1:] = _choose_seen(
         together, x_alone, y_alone, x_seen[1:] & x_seen[:-1], y_seen[1:] & y_seen[:-1]

@@ -111,7 +111,7 @@ def align_rigid_robust(
     """Align a reference to every frame, disregarding points that are swapped or far off.
 
     Iteratively reweighted least squares with Geman-McClure weights. A frame's scale starts at its
-    own median residual, so that a swap, which bends the first solution, is still told from the
+    own median residual, so that a swap, which bends the first solution, still stands out from the
     rest, and ends at the median of the whole take.
 
     Parameters

@@ -10,9 +10,9 @@ from usdface.numerics.motion.noise import measurement_noise
 
 _SAMPLE_FRAMES = 1500
 _LEAST_MARKERS = 4
-"""Three have no redundancy: one that is swapped cannot be told."""
+"""Three have no redundancy: one that is swapped could not be detected."""
 _LOW, _HIGH = 5.0, 95.0
-"""[percentile] Swapped or stray samples fall outside."""
+"""[percentile] Swapped samples and outliers fall outside."""
 _PERCENTILES_TO_DEVIATION = 3.29
 """Distance of the two percentiles of a normal distribution, in standard deviations."""
 _LARGEST_TURN = np.deg2rad(1.2)
@@ -80,7 +80,7 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
                 f"frames, {_LEAST_MARKERS} are needed"
             )
         elif np.isinf(least):
-            closest = "too few are seen together in two frames or more to tell"
+            closest = "too few are seen together in two frames or more"
         else:
             closest = (
                 f"the best {_LEAST_MARKERS} or more would leave {np.rad2deg(least):.1f} degrees of "

@@ -1,4 +1,4 @@
-"""Head motion taken out of a take, and kept beside it.
+"""Head motion taken out of a take, and returned with it.
 
 References
 ----------
@@ -42,7 +42,7 @@ class Stabilization:
     reference : (rigid, 3) float array
         [mm] Shape of the rigid markers in the head's space.
     rigid_weights : (frames, rigid) float array
-        [0-1] How far each rigid marker was believed; near 0 when swapped or off.
+        [0-1] Weight of each rigid marker in the fit; near 0 when swapped or off.
     """
 
     positions: RealArray
@@ -141,7 +141,7 @@ def _check_reference(start: FloatArray, named: int, neutral: int) -> None:
 
 
 def _mean_shape(still: RealArray, seen: BoolArray) -> FloatArray:
-    """Return the median place of each rigid marker; swaps and strays do not move it."""
+    """Return the median place of each rigid marker; swaps and outliers do not move it."""
     rows = sample_frames(len(still), _REFERENCE_SAMPLE)
     shape = np.empty(still.shape[1:])
     for marker in range(still.shape[1]):
@@ -150,8 +150,8 @@ def _mean_shape(still: RealArray, seen: BoolArray) -> FloatArray:
             track = still[seen[:, marker], marker]
         if not len(track):
             raise ValueError(
-                f"rigid marker {marker} (in the order given) is never seen beside three others; "
-                "leave it out"
+                f"rigid marker {marker} (in the order given) is never seen together with three "
+                "others; leave it out"
             )
         shape[marker] = np.median(track, axis=0)
     return shape

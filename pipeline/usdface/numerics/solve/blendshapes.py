@@ -94,7 +94,7 @@ class BlendShapes:
 
     @property
     def has_inbetweens(self) -> bool:
-        """Whether any channel bends: has keys beside its full target."""
+        """Whether any channel bends: has keys other than its full target."""
         return any(len(knots) > 1 for _, knots in self._knots)
 
     @property

@@ -1,6 +1,6 @@
 """Smoothing by bands of frequencies, as the paper of the cross-mapping does it.
 
-A motion is split into a pyramid of bands, each an octave wide; gains say how much of each is kept.
+A motion is split into a pyramid of bands, each an octave wide; gains scale each of them.
 With gains of 0 and 1, finest bands left out, the pyramid is one short filter of finite length:
 what it does at a frame ends `reach` frames away.
 """

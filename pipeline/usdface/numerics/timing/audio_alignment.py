@@ -1,8 +1,8 @@
-"""Shift and clock drift between two recordings of the same sound, and whether to believe them.
+"""Shift and clock drift between two recordings of the same sound, and their confidence.
 
 Onsets find the shift to a hundredth of a second, phase finds it window by window to a hundredth of
 a millisecond, and a robust line through the windows gives shift and drift. Each of the three can
-fail on its own, and says so: a wrong shift that looks right costs more than a refusal.
+fail, and is then reported: a wrong shift that looks right costs more than a refusal.
 """
 
 from dataclasses import dataclass, field, replace
@@ -100,7 +100,7 @@ def align_sounds(
     first, second : (samples,) float32 array
         The same event by two microphones; either may start or end first.
     rate : int
-        Samples per second of both, as each recorder believes; at least 4000.
+        Samples per second of both, by each recorder's own clock; at least 4000.
     names : (2,) tuple of str
         What to call the recordings where something is wrong with one.
 
@@ -117,7 +117,7 @@ def align_sounds(
     """
     first, second = _checked(first, names[0]), _checked(second, names[1])
     if rate < _LOWEST_RATE_HZ:
-        raise ValueError(f"rate {rate} is too low to tell delays; give 16000 samples per second")
+        raise ValueError(f"rate {rate} is too low to measure delays; give 16000 samples per second")
     doubts = _unusable((first, second), names, rate)
     if doubts:
         return SoundAlignment(0.0, 0.0, 0.0, doubts)
@@ -188,7 +188,7 @@ def _measure(pair: "_Pair", found: "_RoughShift", *, count: int) -> tuple[Window
 
 
 def _against_rivals(pair: "_Pair", found: "_RoughShift", rivals: list[float]) -> "_RoughShift":
-    """Doubt a shift if the windows agree on another too, to the millisecond."""
+    """Refuse a shift if the windows agree on another too, to the millisecond."""
     for rival in rivals:
         if not np.isfinite(rival) or abs(rival - found.shift) < _COARSE_ERROR_SECONDS:
             continue

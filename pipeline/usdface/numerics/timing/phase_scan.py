@@ -2,7 +2,7 @@
 
 A window of two seconds has tens of thousands of independent phases: where the same sound is in the
 other recording they line up, even under noise as loud as the speech, which drowns the onsets. It
-costs a transform of the whole recording a window, so it is for what onsets leave in doubt.
+costs a transform of the whole recording a window, so it is for what onsets leave undecided.
 """
 
 from dataclasses import dataclass

@@ -37,7 +37,7 @@ class WindowDelays:
     delays : (windows,) float array
         [s]
     clarity : (windows,) float array
-        Height of the peak over the next highest; 1 tells nothing.
+        Height of the peak over the next highest; 1 carries no information.
     """
 
     times: FloatArray
