@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from usdface.core.errors import InputError
-from usdface.media.charts.axes import add_axes, new_figure, plot_curve, render
 from usdface.media.charts.motion_curves import (
     MOST_WINDOWS,
     Curve,
@@ -84,18 +83,6 @@ def test_the_name_of_a_span_is_read_where_a_curve_passes() -> None:
     assert 20 < covered.any(axis=0).sum() < 80
 
 
-def test_there_is_no_half_frame_and_one_frame_is_a_dot() -> None:
-    figure = new_figure(400, 200)
-    axes = add_axes(figure, (40, 20, 340, 150), whole=True)
-    axes.set_xlim(99.5, 100.5)
-    axes.set_ylim(0, 1)
-    plot_curve(axes, np.array([100.0]), np.array([0.5]), (255, 0, 0))
-    picture = render(figure)
-    labels = {label.get_position()[0]: label.get_text() for label in axes.get_xticklabels()}
-    assert {at: label for at, label in labels.items() if 99.5 <= at <= 100.5} == {100: "100"}
-    assert (picture == (255, 0, 0)).all(axis=2).sum() > 30
-
-
 def test_every_curve_is_named_at_its_end_and_no_name_lies_on_another() -> None:
     colors = SERIES_COLORS[:5]
     curves = tuple(
@@ -108,20 +95,6 @@ def test_every_curve_is_named_at_its_end_and_no_name_lies_on_another() -> None:
     ]
     for lower, higher in pairwise(rows):
         assert higher.max() < lower.min()
-
-
-def test_a_long_curve_keeps_its_peaks() -> None:
-    heights = np.zeros(400_000)
-    heights[123_456] = 1.0
-    figure = new_figure(400, 200)
-    axes = add_axes(figure, (40, 20, 340, 150))
-    axes.set_xlim(0, len(heights))
-    axes.set_ylim(-0.1, 1.1)
-    plot_curve(axes, np.arange(400_000.0), heights, (255, 0, 0))
-    picture = render(figure).astype(int)
-    red = (picture[..., 0] > 150) & (picture[..., 1] < 60)
-    assert red[40].sum() in (1, 2, 3)
-    assert np.flatnonzero(red[40]).mean() == pytest.approx(40 + 340 * 123_456 / 400_000, abs=2)
 
 
 def test_pictures_are_the_same_each_time() -> None:
