@@ -208,7 +208,7 @@ def _color(markers: BoundMarkers, marker: int) -> Color:
 def _draw_key(page: ByteImage, *, x: int, y: int) -> None:
     for color, label in (
         (BLUE, "proposed"),
-        (_DOUBT, "doubtful: look at it"),
+        (_DOUBT, "uncertain: look at it"),
         (_PLACED, "placed by a person"),
     ):
         draw_dot(page, x + 8, y + 12, 6.0, color)
