@@ -36,7 +36,7 @@ class Holder:
     since : str
         Local time, ISO 8601.
     key : str
-        Differs with every holding: how a server knows that the lock is still its own.
+        Differs each time the lock is taken: how a server knows that it is still its own.
     """
 
     user: str
@@ -160,7 +160,7 @@ class TuningLock:
         return True
 
     def _now(self) -> float:
-        """Return the time as the lock's holding disk has it: a file server's clock may differ."""
+        """Return the time as the lock's own disk has it: a file server's clock may differ."""
         probe = self.path.with_name(f".{self.path.name}.{secrets.token_hex(4)}")
         try:
             probe.touch()

@@ -20,8 +20,8 @@ FRAMES_IN_MEMORY = 1 << 15
 
 
 VALUES_IN_MEMORY = 1 << 23
-"""Long takes are saved to disk in lots of this many frames or values, so that memory stays
-bounded."""
+"""Long takes are saved to disk whenever this many frames or values have been written, so that
+memory stays bounded."""
 
 
 @contextlib.contextmanager

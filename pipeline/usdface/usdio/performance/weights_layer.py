@@ -179,7 +179,7 @@ class WeightsWriter:
         first, last : int
             Inclusive.
         copied_to : callable
-            Is told the last frame of every block.
+            Called with the last frame of every block.
 
         Raises
         ------

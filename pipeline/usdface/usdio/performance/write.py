@@ -1,4 +1,4 @@
-"""Performances: a layer to open, and a weights layer beneath it that is written as it is solved."""
+"""Write performances: a layer to open, and its sublayer of weights, written as it is solved."""
 
 import contextlib
 from collections.abc import Iterator
