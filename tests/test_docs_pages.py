@@ -156,6 +156,8 @@ def test_pages_name_no_option_command_or_task_that_is_not_there() -> None:
     benchmarks = {path.stem for path in (REPOSITORY / "benchmarks").glob("*.py")}
     wrong = []
     for page in [REPOSITORY / "README.md", *DOCS.rglob("*.md")]:
+        if page.parent.name == "changes":
+            continue
         text = page.read_text("utf-8")
         wrong += [
             f"{page.name}: {name}"
