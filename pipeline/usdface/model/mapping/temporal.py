@@ -31,7 +31,7 @@ hold no motion beyond it."""
 LAG_FRAMES = 2
 """Latency of the causal mode; with two frames it is nearly as good as the whole take."""
 
-BANDS = 1
+BAND_COUNT = 1
 """Octaves left out by the paper's filter bank: at 60 frames per second one costs blinks .02 of
 their peaks, two .06, three .15."""
 
@@ -64,7 +64,7 @@ class TemporalSolve:
     mode: Mode = "none"
     cutoff_hz: float | None = None
     lag: int = LAG_FRAMES
-    bands: int = BANDS
+    bands: int = BAND_COUNT
 
     def cutoff_at(self, rate: float) -> float:
         """Return the cut-off for frames of a rate [Hz]."""
@@ -108,7 +108,6 @@ def smooth_weights(
     ranges : (shapes, 2) float array
     rate : float
         Frames per second.
-    solve : TemporalSolve
 
     Returns
     -------
