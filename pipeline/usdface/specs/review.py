@@ -19,7 +19,7 @@ from usdface.specs.paths import (
     prim_path,
 )
 
-AUTO = "auto"
+AUTO_CAMERA = "auto"
 
 CameraName = Annotated[
     str,
@@ -97,7 +97,7 @@ class SheetSpec(Spec):
 
 MOVIE_SUFFIXES = (".mp4", ".mov", ".mkv", ".webm")
 
-Panel = Literal["video", "markers", "performance"]
+PanelKind = Literal["video", "markers", "performance"]
 
 
 MovieOut = Annotated[WritePath, AfterValidator(file_ending(MOVIE_SUFFIXES, "a movie"))]
@@ -127,7 +127,7 @@ class MovieSpec(Spec):
     frames: Frames | None = None
     """Frames of the take to draw, as FIRST-LAST, such as one part for `movie-join`. Default:
     all."""
-    panels: Annotated[tuple[Panel, ...], Field(min_length=1, max_length=3)] | None = None
+    panels: Annotated[tuple[PanelKind, ...], Field(min_length=1, max_length=3)] | None = None
     """Panels from left to right: `video`, `markers`, `performance`. Default: video, if there is
     one, and performance."""
     rate: Annotated[float, Field(gt=0, le=240)] | None = None

@@ -35,7 +35,7 @@ from usdface.usdio.take.read import read_take
 _YAW_DEGREES = 12.0
 """A little from the side, where lips and lids show their depth."""
 
-LEAST_WEIGHT = 0.05
+_LEAST_SHOWN_WEIGHT = 0.05
 """Weights below are not worth naming."""
 
 _Video = VideoReader | ImageSequence
@@ -224,5 +224,5 @@ def _strongest(references: References, pair: int) -> tuple[tuple[str, float], ..
     return tuple(
         (references.shape_names[i], float(weights[i]))
         for i in order
-        if abs(weights[i]) >= LEAST_WEIGHT
+        if abs(weights[i]) >= _LEAST_SHOWN_WEIGHT
     )

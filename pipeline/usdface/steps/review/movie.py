@@ -23,7 +23,7 @@ from usdface.media.film.movie_frame import MoviePanel, compose_movie_frame
 from usdface.media.film.movie_join import join_movies
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
-from usdface.specs.review import MovieSpec, Panel
+from usdface.specs.review import MovieSpec, PanelKind
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
 from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.shot import Shot, open_shot
@@ -31,7 +31,7 @@ from usdface.steps.review.shot import Shot, open_shot
 STRETCH_PICTURES = 48
 """Drawn and encoded by one process at a time, and lost at most when a run is stopped."""
 
-LABELS: dict[Panel, str] = {"video": "video", "markers": "markers", "performance": "solve"}
+LABELS: dict[PanelKind, str] = {"video": "video", "markers": "markers", "performance": "solve"}
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class _Plan:
     """What every stretch is drawn by; small enough to send to another process."""
 
     spec: MovieSpec
-    panels: tuple[Panel, ...]
+    panels: tuple[PanelKind, ...]
     clock: MovieClock
 
 
@@ -112,7 +112,7 @@ def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress = silent)
     )
 
 
-def _panels(spec: MovieSpec, take: Take, notes: list[str]) -> tuple[Panel, ...]:
+def _panels(spec: MovieSpec, take: Take, notes: list[str]) -> tuple[PanelKind, ...]:
     if spec.panels is not None:
         if "video" in spec.panels and take.video is None:
             raise InputError(

@@ -28,7 +28,7 @@ from usdface.media.picture.tiles import empty_tile, fit_picture
 from usdface.numerics.measure.face_regions import region_of_shape
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
-from usdface.specs.review import AUTO, FramePick, ReportSpec
+from usdface.specs.review import AUTO_CAMERA, FramePick, ReportSpec
 from usdface.steps.inputs.phone_labels import labels_at
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
 from usdface.steps.review.report_tables import evaluate_shown, listings, show_coverage
@@ -108,7 +108,7 @@ def _page(
     progress(0.2, "packing the face")
     view = shot.camera(spec.camera, spec.camera_stage)
     notes += [*view.notes(clock.first_frame), *rig.undrawn_notes()]
-    face = pack_face(rig, camera=None if spec.camera == AUTO else view.at(clock.first_frame))
+    face = pack_face(rig, camera=None if spec.camera == AUTO_CAMERA else view.at(clock.first_frame))
     movie = _movie(spec, shot, clock, notes, part(progress, 0.25, 0.93))
     coverage = show_coverage(spec, shot, rows, notes, part(progress, 0.93, 0.97))
     if coverage is not None:

@@ -19,7 +19,7 @@ from usdface.media.picture.sheet import SheetPage, SheetRow, Tile, compose_sheet
 from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
-from usdface.specs.review import AUTO, FramePick, SheetLayout, SheetSpec
+from usdface.specs.review import AUTO_CAMERA, FramePick, SheetLayout, SheetSpec
 from usdface.steps.inputs.phone_labels import labels_at
 from usdface.steps.review.pictures import RESIDUAL_SCALE, ShotPictures
 from usdface.steps.review.scoring import (
@@ -269,7 +269,7 @@ def _write_pages(
 
 def _facts(spec: SheetSpec, shot: Shot) -> tuple[str, ...]:
     facts = [f"frames {shot.frames[0]}-{shot.frames[-1]}", f"{float(shot.take.rate):g} fps"]
-    if spec.camera != AUTO:
+    if spec.camera != AUTO_CAMERA:
         facts.append(f"camera {spec.camera}")
     if shot.take.performer:
         facts.insert(0, shot.take.performer)

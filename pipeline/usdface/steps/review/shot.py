@@ -12,7 +12,7 @@ from usdface.core.errors import InputError
 from usdface.core.timecode import shift_timecode
 from usdface.media.face.camera import Camera, frame_rig, motion_weights
 from usdface.specs.paths import frame_range
-from usdface.specs.review import AUTO
+from usdface.specs.review import AUTO_CAMERA
 from usdface.steps.inputs.cleaned_takes import read_cleaned
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.rig.read import read_rig
@@ -45,14 +45,14 @@ class ShotCamera:
         performance: Performance,
         rig: Rig,
         *,
-        name: str = AUTO,
+        name: str = AUTO_CAMERA,
         stage: Path | None = None,
     ) -> None:
         self._rig = rig
         self._framed = frame_rig(rig.meshes, yaw_degrees=_YAW_DEGREES)
         self._name = name
         self._stage: StageCamera | None = None
-        if name != AUTO:
+        if name != AUTO_CAMERA:
             self._stage = StageCamera(
                 stage or performance_file,
                 name,
@@ -142,7 +142,7 @@ class Shot:
     frames: IntArray
     weights: FloatArray
 
-    def camera(self, name: str = AUTO, stage: Path | None = None) -> ShotCamera:
+    def camera(self, name: str = AUTO_CAMERA, stage: Path | None = None) -> ShotCamera:
         """Return where its pictures are taken from; see `ShotCamera`."""
         return ShotCamera(self.performance_file, self.performance, self.rig, name=name, stage=stage)
 
