@@ -5,7 +5,7 @@ import numpy as np
 from tests.demo.test_shapes import lid_gap, lip_offset
 from usdface.demo.acting import ActedPerformance, performance
 from usdface.demo.head import DemoHead
-from usdface.demo.script import LINES, VISEME_OF_PHONE, VISEMES, timed_phones
+from usdface.demo.script import LINES, VISEME_OF_PHONE, VISEME_SHAPES, timed_phones
 from usdface.demo.voice import speak
 
 
@@ -61,8 +61,8 @@ def test_blinks_are_as_long_as_blinks(acted: ActedPerformance) -> None:
 
 def test_every_sound_has_a_look_and_every_look_is_a_shape(character: DemoHead) -> None:
     assert {p.phone for p in timed_phones()} <= set(VISEME_OF_PHONE)
-    assert set(VISEME_OF_PHONE.values()) == set(VISEMES)
-    for look in VISEMES.values():
+    assert set(VISEME_OF_PHONE.values()) == set(VISEME_SHAPES)
+    for look in VISEME_SHAPES.values():
         assert set(look) <= set(character.shapes)
 
 

@@ -14,15 +14,15 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import WeightsClip
 from usdface.demo.details import smooth_step
-from usdface.demo.lid_turns import LID_TURNS, closing
+from usdface.demo.fields import LID_TURNS, lid_closing
 from usdface.demo.script import (
-    DURATION,
+    DURATION_SECONDS,
     EMOTIONS,
     GLIDES,
     LINES,
     NEUTRAL_TIME,
     VISEME_OF_PHONE,
-    VISEMES,
+    VISEME_SHAPES,
     timed_phones,
 )
 
@@ -104,10 +104,8 @@ class ActedPerformance:
     ----------
     weights : WeightsClip
         ARKit names, [0-1].
-    emotions : tuple of Interval
     phones : tuple of Interval
         ARPAbet.
-    transcript : str
     neutral_frame : int
         Frame number at which the face is at rest.
     rotation : (frames, 3) float array
@@ -138,7 +136,7 @@ def performance(rate: int = 120) -> ActedPerformance:
     ActedPerformance
         15 s. The same numbers on every call.
     """
-    time = np.arange(round(DURATION * rate) + 1) / rate
+    time = np.arange(round(DURATION_SECONDS * rate) + 1) / rate
     curves: dict[str, FloatArray] = {}
     speech, closure, activity = _speech(time)
     _add(curves, speech)
@@ -191,16 +189,17 @@ def _speech(time: FloatArray) -> tuple[dict[str, FloatArray], FloatArray, FloatA
         strength = {"PP": 3.5, "FF": 2.6, "CH": 1.6, "UU": 1.6, "SS": 1.3}.get(viseme, 1.0)
         loud = {"anger": 1.2, "sadness": 0.78, "happiness": 1.05}.get(sound.emotion, 0.95)
         look: Mapping[str, float] = {
-            k: min(1.0, v * (loud if k == "jawOpen" else 1.0)) for k, v in VISEMES[viseme].items()
+            name: min(1.0, value * (loud if name == "jawOpen" else 1.0))
+            for name, value in VISEME_SHAPES[viseme].items()
         }
         glide = GLIDES.get(sound.phone)
         if glide is None:
             claims.append((0.5 * (sound.start + sound.stop), length, strength, look))
         else:
             claims.append((sound.start + 0.3 * length, 0.7 * length, strength, look))
-            claims.append((sound.stop - 0.15 * length, 0.5 * length, 0.8, VISEMES[glide]))
+            claims.append((sound.stop - 0.15 * length, 0.5 * length, 0.8, VISEME_SHAPES[glide]))
     total = np.full_like(time, 1e-3)
-    curves = {name: np.zeros_like(time) for look in VISEMES.values() for name in look}
+    curves = {name: np.zeros_like(time) for look in VISEME_SHAPES.values() for name in look}
     closure = np.zeros_like(time)
     for middle, length, strength, look in claims:
         width = 0.030 + 0.48 * length
@@ -262,7 +261,7 @@ def _share_lids(curves: dict[str, FloatArray]) -> None:
     """Take back the blinks where other shapes close the eye already: lids meet, never cross."""
     for side in ("Left", "Right"):
         shut = sum(
-            closing(name) * np.clip(curves[name + side], 0.0, 1.0)
+            lid_closing(name) * np.clip(curves[name + side], 0.0, 1.0)
             for name in LID_TURNS
             if name != "eyeBlink" and name + side in curves
         )

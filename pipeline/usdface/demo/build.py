@@ -69,7 +69,6 @@ def write_demo_inputs(folder: Path, *, workers: int = 2, progress: Progress = si
         Created if missing; files of the same names are replaced.
     workers : int
         Processes that draw the video.
-    progress : callable
 
     Returns
     -------

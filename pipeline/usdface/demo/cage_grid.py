@@ -10,8 +10,8 @@ from usdface.demo.half_cage import HalfCage, Mark
 from usdface.demo.proportions import Style
 from usdface.demo.sculpt import Form, trace
 
-_COLUMNS = 12
-ROWS = 21
+COLUMN_COUNT = 12
+ROW_COUNT = 21
 EYE_ROWS, EYE_COLUMNS = (12, 14), (2, 6)
 MOUTH_ROWS, MOUTH_COLUMNS = (6, 8), (0, 3)
 
@@ -23,9 +23,9 @@ def lay_grid(half: HalfCage, style: Style, form: Form) -> IntArray:
     start = flat - 160.0 * towards / np.linalg.norm(towards, axis=1, keepdims=True)
     hit = trace(form, start, towards).reshape(guess.shape)
     hit[:, [0, -1], 0] = 0.0
-    grid = np.full((ROWS, _COLUMNS), -1)
-    for r in range(ROWS):
-        for c in range(_COLUMNS):
+    grid = np.full((ROW_COUNT, COLUMN_COUNT), -1)
+    for r in range(ROW_COUNT):
+        for c in range(COLUMN_COUNT):
             in_eye = EYE_ROWS[0] < r < EYE_ROWS[1] and EYE_COLUMNS[0] < c < EYE_COLUMNS[1]
             in_mouth = MOUTH_ROWS[0] < r < MOUTH_ROWS[1] and c < MOUTH_COLUMNS[1]
             if not (in_eye or in_mouth):
@@ -74,7 +74,7 @@ def _grid_guess(style: Style) -> tuple[FloatArray, FloatArray]:
     # Per row: x of columns 0 to 6, where the rays run straight back.
     mouth_x = [0.0, 9.0, 18.0, m.half_width + 5.0]
     wide = np.array([0.0, 6.5, 15.0, 24.0, 35.0, 46.0, 56.0])
-    across = np.tile(wide, (ROWS, 1))
+    across = np.tile(wide, (ROW_COUNT, 1))
     across[:3] = np.array([0.0, 5.0, 10.5, 16.5, 23.0, 30.0, 37.0])
     across[3] = np.array([0.0, 7.0, 14.0, 22.0, 30.0, 38.0, 45.0])
     across[4] = np.array([0.0, 8.0, 16.0, 25.0, 33.5, 42.0, 49.0])
@@ -90,10 +90,10 @@ def _grid_guess(style: Style) -> tuple[FloatArray, FloatArray]:
     across[13, 2], across[13, 6] = inner - 2.0, outer + 2.5
     across[14, 1:] = np.array([5.5, *eye_columns])
     across[15, 1:] = np.array([6.0, *np.linspace(inner + 1.0, outer, 5)])
-    for row in range(16, ROWS):
+    for row in range(16, ROW_COUNT):
         across[row, 1:7] = np.linspace(9.0, 55.0, 6) * (1.0 - 0.055 * (row - 16))
 
-    y = np.empty((ROWS, _COLUMNS))
+    y = np.empty((ROW_COUNT, COLUMN_COUNT))
     turn = np.array([0.0, 0.0, 0.0, 0.06, 0.2, 0.42, 0.66, 0.86, 1.0, 1.0])
     y[:, :10] = heights[:, :1] + turn * (heights[:, 1:2] - heights[:, :1])
     y[:, 10:] = heights[:, 1:2] + np.array([0.6, 1.0]) * (heights[:, 2:] - heights[:, 1:2])
@@ -106,7 +106,7 @@ def _grid_guess(style: Style) -> tuple[FloatArray, FloatArray]:
     y[14, :2] -= 3.0
     y[15, 2:7] += np.array([-2.0, 1.0, 2.5, 1.5, -3.5])
 
-    guess, aim = np.zeros((ROWS, _COLUMNS, 3)), np.zeros((ROWS, _COLUMNS, 3))
+    guess, aim = np.zeros((ROW_COUNT, COLUMN_COUNT, 3)), np.zeros((ROW_COUNT, COLUMN_COUNT, 3))
     guess[..., 1] = y
     guess[:, :7, 0] = across
     aim[:, :7, 2] = -1.0
@@ -130,7 +130,7 @@ def _swept_crown(guess: FloatArray, aim: FloatArray) -> tuple[FloatArray, FloatA
     """Aim the rows over the forehead at the middle of the skull, evenly over its top."""
     middle = np.array([0.0, 30.0, -12.0])
     azimuth = np.radians([0.0, 9.0, 18.0, 28.0, 39.0, 51.0, 63.0, 75.0, 92.0, 114.0, 147.0, 180.0])
-    for row in range(16, ROWS):
+    for row in range(16, ROW_COUNT):
         rise = np.radians(np.interp(row, [15, 20], [16.0, 76.0]))
         back = np.radians(np.interp(row, [15, 20], [6.0, 74.0]))
         up = rise + (back - rise) * azimuth / np.pi
@@ -164,8 +164,8 @@ def _nose_points(style: Style) -> list[tuple[int, int, tuple[float, float, float
 
 def lay_grid_faces(half: HalfCage, grid: IntArray) -> None:
     """Join the grid's points by quads but in the blocks; close the crown, sink the nostril."""
-    for r in range(ROWS - 1):
-        for c in range(_COLUMNS - 1):
+    for r in range(ROW_COUNT - 1):
+        for c in range(COLUMN_COUNT - 1):
             in_eye = EYE_ROWS[0] <= r < EYE_ROWS[1] and EYE_COLUMNS[0] <= c < EYE_COLUMNS[1]
             in_mouth = MOUTH_ROWS[0] <= r < MOUTH_ROWS[1] and c < MOUTH_COLUMNS[1]
             if in_eye or in_mouth or (r, c) == (8, 1):
@@ -173,7 +173,7 @@ def lay_grid_faces(half: HalfCage, grid: IntArray) -> None:
             half.strip([grid[r, c], grid[r, c + 1]], [grid[r + 1, c], grid[r + 1, c + 1]])
     # Close the crown: the front half of the top ring meets its back half.
     top = [int(i) for i in grid[-1]]
-    middle = _COLUMNS // 2
+    middle = COLUMN_COUNT // 2
     half.strip(top[:middle], top[: middle - 1 : -1])
     rim = [int(grid[8, 1]), int(grid[8, 2]), int(grid[9, 2]), int(grid[9, 1])]
     _nostril(half, rim)

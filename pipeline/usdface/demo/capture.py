@@ -14,7 +14,7 @@ from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.demo.acting import ActedPerformance
 from usdface.demo.details import smooth_step
 from usdface.demo.head import DemoHead
-from usdface.demo.markers import RADIUS, MarkerSet
+from usdface.demo.markers import MARKER_RADIUS, MarkerSet
 
 NOISE_MM = 0.15
 """Standard deviation of a measured position, per axis."""
@@ -30,7 +30,6 @@ class SimulatedCapture:
 
     Attributes
     ----------
-    markers : MarkerSet
     positions : (frames, markers, 3) float32 array
         As captured: head motion, noise and swapped labels in [mm], Y up. Not seen: anything.
     visible : (frames, markers) bool array
@@ -123,7 +122,6 @@ def simulate_capture(
     ----------
     head : DemoHead
         Of the actor.
-    acted : ActedPerformance
     markers : MarkerSet
         On the same head.
 
@@ -135,7 +133,7 @@ def simulate_capture(
     rng = np.random.default_rng(102)
     face = ActorFace(head, markers.points)
     weights = face.ordered(acted.weights.names, acted.weights.values.astype(np.float64))
-    lifted = RADIUS * _normals(head)[markers.points]
+    lifted = MARKER_RADIUS * _normals(head)[markers.points]
     still = np.stack([face.pose(row) for row in weights]) + lifted
     poses = head_poses(acted)
     world = np.einsum("fij,fmj->fmi", poses[:, :3, :3], still) + poses[:, None, :3, 3]

@@ -14,13 +14,13 @@ from usdface.demo.acting import ActedPerformance
 from usdface.demo.capture import ActorFace, head_poses
 from usdface.demo.head import DemoHead, HeadPart
 from usdface.demo.rig import mesh_points, rig_from_head
-from usdface.demo.script import DURATION
+from usdface.demo.script import DURATION_SECONDS
 from usdface.demo.voice import speak
 from usdface.media.face.camera import Camera
 from usdface.media.face.render import FaceRenderer
 from usdface.media.film.movie import write_movie
 
-RATE = Fraction(24)
+VIDEO_RATE = Fraction(24)
 SIZE = (216, 240)
 """Width and height of the clip [pixels]."""
 
@@ -91,14 +91,12 @@ def write_clip(
         ``.mp4`` or another movie that `usdface.media.film.movie` writes.
     head : DemoHead
         Of the actor.
-    acted : ActedPerformance
     workers : int
         Processes that draw.
-    progress : callable
     """
     rate = float(acted.weights.rate)
-    count = int((DURATION + TAIL_SECONDS - OFFSET_SECONDS) * RATE)
-    take_time = np.arange(count) / float(RATE) + OFFSET_SECONDS
+    count = int((DURATION_SECONDS + TAIL_SECONDS - OFFSET_SECONDS) * VIDEO_RATE)
+    take_time = np.arange(count) / float(VIDEO_RATE) + OFFSET_SECONDS
     frames = np.clip(np.round(take_time * rate), 0, len(acted.weights.values) - 1).astype(int)
     ordered = ActorFace(head, np.zeros(1, np.int64)).ordered(
         acted.weights.names, acted.weights.values[frames].astype(np.float64)
@@ -112,7 +110,7 @@ def write_clip(
     write_movie(
         path,
         _drawn(head, poses, ordered, workers=workers, progress=progress),
-        rate=RATE,
+        rate=VIDEO_RATE,
         audio=sound.astype(np.float32),
         sample_rate=_SAMPLE_RATE,
     )
@@ -124,12 +122,12 @@ def _drawn(
     """Draw all pictures in order."""
     if workers > 1:
         with ProcessPoolExecutor(workers, initializer=_open_studio, initargs=(head,)) as pool:
-            yield from _told(pool.map(_film, poses, weights, chunksize=8), len(poses), progress)
+            yield from _track(pool.map(_film, poses, weights, chunksize=8), len(poses), progress)
     else:
-        yield from _told(map(Studio(head).film, poses, weights), len(poses), progress)
+        yield from _track(map(Studio(head).film, poses, weights), len(poses), progress)
 
 
-def _told(pictures: Iterator[ByteImage], count: int, progress: Progress) -> Iterator[ByteImage]:
+def _track(pictures: Iterator[ByteImage], count: int, progress: Progress) -> Iterator[ByteImage]:
     for number, picture in enumerate(pictures, start=1):
         yield picture
         if number % 8 == 0 or number == count:

@@ -13,7 +13,6 @@ def skin_colors(style: Style, points: FloatArray, marks: FloatArray) -> FloatArr
 
     Parameters
     ----------
-    style : Style
     points : (points, 3) float array
         [mm]
     marks : (points, len(Mark)) float array

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.demo.halves import grid_faces
+from usdface.demo.half_cage import grid_faces
 from usdface.demo.proportions import Style
 from usdface.demo.sculpt import Form, trace
 
@@ -83,10 +83,8 @@ def teeth(style: Style, *, front: float, upper: bool) -> Piece:
 
     Parameters
     ----------
-    style : Style
     front : float
         z of the foremost tooth [mm].
-    upper : bool
     """
     widths = 0.92 * np.array(_TOOTH_WIDTHS[upper])
     samples = np.array([0.0, 0.12, 0.35, 0.65, 0.88])
@@ -211,7 +209,6 @@ def lashes(style: Style, rim: FloatArray) -> Piece:
 
     Parameters
     ----------
-    style : Style
     rim : (points, 3) float array
         The lid's edge from the inner to the outer corner.
     """

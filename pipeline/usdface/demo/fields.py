@@ -4,13 +4,33 @@ Every field is computed in the frame of the left side, over |x|, so that left an
 exact mirror images. Fields are (points, 3) float arrays in mm.
 """
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import numpy as np
 
 from usdface.core.arrays import FloatArray
 from usdface.demo.details import smooth_step
 from usdface.demo.half_cage import Mark
 from usdface.demo.head import DemoHead, HeadPart, lip_rim, lower_lid_edge, upper_lid_edge
-from usdface.demo.lid_turns import BLINK_MEETS
+
+BLINK_MEETS = 0.16
+"""Where the lids of a blink meet, as a part of the eye's opening from the lower lid's edge."""
+
+LID_TURNS: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        "eyeBlink": (1.0, 1.0),
+        "eyeSquint": (0.22, 2.0),
+        "eyeWide": (-0.34, -1.3),
+        "eyeLookUp": (-0.24, 0.3),
+        "eyeLookDown": (0.50, -1.6),
+        "cheekSquint": (0.0, 1.7),
+        "mouthSmile": (0.0, 0.9),
+        "noseSneer": (0.06, 0.8),
+        "browDown": (0.18, 0.0),
+    }
+)
+"""Turn of the upper and of the lower lid, in what a blink turns them; negative opens."""
 
 Push = tuple[float, float, float]
 
@@ -147,3 +167,9 @@ class FaceFields:
         end = max(float(head.points[rim, 0].max()) for rim in rims)
         gap: FloatArray = pulled[1] - pulled[0]
         return gap * smooth_step(1.3, 1.0, self.x / end)[:, None]
+
+
+def lid_closing(name: str) -> float:
+    """Return how much of the eye's opening a shape without its side closes at weight 1."""
+    upper, lower = LID_TURNS[name]
+    return (1.0 - BLINK_MEETS) * upper + BLINK_MEETS * lower

@@ -8,7 +8,7 @@ from scipy.interpolate import PchipInterpolator
 
 from usdface.core.arrays import FloatArray
 from usdface.demo.details import Piece, smooth_step
-from usdface.demo.halves import grid_faces
+from usdface.demo.half_cage import grid_faces
 from usdface.demo.proportions import Style
 from usdface.demo.sculpt import Form, trace
 
@@ -37,7 +37,7 @@ _LINE_AZIMUTH = (
 )
 _LINE_HEIGHT = (62, 63, 65, 66, 60, 47, 30, 9, -8, -10, -4, 8, 13, 11, 1, -16, -36, -54, -65, -67)
 _COLUMNS, _ROWS = 120, 32
-_PARTING = 20.0
+_PARTING_X = 20.0
 """x of the parting over the forehead [mm]."""
 
 
@@ -46,7 +46,6 @@ def hair_cap(style: Style, form: Form) -> Piece:
 
     Parameters
     ----------
-    style : Style
     form : callable
         Signed distance to the head [mm].
 
@@ -95,7 +94,7 @@ def _thickness(
     volume = 6.5 + 10.0 * swept * smooth_step(0.0, 0.25, along) + 3.0 * smooth_step(0.2, 0.6, along)
     volume = volume - 2.5 * nape * smooth_step(0.35, 0.0, along)
     top = smooth_step(45.0, 75.0, y) * crown
-    aside = x - _PARTING - 0.12 * (z - 60.0)
+    aside = x - _PARTING_X - 0.12 * (z - 60.0)
     volume = volume - 5.0 * np.exp(-((aside / 4.0) ** 2)) * top * smooth_step(-40.0, 10.0, z)
     # Locks run back from the forehead and away from the parting, in planes through the head.
     across = np.abs(aside) * 0.75 - 0.40 * y + 0.08 * z

@@ -1,10 +1,16 @@
-"""What the parts of the cage are laid into: points, quads and marks of the left half."""
+"""The left half of a cage, its mirror image, and the refinement of the whole.
 
+Everything on the head is built once, for x >= 0, and mirrored exactly.
+"""
+
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from scipy import sparse
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.media.face.subdivision import catmull_clark
 
 
 class Mark(IntEnum):
@@ -24,7 +30,7 @@ class Mark(IntEnum):
     """1 deep in the nostril."""
 
 
-FAR = 9.0
+NO_RING = 9.0
 """Ring number of points that belong to no ring."""
 
 
@@ -40,7 +46,7 @@ class HalfCage:
         """Add a point; marks by their lower-case names. Returns its index."""
         values = np.zeros(len(Mark))
         values[Mark.SETTLE] = 1.0
-        values[[Mark.MOUTH_RING, Mark.EYE_RING]] = FAR
+        values[[Mark.MOUTH_RING, Mark.EYE_RING]] = NO_RING
         for name, value in marks.items():
             values[Mark[name.upper()]] = value
         self.points.append(np.asarray(position, float))
@@ -55,3 +61,98 @@ class HalfCage:
         """Join two rows of the same length by quads that look out if the second lies above."""
         for k in range(len(first) - 1):
             self.faces.append((first[k], first[k + 1], second[k + 1], second[k]))
+
+
+MIDLINE_TOLERANCE = 1e-6
+"""Points nearer to the midline than this are shared by both halves [mm]."""
+
+
+@dataclass(frozen=True)
+class Whole:
+    """A symmetric mesh.
+
+    Attributes
+    ----------
+    points : (points, 3) float array
+        The left half first, x >= 0.
+    faces : (faces, 4) int array
+    mirror : (points,) int array
+        Index of each point's mirror image; points on the midline are their own.
+    source : (points,) int array
+        The point of the half that each one was made from.
+    """
+
+    points: FloatArray
+    faces: IntArray
+    mirror: IntArray
+    source: IntArray
+
+
+def mirror_half(points: FloatArray, faces: IntArray) -> Whole:
+    """Mirror the left half of a mesh; points on the midline become exact and shared."""
+    count = len(points)
+    middle = np.abs(points[:, 0]) < MIDLINE_TOLERANCE
+    image = np.where(middle, np.arange(count), count + np.cumsum(~middle) - 1)
+    left = np.where(middle[:, None], points * (0.0, 1.0, 1.0), points)
+    return Whole(
+        points=np.concatenate([left, left[~middle] * (-1.0, 1.0, 1.0)]),
+        faces=np.concatenate([faces, image[faces][:, ::-1]]),
+        mirror=np.concatenate([image, np.flatnonzero(~middle)]),
+        source=np.concatenate([np.arange(count), np.flatnonzero(~middle)]),
+    )
+
+
+def grid_faces(rows: int, columns: int, *, closed: bool = False, flip: bool = False) -> IntArray:
+    """Quads over a grid of points; `closed` joins the last column to the first."""
+    ids = np.arange(rows * columns).reshape(rows, columns)
+    if closed:
+        ids = np.concatenate([ids, ids[:, :1]], axis=1)
+    quads = np.stack([ids[:-1, :-1], ids[:-1, 1:], ids[1:, 1:], ids[1:, :-1]], axis=-1)
+    quads = quads.reshape(-1, 4)
+    return quads[:, ::-1] if flip else quads
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """A finer mesh and how its points follow from the cage's.
+
+    Attributes
+    ----------
+    matrix : (fine points, points) sparse array
+        Rows sum to 1: it carries positions and any attribute that varies smoothly.
+    faces : (fine faces, 4) int array
+    mirror : (fine points,) int array
+        Index of each fine point's mirror image.
+    """
+
+    matrix: sparse.csr_array
+    faces: IntArray
+    mirror: IntArray
+
+
+def refine(faces: IntArray, mirror: IntArray, *, levels: int) -> Refinement:
+    """Subdivide a cage by Catmull and Clark's rules, borders as smooth curves of their own.
+
+    Parameters
+    ----------
+    faces : (faces, 4) int array
+    mirror : (points,) int array
+        The cage's topology must be symmetric under it.
+    levels : int
+        Of subdivision.
+    """
+    count = len(mirror)
+    matrix = sparse.eye_array(count, format="csr")
+    for _ in range(levels):
+        step = catmull_clark(
+            np.full(len(faces), 4, np.int64), faces.ravel(), point_count=matrix.shape[0]
+        )
+        matrix = sparse.csr_array(step.matrix @ matrix)
+        faces = step.face_indices.reshape(-1, 4)
+    # A point and its mirror image have the same weights on mirrored cage points: equal labels.
+    label = np.random.default_rng(0).random(count)
+    labels, images = (np.asarray(matrix @ values) for values in (label, label[mirror]))
+    by_label, by_image = np.argsort(labels), np.argsort(images)
+    partner = np.empty(len(by_label), np.int64)
+    partner[by_image] = by_label
+    return Refinement(matrix, faces, partner)

@@ -9,13 +9,12 @@ from scipy import sparse
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.demo import details
-from usdface.demo.cage import build_cage
+from usdface.demo.cage_grid import lay_grid, lay_grid_faces
+from usdface.demo.cage_rings import lay_eye, lay_mouth
 from usdface.demo.complexion import skin_colors
 from usdface.demo.hair import hair_cap
-from usdface.demo.half_cage import FAR, Mark
-from usdface.demo.halves import Whole, mirror_half
+from usdface.demo.half_cage import NO_RING, HalfCage, Mark, Whole, mirror_half, refine
 from usdface.demo.proportions import Style
-from usdface.demo.refine import refine
 from usdface.demo.sculpt import Form, head_form, settle
 
 
@@ -39,7 +38,6 @@ class DemoHead:
 
     Attributes
     ----------
-    style : Style
     points : (points, 3) float array
         [mm]
     faces : (faces, 4) int array
@@ -205,7 +203,7 @@ def _lip_middle(skin: DemoHead) -> int:
 def _with_piece(head: DemoHead, part: HeadPart, whole: Whole, colors: FloatArray) -> DemoHead:
     count, first = len(whole.points), len(head.points)
     marks = np.zeros((count, len(Mark)))
-    marks[:, [Mark.MOUTH_RING, Mark.EYE_RING]] = FAR
+    marks[:, [Mark.MOUTH_RING, Mark.EYE_RING]] = NO_RING
     return replace(
         head,
         points=np.concatenate([head.points, whole.points]),
@@ -216,3 +214,41 @@ def _with_piece(head: DemoHead, part: HeadPart, whole: Whole, colors: FloatArray
         mirror=np.concatenate([head.mirror, whole.mirror + first]),
         anchors=np.concatenate([head.anchors, first + np.arange(count)]),
     )
+
+
+@dataclass(frozen=True)
+class Cage:
+    """The control cage of the skin, left half first: quads with edge loops round eyes and mouth.
+
+    A grid of rows (neck to crown) and columns (midline round the ear to the nape) has two blocks
+    cut out; each is filled with rings that run round the eye and the mouth, so that lids and lips
+    open along loops. The rings' points carry the marks that the shapes need.
+
+    Attributes
+    ----------
+    points : (points, 3) float array
+        [mm]
+    faces : (faces, 4) int array
+    marks : (points, len(Mark)) float array
+    mirror : (points,) int array
+    """
+
+    points: FloatArray
+    faces: IntArray
+    marks: FloatArray
+    mirror: IntArray
+
+
+def build_cage(style: Style, form: Form) -> Cage:
+    """Lay the cage of a style over its sculpted form."""
+    half = HalfCage()
+    grid = lay_grid(half, style, form)
+    lay_grid_faces(half, grid)
+    lay_mouth(half, style, form, grid)
+    lay_eye(half, style, form, grid)
+    return _mirrored(half)
+
+
+def _mirrored(half: HalfCage) -> Cage:
+    whole = mirror_half(np.array(half.points), np.array(half.faces))
+    return Cage(whole.points, whole.faces, np.array(half.marks)[whole.source], whole.mirror)

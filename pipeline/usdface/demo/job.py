@@ -23,7 +23,7 @@ from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 
 JOB_NAME = "demo.job.yaml"
-_PAIRS = 50
+_PAIR_COUNT = 50
 """Enough to see the method work; the paper tuned 100."""
 
 INPUTS_SHARE = 0.4
@@ -37,7 +37,6 @@ def run_demo(folder: Path, *, progress: Progress = silent) -> StepResult:
     ----------
     folder : Path
         Made if it is not there. A demo that is there is brought up to date.
-    progress : callable
 
     Raises
     ------
@@ -51,7 +50,7 @@ def run_demo(folder: Path, *, progress: Progress = silent) -> StepResult:
     job = _job(inputs, folder)
     job_file.write_text(_HEADER + spec_text(job, job_file), encoding="utf-8")
     reports = run_job(read_job(job_file), progress=part(progress, INPUTS_SHARE, 1.0))
-    error = _held_out_error(inputs, folder)
+    error = _error_of_other_frames(inputs, folder)
     outputs = tuple(dict.fromkeys(path for report in reports for path in report.outputs))
     return StepResult(
         (job_file, *outputs),
@@ -114,7 +113,7 @@ def _job(inputs: DemoInputs, folder: Path) -> JobSpec:
                 timecode="01:00:00:00",
             ),
             CleanSpec(take=take, out=clean),
-            SelectSpec(takes=(clean,), rig=rig, out=references, count=_PAIRS),
+            SelectSpec(takes=(clean,), rig=rig, out=references, count=_PAIR_COUNT),
             # In a studio an animator tunes the proposals; here the keys are known.
             ReferencesImportSpec(references=references, weights=local(inputs.animator_weights)),
             TrainSpec(references=references, out=mapping),
@@ -137,7 +136,7 @@ def _job(inputs: DemoInputs, folder: Path) -> JobSpec:
     )
 
 
-def _held_out_error(inputs: DemoInputs, folder: Path) -> FloatArray:
+def _error_of_other_frames(inputs: DemoInputs, folder: Path) -> FloatArray:
     """Return the surface error of every frame that is no reference [mm]."""
     performance = read_performance(folder / "demo.character.usda")
     rig = read_rig(inputs.rig)

@@ -8,7 +8,7 @@ from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.demo.half_cage import Mark
 from usdface.demo.head import DemoHead, HeadPart
 
-RADIUS = 1.5
+MARKER_RADIUS = 1.5
 """Half the diameter of a marker: its centre lies so far off the skin [mm]."""
 
 MARKER_COUNT = 102
@@ -20,7 +20,6 @@ class MarkerSet:
 
     Attributes
     ----------
-    names : tuple of str
     points : (markers,) int array
         The head's point under each marker.
     rigid : tuple of str
@@ -34,10 +33,6 @@ class MarkerSet:
 
 def demo_markers(head: DemoHead) -> MarkerSet:
     """Choose the points of the skin that carry the markers.
-
-    Parameters
-    ----------
-    head : DemoHead
 
     Returns
     -------

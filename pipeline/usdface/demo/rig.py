@@ -28,10 +28,6 @@ SMALLEST_OFFSET = 1e-4
 def demo_rig(style: Style = CHARACTER) -> Rig:
     """Build a style's head as a rig.
 
-    Parameters
-    ----------
-    style : Style
-
     Returns
     -------
     Rig

@@ -16,12 +16,10 @@ class SpokenLine:
 
     Attributes
     ----------
-    emotion : str
     start, stop : float
         Interval of the mood [s].
     speech : float
         When the first sound begins [s].
-    text : str
     phones : tuple of (str, int)
         ARPAbet phone and duration [ms], in order.
     stresses : tuple of float
@@ -53,7 +51,7 @@ def _phones(text: str) -> tuple[tuple[str, int], ...]:
     return tuple((phone, int(duration)) for phone, duration in items)
 
 
-DURATION = 15.0
+DURATION_SECONDS = 15.0
 """Length of the performance [s]."""
 
 NEUTRAL_TIME = 0.25
@@ -129,7 +127,7 @@ def both(**weights: float) -> dict[str, float]:
     return {name + side: value for name, value in weights.items() for side in ("Left", "Right")}
 
 
-VISEMES: Mapping[str, Weights] = MappingProxyType(
+VISEME_SHAPES: Mapping[str, Weights] = MappingProxyType(
     {
         "PP": both(mouthPress=0.38)
         | {"mouthRollLower": 0.16, "mouthRollUpper": 0.14, "jawOpen": 0.11},

@@ -1,7 +1,7 @@
 """The bare head as an implicit form: soft unions of ellipsoids and tapered capsules.
 
 The form is a function of position whose zero set is the skin, without the lips and the edges of
-the lids, which `usdface.demo.cage` places by hand. It knows nothing of topology.
+the lids, which `usdface.demo.cage_rings` places by hand. It knows nothing of topology.
 """
 
 from collections.abc import Callable
@@ -48,10 +48,6 @@ def carve(form: FloatArray, tool: FloatArray, rounding: float) -> FloatArray:
 
 def head_form(style: Style) -> Form:
     """Return the signed distance function of a style's bare head, symmetric in x.
-
-    Parameters
-    ----------
-    style : Style
 
     Returns
     -------
@@ -139,7 +135,6 @@ def trace(form: Form, origins: FloatArray, directions: FloatArray) -> FloatArray
 
     Parameters
     ----------
-    form : callable
     origins, directions : (n, 3) float arrays
         Directions need not be normalised; a ray that misses ends where it came nearest.
 

@@ -6,9 +6,8 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray
 from usdface.demo.details import smooth_step
-from usdface.demo.fields import FaceFields
+from usdface.demo.fields import LID_TURNS, FaceFields
 from usdface.demo.head import DemoHead, HeadPart, bare_head
-from usdface.demo.lid_turns import LID_TURNS
 from usdface.demo.proportions import Style
 
 Keys = tuple[tuple[float, FloatArray], ...]
@@ -18,10 +17,6 @@ JAW_OPEN_DEGREES = 17.0
 
 def make_head(style: Style) -> DemoHead:
     """Build the head of a style with all its shapes.
-
-    Parameters
-    ----------
-    style : Style
 
     Returns
     -------

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from usdface.core.arrays import Float32Array, FloatArray
 from usdface.demo.details import smooth_step
-from usdface.demo.script import DURATION, GLIDES, TimedPhone, timed_phones
+from usdface.demo.script import DURATION_SECONDS, GLIDES, TimedPhone, timed_phones
 
-_WINDOW = 1024  # samples of one spectral frame, half of them new
-_QUIET = 10.0 ** (-62.0 / 20.0)  # the room
+_WINDOW_SAMPLES = 1024  # samples of one spectral frame, half of them new
+_ROOM_LEVEL = 10.0 ** (-62.0 / 20.0)  # the room
 
 # First three formants of an adult's vowels and voiced sounds [Hz].
 _FORMANTS: Mapping[str, tuple[int, int, int]] = MappingProxyType(
@@ -70,7 +70,7 @@ _BURST: Mapping[str, tuple[float, float]] = MappingProxyType(
         "G": (1200, 3600),
     }
 )
-_NASAL = 0.45
+_NASAL_LEVEL = 0.45
 _PITCH = {"neutral": 118.0, "happiness": 158.0, "anger": 142.0, "sadness": 104.0}
 _LOUD = {"neutral": 0.8, "happiness": 1.0, "anger": 1.15, "sadness": 0.6}
 
@@ -88,7 +88,7 @@ def speak(sample_rate: int = 48000) -> Float32Array:
     (samples,) float32 array
         Mono [-1 to 1], from the performance's first frame to its last.
     """
-    count = round(DURATION * sample_rate)
+    count = round(DURATION_SECONDS * sample_rate)
     time = np.arange(count) / sample_rate
     rng = np.random.default_rng(440)
     phones = timed_phones()
@@ -103,8 +103,10 @@ def speak(sample_rate: int = 48000) -> Float32Array:
     spectrum = np.fft.rfft(noise)
     frequency = np.asarray(np.fft.rfftfreq(count, 1.0 / sample_rate), np.float64)
     for phone, (low, high, strength) in _HISS.items():
-        mine = [p for p in phones if p.phone == phone]
-        sound += strength * _band(spectrum, frequency, low, high, count) * _gate(time, mine, 0.018)
+        matching = [p for p in phones if p.phone == phone]
+        sound += (
+            strength * _band(spectrum, frequency, low, high, count) * _gate(time, matching, 0.018)
+        )
     for phone, (low, high) in _BURST.items():
         bursts = [
             TimedPhone(phone, p.stop - 0.018, p.stop + 0.012, p.emotion)
@@ -112,7 +114,7 @@ def speak(sample_rate: int = 48000) -> Float32Array:
             if p.phone == phone
         ]
         sound += 0.16 * _band(spectrum, frequency, low, high, count) * _gate(time, bursts, 0.006)
-    sound = 0.55 * sound + _QUIET * _band(spectrum, frequency, 60.0, 3000.0, count)
+    sound = 0.55 * sound + _ROOM_LEVEL * _band(spectrum, frequency, 60.0, 3000.0, count)
     return np.asarray(np.clip(sound, -0.98, 0.98), np.float32)
 
 
@@ -121,17 +123,17 @@ def _melody(time: FloatArray, phones: tuple[TimedPhone, ...]) -> tuple[FloatArra
     pitch = np.full_like(time, 115.0)
     voicing = np.zeros_like(time)
     for emotion, base in _PITCH.items():
-        mine = [p for p in phones if p.emotion == emotion]
-        start, stop = mine[0].start, mine[-1].stop
+        matching = [p for p in phones if p.emotion == emotion]
+        start, stop = matching[0].start, matching[-1].stop
         inside = (time > start - 0.2) & (time < stop + 0.2)
         along = np.clip((time - start) / (stop - start), 0.0, 1.0)
         tune = base * (1.12 - 0.26 * along + 0.06 * np.sin(2.0 * np.pi * 1.7 * (time - start)))
         pitch = np.where(inside, tune, pitch)
-        spoken = [p for p in mine if p.phone in _FORMANTS]
+        spoken = [p for p in matching if p.phone in _FORMANTS]
         nasal = [p for p in spoken if p.phone in ("M", "N", "NG", "V", "Z", "DH")]
         clear = [p for p in spoken if p not in nasal]
         voicing += _LOUD[emotion] * np.maximum(
-            _gate(time, clear, 0.022), _NASAL * _gate(time, nasal, 0.018)
+            _gate(time, clear, 0.022), _NASAL_LEVEL * _gate(time, nasal, 0.018)
         )
     return pitch, voicing
 
@@ -161,22 +163,22 @@ def _shaped(source: FloatArray, phones: tuple[TimedPhone, ...], sample_rate: int
         glide = GLIDES.get(p.phone)
         values += [formants, _FORMANTS[_GLIDE_PHONES[glide]] if glide else formants]
     table = np.array(values, float)
-    hop = _WINDOW // 2
-    window = np.hanning(_WINDOW + 1)[:-1]
-    padded = np.pad(source, (hop, 2 * _WINDOW))
+    hop = _WINDOW_SAMPLES // 2
+    window = np.hanning(_WINDOW_SAMPLES + 1)[:-1]
+    padded = np.pad(source, (hop, 2 * _WINDOW_SAMPLES))
     starts = np.arange(0, len(source) + hop, hop)
     middles = starts / sample_rate
     formants_at = np.stack([np.interp(middles, knots, column) for column in table.T], axis=1)
-    frames = padded[starts[:, None] + np.arange(_WINDOW)] * window
-    frequency = np.fft.rfftfreq(2 * _WINDOW, 1.0 / sample_rate)
+    frames = padded[starts[:, None] + np.arange(_WINDOW_SAMPLES)] * window
+    frequency = np.fft.rfftfreq(2 * _WINDOW_SAMPLES, 1.0 / sample_rate)
     gain = np.zeros((len(starts), len(frequency)))
     for number, (bandwidth, level) in enumerate(((80.0, 1.0), (110.0, 0.55), (170.0, 0.25))):
         distance = frequency - formants_at[:, number : number + 1]
         gain += level / (1.0 + (distance / bandwidth) ** 2)
-    shaped = np.fft.irfft(np.fft.rfft(frames, 2 * _WINDOW) * gain, 2 * _WINDOW)
-    out = np.zeros(len(padded) + 2 * _WINDOW)
+    shaped = np.fft.irfft(np.fft.rfft(frames, 2 * _WINDOW_SAMPLES) * gain, 2 * _WINDOW_SAMPLES)
+    out = np.zeros(len(padded) + 2 * _WINDOW_SAMPLES)
     for start, frame in zip(starts, shaped, strict=True):
-        out[start : start + 2 * _WINDOW] += frame
+        out[start : start + 2 * _WINDOW_SAMPLES] += frame
     return out[hop : hop + len(source)]
 
 

@@ -9,7 +9,7 @@ from usdface.speech.phone_track import Span
 
 STEP_SECONDS = 0.02
 
-LOUD = 0.1
+LOUD_SHARE = 0.1
 """Of the level that only a twentieth of the recording exceeds: 20 dB below speech is a pause."""
 
 INCOMPLETE_SHARE = 0.45
@@ -25,7 +25,7 @@ def loud_moments(samples: Float32Array, *, rate: int) -> BoolArray:
     if not len(steps):
         return np.zeros(0, dtype=np.bool_)
     level = np.sqrt(np.mean(steps**2, axis=1))
-    loud: BoolArray = level > LOUD * np.quantile(level, 0.95)
+    loud: BoolArray = level > LOUD_SHARE * np.quantile(level, 0.95)
     return loud
 
 
@@ -36,7 +36,6 @@ def share_outside(samples: Float32Array, words: Sequence[Span], *, rate: int) ->
     ----------
     samples : (samples,) float32 array
         Mono.
-    words : sequence of Span
     rate : int
         Samples per second.
     """

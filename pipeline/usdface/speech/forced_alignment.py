@@ -20,7 +20,7 @@ from usdface.speech.phone_track import PhoneTrack, Span
 if TYPE_CHECKING:
     from pocketsphinx import Decoder
 
-RATE = 16000
+SAMPLE_RATE = 16000
 """Samples per second of the acoustic model in the wheel."""
 
 FRAME_SECONDS = 0.01
@@ -37,11 +37,11 @@ with their own words give -20 to -33, with words of other recordings -58 to -67.
 DOUBTFUL_WORD_SCORE = -75.0
 """A word below this is probably not what is said there."""
 
-LOUDEST = 0.7
-QUIETEST = 1e-4
+PEAK_LEVEL = 0.7
+LEAST_PEAK = 1e-4
 """Peak of a recording: below it there is no speech to be found [full scale]."""
 
-_DITHER = 3  # steps of 16 bits; digital silence breaks the model's logarithms
+_DITHER_STEPS = 3  # steps of 16 bits; digital silence breaks the model's logarithms
 _NO_WORDS = ("<s>", "</s>", "<sil>", "[NOISE]", "[SPEECH]")
 
 
@@ -82,12 +82,11 @@ def align_phones(
     Parameters
     ----------
     samples : (samples,) float32 array
-        Mono, at `RATE` [-1 to 1].
+        Mono, at `SAMPLE_RATE` [-1 to 1].
     words : tuple of str
         What is said, in lower case; see `usdface.speech.transcript.spoken_words`.
     pronunciations : mapping of str to tuple of str, optional
         Of words that the model's dictionary lacks or says otherwise, in ARPAbet.
-    progress : callable
 
     Raises
     ------
@@ -103,14 +102,14 @@ def align_phones(
         decoder.set_align_text(" ".join(words))
         if not _decode(decoder, sound) or decoder.hyp() is None:
             continue
-        if _found_words(decoder) != list(words):
+        if _aligned_words(decoder) != list(words):
             continue
         progress((number + 0.5) / len(BEAMS), "looking for the phones")
         decoder.set_alignment()
         # Asking for a hypothesis after this pass crashes pocketsphinx: its alignment is the result.
         if not _decode(decoder, sound) or decoder.get_alignment() is None:
             continue
-        return _judged(decoder, guessed, number, duration=len(samples) / RATE)
+        return _scored(decoder, guessed, number, duration=len(samples) / SAMPLE_RATE)
     raise InputError(
         f"the words {' '.join(words[:6])!r}... cannot be found in the sound in this order; is it "
         "the transcript of another recording? Write down what is said, every word of it"
@@ -129,7 +128,7 @@ def _decoder(beam: float, word_beam: float) -> "Decoder":
     return Decoder(
         lm=None,
         loglevel="FATAL",
-        samprate=RATE,
+        samprate=SAMPLE_RATE,
         beam=beam,
         pbeam=beam,
         wbeam=word_beam,
@@ -167,7 +166,7 @@ def _decode(decoder: "Decoder", sound: bytes) -> bool:
     return True
 
 
-def _found_words(decoder: "Decoder") -> list[str]:
+def _aligned_words(decoder: "Decoder") -> list[str]:
     return [
         _plain(segment.word) for segment in decoder.seg() if _plain(segment.word) not in _NO_WORDS
     ]
@@ -178,7 +177,7 @@ def _plain(word: str) -> str:
     return word[: word.rindex("(")] if word.endswith(")") and "(" in word[1:] else word
 
 
-def _judged(
+def _scored(
     decoder: "Decoder", guessed: dict[str, tuple[str, ...]], beam: int, *, duration: float
 ) -> PhoneAlignment:
     phones: list[Span] = []
@@ -226,11 +225,11 @@ def _entries(decoder: "Decoder") -> Iterator[tuple[str, list[tuple[Span, float]]
 
 def _as_pcm(samples: Float32Array) -> bytes:
     peak = float(np.abs(samples).max(initial=0.0))
-    if peak < QUIETEST:
+    if peak < LEAST_PEAK:
         raise InputError(
             f"the sound is silent (its peak is {peak:.1g} of full scale): there is no speech to "
             "align; is it the right channel?"
         )
-    scaled = samples.astype(np.float64) * (LOUDEST / peak * 32767)
-    noise = np.random.default_rng(0).integers(-_DITHER, _DITHER + 1, len(samples))
+    scaled = samples.astype(np.float64) * (PEAK_LEVEL / peak * 32767)
+    noise = np.random.default_rng(0).integers(-_DITHER_STEPS, _DITHER_STEPS + 1, len(samples))
     return (scaled + noise).astype("<i2").tobytes()

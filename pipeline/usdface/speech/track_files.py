@@ -77,8 +77,6 @@ def write_phone_track(
 
     Parameters
     ----------
-    path : Path
-    track : PhoneTrack
     origin : mapping, optional
         What made it. A TextGrid carries it as the label of a tier of its own, JSON as a key; HTK's
         labels have no room for it, so a file beside them does, `origin_path`.

@@ -25,9 +25,6 @@ def spoken_words(text: str) -> tuple[str, ...]:
 
     What stands in brackets is a remark, as ``[laughs]`` or ``<noise>``, and is left out.
 
-    Parameters
-    ----------
-    text : str
 
     Raises
     ------
