@@ -20,7 +20,7 @@ from usdface.speech.phone_track import PhoneTrack, Span
 if TYPE_CHECKING:
     from pocketsphinx import Decoder
 
-SAMPLE_RATE = 16000
+SPEECH_SAMPLE_RATE = 16000
 """Samples per second of the acoustic model in the wheel."""
 
 FRAME_SECONDS = 0.01
@@ -38,7 +38,7 @@ DOUBTFUL_WORD_SCORE = -75.0
 """A word below this is probably not what is said there."""
 
 PEAK_LEVEL = 0.7
-LEAST_PEAK = 1e-4
+LEAST_PEAK_LEVEL = 1e-4
 """Peak of a recording: below it there is no speech to be found [full scale]."""
 
 _DITHER_STEPS = 3  # steps of 16 bits; digital silence breaks the model's logarithms
@@ -82,7 +82,7 @@ def align_phones(
     Parameters
     ----------
     samples : (samples,) float32 array
-        Mono, at `SAMPLE_RATE` [-1 to 1].
+        Mono, at `SPEECH_SAMPLE_RATE` [-1 to 1].
     words : tuple of str
         What is said, in lower case; see `usdface.speech.transcript.spoken_words`.
     pronunciations : mapping of str to tuple of str, optional
@@ -109,7 +109,7 @@ def align_phones(
         # Asking for a hypothesis after this pass crashes pocketsphinx: its alignment is the result.
         if not _decode(decoder, sound) or decoder.get_alignment() is None:
             continue
-        return _scored(decoder, guessed, number, duration=len(samples) / SAMPLE_RATE)
+        return _scored(decoder, guessed, number, duration=len(samples) / SPEECH_SAMPLE_RATE)
     raise InputError(
         f"the words {' '.join(words[:6])!r}... cannot be found in the sound in this order; is it "
         "the transcript of another recording? Write down what is said, every word of it"
@@ -128,7 +128,7 @@ def _decoder(beam: float, word_beam: float) -> "Decoder":
     return Decoder(
         lm=None,
         loglevel="FATAL",
-        samprate=SAMPLE_RATE,
+        samprate=SPEECH_SAMPLE_RATE,
         beam=beam,
         pbeam=beam,
         wbeam=word_beam,
@@ -225,7 +225,7 @@ def _entries(decoder: "Decoder") -> Iterator[tuple[str, list[tuple[Span, float]]
 
 def _as_pcm(samples: Float32Array) -> bytes:
     peak = float(np.abs(samples).max(initial=0.0))
-    if peak < LEAST_PEAK:
+    if peak < LEAST_PEAK_LEVEL:
         raise InputError(
             f"the sound is silent (its peak is {peak:.1g} of full scale): there is no speech to "
             "align; is it the right channel?"

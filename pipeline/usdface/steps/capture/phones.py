@@ -14,7 +14,7 @@ from usdface.speech.coverage_of_sound import INCOMPLETE_SHARE, share_outside
 from usdface.speech.dictionary import read_dictionary, read_text
 from usdface.speech.forced_alignment import (
     DOUBTFUL_SCORE,
-    SAMPLE_RATE,
+    SPEECH_SAMPLE_RATE,
     PhoneAlignment,
     align_phones,
 )
@@ -40,14 +40,14 @@ def run(spec: PhonesSpec, *, provenance: Provenance, progress: Progress = silent
     progress(0.0, "reading the sound")
     take = read_take(spec.audio) if spec.audio.suffix in (*LAYER_SUFFIXES, ".usdz") else None
     if take is None:
-        samples, video = read_audio(spec.audio, rate=SAMPLE_RATE), None
+        samples, video = read_audio(spec.audio, rate=SPEECH_SAMPLE_RATE), None
     elif take.audio is not None:
-        samples, video = read_audio(take.audio, rate=SAMPLE_RATE), None
+        samples, video = read_audio(take.audio, rate=SPEECH_SAMPLE_RATE), None
     else:
         video = _video(spec, take)
-        samples = read_audio(video.file, rate=SAMPLE_RATE)
+        samples = read_audio(video.file, rate=SPEECH_SAMPLE_RATE)
     found = align_phones(samples, words, pronunciations=own, progress=part(progress, 0.1, 0.95))
-    outside = share_outside(samples, found.track.words, rate=SAMPLE_RATE)
+    outside = share_outside(samples, found.track.words, rate=SPEECH_SAMPLE_RATE)
     track = found.track if video is None else _on_take_clock(found.track, video)
     origin = provenance_metadata(provenance)
     write_phone_track(spec.out, track, origin=origin)

@@ -19,7 +19,7 @@ _ARRAY = "face:array:"
 KEY = "face:distances:key"
 _FACTS = "face:distances:facts"
 
-CacheArray = NDArray[np.float64] | NDArray[np.float32] | NDArray[np.bool_]
+_CacheArray = NDArray[np.float64] | NDArray[np.float32] | NDArray[np.bool_]
 
 _KINDS = {
     "float64": (Sdf.ValueTypeNames.DoubleArray, Vt.DoubleArray),
@@ -40,7 +40,7 @@ class CachedDistances:
         By name.
     """
 
-    arrays: dict[str, CacheArray]
+    arrays: dict[str, _CacheArray]
     counts: dict[str, int] = field(default_factory=dict)
 
 
@@ -76,7 +76,7 @@ def read_distances(path: Path, *, key: str) -> CachedDistances | None:
     if prim is None or KEY not in prim.attributes or prim.attributes[KEY].default != key:
         return None
     values = {name: attribute.default for name, attribute in prim.attributes.items()}
-    arrays: dict[str, CacheArray] = {}
+    arrays: dict[str, _CacheArray] = {}
     try:
         for name, value in values.items():
             if name.startswith(_ARRAY) and not name.endswith(":shape"):
