@@ -10,7 +10,7 @@ from usdface.demo.half_cage import HalfCage, Mark
 from usdface.demo.proportions import Style
 from usdface.demo.sculpt import Form, trace
 
-COLUMN_COUNT = 12
+_COLUMN_COUNT = 12
 ROW_COUNT = 21
 EYE_ROWS, EYE_COLUMNS = (12, 14), (2, 6)
 MOUTH_ROWS, MOUTH_COLUMNS = (6, 8), (0, 3)
@@ -23,9 +23,9 @@ def lay_grid(half: HalfCage, style: Style, form: Form) -> IntArray:
     start = flat - 160.0 * towards / np.linalg.norm(towards, axis=1, keepdims=True)
     hit = trace(form, start, towards).reshape(guess.shape)
     hit[:, [0, -1], 0] = 0.0
-    grid = np.full((ROW_COUNT, COLUMN_COUNT), -1)
+    grid = np.full((ROW_COUNT, _COLUMN_COUNT), -1)
     for r in range(ROW_COUNT):
-        for c in range(COLUMN_COUNT):
+        for c in range(_COLUMN_COUNT):
             in_eye = EYE_ROWS[0] < r < EYE_ROWS[1] and EYE_COLUMNS[0] < c < EYE_COLUMNS[1]
             in_mouth = MOUTH_ROWS[0] < r < MOUTH_ROWS[1] and c < MOUTH_COLUMNS[1]
             if not (in_eye or in_mouth):
@@ -93,7 +93,7 @@ def _grid_guess(style: Style) -> tuple[FloatArray, FloatArray]:
     for row in range(16, ROW_COUNT):
         across[row, 1:7] = np.linspace(9.0, 55.0, 6) * (1.0 - 0.055 * (row - 16))
 
-    y = np.empty((ROW_COUNT, COLUMN_COUNT))
+    y = np.empty((ROW_COUNT, _COLUMN_COUNT))
     turn = np.array([0.0, 0.0, 0.0, 0.06, 0.2, 0.42, 0.66, 0.86, 1.0, 1.0])
     y[:, :10] = heights[:, :1] + turn * (heights[:, 1:2] - heights[:, :1])
     y[:, 10:] = heights[:, 1:2] + np.array([0.6, 1.0]) * (heights[:, 2:] - heights[:, 1:2])
@@ -106,7 +106,7 @@ def _grid_guess(style: Style) -> tuple[FloatArray, FloatArray]:
     y[14, :2] -= 3.0
     y[15, 2:7] += np.array([-2.0, 1.0, 2.5, 1.5, -3.5])
 
-    guess, aim = np.zeros((ROW_COUNT, COLUMN_COUNT, 3)), np.zeros((ROW_COUNT, COLUMN_COUNT, 3))
+    guess, aim = np.zeros((ROW_COUNT, _COLUMN_COUNT, 3)), np.zeros((ROW_COUNT, _COLUMN_COUNT, 3))
     guess[..., 1] = y
     guess[:, :7, 0] = across
     aim[:, :7, 2] = -1.0
@@ -165,7 +165,7 @@ def _nose_points(style: Style) -> list[tuple[int, int, tuple[float, float, float
 def lay_grid_faces(half: HalfCage, grid: IntArray) -> None:
     """Join the grid's points by quads but in the blocks; close the crown, sink the nostril."""
     for r in range(ROW_COUNT - 1):
-        for c in range(COLUMN_COUNT - 1):
+        for c in range(_COLUMN_COUNT - 1):
             in_eye = EYE_ROWS[0] <= r < EYE_ROWS[1] and EYE_COLUMNS[0] <= c < EYE_COLUMNS[1]
             in_mouth = MOUTH_ROWS[0] <= r < MOUTH_ROWS[1] and c < MOUTH_COLUMNS[1]
             if in_eye or in_mouth or (r, c) == (8, 1):
@@ -173,7 +173,7 @@ def lay_grid_faces(half: HalfCage, grid: IntArray) -> None:
             half.strip([grid[r, c], grid[r, c + 1]], [grid[r + 1, c], grid[r + 1, c + 1]])
     # Close the crown: the front half of the top ring meets its back half.
     top = [int(i) for i in grid[-1]]
-    middle = COLUMN_COUNT // 2
+    middle = _COLUMN_COUNT // 2
     half.strip(top[:middle], top[: middle - 1 : -1])
     rim = [int(grid[8, 1]), int(grid[8, 2]), int(grid[9, 2]), int(grid[9, 1])]
     _nostril(half, rim)
