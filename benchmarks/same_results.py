@@ -18,6 +18,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -49,10 +50,19 @@ def main() -> int:
     return compare(asked.before, asked.after, tolerance=asked.tolerance)
 
 
+def run() -> None:
+    """Make the demo twice, in two processes, and compare: one version writes the same numbers."""
+    with tempfile.TemporaryDirectory() as name:
+        for label in ("once", "again"):
+            (Path(name) / label).mkdir()
+            _make_demo(Path(name) / label)
+        compare(Path(name) / "once", Path(name) / "again", tolerance=0.0)
+
+
 def make(folder: Path) -> None:
     """Run everything whose results are to stay, by the command line of the version on the path."""
     folder.mkdir(parents=True)
-    _usdface(folder, "demo", "--out", "demo", "--progress", "none")
+    _make_demo(folder)
     if not (SHARED_DATA / "crosstake").is_dir():
         print(f"the demo alone: no crosstake in {SHARED_DATA}")
         return
@@ -69,6 +79,10 @@ def make(folder: Path) -> None:
     rigid, neutral = ",".join(take["rigid"]), str(take["neutral_frame"] + 1)
     for line in _commands(rigid, neutral):
         _usdface(cross, *line.split(), "--json")
+
+
+def _make_demo(folder: Path) -> None:
+    _usdface(folder, "demo", "--out", "demo", "--progress", "none")
 
 
 def _commands(rigid: str, neutral: str) -> Iterator[str]:
