@@ -6,8 +6,8 @@ import pytest
 from usdface.core.errors import InputError
 from usdface.media.charts.repair import (
     HEAD_HEIGHT,
-    LABEL_WIDTH,
-    PAGE_MARGIN,
+    MARKER_LABEL_WIDTH,
+    REPAIR_MARGIN,
     RepairKind,
     draw_repairs,
 )
@@ -26,10 +26,10 @@ def draw(*kinds: RepairKind) -> np.ndarray:
 
 def test_a_single_repaired_sample_of_a_long_take_shows() -> None:
     picture = draw(kind("outlier", (255, 0, 255), (4321, 1)))
-    lanes = picture[HEAD_HEIGHT:, PAGE_MARGIN + LABEL_WIDTH :]
+    lanes = picture[HEAD_HEIGHT:, REPAIR_MARGIN + MARKER_LABEL_WIDTH :]
     columns = np.flatnonzero((lanes == (255, 0, 255)).all(axis=2).any(axis=0))
     assert len(columns) == 1
-    assert columns[0] / lanes[:, :-PAGE_MARGIN].shape[1] == pytest.approx(4321 / 5000, abs=0.002)
+    assert columns[0] / lanes[:, :-REPAIR_MARGIN].shape[1] == pytest.approx(4321 / 5000, abs=0.002)
 
 
 def test_only_repaired_markers_have_a_lane_and_the_worst_comes_first() -> None:

@@ -16,7 +16,7 @@ from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.train import train_mapping
 from usdface.runner.execute import execute
 from usdface.specs.performance import MapSpec
-from usdface.steps.performance.predict_blocks import predict_blended
+from usdface.steps.performance.predict_blocks import predict_with_keyed_blend
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def test_alpha_runs_from_one_part_to_the_other(
         )
         for b in blocks
     )
-    answers = list(predict_blended(mapping, placed, tmp_path / "alpha.csv", blocks))
+    answers = list(predict_with_keyed_blend(mapping, placed, tmp_path / "alpha.csv", blocks))
     blended = np.concatenate([each.weights for each in answers])
     ends = [
         predict_weights(

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-PAGE_WIDTH = 1280
+_PAGE_WIDTH = 1280
 _PAGE_MARGIN = 34
 _AXIS_LEFT = 74
 _LINE_HEIGHT = 23
@@ -97,14 +97,14 @@ def draw_alignment(page: AlignmentPage) -> ByteImage:
     head = 72 + _LINE_HEIGHT * len(lines) + 16
     sound = page.sound
     if sound is None or sound.correlation is None:
-        picture = new_picture(PAGE_WIDTH, head + 40, PAGE)
+        picture = new_picture(_PAGE_WIDTH, head + 40, PAGE)
     else:
-        figure = new_figure(PAGE_WIDTH, head + 600)
+        figure = new_figure(_PAGE_WIDTH, head + 600)
         _draw_correlation(figure, page, sound, head + 36)
         _draw_windows(figure, sound, head + 346)
         picture = render(figure)
     fill_box(picture, 0, 0, 8, picture.shape[0], color)
-    width = PAGE_WIDTH - 2 * _PAGE_MARGIN
+    width = _PAGE_WIDTH - 2 * _PAGE_MARGIN
     draw_text(picture, page.title, x=_PAGE_MARGIN, y=24, style=_TITLE_STYLE, max_width=width)
     for index, (line, style) in enumerate(lines):
         draw_text(picture, line, x=_PAGE_MARGIN, y=68 + _LINE_HEIGHT * index, style=style)
@@ -124,8 +124,8 @@ def _draw_correlation(figure: Figure, page: AlignmentPage, sound: SoundAlignment
     finite = correlation.shifts[np.isfinite(correlation.scores)]
     centre = next((at for _, at, color in marks if color == GREEN), correlation.shift)
     gap = 2 * _PAGE_MARGIN + _AXIS_LEFT - 20
-    wide = (PAGE_WIDTH - _AXIS_LEFT - _PAGE_MARGIN - gap) * 2 // 3
-    narrow = PAGE_WIDTH - _AXIS_LEFT - _PAGE_MARGIN - gap - wide
+    wide = (_PAGE_WIDTH - _AXIS_LEFT - _PAGE_MARGIN - gap) * 2 // 3
+    narrow = _PAGE_WIDTH - _AXIS_LEFT - _PAGE_MARGIN - gap - wide
     across = "shift of the video, s"
     whole = add_axes(
         figure,
@@ -180,7 +180,7 @@ def _draw_windows(figure: Figure, sound: SoundAlignment, y: int) -> None:
     middle = (float(base.max()) + float(base.min())) / 2
     axes = add_axes(
         figure,
-        (_AXIS_LEFT, y, PAGE_WIDTH - _AXIS_LEFT - _PAGE_MARGIN, 190),
+        (_AXIS_LEFT, y, _PAGE_WIDTH - _AXIS_LEFT - _PAGE_MARGIN, 190),
         caption="Delay by window",
         across="video time, s",
         up=f"ms from {centre:+.4f} s; filled dots agree, hollow ones do not",
@@ -199,7 +199,7 @@ def _wrapped(text: str, style: TextStyle) -> list[str]:
     lines, line = list[str](), ""
     for word in text.split():
         longer = f"{line} {word}" if line else word
-        if line and text_width(longer, style) > PAGE_WIDTH - 2 * _PAGE_MARGIN:
+        if line and text_width(longer, style) > _PAGE_WIDTH - 2 * _PAGE_MARGIN:
             lines.append(line)
             longer = word
         line = longer

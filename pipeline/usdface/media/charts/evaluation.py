@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PAGE_WIDTH = 1800
-PAGE_MARGIN = 36
+_PAGE_MARGIN = 36
 _LEGEND_HEIGHT = 44
 LIPS_HEIGHT = 180
 _ROW_HEIGHT = 24
@@ -116,7 +116,7 @@ def draw_evaluation(page: EvaluationPage) -> ByteImage:
         raise InputError(f"{page.title}: no error curve to draw")
     shapes = page.shapes[:MOST_SHAPES]
     rows = -(-len(shapes) // COLUMN_COUNT)
-    lips_top = PAGE_MARGIN + HEADER_HEIGHT + strip_height(len(page.curves)) + _LEGEND_HEIGHT
+    lips_top = _PAGE_MARGIN + HEADER_HEIGHT + strip_height(len(page.curves)) + _LEGEND_HEIGHT
     shapes_top = lips_top
     if page.lips_keys is not None and page.lips_solve is not None:
         shapes_top += LIPS_HEIGHT + 100
@@ -128,15 +128,15 @@ def draw_evaluation(page: EvaluationPage) -> ByteImage:
         _draw_shapes(figure, shapes, y=shapes_top + 36)
     picture = render(figure)
 
-    inner = PAGE_WIDTH - 2 * PAGE_MARGIN
+    inner = PAGE_WIDTH - 2 * _PAGE_MARGIN
     high = round_range(np.concatenate([curve.values for curve in page.curves]))
-    y = draw_header(picture, page.title, page.facts, margin=PAGE_MARGIN)
+    y = draw_header(picture, page.title, page.facts, margin=_PAGE_MARGIN)
     marks = tuple((frame, str(frame)) for frame in page.worst)
     strip = ErrorStrip(page.curves, page.first_frame, high, marks)
-    draw_error_strip(picture, strip, x=PAGE_MARGIN, y=y, width=inner)
+    draw_error_strip(picture, strip, x=_PAGE_MARGIN, y=y, width=inner)
     y += strip_height(len(page.curves))
     note = "RMS distance of the surface from the keyed one; numbers mark the worst frames"
-    draw_legend(picture, (note,), x=PAGE_MARGIN, y=y, width=inner, high=high, unit="mm")
+    draw_legend(picture, (note,), x=_PAGE_MARGIN, y=y, width=inner, high=high, unit="mm")
     if shapes:
         _write_shape_caption(picture, y=shapes_top, hidden=len(page.shapes) - len(shapes))
     return picture
@@ -150,8 +150,8 @@ def _draw_lips(
     both = np.concatenate([keys, solve])
     both = both[np.isfinite(both)]
     low, high = min(float(both.min()), 0.0), max(float(both.max()), 1.0)
-    left = PAGE_MARGIN + LABEL_WIDTH
-    box = (left, y, PAGE_WIDTH - PAGE_MARGIN - left, LIPS_HEIGHT)
+    left = _PAGE_MARGIN + LABEL_WIDTH
+    box = (left, y, PAGE_WIDTH - _PAGE_MARGIN - left, LIPS_HEIGHT)
     caption = "Distance of the lips"
     axes = add_axes(figure, box, caption=caption, across="frame", up="mm", whole=True)
     axes.set_xlim(first_frame - 0.5, first_frame + len(keys) - 0.5)
@@ -163,8 +163,8 @@ def _draw_lips(
 
 
 def _write_shape_caption(picture: ByteImage, *, y: int, hidden: int) -> None:
-    x = PAGE_MARGIN + 16
-    x += draw_text(picture, "Shape by shape", x=PAGE_MARGIN, y=y, style=_CAPTION_STYLE)
+    x = _PAGE_MARGIN + 16
+    x += draw_text(picture, "Shape by shape", x=_PAGE_MARGIN, y=y, style=_CAPTION_STYLE)
     note = "bar: RMS error of the weight; colour: its error on the surface; tick: its mean error"
     if hidden:
         note += f"; {hidden} more shapes err less"
@@ -173,12 +173,12 @@ def _write_shape_caption(picture: ByteImage, *, y: int, hidden: int) -> None:
 
 def _draw_shapes(figure: Figure, shapes: Sequence[ShapeBar], *, y: int) -> None:
     rows = -(-len(shapes) // COLUMN_COUNT)
-    pitch = (PAGE_WIDTH - 2 * PAGE_MARGIN) // COLUMN_COUNT
+    pitch = (PAGE_WIDTH - 2 * _PAGE_MARGIN) // COLUMN_COUNT
     longest = max(max(shape.rmse for shape in shapes), 1e-9)
     high = max(max(shape.surface_mm for shape in shapes), 1e-9)
     for column in range(COLUMN_COUNT):
         listed = shapes[column * rows : (column + 1) * rows]
-        x = PAGE_MARGIN + column * pitch + NAME_WIDTH
+        x = _PAGE_MARGIN + column * pitch + NAME_WIDTH
         box = (x, y, pitch - NAME_WIDTH - _NUMBERS_WIDTH, rows * _ROW_HEIGHT)
         axes = add_axes(figure, box)
         axes.set_axis_off()

@@ -14,9 +14,9 @@ from usdface.media.picture.error_strip import draw_frame_axis
 from usdface.media.picture.sheet import draw_header
 from usdface.media.picture.text import TextStyle, draw_text, text_width
 
-PAGE_WIDTH = 1600
-PAGE_MARGIN = 28
-LABEL_WIDTH = 190
+_PAGE_WIDTH = 1600
+REPAIR_MARGIN = 28
+MARKER_LABEL_WIDTH = 190
 _ROW_HEIGHT = 17
 HEAD_HEIGHT = 156
 """Title, facts and the key of colours."""
@@ -85,19 +85,26 @@ def draw_repairs(
     order = [int(i) for i in np.argsort(-counts, kind="stable") if counts[i]][:MOST_ROWS]
     head = HEAD_HEIGHT
     height = head + max(len(order), 1) * _ROW_HEIGHT + 64
-    page = new_picture(PAGE_WIDTH, height, PAGE)
-    inner = PAGE_WIDTH - 2 * PAGE_MARGIN
-    y = draw_header(page, title, facts, margin=PAGE_MARGIN)
+    page = new_picture(_PAGE_WIDTH, height, PAGE)
+    inner = _PAGE_WIDTH - 2 * REPAIR_MARGIN
+    y = draw_header(page, title, facts, margin=REPAIR_MARGIN)
     _draw_key(page, kinds, y=y)
-    left, width = PAGE_MARGIN + LABEL_WIDTH, inner - LABEL_WIDTH
+    left, width = REPAIR_MARGIN + MARKER_LABEL_WIDTH, inner - MARKER_LABEL_WIDTH
     if not order:
-        draw_text(page, "nothing was repaired", x=PAGE_MARGIN, y=head, style=_NOTE_STYLE)
+        draw_text(page, "nothing was repaired", x=REPAIR_MARGIN, y=head, style=_NOTE_STYLE)
     edges = np.unique(np.minimum(np.arange(width) * frames // width, frames - 1))
     columns = np.searchsorted(edges, np.arange(width) * frames // width, side="right") - 1
     for row, marker in enumerate(order):
         top = head + row * _ROW_HEIGHT
         label = f"{names[marker]}  {int(counts[marker])}"
-        draw_text(page, label, x=PAGE_MARGIN, y=top, style=_LABEL_STYLE, max_width=LABEL_WIDTH - 8)
+        draw_text(
+            page,
+            label,
+            x=REPAIR_MARGIN,
+            y=top,
+            style=_LABEL_STYLE,
+            max_width=MARKER_LABEL_WIDTH - 8,
+        )
         fill_box(page, left, top + 1, width, _ROW_HEIGHT - 3, LANE)
         lane = page[top + 1 : top + _ROW_HEIGHT - 2, left : left + width]
         for kind in kinds:
@@ -110,7 +117,7 @@ def draw_repairs(
         draw_text(
             page,
             f"and {pluralize(hidden, 'marker')} with fewer",
-            x=PAGE_MARGIN,
+            x=REPAIR_MARGIN,
             y=bottom + 22,
             style=_NOTE_STYLE,
         )
@@ -118,7 +125,7 @@ def draw_repairs(
 
 
 def _draw_key(page: ByteImage, kinds: Sequence[RepairKind], *, y: int) -> None:
-    x = PAGE_MARGIN
+    x = REPAIR_MARGIN
     for kind in kinds:
         fill_box(page, x, y + 4, 12, 12, kind.color)
         label = f"{kind.label}: {pluralize(int(kind.where.sum()), 'sample')}"

@@ -20,7 +20,7 @@ from usdface.media.picture.color import (
     Color,
     bytes_from_linear,
 )
-from usdface.media.picture.sheet import MAX_PIXELS
+from usdface.media.picture.sheet import LARGEST_SHEET_PIXELS
 from usdface.media.picture.text import TextStyle, draw_text, text_width
 from usdface.media.picture.tiles import fit_picture
 
@@ -149,7 +149,7 @@ def compose_reference_sheet(
     )
     wide = 2 * _PAGE_MARGIN + columns * block + (columns - 1) * BLOCK_GAP
     tall = 2 * _PAGE_MARGIN + _TITLE_HEIGHT + -(-len(rows) // columns) * height
-    if wide * tall > MAX_PIXELS:
+    if wide * tall > LARGEST_SHEET_PIXELS:
         raise InputError(
             f"a sheet of {wide} × {tall} pixels is too large; ask for fewer --pairs or a smaller "
             "--tile"

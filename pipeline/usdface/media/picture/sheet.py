@@ -54,7 +54,7 @@ from usdface.media.picture.tiles import empty_tile, fit_picture
 
 __all__ = ["ErrorCurve", "SheetPage", "SheetRow", "Tile", "compose_sheet"]
 
-MAX_PIXELS = 400_000_000
+LARGEST_SHEET_PIXELS = 400_000_000
 HEADER_HEIGHT = TITLE_HEIGHT + FACTS_HEIGHT + 10
 """Of title, facts and the rule below them, from a page's margin on [pixels]."""
 
@@ -83,7 +83,7 @@ def compose_sheet(spec: SheetPage) -> ByteImage:
     """
     check_sheet(spec)
     layout = lay_out(spec)
-    if layout.width * layout.height > MAX_PIXELS:
+    if layout.width * layout.height > LARGEST_SHEET_PIXELS:
         raise InputError(
             f"a sheet of {layout.width} × {layout.height} pixels is too large; ask for fewer rows "
             "or smaller tiles"

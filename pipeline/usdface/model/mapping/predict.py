@@ -14,7 +14,7 @@ from usdface.model.mapping.head_space import MINIMUM_SHARE
 from usdface.model.mapping.train import motion_of
 from usdface.model.regressions import REMOVED_METHODS, find_method
 
-BLOCK_FRAMES = 1024
+_BLOCK_FRAMES = 1024
 """What is worked on stays near the processor: a quarter quicker than in large blocks."""
 
 
@@ -105,8 +105,8 @@ class WeightPredictor:
         members = arrays["region_markers"].T
         weights = np.empty((frames, len(mapping.shape_names)))
         confidence, residual, error = (np.empty((frames, regions)) for _ in range(3))
-        for start in range(0, frames, BLOCK_FRAMES):
-            part = slice(start, start + BLOCK_FRAMES)
+        for start in range(0, frames, _BLOCK_FRAMES):
+            part = slice(start, start + _BLOCK_FRAMES)
             found = marker_coordinates(
                 self._motion, positions[part], visible=None if visible is None else visible[part]
             )

@@ -24,8 +24,8 @@ from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.inputs.take_head_space import read_markers, take_head_space
 from usdface.steps.performance.predict_blocks import (
     check_blend,
-    predict_blended,
     predict_pipelined,
+    predict_with_keyed_blend,
 )
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance.weights_layer import make_header
@@ -132,7 +132,7 @@ def _predict(
     )
     if spec.alpha is None:
         return predict_pipelined(mapping, placed)
-    return predict_blended(mapping, placed, spec.alpha, windows)
+    return predict_with_keyed_blend(mapping, placed, spec.alpha, windows)
 
 
 def _check_frames(spec: MapSpec, take: TakeReader, first: int, last: int) -> None:

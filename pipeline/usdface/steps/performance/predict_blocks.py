@@ -64,7 +64,7 @@ def check_blend(path: Path, mapping: TrainedMapping) -> None:
         )
 
 
-def predict_blended(
+def predict_with_keyed_blend(
     mapping: TrainedMapping, placed: Iterator[Block], alpha: Path, blocks: list[range]
 ) -> Iterator[Prediction]:
     """Yield the prediction of each block, with the share that `alpha` keys at each frame.

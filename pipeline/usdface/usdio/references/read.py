@@ -18,11 +18,11 @@ from usdface.usdio.units import MM_PER_STAGE_UNIT
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 ROOT = Sdf.Path("/References")
-MARKERS = ROOT.AppendChild("Markers")
+MARKERS_PATH = ROOT.AppendChild("Markers")
 RIG = ROOT.AppendChild("Rig")
-WEIGHTS = ROOT.AppendChild("Weights")
-WEIGHTS_ATTRIBUTE = WEIGHTS.AppendProperty("blendShapeWeights")
-FRAME = ROOT.AppendProperty("face:reference:frame")
+WEIGHTS_PATH = ROOT.AppendChild("Weights")
+WEIGHTS_ATTRIBUTE = WEIGHTS_PATH.AppendProperty("blendShapeWeights")
+FRAME_PATH = ROOT.AppendProperty("face:reference:frame")
 TAKE = ROOT.AppendProperty("face:reference:take")
 TUNED = ROOT.AppendProperty("face:reference:tuned")
 DONE = ROOT.AppendProperty("face:reference:done")
@@ -50,7 +50,7 @@ def read_tuned_pairs(tuned_path: Path) -> list[TunedPair]:
     if not tuned_path.is_file():
         return []
     layer = open_layer(tuned_path)
-    prim = layer.GetPrimAtPath(WEIGHTS)
+    prim = layer.GetPrimAtPath(WEIGHTS_PATH)
     if prim is None or "blendShapes" not in prim.attributes:
         return []
     names = [str(name) for name in prim.attributes["blendShapes"].default or ()]
@@ -69,7 +69,7 @@ def read_tuned_pairs(tuned_path: Path) -> list[TunedPair]:
             TunedPair(
                 pair=round(time) - 1,
                 take=str(layer.QueryTimeSample(TAKE, time)),
-                frame=int(layer.QueryTimeSample(FRAME, time)),
+                frame=int(layer.QueryTimeSample(FRAME_PATH, time)),
                 weights=dict(zip(names, np.array(weights, np.float64).tolist(), strict=True)),
                 done=layer.QueryTimeSample(DONE, time) is not False,
             )
@@ -90,8 +90,8 @@ def read_references(path: Path) -> References:
         path, ROOT, api="FaceReferencesAPI", kind="references", command="usdface select"
     )
     root = stage.GetPrimAtPath(ROOT)
-    points = UsdGeom.Points(stage.GetPrimAtPath(MARKERS))
-    animation = UsdSkel.Animation(stage.GetPrimAtPath(WEIGHTS))
+    points = UsdGeom.Points(stage.GetPrimAtPath(MARKERS_PATH))
+    animation = UsdSkel.Animation(stage.GetPrimAtPath(WEIGHTS_PATH))
     if not points or not animation:
         raise InputError(f"{path}: </References/Markers> or </References/Weights> is missing")
     pairs = range(1, round(stage.GetEndTimeCode()) + 1)
@@ -99,7 +99,7 @@ def read_references(path: Path) -> References:
     shape_names = tuple(map(str, animation.GetBlendShapesAttr().Get()))
     weights = _stack(path, animation.GetBlendShapeWeightsAttr(), pairs, len(shape_names), "weights")
     markers = _stack(path, points.GetPointsAttr(), pairs, len(marker_names), "points")
-    frames = root.GetAttribute(FRAME.name)
+    frames = root.GetAttribute(FRAME_PATH.name)
     takes = root.GetAttribute(TAKE.name)
     tuned = root.GetAttribute(TUNED.name)
     neutral = np.array(
@@ -139,7 +139,7 @@ def _check_tuning(stage: Usd.Stage, takes: tuple[str, ...], frames: IntArray) ->
             pair = round(time) - 1
             if not layer.QueryTimeSample(TUNED, time):
                 continue
-            take, frame = (layer.QueryTimeSample(path, time) for path in (TAKE, FRAME))
+            take, frame = (layer.QueryTimeSample(path, time) for path in (TAKE, FRAME_PATH))
             here = (takes[pair], int(frames[pair])) if 0 <= pair < len(takes) else None
             if here != (str(take), frame):
                 is_now = "no pair" if here is None else f"frame {here[1]} of {here[0]}"

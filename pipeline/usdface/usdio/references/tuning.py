@@ -12,7 +12,7 @@ from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.usdio.layers import open_layer, read_provenance
 from usdface.usdio.references.pair_layers import open_pair_stage
-from usdface.usdio.references.read import FRAME, ROOT, TAKE, WEIGHTS, WEIGHTS_ATTRIBUTE
+from usdface.usdio.references.read import FRAME_PATH, ROOT, TAKE, WEIGHTS_ATTRIBUTE, WEIGHTS_PATH
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 
@@ -56,7 +56,7 @@ def read_proposals(proposed_path: Path, references: References) -> FloatArray:
         If the layer does not belong to the asset.
     """
     layer = open_layer(proposed_path)
-    prim = layer.GetPrimAtPath(WEIGHTS)
+    prim = layer.GetPrimAtPath(WEIGHTS_PATH)
     names = (
         [str(name) for name in prim.attributes["blendShapes"].default or ()]
         if prim is not None and "blendShapes" in prim.attributes
@@ -89,7 +89,7 @@ def check_tuned_layer(tuned_path: Path, references: References) -> None:
     if not tuned_path.is_file():
         return
     layer = open_layer(tuned_path)
-    prim = layer.GetPrimAtPath(WEIGHTS)
+    prim = layer.GetPrimAtPath(WEIGHTS_PATH)
     if prim is None or "blendShapes" not in prim.attributes:
         return
     names = [str(name) for name in prim.attributes["blendShapes"].default or ()]
@@ -103,7 +103,10 @@ def check_tuned_layer(tuned_path: Path, references: References) -> None:
             "move this one away and bring its weights in with `usdface references import`"
         )
     for pair in range(count):
-        frame, take = layer.QueryTimeSample(FRAME, pair + 1), layer.QueryTimeSample(TAKE, pair + 1)
+        frame, take = (
+            layer.QueryTimeSample(FRAME_PATH, pair + 1),
+            layer.QueryTimeSample(TAKE, pair + 1),
+        )
         if frame is None and take is None:
             continue  # keyed in a DCC, which knows nothing of our flags
         expected = (int(references.frames[pair]), references.takes[pair])
@@ -129,7 +132,7 @@ def read_pair_notes(path: Path) -> list[PairNotes]:
         path, ROOT, api="FaceReferencesAPI", kind="references", command="usdface select"
     )
     root = stage.GetPrimAtPath(ROOT)
-    frames = root.GetAttribute(FRAME.name)
+    frames = root.GetAttribute(FRAME_PATH.name)
 
     def text(name: str, time: float) -> str:
         attribute = root.GetAttribute(f"face:reference:{name}")

@@ -22,15 +22,15 @@ from usdface.usdio.references.pair_layers import author_pair_header
 from usdface.usdio.references.read import (
     DONE,
     EMOTION,
-    FRAME,
-    MARKERS,
+    FRAME_PATH,
+    MARKERS_PATH,
     RIG,
     ROOT,
     TAKE,
     TUNED,
     VISEME,
-    WEIGHTS,
     WEIGHTS_ATTRIBUTE,
+    WEIGHTS_PATH,
     TunedPair,
     read_tuned_pairs,
 )
@@ -87,12 +87,12 @@ def write_references(
         layer.subLayerPaths = [relative_path(each, path) for each in layer_paths]
         _author_pairs(layer, references)
         _author_images(layer, images, path)
-        animation = define_prim(layer, WEIGHTS, "SkelAnimation")
+        animation = define_prim(layer, WEIGHTS_PATH, "SkelAnimation")
         names = list(references.shape_names)
         author_uniform(animation, "blendShapes", Sdf.ValueTypeNames.TokenArray, names)
         define_reference(layer, str(RIG), rig, path)
         turn_to_our_units(layer, str(RIG), rig)
-        point_skeletons_at(layer, str(RIG), rig, WEIGHTS)
+        point_skeletons_at(layer, str(RIG), rig, WEIGHTS_PATH)
 
 
 def write_tuned_weights(
@@ -149,12 +149,12 @@ def _author_tuned_layer(layer: Sdf.Layer, references: References, pairs: list[Tu
     _author_weights(layer, references, weights)
     done = {each.pair: each.done for each in pairs}
     over = Sdf.CreatePrimInLayer(layer, ROOT)
-    Sdf.AttributeSpec(over, FRAME.name, Sdf.ValueTypeNames.Int)
+    Sdf.AttributeSpec(over, FRAME_PATH.name, Sdf.ValueTypeNames.Int)
     Sdf.AttributeSpec(over, TAKE.name, Sdf.ValueTypeNames.Token)
     Sdf.AttributeSpec(over, TUNED.name, Sdf.ValueTypeNames.Bool)
     Sdf.AttributeSpec(over, DONE.name, Sdf.ValueTypeNames.Bool)
     for pair in range(len(references.frames)):
-        layer.SetTimeSample(FRAME, pair + 1, int(references.frames[pair]))
+        layer.SetTimeSample(FRAME_PATH, pair + 1, int(references.frames[pair]))
         layer.SetTimeSample(TAKE, pair + 1, references.takes[pair])
         layer.SetTimeSample(TUNED, pair + 1, pair in done)
         layer.SetTimeSample(DONE, pair + 1, done.get(pair, False))
@@ -162,7 +162,7 @@ def _author_tuned_layer(layer: Sdf.Layer, references: References, pairs: list[Tu
 
 def _author_weights(layer: Sdf.Layer, references: References, weights: FloatArray) -> None:
     author_pair_header(layer, ROOT, len(references.frames))
-    over = Sdf.CreatePrimInLayer(layer, WEIGHTS)
+    over = Sdf.CreatePrimInLayer(layer, WEIGHTS_PATH)
     names = list(references.shape_names)
     author_uniform(over, "blendShapes", Sdf.ValueTypeNames.TokenArray, names)
     Sdf.AttributeSpec(over, WEIGHTS_ATTRIBUTE.name, Sdf.ValueTypeNames.FloatArray)
@@ -174,11 +174,11 @@ def _author_pairs(layer: Sdf.Layer, references: References) -> None:
     root = define_prim(layer, ROOT, "Xform")
     root.SetInfo("kind", Kind.Tokens.assembly)
     apply_api(root, "FaceReferencesAPI")
-    Sdf.AttributeSpec(root, FRAME.name, Sdf.ValueTypeNames.Int)
+    Sdf.AttributeSpec(root, FRAME_PATH.name, Sdf.ValueTypeNames.Int)
     Sdf.AttributeSpec(root, TAKE.name, Sdf.ValueTypeNames.Token)
     if references.motion is not None:
         _author_motion(root, references.motion)
-    points = define_prim(layer, MARKERS, "Points")
+    points = define_prim(layer, MARKERS_PATH, "Points")
     apply_api(points, "FaceMarkersAPI")
     for name, kind, value in (
         ("face:markers:names", Sdf.ValueTypeNames.TokenArray, list(references.marker_names)),
@@ -197,7 +197,7 @@ def _author_pairs(layer: Sdf.Layer, references: References) -> None:
     extent = Sdf.AttributeSpec(points, "extent", Sdf.ValueTypeNames.Float3Array)
     extent.default = Vt.Vec3fArray.FromNumpy(np.stack([flat.min(0), flat.max(0)]))
     for pair in range(len(references.frames)):
-        layer.SetTimeSample(FRAME, pair + 1, int(references.frames[pair]))
+        layer.SetTimeSample(FRAME_PATH, pair + 1, int(references.frames[pair]))
         layer.SetTimeSample(TAKE, pair + 1, references.takes[pair])
         layer.SetTimeSample(placed.path, pair + 1, Vt.Vec3fArray.FromNumpy(stage_points[pair]))
     for path, labels in ((VISEME, references.visemes), (EMOTION, references.emotions)):

@@ -13,7 +13,7 @@ from usdface.core.errors import InputError
 from usdface.core.rates import check_frame_span, exact_rate
 from usdface.core.timecode import shift_timecode
 from usdface.usdio.layers import open_stage
-from usdface.usdio.take.write import AUDIO, CONFIDENCE, HEAD_MOTION, MARKERS, SOURCE, VISIBLE
+from usdface.usdio.take.write import AUDIO, HEAD_MOTION, MARKER_CONFIDENCE, MARKERS, SOURCE, VISIBLE
 from usdface.usdio.units import column_matrix, stage_to_ours
 from usdface.usdio.wrong_types import refusing_wrong_types
 
@@ -170,7 +170,9 @@ class TakeReader:
         shape = read.shape[:2]
         positions = self._to_ours(read)
         visible = self._read_primvar(prim, VISIBLE, frames, shape, np.dtype(np.bool_))
-        confidence = self._read_primvar(prim, CONFIDENCE, frames, shape, np.dtype(np.float32))
+        confidence = self._read_primvar(
+            prim, MARKER_CONFIDENCE, frames, shape, np.dtype(np.float32)
+        )
         rigid = prim.GetAttribute("face:markers:rigid").Get() or ()
         anchor = prim.GetAttribute("face:markers:anchor").Get() or ""
         space = str(prim.GetAttribute("face:markers:space").Get())

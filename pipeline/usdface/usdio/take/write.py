@@ -21,7 +21,7 @@ HEAD_MOTION = _ROOT.AppendChild("HeadMotion")
 SOURCE = _ROOT.AppendChild("Source")
 AUDIO = _ROOT.AppendChild("Audio")
 VISIBLE = "primvars:face:visible"
-CONFIDENCE = "primvars:face:confidence"
+MARKER_CONFIDENCE = "primvars:face:confidence"
 MARKER_WIDTH_MM = 3.0
 """How large a viewer draws a marker: a common size of facial markers."""
 
@@ -138,7 +138,7 @@ def _author_markers(layer: Sdf.Layer, markers: Markers, frames: np.ndarray) -> N
     _author_extent(prim, markers.positions)
     points = Sdf.AttributeSpec(prim, "points", Sdf.ValueTypeNames.Point3fArray)
     visible = Sdf.AttributeSpec(prim, VISIBLE, Sdf.ValueTypeNames.BoolArray)
-    confidence = Sdf.AttributeSpec(prim, CONFIDENCE, Sdf.ValueTypeNames.FloatArray)
+    confidence = Sdf.AttributeSpec(prim, MARKER_CONFIDENCE, Sdf.ValueTypeNames.FloatArray)
     for primvar in (visible, confidence):
         primvar.SetInfo("interpolation", UsdGeom.Tokens.vertex)
     # Setting samples on the layer itself is three times faster than through the stage.
