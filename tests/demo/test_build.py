@@ -12,7 +12,7 @@ from usdface.capture.marker_take import CaptureOptions
 from usdface.demo.acting import ActedPerformance
 from usdface.demo.build import DemoInputs, write_demo_inputs
 from usdface.demo.capture import ActorFace, head_poses
-from usdface.demo.clip import OFFSET_SECONDS, RATE, SIZE, Studio
+from usdface.demo.clip import OFFSET_SECONDS, SIZE, VIDEO_RATE, Studio
 from usdface.demo.head import DemoHead
 from usdface.demo.rig import rig_from_head
 from usdface.demo.script import timed_phones
@@ -77,7 +77,7 @@ def test_the_clip_runs_ahead_of_the_capture_by_its_offset(inputs: DemoInputs) ->
     """The first sound is heard when the script says, on the video's own clock."""
     sound = read_audio(inputs.video, rate=16000)
     assert len(sound) / 16000 > 15.0
-    assert RATE == 24
+    assert VIDEO_RATE == 24
     first = timed_phones()[1]
     loud = np.convolve(sound.astype(float) ** 2, np.ones(320) / 320, mode="same")
     heard = np.flatnonzero(loud > 0.05 * loud.max())[0] / 16000

@@ -6,7 +6,7 @@ import pytest
 from usdface.demo.acting import ActedPerformance
 from usdface.demo.capture import NOISE_MM, ActorFace, SimulatedCapture, simulate_capture
 from usdface.demo.head import DemoHead, HeadPart
-from usdface.demo.markers import MARKER_COUNT, RADIUS, MarkerSet, demo_markers
+from usdface.demo.markers import MARKER_COUNT, MARKER_RADIUS, MarkerSet, demo_markers
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_markers_sit_on_the_skin(
     assert set(actor.parts[markers.points]) <= {HeadPart.SKIN, HeadPart.EARS}
     local = stabilised(captured)[0]
     distance = np.linalg.norm(local - actor.points[markers.points], axis=1)
-    assert np.all(np.abs(distance - RADIUS) < 6.0 * NOISE_MM)
+    assert np.all(np.abs(distance - MARKER_RADIUS) < 6.0 * NOISE_MM)
 
 
 def test_markers_keep_apart(actor: DemoHead, markers: MarkerSet) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from usdface.core.assets import Take, WeightsClip
+from usdface.core.assets import Take, Video, WeightsClip
 from usdface.core.errors import InputError
 from usdface.media.film.sound import read_audio
 from usdface.runner.execute import execute
@@ -20,7 +20,7 @@ from usdface.speech.coverage_of_sound import share_outside
 from usdface.speech.phone_track import PhoneTrack, Span
 from usdface.speech.track_files import read_phone_track
 from usdface.speech.visemes import arpabet_of, viseme_of
-from usdface.steps.capture.phones import _on_clock
+from usdface.steps.capture.phones import _on_take_clock
 from usdface.usdio.take.write import write_take
 
 pytest.importorskip("pocketsphinx")
@@ -116,7 +116,7 @@ def test_no_audio_no_transcript_no_words_are_said_plainly(speech: Path, tmp_path
     sound = speech / "wav" / "acoustic_corpus.wav"
     with pytest.raises(InputError, match="has no word in it"):
         execute(PhonesSpec(audio=sound, text="[noise]", out=out))
-    with pytest.raises(ValidationError, match=r"must end in \.TextGrid"):
+    with pytest.raises(ValidationError, match=r"must end in \.textgrid"):
         PhonesSpec(audio=sound, text="hello", out=tmp_path / "x.txt")
 
 
@@ -144,7 +144,7 @@ def test_a_takes_own_sound_is_used(speech: Path, tmp_path: Path) -> None:
 
 def test_the_cameras_sound_is_brought_onto_the_takes_clock() -> None:
     track = PhoneTrack((Span(0, 1, "AH"), Span(1, 2, "B")), (Span(0, 2, "ab"),), (), 2.0)
-    moved = _on_clock(track, -1.5, 1.001)
+    moved = _on_take_clock(track, Video(Path("camera.mov"), offset=-1.5, drift=1000.0))
     assert [(round(s.start, 4), round(s.end, 4), s.label) for s in moved.phones] == [
         (0.0, 0.502, "B")
     ]

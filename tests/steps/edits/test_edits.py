@@ -17,6 +17,7 @@ from usdface.core.replacing import replacing
 from usdface.core.sidecars import edits_path
 from usdface.numerics.motion.edit_curve import no_edit
 from usdface.runner.execute import execute
+from usdface.runner.origin import make_provenance
 from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
 from usdface.specs.edits import BakeSpec, EditsImportSpec, EditSpec, PackageSpec
@@ -296,10 +297,14 @@ def test_a_place_that_changed_leaves_edits_behind_and_says_so(shot: Shot) -> Non
 
 
 def test_the_progress_of_a_bake_is_of_all_frames(shot: Shot, monkeypatch) -> None:
-    monkeypatch.setattr(bake, "BLOCK_FRAMES", 120)
+    monkeypatch.setattr(bake, "_BLOCK_FRAMES", 120)
     shares = list[float]()
     given = BakeSpec(performance=shot / "shot.hero.usda", out=shot / "published.usdc")
-    bake.run(given, progress=lambda share, _: shares.append(share))
+    bake.run(
+        given,
+        provenance=make_provenance(given),
+        progress=lambda share, _: shares.append(share),
+    )
     assert shares == [0.25, 0.5, 0.75, 1.0]
 
 
