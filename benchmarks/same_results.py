@@ -93,7 +93,7 @@ def _commands(rigid: str, neutral: str) -> Iterator[str]:
         f"--count 50 --frames 1-{HALF}"
     )
     yield "references import x.references.usda --weights keys.csv"
-    yield "references coverage x.references.usda x.clean.take.usda"
+    yield "references coverage x.references.usda x.clean.take.usda --out coverage.png"
     for method in METHODS:
         yield f"train x.references.usda --out {method}.mapping.usdc --method {method}"
         yield (

@@ -392,7 +392,7 @@ def test_a_file_that_was_baked_from_another_solve_is_suspected_and_listed_in_sho
         writer.writerows([i + 1, *row] for i, row in enumerate(rows.tolist()))
     report = run(EditsImportSpec(performance=path, changed=other))
     assert any("mapped again after this file was baked" in note for note in report.notes)
-    monkeypatch.setattr("usdface.steps.inputs.edit_ranges.LISTED", 5)
+    monkeypatch.setattr("usdface.steps.edits.list_._LISTED_RANGES", 5)
     listed = list_edits(path)
     assert len(listed.table) == 6
     assert any(line.startswith("jawOpen 251-252: +0.51") for line in listed.table)
@@ -550,7 +550,7 @@ def test_corrections_whose_markers_are_not_seen_teach_nothing_and_stop_no_other(
     edit(shot / "other.usda", "eyeBlinkLeft", override=1.0, frames="300-300")
     report = run(ReferencesFromEditsSpec(performances=(path, shot / "other.usda"), **given))
     assert report.figures["frames"] == [300]
-    assert sum("lacking a marker" in note for note in report.notes) == 2
+    assert sum("missing a marker" in note for note in report.notes) == 2
 
 
 def test_what_is_said_in_old_pairs_is_not_said_in_new_ones(shot: Shot) -> None:

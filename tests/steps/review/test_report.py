@@ -215,8 +215,8 @@ def test_the_page_tells_what_the_mappings_references_cover(shot: Shot) -> None:
     strip = next(each for each in data["strips"] if each["name"] == "coverage")
     values = np.array(strip["values"])
     assert ((values >= 0) & (values <= 1)).all()
-    assert "<h2>Covered by hero.references.usda</h2>" in text
-    table = text.split("<h2>Tune these next</h2>")[1].split("</table>")[0]
+    assert "<h2>Coverage by hero.references.usda</h2>" in text
+    table = text.split("<h2>Tune next</h2>")[1].split("</table>")[0]
     frames = [int(frame) for frame in re.findall(r'href="#(\d+)"', table)]
     # What to tune next is covered worse than most.
     shown = np.array(data["frames"])
@@ -233,7 +233,7 @@ def test_references_that_are_gone_leave_the_coverage_out(shot: Shot) -> None:
     (shot / "hero.references.usda").rename(shot / "elsewhere.usda")
     report = execute(spec_of(shot))
     assert not any("coverage" in note for note in report.notes)
-    assert "Covered by" not in (shot / "shot.html").read_text(encoding="utf-8")
+    assert "Coverage by" not in (shot / "shot.html").read_text(encoding="utf-8")
     with pytest.raises(InputError, match="no such file"):
         execute(spec_of(shot, references=shot / "hero.references.usda"), overwrite=True)
 

@@ -235,7 +235,7 @@ def _shares(measured: MeasuredCoverage, references: Path) -> Listing:
 def _next(measured: MeasuredCoverage) -> Listing:
     frames = next_frames(measured.covered, measured.takes)
     return Listing(
-        "Tune these next",
+        "Tune next",
         ("frame", "coverage", "of the take, once tuned"),
         tuple(
             (str(each.frame), f"{100 * each.covered:.1f} %", f"{100 * each.share:.1f} %")
