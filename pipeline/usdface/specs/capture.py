@@ -154,7 +154,8 @@ class CleanSpec(Spec):
     out: LayerOut
     """The cleaned take to write."""
     rigid: tuple[Name, ...] = ()
-    """Markers that move with the skull only. Default: those of the take, otherwise detected."""
+    """Markers that move with the skull only. Default: those of the take; otherwise, if labels name
+    parts of the face, all markers, weighted by how far their part moves; otherwise detected."""
     neutral: int | None = None
     """Frame number of the neutral face. Default: that of the take."""
     max_gap: Annotated[int, Field(ge=0)] | None = None

@@ -24,7 +24,7 @@ from usdface.numerics.repair.outliers import find_outliers
 from usdface.numerics.repair.relabeling import Swap, apply_swaps, find_swaps
 from usdface.numerics.repair.smoothing import smooth_poses, smooth_take
 from usdface.numerics.rigid.rigid_alignment import align_frames, alignment_of, remove_motion
-from usdface.numerics.rigid.stabilization import stabilize
+from usdface.numerics.rigid.stabilization import stabilize, stabilize_by_prior
 
 _RELABEL_ROUNDS = 4
 _RELABELLED_CONFIDENCE = 0.9
@@ -32,6 +32,22 @@ _POSE_ROUNDS = 2
 _POSE_INLIER_DEVIATIONS = 3.0
 """Distance from its prediction at which a marker counts half (Cauchy weights)."""
 _POSE_SAMPLE_FRAMES = 8192
+
+
+@dataclass(frozen=True)
+class PosePrior:
+    """What stands in for rigid markers: how far each marker moves over the skull by itself.
+
+    Attributes
+    ----------
+    skin_motion_mm : (markers,) float array
+        Standard deviation [mm]; infinite for markers that say nothing.
+    rate : float
+        Frames per second.
+    """
+
+    skin_motion_mm: FloatArray
+    rate: float
 
 
 @dataclass(frozen=True)
@@ -88,6 +104,7 @@ def clean_markers(
     *,
     rigid: Sequence[int],
     neutral: int,
+    pose_prior: PosePrior | None = None,
     max_gap: int = 120,
     smooth: bool = True,
     relabel: bool = True,
@@ -108,6 +125,8 @@ def clean_markers(
         Columns of the markers that move with the skull alone; see `rigid_markers`.
     neutral : int
         Index of the frame whose head pose becomes the head's space.
+    pose_prior : PosePrior, optional
+        Takes the place of the rigid markers where none are proven to be rigid.
     max_gap : int
         Longest gap to fill [frames].
     smooth, relabel : bool
@@ -123,7 +142,7 @@ def clean_markers(
     seen = np.array(visible, bool)
     _check(captured, seen, neutral, max_gap)
     progress(0.0, "head motion")
-    still = _stabilize(captured, seen, rigid, neutral)
+    still = _stabilize(captured, seen, rigid, neutral, pose_prior)
     noise = marker_noise(still.positions, seen)
     progress(0.05, "how markers move together")
     model = fit_low_rank(still.positions, seen, noise=noise)
@@ -136,7 +155,7 @@ def clean_markers(
             del still  # before its successor: on long takes one more copy is much
             captured = np.array(captured)
             apply_swaps(captured, swaps)
-            still = _stabilize(captured, seen, rigid, neutral, out=captured)
+            still = _stabilize(captured, seen, rigid, neutral, pose_prior, out=captured)
             model = fit_low_rank(still.positions, seen, rank_limit=rank, start=model, noise=noise)
     progress(0.45, "outliers")
     outliers = find_outliers(still.positions, seen, model=model, noise=noise)
@@ -187,6 +206,7 @@ def _stabilize(
     seen: BoolArray,
     rigid: Sequence[int],
     neutral: int,
+    pose_prior: PosePrior | None,
     *,
     out: Float32Array | None = None,
 ) -> _StabilizedTake:
@@ -196,9 +216,18 @@ def _stabilize(
     motion; quick head motion comes back when the pose is refined.
     """
     columns = list(rigid)
-    body = stabilize(
-        captured[:, columns], seen[:, columns], rigid=range(len(columns)), neutral=neutral
-    )
+    if pose_prior is None:
+        body = stabilize(
+            captured[:, columns], seen[:, columns], rigid=range(len(columns)), neutral=neutral
+        )
+    else:
+        body = stabilize_by_prior(
+            captured,
+            seen,
+            skin_motion_mm=pose_prior.skin_motion_mm,
+            rate=pose_prior.rate,
+            neutral=neutral,
+        )
     motion = smooth_poses(body.head_motion, center=body.reference.mean(axis=0))
     positions = remove_motion(captured, alignment_of(motion), out=out)
     return _StabilizedTake(np.asarray(positions, np.float32), seen, motion, body.pose_confidence)

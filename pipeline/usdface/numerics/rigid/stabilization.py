@@ -20,6 +20,7 @@ from usdface.numerics.rigid.rigid_alignment import (
     align_rigid_robust,
     remove_motion,
 )
+from usdface.numerics.rigid.robust_pose import align_by_prior
 
 _REFERENCE_SAMPLE = 20_000
 INTERPOLATED_CONFIDENCE = 0.25
@@ -96,6 +97,55 @@ def stabilize(
         head_motion=poses.matrices(),
         pose_confidence=confidence,
         reference=reference,
+        rigid_weights=alignment.weights,
+    )
+
+
+def stabilize_by_prior(
+    positions: ArrayLike,
+    visible: ArrayLike,
+    *,
+    skin_motion_mm: ArrayLike,
+    rate: float,
+    neutral: int,
+) -> Stabilization:
+    """Take the head's motion out of every frame where no set of markers is rigid.
+
+    Parameters
+    ----------
+    positions : (frames, markers, 3) array_like
+        [mm] Captured.
+    visible : (frames, markers) array_like of bool
+    skin_motion_mm : (markers,) array_like
+        How far each marker moves over the skull, as in `align_by_prior`.
+    rate : float
+        Frames per second.
+    neutral : int
+        Index of the frame whose head pose becomes the head's space.
+
+    Raises
+    ------
+    ValueError
+        As `stabilize` does, for the markers whose prior is finite.
+    """
+    points, seen = np.asarray(positions), np.asarray(visible, bool)
+    prior = np.asarray(skin_motion_mm, float)
+    columns = np.flatnonzero(np.isfinite(prior) & seen[neutral])
+    start = points[neutral, columns].astype(np.float64)
+    _check_reference(start, len(columns), neutral)
+    alignment = align_by_prior(
+        points[:, columns],
+        start,
+        visible=seen[:, columns],
+        skin_motion_mm=prior[columns],
+        rate=rate,
+    )
+    poses = bridge_poses(alignment)
+    return Stabilization(
+        positions=remove_motion(points, poses),
+        head_motion=poses.matrices(),
+        pose_confidence=np.where(alignment.determined, 1.0, INTERPOLATED_CONFIDENCE),
+        reference=start,
         rigid_weights=alignment.weights,
     )
 

@@ -11,7 +11,8 @@ from usdface.core.sidecars import take_samples_path
 from usdface.core.text import first_few, pluralize
 from usdface.media.charts.repair import RepairKind, draw_repairs
 from usdface.media.picture.image import write_image
-from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
+from usdface.model.placement.label_hints import label_hint, skin_motion_mm
+from usdface.numerics.repair.cleaning import CleanedMarkers, PosePrior, clean_markers
 from usdface.numerics.rigid.rigid_markers import find_rigid_markers
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
@@ -24,6 +25,14 @@ LONGEST_GAP_SECONDS = 2.0
 
 _FEWEST_RIGID = 3
 """Seen at once, they tell the head's pose."""
+
+_SKULL_MOTION_MM = 1.0
+"""Markers that move by no more count as those of the skull."""
+
+_LEAST_HINTED_SHARE = 0.6
+"""Of the markers, whose labels must name a part of the face before labels are relied on."""
+
+_SOFT_REGIONS = ("lid", "brow", "cheek", "mouth", "chin", "jaw")
 
 POSE_COLOR, FILLED_COLOR, SWAPPED_COLOR = (92, 98, 110), (86, 156, 214), (232, 178, 66)
 OUTLIER_COLOR, LEFT_COLOR = (206, 96, 190), (226, 74, 66)
@@ -38,7 +47,7 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
     take = read_take(spec.take)
     markers = _check_captured(spec, take)
     notes: list[str] = []
-    rigid = _rigid_names(spec, markers, notes)
+    rigid, prior = _head_markers(spec, take, markers, notes)
     neutral = markers.neutral_frame if spec.neutral is None else spec.neutral
     _check_neutral(spec, take, markers, rigid, neutral)
     max_gap = spec.max_gap
@@ -50,6 +59,7 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
             markers.visible,
             rigid=[markers.names.index(name) for name in rigid],
             neutral=neutral - take.first_frame,
+            pose_prior=prior,
             max_gap=max_gap,
             smooth=spec.smooth,
             relabel=spec.relabel,
@@ -118,7 +128,15 @@ def _check_neutral(
         )
 
 
-def _rigid_names(spec: CleanSpec, markers: Markers, notes: list[str]) -> tuple[str, ...]:
+def _head_markers(
+    spec: CleanSpec, take: Take, markers: Markers, notes: list[str]
+) -> tuple[tuple[str, ...], PosePrior | None]:
+    """Return the markers of the skull, and what takes their place where none are named.
+
+    Named markers are used as they are. Otherwise labels that name parts of the face say how far
+    each marker moves by itself; only where they are silent, a set that keeps its distances is
+    sought: in one take it may be the forehead, in the next cheeks and chin.
+    """
     named = spec.rigid or markers.rigid
     unknown = [name for name in named if name not in markers.names]
     if unknown:
@@ -127,7 +145,19 @@ def _rigid_names(spec: CleanSpec, markers: Markers, notes: list[str]) -> tuple[s
             f"{first_few(markers.names)}; correct --rigid"
         )
     if named:
-        return named
+        notes += _soft_notes(named)
+        return named, None
+    motion = skin_motion_mm(markers.names)
+    still = tuple(
+        name for name, mm in zip(markers.names, motion, strict=True) if mm <= _SKULL_MOTION_MM
+    )
+    hinted = sum(bool(label_hint(name).region) for name in markers.names)
+    if len(still) > _FEWEST_RIGID and hinted >= _LEAST_HINTED_SHARE * len(markers.names):
+        notes.append(
+            "no rigid markers were named; the head's pose is estimated from all markers, each "
+            f"weighted by how far its part of the face moves ({first_few(still)} count most)"
+        )
+        return still, PosePrior(motion, float(take.rate))
     try:
         found = find_rigid_markers(markers.positions, markers.visible)
     except ValueError as error:
@@ -139,7 +169,19 @@ def _rigid_names(spec: CleanSpec, markers: Markers, notes: list[str]) -> tuple[s
         f"no rigid markers were named; {', '.join(names)} keep their mutual distances to "
         f"{found.deviation_mm:.2f} mm and are used"
     )
-    return names
+    notes += _soft_notes(names)
+    return names, None
+
+
+def _soft_notes(names: tuple[str, ...]) -> list[str]:
+    """Say which rigid markers sit on skin that moves, by their labels."""
+    soft = [name for name in names if label_hint(name).region in _SOFT_REGIONS]
+    if not soft:
+        return []
+    return [
+        f"{first_few(soft)} {'is' if len(soft) == 1 else 'are'} used as rigid, but the label names "
+        "skin that moves: the head's pose follows the face; name markers of the skull with --rigid"
+    ]
 
 
 def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]:

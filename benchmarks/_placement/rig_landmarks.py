@@ -1,0 +1,204 @@
+"""Landmarks of a rig's face, read from what its shapes do.
+
+A blink shows the lids, an opening jaw the line of the mouth, and with eyes and mouth known the
+profile shows nose, bridge and chin. Only shapes whose names are understood are used, so that a rig
+with foreign names has no landmarks, rather than wrong ones.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from benchmarks._placement.face_skin import FaceSkin
+from usdface.core.arrays import BoolArray, FloatArray
+from usdface.model.retarget.shape_names import motion_and_side
+
+_SIDES = (("L", 1.0), ("R", -1.0))
+"""The character's left lies towards +X of the face's frame."""
+
+_CENTROIDS = (
+    ("browinnerup", "brow_inner", 1.0),
+    ("browouterup", "brow_outer", 1.0),
+    ("browdown", "brow_middle", 1.0),
+    ("cheeksquint", "cheek_upper", 1.0),
+    ("nosesneer", "nostril", 1.0),
+    ("cheekpuff", "cheek", 8.0),
+)
+"""Motion, the landmark at the centroid of what it moves most, and how far from the plane of
+symmetry that must lie [mm]."""
+
+_MOST_MOVED_SHARE = 0.6
+"""Of a shape's largest displacement: samples above it count for a centroid."""
+
+_CREASE_SHARE = 0.2
+"""Of the way from the lid's margin to the brow: markers of the upper lid are glued above its
+margin, which the lashes and the closing eye need."""
+
+_MIDDLE_MM = 5.0
+"""Samples this close to the plane of symmetry are the profile."""
+
+_PROFILE_DEPTH = 1.5
+"""Times the nose's height over the mouth: what lies further behind the mouth is no profile."""
+
+_AHEAD_MM = 20.0
+"""A point so far before the mouth is nearest to the lips, and not to the teeth."""
+
+
+def find_landmarks(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArray]:
+    """Return landmarks by name, each a position in the face's frame [mm].
+
+    Parameters
+    ----------
+    shapes : sequence of str
+        Names of the rig's shapes, in the order of the skin's deltas.
+
+    Returns
+    -------
+    dict of str to (3,) float array
+        ``nose_tip``, ``chin``, ``mouth_L``, ``lid_upper_L`` and so on, mirrored onto each other;
+        those whose shapes the rig lacks are left out.
+    """
+    moved = _displacements(skin, shapes)
+    found: dict[str, FloatArray] = {}
+    for side, sign in _SIDES:
+        blink = moved.get(("eyeblink", side))
+        if blink is not None:
+            found |= _eye(skin, blink, side, sign)
+        for motion, name, least in _CENTROIDS:
+            delta = moved.get((motion, side), moved.get((motion, "")))
+            if delta is not None:
+                away = sign * (skin.positions[:, 0] - skin.sagittal_x)
+                found[f"{name}_{side}"] = _centroid(skin, delta, away > least)
+        if {f"lid_upper_{side}", f"brow_middle_{side}"} <= found.keys():
+            margin, brow = found[f"lid_upper_{side}"], found[f"brow_middle_{side}"]
+            found[f"lid_crease_{side}"] = _nearest(skin, margin + _CREASE_SHARE * (brow - margin))
+    jaw = moved.get(("jawopen", ""))
+    if jaw is not None:
+        found |= _mouth(skin, jaw, found)
+    if "mouth_middle" in found and "lid_upper_L" in found:
+        found |= _profile(skin, found)
+    return _mirrored(skin, found)
+
+
+def _displacements(skin: FaceSkin, shapes: Sequence[str]) -> dict[tuple[str, str], FloatArray]:
+    found: dict[tuple[str, str], FloatArray] = {}
+    for index, name in enumerate(shapes):
+        found.setdefault(motion_and_side(name), skin.deltas[index])
+    return found
+
+
+def _centroid(skin: FaceSkin, delta: FloatArray, mask: BoolArray) -> FloatArray:
+    """Return the sample nearest to the centroid of what a shape moves most."""
+    size = np.where(mask, np.linalg.norm(delta, axis=1), 0.0)
+    most = size > _MOST_MOVED_SHARE * size.max()
+    return _nearest(skin, (size[most] / size[most].sum()) @ skin.positions[most])
+
+
+def _nearest(skin: FaceSkin, place: FloatArray, mask: BoolArray | None = None) -> FloatArray:
+    rows = np.arange(len(skin.positions)) if mask is None else np.flatnonzero(mask)
+    away = ((skin.positions[rows] - place) ** 2).sum(axis=1)
+    return np.asarray(skin.positions[rows[int(away.argmin())]])
+
+
+def _eye(skin: FaceSkin, blink: FloatArray, side: str, sign: float) -> dict[str, FloatArray]:
+    """Find lids and corners: the upper margin is the lowest part of what a blink carries."""
+    at, size = skin.positions, np.linalg.norm(blink, axis=1)
+    lid = size > 0.8 * size.max()
+    margin = lid & (at[:, 1] < np.quantile(at[lid, 1], 0.35))
+    upper = np.median(at[margin], axis=0)
+    lower = upper + blink[margin].mean(axis=0)
+    middle = (upper + lower) / 2
+    gap = max(abs(float(blink[lid].mean(axis=0)[1])), 4.0)
+    out = sign * (at[:, 0] - skin.sagittal_x)
+    beside = (out > 3) & (size > 0.22 * size.max()) & (abs(at[:, 1] - middle[1]) < 0.9 * gap)
+    found = {f"lid_upper_{side}": upper, f"lid_lower_{side}": lower}
+    for name, quantile in (("eye_inner", 0.02), ("eye_outer", 0.98)):
+        edge = float(np.quantile(out[beside], quantile))
+        near = beside & (abs(out - edge) < 3)
+        found[f"{name}_{side}"] = np.array(
+            [skin.sagittal_x + sign * edge, *np.median(at[near][:, 1:], axis=0)]
+        )
+    return found
+
+
+def _mouth(skin: FaceSkin, jaw: FloatArray, eyes: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Find the line of the mouth: neighbours that part as the jaw opens, the upper at rest."""
+    at, size = skin.positions, np.linalg.norm(jaw, axis=1)
+    height = float(np.ptp(at[:, 1]))
+    share = size / size.max()
+    lower, upper = np.flatnonzero(share > 0.35), np.flatnonzero(share < 0.2)
+    if not len(lower) or not len(upper):
+        return {}
+    away, near = KDTree(at[upper]).query(at[lower])
+    partner = upper[near]
+    widest = abs(eyes["eye_outer_L"][0] - skin.sagittal_x) if "eye_outer_L" in eyes else np.inf
+    line = (at[lower] + at[partner]) / 2
+    parted = np.linalg.norm(jaw[lower] - jaw[partner], axis=1) > 0.3 * size.max()
+    good = (away < 0.045 * height) & parted & (abs(line[:, 0] - skin.sagittal_x) < widest)
+    good &= at[lower, 1] < at[partner, 1] + 0.5
+    line = line[good]
+    if not len(line):
+        return {}
+    across = line[:, 0] - skin.sagittal_x
+    central = abs(across) < 8
+    if central.any():
+        front = line[:, 2] > np.median(line[central, 2]) - 0.35 * height
+        line, across = line[front], across[front]
+    central = abs(across) < 6
+    middle = np.median(line[central] if central.any() else line, axis=0)
+    middle[0] = skin.sagittal_x
+    found = {"mouth_middle": middle}
+    level = abs(line[:, 1] - middle[1]) < 0.05 * height
+    for side, sign in _SIDES:
+        along = np.sort(np.append(0.0, np.maximum(sign * across[level], 0.0)))
+        breaks = np.flatnonzero(np.diff(along) > 6.0)  # beyond a break it is another line
+        corner = along[breaks[0]] if len(breaks) else along[-1]
+        near_corner = level & (abs(sign * across - corner) < 3)
+        if near_corner.any():
+            found[f"mouth_{side}"] = np.array(
+                [skin.sagittal_x + sign * corner, *np.median(line[near_corner][:, 1:], axis=0)]
+            )
+    return found
+
+
+def _profile(skin: FaceSkin, known: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Find nose, bridge, chin and lips of the profile, between eyes and mouth and below."""
+    at, mouth = skin.positions, known["mouth_middle"]
+    middle = abs(at[:, 0] - skin.sagittal_x) < _MIDDLE_MM
+    middle &= at[:, 2] > mouth[2] - _PROFILE_DEPTH * (at[:, 2].max() - mouth[2])
+    eye_y = float(known["lid_upper_L"][1] + known["lid_lower_L"][1]) / 2
+    span = eye_y - float(mouth[1])
+    found: dict[str, FloatArray] = {}
+
+    def extreme(name: str, low: float, high: float, *, foremost: bool = True) -> None:
+        """Keep the sample that lies furthest forward, or back, between two heights."""
+        band = np.flatnonzero(middle & (at[:, 1] > low) & (at[:, 1] < high))
+        if len(band):
+            depth = at[band, 2]
+            row = band[int(depth.argmax() if foremost else depth.argmin())]
+            found[name] = np.array([skin.sagittal_x, at[row, 1], at[row, 2]])
+
+    extreme("nose_tip", mouth[1] + 0.2 * span, mouth[1] + 0.8 * span)
+    extreme("chin", mouth[1] - 0.95 * span, mouth[1] - 0.3 * span)
+    extreme("nose_bridge", eye_y - 0.02 * span, eye_y + 0.18 * span, foremost=False)
+    if "brow_inner_L" in known and "brow_inner_R" in known:
+        between = (known["brow_inner_L"] + known["brow_inner_R"]) / 2
+        found["brow_centre"] = _nearest(
+            skin, np.array([skin.sagittal_x, between[1], between[2] + 60.0])
+        )
+    for name, share in (("lip_upper", 0.16), ("lip_lower", -0.2)):
+        ahead = np.array([skin.sagittal_x, mouth[1] + share * span, mouth[2] + _AHEAD_MM])
+        found[name] = _nearest(skin, ahead, middle)
+    return found
+
+
+def _mirrored(skin: FaceSkin, found: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Average each landmark with the reflection of its partner on the other side."""
+    out = dict(found)
+    for name, place in found.items():
+        partner = found.get(f"{name[:-1]}R") if name.endswith("_L") else None
+        if partner is not None:
+            mean = (place + skin.mirrored(partner[None])[0]) / 2
+            out[name], out[f"{name[:-1]}R"] = mean, skin.mirrored(mean[None])[0]
+    return out

@@ -1,0 +1,179 @@
+"""The plane that a face mirrors itself in, of marker clouds and of surfaces.
+
+With the plane known, roll and yaw of a head are known too, and half of the unknowns of a placement
+are gone before anything is compared.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
+
+from usdface.core.arrays import FloatArray, IntArray
+
+_UP = np.array([0.0, 1.0, 0.0])
+_FEWEST_PAIRS = 3
+_YAWS_DEGREES = np.arange(0, 180, 6)
+_ROLLS_DEGREES = (-16, -8, 0, 8, 16)
+_TOLERANCE_SHARE = 0.12
+"""Of the cloud's root mean square radius: mirrored markers further apart than this are no pair."""
+
+_MIDDLE_WEIGHT = 0.5
+"""A marker on the plane tells its offset alone; a pair tells its direction too."""
+
+
+@dataclass(frozen=True)
+class SagittalPlane:
+    """Points x of the plane satisfy ``normal @ x == offset``.
+
+    Attributes
+    ----------
+    normal : (3,) float array
+        Unit vector. Towards the performer's left where labels name sides, else to either side.
+    offset : float
+        [mm]
+    deviation_mm : float
+        Median distance between a marker and its mirrored partner.
+    """
+
+    normal: FloatArray
+    offset: float
+    deviation_mm: float
+
+    def mirrored(self, points: FloatArray) -> FloatArray:
+        """Return points reflected in the plane."""
+        away = points @ self.normal - self.offset
+        return np.asarray(points - 2 * away[:, None] * self.normal)
+
+    def levelled_frame(self) -> FloatArray:
+        """Return the rotation whose rows are left, up and forward.
+
+        Up is as near to +Y as the plane allows. ``points @ frame.T`` has the plane at
+        ``x == offset``.
+        """
+        up = _UP - self.normal * (self.normal @ _UP)
+        up /= np.linalg.norm(up)
+        return np.stack([self.normal, up, np.cross(self.normal, up)])
+
+
+def plane_of_pairs(
+    points: FloatArray, pairs: IntArray, middle: IntArray, *, rounds: int = 12
+) -> SagittalPlane:
+    """Fit the plane that mirrors left points onto right ones, robustly.
+
+    Minimises the sum of ``w |x_right - mirror(x_left)|^2`` over pairs and ``w (n @ x - d)^2`` over
+    points on the plane: the normal is the eigenvector of the least eigenvalue of the spread of
+    the pairs' midpoints less a quarter of that of their differences. Weights are Cauchy's.
+
+    Parameters
+    ----------
+    points : (points, 3) float array
+        [mm]
+    pairs : (pairs, 2) int array
+        Left and right; at least three.
+    middle : (m,) int array
+        Points on the plane.
+    rounds : int
+        Of reweighting.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three pairs.
+    """
+    if len(pairs) < _FEWEST_PAIRS:
+        raise ValueError(f"{len(pairs)} mirrored pairs; a plane needs {_FEWEST_PAIRS}")
+    left, right, on_plane = points[pairs[:, 0]], points[pairs[:, 1]], points[middle]
+    across = left - right
+    centres = np.concatenate([(left + right) / 2, on_plane])
+    pair_weight, middle_weight = np.ones(len(pairs)), np.ones(len(middle))
+    plane = SagittalPlane(_UP, 0.0, np.inf)
+    for _ in range(rounds):
+        weight = np.concatenate([pair_weight, _MIDDLE_WEIGHT * middle_weight])
+        mean = weight @ centres / weight.sum()
+        spread = (centres - mean).T @ (weight[:, None] * (centres - mean))
+        spread -= across.T @ (pair_weight[:, None] * across) / 4
+        normal = np.linalg.eigh(spread)[1][:, 0]
+        normal *= 1.0 if normal @ across.sum(axis=0) > 0 else -1.0
+        plane = SagittalPlane(normal, float(normal @ mean), 0.0)
+        away = np.linalg.norm(right - plane.mirrored(left), axis=1)
+        plane = SagittalPlane(normal, plane.offset, float(np.median(away)))
+        scale = 1.5 * plane.deviation_mm + 0.5  # [mm], never below what markers are known to
+        pair_weight = 1 / (1 + (away / scale) ** 2)
+        middle_weight = 1 / (1 + ((on_plane @ normal - plane.offset) / (scale / 2)) ** 2)
+    return plane
+
+
+def plane_by_reflection(points: FloatArray) -> SagittalPlane:
+    """Find the plane about which a cloud falls best onto itself, without labels.
+
+    Normals within 16 degrees of level are searched in steps and refined from the best by pairing
+    each point with its mirror image, one to one.
+
+    Parameters
+    ----------
+    points : (points, 3) float array
+        At rest, Y roughly up [mm].
+
+    Raises
+    ------
+    ValueError
+        If no plane pairs at least three points.
+    """
+    centre = points.mean(axis=0)
+    tolerance = _TOLERANCE_SHARE * float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
+    tree = KDTree(points)
+    best_cost, best = np.inf, None
+    for yaw in np.deg2rad(_YAWS_DEGREES):
+        for roll in np.deg2rad(_ROLLS_DEGREES):
+            level = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
+            normal = np.cos(roll) * level + np.sin(roll) * _UP
+            cost, plane = _nearest_refined(points, tree, normal, centre, tolerance)
+            if cost < best_cost:
+                best_cost, best = cost, plane
+    for _ in range(10):
+        if best is None:
+            break
+        pairs = _one_to_one(points, best, tolerance)
+        if len(pairs) < _FEWEST_PAIRS:
+            best = None
+            break
+        best = plane_of_pairs(points, pairs, np.zeros(0, np.int64), rounds=3)
+    if best is None:
+        raise ValueError(
+            "the markers show no plane of symmetry; name sides in their labels (L, R), or give "
+            "landmarks"
+        )
+    return best
+
+
+def _nearest_refined(
+    points: FloatArray, tree: KDTree, normal: FloatArray, centre: FloatArray, tolerance: float
+) -> tuple[float, SagittalPlane]:
+    """Refine a plane three times by nearest mirror images; return its truncated cost too."""
+    plane = SagittalPlane(normal, float(normal @ centre), np.inf)
+    cost = np.inf
+    for _ in range(3):
+        away, near = tree.query(plane.mirrored(points))
+        cost = float(np.minimum((away / tolerance) ** 2, 1).mean())
+        ones = np.flatnonzero(away < tolerance)
+        pairs = np.stack([ones, np.asarray(near)[ones]], axis=1)
+        pairs = _left_first(points, pairs[pairs[:, 0] != pairs[:, 1]], plane)
+        if len(pairs) < _FEWEST_PAIRS + 1:
+            break
+        plane = plane_of_pairs(points, pairs, np.zeros(0, np.int64), rounds=1)
+    return cost, plane
+
+
+def _one_to_one(points: FloatArray, plane: SagittalPlane, tolerance: float) -> IntArray:
+    cost = np.minimum((cdist(plane.mirrored(points), points) / tolerance) ** 2, 1)
+    own, partner = linear_sum_assignment(cost)
+    good = (cost[own, partner] < 1) & (own != partner)
+    return _left_first(points, np.stack([own, partner], axis=1)[good], plane)
+
+
+def _left_first(points: FloatArray, pairs: IntArray, plane: SagittalPlane) -> IntArray:
+    swapped = points[pairs[:, 0]] @ plane.normal < plane.offset
+    return np.where(swapped[:, None], pairs[:, ::-1], pairs)

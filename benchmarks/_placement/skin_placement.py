@@ -1,0 +1,381 @@
+"""Put a levelled marker cloud on a face's skin: landmarks, skin and motion pull, a warp binds.
+
+All positions are in the face's frame (`face_skin`). Each marker's place x is drawn by
+
+* its landmark, Gaussian with the spread of such markers, Cauchy beyond 2.5 spreads;
+* the skin, hard along its normal and hardly along the skin;
+* its motion: what the shapes, solved from all markers where they are now, would do nearby,
+
+and the field of pulls is smoothed by a Gaussian process whose kernel is mostly mirror-symmetric, so
+that differing proportions are warped away and single markers cannot run.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
+
+from benchmarks._placement.face_skin import FaceSkin
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
+
+TYPICAL_SIZE_MM = 55.0
+"""Root mean square radius of an adult's moving face: lengths in mm below are on such a face."""
+
+_REACHES_MM = (14.0, 12.0, 10.0, 9.0, 8.0, 7.0, 6.0, 5.5, 5.0, 4.5, 4.0, 4.0)
+"""How far from its place a marker looks for skin that moves as it does, round by round."""
+
+_CENTRAL_MM = 4.0
+_CENTRAL_SPREAD_MM = 2.0
+_MIDDLE_LABEL_SPREAD_MM = 4.0
+"""A marker this close to the performer's plane of symmetry lies as close to the character's; one
+whose label says that it is in the middle was meant to be there, and is a little off."""
+
+_SETTLE_REACH_MM = 3.5
+_SETTLE_LIMIT = 2.5
+"""Standard deviation of a marker's place after the warp, and how many of them it may lie off."""
+
+_NORMAL_SPREAD_MM = 1.5
+_SLIDE_SPREAD_MM = 30.0
+"""Along its normal the skin is known to a marker's height; along itself it says nothing."""
+
+_WARP_LENGTH = 1.0
+_WARP_SHARE = 0.13
+_ASYMMETRIC_SHARE = 0.35
+"""Of the face's size: the length over which proportions differ between faces, and by how much;
+and the share of the warp's variance that is not mirror-symmetric."""
+
+_EVIDENCE_FRAMES = 6.0
+"""Independent samples that a path counts for: frames repeat each other."""
+
+_NOISE_MM = 0.5
+_MODEL_ERROR_SHARE = 0.06
+"""Of a path's energy, which no correct place explains either."""
+
+_GAIN_LIMITS = (0.5, 2.0)
+"""How much less or more far than the shapes a performer's skin may go."""
+
+_RIDGE_MM2 = 25.0
+"""(1.5 mm of noise / typical weight 0.3)^2."""
+
+_FEWEST_LANDMARKS = 6
+"""With fewer the cloud is placed by motion from the first round on."""
+
+_AXES_HELD = 0.35
+"""Pseudo-observations, as a share of the cloud's energy, that hold each axis to the mean scale."""
+
+
+@dataclass(frozen=True)
+class PlaneFit:
+    """``aligned = scale * (levelled @ rotation.T) + shift``.
+
+    Attributes
+    ----------
+    rotation : (3, 3) float array
+        Pitch alone: about the X axis.
+    scale : (3,) float array
+        Character over performer, along the face's axes.
+    shift : (3,) float array
+        [mm]
+    """
+
+    rotation: FloatArray
+    scale: FloatArray
+    shift: FloatArray
+
+    def apply(self, levelled: FloatArray) -> FloatArray:
+        """Return points in the face's frame of the character."""
+        return np.asarray(self.scale * (levelled @ self.rotation.T) + self.shift)
+
+
+@dataclass(frozen=True)
+class SkinPlacement:
+    """Where each marker was put.
+
+    Attributes
+    ----------
+    samples : (markers,) int array
+        Of the skin.
+    warped : (markers, 3) float array
+        Before a sample was chosen [mm].
+    agreement : (markers,) float array
+        Share of the marker's path that the shapes explain at its sample; NaN without motion.
+    fit : PlaneFit
+        What the warp started from.
+    """
+
+    samples: IntArray
+    warped: FloatArray
+    agreement: FloatArray
+    fit: PlaneFit
+
+
+def fit_in_plane(
+    levelled: FloatArray, targets: FloatArray, spreads: FloatArray, *, rounds: int = 15
+) -> PlaneFit:
+    """Fit pitch, scales and the two shifts in the sagittal plane to targets, robustly.
+
+    Minimises ``sum |R s y + t - x|^2 / spread^2`` with Cauchy weights; the axes' scales are shrunk
+    towards one, since a face's markers are nearly a plane.
+
+    Parameters
+    ----------
+    levelled : (n, 3) float array
+        The plane of symmetry at x = 0 [mm].
+    targets : (n, 3) float array
+        In the character's frame, its plane of symmetry at x = 0 [mm].
+    spreads : (n,) float array
+        Standard deviations of the targets [mm].
+    """
+    base = 1 / spreads**2
+    weight = base
+    rotation, scale, shift = np.eye(3), np.ones(3), np.zeros(3)
+    in_plane = np.array([0.0, 1.0, 1.0])
+    for _ in range(rounds):
+        share = weight / weight.sum()
+        centre, goal = share @ levelled * in_plane, share @ targets * in_plane
+        y, x = levelled - centre, targets - goal
+        sine = share @ (x[:, 2] * y[:, 1] - x[:, 1] * y[:, 2])
+        cosine = share @ (x[:, 1] * y[:, 1] + x[:, 2] * y[:, 2])
+        rotation = pitch_rotation(float(np.arctan2(sine, cosine)))
+        turned = y @ rotation.T
+        energy = share @ turned**2
+        common = (share @ (turned * x).sum(axis=1)) / energy.sum()
+        held = _AXES_HELD * energy.mean()
+        scale = (share @ (turned * x) + held * common) / (energy + held)
+        shift = goal - scale * (rotation @ centre) * in_plane
+        fit = PlaneFit(rotation, scale, shift)
+        away = np.linalg.norm(fit.apply(levelled) - targets, axis=1) / spreads
+        weight = base / (1 + (away / 2.0) ** 2)
+    return PlaneFit(rotation, scale, shift)
+
+
+def pitch_rotation(angle: float) -> FloatArray:
+    """Return the rotation about X by an angle [radians]."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def place_on_skin(
+    levelled: FloatArray,
+    skin: FaceSkin,
+    fit: PlaneFit,
+    *,
+    landmarks: dict[int, tuple[FloatArray, float]],
+    motion: FloatArray | None,
+    ranges: FloatArray,
+    still: BoolArray,
+    middle: Sequence[int] = (),
+) -> SkinPlacement:
+    """Choose a sample of the skin for every marker.
+
+    Parameters
+    ----------
+    levelled : (markers, 3) float array
+        At rest, the plane of symmetry at x = 0 [mm].
+    fit : PlaneFit
+        Where the cloud lies to begin with.
+    landmarks : dict of int to ((3,) float array, float)
+        Markers whose place is known, and with what standard deviation [mm].
+    motion : (frames, markers, 3) float array, optional
+        Displacements in the levelled space, of frames that differ [mm].
+    ranges : (shapes, 2) float array
+    still : (markers,) bool array
+        Markers whose motion says nothing: of the skull, or never seen.
+    middle : sequence of int
+        Markers whose label says that they lie in the plane of symmetry.
+    """
+    unit = skin.size_mm / TYPICAL_SIZE_MM
+    aligned = fit.apply(levelled)
+    tree = KDTree(skin.positions)
+    paths = None if motion is None else in_character(motion, fit)
+    warped = aligned.copy()
+    agreement = np.full(len(levelled), np.nan)
+    named = len(landmarks) >= _FEWEST_LANDMARKS
+    off_centre = skin.positions[:, 0] - skin.sagittal_x
+    near_plane = abs(aligned[:, 0] - skin.sagittal_x) < _CENTRAL_MM * unit
+    across = np.where(near_plane, _CENTRAL_SPREAD_MM, np.inf)
+    across[list(middle)] = np.minimum(across[list(middle)], _MIDDLE_LABEL_SPREAD_MM)
+    central = 1 / (across * unit) ** 2
+    for number, reach in enumerate(_REACHES_MM):
+        away, near = map(np.asarray, tree.query(warped))
+        precision, target = _skin_pull(skin, warped, near, away, reach * unit, unit)
+        precision[:, 0] += central
+        target[:, 0] += central * skin.sagittal_x
+        for marker, (place, spread) in landmarks.items():
+            off = float(np.linalg.norm(warped[marker] - place)) / (2.5 * spread)
+            pull = 1 / spread**2 / (1 + off**2)
+            precision[marker] += pull
+            target[marker] += pull * place
+        if paths is not None and (number >= 3 or not named):
+            by_motion, firm, agreement = _motion_pull(
+                skin, warped, near, paths, ranges, still, reach * unit
+            )
+            precision += firm[:, None]
+            target += firm[:, None] * by_motion
+        warped = _warp(aligned, target / precision, precision, skin)
+    samples = np.asarray(tree.query(warped)[1])
+    if paths is not None:
+        prior = cdist(warped, skin.positions, "sqeuclidean") / (2 * (_SETTLE_REACH_MM * unit) ** 2)
+        prior[prior > _SETTLE_LIMIT**2 / 2] = np.inf
+        prior += central[:, None] * off_centre**2 / 2
+        for marker, (place, spread) in landmarks.items():
+            prior[marker] += ((skin.positions - place) ** 2).sum(axis=1) / (2 * spread**2)
+        samples = _settle(skin, prior, samples, paths, ranges, still)
+        agreement = _agreement(skin, samples, paths, ranges)
+    return SkinPlacement(samples, warped, agreement, fit)
+
+
+def in_character(motion: FloatArray, fit: PlaneFit) -> FloatArray:
+    """Return displacements in the character's frame, all axes scaled alike.
+
+    Depth is left out of the scale: it is told by the shape of a face alone, and no guide to how far
+    its skin moves.
+    """
+    return np.asarray(np.sqrt(fit.scale[0] * fit.scale[1]) * (motion @ fit.rotation.T))
+
+
+def explained_share(
+    skin: FaceSkin, samples: IntArray, paths: FloatArray, ranges: FloatArray
+) -> float:
+    """Return how much of the markers' motion the shapes explain at their samples.
+
+    The mean over markers of the share of each path's energy, weighted by its root.
+    """
+    share = _agreement(skin, samples, paths, ranges)
+    weight = np.sqrt((paths**2).sum(axis=(0, 2)))
+    return float(weight @ share / weight.sum()) if weight.any() else 0.0
+
+
+def solve_weights_at(
+    skin: FaceSkin, samples: IntArray, paths: FloatArray, ranges: FloatArray
+) -> FloatArray:
+    """Return weights within their ranges from markers' displacements: (frames, shapes)."""
+    shapes = len(skin.deltas)
+    return solve_bounded_least_squares(
+        skin.deltas[:, samples].reshape(shapes, -1).T,
+        paths.reshape(len(paths), -1),
+        lower=ranges[:, 0],
+        upper=ranges[:, 1],
+        ridge=_RIDGE_MM2,
+    ).x
+
+
+def _agreement(
+    skin: FaceSkin, samples: IntArray, paths: FloatArray, ranges: FloatArray
+) -> FloatArray:
+    weights = solve_weights_at(skin, samples, paths, ranges)
+    predicted = np.einsum("fk,kmc->fmc", weights, skin.deltas[:, samples], optimize=True)
+    left = ((paths - predicted) ** 2).sum(axis=(0, 2))
+    energy = (paths**2).sum(axis=(0, 2))
+    noise = 3 * len(paths) * _NOISE_MM**2
+    return np.asarray(np.clip(1 - (left + noise) / (energy + noise), -1, 1))
+
+
+def _skin_pull(
+    skin: FaceSkin, warped: FloatArray, near: IntArray, away: FloatArray, reach: float, unit: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the precision per axis, and precision times place, of the nearest skin."""
+    normal = skin.normals[near]
+    firm = 1 / (_NORMAL_SPREAD_MM * unit) ** 2 / (1 + (away / reach) ** 2)
+    precision = normal**2 * firm[:, None] + 1 / (_SLIDE_SPREAD_MM * unit) ** 2
+    height = ((skin.positions[near] - warped) * normal).sum(axis=1, keepdims=True)
+    return precision, precision * (warped + height * normal)
+
+
+def _motion_pull(
+    skin: FaceSkin,
+    warped: FloatArray,
+    near: IntArray,
+    paths: FloatArray,
+    ranges: FloatArray,
+    still: BoolArray,
+    reach: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return where motion alone puts each marker, with what precision, and its agreement.
+
+    The belief after seeing the motion divided by the belief before it: a marker that hardly moves
+    says nothing, rather than "the middle of what is near".
+    """
+    misfit = _path_misfit(skin, near, paths, ranges)
+    before = cdist(warped, skin.positions, "sqeuclidean") / (2 * reach**2)
+    cost = before + _EVIDENCE_FRAMES / 2 * np.log(misfit + _MODEL_ERROR_SHARE)
+    mean_before, wide = _moments(before, skin.positions)
+    mean_after, narrow = _moments(cost, skin.positions)
+    narrow = np.minimum(narrow, 0.95 * wide)
+    place = mean_before + (mean_after - mean_before) * (wide / (wide - narrow))[:, None]
+    step = place - warped
+    length = np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9)
+    place = warped + step * np.minimum(reach / length, 1.0)
+    variance = narrow * wide / (wide - narrow) + (0.05 * skin.size_mm) ** 2
+    agreement = 1 - misfit[np.arange(len(warped)), near]
+    return place, np.where(still, 0.0, 1 / variance), agreement
+
+
+def _moments(cost: FloatArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean and variance per axis of beliefs ``exp(-cost)`` over samples."""
+    belief = np.exp(cost.min(axis=1, keepdims=True) - cost)
+    belief /= belief.sum(axis=1, keepdims=True)
+    mean = belief @ positions
+    spread = belief @ (positions**2).sum(axis=1) - (mean**2).sum(axis=1)
+    return mean, np.maximum(spread, 1e-9) / 3
+
+
+def _path_misfit(
+    skin: FaceSkin, samples: IntArray, paths: FloatArray, ranges: FloatArray
+) -> FloatArray:
+    """Return the share of each marker's path that each sample leaves unexplained.
+
+    A path may be longer or shorter than the shapes': its own gain is fitted within limits.
+    """
+    weights = solve_weights_at(skin, samples, paths, ranges)
+    gram = weights.T @ weights
+    energy = (paths**2).sum(axis=(0, 2))
+    count = len(skin.positions)
+    common, own = np.zeros((paths.shape[1], count)), np.zeros(count)
+    for axis in range(3):
+        moves = np.ascontiguousarray(skin.deltas[:, :, axis])
+        common += (paths[:, :, axis].T @ weights) @ moves
+        own += np.einsum("ks,ks->s", moves, gram @ moves)
+    gain = np.clip(common / np.maximum(own, 1e-9), *_GAIN_LIMITS)
+    left = np.maximum(energy[:, None] - 2 * gain * common + gain**2 * own, 0)
+    noise = 3 * len(paths) * _NOISE_MM**2
+    return np.asarray((left + noise) / (energy + noise)[:, None])
+
+
+def _settle(
+    skin: FaceSkin,
+    prior: FloatArray,
+    samples: IntArray,
+    paths: FloatArray,
+    ranges: FloatArray,
+    still: BoolArray,
+) -> IntArray:
+    """Choose last between samples near the warped place: where it is and how it moves together."""
+    misfit = _path_misfit(skin, samples, paths, ranges)
+    misfit[still] = 1.0
+    cost = prior + _EVIDENCE_FRAMES / 2 * np.log(misfit + _MODEL_ERROR_SHARE)
+    return np.where(np.isfinite(cost.min(axis=1)), cost.argmin(axis=1), samples)
+
+
+def _warp(
+    start: FloatArray, target: FloatArray, precision: FloatArray, skin: FaceSkin
+) -> FloatArray:
+    """Move points towards targets by a Gaussian process over the cloud, mostly mirror-symmetric.
+
+    A symmetric field has ``x`` displacements of opposite sign on the two sides, and equal ones
+    along the other axes.
+    """
+    length, variance = _WARP_LENGTH * skin.size_mm, (_WARP_SHARE * skin.size_mm) ** 2
+    same = np.exp(-0.5 * cdist(start, start, "sqeuclidean") / length**2)
+    across = np.exp(-0.5 * cdist(start, skin.mirrored(start), "sqeuclidean") / length**2)
+    symmetric = (1 - _ASYMMETRIC_SHARE) / 2
+    warped = start.copy()
+    for axis, sign in enumerate((-1.0, 1.0, 1.0)):
+        kernel = variance * ((symmetric + _ASYMMETRIC_SHARE) * same + sign * symmetric * across)
+        noise = np.diag(1 / precision[:, axis])
+        pull = np.linalg.solve(kernel + noise, target[:, axis] - start[:, axis])
+        warped[:, axis] += kernel @ pull
+    return warped

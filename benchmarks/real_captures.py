@@ -1,0 +1,227 @@
+"""First contact with recorded markers: head pose, placement on a rig, and weights to start from.
+
+Recorded: `markers_animface`, one performer, 41 markers, no skull cap. Distances are measured in the
+front view to landmarks picked by hand; a marker may sit beside its feature, so that they are no
+errors. Beyond doubt are a nose tip off the nose, a lid's marker below its margin, and roll.
+Simulated: `crosstake`, whose keys are known.
+"""
+
+import json
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks._damage import DAMAGES
+from benchmarks._placement.face_skin import sample_face_skin
+from benchmarks._placement.place import marker_cloud, place_markers
+from benchmarks.crosstake import prepare, read_ruler, score
+from tests.conftest import SHARED_DATA
+from usdface.capture.sniff import read_capture
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import Markers
+from usdface.core.deformer import Deformer
+from usdface.demo.rig import demo_rig
+from usdface.model.placement.label_hints import label_hint, skin_motion_mm
+from usdface.model.selection.baseline import FULL_SHAPES, BlendshapeEquation, set_up_equation
+from usdface.numerics.registration.registration import (
+    VirtualMarkers,
+    character_motion,
+    marker_deltas,
+    register_markers,
+)
+from usdface.numerics.repair.cleaning import PosePrior, clean_markers
+from usdface.numerics.rigid.rigid_alignment import align_rigid_robust
+from usdface.numerics.solve.peak_matching import match_peaks
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.take.read import read_take
+
+TAKES = {
+    "CheeksMoCap": ("forehead", "bridge", "brow", "eye corner"),
+    "EyebrowsMoCap": ("mouth", "chin", "nose", "cheek"),
+}
+"""Recorded takes, and the parts of the face that are still in each."""
+
+LANDMARKS = {"nose": "NoseHead", "chin": "Chin", "mouth_L": "Mouth_Lend", "mouth_R": "Mouth_Rend"}
+LIDS = {"lidup_L": "Leye_Up", "lidup_R": "Reye_Up"}
+
+
+def run() -> None:
+    """Print the tables."""
+    if not (SHARED_DATA / "markers_animface").is_dir():
+        print(f"skipped: no markers_animface in {SHARED_DATA}")
+        return
+    takes = {name: _read(name) for name in TAKES}
+    print("### Head pose: error at the mouth, against the part of each take that is still\n")
+    print("| take | RMS [mm] |\n|---|---|")
+    cleaned = {}
+    for name, (positions, labels) in takes.items():
+        cleaned[name], error = _clean(positions, labels, TAKES[name])
+        print(f"| {name} | {error:.2f} |", flush=True)
+    picked = json.loads((SHARED_DATA / "rigs" / "landmarks.json").read_text())
+    rigs = {
+        "facecap_head": read_rig(SHARED_DATA / "rigs" / "facecap_head.usdc"),
+        "ict_face": read_rig(SHARED_DATA / "rigs" / "ict_face.usdc"),
+        "demo_character": demo_rig(),
+    }
+    print(
+        "\n### Placement: distance from landmarks [mm]; lids above their margin; roll [degrees]\n"
+    )
+    heads = (*LANDMARKS, *LIDS, "roll", "explained", "motion scale", "seconds")
+    print(f"| rig, take, labels | {' | '.join(heads)} |\n|{'---|' * (len(heads) + 1)}")
+    for rig_name, rig in rigs.items():
+        deformer = Deformer(rig)
+        skin = sample_face_skin(
+            deformer.neutral, deformer.triangles, deformer.shapes.target_offsets()
+        )
+        for name, (_, labels) in takes.items():
+            for known in ("shipped", "labels", "no labels"):
+                row = _placed(skin, rig, cleaned[name], labels, picked[rig_name], known)
+                cells = " | ".join(f"{each:.2f}" for each in row)
+                print(f"| {rig_name}, {name}, {known} | {cells} |", flush=True)
+    _starting_weights()
+
+
+def _read(name: str) -> tuple[FloatArray, tuple[str, ...]]:
+    markers = read_capture(SHARED_DATA / "markers_animface" / f"{name}.c3d").take.markers
+    if markers is None:
+        raise SystemExit(f"{name}: no markers")
+    return markers.positions.astype(float), markers.names
+
+
+def _clean(
+    positions: FloatArray, labels: tuple[str, ...], still: tuple[str, ...]
+) -> tuple[FloatArray, float]:
+    """Clean a take by its labels' prior; return its markers and the pose's error at the mouth."""
+    regions = [label_hint(label).region for label in labels]
+    seen = np.ones(positions.shape[:2], bool)
+    prior = skin_motion_mm(labels)
+    rigid = [i for i, motion in enumerate(prior) if motion <= 1.0]
+    cleaned = clean_markers(
+        positions, seen, rigid=rigid, neutral=0, pose_prior=PosePrior(prior, 60.0)
+    )
+    columns = [i for i, region in enumerate(regions) if region in still]
+    true = align_rigid_robust(
+        positions[:, columns], positions[0, columns], visible=seen[:, columns]
+    ).matrices()
+    mouth = positions[0, [i for i, region in enumerate(regions) if region == "mouth"]]
+    points = np.column_stack([mouth, np.ones(len(mouth))])
+    away = np.einsum("fij,mj->fmi", cleaned.head_motion - true, points)[..., :3]
+    return cleaned.positions.astype(float), float(np.sqrt((away**2).sum(axis=2).mean()))
+
+
+def _placed(
+    skin: Any,
+    rig: Any,
+    positions: FloatArray,
+    labels: tuple[str, ...],
+    picked: dict[str, list[float]],
+    known: str,
+) -> list[float]:
+    """Place a take, and return distances, heights, roll, explained share, scale and seconds."""
+    given = labels if known == "labels" else tuple(f"m{i}" for i in range(len(labels)))
+    begun = time.perf_counter()
+    if known == "shipped":
+        places, share, scale = _shipped(skin, rig, positions)
+    else:
+        cloud = marker_cloud(given, positions[0], positions)
+        found = place_markers(cloud, skin, rig.shapes, ranges=rig.ranges)
+        places, share = skin.positions[found.samples], found.explained
+        scale = float(found.virtual.scale[0])
+    seconds = time.perf_counter() - begun
+    at = dict(zip(labels, places, strict=True))
+    row = [float(np.hypot(*(at[label][:2] - picked[name]))) for name, label in LANDMARKS.items()]
+    row += [float(at[label][1] - picked[name][1]) for name, label in LIDS.items()]
+    upward = at["ForeHead_M"] - at["Chin"]
+    row.append(abs(float(np.degrees(np.arctan2(upward[0], upward[1])))))
+    return [*row, share, scale, seconds]
+
+
+def _shipped(skin: Any, rig: Any, positions: FloatArray) -> tuple[FloatArray, float, float]:
+    """Place by the package's registration: closest points and motion, one scale for each axis."""
+    deformer = Deformer(rig)
+    offsets = deformer.shapes.target_offsets()
+    virtual = register_markers(
+        positions[0],
+        deformer.neutral,
+        deformer.triangles,
+        offsets=offsets,
+        motion=positions,
+        ranges=rig.ranges,
+    )
+    places = np.einsum("mk,mkc->mc", virtual.weights, deformer.neutral[virtual.points])
+    share = float(np.nanmean(virtual.agreement))
+    return places @ skin.frame.T, share, float(np.sqrt(virtual.scale[0] * virtual.scale[1]))
+
+
+def _starting_weights() -> None:
+    """Score weights that animators start from, by the shipped placement and the candidate's."""
+    print("\n### Starting weights of crosstake's second half\n")
+    truth = np.load(SHARED_DATA / "crosstake" / "truth.npz")
+    rig_file = SHARED_DATA / "rigs" / "facecap_head.usdc"
+    rig, ruler = read_rig(rig_file), read_ruler()
+    deformer = Deformer(rig)
+    with tempfile.TemporaryDirectory() as name:
+        prepare(Path(name), DAMAGES[0], truth)
+        take = read_take(Path(name) / "x.clean.take.usda")
+    markers = take.markers
+    if markers is None:
+        raise SystemExit("crosstake has no markers")
+    neutral = markers.positions[markers.neutral_frame - take.first_frame].astype(float)
+    rigid = tuple(markers.names.index(each) for each in markers.rigid)
+    shipped = set_up_equation(
+        rig,
+        deformer,
+        neutral=neutral,
+        positions=markers.positions,
+        visible=markers.visible,
+        rigid=rigid,
+    )
+    skin = sample_face_skin(deformer.neutral, deformer.triangles, deformer.shapes.target_offsets())
+    cloud = marker_cloud(
+        markers.names, neutral, markers.positions, visible=markers.visible, rigid=rigid
+    )
+    placed = place_markers(cloud, skin, rig.shapes, ranges=rig.ranges)
+    one_scale = replace(
+        shipped.virtual,
+        scale=np.full(3, np.sqrt(shipped.virtual.scale[0] * shipped.virtual.scale[1])),
+    )
+    print("| placement | surface [mm] | blink bias | jitter |\n|---|---|---|---|")
+    for label, virtual in (
+        ("shipped", shipped.virtual),
+        ("shipped, one scale for motion", one_scale),
+        ("candidate", placed.virtual),
+    ):
+        equation = _replaced(shipped, rig, deformer, virtual, markers)
+        weights = equation.propose(markers.positions)
+        figures = score(ruler, (rig.shapes, weights), truth, rig_file)
+        print(
+            f"| {label} | {figures['vertex_rms_mm']:.3f} | {figures['blink_bias']:+.3f} | "
+            f"{figures['jitter']:.2f} |",
+            flush=True,
+        )
+
+
+def _replaced(
+    equation: BlendshapeEquation,
+    rig: Any,
+    deformer: Deformer,
+    virtual: VirtualMarkers,
+    markers: Markers,
+) -> BlendshapeEquation:
+    """Return the baseline with its markers elsewhere, all else as the package sets it up."""
+    deltas = marker_deltas(virtual, deformer.shapes.target_offsets())
+    full = [i for i, name in enumerate(rig.shapes) if name.lower().startswith(FULL_SHAPES)]
+    gain = match_peaks(
+        deltas,
+        character_motion(virtual, markers.positions, equation.neutral),
+        full,
+        ranges=equation.ranges,
+        visible=markers.visible,
+        marker_trust=equation.trust,
+    )
+    keys = replace(equation.keys, deltas=marker_deltas(virtual, deformer.shapes.key_offsets))
+    return replace(equation, virtual=virtual, deltas=deltas, keys=keys, gain=gain)

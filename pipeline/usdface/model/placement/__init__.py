@@ -1,0 +1,1 @@
+"""Where a performer's markers sit on a face, as their labels say."""

@@ -1,0 +1,205 @@
+"""What a marker's label says of its place: a side, a part of the face, sometimes a landmark.
+
+Labels are hints, never facts: a placement weighs them by the spread with which people put such
+markers, and a label that says nothing costs nothing.
+"""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+
+Side = str
+"""``'L'``, ``'R'`` or empty."""
+
+_LEFT_RIGHT = re.compile(
+    r"""^(?P<front>l|r|left|right)(?=[_\-. ]|(?:up|lo|in|out)?(?:eye|brow|cheek|mouth|lip|nos|lid|
+        chin|jaw|ear|temple))
+      | (?:(?<=[_\-. ])|(?<=[a-z]))(?P<back>l|r|left|right)(?=\d*$|end$|[_\-. ])""",
+    re.VERBOSE | re.IGNORECASE,
+)
+_NOT_A_SIDE = re.compile(r"^(lip|lid|low|lower|root|ridge|rim)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class LabelHint:
+    """What one label says.
+
+    Attributes
+    ----------
+    side : str
+        ``'L'``, ``'R'`` or empty: the performer's.
+    region : str
+        forehead, brow, bridge, nose, lid, eye corner, eye, mouth, chin, jaw, cheek, skull; empty
+        if the label says nothing.
+    landmarks : tuple of str
+        Landmarks of `rig_landmarks` whose mean is meant; empty where only the region is known.
+    spread_mm : float
+        Standard deviation with which people put such a marker, on an adult's face.
+    """
+
+    side: Side = ""
+    region: str = ""
+    landmarks: tuple[str, ...] = ()
+    spread_mm: float = 0.0
+
+
+def side_of_label(label: str) -> Side:
+    """Return the side that a label names, as in ``Leye_Up``, ``brow_L2`` or ``Mouth_Lend``."""
+    name = label.strip()
+    for found in _LEFT_RIGHT.finditer(name):
+        if found["front"] and _NOT_A_SIDE.match(name):
+            continue
+        token = found["front"] or found["back"]
+        if found["back"] and len(token) == 1 and token.islower() and not _stands_alone(name, found):
+            continue
+        return token[0].upper()
+    return ""
+
+
+def _stands_alone(name: str, found: re.Match[str]) -> bool:
+    """Whether a small l or r is a word of its own, and not the end of one (as in ``cheekuper``)."""
+    before = name[found.start("back") - 1 : found.start("back")]
+    return before in ("_", "-", ".", " ")
+
+
+def mirrored_label(label: str) -> tuple[str, ...]:
+    """Return how the same marker of the other side may be labelled; empty without a side."""
+    side = side_of_label(label)
+    if not side:
+        return ()
+    candidates = []
+    for found in _LEFT_RIGHT.finditer(label):
+        group = "front" if found["front"] else "back"
+        token = found[group]
+        if token[0].upper() != side:
+            continue
+        other = {"l": "r", "r": "l", "left": "right", "right": "left"}[token.lower()]
+        if token[0].isupper():
+            other = other.upper() if token.isupper() else other.capitalize()
+        candidates.append(label[: found.start(group)] + other + label[found.end(group) :])
+    return tuple(dict.fromkeys(candidates))
+
+
+def label_hint(label: str) -> LabelHint:
+    """Read a label's hint; one that no rule knows gives an empty hint."""
+    text, side = label.lower(), side_of_label(label)
+    for part, read in _PARTS:
+        if re.search(part, text):
+            region, landmarks, spread = read(text, side)
+            return LabelHint(side, region, landmarks, spread)
+    return LabelHint(side)
+
+
+def skin_motion_mm(labels: Sequence[str]) -> FloatArray:
+    """Return how far each marker is expected to move over the skull by itself: (markers,) [mm]."""
+    prior = []
+    for label in labels:
+        hint, text = label_hint(label), label.lower()
+        motion = _SKIN_MOTION_MM[hint.region]
+        if hint.region in _OUTER_MOTION_MM and _is_outer(text):
+            motion = _OUTER_MOTION_MM[hint.region]
+        elif hint.region == "nose" and hint.side:
+            motion = _SIDE_OF_NOSE_MM
+        prior.append(motion)
+    return np.array(prior)
+
+
+_SKIN_MOTION_MM = {
+    "skull": 0.3,
+    "bridge": 0.7,
+    "nose": 0.9,
+    "forehead": 1.0,
+    "eye corner": 1.0,
+    "eye": 2.0,
+    "cheek": 2.5,
+    "brow": 2.5,
+    "lid": 3.0,
+    "mouth": 4.0,
+    "chin": 4.0,
+    "jaw": 4.0,
+    "": 2.0,
+}
+"""Standard deviation with which skin moves over the skull, by region. Values above 4 mm change
+nothing: such markers hardly count for the head's pose."""
+
+_OUTER_MOTION_MM = {"brow": 1.5, "cheek": 2.0}
+_SIDE_OF_NOSE_MM = 2.0
+
+_Place = tuple[str, tuple[str, ...], float]
+
+
+def _brow(text: str, side: Side) -> _Place:
+    if not side or re.search(r"cent|mid(?!dle_)", text):
+        return "brow", ("brow_centre",), 9.0
+    part = "inner" if _is_inner(text) else "outer" if _is_outer(text) else "middle"
+    return "brow", (f"brow_{part}_{side}",), 9.0
+
+
+def _nose(text: str, side: Side) -> _Place:
+    if side:
+        return "nose", (), 0.0
+    if re.search(r"top|bridge|root|nasion", text):
+        return "bridge", ("nose_bridge",), 8.0
+    return "nose", ("nose_tip",), 4.0
+
+
+def _eye(text: str, side: Side) -> _Place:
+    if not side:
+        return "eye", (), 0.0
+    if _is_inner(text):
+        return "eye corner", (f"eye_inner_{side}",), 8.0
+    if _is_outer(text):
+        return "eye corner", (f"eye_outer_{side}",), 9.0
+    part = "crease" if _is_upper(text) else "lower" if _is_lower(text) else ""
+    return ("lid", (f"lid_{part}_{side}",), 12.0) if part else ("eye", (), 0.0)
+
+
+def _mouth(text: str, side: Side) -> _Place:
+    part = "upper" if _is_upper(text) else "lower" if _is_lower(text) else ""
+    if "end" in text or "corner" in text or (side and not part):
+        return "mouth", (f"mouth_{side}",) if side else (), 6.0
+    if not part:
+        return "mouth", (), 0.0
+    return "mouth", (f"lip_{part}", f"mouth_{side}") if side else (f"lip_{part}",), 8.0
+
+
+def _chin(text: str, side: Side) -> _Place:
+    return ("chin", (), 0.0) if side else ("chin", ("chin",), 10.0)
+
+
+def _only(region: str) -> Callable[[str, Side], _Place]:
+    return lambda text, side: (region, (), 0.0)
+
+
+_PARTS = (
+    (r"fore|front(?!al_)|fhd", _only("forehead")),
+    (r"brow|bro\d|bro$", _brow),
+    (r"nose|nasi|nostr", _nose),
+    (r"eye|lid", _eye),
+    (r"mouth|lip", _mouth),
+    (r"chin", _chin),
+    (r"jaw", _only("jaw")),
+    (r"cheek", _only("cheek")),
+    (r"ear|temple|head|skull|tragus|cap", _only("skull")),
+)
+"""In this order: an eyebrow is no eye, and a forehead no head."""
+
+
+def _is_inner(text: str) -> bool:
+    return re.search(r"insid|inner|_in\b|_in_|inn", text) is not None
+
+
+def _is_outer(text: str) -> bool:
+    return re.search(r"outsid|outer|_out\b|_out_|out", text) is not None
+
+
+def _is_upper(text: str) -> bool:
+    return re.search(r"up|top", text) is not None
+
+
+def _is_lower(text: str) -> bool:
+    return re.search(r"down|low|bot", text) is not None

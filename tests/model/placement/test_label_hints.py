@@ -1,0 +1,65 @@
+import pytest
+
+from usdface.model.placement.label_hints import (
+    label_hint,
+    mirrored_label,
+    side_of_label,
+    skin_motion_mm,
+)
+
+
+@pytest.mark.parametrize(
+    ("label", "side"),
+    [
+        ("Leye_Up", "L"),
+        ("Reyebrow_Outside", "R"),
+        ("Mouth_Lend", "L"),
+        ("Mouth_UpR1", "R"),
+        ("brow_L2", "L"),
+        ("left_brow_inner", "L"),
+        ("chin_r", "R"),
+        ("RightCheek", "R"),
+        ("Mouth_Up", ""),
+        ("lip_upper", ""),
+        ("lid_lower", ""),
+        ("Chin", ""),
+        ("R000", ""),
+        ("cheekuper", ""),
+    ],
+)
+def test_a_side_is_read_where_a_label_names_one(label: str, side: str) -> None:
+    assert side_of_label(label) == side
+
+
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [("Leye_Up", "Reye_Up"), ("Mouth_UpL1", "Mouth_UpR1"), ("left brow", "right brow")],
+)
+def test_the_label_of_the_other_side_is_found_both_ways(left: str, right: str) -> None:
+    assert right in mirrored_label(left)
+    assert left in mirrored_label(right)
+    assert mirrored_label("Chin") == ()
+
+
+@pytest.mark.parametrize(
+    ("label", "region", "landmarks"),
+    [
+        ("NoseHead", "nose", ("nose_tip",)),
+        ("NoseTop", "bridge", ("nose_bridge",)),
+        ("Eyebrow_Center", "brow", ("brow_centre",)),
+        ("Reye_Outside", "eye corner", ("eye_outer_R",)),
+        ("Mouth_UpL1", "mouth", ("lip_upper", "mouth_L")),
+        ("ForeHead_M", "forehead", ()),
+        ("F017", "", ()),
+    ],
+)
+def test_a_label_names_a_part_and_at_times_a_landmark(
+    label: str, region: str, landmarks: tuple[str, ...]
+) -> None:
+    hint = label_hint(label)
+    assert (hint.region, hint.landmarks) == (region, landmarks)
+
+
+def test_skin_of_the_skull_moves_least_and_lips_most() -> None:
+    bridge, brow, lip = skin_motion_mm(("NoseTop", "Leyebrow_M", "Mouth_Up"))
+    assert bridge < 1 < brow < lip

@@ -1,0 +1,109 @@
+"""A performer's markers on a rig: by labels where they speak, else by symmetry and motion."""
+
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks._placement.face_skin import FaceSkin, sample_face_skin
+from benchmarks._placement.place import marker_cloud, place_markers
+from benchmarks._placement.rig_landmarks import find_landmarks
+from usdface.capture.sniff import read_capture
+from usdface.core.deformer import Deformer
+from usdface.demo.rig import demo_rig
+from usdface.model.placement.label_hints import skin_motion_mm
+from usdface.numerics.rigid.stabilization import stabilize_by_prior
+from usdface.usdio.rig.read import read_rig
+
+
+def skin_of(rig) -> FaceSkin:
+    deformer = Deformer(rig)
+    return sample_face_skin(deformer.neutral, deformer.triangles, deformer.shapes.target_offsets())
+
+
+@pytest.fixture(scope="module")
+def demo():
+    rig = demo_rig()
+    return rig, skin_of(rig)
+
+
+def test_landmarks_of_a_face_stand_in_the_order_of_a_face(demo) -> None:
+    rig, skin = demo
+    found = find_landmarks(skin, rig.shapes)
+    down = ("brow_centre", "nose_bridge", "nose_tip", "lip_upper", "lip_lower", "chin")
+    assert (np.diff([found[name][1] for name in down]) < 0).all()
+    assert found["nose_tip"][2] > found["chin"][2]
+    for name in ("mouth", "lid_upper", "eye_inner", "eye_outer", "brow_outer"):
+        left, right = found[f"{name}_L"], found[f"{name}_R"]
+        assert left[0] > skin.sagittal_x > right[0]
+        np.testing.assert_allclose(skin.mirrored(right[None])[0], left, atol=1e-9)
+
+
+def test_a_rig_with_foreign_names_has_no_landmarks_rather_than_wrong_ones(demo) -> None:
+    rig, skin = demo
+    assert find_landmarks(skin, tuple(f"shape_{i}" for i in range(len(rig.shapes)))) == {}
+
+
+def test_labels_put_another_performers_markers_on_their_features(demo) -> None:
+    """Markers at the character's own landmarks, on a face of other proportions, turned away."""
+    rig, skin = demo
+    found = find_landmarks(skin, rig.shapes)
+    labels = {
+        "NoseTip": "nose_tip",
+        "Chin": "chin",
+        "Mouth_Lend": "mouth_L",
+        "Mouth_Rend": "mouth_R",
+        "Leye_Inner": "eye_inner_L",
+        "Reye_Inner": "eye_inner_R",
+        "Lbrow_Outer": "brow_outer_L",
+        "Rbrow_Outer": "brow_outer_R",
+    }
+    places = np.array([found[name] for name in labels.values()])
+    yaw = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    neutral = (places * [1.15, 0.9, 1.3]) @ yaw.T + [300.0, 1500.0, -80.0]
+    cloud = marker_cloud(tuple(labels), neutral, None)
+    placed = place_markers(cloud, skin, rig.shapes)
+    away = np.linalg.norm(skin.positions[placed.samples] - places, axis=1)
+    assert placed.by_labels
+    assert away.max() < 5.0
+    assert placed.virtual.scale[0] == pytest.approx(0.95 / np.sqrt(1.15 * 0.9), rel=0.05)
+
+
+def test_a_place_that_a_person_gave_is_kept(demo) -> None:
+    rig, skin = demo
+    found = find_landmarks(skin, rig.shapes)
+    names = ("nose_tip", "chin", "mouth_L", "mouth_R", "lid_upper_L")
+    places = np.array([found[name] for name in names])
+    cloud = marker_cloud(tuple("abcde"), places, None)
+    pins = {row: place @ skin.frame for row, place in enumerate(places)}
+    placed = place_markers(cloud, skin, rig.shapes, pinned=pins)
+    away = np.linalg.norm(skin.positions[placed.samples] - places, axis=1)
+    assert away.max() < 3.0  # the distance between samples
+
+
+FEATURES = {"nose": "NoseHead", "chin": "Chin", "mouth_L": "Mouth_Lend", "mouth_R": "Mouth_Rend"}
+
+
+@pytest.mark.parametrize("take", ["CheeksMoCap", "EyebrowsMoCap"])
+@pytest.mark.parametrize("head", ["facecap_head", "ict_face"])
+def test_a_recorded_performer_sits_right_on_any_head(shared_data, head: str, take: str) -> None:
+    markers = read_capture(shared_data / "markers_animface" / f"{take}.c3d").take.markers
+    still = stabilize_by_prior(
+        markers.positions,
+        markers.visible,
+        skin_motion_mm=skin_motion_mm(markers.names),
+        rate=60.0,
+        neutral=0,
+    ).positions.astype(float)
+    rig = read_rig(shared_data / "rigs" / f"{head}.usdc")
+    skin = skin_of(rig)
+    placed = place_markers(marker_cloud(markers.names, still[0], still), skin, rig.shapes)
+    at = dict(zip(markers.names, skin.positions[placed.samples], strict=True))
+    picked = json.loads((shared_data / "rigs" / "landmarks.json").read_text())[head]
+    away = {name: np.hypot(*(at[label][:2] - picked[name])) for name, label in FEATURES.items()}
+    assert away["nose"] <= 4.5
+    assert max(away.values()) <= 13.0  # this performer's chin and corners sit beside the features
+    for side in "LR":
+        assert at[f"{side}eye_Up"][1] >= picked[f"lidup_{side}"][1] - 0.5
+    upward = at["ForeHead_M"] - at["Chin"]
+    assert abs(np.degrees(np.arctan2(upward[0], upward[1]))) <= 2.0
