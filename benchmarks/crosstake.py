@@ -132,6 +132,7 @@ def _equation(folder: Path, rig_file: Path) -> dict[str, tuple[tuple[str, ...], 
         positions=markers.positions,
         visible=markers.visible,
         rigid=tuple(markers.names.index(name) for name in markers.rigid),
+        labels=markers.names,
     )
     return {
         "equation, least squares": (rig.shapes, equation.solve_published(markers.positions)),

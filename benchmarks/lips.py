@@ -88,6 +88,7 @@ def _close(take_file: Path, rig: Rig, solved: np.ndarray) -> np.ndarray:
         positions=markers.positions,
         visible=markers.visible,
         rigid=tuple(markers.names.index(name) for name in markers.rigid),
+        labels=markers.names,
     )
     lips = find_lips(equation, deformer, rig.shapes)
     if lips is None:

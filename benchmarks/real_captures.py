@@ -9,33 +9,25 @@ Simulated: `crosstake`, whose keys are known.
 import json
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks._damage import DAMAGES
-from benchmarks._placement.face_skin import sample_face_skin
-from benchmarks._placement.place import marker_cloud, place_markers
 from benchmarks.crosstake import prepare, read_ruler, score
 from tests.conftest import SHARED_DATA
 from usdface.capture.sniff import read_capture
 from usdface.core.arrays import FloatArray
-from usdface.core.assets import Markers
 from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
 from usdface.model.placement.label_hints import label_hint, skin_motion_mm
-from usdface.model.selection.baseline import FULL_SHAPES, BlendshapeEquation, set_up_equation
-from usdface.numerics.registration.registration import (
-    VirtualMarkers,
-    character_motion,
-    marker_deltas,
-    register_markers,
-)
+from usdface.model.placement.marker_cloud import marker_cloud
+from usdface.model.placement.place import place_markers
+from usdface.model.selection.baseline import set_up_equation
+from usdface.numerics.registration.face_skin import sample_face_skin
 from usdface.numerics.repair.cleaning import PosePrior, clean_markers
 from usdface.numerics.rigid.rigid_alignment import align_rigid_robust
-from usdface.numerics.solve.peak_matching import match_peaks
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
 
@@ -78,7 +70,7 @@ def run() -> None:
             deformer.neutral, deformer.triangles, deformer.shapes.target_offsets()
         )
         for name, (_, labels) in takes.items():
-            for known in ("shipped", "labels", "no labels"):
+            for known in ("labels", "no labels"):
                 row = _placed(skin, rig, cleaned[name], labels, picked[rig_name], known)
                 cells = " | ".join(f"{each:.2f}" for each in row)
                 print(f"| {rig_name}, {name}, {known} | {cells} |", flush=True)
@@ -124,13 +116,10 @@ def _placed(
     """Place a take, and return distances, heights, roll, explained share, scale and seconds."""
     given = labels if known == "labels" else tuple(f"m{i}" for i in range(len(labels)))
     begun = time.perf_counter()
-    if known == "shipped":
-        places, share, scale = _shipped(skin, rig, positions)
-    else:
-        cloud = marker_cloud(given, positions[0], positions)
-        found = place_markers(cloud, skin, rig.shapes, ranges=rig.ranges)
-        places, share = skin.positions[found.samples], found.explained
-        scale = float(found.virtual.scale[0])
+    cloud = marker_cloud(given, positions[0], positions)
+    found = place_markers(cloud, skin, rig.shapes, ranges=rig.ranges)
+    places, share = skin.positions[found.samples], found.explained
+    scale = found.virtual.motion_scale
     seconds = time.perf_counter() - begun
     at = dict(zip(labels, places, strict=True))
     row = [float(np.hypot(*(at[label][:2] - picked[name]))) for name, label in LANDMARKS.items()]
@@ -138,23 +127,6 @@ def _placed(
     upward = at["ForeHead_M"] - at["Chin"]
     row.append(abs(float(np.degrees(np.arctan2(upward[0], upward[1])))))
     return [*row, share, scale, seconds]
-
-
-def _shipped(skin: Any, rig: Any, positions: FloatArray) -> tuple[FloatArray, float, float]:
-    """Place by the package's registration: closest points and motion, one scale for each axis."""
-    deformer = Deformer(rig)
-    offsets = deformer.shapes.target_offsets()
-    virtual = register_markers(
-        positions[0],
-        deformer.neutral,
-        deformer.triangles,
-        offsets=offsets,
-        motion=positions,
-        ranges=rig.ranges,
-    )
-    places = np.einsum("mk,mkc->mc", virtual.weights, deformer.neutral[virtual.points])
-    share = float(np.nanmean(virtual.agreement))
-    return places @ skin.frame.T, share, float(np.sqrt(virtual.scale[0] * virtual.scale[1]))
 
 
 def _starting_weights() -> None:
@@ -172,56 +144,19 @@ def _starting_weights() -> None:
         raise SystemExit("crosstake has no markers")
     neutral = markers.positions[markers.neutral_frame - take.first_frame].astype(float)
     rigid = tuple(markers.names.index(each) for each in markers.rigid)
-    shipped = set_up_equation(
+    print("| labels | surface [mm] | blink bias | jitter |\n|---|---|---|---|")
+    equation = set_up_equation(
         rig,
         deformer,
         neutral=neutral,
         positions=markers.positions,
         visible=markers.visible,
         rigid=rigid,
+        labels=markers.names,
     )
-    skin = sample_face_skin(deformer.neutral, deformer.triangles, deformer.shapes.target_offsets())
-    cloud = marker_cloud(
-        markers.names, neutral, markers.positions, visible=markers.visible, rigid=rigid
+    weights = equation.propose(markers.positions)
+    figures = score(ruler, (rig.shapes, weights), truth, rig_file)
+    print(
+        f"| silent | {figures['vertex_rms_mm']:.3f} | {figures['blink_bias']:+.3f} | "
+        f"{figures['jitter']:.2f} |"
     )
-    placed = place_markers(cloud, skin, rig.shapes, ranges=rig.ranges)
-    one_scale = replace(
-        shipped.virtual,
-        scale=np.full(3, np.sqrt(shipped.virtual.scale[0] * shipped.virtual.scale[1])),
-    )
-    print("| placement | surface [mm] | blink bias | jitter |\n|---|---|---|---|")
-    for label, virtual in (
-        ("shipped", shipped.virtual),
-        ("shipped, one scale for motion", one_scale),
-        ("candidate", placed.virtual),
-    ):
-        equation = _replaced(shipped, rig, deformer, virtual, markers)
-        weights = equation.propose(markers.positions)
-        figures = score(ruler, (rig.shapes, weights), truth, rig_file)
-        print(
-            f"| {label} | {figures['vertex_rms_mm']:.3f} | {figures['blink_bias']:+.3f} | "
-            f"{figures['jitter']:.2f} |",
-            flush=True,
-        )
-
-
-def _replaced(
-    equation: BlendshapeEquation,
-    rig: Any,
-    deformer: Deformer,
-    virtual: VirtualMarkers,
-    markers: Markers,
-) -> BlendshapeEquation:
-    """Return the baseline with its markers elsewhere, all else as the package sets it up."""
-    deltas = marker_deltas(virtual, deformer.shapes.target_offsets())
-    full = [i for i, name in enumerate(rig.shapes) if name.lower().startswith(FULL_SHAPES)]
-    gain = match_peaks(
-        deltas,
-        character_motion(virtual, markers.positions, equation.neutral),
-        full,
-        ranges=equation.ranges,
-        visible=markers.visible,
-        marker_trust=equation.trust,
-    )
-    keys = replace(equation.keys, deltas=marker_deltas(virtual, deformer.shapes.key_offsets))
-    return replace(equation, virtual=virtual, deltas=deltas, keys=keys, gain=gain)

@@ -6,8 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from usdface.numerics.registration.registration import VirtualMarkers
-
 FloatArray = NDArray[np.float64]
 MOUTH, EYES, EYE_X = -45.0, 30.0, 32.0
 
@@ -139,8 +137,3 @@ def small_actor(
     motion = (np.einsum("fs,smc->fmc", weights, deltas) / scale) @ turn.T
     motion += rng.normal(0, 0.1, motion.shape)
     return SmallActor(still, still + motion, weights, np.array(carriers), scale)
-
-
-def marker_neutral(virtual: VirtualMarkers, points: np.ndarray) -> np.ndarray:
-    """Where the virtual markers are on a surface: (markers, 3)."""
-    return np.einsum("mk,mkc->mc", virtual.weights, points[virtual.points])

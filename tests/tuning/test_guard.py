@@ -275,7 +275,7 @@ def test_markers_that_fit_no_face_leave_a_reason_in_place_of_a_residual(
     def fail(*given: object, **more: object) -> None:
         raise ValueError("all markers lie on a line")
 
-    monkeypatch.setattr("usdface.model.selection.baseline.register_markers", fail)
+    monkeypatch.setattr("usdface.model.selection.baseline.place_markers", fail)
     reason = server.browser().get("/markers.json").json()["reason"]
     assert "cannot be placed" in reason
     assert "all markers lie on a line" in reason

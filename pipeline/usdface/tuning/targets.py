@@ -10,7 +10,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
 from usdface.numerics.measure.face_regions import shapes_by_region
-from usdface.numerics.registration.registration import character_motion
+from usdface.numerics.registration.virtual_markers import character_motion
 
 _SAMPLE_FRAMES = 600
 """Of the takes' motion, looked at to find where markers sit."""
@@ -59,6 +59,7 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
         positions=positions,
         visible=np.ones(positions.shape[:2], dtype=np.bool_),
         rigid=tuple(rigid),
+        labels=references.marker_names,
     )
     rest = _rest(equation, rig)
     motion = character_motion(equation.virtual, references.markers, references.neutral)
@@ -83,8 +84,7 @@ def _sample(references: References) -> FloatArray:
 
 def _rest(equation: BlendshapeEquation, rig: Rig) -> FloatArray:
     surface = np.concatenate([mesh.points for mesh in rig.meshes])
-    virtual = equation.virtual
-    return np.asarray(np.einsum("mk,mkc->mc", virtual.weights, surface[virtual.points]))
+    return equation.virtual.places(surface)
 
 
 def _regions(equation: BlendshapeEquation, rig: Rig, rigid: list[int]) -> tuple[str, ...]:

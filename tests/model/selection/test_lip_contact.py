@@ -12,7 +12,7 @@ from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.model.selection.lip_contact import Lips, find_lips, keep_lip_contact, lip_gap_mm
 from usdface.numerics.measure.face_regions import jaw_opener, shapes_by_region
 from usdface.numerics.measure.lip_gap import find_lip_pairs
-from usdface.numerics.registration.registration import VirtualMarkers, marker_deltas
+from usdface.numerics.registration.virtual_markers import VirtualMarkers, marker_deltas
 from usdface.numerics.solve.blendshape_equation import MarkerKeys
 
 
@@ -46,9 +46,8 @@ def mouth() -> Mouth:
     virtual = VirtualMarkers(
         points=np.repeat(points[:, None], 3, axis=1),
         weights=np.repeat([[1.0, 0.0, 0.0]], count, axis=0),
-        scale=np.ones(3),
+        motion_scale=1.0,
         rotation=np.eye(3),
-        translation=np.zeros(3),
         distance_mm=np.zeros(count),
         agreement=np.ones(count),
     )

@@ -13,11 +13,13 @@ from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
-from usdface.numerics.registration.registration import (
+from usdface.model.placement.marker_cloud import marker_cloud
+from usdface.model.placement.place import MarkerPlacement, place_markers
+from usdface.numerics.registration.face_skin import sample_face_skin
+from usdface.numerics.registration.virtual_markers import (
     VirtualMarkers,
     character_motion,
     marker_deltas,
-    register_markers,
 )
 from usdface.numerics.solve.blendshape_equation import MarkerKeys, solve_weights
 from usdface.numerics.solve.peak_matching import match_peaks
@@ -25,7 +27,7 @@ from usdface.numerics.solve.peak_matching import match_peaks
 Positions = NDArray[np.float32] | FloatArray
 
 _MOTION_FRAMES = 2000
-"""Frames spread over a take that registration may look at."""
+"""Frames spread over a take that placement may look at."""
 
 
 PROPOSAL_RIDGE = 10.0
@@ -52,6 +54,8 @@ class BlendshapeEquation:
         0 for markers that move with the skull alone: what is left in them is noise.
     gain : (markers,) float array
         By how much a marker's motion is enlarged so that blinks close the eye.
+    placement : MarkerPlacement or None
+        How `virtual` was found; None where it was given.
     """
 
     virtual: VirtualMarkers
@@ -61,6 +65,7 @@ class BlendshapeEquation:
     ranges: FloatArray
     trust: FloatArray
     gain: FloatArray
+    placement: MarkerPlacement | None = None
 
     def solve_published(self, positions: Positions) -> FloatArray:
         """Return weights by plain least squares, limited to the ranges afterwards.
@@ -111,7 +116,7 @@ class BlendshapeEquation:
 
     def explained(self, weights: FloatArray) -> FloatArray:
         """Return where weights put the markers on the performer: (frames, markers, 3) [mm]."""
-        moved = self._moved(weights) / self.virtual.scale
+        moved = self._moved(weights) / self.virtual.motion_scale
         return np.asarray(self.neutral + moved @ self.virtual.rotation)
 
     def residual_mm(self, positions: Positions, weights: FloatArray) -> FloatArray:
@@ -134,6 +139,8 @@ def set_up_equation(
     positions: Positions,
     visible: BoolArray,
     rigid: tuple[int, ...],
+    labels: tuple[str, ...],
+    pinned: dict[int, FloatArray] | None = None,
 ) -> BlendshapeEquation:
     """Find where a performer's markers sit on a character, and what its shapes do there.
 
@@ -148,6 +155,10 @@ def set_up_equation(
     visible : (frames, markers) bool array
     rigid : tuple of int
         Markers that move with the skull alone.
+    labels : tuple of str
+        Of the markers; those that name a part of the face say where it is.
+    pinned : dict of int to (3,) float array, optional
+        Places on the rig that a person gave [mm].
 
     Raises
     ------
@@ -157,18 +168,12 @@ def set_up_equation(
     picks = np.unique(np.linspace(0, len(positions) - 1, _MOTION_FRAMES).astype(np.int64))
     offsets = deformer.shapes.target_offsets()
     try:
-        virtual = register_markers(
-            neutral,
-            deformer.neutral,
-            deformer.triangles,
-            offsets=offsets,
-            motion=positions[picks],
-            visible=visible[picks],
-            rigid=rigid,
-            ranges=rig.ranges,
-        )
+        skin = sample_face_skin(deformer.neutral, deformer.triangles, offsets)
+        cloud = marker_cloud(labels, neutral, positions[picks], visible=visible[picks], rigid=rigid)
+        placement = place_markers(cloud, skin, rig.shapes, ranges=rig.ranges, pinned=pinned)
     except ValueError as error:
         raise InputError(f"the markers cannot be placed on {rig.file}: {error}") from error
+    virtual = placement.virtual
     deltas = marker_deltas(virtual, offsets)
     keys = MarkerKeys(
         deltas=marker_deltas(virtual, deformer.shapes.key_offsets),
@@ -186,4 +191,4 @@ def set_up_equation(
         visible=visible[picks],
         marker_trust=trust,
     )
-    return BlendshapeEquation(virtual, deltas, keys, neutral, rig.ranges, trust, gain)
+    return BlendshapeEquation(virtual, deltas, keys, neutral, rig.ranges, trust, gain, placement)

@@ -14,7 +14,7 @@ from usdface.core.deformer import Deformer
 from usdface.model.selection.baseline import BlendshapeEquation, Positions
 from usdface.numerics.measure.face_regions import jaw_opener, shapes_by_region
 from usdface.numerics.measure.lip_gap import LipPairs, find_lip_pairs
-from usdface.numerics.registration.registration import character_motion
+from usdface.numerics.registration.virtual_markers import character_motion
 
 NEAR_LIPS_MM = 15.0
 """How far from where lips meet a lip's markers may sit: on its red or just beyond."""
@@ -74,8 +74,7 @@ def find_lips(
     pairs = find_lip_pairs(deformer.neutral, offsets, jaw_open=jaw, mouth=regions["mouth"])
     if pairs is None:
         return None
-    virtual = equation.virtual
-    places = np.einsum("mkc,mk->mc", deformer.neutral[virtual.points], virtual.weights)
+    places = equation.virtual.places(deformer.neutral)
     meet = (deformer.neutral[pairs.lower] + deformer.neutral[pairs.upper]) / 2
     near = np.linalg.norm(places[:, None] - meet[None], axis=2).min(axis=1) < NEAR_LIPS_MM
     carried = np.linalg.norm(equation.deltas[jaw], axis=1)

@@ -10,7 +10,10 @@ from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import Rig, RigMesh
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
+from usdface.model.placement.marker_cloud import MarkerCloud, marker_cloud
+from usdface.model.placement.place import place_markers
 from usdface.numerics.registration.cloud_alignment import align_landmarks
+from usdface.numerics.registration.face_skin import sample_face_skin
 from usdface.numerics.registration.marker_binding import (
     FEWEST_MARKERS,
     MarkerBinding,
@@ -19,7 +22,6 @@ from usdface.numerics.registration.marker_binding import (
 )
 from usdface.numerics.registration.motion_correspondence import place_by_motion
 from usdface.numerics.registration.outer_surface import SurfaceSamples, sample_outer_surface
-from usdface.numerics.registration.registration import register_markers
 from usdface.numerics.registration.surface_places import (
     SurfacePlaces,
     nearest_places,
@@ -99,7 +101,8 @@ def propose_binding(
     sample, seen = positions[picks].astype(np.float64), visible[picks]
     try:
         if mesh.shapes:
-            places = _by_shapes(mesh, neutral, sample, seen, rigid, pins)
+            cloud = marker_cloud(names, neutral, sample, visible=seen, rigid=rigid)
+            places = _by_shapes(mesh, cloud, pins)
         elif len(pins) >= FEWEST_LANDMARKS:
             places = _by_landmarks(mesh, neutral, pins)
         else:
@@ -114,28 +117,13 @@ def propose_binding(
         raise InputError(f"the markers cannot be placed on <{mesh.path}>: {error}") from error
 
 
-def _by_shapes(
-    mesh: RigMesh,
-    neutral: FloatArray,
-    sample: FloatArray,
-    seen: BoolArray,
-    rigid: tuple[int, ...],
-    pins: dict[int, FloatArray],
-) -> SurfacePlaces:
-    nearest = KDTree(mesh.points)
+def _by_shapes(mesh: RigMesh, cloud: MarkerCloud, pins: dict[int, FloatArray]) -> SurfacePlaces:
     names = tuple(shape.name for shape in mesh.shapes)
     ranges = np.tile([0.0, 1.0], (len(names), 1))
     deformer = Deformer(Rig(Path(), mesh.path, names, (mesh,), ranges))
-    virtual = register_markers(
-        neutral,
-        deformer.neutral,
-        deformer.triangles,
-        offsets=deformer.shapes.target_offsets(),
-        motion=sample,
-        visible=seen,
-        rigid=rigid,
-        landmarks={marker: int(nearest.query(at)[1]) for marker, at in pins.items()},
-    )
+    offsets = deformer.shapes.target_offsets()
+    skin = sample_face_skin(deformer.neutral, deformer.triangles, offsets)
+    virtual = place_markers(cloud, skin, names, pinned=pins).virtual
     return places_of_corners(mesh.face_counts, mesh.face_indices, virtual.points, virtual.weights)
 
 

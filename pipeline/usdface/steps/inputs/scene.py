@@ -141,6 +141,7 @@ def _equation(takes: CleanedTakes, rig: Rig, deformer: Deformer) -> BlendshapeEq
         positions=takes.positions[0] if one else np.concatenate(takes.positions),
         visible=takes.usable[0] if one else np.concatenate(takes.usable),
         rigid=tuple(takes.marker_names.index(name) for name in takes.rigid),
+        labels=takes.marker_names,
     )
 
 

@@ -112,6 +112,7 @@ class _PairPictures:
             positions=references.markers,
             visible=np.ones(references.markers.shape[:2], dtype=np.bool_),
             rigid=tuple(references.marker_names.index(name) for name in references.rigid),
+            labels=references.marker_names,
         )
         self._residual_mm = equation.residual_mm(references.markers, self._weights)
 

@@ -48,6 +48,7 @@ def set_up_shot_baseline(shot: Shot) -> BlendshapeEquation:
         positions=markers.positions,
         visible=markers.visible | (markers.confidence > 0),
         rigid=tuple(markers.names.index(name) for name in markers.rigid),
+        labels=markers.names,
     )
 
 

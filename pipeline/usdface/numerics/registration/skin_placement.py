@@ -17,8 +17,8 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from benchmarks._placement.face_skin import FaceSkin
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
 
 TYPICAL_SIZE_MM = 55.0

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import sparse
 from scipy.spatial import KDTree
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.numerics.registration.outer_surface import facing_direction, sample_outer_surface
+from usdface.numerics.registration.virtual_markers import Offsets, deltas_at, sparse_offsets
 
 _ACTIVE_SHARE = 0.2
 """Of the largest displacement: skin that moves less is not used to find the plane of symmetry."""
@@ -64,7 +64,7 @@ class FaceSkin:
 
 
 def sample_face_skin(
-    points: ArrayLike, triangles: ArrayLike, offsets: sparse.sparray, *, sample_count: int = 12_000
+    points: ArrayLike, triangles: ArrayLike, offsets: Offsets, *, sample_count: int = 12_000
 ) -> FaceSkin:
     """Sample the skin of a rig's face.
 
@@ -73,7 +73,7 @@ def sample_face_skin(
     points : (points, 3) array
         At rest, Y up [mm].
     triangles : (triangles, 3) int array
-    offsets : (shapes, 3 * points) sparse array
+    offsets : (shapes, points, 3) array or (shapes, 3 * points) sparse array
         What each shape at 1 does to the points [mm].
     sample_count : int
         About how many samples.
@@ -81,10 +81,11 @@ def sample_face_skin(
     Raises
     ------
     ValueError
-        If no shape moves anything, or the face's direction cannot be told.
+        If the arrays do not fit together, no shape moves anything, or the direction of the face is
+        undetermined.
     """
     rest, faces = np.asarray(points, float), np.asarray(triangles, np.int64)
-    matrix = sparse.csc_array(offsets)
+    matrix = sparse_offsets(offsets, point_count=len(rest))
     squares = np.asarray(matrix.power(2).sum(axis=0), float).reshape(-1, 3).sum(axis=1)
     activity = np.sqrt(squares)
     facing = facing_direction(rest, faces, activity)
@@ -113,17 +114,6 @@ def sample_face_skin(
         _sagittal_x(positions[moved > _ACTIVE_SHARE * moved.max()]),
         float(radius),
     )
-
-
-def deltas_at(offsets: sparse.sparray, points: IntArray, weights: FloatArray) -> FloatArray:
-    """Return the shapes at points inside triangles, without spreading them: (shapes, n, 3)."""
-    matrix, samples = sparse.csc_array(offsets), len(points)
-    rows = (3 * points[:, :, None] + np.arange(3)).ravel()
-    columns = np.repeat(3 * np.arange(samples), 9) + np.tile([0, 1, 2], 3 * samples)
-    pick = sparse.csc_array(
-        (np.repeat(weights.ravel(), 3), (rows, columns)), shape=(matrix.shape[1], 3 * samples)
-    )
-    return np.asarray((matrix @ pick).toarray(), float).reshape(-1, samples, 3)
 
 
 def _sagittal_x(positions: FloatArray) -> float:

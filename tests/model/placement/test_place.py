@@ -5,13 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks._placement.face_skin import FaceSkin, sample_face_skin
-from benchmarks._placement.place import marker_cloud, place_markers
-from benchmarks._placement.rig_landmarks import find_landmarks
 from usdface.capture.sniff import read_capture
 from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
 from usdface.model.placement.label_hints import skin_motion_mm
+from usdface.model.placement.marker_cloud import marker_cloud
+from usdface.model.placement.place import place_markers
+from usdface.model.placement.rig_landmarks import find_landmarks
+from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
 from usdface.numerics.rigid.stabilization import stabilize_by_prior
 from usdface.usdio.rig.read import read_rig
 
@@ -66,7 +67,7 @@ def test_labels_put_another_performers_markers_on_their_features(demo) -> None:
     away = np.linalg.norm(skin.positions[placed.samples] - places, axis=1)
     assert placed.by_labels
     assert away.max() < 5.0
-    assert placed.virtual.scale[0] == pytest.approx(0.95 / np.sqrt(1.15 * 0.9), rel=0.05)
+    assert placed.virtual.motion_scale == pytest.approx(1 / np.sqrt(1.15 * 0.9), rel=0.05)
 
 
 def test_a_place_that_a_person_gave_is_kept(demo) -> None:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks._placement.sagittal_plane import plane_by_reflection, plane_of_pairs
+from usdface.numerics.registration.sagittal_plane import plane_by_reflection, plane_of_pairs
 
 
 def mirrored_cloud(rng: np.random.Generator, *, pairs: int = 16, middle: int = 6) -> np.ndarray:

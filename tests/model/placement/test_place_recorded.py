@@ -1,4 +1,4 @@
-"""Virtual markers and the blendshape equation on whole takes, head motion out, nothing repaired."""
+"""Placed markers and the blendshape equation on whole takes, head motion out, nothing repaired."""
 
 import json
 from dataclasses import dataclass
@@ -7,12 +7,10 @@ import ezc3d
 import numpy as np
 import pytest
 
-from tests.numerics.small_face import marker_neutral
-from usdface.numerics.registration.registration import (
-    character_motion,
-    marker_deltas,
-    register_markers,
-)
+from usdface.model.placement.marker_cloud import marker_cloud
+from usdface.model.placement.place import place_markers
+from usdface.numerics.registration.face_skin import sample_face_skin
+from usdface.numerics.registration.virtual_markers import character_motion, marker_deltas
 from usdface.numerics.rigid.stabilization import stabilize
 from usdface.numerics.solve.blendshape_equation import solve_weights
 from usdface.usdio.rig.read import read_rig
@@ -81,15 +79,9 @@ def crossing(shared_data):
     hidden = ~visible[meta["neutral_frame"]]
     neutral[hidden] = np.nanmedian(np.where(seen[..., None], moved, np.nan), axis=0)[hidden]
     moved = np.where(seen[..., None], moved, neutral)
-    virtual = register_markers(
-        neutral,
-        face.points,
-        face.triangles,
-        offsets=face.offsets,
-        motion=moved,
-        visible=seen,
-        rigid=rigid,
-    )
+    skin = sample_face_skin(face.points, face.triangles, face.offsets)
+    cloud = marker_cloud(tuple(labels), neutral, moved, visible=seen, rigid=rigid)
+    virtual = place_markers(cloud, skin, face.shapes).virtual
     mobile = np.ones(len(labels), bool)
     mobile[rigid] = False
     return Crossing(
@@ -132,16 +124,16 @@ def test_bounded_proposals_beat_plain_least_squares(crossing):
 
 
 @pytest.mark.parametrize("rig", ["ict_face", "facecap_head"])
-def test_a_recorded_performer_lands_on_the_parts_the_labels_name(shared_data, rig):
+def test_a_recorded_performer_without_labels_lands_on_the_right_parts(shared_data, rig):
     face = read_surface(shared_data / "rigs" / f"{rig}.usdc")
     positions, visible, labels = read_c3d(shared_data / "markers_animface" / "CheeksMoCap.c3d")
     forehead = ["NoseTop", "Leye_Inside", "Reye_Inside", "Eyebrow_Center", "ForeHead_M"]
     head = stabilize(positions, visible, rigid=[labels.index(name) for name in forehead], neutral=0)
     moved = np.asarray(head.positions, float)
-    virtual = register_markers(
-        moved[0], face.points, face.triangles, offsets=face.offsets, motion=moved
-    )
-    at = dict(zip(labels, marker_neutral(virtual, face.points), strict=True))
+    skin = sample_face_skin(face.points, face.triangles, face.offsets)
+    cloud = marker_cloud(tuple(f"m{i}" for i in range(len(labels))), moved[0], moved)
+    virtual = place_markers(cloud, skin, face.shapes).virtual
+    at = dict(zip(labels, virtual.places(face.points), strict=True))
     down = ["ForeHead_M", "Eyebrow_Center", "NoseTop", "NoseHead", "Mouth_Up", "Mouth_Down", "Chin"]
     assert (np.diff([at[name][1] for name in down]) < 0).all()
     for left, right in (("Leye_Outside", "Reye_Outside"), ("Mouth_Lend", "Mouth_Rend")):

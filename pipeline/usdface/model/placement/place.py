@@ -1,19 +1,18 @@
 """Place a performer's markers on a rig: by labels and landmarks, else by motion."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks._placement.face_skin import FaceSkin
-from benchmarks._placement.motion_search import search_by_motion
-from benchmarks._placement.rig_landmarks import find_landmarks
-from benchmarks._placement.sagittal_plane import (
-    SagittalPlane,
-    plane_by_reflection,
-    plane_of_pairs,
-)
-from benchmarks._placement.skin_placement import (
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.model.placement.label_hints import label_hint
+from usdface.model.placement.marker_cloud import MarkerCloud, middle_markers
+from usdface.model.placement.rig_landmarks import find_landmarks
+from usdface.numerics.registration.cloud_alignment import align_cloud, align_landmarks
+from usdface.numerics.registration.face_skin import FaceSkin
+from usdface.numerics.registration.motion_correspondence import place_by_motion
+from usdface.numerics.registration.motion_search import search_by_motion
+from usdface.numerics.registration.skin_placement import (
     TYPICAL_SIZE_MM,
     PlaneFit,
     SkinPlacement,
@@ -22,13 +21,7 @@ from benchmarks._placement.skin_placement import (
     in_character,
     place_on_skin,
 )
-from usdface.core.arrays import BoolArray, FloatArray, IntArray, RealArray
-from usdface.model.placement.label_hints import label_hint, mirrored_label, side_of_label
-from usdface.numerics.registration.cloud_alignment import align_cloud, align_landmarks
-from usdface.numerics.registration.marker_binding import FEWEST_MARKERS
-from usdface.numerics.registration.motion_correspondence import place_by_motion
-from usdface.numerics.registration.registration import VirtualMarkers
-from usdface.numerics.regression.reference_design import design_k_centre
+from usdface.numerics.registration.virtual_markers import VirtualMarkers
 
 FEWEST_HINTS = 6
 """Labelled markers with a landmark on the rig, from which a placement by labels starts."""
@@ -37,18 +30,12 @@ FEWEST_PINS = 3
 """Points from which an alignment follows."""
 
 _PIN_SPREAD_MM = 0.5
+_PROPORTION_SPREAD_MM = 4.0
+"""Standard deviation of a marker about the similarity that suits the others: as narrow as the
+narrowest of labels'."""
+
 _WARPED_SPREAD_MM = 6.0
 """Standard deviation of a warped marker about its landmark-free fit: what proportions leave."""
-
-_PICKED_FRAMES = 150
-_POOL_FRAMES = 3000
-
-MOTION_SHRINKAGE = 0.95
-"""Times sqrt(sx sy), by which motion is scaled: places are estimated with errors, which lengthen
-distances between them but not motion. Measured on three simulated performers, where .85 to .96 is
-best."""
-
-_MIDDLE_REGIONS = ("forehead", "brow", "bridge", "nose", "mouth", "chin")
 
 _WARP_COST = 0.3
 """Explained share that a mean warp of the face's size costs, between candidates of the search."""
@@ -58,26 +45,6 @@ _LEAST_GAIN = 0.03
 
 _SIZE_COST = 0.3
 """Explained share that e times too large or too small a cloud costs: captures cover the face."""
-
-
-@dataclass(frozen=True)
-class MarkerCloud:
-    """What is known of a performer's markers before they are placed.
-
-    Attributes
-    ----------
-    neutral : (markers, 3) float array
-        At rest, Y roughly up, looking anywhere [mm].
-    motion : (frames, markers, 3) float array or None
-        Displacements from `neutral`, of frames that differ [mm].
-    still : (markers,) bool array
-        Markers whose motion says nothing about their place: of the skull, or without any.
-    """
-
-    labels: tuple[str, ...]
-    neutral: FloatArray
-    motion: FloatArray | None
-    still: BoolArray
 
 
 @dataclass(frozen=True)
@@ -103,43 +70,6 @@ class MarkerPlacement:
     explained: float
     landmark_mm: dict[str, tuple[str, float]]
     by_labels: bool
-
-
-def marker_cloud(
-    labels: tuple[str, ...],
-    neutral: FloatArray,
-    positions: RealArray | None,
-    *,
-    visible: BoolArray | None = None,
-    rigid: Sequence[int] = (),
-) -> MarkerCloud:
-    """Gather what a placement needs of a stabilised take.
-
-    Parameters
-    ----------
-    neutral : (markers, 3) float array
-        [mm]
-    positions : (frames, markers, 3) float array, optional
-        Stabilised, in the space of `neutral` [mm]; frames that differ are picked.
-    visible : (frames, markers) bool array, optional
-        Frames that miss markers are avoided.
-    rigid : sequence of int
-        Markers that move with the skull alone.
-
-    Raises
-    ------
-    ValueError
-        If the arrays do not fit together, or are not finite.
-    """
-    y = np.asarray(neutral, float)
-    if y.ndim != 2 or y.shape[1] != 3 or not np.isfinite(y).all():
-        raise ValueError(f"neutral must be (markers, 3) and finite, got {y.shape}")
-    if len(y) < FEWEST_MARKERS:
-        raise ValueError(f"registration needs at least {FEWEST_MARKERS} markers, got {len(y)}")
-    still = np.zeros(len(y), np.bool_)
-    still[list(rigid)] = True
-    motion = None if positions is None else _pick_frames(y, positions, visible, still)
-    return MarkerCloud(labels, y, motion, still)
 
 
 def place_markers(
@@ -169,38 +99,33 @@ def place_markers(
     limits = np.tile([0.0, 1.0], (len(shapes), 1)) if ranges is None else ranges
     unit = skin.size_mm / TYPICAL_SIZE_MM
     known = _named_places(cloud.labels, find_landmarks(skin, shapes), unit)
-    named = len(known) >= FEWEST_HINTS
     pins = {m: np.asarray(at, float) @ skin.frame.T for m, at in (pinned or {}).items()}
     scene = _Scene(
-        cloud, skin, limits, known | {m: (at, _PIN_SPREAD_MM * unit) for m, at in pins.items()}
+        cloud,
+        skin,
+        limits,
+        known | {m: (at, _PIN_SPREAD_MM * unit) for m, at in pins.items()},
+        pins,
     )
-    if len(pins) >= FEWEST_PINS:
-        start = _by_pins(scene, pins)
-    elif named:
+    named = len(known) >= FEWEST_HINTS
+    if named:
         start = _by_labels(scene)
+    elif len(pins) >= FEWEST_PINS:
+        start = _by_pins(scene)
     else:
         start = _by_motion(scene)
     placement = start.placement
     samples = placement.samples.copy()
     for marker, at in pins.items():
         samples[marker] = ((skin.positions - at) ** 2).sum(axis=1).argmin()
-    rotation = placement.fit.rotation @ start.frame
+    virtual = _virtual_markers(scene, start, samples)
     explained = float("nan")
     if cloud.motion is not None:
-        moved = in_character(cloud.motion @ start.frame.T, placement.fit)
+        moved = virtual.motion_scale * (cloud.motion @ virtual.rotation.T) @ skin.frame.T
         explained = explained_share(skin, samples, moved, limits)
-    aligned = placement.fit.apply(start.levelled)
     return MarkerPlacement(
         samples,
-        VirtualMarkers(
-            skin.corners[samples],
-            skin.shares[samples],
-            np.full(3, _motion_scale(cloud.neutral @ rotation.T, skin, samples)),
-            skin.frame.T @ rotation,
-            np.zeros(3),
-            np.linalg.norm(aligned - skin.positions[samples], axis=1),
-            placement.agreement,
-        ),
+        virtual,
         explained,
         {
             cloud.labels[marker]: (
@@ -213,6 +138,20 @@ def place_markers(
     )
 
 
+def _virtual_markers(scene: "_Scene", start: "_Start", samples: IntArray) -> VirtualMarkers:
+    skin, fit = scene.skin, start.placement.fit
+    rotation = fit.rotation @ start.frame
+    away = fit.apply(start.levelled) - skin.positions[samples]
+    return VirtualMarkers(
+        skin.corners[samples],
+        skin.shares[samples],
+        _motion_scale(scene.cloud.neutral @ rotation.T, skin, samples),
+        skin.frame.T @ rotation,
+        np.linalg.norm(away, axis=1),
+        start.placement.agreement,
+    )
+
+
 @dataclass(frozen=True)
 class _Scene:
     """A cloud, a skin, and the places that labels or people gave, with their spreads [mm]."""
@@ -221,6 +160,7 @@ class _Scene:
     skin: FaceSkin
     ranges: FloatArray
     landmarks: dict[int, tuple[FloatArray, float]]
+    pins: dict[int, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -230,27 +170,6 @@ class _Start:
     frame: FloatArray
     levelled: FloatArray
     placement: SkinPlacement
-
-
-def _pick_frames(
-    neutral: FloatArray, positions: RealArray, visible: BoolArray | None, still: BoolArray
-) -> FloatArray:
-    """Return the displacements of frames that differ most from each other."""
-    if positions.ndim != 3 or positions.shape[1:] != neutral.shape or not len(positions):
-        raise ValueError(
-            f"motion must be (frames, {len(neutral)}, 3) like the neutral, got {positions.shape}"
-        )
-    rows = np.arange(len(positions))
-    if visible is not None:
-        seen = np.asarray(visible, bool).mean(axis=1)
-        rows = np.flatnonzero(seen >= min(0.999, float(np.quantile(seen, 0.5))))
-    moved = positions[rows[:: max(1, len(rows) // _POOL_FRAMES)]] - neutral
-    if not np.isfinite(moved).all():
-        raise ValueError("motion must be finite; fill gaps first")
-    moved[:, still] = 0
-    flat = moved.reshape(len(moved), -1)
-    count = min(_PICKED_FRAMES, len(flat))
-    return np.asarray(moved[design_k_centre(flat, count).chosen], float)
 
 
 def _named_places(
@@ -266,35 +185,6 @@ def _named_places(
     return places
 
 
-def _levelled(scene: _Scene) -> tuple[FloatArray, FloatArray]:
-    """Return the rotation that levels the cloud, and the cloud with its plane at x = 0."""
-    plane = _plane(scene.cloud.neutral, scene.cloud.labels)
-    frame = plane.levelled_frame()
-    return frame, scene.cloud.neutral @ frame.T - [plane.offset, 0.0, 0.0]
-
-
-def _plane(neutral: FloatArray, labels: tuple[str, ...]) -> SagittalPlane:
-    row_of = {label: row for row, label in enumerate(labels)}
-    pairs = []
-    for label, row in row_of.items():
-        if side_of_label(label) == "L":
-            partner = next((each for each in mirrored_label(label) if each in row_of), None)
-            if partner is not None:
-                pairs.append((row, row_of[partner]))
-    if len(pairs) >= 3:
-        return plane_of_pairs(neutral, np.array(pairs), np.array(_middle(labels), np.int64))
-    return plane_by_reflection(neutral)
-
-
-def _middle(labels: tuple[str, ...]) -> list[int]:
-    """Return the markers of parts of the face that lie in the middle, whose labels name no side."""
-    return [
-        row
-        for row, label in enumerate(labels)
-        if not side_of_label(label) and label_hint(label).region in _MIDDLE_REGIONS
-    ]
-
-
 def _settle(scene: _Scene, frame: FloatArray, levelled: FloatArray, fit: PlaneFit) -> _Start:
     cloud = scene.cloud
     placement = place_on_skin(
@@ -305,27 +195,29 @@ def _settle(scene: _Scene, frame: FloatArray, levelled: FloatArray, fit: PlaneFi
         motion=None if cloud.motion is None else cloud.motion @ frame.T,
         ranges=scene.ranges,
         still=cloud.still,
-        middle=_middle(cloud.labels),
+        middle=middle_markers(cloud.labels),
     )
     return _Start(frame, levelled, placement)
 
 
-def _by_pins(scene: _Scene, pins: dict[int, FloatArray]) -> _Start:
+def _by_pins(scene: _Scene) -> _Start:
     """Start from the similarity of the places that a person gave."""
-    rows = list(pins)
-    found = align_landmarks(scene.cloud.neutral[rows], np.array(list(pins.values())))
+    rows = list(scene.pins)
+    found = align_landmarks(scene.cloud.neutral[rows], np.array(list(scene.pins.values())))
     fit = PlaneFit(found.rotation, found.scale, found.translation)
     return _settle(scene, np.eye(3), scene.cloud.neutral, fit)
 
 
 def _by_labels(scene: _Scene) -> _Start:
-    """Start from the landmarks that labels name."""
-    frame, levelled = _levelled(scene)
+    """Start from the landmarks that labels name, and from given places."""
+    frame, levelled = scene.cloud.levelled()
     rows = list(scene.landmarks)
     centre = np.array([scene.skin.sagittal_x, 0.0, 0.0])
     targets = np.array([place for place, _ in scene.landmarks.values()])
     spreads = np.array([spread for _, spread in scene.landmarks.values()])
-    start = fit_in_plane(levelled[rows], targets - centre, spreads)
+    # A given place is exact, but not where a similarity takes its marker.
+    least = _PROPORTION_SPREAD_MM * scene.skin.size_mm / TYPICAL_SIZE_MM
+    start = fit_in_plane(levelled[rows], targets - centre, np.maximum(spreads, least))
     fit = PlaneFit(start.rotation, start.scale, start.shift + centre)
     return _settle(scene, frame, levelled, fit)
 
@@ -342,7 +234,7 @@ def _by_motion(scene: _Scene) -> _Start:
             raise ValueError("neither labels, motion nor shape say where the markers belong")
         return starts[0]
     try:
-        frame, levelled = _levelled(scene)
+        frame, levelled = scene.cloud.levelled()
     except ValueError:  # no symmetry: what closest points find is all there is
         if not starts:
             raise
@@ -403,7 +295,7 @@ def _by_shape(scene: _Scene) -> list[_Start]:
         skin_deltas=None if cloud.motion is None else skin.deltas,
         motion=cloud.motion,
         ranges=scene.ranges,
-        pinned={row: place for row, (place, spread) in scene.landmarks.items() if spread < 1.0},
+        pinned=scene.pins,
     )
     alignment = placed.alignment
     fit = PlaneFit(alignment.rotation, alignment.scale, alignment.translation)
@@ -412,9 +304,9 @@ def _by_shape(scene: _Scene) -> list[_Start]:
 
 
 def _motion_scale(turned: FloatArray, skin: FaceSkin, samples: IntArray) -> float:
-    """Return MOTION_SHRINKAGE sqrt(sx sy), the axes' scales by least squares on the places."""
-    own = turned - turned.mean(axis=0)
+    """Return sqrt(sx sy), the axes' scales by least squares on the places."""
+    performer = turned - turned.mean(axis=0)
     places = skin.positions[samples]
     places = places - places.mean(axis=0)
-    scale = (own * places).sum(axis=0) / (own**2).sum(axis=0)
-    return float(MOTION_SHRINKAGE * np.sqrt(max(scale[0] * scale[1], 1e-12)))
+    scale = (performer * places).sum(axis=0) / (performer**2).sum(axis=0)
+    return float(np.sqrt(max(scale[0] * scale[1], 1e-12)))

@@ -10,14 +10,14 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial import KDTree
 
-from benchmarks._placement.face_skin import FaceSkin
-from benchmarks._placement.skin_placement import (
+from usdface.core.arrays import FloatArray
+from usdface.numerics.registration.face_skin import FaceSkin
+from usdface.numerics.registration.skin_placement import (
     PlaneFit,
     explained_share,
     in_character,
     pitch_rotation,
 )
-from usdface.core.arrays import FloatArray
 
 _PITCHES_DEGREES = (-30.0, -15.0, 0.0, 15.0, 30.0)
 _SCALES = (0.75, 0.9, 1.05, 1.25)

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import KDTree
 
-from benchmarks._placement.face_skin import FaceSkin
 from usdface.core.arrays import BoolArray, FloatArray
 from usdface.model.retarget.shape_names import motion_and_side
+from usdface.numerics.registration.face_skin import FaceSkin
 
 _SIDES = (("L", 1.0), ("R", -1.0))
 """The character's left lies towards +X of the face's frame."""

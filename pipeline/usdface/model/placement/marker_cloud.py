@@ -1,0 +1,138 @@
+"""A performer's markers before they are placed: their rest, their motion, their symmetry."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.core.arrays import BoolArray, FloatArray, RealArray
+from usdface.model.placement.label_hints import label_hint, mirrored_label, side_of_label
+from usdface.numerics.registration.marker_binding import FEWEST_MARKERS
+from usdface.numerics.registration.sagittal_plane import (
+    SagittalPlane,
+    plane_by_reflection,
+    plane_of_pairs,
+)
+from usdface.numerics.regression.reference_design import design_k_centre
+
+_PICKED_FRAMES = 150
+"""Frames that a placement looks at: those that differ most from each other."""
+
+_POOL_FRAMES = 3000
+"""Frames spread over the take, among which they are picked."""
+
+_MIDDLE_REGIONS = ("forehead", "brow", "bridge", "nose", "mouth", "chin")
+
+
+@dataclass(frozen=True)
+class MarkerCloud:
+    """What is known of a performer's markers before they are placed.
+
+    Attributes
+    ----------
+    neutral : (markers, 3) float array
+        At rest, Y roughly up, looking anywhere [mm].
+    motion : (frames, markers, 3) float array or None
+        Displacements from `neutral`, of frames that differ [mm].
+    still : (markers,) bool array
+        Markers whose motion says nothing about their place: of the skull, or without any.
+    """
+
+    labels: tuple[str, ...]
+    neutral: FloatArray
+    motion: FloatArray | None
+    still: BoolArray
+
+    def levelled(self) -> tuple[FloatArray, FloatArray]:
+        """Return the rotation that levels the cloud, and the cloud with its plane at x = 0.
+
+        Raises
+        ------
+        ValueError
+            If labels name too few sides, and the cloud shows no symmetry.
+        """
+        plane = _plane(self.neutral, self.labels)
+        frame = plane.levelled_frame()
+        return frame, self.neutral @ frame.T - [plane.offset, 0.0, 0.0]
+
+
+def marker_cloud(
+    labels: tuple[str, ...],
+    neutral: FloatArray,
+    positions: RealArray | None,
+    *,
+    visible: BoolArray | None = None,
+    rigid: Sequence[int] = (),
+) -> MarkerCloud:
+    """Gather what a placement needs of a stabilised take.
+
+    Parameters
+    ----------
+    neutral : (markers, 3) float array
+        [mm]
+    positions : (frames, markers, 3) float array, optional
+        Stabilised, in the space of `neutral` [mm]; frames that differ are picked.
+    visible : (frames, markers) bool array, optional
+        Frames that miss markers are avoided.
+    rigid : sequence of int
+        Markers that move with the skull alone.
+
+    Raises
+    ------
+    ValueError
+        If the arrays do not fit together, or are not finite.
+    """
+    y = np.asarray(neutral, float)
+    if y.ndim != 2 or y.shape[1] != 3 or not np.isfinite(y).all():
+        raise ValueError(
+            f"neutral must be (markers, 3) and finite, got {y.shape}; leave unseen markers out"
+        )
+    if len(y) < FEWEST_MARKERS:
+        raise ValueError(f"registration needs at least {FEWEST_MARKERS} markers, got {len(y)}")
+    still = np.zeros(len(y), np.bool_)
+    still[list(rigid)] = True
+    motion = None if positions is None else _pick_frames(y, positions, visible, still)
+    return MarkerCloud(labels, y, motion, still)
+
+
+def _pick_frames(
+    neutral: FloatArray, positions: RealArray, visible: BoolArray | None, still: BoolArray
+) -> FloatArray:
+    """Return the displacements of frames that differ most from each other."""
+    if positions.ndim != 3 or positions.shape[1:] != neutral.shape or not len(positions):
+        raise ValueError(
+            f"motion must be (frames, {len(neutral)}, 3) like the neutral, got {positions.shape}"
+        )
+    rows = np.arange(len(positions))
+    if visible is not None:
+        seen = np.asarray(visible, bool).mean(axis=1)
+        rows = np.flatnonzero(seen >= min(0.999, float(np.quantile(seen, 0.5))))
+    moved = positions[rows[:: max(1, len(rows) // _POOL_FRAMES)]] - neutral
+    if not np.isfinite(moved).all():
+        raise ValueError("motion must be finite; fill gaps first")
+    moved[:, still] = 0
+    flat = moved.reshape(len(moved), -1)
+    count = min(_PICKED_FRAMES, len(flat))
+    return np.asarray(moved[design_k_centre(flat, count).chosen], float)
+
+
+def _plane(neutral: FloatArray, labels: tuple[str, ...]) -> SagittalPlane:
+    row_of = {label: row for row, label in enumerate(labels)}
+    pairs = []
+    for label, row in row_of.items():
+        if side_of_label(label) == "L":
+            partner = next((each for each in mirrored_label(label) if each in row_of), None)
+            if partner is not None:
+                pairs.append((row, row_of[partner]))
+    if len(pairs) >= 3:
+        return plane_of_pairs(neutral, np.array(pairs), np.array(middle_markers(labels), np.int64))
+    return plane_by_reflection(neutral)
+
+
+def middle_markers(labels: tuple[str, ...]) -> list[int]:
+    """Return the markers of parts of the face that lie in the middle, whose labels name no side."""
+    return [
+        row
+        for row, label in enumerate(labels)
+        if not side_of_label(label) and label_hint(label).region in _MIDDLE_REGIONS
+    ]

@@ -1,0 +1,132 @@
+"""Virtual markers: points of a character's surface that move as a performer's markers should.
+
+Deng et al. picked them by hand, vertex by vertex; `model.placement` finds them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import sparse
+
+from usdface.core.arrays import FloatArray, IntArray
+
+Offsets = ArrayLike | sparse.sparray
+
+
+@dataclass(frozen=True)
+class VirtualMarkers:
+    """Markers of a performer glued to a character's surface.
+
+    ``motion_scale * (moved @ rotation.T)`` brings the performer's displacements onto the
+    character.
+
+    Attributes
+    ----------
+    points : (markers, 3) int array
+        The three points of the surface that carry each marker.
+    weights : (markers, 3) float array
+        Their shares, sum 1.
+    motion_scale : float
+        How far the character's skin goes over how far the performer's goes. One number: how deep a
+        face is, compared with its width, is no guide to how far its skin moves.
+    rotation : (3, 3) float array
+        From the performer's space to the character's; proper, so left stays left.
+    distance_mm : (markers,) float array
+        Between the aligned marker and the place found for it: differing proportions, or a
+        marker that is not on the face.
+    agreement : (markers,) float array
+        Share of the marker's motion that the shapes explain at that place [0-1]; NaN when no
+        motion was given. Near 0 for markers that hardly move.
+    """
+
+    points: IntArray
+    weights: FloatArray
+    motion_scale: float
+    rotation: FloatArray
+    distance_mm: FloatArray
+    agreement: FloatArray
+
+    def places(self, surface: FloatArray) -> FloatArray:
+        """Return where the markers are on a surface's points: (markers, 3)."""
+        return np.asarray(np.einsum("mk,mkc->mc", self.weights, surface[self.points]))
+
+
+def marker_deltas(virtual: VirtualMarkers, offsets: Offsets) -> FloatArray:
+    """Return what each shape, or key of a shape, does to the virtual markers.
+
+    Parameters
+    ----------
+    offsets : (shapes, points, 3) array or (shapes, 3 * points) sparse array
+        Of the surface that the markers were placed on.
+
+    Returns
+    -------
+    (shapes, markers, 3) float array
+    """
+    return deltas_at(sparse_offsets(offsets), virtual.points, virtual.weights)
+
+
+def character_motion(
+    virtual: VirtualMarkers, positions: ArrayLike, neutral: ArrayLike
+) -> FloatArray:
+    """Return a performer's displacements in the character's space and size.
+
+    Parameters
+    ----------
+    positions : (frames, markers, 3) array
+        Stabilised [mm].
+    neutral : (markers, 3) array
+        In the same space.
+
+    Returns
+    -------
+    (frames, markers, 3) float array
+        What the blendshape equation has on its left side [mm].
+    """
+    moved = np.asarray(positions, float) - np.asarray(neutral, float)
+    return np.asarray(virtual.motion_scale * (moved @ virtual.rotation.T), float)
+
+
+def sparse_offsets(offsets: Offsets, *, point_count: int | None = None) -> sparse.csc_array:
+    """Return shapes over a surface as (shapes, 3 * points).
+
+    Raises
+    ------
+    ValueError
+        If they are not three numbers a point, or are of another surface.
+    """
+    if isinstance(offsets, sparse.sparray):
+        matrix = sparse.csc_array(offsets)
+    else:
+        dense = np.asarray(offsets, float)
+        if dense.ndim != 3 or dense.shape[2] != 3:
+            raise ValueError(
+                f"offsets must be (shapes, points, 3) or sparse (shapes, 3 * points), "
+                f"got {dense.shape}"
+            )
+        matrix = sparse.csc_array(dense.reshape(len(dense), -1))
+    if point_count is not None and matrix.shape[1] != 3 * point_count:
+        raise ValueError(
+            f"offsets are for {matrix.shape[1] // 3} points, the surface has {point_count}"
+        )
+    return matrix
+
+
+def deltas_at(matrix: sparse.csc_array, corners: IntArray, weights: FloatArray) -> FloatArray:
+    """Return the shapes at points inside triangles, without spreading them: (shapes, n, 3).
+
+    Parameters
+    ----------
+    matrix : (shapes, 3 * points) sparse array
+    corners : (n, 3) int array
+    weights : (n, 3) float array
+        Barycentric.
+    """
+    samples = len(corners)
+    rows = (3 * corners[:, :, None] + np.arange(3)).ravel()
+    columns = np.repeat(3 * np.arange(samples), 9) + np.tile([0, 1, 2], 3 * samples)
+    pick = sparse.csc_array(
+        (np.repeat(weights.ravel(), 3), (rows, columns)), shape=(matrix.shape[1], 3 * samples)
+    )
+    return np.asarray((matrix @ pick).toarray(), float).reshape(-1, samples, 3)

@@ -1,0 +1,153 @@
+"""Markers whose labels say nothing: placed by shape and motion, wherever the performer looks."""
+
+import numpy as np
+import pytest
+
+from tests.numerics.small_face import MOUTH, small_actor, small_face
+from usdface.model.placement.marker_cloud import marker_cloud
+from usdface.model.placement.place import place_markers
+from usdface.numerics.registration.face_skin import sample_face_skin
+from usdface.numerics.registration.virtual_markers import character_motion, marker_deltas
+
+
+@pytest.fixture(scope="module")
+def face():
+    return small_face()
+
+
+@pytest.fixture(scope="module")
+def skin(face):
+    return sample_face_skin(face.points, face.triangles, face.offsets)
+
+
+@pytest.fixture(scope="module")
+def actor(face):
+    return small_actor(face, np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def placed(skin, actor):
+    return place(skin, actor.neutral, actor.positions)
+
+
+def place(skin, neutral, positions, *, visible=None, pins=None):
+    labels = tuple(f"m{i}" for i in range(len(neutral)))
+    shapes = tuple(f"shape_{i}" for i in range(len(skin.deltas)))
+    cloud = marker_cloud(labels, neutral, positions, visible=visible)
+    return place_markers(cloud, skin, shapes, pinned=pins)
+
+
+def errors(face, actor, placed):
+    found = placed.virtual.places(face.points)
+    return np.linalg.norm(found - face.points[actor.carriers], axis=1)
+
+
+def test_finds_known_markers_without_landmarks(face, actor, placed):
+    error = errors(face, actor, placed)
+    assert np.median(error) < 4
+    assert np.quantile(error, 0.9) < 8
+    assert placed.explained > 0.9
+    assert not placed.by_labels
+    assert placed.landmark_mm == {}
+
+
+def test_upper_and_lower_lip_are_told_apart(face, actor, placed):
+    true, found = face.points[actor.carriers], placed.virtual.places(face.points)
+    lips = (np.abs(true[:, 0]) < 30) & (np.abs(true[:, 1] - MOUTH) < 12)
+    assert lips.sum() >= 4
+    np.testing.assert_array_equal(true[lips, 1] < MOUTH, found[lips, 1] < MOUTH)
+
+
+@pytest.mark.parametrize("yaw", [90, 180, 250])
+def test_left_stays_left_wherever_the_performer_looks(face, skin, yaw):
+    actor = small_actor(face, np.random.default_rng(0), yaw=yaw)
+    placed = place(skin, actor.neutral, actor.positions)
+    side = face.points[actor.carriers][:, 0]
+    found = placed.virtual.places(face.points)[:, 0]
+    clear = np.abs(side) > 12
+    np.testing.assert_array_equal(np.sign(found[clear]), np.sign(side[clear]))
+    assert np.linalg.det(placed.virtual.rotation) == pytest.approx(1)
+
+
+def test_moving_and_resizing_the_performer_changes_nothing(face, skin, actor, placed):
+    moved = place(
+        skin, actor.neutral * 1.7 + (500, 80, -3000), actor.positions * 1.7 + (500, 80, -3000)
+    )
+    step = moved.virtual.places(face.points) - placed.virtual.places(face.points)
+    assert np.median(np.linalg.norm(step, axis=1)) < 1.5
+    assert moved.virtual.motion_scale * 1.7 == pytest.approx(placed.virtual.motion_scale, rel=0.05)
+
+
+def test_motion_has_the_scale_of_width_and_height(actor, placed):
+    expected = np.sqrt(actor.scale[0] * actor.scale[1])
+    assert placed.virtual.motion_scale == pytest.approx(expected, rel=0.06)
+
+
+def test_markers_are_glued_to_triangles_of_the_surface(face, placed):
+    np.testing.assert_allclose(placed.virtual.weights.sum(axis=1), 1)
+    corners = np.sort(face.triangles, axis=1)
+    mine = np.sort(placed.virtual.points, axis=1)
+    assert (mine[:, None] == corners[None]).all(axis=2).any(axis=1).all()
+
+
+def test_no_marker_lands_inside_the_mouth_or_behind(face, placed):
+    assert np.isin(placed.virtual.points, face.skin).all()
+
+
+def test_deltas_explain_the_motion_of_the_performer(actor, face, placed):
+    motion = character_motion(placed.virtual, actor.positions, actor.neutral)
+    deltas = marker_deltas(placed.virtual, face.offsets)
+    predicted = np.einsum("fs,smc->fmc", actor.weights, deltas)
+    correlation = (predicted * motion).sum((0, 2)) / np.sqrt(
+        (predicted**2).sum((0, 2)) * (motion**2).sum((0, 2)) + 1e-9
+    )
+    moving = np.sqrt((motion**2).sum(2).mean(0)) > 1
+    assert np.median(correlation[moving]) > 0.95
+
+
+def test_given_places_alone_align_a_cloud_without_motion(face, skin):
+    actor = small_actor(face, np.random.default_rng(0), yaw=180)
+    pins = {i: face.points[actor.carriers[i]] for i in range(0, 70, 6)}
+    placed = place(skin, actor.neutral, None, pins=pins)
+    assert np.median(errors(face, actor, placed)) < 6
+    assert errors(face, actor, placed)[list(pins)].max() < 2.5  # between samples
+    assert np.isnan(placed.explained)
+
+
+def test_mirrored_places_are_refused(face, skin, actor):
+    pins = {i: face.points[actor.carriers[i]] for i in range(0, 70, 6)}
+    with pytest.raises(ValueError, match="left and right are not exchanged"):
+        place(skin, actor.neutral * (-1, 1, 1), None, pins=pins)
+
+
+def test_frames_with_unseen_markers_are_avoided(face, skin, actor):
+    spoiled, visible = actor.positions.copy(), np.ones(actor.positions.shape[:2], bool)
+    spoiled[::3, ::5] = 0
+    visible[::3, ::5] = False
+    placed = place(skin, actor.neutral, spoiled, visible=visible)
+    assert np.median(errors(face, actor, placed)) < 3
+
+
+def test_a_take_of_one_frame_is_placed_by_its_shape_alone(face, skin, actor):
+    placed = place(skin, actor.neutral, actor.neutral[None])
+    assert np.median(errors(face, actor, placed)) < 6
+
+
+def test_a_surface_that_nothing_moves_is_refused(face):
+    with pytest.raises(ValueError, match="the shapes move no part of the surface"):
+        sample_face_skin(face.points, face.triangles, 0 * face.offsets)
+
+
+@pytest.mark.parametrize(
+    ("neutral", "positions", "message"),
+    [
+        (np.zeros((5, 2)), None, r"neutral must be \(markers, 3\)"),
+        (np.full((5, 3), np.nan), None, "leave unseen markers out"),
+        (np.zeros((3, 3)), None, "at least 4 markers, got 3"),
+        (np.eye(5, 3), np.zeros((4, 3, 3)), "motion must be"),
+        (np.eye(5, 3), np.full((4, 5, 3), np.nan), "fill gaps first"),
+    ],
+)
+def test_refuses_arrays_that_do_not_fit(neutral, positions, message):
+    with pytest.raises(ValueError, match=message):
+        marker_cloud(tuple("abcde")[: len(neutral)], neutral, positions)
