@@ -27,6 +27,15 @@ _MM_PER_UNIT = {
 _AXES = {"X": 0, "Y": 1, "Z": 2}
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """Rotation that stands a Z-up capture upright."""
+_UPRIGHT = {
+    "y": np.eye(3),
+    "z": Z_UP,
+    "x": np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+    "-x": np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+    "-y": np.diag([1.0, -1.0, -1.0]),
+    "-z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+}
+"""Rotations that bring an axis to Y; which way the face then looks does not matter."""
 
 
 def mm_per_unit(units: str, *, where: str) -> float:
@@ -48,16 +57,16 @@ def mm_per_unit(units: str, *, where: str) -> float:
 
 
 def rotation_to_y_up(*, up: str, where: str) -> NDArray[np.float64]:
-    """Return the rotation that brings `up` ('y' or 'z') to Y.
+    """Return the rotation that brings `up`, such as 'y', 'z' or '-x', to Y.
 
     Raises
     ------
     InputError
-        If `up` is neither.
+        If `up` is no axis.
     """
-    if up.lower() not in ("y", "z"):
-        raise InputError(f"{where}: up axis {up!r}; it must be y or z")
-    return np.eye(3) if up.lower() == "y" else Z_UP
+    if up.lower() not in _UPRIGHT:
+        raise InputError(f"{where}: up axis {up!r}; it must be one of {', '.join(_UPRIGHT)}")
+    return _UPRIGHT[up.lower()]
 
 
 def rotation_from_screen(x_screen: str, y_screen: str, *, where: str) -> NDArray[np.float64]:

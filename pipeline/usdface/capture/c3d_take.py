@@ -58,7 +58,8 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
     if labels.subjects:
         notes.append(f"subject prefixes taken off: {first_few(labels.subjects)}")
     scale = settle_units(file.units, options, notes, where=str(path), field="POINT:UNITS")
-    rotation = (scale * _rotation(file, options, notes)).astype(np.float32)
+    to_mm = scale * _rotation(file, options, notes)
+    rotation = to_mm.astype(np.float32)
     columns = np.array(labels.columns)
 
     positions = np.empty((file.frame_count, len(columns), 3), np.float32)
@@ -78,6 +79,7 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
             exact_rate(file.layout.rate, where=f"{path} POINT:RATE"),
             file.layout.first_frame,
             notes=notes,
+            to_mm=to_mm,
         ),
         labels.names,
         positions,

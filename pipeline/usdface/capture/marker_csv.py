@@ -1,7 +1,11 @@
 """A plain table of markers: a frame column, a column of seconds, then NAME.x, NAME.y, NAME.z."""
 
 import re
+from fractions import Fraction
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from usdface.capture.marker_take import (
     Capture,
@@ -22,6 +26,7 @@ from usdface.capture.text_table import (
     without_empty_tail,
 )
 from usdface.core.errors import InputError
+from usdface.core.rates import exact_rate
 
 _X = re.compile(r"(.+)[._: ]x", re.IGNORECASE)
 _FRAME = ("frame", "frame#")
@@ -54,18 +59,18 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
     lowered = [title.lower() for title in titles]
     frame_at = next((at for at, title in enumerate(lowered) if title in _FRAME), None)
     time_at = next((at for at, title in enumerate(lowered) if title in _TIME), None)
-    if frame_at is None or time_at is None or not triples:
+    if frame_at is None or (time_at is None and options.rate is None) or not triples:
         raise InputError(
             f"{header.where}: it must name a column frame, a column time_s in seconds, and NAME.x, "
             f"NAME.y, NAME.z for each marker (found {', '.join(titles[:4])[:60]}, …); add what is "
-            "missing"
+            "missing, or state the frames per second with --rate"
         )
     table = read_number_table(lines, titles, path=path, delimiter=delimiter, gaps=True)
     first_frame, frames = settle_frame_numbers(
         table.values[:, frame_at], table.lines, where=str(path)
     )
     notes: list[str] = []
-    others = len(titles) - 2 - 3 * len(triples)
+    others = len(titles) - 1 - (time_at is not None) - 3 * len(triples)
     if others:
         notes.append(f"{others} columns other than markers left out")
     to_mm = settle_space(
@@ -81,7 +86,7 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
         CaptureHeader(
             path,
             "marker-csv",
-            rate_of_times(table.values[:, time_at], frames, where=str(path)),
+            _rate(table.values, time_at, frames, options, path),
             first_frame,
             notes=notes,
         ),
@@ -90,6 +95,19 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
         ),
         options,
     )
+
+
+def _rate(
+    values: NDArray[np.float64],
+    time_at: int | None,
+    frames: NDArray[np.int64],
+    options: CaptureOptions,
+    path: Path,
+) -> Fraction:
+    """Return what the times tell; where the rate is stated they are not needed."""
+    if options.rate is not None or time_at is None:
+        return exact_rate(options.rate or 0.0, where="--rate")
+    return rate_of_times(values[:, time_at], frames, where=str(path))
 
 
 def _triples(titles: list[str]) -> dict[str, int]:

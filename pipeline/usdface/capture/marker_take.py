@@ -12,6 +12,7 @@ from usdface.capture.axes import mm_per_unit, rotation_to_y_up
 from usdface.capture.marker_labels import match_labels, settle_labels
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
+from usdface.core.rates import exact_rate
 from usdface.core.text import first_few, pluralize
 
 FARTHEST_MM = 1e5
@@ -28,8 +29,12 @@ class CaptureOptions:
     ----------
     units : str or None
         Overrules the file: ``'mm'``, ``'cm'``, ``'m'``, ``'in'``, …
-    up : {'y', 'z'} or None
-        Overrules the file.
+    scale : float or None
+        Factor on lengths, beyond the units.
+    up : str or None
+        Overrules the file: ``'y'``, ``'z'``, ``'-x'``, …
+    rate : float or None
+        Frames per second; overrules the file.
     rigid : tuple of str
         Names of the markers that move with the skull alone.
     neutral : int or None
@@ -37,7 +42,9 @@ class CaptureOptions:
     """
 
     units: str | None = None
+    scale: float | None = None
     up: str | None = None
+    rate: float | None = None
     rigid: tuple[str, ...] = ()
     neutral: int | None = None
 
@@ -52,11 +59,14 @@ class Capture:
         Key of the reader, such as ``'c3d'``.
     notes : tuple of str
         What was dropped, repaired or assumed, one sentence each.
+    axes : (3, 3) float array or None
+        Rotation that brought the file's axes to Y up, if markers had to be turned.
     """
 
     take: Take
     format: str
     notes: tuple[str, ...] = ()
+    axes: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
@@ -77,6 +87,8 @@ class CaptureHeader:
         SMPTE timecode of the first frame, empty when unknown.
     notes : sequence of str
         What the reader has noted so far.
+    to_mm : (3, 3) float array or None
+        What brought the file's units and axes to mm, Y up.
     """
 
     path: Path
@@ -85,6 +97,7 @@ class CaptureHeader:
     first_frame: int
     timecode_start: str = ""
     notes: Sequence[str] = ()
+    to_mm: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
@@ -168,12 +181,28 @@ def build_marker_take(
     )
     take = Take(
         name=path.stem,
-        rate=header.rate,
+        rate=_settle_rate(header, options, found),
         first_frame=first_frame,
         markers=markers,
         timecode_start=header.timecode_start,
     )
-    return Capture(take, header.format, tuple(found))
+    axes = header.to_mm
+    if axes is not None:
+        axes = axes / np.cbrt(abs(np.linalg.det(axes)))
+    return Capture(take, header.format, tuple(found), axes)
+
+
+def _settle_rate(header: CaptureHeader, options: CaptureOptions, notes: list[str]) -> Fraction:
+    """Return the rate that the user states, or else the file."""
+    if options.rate is None:
+        return header.rate
+    stated = exact_rate(options.rate, where="--rate")
+    if header.rate != stated:
+        notes.append(
+            f"the file says {float(header.rate):g} frames per second; {float(stated):g} was asked "
+            "for and used"
+        )
+    return stated
 
 
 def _confidence(visible: NDArray[np.bool_]) -> NDArray[np.float32]:
@@ -266,7 +295,7 @@ def build_table_take(header: CaptureHeader, table: MarkerTable, options: Capture
             positions[frames[rows]] = samples
         visible[frames[rows]] = ~np.isnan(samples).any(axis=2)
     return build_marker_take(
-        replace(header, notes=notes), labels.names, positions, visible, options
+        replace(header, notes=notes, to_mm=table.to_mm), labels.names, positions, visible, options
     )
 
 
@@ -310,17 +339,18 @@ def settle_space(
 def settle_units(
     stated: str, options: CaptureOptions, notes: list[str], *, where: str, field: str
 ) -> float:
-    """Return millimetres per unit, from what the file states or the user says.
+    """Return millimetres per unit, from what the file states or the user says, and his factor.
 
     Raises
     ------
     InputError
         If the unit is not known.
     """
+    scale = 1.0 if options.scale is None else options.scale
     if options.units is not None:
         if stated and stated.lower() != options.units.lower():
             notes.append(f"{field} says {stated}; {options.units} was asked for and used")
-        return mm_per_unit(options.units, where=f"{where} units")
-    if not stated:
+        return scale * mm_per_unit(options.units, where=f"{where} units")
+    if not stated and options.scale is None:
         notes.append(f"no unit stated ({field}); mm assumed, say otherwise with --units")
-    return mm_per_unit(stated or "mm", where=f"{where} {field}")
+    return scale * mm_per_unit(stated or "mm", where=f"{where} {field}")

@@ -102,7 +102,7 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
     if rate is None:
         rate = rate_of_times(table.values[:, 1], frames, where=str(path))
         notes.append(f"the first line states no rate; {float(rate):g} taken from the times")
-    else:
+    elif options.rate is None:
         check_rate(rate, "the first line", table.values[:, 1], frames, where=str(path))
     to_mm = settle_space(
         header.stated.get("Length Units", ""),

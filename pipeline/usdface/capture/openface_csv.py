@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.capture.axes import mm_per_unit
 from usdface.capture.channel_take import fill_frames
 from usdface.capture.marker_take import (
     Capture,
@@ -21,6 +20,7 @@ from usdface.capture.marker_take import (
     CaptureOptions,
     MarkerTable,
     build_table_take,
+    settle_units,
 )
 from usdface.capture.sample_times import rate_of_times, settle_frame_numbers
 from usdface.capture.text_table import (
@@ -36,6 +36,7 @@ from usdface.capture.text_table import (
 )
 from usdface.core.assets import Take, WeightsClip
 from usdface.core.errors import InputError
+from usdface.core.rates import exact_rate
 
 _LANDMARK = re.compile(r"X_(\d+)", re.ASCII)
 _INTENSITY = re.compile(r"(AU\d+)_r", re.ASCII)
@@ -91,6 +92,8 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
         table.values[:, columns.at["frame"]], table.lines, where=str(path)
     )
     rate = rate_of_times(table.values[:, columns.at["timestamp"]], frames, where=str(path))
+    if options.rate is not None:
+        rate = exact_rate(options.rate, where="--rate")
     seen = _rows_with_face(table.values[:, columns.at["success"]], path, notes)
     source = None
     if columns.units:
@@ -110,7 +113,7 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
             range(0, 3 * len(columns.landmarks), 3),
             points.reshape(len(points), -1),
             frames,
-            mm_per_unit(options.units or "mm", where=f"{path} units") * _TO_Y_UP,
+            settle_units("mm", options, notes, where=str(path), field="OpenFace") * _TO_Y_UP,
             where=header.where,
         ),
         options,

@@ -52,7 +52,9 @@ def read_capture(
     *,
     format: str | None = None,
     units: str | None = None,
+    scale: float | None = None,
     up: str | None = None,
+    rate: float | None = None,
     rigid: Sequence[str] = (),
     neutral: int | None = None,
 ) -> Capture:
@@ -64,8 +66,12 @@ def read_capture(
         Name of one of `FORMATS`; told from the content when left out, whatever the extension.
     units : str, optional
         ``'mm'``, ``'cm'``, ``'m'``, …; overrules the file.
-    up : {'y', 'z'}, optional
+    scale : float, optional
+        Factor on lengths, beyond the units.
+    up : {'y', 'z', 'x', '-x', '-y', '-z'}, optional
         Overrules the file.
+    rate : float, optional
+        Frames per second of markers; overrules the file.
     rigid : sequence of str
         Names of the markers that move with the skull alone.
     neutral : int, optional
@@ -82,7 +88,7 @@ def read_capture(
         If the file cannot be read, is of no known format, is damaged, or contradicts the options.
     """
     path = Path(path)
-    options = CaptureOptions(units=units, up=up, rigid=tuple(rigid), neutral=neutral)
+    options = CaptureOptions(units, scale, up, rate, tuple(rigid), neutral)
     try:
         chosen = _named_format(format) if format is not None else recognise_format(path)
         return chosen.read(path, options)

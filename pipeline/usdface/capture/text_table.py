@@ -23,6 +23,8 @@ MOST_LINES = 10_000_000
 DELIMITERS = ("\t", ",", ";")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _NOT_A_NUMBER = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
+_MISSING = ("", "na", "n/a", "#n/a", "null", "none")
+"""What R, pandas, SPSS and spreadsheets write where nothing was seen, in lower case."""
 _LONGEST_QUOTE = 40
 
 
@@ -168,7 +170,7 @@ def parse_cells(
     delimiter : str or None
         Unless it is the comma, numbers may have a decimal comma.
     gaps : bool
-        Whether an empty cell or ``NaN`` means that nothing was seen; else both are refused.
+        Whether an empty cell, ``NaN`` or ``NA`` means that nothing was seen; else it is refused.
     first_column : int
         Which column of the line `cells` starts at, from 0; for messages.
 
@@ -288,7 +290,7 @@ def _number(cell: str, delimiter: str | None, place: str, gaps: bool) -> float:
         cell = cell.replace(",", ".", 1)
     if _NUMBER.fullmatch(cell) or _NOT_A_NUMBER.fullmatch(cell):
         return float(cell)
-    if not cell and gaps:
+    if gaps and cell.lower() in _MISSING:
         return math.nan
     found = repr(cell[:_LONGEST_QUOTE]) if cell else "an empty cell"
     raise InputError(

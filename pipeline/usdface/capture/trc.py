@@ -62,7 +62,8 @@ def read_trc(path: Path, options: CaptureOptions) -> Capture:
     notes = _check_counts(header, len(labels), len(table.values))
     first_frame, frames = settle_frame_numbers(table.values[:, 0], table.lines, where=str(path))
     rate = _data_rate(header, stated)
-    check_rate(rate, "DataRate", table.values[:, 1], frames, where=str(path))
+    if options.rate is None:
+        check_rate(rate, "DataRate", table.values[:, 1], frames, where=str(path))
     to_mm = settle_space(
         header.get("Units", ""),
         "y",

@@ -8,7 +8,7 @@ and an empty line at the end.
 import re
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import chain
 from pathlib import Path
@@ -78,7 +78,7 @@ def read_vicon_csv(path: Path, options: CaptureOptions) -> Capture:
     if not skipped:
         return capture
     note = f"blocks left out: {first_few(skipped)}"
-    return Capture(capture.take, capture.format, (note, *capture.notes))
+    return replace(capture, notes=(note, *capture.notes))
 
 
 def _title(line: TableLine) -> str | None:

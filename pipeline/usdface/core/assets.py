@@ -134,6 +134,8 @@ class Take:
         SMPTE timecode of the first frame, empty when unknown.
     events : tuple of Event
         In the order of the recording.
+    doubts : tuple of str or None
+        What is odd about its markers, as ingest saw it; None where nobody has looked.
     """
 
     name: str
@@ -148,6 +150,7 @@ class Take:
     emotion: str = ""
     timecode_start: str = ""
     events: tuple[Event, ...] = ()
+    doubts: tuple[str, ...] | None = None
 
     @property
     def frame_count(self) -> int:

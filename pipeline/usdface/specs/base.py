@@ -21,7 +21,7 @@ from usdface.specs.paths import Reads, Writes
 log = logging.getLogger(__name__)
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
-Axis = Literal["y", "z"]
+Axis = Literal["y", "z", "x", "-x", "-y", "-z"]
 Units = Literal["mm", "cm", "m", "in"]
 
 Sidecar = Callable[[Path], Path]

@@ -9,6 +9,7 @@ from usdface.core.sidecars import take_samples_path
 from usdface.specs.base import Axis, Name, Positional, Sidecar, Spec, Units
 from usdface.specs.paths import (
     FilePath,
+    Frames,
     ImageOut,
     LayerOut,
     PrimPath,
@@ -55,8 +56,26 @@ class IngestSpec(Spec):
     """Format of the capture, if it is not recognised by content."""
     units: Units | None = None
     """Length unit of the capture, if the file does not state it or states it wrongly."""
+    scale: Annotated[float, Field(gt=0, le=1e9)] | None = None
+    """Factor on all lengths, beyond --units: for scenes in units of their own. A face in units of
+    0.1 m needs `--scale 100`."""
     up: Axis | None = None
     """Up axis of the capture, if the file does not state it or states it wrongly."""
+    mirrored: Literal["labels", "axes", "no"] | None = None
+    """What to mend where left and right are exchanged: `labels` exchanges the names of left and
+    right, `axes` reflects the positions (exports with left-handed axes), `no` keeps the take as it
+    is."""
+    rate: Annotated[float, Field(gt=0, le=100_000)] | None = None
+    """Frames per second of the markers, if the file does not state it or states it wrongly. Tables
+    without a column of times need it."""
+    frames: Frames | None = None
+    """Frames to keep, first and last, such as `800-1714`: leaves out the padding of a take.
+    Timecode and video stay in time."""
+    partial: bool = False
+    """State that the markers are meant to cover only a part of the face: one side, or one half."""
+    only: Name | None = None
+    """For a folder: which of its captures to read, by the end or a pattern of their names, such as
+    `c3d` or `*_v2.csv`."""
     rigid: tuple[Name, ...] = ()
     """Labels of the markers that move with the skull only."""
     neutral: int | None = None
@@ -78,6 +97,11 @@ class IngestSpec(Spec):
             raise ValueError("video_offset or video_rate is given without a video")
         if self.audio is not None and self.audio_channel is not None:
             raise ValueError("audio and audio_channel are both given; keep one")
+        if self.audio is not None and self.frames is not None:
+            raise ValueError(
+                "frames is given with audio, whose sound would start too early; cut the sound to "
+                "the same start and ingest the take in one piece, or leave out one of them"
+            )
         return self
 
 

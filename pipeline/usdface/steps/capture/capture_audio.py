@@ -30,7 +30,12 @@ class CaptureSound:
 
 
 def extract_sound(
-    sources: Sequence[Path], out: Path, *, channel: str | None = None, ours: bool = False
+    sources: Sequence[Path],
+    out: Path,
+    *,
+    channel: str | None = None,
+    ours: bool = False,
+    skipped: tuple[int, int] = (0, 0),
 ) -> CaptureSound | None:
     """Write the analog channel that holds sound as a WAV file.
 
@@ -44,6 +49,8 @@ def extract_sound(
         Name of the channel; one that is named like sound by default.
     ours : bool
         Whether the file that may lie there already was made by this step.
+    skipped : tuple of int
+        Frames of the capture to leave out at its start and end.
 
     Returns
     -------
@@ -70,7 +77,8 @@ def extract_sound(
         if channel is None and capture.analog_rate >= LEAST_RATE:
             chosen = next((name for name in names if SOUND_NAME.search(name)), None)
         if chosen is not None:
-            _write_wav(out, capture, names.index(chosen), ours=ours)
+            frames = range(skipped[0], capture.frame_count - skipped[1])
+            _write_wav(out, capture, names.index(chosen), frames, ours=ours)
             rate = capture.analog_rate
             return CaptureSound(out, f"sound was taken from analog channel {chosen} ({rate:g} Hz)")
     if channel is None:
@@ -83,12 +91,13 @@ def extract_sound(
     )
 
 
-def _write_wav(path: Path, capture: C3dFile, column: int, *, ours: bool) -> None:
+def _write_wav(path: Path, capture: C3dFile, column: int, frames: range, *, ours: bool) -> None:
     """Write 16-bit samples, the loudest at full scale; two passes keep memory bounded."""
-    starts = range(0, capture.frame_count, _CHUNK_FRAMES)
+    starts = frames[::_CHUNK_FRAMES]
 
     def samples(start: int) -> np.ndarray:
-        return capture.read_analog(start, start + _CHUNK_FRAMES)[:, column].astype(np.float64)
+        stop = min(start + _CHUNK_FRAMES, frames.stop)
+        return capture.read_analog(start, stop)[:, column].astype(np.float64)
 
     total = sum(float(np.nansum(_numbers(samples(start)))) for start in starts)
     count = max(sum(int(np.isfinite(samples(start)).sum()) for start in starts), 1)

@@ -4,6 +4,8 @@ import logging
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from usdface.capture.marker_labels import match_labels, settle_labels
 from usdface.capture.marker_take import Capture, CaptureHeader, CaptureOptions, build_marker_take
 from usdface.capture.sniff import read_capture
@@ -16,8 +18,11 @@ from usdface.core.sidecars import LAYER_SUFFIXES, take_samples_path
 from usdface.core.text import pluralize
 from usdface.core.timecode import frames_of
 from usdface.media.film.image_sequence import open_video
+from usdface.model.placement.plausibility import judge_markers, settle_findings
 from usdface.runner.result import StepResult
 from usdface.specs.capture import IngestSpec
+from usdface.specs.paths import frame_range
+from usdface.steps.capture.adjust_take import cut_frames, exchange_sides, padding_notes
 from usdface.steps.capture.capture_audio import CaptureSound, extract_sound
 from usdface.steps.capture.merge_captures import join_captures
 from usdface.usdio.take.foreign import read_foreign_take
@@ -29,27 +34,39 @@ log = logging.getLogger(__name__)
 
 def run(spec: IngestSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Read captures of one take and write it as USD."""
+    if spec.only is not None:
+        raise InputError("--only chooses among the captures of a folder; leave it out for files")
     captures = []
     for index, source in enumerate(spec.sources):
         progress(0.6 * index / len(spec.sources), f"reading {source.name}")
         captures.append(_read_source(source, spec))
     joined = join_captures(_labelled([capture.take for capture in captures], spec), spec.sources)
     take = joined.take
-    timecode, doubts = _timecode(take)
-    sound = _capture_sound(spec)
+    if spec.mirrored in ("labels", "axes"):
+        take = exchange_sides(take, spec.mirrored, where=_names(spec))
+    doubts = _plausibility(spec, take, captures)
+    timecode, timecode_notes = _timecode(take)
     take = replace(
         take,
         name=spec.take or take.name,
         performer=spec.performer or take.performer,
         emotion=spec.emotion or take.emotion,
         timecode_start=timecode,
-        audio=spec.audio or take.audio or (sound.file if sound else None),
         video=take.video if spec.video is None else _open_video(spec.video, spec),
+        doubts=doubts,
     )
+    first, count, padding = take.first_frame, take.frame_count, padding_notes(take)
+    limits = frame_range(spec.frames)
+    if limits is not None:
+        take, padding = _cut(spec, take, limits)
+    skipped = (take.first_frame - first, first + count - take.first_frame - take.frame_count)
+    sound = _capture_sound(spec, skipped)
+    take = replace(take, audio=spec.audio or take.audio or (sound.file if sound else None))
     progress(0.7, f"writing {spec.out.name}")
     write_take(spec.out, take, provenance=provenance)
     progress(1.0, f"wrote {spec.out.name}")
-    notes = (*(note for capture in captures for note in capture.notes), *joined.notes, *doubts)
+    notes = (*(note for capture in captures for note in capture.notes), *joined.notes)
+    notes += (*timecode_notes, *padding, *(doubts or ()))
     notes += (sound.note,) if sound else ()
     log.info("%s: %d frames", spec.out, take.frame_count)
     return _report(spec, take, notes, (sound.file,) if sound else ())
@@ -71,21 +88,70 @@ def _labelled(takes: list[Take], spec: IngestSpec) -> list[Take]:
 def _read_source(source: Path, spec: IngestSpec) -> Capture:
     if source.suffix.lower() in (*LAYER_SUFFIXES, ".usdz"):
         return _read_usd(source, spec)
-    return read_capture(
+    capture = read_capture(
         source,
         format=spec.format,
         units=spec.units,
+        scale=spec.scale,
         up=spec.up,
+        rate=spec.rate,
         rigid=spec.rigid,
         neutral=spec.neutral,
     )
+    if spec.rate is not None and len(spec.sources) == 1 and capture.take.markers is None:
+        raise InputError(
+            f"{source}: --rate is of markers, and this capture has none; its samples keep the "
+            "times that the recorder wrote: leave --rate out"
+        )
+    return capture
+
+
+def _names(spec: IngestSpec) -> str:
+    return ", ".join(map(str, spec.sources))
+
+
+def _plausibility(spec: IngestSpec, take: Take, captures: list[Capture]) -> tuple[str, ...] | None:
+    """Return what is odd about the markers; refuse what cannot be, unless the user states it."""
+    if take.markers is None:
+        return None
+    capture = next(each for each in captures if each.take.markers is not None)
+    stated = {
+        "size": spec.units is not None or spec.scale is not None,
+        "up": spec.up is not None or capture.format == "usd",
+        "sides": spec.mirrored is not None,
+        "part": spec.partial,
+        "rate": spec.rate is not None,
+    }
+    findings = judge_markers(take.markers, float(take.rate), axes=capture.axes)
+    return settle_findings(
+        findings, stated=[aspect for aspect, given in stated.items() if given], where=_names(spec)
+    )
+
+
+def _cut(spec: IngestSpec, take: Take, limits: tuple[int, int]) -> tuple[Take, list[str]]:
+    """Keep the frames that are asked for; say where another frame is neutral by that."""
+    if take.audio is not None:
+        raise InputError(
+            f"{_names(spec)}: the take has sound of its own, {take.audio.name}, which would start "
+            "too early; leave out --frames"
+        )
+    if spec.neutral is not None and not limits[0] <= spec.neutral <= limits[1]:
+        raise InputError(
+            f"{_names(spec)}: neutral frame {spec.neutral} is not among --frames "
+            f"{limits[0]}-{limits[1]}; name one of them with --neutral"
+        )
+    cut = cut_frames(take, limits, where=_names(spec))
+    before, after = take.markers, cut.markers
+    if before is None or after is None or before.neutral_frame == after.neutral_frame:
+        return cut, []
+    return cut, [f"of the frames that are left, {after.neutral_frame} is taken as neutral"]
 
 
 def _read_usd(source: Path, spec: IngestSpec) -> Capture:
     if spec.units is not None or spec.up is not None:
         raise InputError(
             f"{source}: a USD file states its own units and up axis; author metersPerUnit and "
-            "upAxis in it instead of --units and --up"
+            "upAxis in it instead of --units and --up (--scale works)"
         )
     if is_take(source):
         return Capture(_with_options(read_take(source), spec, source), "usd")
@@ -99,9 +165,9 @@ def _read_usd(source: Path, spec: IngestSpec) -> Capture:
     capture = build_marker_take(
         CaptureHeader(source, "usd", found.rate, found.first_frame, notes=notes),
         labels.names,
-        found.positions[:, columns],
+        found.positions[:, columns] * np.float32(spec.scale or 1.0),
         found.visible[:, columns],
-        CaptureOptions(rigid=spec.rigid, neutral=spec.neutral),
+        CaptureOptions(rate=spec.rate, rigid=spec.rigid, neutral=spec.neutral),
     )
     return replace(capture, take=replace(capture.take, source=found.source))
 
@@ -111,6 +177,12 @@ def _with_options(take: Take, spec: IngestSpec, source: Path) -> Take:
     markers = take.markers
     if markers is None:
         return take
+    if spec.scale is not None:
+        markers = replace(markers, positions=markers.positions * np.float32(spec.scale))
+    if spec.rate is not None:
+        rate = exact_rate(spec.rate, where="--rate")
+        clip = None if take.source is None else replace(take.source, rate=rate)
+        take = replace(take, rate=rate, source=clip)
     if spec.rigid:
         named = match_labels(spec.rigid, markers.names, where=str(source), role="rigid marker")
         markers = replace(markers, rigid=named)
@@ -136,12 +208,13 @@ def _timecode(take: Take) -> tuple[str, tuple[str, ...]]:
     return start, ()
 
 
-def _capture_sound(spec: IngestSpec) -> CaptureSound | None:
+def _capture_sound(spec: IngestSpec, skipped: tuple[int, int]) -> CaptureSound | None:
+    """Take the sound out of the captures, without the frames skipped at both ends."""
     if spec.audio is not None:
         return None
     out = spec.out.with_name(f"{spec.out.stem}.sound.wav")
     ours = out.exists() and spec.out.exists() and _is_sound_of(spec.out, out)
-    return extract_sound(spec.sources, out, channel=spec.audio_channel, ours=ours)
+    return extract_sound(spec.sources, out, channel=spec.audio_channel, ours=ours, skipped=skipped)
 
 
 def _is_sound_of(path: Path, sound: Path) -> bool:

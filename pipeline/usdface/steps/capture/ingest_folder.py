@@ -1,6 +1,8 @@
 """Every take in a folder: files of one stem belong together."""
 
+from contextlib import suppress
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 
 from usdface.capture.sniff import recognise_format
@@ -40,8 +42,15 @@ class Bundle:
     audio: Path | None
 
 
-def find_bundles(folder: Path) -> list[Bundle]:
-    """Group a folder's files by stem; files that are no capture and stand alone are left out."""
+def find_bundles(folder: Path, only: str | None = None) -> list[Bundle]:
+    """Group a folder's files by stem; files that are no capture and stand alone are left out.
+
+    Parameters
+    ----------
+    only : str, optional
+        End, such as ``c3d``, or pattern, such as ``*_v2.csv``, of the names of captures to use.
+    """
+    pattern = only if only is None or set("*?[") & set(only) else f"*{only}"
     captures: dict[str, list[Path]] = {}
     media: dict[tuple[str, tuple[str, ...]], Path] = {}
     for path in sorted(folder.iterdir()):
@@ -51,7 +60,10 @@ def find_bundles(folder: Path) -> list[Bundle]:
         for kind in (VIDEO_SUFFIXES, AUDIO_SUFFIXES):
             if suffix in kind:
                 media.setdefault((path.stem, kind), path)
-        if suffix not in (*VIDEO_SUFFIXES, *AUDIO_SUFFIXES) and _is_capture(path):
+        if suffix in (*VIDEO_SUFFIXES, *AUDIO_SUFFIXES):
+            continue
+        wanted = pattern is None or fnmatch(path.name.lower(), pattern.lower())
+        if wanted and _is_capture(path):
             captures.setdefault(path.stem, []).append(path)
     return [
         Bundle(
@@ -96,18 +108,8 @@ def ingest_folder(
                 "its files, which tell its timecode, and video and audio of the same name go with "
                 "it; leave it out"
             )
-    bundles = find_bundles(folder)
-    if not bundles:
-        raise InputError(
-            f"{folder}: holds no capture file that is known; name the folder that holds the "
-            "captures, or a file with --format"
-        )
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{out}: cannot be made: {error.strerror}; choose another --out"
-        ) from error
+    bundles = _bundles(folder, shared.only)
+    made = _make_folder(out)
     done: list[StepResult] = []
     failed: list[str] = []
     for index, bundle in enumerate(bundles):
@@ -118,6 +120,7 @@ def ingest_folder(
                 "video": bundle.video,
                 "audio": bundle.audio,
                 "take": bundle.name,
+                "only": None,
             }
         )
         own = part(progress, index / len(bundles), (index + 1) / len(bundles))
@@ -125,6 +128,10 @@ def ingest_folder(
             done.append(execute(spec, overwrite=overwrite, progress=own))
         except InputError as error:
             failed.append(str(error))
+    if failed and not done:
+        for empty in made:
+            with suppress(OSError):  # whatever lies in it stays
+                empty.rmdir()
     if failed:
         reasons = "\n".join(f"  {message}" for message in failed)
         raise CheckFailedError(
@@ -142,6 +149,33 @@ def ingest_folder(
     )
 
 
+def _bundles(folder: Path, only: str | None) -> list[Bundle]:
+    bundles = find_bundles(folder, only)
+    if bundles:
+        return bundles
+    if only is not None:
+        raise InputError(
+            f"{folder}: no capture has a name that --only {only} fits; leave it out, or name the "
+            "end of the names, such as c3d"
+        )
+    raise InputError(
+        f"{folder}: holds no capture file that is known; name the folder that holds the "
+        "captures, or a file with --format"
+    )
+
+
+def _make_folder(folder: Path) -> list[Path]:
+    """Make a folder with those above it, and return the new ones, the innermost first."""
+    new = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot be made: {error.strerror}; choose another --out"
+        ) from error
+    return new
+
+
 def _left_out(folder: Path, bundles: list[Bundle]) -> tuple[str, ...]:
     """Say which files of a folder are in no take."""
     used = {path for each in bundles for path in (*each.captures, each.video, each.audio) if path}
@@ -155,7 +189,10 @@ def _left_out(folder: Path, bundles: list[Bundle]) -> tuple[str, ...]:
     ]
     if not others:
         return ()
-    return (f"in no take, as no capture is known by their content: {first_few(others)}",)
+    return (
+        f"in no take, as no capture is known by their content, or --only leaves them out: "
+        f"{first_few(others)}",
+    )
 
 
 def _is_capture(path: Path) -> bool:

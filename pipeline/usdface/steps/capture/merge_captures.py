@@ -44,7 +44,8 @@ def join_captures(takes: list[Take], sources: tuple[Path, ...]) -> Joined:
     if len(with_markers) > 1 or len(with_weights) > 1:
         what = "markers" if len(with_markers) > 1 else "blendshape weights"
         raise InputError(
-            f"{names}: more than one has {what}; a take is one recording: ingest them one by one"
+            f"{names}: more than one has {what}; a take is one recording: ingest them one by one, "
+            "or choose the captures of a folder with --only, such as --only c3d"
         )
     take = (with_markers or with_weights or takes)[0]
     if not with_markers or not with_weights or with_weights[0] is take:

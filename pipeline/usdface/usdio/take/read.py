@@ -1,7 +1,7 @@
 """Read a take that follows our contract, whole or by ranges of frames."""
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -139,7 +139,14 @@ class TakeReader:
             emotion=str(self._value("face:emotion") or ""),
             timecode_start=self.timecode_at(first),
             events=tuple(e for e in self._read_events() if first <= e.frame <= last),
+            doubts=self.doubts,
         )
+
+    @property
+    def doubts(self) -> tuple[str, ...] | None:
+        """What is odd about its markers, as ingest saw it; None where nobody has looked."""
+        written = self._value("face:doubts")
+        return tuple(map(str, written)) if isinstance(written, Iterable) else None
 
     @refusing_wrong_types
     def read_markers_at(self, frames: Sequence[int]) -> Markers | None:

@@ -1,0 +1,364 @@
+"""Whether markers can be those of a human face: size, speed, the head's axes, sides.
+
+What cannot be is told from what is only odd: a face the size of a thumb is a wrong unit, a face of
+half an adult's size may be a child's. Where labels name places, they are compared with an adult's
+face; where they do not, the cloud itself is judged, which shows less.
+"""
+
+import re
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.distance import pdist
+
+from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.assets import Markers
+from usdface.core.errors import InputError
+from usdface.model.placement.face_template import FaceFit, face_template, fit_face
+from usdface.model.placement.label_hints import label_hint
+from usdface.model.placement.skin_motion import SkinMotion
+
+Aspect = Literal["size", "up", "sides", "part", "rate"]
+"""What a finding is about; for each there is an option of `ingest`."""
+
+SIZE_LIMITS = (0.35, 2.0)
+"""Of a face, in an adult's. A newborn's nasion and gnathion are some 55 mm apart, an adult's 115
+with a deviation of 6 (Farkas 1994, Anthropometry of the Head and Face): .48 to 1.15 for people; as
+far again for markers that stand beside what they are named for. Between these and `SIZE_RANGE`:
+doubt. A unit wrong by 2.54 or 10 is beyond."""
+SIZE_RANGE = (0.55, 1.5)
+
+EXTENT_LIMITS_MM = (40.0, 2600.0)
+"""Largest distance between two markers: a toddler's mouth alone is 35 mm broad; no body reaches
+higher than 2.6 m."""
+HEAD_MM = 450.0
+"""Largest distance on one head: 260 mm from chin to crown at the 99th percentile (Young 1993, FAA
+AM-93-10), with a cap's markers above and the collar's below."""
+
+SPEED_LIMIT_MM_S = 400.0
+"""Skin over the skull: the descending lid is the fastest, usually 170 to 200 mm/s and at times 400
+(Doane 1980, Am J Ophthalmol 89: 507-516). One sample of a hundred, over all markers, cannot be
+faster than that; one faster than `SPEED_RANGE_MM_S` is odd."""
+SPEED_RANGE_MM_S = 200.0
+RATE_RANGE = (15.0, 1000.0)
+"""[Hz] A blink lasts 0.1 to 0.2 s: slower cameras miss it. Faster ones film no faces."""
+
+LYING_DEGREES = 60.0
+"""Between the head's own up and the take's, over a take: necks bend by 45 to 55 at most (American
+Academy of Orthopaedic Surgeons, range of motion), and a wrong axis turns by 90 or 180."""
+TILTED_DEGREES = 45.0
+
+SAME_SIZE = 1.25
+"""Ratio of two takes' sizes: of one performer within 1.05, and of adults hardly beyond this."""
+
+_FEWEST_LABELLED = 8
+_LEAST_EXPLAINED = 0.6
+"""Of the spread of the markers, by the template: with less, labels do not mean what is read."""
+_MIRRORED_ERROR_RATIO = 1.5
+"""Of the squares that the template and its mirror image leave: for 8 markers, of 24 coordinates,
+a likelihood ratio of 1.5^12 = 130."""
+_BODY = re.compile(
+    r"[lr]?(?:asi|psi|ster|clav|scap|acro|xiph|elb|wri|arm|kne|ank|toe|heel|thi|tib|sho|pelv|"
+    r"shank|foot|fem|hip|fin|[ct]\d+$)",
+    re.IGNORECASE,
+)
+"""Parts of a body as marker sets abbreviate them, Plug-in Gait's among them."""
+_BODY_SHARE = 0.2
+_SAMPLE_FRAMES = 64
+
+_UPPER = {"forehead", "brow", "bridge", "lid", "eye", "eye corner"}
+_LOWER = {"mouth", "chin", "jaw"}
+_FEWEST_OF_A_PART = 4
+
+_UNIT_SLIPS = {
+    10.0: ("cm", "centimetres read as millimetres"),
+    25.4: ("in", "inches read as millimetres"),
+    1000.0: ("m", "metres read as millimetres"),
+    2.54: ("in", "inches read as centimetres"),
+    100.0: ("m", "metres read as centimetres"),
+    0.1: ("mm", "millimetres read as centimetres"),
+    1 / 25.4: ("mm", "millimetres read as inches"),
+    1 / 2.54: ("cm", "centimetres read as inches"),
+    0.01: ("cm", "centimetres read as metres"),
+    0.001: ("mm", "millimetres read as metres"),
+}
+_NEAR_SLIP = 1.6
+"""Between two neighbours of `_UNIT_SLIPS`, which are 2.5 times apart."""
+
+
+@dataclass(frozen=True)
+class PlausibilityFinding:
+    """What is odd about a take.
+
+    Attributes
+    ----------
+    impossible : bool
+        Whether no human face can be so; otherwise it is a doubt.
+    remedy : str
+        What to do about it, with the option of `ingest`.
+    """
+
+    aspect: Aspect
+    impossible: bool
+    message: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.message}; {self.remedy}"
+
+
+def judge_markers(
+    markers: Markers, rate: float, *, axes: FloatArray | None = None
+) -> tuple[PlausibilityFinding, ...]:
+    """Compare a take's markers with what human faces are and do.
+
+    Parameters
+    ----------
+    markers : Markers
+        Captured or stabilised; as they were captured the up axis shows as well.
+    rate : float
+        Frames per second.
+    axes : (3, 3) float array, optional
+        Rotation that brought the file's axes to Y up; names the axis in the remedy.
+    """
+    usable = np.asarray(markers.visible | (markers.confidence > 0))
+    counts = usable.sum(axis=1)
+    rows = np.flatnonzero(counts >= max(3, counts.max(initial=0) / 2))
+    if not len(rows):
+        return ()
+    chosen = rows[np.unique(np.linspace(0, len(rows) - 1, _SAMPLE_FRAMES).astype(np.int64))]
+    positions, seen = markers.positions[chosen].astype(np.float64), usable[chosen]
+    fits = _fits(markers.names, positions, seen)
+    found = list(_part(markers.names, seen))
+    face = face_template(markers.names).columns if fits else np.arange(len(markers.names))
+    motion = SkinMotion.of(markers.positions[:, face], usable[:, face], rows, rate)
+    if fits:
+        found += [*_labelled_size(fits), *_labelled_up(fits, axes), *_mirrored(fits)]
+    head = bool(fits) or not (motion.articulated or _is_body(markers.names))
+    if head and not fits:
+        found += [*_cloud_size(positions, seen), *_cloud_up(motion, axes)]
+    right_size = not any(each.aspect == "size" for each in found)
+    if right_size and head:
+        found += _speed(motion)
+    if not RATE_RANGE[0] <= rate <= RATE_RANGE[1]:
+        found.append(_rate_finding(f"{rate:g} frames per second", impossible=False))
+    return tuple(found)
+
+
+def settle_findings(
+    findings: Iterable[PlausibilityFinding], *, stated: Collection[str] = (), where: object
+) -> tuple[str, ...]:
+    """Return doubts as notes; refuse what cannot be and nobody has stated.
+
+    Parameters
+    ----------
+    stated : collection of str
+        Aspects on which the user has spoken: there the take is as it is said to be.
+    where : object
+        File, for the message.
+
+    Raises
+    ------
+    InputError
+        With every finding that is impossible.
+    """
+    findings = list(findings)
+    refused = [each for each in findings if each.impossible and each.aspect not in stated]
+    if refused:
+        raise InputError("\n".join(f"{where}: {each}" for each in refused))
+    return tuple(map(str, findings))
+
+
+def check_same_size(
+    names: Sequence[str], clouds: Sequence[FloatArray], sources: Sequence[object]
+) -> None:
+    """Refuse takes of one performer whose faces differ in size.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the markers.
+    clouds : sequence of (markers, 3) float arrays
+        Middle position of each marker, one array a take [mm].
+    sources : sequence of object
+        Files, for the message.
+
+    Raises
+    ------
+    InputError
+        If a take's distances between markers are not those of the first.
+    """
+    first = pdist(clouds[0])
+    for cloud, source in zip(clouds[1:], sources[1:], strict=True):
+        ratio = float(np.median(pdist(cloud)[first > 0] / first[first > 0]))
+        if not 1 / SAME_SIZE <= ratio <= SAME_SIZE:
+            raise InputError(
+                f"{source}: its face is {ratio:.3g} times the size of {sources[0]}'s, by the "
+                f"distances between {len(names)} markers, and they are to be of one performer; "
+                f"ingest one of them again: {unit_remedy(ratio)}"
+            )
+
+
+def unit_remedy(size: float) -> str:
+    """Return the option that mends a size, with the slip of units that it looks like."""
+    slip = min(_UNIT_SLIPS, key=lambda factor: abs(np.log(factor * size)))
+    if abs(np.log(slip * size)) > np.log(_NEAR_SLIP):
+        return "state the unit with --units, or a factor with --scale"
+    unit, words = _UNIT_SLIPS[slip]
+    return f"state the unit with --units {unit} ({words}?), or a factor with --scale"
+
+
+def _fits(labels: Sequence[str], positions: FloatArray, seen: BoolArray) -> list[FaceFit]:
+    """Return fits of the template to frames; none where labels say too little, or are wrong."""
+    template = face_template(labels)
+    fits = []
+    for frame, mask in zip(positions[:, template.columns], seen[:, template.columns], strict=True):
+        if mask.sum() >= _FEWEST_LABELLED and np.ptp(frame[mask], axis=0).max() > 0:
+            fits.append(fit_face(template.places[mask], frame[mask], template.weights[mask]))
+    if not fits:
+        return []
+    explained = np.median([max(fit.explained, fit.explained_mirrored) for fit in fits])
+    return fits if explained >= _LEAST_EXPLAINED else []
+
+
+def _labelled_size(fits: list[FaceFit]) -> Iterable[PlausibilityFinding]:
+    size = float(np.median([fit.size for fit in fits]))
+    if SIZE_RANGE[0] <= size <= SIZE_RANGE[1]:
+        return
+    yield PlausibilityFinding(
+        "size",
+        not SIZE_LIMITS[0] <= size <= SIZE_LIMITS[1],
+        f"the face is {size:.3g} times the size of an adult's, by where the labelled parts lie "
+        f"({SIZE_RANGE[0]:g} to {SIZE_RANGE[1]:g} are usual)",
+        unit_remedy(size),
+    )
+
+
+def _cloud_size(positions: FloatArray, seen: BoolArray) -> Iterable[PlausibilityFinding]:
+    extents = [
+        pdist(frame[mask][:: max(int(mask.sum()) // 500, 1)]).max()
+        for frame, mask in zip(positions, seen, strict=True)
+    ]
+    extent = float(np.median(extents))
+    low, high = EXTENT_LIMITS_MM
+    if low <= extent <= HEAD_MM:
+        return
+    yield PlausibilityFinding(
+        "size",
+        not low <= extent <= high,
+        f"the markers span {extent:.3g} mm, and those of a head {low:g} to {HEAD_MM:g}",
+        f"{unit_remedy(extent / 200.0)}; if they are a whole body's, keep those of the face",
+    )
+
+
+def _labelled_up(fits: list[FaceFit], axes: FloatArray | None) -> Iterable[PlausibilityFinding]:
+    up = np.mean([fit.up for fit in fits], axis=0)
+    degrees = float(np.degrees(np.arccos(np.clip(up[1] / np.linalg.norm(up), -1, 1))))
+    if degrees <= TILTED_DEGREES:
+        return
+    yield PlausibilityFinding(
+        "up",
+        degrees > LYING_DEGREES,
+        f"the head is tilted by {degrees:.0f} degrees from upright over the take, by its labels "
+        f"(up to {TILTED_DEGREES:g} are usual)",
+        _up_remedy(_axis_name(up, axes)),
+    )
+
+
+def _cloud_up(motion: SkinMotion, axes: FloatArray | None) -> Iterable[PlausibilityFinding]:
+    """Doubt a cloud whose flat side lies level and which moves level: a face does neither.
+
+    Jaw, brows and lids move up and down: what a face does is mostly upright, whatever is said.
+    """
+    level = np.sqrt(0.5)
+    if not motion.depth.any() or not motion.main.any():
+        return
+    if motion.height(motion.depth) <= level or motion.height(motion.main) >= level:
+        return
+    up = (motion.rotations @ motion.main).mean(axis=0)
+    yield PlausibilityFinding(
+        "up",
+        False,
+        "the face seems to look straight up or down over the take, by its flat shape and by what "
+        "moves most",
+        _up_remedy(_axis_name(up, axes, signed=False)),
+    )
+
+
+def _axis_name(up: FloatArray, axes: FloatArray | None, *, signed: bool = True) -> str:
+    """Return the axis of the file that a direction of the take is nearest to; empty if unknown."""
+    if axes is None:
+        return ""
+    raw = axes.T @ up
+    at = int(np.abs(raw).argmax())
+    return ("-" if signed and raw[at] < 0 else "") + "xyz"[at]
+
+
+def _up_remedy(axis: str) -> str:
+    named = f"--up {axis}" if axis else "--up"
+    return f"state which axis of the file is up with {named}, or the present one if it does lie so"
+
+
+def _mirrored(fits: list[FaceFit]) -> Iterable[PlausibilityFinding]:
+    right = float(np.median([fit.explained for fit in fits]))
+    mirrored = float(np.median([fit.explained_mirrored for fit in fits]))
+    if (1 - right) < _MIRRORED_ERROR_RATIO * (1 - mirrored):
+        return
+    yield PlausibilityFinding(
+        "sides",
+        True,
+        "left and right are exchanged: by their labels the markers lie as in the mirror image of "
+        f"a face ({mirrored:.0%} of their spread explained, {right:.0%} by a face)",
+        "name what is wrong with --mirrored labels (left is labelled right) or --mirrored axes "
+        "(the file's axes are left-handed), or keep it with --mirrored no",
+    )
+
+
+def _part(labels: Sequence[str], seen: BoolArray) -> Iterable[PlausibilityFinding]:
+    """Find parts of the face on which labels name no marker that is ever seen."""
+    hints = [
+        label_hint(label)
+        for label, any_ in zip(labels, np.atleast_1d(seen.any(axis=0)), strict=True)
+        if any_
+    ]
+    left, right = (sum(hint.side == side and bool(hint.region) for hint in hints) for side in "LR")
+    upper, lower = (sum(hint.region in part for hint in hints) for part in (_UPPER, _LOWER))
+    for count, other, words in (
+        (left, right, "right side"),
+        (right, left, "left side"),
+        (upper, lower, "lower half"),
+        (lower, upper, "upper half"),
+    ):
+        if count >= _FEWEST_OF_A_PART and other == 0:
+            yield PlausibilityFinding(
+                "part",
+                True,
+                f"no marker is labelled on the {words} of the face, {count} on the other: nothing "
+                "can be solved there",
+                "label its markers, or state with --partial that it has none",
+            )
+
+
+def _is_body(labels: Sequence[str]) -> bool:
+    return sum(_BODY.match(label) is not None for label in labels) > _BODY_SHARE * len(labels)
+
+
+def _speed(motion: SkinMotion) -> Iterable[PlausibilityFinding]:
+    fast = float(np.quantile(motion.speeds, 0.99)) if len(motion.speeds) else 0.0
+    if fast > SPEED_RANGE_MM_S:
+        yield _rate_finding(
+            f"the skin moves over the skull at {fast:.0f} mm/s in one sample of a hundred, and a "
+            f"blink at {SPEED_RANGE_MM_S:g} to {SPEED_LIMIT_MM_S:g}",
+            impossible=fast > SPEED_LIMIT_MM_S,
+        )
+
+
+def _rate_finding(message: str, *, impossible: bool) -> PlausibilityFinding:
+    return PlausibilityFinding(
+        "rate",
+        impossible,
+        message,
+        "state the frames per second of the capture with --rate, and look for labels that jump",
+    )

@@ -1,0 +1,92 @@
+"""What markers do over the skull, and how the head stands meanwhile, without any label."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.numerics.rigid.rigid_alignment import align_rigid_robust, remove_motion
+
+_FLAT_RATIO = 0.75
+"""Standard deviation of a cloud in depth over that in breadth; a face is flat, a cap is not."""
+_MAIN_RATIO = 1.5
+"""Of the variances of motion along two directions, from which the first stands out."""
+_ARTICULATED_SHARE = 0.12
+"""What is left of a cloud's motion without its rigid part, over its radius: a face with its jaw
+open and shut has .07 or less, a walking body .25 and more."""
+_SPEED_FRAMES = 1000
+_SPEED_SECONDS = 1 / 60
+"""Time over which a speed is measured: noise of 0.2 mm is then 17 mm/s, and a lid takes 0.1 s."""
+
+
+@dataclass(frozen=True)
+class SkinMotion:
+    """What markers do over the skull, at frames spread over a take.
+
+    Attributes
+    ----------
+    speeds : (n,) float array
+        Of all markers and frames [mm/s].
+    rotations : (frames, 3, 3) float array
+        Of the head, from the pose of the reference frame.
+    depth, main : (3,) float arrays
+        In that pose: the direction in which the cloud is flattest, and that of most motion; zero
+        where there is none that stands out.
+    articulated : bool
+        Whether the cloud is not one head with its face.
+    """
+
+    speeds: FloatArray
+    rotations: FloatArray
+    depth: FloatArray
+    main: FloatArray
+    articulated: bool
+
+    @classmethod
+    def of(
+        cls, positions: Float32Array, usable: BoolArray, rows: IntArray, rate: float
+    ) -> "SkinMotion":
+        """Measure it, by an alignment that disregards what moves by itself."""
+        lag = max(1, round(rate * _SPEED_SECONDS))
+        starts = np.intersect1d(rows, rows - lag)
+        if not len(starts):
+            starts, lag = rows, 0
+        starts = starts[np.unique(np.linspace(0, len(starts) - 1, _SPEED_FRAMES).astype(np.int64))]
+        both = np.concatenate([starts, starts + lag])
+        sample, seen = positions[both].astype(np.float64), usable[both]
+        reference = sample[int(seen.sum(axis=1).argmax())]
+        alignment = align_rigid_robust(sample, reference, visible=seen)
+        seen &= alignment.determined[:, None]
+        still = np.asarray(remove_motion(sample, alignment))
+        count = len(starts)
+        step = np.linalg.norm(still[count:] - still[:count], axis=2)
+        speeds = step[seen[count:] & seen[:count]] * (rate / lag if lag else 0.0)
+        known = seen.sum(axis=0) > 0
+        middle = np.median(still, axis=0)
+        away = (still - middle)[seen]
+        radius = float(np.sqrt(((middle - middle[known].mean(axis=0))[known] ** 2).sum(1).mean()))
+        return cls(
+            speeds,
+            alignment.rotations,
+            _flattest(middle[known]),
+            _main_axis(away),
+            float(np.sqrt((away**2).sum(axis=1).mean())) > _ARTICULATED_SHARE * radius,
+        )
+
+    def height(self, axis: FloatArray) -> float:
+        """Return how upright a direction of the head is over the take: 0 level, 1 upright."""
+        return float(np.sqrt(np.mean((self.rotations @ axis)[:, 1] ** 2)))
+
+
+def _flattest(cloud: FloatArray) -> FloatArray:
+    _, spread, axes = np.linalg.svd(cloud - cloud.mean(axis=0), full_matrices=False)
+    if len(spread) < 3 or spread[2] > _FLAT_RATIO * spread[1]:
+        return np.zeros(3)
+    return np.asarray(axes[2])
+
+
+def _main_axis(away: FloatArray) -> FloatArray:
+    variances, axes = np.linalg.eigh(away.T @ away)
+    if variances[2] < _MAIN_RATIO * variances[1]:
+        return np.zeros(3)
+    return np.asarray(axes[:, 2])
