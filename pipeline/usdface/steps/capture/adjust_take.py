@@ -5,7 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray
+from usdface.core.arrays import BoolArray, Float32Array
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.core.text import pluralize
@@ -114,19 +114,21 @@ def padding_notes(take: Take) -> list[str]:
     rows = np.flatnonzero(seen)
     first, last = int(rows[0]), int(rows[-1])
     notes = [_padding(take, first, last, "hold no marker")] if last - first + 1 < len(seen) else []
-    steps = np.diff(take.markers.positions[first : last + 1], axis=0)
-    same: BoolArray = np.asarray((steps == 0).all(axis=(1, 2)), np.bool_)
-    head, tail = _run(same), _run(same[::-1])
+    positions = take.markers.positions[first : last + 1]
+    head, tail = _frozen(positions), _frozen(positions[::-1])
     least = _LEAST_FROZEN_SECONDS * float(take.rate)
-    if head + tail < len(same) and max(head, tail) >= least:
+    if head + tail < len(positions) - 1 and max(head, tail) >= least:
         head, tail = (run if run >= least else 0 for run in (head, tail))
         notes.append(_padding(take, first + head, last - tail, "are copies of one frame"))
     return notes
 
 
-def _run(mask: BoolArray) -> int:
-    """Return how many entries are true before the first that is not."""
-    return len(mask) if mask.all() else int(np.argmin(mask))
+def _frozen(positions: Float32Array) -> int:
+    """Return how many frames equal the one after them, from the first on."""
+    count = 0
+    while count + 1 < len(positions) and np.array_equal(positions[count], positions[count + 1]):
+        count += 1
+    return count
 
 
 def _padding(take: Take, first: int, last: int, words: str) -> str:
