@@ -4,9 +4,13 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 
+import pickle
 import shutil
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import joblib
 import pytest
 from hypothesis import settings
 
@@ -30,13 +34,71 @@ def shared_data() -> Path:
 
 
 @pytest.fixture(scope="session")
-def finished_shot(tmp_path_factory: pytest.TempPathFactory) -> Shot:
-    """A shot whose job has been run; read only."""
+def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that all workers of one run share."""
+    base = tmp_path_factory.getbasetemp()
+    return base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+
+def _remember(function: Callable[..., object], folder: Path) -> Callable[..., object]:
+    """Return a function that computes once, for all workers, what follows from its arguments."""
+
+    def remembering(*given: object, **named: object) -> object:
+        file = folder / f"{function.__name__}.{joblib.hash((given, named))}"
+        if not file.is_file():
+            _store(file, function(*given, **named))
+        return pickle.loads(file.read_bytes())
+
+    return remembering
+
+
+def _store(file: Path, value: object) -> None:
+    """Write a file that other workers see whole or not at all."""
+    part = file.with_name(f"{file.name}.{os.getpid()}")
+    part.write_bytes(pickle.dumps(value))
+    part.replace(file)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _remembered(run_folder: Path) -> Iterator[None]:
+    """Compute once in a run what most steps ask of the same shot and character.
+
+    That is where its markers are placed, and how much light falls on each of the face's points.
+    Tests of either call it under its own name.
+    """
+    from usdface.media.face import surface
+    from usdface.model.selection import baseline
+
+    folder = run_folder / "remembered"
+    folder.mkdir(exist_ok=True)
+    with pytest.MonkeyPatch.context() as patch:
+        for module, name in ((baseline, "register_markers"), (surface, "_rest_exposure")):
+            patch.setattr(module, name, _remember(getattr(module, name), folder))
+        yield
+
+
+@pytest.fixture(scope="session")
+def finished_shot(run_folder: Path) -> Shot:
+    """A shot whose job has been run, by the first worker that needs it; read only."""
     from usdface.runner.job import run_job
     from usdface.specs.reading import read_job
 
-    shot = make_inputs(tmp_path_factory.mktemp("shot"))
-    run_job(read_job(shot / "shot.job.yaml"))
+    folder, done = run_folder / "shot", run_folder / "shot.pickle"
+    shot: Shot | None = None
+    try:
+        folder.mkdir()
+    except FileExistsError:  # another worker makes it
+        while not done.exists():
+            time.sleep(0.2)
+        shot = pickle.loads(done.read_bytes())
+        assert shot is not None, "the worker that made the shot failed"
+        return shot
+    try:
+        made = make_inputs(folder)
+        run_job(read_job(made / "shot.job.yaml"))
+        shot = made
+    finally:
+        _store(done, shot)
     return shot
 
 

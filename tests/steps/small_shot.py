@@ -69,7 +69,12 @@ def make_inputs(folder: Path) -> Shot:
             "references": "hero.references.usda",
             "weights": "keys.csv",
         },
-        {"step": "train", "references": "hero.references.usda", "out": "hero.mapping.usdc"},
+        {
+            "step": "train",
+            "references": "hero.references.usda",
+            "out": "hero.mapping.usdc",
+            "method": "ensemble",  # what auto chooses here as well, without comparing
+        },
         {
             "step": "map",
             "take": "shot.clean.take.usda",
