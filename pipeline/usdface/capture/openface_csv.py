@@ -34,6 +34,7 @@ from usdface.capture.text_table import (
     split_cells,
     without_empty_tail,
 )
+from usdface.core.arrays import index_of
 from usdface.core.assets import Take, WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
@@ -127,7 +128,7 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
 def _read_header(header: TableLine, delimiter: str) -> _Columns:
     titles = without_empty_tail(split_cells(header, delimiter))
     check_columns(titles, header)
-    at = {title: index for index, title in enumerate(titles)}
+    at = index_of(titles)
     landmarks = [
         match[1]
         for match in map(_LANDMARK.fullmatch, titles)

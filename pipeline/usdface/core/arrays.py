@@ -1,6 +1,7 @@
-"""Array types by element, as every signature names them; and frames in runs, blocks and samples."""
+"""Array types by element, as every signature names them; frames in runs, columns by name."""
 
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterable, Iterator, Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +16,35 @@ BoolArray = NDArray[np.bool_]
 ByteImage = NDArray[np.uint8]
 """(height, width, 3), sRGB."""
 
+Label = TypeVar("Label", bound=Hashable)
+
 MAD_TO_DEVIATION = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation, 1 / Φ⁻¹(3/4)."""
 
 _BLOCK_FRAMES = 2048
 """[frames] Arrays of a hundred markers in so many frames stay near the processor's cache."""
+
+
+def index_of(labels: Iterable[Label]) -> dict[Label, int]:
+    """Return where each label stands in a list; of equal ones, the last."""
+    return {label: index for index, label in enumerate(labels)}
+
+
+def columns_by_name(
+    values: NDArray[np.floating], names: Sequence[str], wanted: Sequence[str]
+) -> FloatArray:
+    """Return columns in the order of other names; 0 for those that are not there.
+
+    Parameters
+    ----------
+    values : (rows, names) float array
+        In single precision too, as samples in layers are.
+    """
+    column = index_of(names)
+    there = [index for index, name in enumerate(wanted) if name in column]
+    out = np.zeros((len(values), len(wanted)))
+    out[:, there] = values[:, [column[wanted[index]] for index in there]]
+    return out
 
 
 def runs(mask: BoolArray) -> list[tuple[int, int]]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray, index_of
 from usdface.core.assets import Rig
 from usdface.numerics.solve.blendshapes import BlendShapes, Key, Track
 from usdface.numerics.surface.triangulation import triangulate
@@ -33,7 +33,7 @@ class Deformer:
                 for mesh, start in zip(rig.meshes, self.starts, strict=False)
             ]
         )
-        channels = {name: index for index, name in enumerate(rig.shapes)}
+        channels = index_of(rig.shapes)
         self.shapes = BlendShapes(
             len(self.neutral),
             len(rig.shapes),

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from usdface.capture.c3d_write import write_c3d
+from usdface.core.arrays import columns_by_name
 from usdface.core.assets import WeightsClip
 from usdface.core.progress import Progress, part, silent
 from usdface.demo.acting import FIRST_FRAME, Interval, performance
@@ -118,10 +119,9 @@ def write_demo_inputs(folder: Path, *, workers: int = 2, progress: Progress = si
 
 def _write_weights(path: Path, weights: WeightsClip, shapes: tuple[str, ...]) -> None:
     """Write what an animator keys: every shape of the rig, those left alone at 0."""
-    column = {name: index for index, name in enumerate(weights.names)}
+    keyed = columns_by_name(weights.values, weights.names, shapes)
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(["frame", *shapes])
-        for number, row in enumerate(weights.values, start=weights.first_frame):
-            keyed = [row[column[name]] if name in column else 0.0 for name in shapes]
-            writer.writerow([number, *(f"{value:.4f}" for value in keyed)])
+        for number, row in enumerate(keyed, start=weights.first_frame):
+            writer.writerow([number, *(f"{value:.4f}" for value in row)])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.arrays import BoolArray, FloatArray, index_of
 from usdface.core.assets import References
 from usdface.core.errors import InputError
 from usdface.core.locks import TuningLock
@@ -89,7 +89,7 @@ class TuningSession:
         self._proposals = read_proposals(proposed_path(path), self.references)
         self._weights: FloatArray = self.references.weights.copy()
         self._done: BoolArray = np.zeros(len(self._weights), dtype=np.bool_)
-        self._column = {name: i for i, name in enumerate(self.references.shape_names)}
+        self._column = index_of(self.references.shape_names)
         self._selected = [_signature(path), _signature(proposed_path(path))]
         self._guard = threading.Lock()
         self._revision = first_revision

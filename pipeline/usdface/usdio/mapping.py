@@ -6,20 +6,18 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from pxr import Sdf, Usd, Vt
+from pxr import Sdf, Usd
 
-from usdface.core.arrays import FloatArray
 from usdface.core.assets import CandidateScore, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
+from usdface.usdio.arrays import author_arrays, read_arrays, shaped
 from usdface.usdio.authoring import author_uniform, define_prim, doubles
 from usdface.usdio.layers import new_layer, open_stage
 from usdface.usdio.units import author_units
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 _ROOT = Sdf.Path("/Mapping")
-_ARRAY = "face:array:"
 ATTRIBUTE = "face:mapping:alpha"
 
 
@@ -52,10 +50,7 @@ def write_mapping(
             ("references", string, mapping.references),
         ):
             author_uniform(prim, f"face:mapping:{name}", kind, value)
-        for name, array in mapping.arrays.items():
-            author_uniform(prim, f"{_ARRAY}{name}", numbers, doubles(array))
-            shape = Vt.IntArray([int(size) for size in array.shape])
-            author_uniform(prim, f"{_ARRAY}{name}:shape", Sdf.ValueTypeNames.IntArray, shape)
+        author_arrays(prim, mapping.arrays)
 
 
 @refusing_wrong_types
@@ -87,9 +82,9 @@ def read_mapping(path: Path) -> TrainedMapping:
         marker_names=tuple(map(str, _value(path, prim, "markers"))),
         shape_names=tuple(map(str, _value(path, prim, "channels"))),
         rigid=tuple(map(str, _value(path, prim, "rigid"))),
-        neutral=_array(path, _value(path, prim, "neutral"), (-1, 3), "neutral"),
-        ranges=_array(path, _value(path, prim, "ranges"), (-1, 2), "ranges"),
-        arrays=_read_arrays(path, prim),
+        neutral=shaped(path, _value(path, prim, "neutral"), (-1, 3), "neutral"),
+        ranges=shaped(path, _value(path, prim, "ranges"), (-1, 2), "ranges"),
+        arrays=read_arrays(path, prim),
         settings=settings,
         scores=scores,
         references=str(_value(path, prim, "references") or ""),
@@ -99,34 +94,6 @@ def read_mapping(path: Path) -> TrainedMapping:
 def _score(entry: dict[str, Any]) -> CandidateScore:
     fields: dict[str, Any] = {k: math.nan if v is None else v for k, v in entry.items()}
     return CandidateScore(**fields)
-
-
-def _read_arrays(path: Path, prim: Usd.Prim) -> dict[str, FloatArray]:
-    arrays = {}
-    for attribute in prim.GetAttributes():
-        name = attribute.GetName()
-        if name.startswith(_ARRAY) and not name.endswith(":shape"):
-            shape = prim.GetAttribute(f"{name}:shape").Get()
-            if shape is None:
-                raise InputError(f"{path} <{attribute.GetPath()}>: has no :shape beside it")
-            arrays[name.removeprefix(_ARRAY)] = _array(
-                path, attribute.Get(), tuple(int(size) for size in shape), name
-            )
-    return arrays
-
-
-def _array(path: Path, value: object, shape: tuple[int, ...], name: str) -> FloatArray:
-    array = np.array(value if value is not None else [], dtype=np.float64)
-    try:
-        array = array.reshape(shape)
-    except ValueError as error:
-        raise InputError(
-            f"{path}: {name} has {array.size} numbers, which make no array of shape {shape}; "
-            "train again"
-        ) from error
-    if not np.isfinite(array).all():
-        raise InputError(f"{path}: {name} holds NaN or infinity; train again")
-    return array
 
 
 def _value(path: Path, prim: Usd.Prim, name: str) -> Any:

@@ -10,8 +10,8 @@ from pxr import Sdf, Usd, UsdSkel
 from tests.usdio.small_rig import small_rig
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
+from usdface.runner.execute import execute
 from usdface.specs.performance import JoinSpec
-from usdface.steps.performance.join import run
 from usdface.usdio.performance.read import read_performance
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
@@ -81,8 +81,8 @@ def test_parts_that_are_clips_themselves_join_as_one(tmp_path: Path) -> None:
         write(tmp_path / "chunks", "b.usda", None, rows=slice(10, 15)),
         write(tmp_path / "chunks", "c.usda", 3, rows=slice(15, 23)),
     )
-    run(JoinSpec(parts=halves[:2], out=tmp_path / "ab.usda", clips="always"))
-    run(
+    execute(JoinSpec(parts=halves[:2], out=tmp_path / "ab.usda", clips="always"))
+    execute(
         JoinSpec(parts=(tmp_path / "ab.usda", halves[2]), out=tmp_path / "abc.usda", clips="always")
     )
     np.testing.assert_array_equal(read_performance(tmp_path / "abc.usda").weights.values, WEIGHTS)
@@ -97,7 +97,7 @@ def test_a_joined_performance_outlives_the_mapping_of_its_parts_again(tmp_path: 
     first = write(tmp_path, "a.usda", 4, rows=slice(0, 10))
     second = write(tmp_path, "b.usda", None, rows=slice(10, len(WEIGHTS)))
     joined = tmp_path / "joined.usda"
-    run(JoinSpec(parts=(first, second), out=joined, clips="always"))
+    execute(JoinSpec(parts=(first, second), out=joined, clips="always"))
     write(tmp_path, "a.usda", 3, spec="b", rows=slice(0, 10))
     assert not [each for each in validate(joined) if each.severity == "error"]
     np.testing.assert_array_equal(read_performance(joined).weights.values, WEIGHTS)
@@ -107,7 +107,7 @@ def test_a_part_that_is_mapped_again_beneath_a_joined_performance_is_named(tmp_p
     first = write(tmp_path, "a.usda", None, rows=slice(0, 10))
     second = write(tmp_path, "b.usda", None, rows=slice(10, len(WEIGHTS)))
     joined = tmp_path / "joined.usda"
-    run(JoinSpec(parts=(first, second), out=joined, clips="always"))
+    execute(JoinSpec(parts=(first, second), out=joined, clips="always"))
     assert not [each for each in validate(joined) if each.severity == "error"]
     layer = Sdf.Layer.FindOrOpen(str(weights_path(first)))
     for time in layer.ListTimeSamplesForPath("/Hero/FaceSolve.blendShapeWeights"):

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, index_of
 from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
 from usdface.media.face.complexion import LEAST_OPACITY, faces_painted, is_plain_eye, paint
@@ -134,7 +134,7 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
         selection = sparse.vstack([selection, stand_ins.matrix @ selection])
         drawn, pieces = _recognise(visible)
     parts = pieces.parts[pieces.of_point[drawn.corner_of_triangle]]
-    eye_rows = {piece: row for row, piece in enumerate(pieces.eyeballs)}
+    eye_rows = index_of(pieces.eyeballs)
     eyes = np.array([eye_rows.get(p, -1) for p in range(len(pieces.parts))])
     faces = drawn.face_of_triangle
     painted = np.concatenate([faces_painted(mesh) for mesh in visible])[faces]

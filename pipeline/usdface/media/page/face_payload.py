@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from usdface.core.arrays import Float32Array, FloatArray, IntArray
+from usdface.core.arrays import Float32Array, FloatArray, IntArray, index_of
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.media.face.camera import Camera, frame_rig
@@ -217,7 +217,7 @@ def _shapes(rig: Rig) -> list[dict[str, Any]]:
 
 def _tracks(rig: Rig, keys: _Keys) -> list[dict[str, Any]]:
     """List the keys of each mesh's shape, ascending, as the deformer orders them."""
-    channels = {name: index for index, name in enumerate(rig.shapes)}
+    channels = index_of(rig.shapes)
     tracks, first = list[dict[str, Any]](), 0
     for shape in (shape for mesh in rig.meshes for shape in mesh.shapes):
         own = range(first, first + len(shape.keys))

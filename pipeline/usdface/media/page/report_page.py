@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, index_of
 from usdface.core.errors import InputError
 from usdface.media.page.face_payload import FacePayload, read_web_file, viewer_source
 
@@ -181,7 +181,7 @@ def build_page(page: ReviewPage) -> str:
 
 def _data(page: ReviewPage) -> Mapping[str, Any]:
     labels = list(dict.fromkeys(page.said))
-    place = {label: index for index, label in enumerate(labels)}
+    place = index_of(labels)
     return {
         "labels": labels,
         "said": [place[label] for label in page.said],

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, index_of
 
 # A side as names carry it: a word, or a letter set off from the rest. Each match is replaced by
 # itself, so that a name with two of them finds its partner among the names there are.
@@ -38,7 +38,7 @@ def mirrored_shapes(names: Sequence[str]) -> IntArray:
     (shapes,) int array
         An involution: ``partner[partner] == arange(shapes)``.
     """
-    place = {name: index for index, name in enumerate(names)}
+    place = index_of(names)
     partner = np.arange(len(names))
     for index, name in enumerate(names):
         for match in (*_WORD.finditer(name), *_LETTER.finditer(name)):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray, index_of
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.progress import Progress, silent
@@ -85,7 +85,7 @@ class _Surface:
 
     def __init__(self, rig: Rig, names: tuple[str, ...]) -> None:
         self._deformer = Deformer(rig)
-        place = {name: index for index, name in enumerate(names)}
+        place = index_of(names)
         # Column -1 is one of zeros, for shapes of the rig that the performance does not drive.
         self._columns = np.array([place.get(name, -1) for name in rig.shapes])
         self._reach = np.zeros(len(names))  # mm per unit of weight, of the point that moves most

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, columns_by_name, index_of
 from usdface.core.errors import InputError
 from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.shape_names import match_names
@@ -77,12 +77,9 @@ def source_columns(
     InputError
         If no name matches.
     """
-    place = {name: index for index, name in enumerate(wanted)}
-    out = np.zeros((len(motion.weights), len(wanted)))
-    column = {name: index for index, name in enumerate(motion.names)}
+    place, column = index_of(wanted), index_of(motion.names)
+    out = columns_by_name(motion.weights, motion.names, wanted)
     same = [name for name in motion.names if name in place]
-    for name in same:
-        out[:, place[name]] = motion.weights[:, column[name]]
     meant = match_names(
         [name for name in motion.names if name not in place],
         [name for name in wanted if name not in column],

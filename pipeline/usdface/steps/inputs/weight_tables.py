@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray, columns_by_name
 from usdface.core.errors import InputError
 from usdface.core.rates import FARTHEST_FRAME
 from usdface.core.sidecars import LAYER_SUFFIXES
@@ -54,12 +54,7 @@ class WeightTable:
 
     def columns(self, names: tuple[str, ...]) -> FloatArray:
         """Return the weights in another order of shapes; 0 for those the table lacks."""
-        place = {name: index for index, name in enumerate(self.names)}
-        out = np.zeros((len(self.frames), len(names)))
-        for index, name in enumerate(names):
-            if name in place:
-                out[:, index] = self.weights[:, place[name]]
-        return out
+        return columns_by_name(self.weights, self.names, names)
 
 
 def read_weight_table(path: Path, *, known: tuple[str, ...] = ()) -> WeightTable:

@@ -20,9 +20,7 @@ from usdface.usdio.performance.write import writing_top
 from usdface.usdio.rig.read import read_rig
 
 
-def run(
-    spec: JoinSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Merge the parts, or play them as value clips, whichever their size asks for."""
     readers = sorted(map(PerformanceReader, spec.parts), key=lambda each: each.first_frame)
     headers = [reader.header for reader in readers]

@@ -59,9 +59,7 @@ class _Written:
         self.few_markers.append(solved.few_markers[rows])
 
 
-def run(
-    spec: MapSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Map every frame of a take and write the performance as it goes."""
     mapping = read_mapping(spec.mapping)
     rig = read_rig(spec.rig, prim=spec.rig_prim)

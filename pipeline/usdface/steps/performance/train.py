@@ -9,7 +9,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import pluralize
 from usdface.model.mapping.regions import sample_skin
 from usdface.model.mapping.rig_match import rig_summary
 from usdface.model.mapping.train import train_mapping
@@ -20,9 +20,7 @@ from usdface.usdio.mapping import write_mapping
 from usdface.usdio.rig.read import read_rig
 
 
-def run(
-    spec: TrainSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Learn the mapping that the references show."""
     references = read_set_references(spec.references)
     notes = []
@@ -38,12 +36,9 @@ def run(
             f"{int((~tuned).sum())} of {len(tuned)} pairs are proposals that nobody has tuned"
         )
     rig = read_rig(references.rig_file, prim=references.rig_prim)
-    missing = [name for name in references.shape_names if name not in rig.shapes]
-    if missing:
-        raise InputError(
-            f"{spec.references}: {len(missing)} of its shapes are not on {rig.file}: "
-            f"{first_few(missing)}; select again for this rig"
-        )
+    rig.check_has(
+        references.shape_names, source=spec.references, remedy="select again for this rig"
+    )
     columns = [rig.shapes.index(name) for name in references.shape_names]
     shapes = Deformer(rig).shapes
     mapping = train_mapping(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray, runs
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, index_of, runs
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
@@ -282,7 +282,7 @@ def _left_out(out: Path, references: References) -> list[str]:
 
 def _together(old: References, lessons: list[_Lessons], notes: list[str]) -> References:
     keys = zip(old.takes, old.frames.tolist(), strict=True)
-    known = {key: pair for pair, key in enumerate(keys)}
+    known = index_of(keys)
     weights, tuned = old.weights.copy(), old.tuned.copy()
     new: dict[tuple[str, int], tuple[FloatArray, FloatArray]] = {}
     renewed = 0

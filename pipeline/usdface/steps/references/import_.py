@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from usdface.core.arrays import index_of
 from usdface.core.assets import References
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
@@ -82,7 +83,7 @@ def _key(spec: ReferencesImportSpec, pair: TunedPair) -> int:
 def _pairs(
     spec: ReferencesImportSpec, references: References, table: WeightTable, known: list[str]
 ) -> list[TunedPair]:
-    row_of = {frame: row for row, frame in enumerate(table.frames)}
+    row_of = index_of(table.frames)
     keys = (
         references.frames
         if spec.at == "frames"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, index_of
 from usdface.core.assets import Rig
 from usdface.core.controls import ExpressionPairs
 from usdface.core.errors import InputError
@@ -88,7 +88,7 @@ def _truth(
     spec: CyclicSpec, path: Path, motion: SourceMotion, picks: np.ndarray, pairs: ExpressionPairs
 ) -> FloatArray:
     table = read_weight_table(path)
-    row_of = {frame: row for row, frame in enumerate(table.frames)}
+    row_of = index_of(table.frames)
     frames = (picks + motion.first_frame).tolist()
     missing = [frame for frame in frames if frame not in row_of]
     if missing:

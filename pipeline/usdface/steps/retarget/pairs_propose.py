@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, index_of
 from usdface.core.assets import Rig
 from usdface.core.controls import Controls, ExpressionPairs, bare_controls
 from usdface.core.errors import InputError
@@ -144,7 +144,7 @@ def _pairs(source: Rig, target: Rig, matches: list[NameMatch], rest: Controls) -
 
 
 def _rows(expressions: list[tuple[tuple[str, float], ...]], names: tuple[str, ...]) -> FloatArray:
-    place = {name: index for index, name in enumerate(names)}
+    place = index_of(names)
     out = np.zeros((len(expressions) + 1, len(names)))
     for row, expression in enumerate(expressions, start=1):
         for name, weight in expression:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, index_of
 from usdface.core.assets import Rig
 from usdface.core.controls import Controls, EmotionalSequence, SequenceMatch
 from usdface.core.errors import InputError
@@ -196,7 +196,7 @@ def _insertion(
         motion = stretch_motion(motion, each.frame_count)
         weights = stretch_motion(weights, each.frame_count)
     keys = before[rows].copy()
-    place = {name: index for index, name in enumerate(space.names)}
+    place = index_of(space.names)
     keys[:, [place[name] for name in own.names]] = motion
     ease = min(spec.blend, each.frame_count // 4)
     eased = ease_weights(each.frame_count, spec.weight, ease=ease)

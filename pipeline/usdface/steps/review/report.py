@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import ByteImage, FloatArray
+from usdface.core.arrays import ByteImage, FloatArray, columns_by_name
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
@@ -144,12 +144,8 @@ def _curves(
     shown = WeightCurves("edited" if reader.edits else "solve", shot.weights[rows])
     found = [shown]
     if reader.edits:
-        solved = reader.solved(int(shot.frames[0]), int(shot.frames[-1])).astype(np.float64)
-        place = {name: column for column, name in enumerate(reader.names)}
-        ordered = np.zeros_like(shot.weights)
-        for column, name in enumerate(shot.rig.shapes):
-            if name in place:
-                ordered[:, column] = solved[:, place[name]]
+        solved = reader.solved(int(shot.frames[0]), int(shot.frames[-1]))
+        ordered = columns_by_name(solved, reader.names, shot.rig.shapes)
         found.append(WeightCurves("solve", ordered[rows]))
     if truth is not None:
         found.append(WeightCurves("keys", truth[rows]))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, index_of
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.media.picture.error_strip import ErrorCurve
@@ -59,7 +59,7 @@ def read_keys(file: Path | None, rig: Rig, frames: IntArray) -> FloatArray | Non
     table = read_weight_table(file)
     if not set(table.names) & set(rig.shapes):
         raise InputError(f"{file}: names none of the rig's shapes; is it the right file?")
-    row_of = {frame: row for row, frame in enumerate(table.frames)}
+    row_of = index_of(table.frames)
     known = table.columns(rig.shapes)
     truth = np.full((len(frames), len(rig.shapes)), np.nan)
     for index, frame in enumerate(frames.tolist()):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray, columns_by_name
 from usdface.core.assets import Performance, Rig, Take
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
@@ -204,10 +204,4 @@ def open_shot(performance_file: Path, take_file: Path, *, frames: str | None = N
 def weights_in_rig_order(performance: Performance, rig: Rig, frames: IntArray) -> FloatArray:
     """Return (frames, shapes) weights; 0 for shapes that the performance does not drive."""
     clip = performance.weights
-    rows = clip.values[frames - clip.first_frame].astype(np.float64)
-    place = {name: index for index, name in enumerate(clip.names)}
-    out = np.zeros((len(frames), len(rig.shapes)))
-    for index, name in enumerate(rig.shapes):
-        if name in place:
-            out[:, index] = rows[:, place[name]]
-    return out
+    return columns_by_name(clip.values[frames - clip.first_frame], clip.names, rig.shapes)

@@ -24,9 +24,7 @@ _SUSPECT_SHARE = 0.25
 are doubtful, and 44 if one of three landmarks is on the neck."""
 
 
-def run(
-    spec: BindSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Propose a binding, keep the corrections of an earlier one, and write both."""
     progress(0.0, "reading")
     face = read_face_mesh(spec.mesh, prim=spec.mesh_prim)
@@ -65,7 +63,7 @@ def run(
                 yaw_degrees=facing_yaw(face.mesh, at),
                 quality=spec.quality,
             ),
-            metadata={} if provenance is None else provenance_metadata(provenance),
+            metadata=provenance_metadata(provenance),
         )
     progress(1.0, "done")
     return _report(spec, binding, face, left_out)

@@ -21,9 +21,7 @@ _CHUNK_FRAMES = 2048
 """Frames whose markers are read at once."""
 
 
-def run(
-    spec: DeformSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: DeformSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Move every point of the mesh at every frame of the take, and write it as it goes."""
     take = TakeReader(spec.take)
     first, last = _frames(spec, take)

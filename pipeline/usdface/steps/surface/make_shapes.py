@@ -20,9 +20,7 @@ from usdface.usdio.surface.shape_rig import NewShape, WrittenShape, write_shape_
 from usdface.usdio.take.read import TakeReader
 
 
-def run(
-    spec: MakeShapesSpec, *, provenance: Provenance | None = None, progress: Progress = silent
-) -> StepResult:
+def run(spec: MakeShapesSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Choose frames, move the mesh there, and write the rig."""
     take = TakeReader(spec.take)
     chosen = given_frames(spec, take)

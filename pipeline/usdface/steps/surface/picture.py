@@ -43,7 +43,7 @@ def write_comparison(
     take: TakeReader,
     frames: tuple[int, int],
     *,
-    provenance: Provenance | None,
+    provenance: Provenance,
     progress: Progress,
 ) -> None:
     """Draw the take's most different frames with each metric."""
@@ -111,7 +111,7 @@ def write_shapes_picture(
     *,
     names: Sequence[str],
     sd_mm: Float32Array | None,
-    provenance: Provenance | None,
+    provenance: Provenance,
 ) -> None:
     """Draw shapes, by the names that they were written with."""
     if spec.picture is None:
@@ -139,7 +139,7 @@ def _write(
     page: SheetPage,
     *,
     quality: Quality,
-    provenance: Provenance | None,
+    provenance: Provenance,
 ) -> None:
     at = plan.places.positions(plan.face.mesh.points)
     sds = [each.uncertainty_mm for each in compared if each.uncertainty_mm is not None]
@@ -152,7 +152,7 @@ def _write(
         high_mm=high,
         quality=quality,
     )
-    metadata = {} if provenance is None else provenance_metadata(provenance)
+    metadata = provenance_metadata(provenance)
     write_image(path, compose_sheet(replace(page, rows=tuple(rows), high=high)), metadata=metadata)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdSkel
 
-from usdface.core.arrays import FloatArray, runs
+from usdface.core.arrays import FloatArray, index_of, runs
 from usdface.core.text import first_few, pluralize
 from usdface.usdio.checks.fault import Fault, Samples, is_recorded, is_solved, read_samples
 
@@ -44,7 +44,7 @@ def check_curves(prim: Usd.Prim) -> list[Fault]:
 
 def pair_sides(names: tuple[str, ...]) -> list[tuple[int, int]]:
     """Return (left, right) columns of shapes that differ only in the side they name."""
-    place = {name: index for index, name in enumerate(names)}
+    place = index_of(names)
     pairs = []
     for name, index in place.items():
         for left, right in SIDES:
@@ -64,7 +64,7 @@ def _ranges(prim: Usd.Prim, samples: Samples) -> FloatArray:
     if not prim.IsDefined():
         return np.stack([samples.values.min(axis=0), samples.values.max(axis=0)], axis=1)
     ranges = np.tile([0.0, 1.0], (len(names), 1))
-    place = {name: index for index, name in enumerate(names)}
+    place = index_of(names)
     for mesh in prim.GetStage().Traverse():
         binding = UsdSkel.BindingAPI(mesh)
         own = binding.GetBlendShapesAttr().Get() or []

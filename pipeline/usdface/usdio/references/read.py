@@ -9,11 +9,10 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MotionSpace, References
 from usdface.core.errors import InputError
+from usdface.usdio.arrays import read_array_samples
 from usdface.usdio.layers import open_layer
 from usdface.usdio.references.pair_layers import open_pair_stage
-from usdface.usdio.rig.reference import (
-    rig_of,
-)
+from usdface.usdio.rig.reference import rig_of
 from usdface.usdio.units import MM_PER_STAGE_UNIT
 from usdface.usdio.wrong_types import refusing_wrong_types
 
@@ -97,8 +96,8 @@ def read_references(path: Path) -> References:
     pairs = range(1, round(stage.GetEndTimeCode()) + 1)
     marker_names = tuple(map(str, points.GetPrim().GetAttribute("face:markers:names").Get()))
     shape_names = tuple(map(str, animation.GetBlendShapesAttr().Get()))
-    weights = _stack(path, animation.GetBlendShapeWeightsAttr(), pairs, len(shape_names), "weights")
-    markers = _stack(path, points.GetPointsAttr(), pairs, len(marker_names), "points")
+    weights = _stack(path, animation.GetBlendShapeWeightsAttr(), pairs, (len(shape_names),))
+    markers = _stack(path, points.GetPointsAttr(), pairs, (len(marker_names), 3))
     frames = root.GetAttribute(FRAME_PATH.name)
     takes = root.GetAttribute(TAKE.name)
     tuned = root.GetAttribute(TUNED.name)
@@ -151,24 +150,17 @@ def _check_tuning(stage: Usd.Stage, takes: tuple[str, ...], frames: IntArray) ->
                 )
 
 
-def _stack(path: Path, attribute: Usd.Attribute, pairs: range, count: int, what: str) -> FloatArray:
+def _stack(
+    path: Path, attribute: Usd.Attribute, pairs: range, shape: tuple[int, ...]
+) -> FloatArray:
     held = attribute.GetNumTimeSamples()
     if len(pairs) > held:  # a damaged end would else be counted up to, pair by pair
         raise InputError(
             f"{path}: its end time code says {len(pairs)} pairs, and <{attribute.GetPath()}> holds "
             f"{held}; restore the layer or select again"
         )
-    rows = []
-    for pair in pairs:
-        value = attribute.Get(pair)
-        if value is None or len(value) != count or not np.isfinite(np.asarray(value)).all():
-            got = "none" if value is None else f"{len(value)}"
-            raise InputError(
-                f"{path} <{attribute.GetPath()}> time code {pair}: {got} {what} where {count} "
-                "finite ones are needed; restore the layer or select again"
-            )
-        rows.append(np.array(value, dtype=np.float64))
-    return np.array(rows)
+    remedy = "restore the layer or select again"
+    return read_array_samples(path, attribute, pairs, shape, remedy=remedy)
 
 
 def _read_motion(root: Usd.Prim) -> MotionSpace | None:

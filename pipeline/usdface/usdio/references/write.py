@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Kind, Sdf, UsdGeom, Vt
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, index_of
 from usdface.core.assets import MotionSpace, References, Rig
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path, tuned_path
@@ -141,7 +141,7 @@ def _author_tuned_layer(layer: Sdf.Layer, references: References, pairs: list[Tu
         author_pair_header(layer, ROOT, len(references.frames))
         return
     weights = references.weights.copy()
-    column = {name: index for index, name in enumerate(references.shape_names)}
+    column = index_of(references.shape_names)
     for each in pairs:
         for name, value in each.weights.items():
             if name in column:

@@ -12,6 +12,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.controls import ControlClip, Controls, bare_controls
 from usdface.core.errors import InputError
 from usdface.numerics.motion.rotation_space import normalize_quaternions
+from usdface.usdio.arrays import read_array_samples
 from usdface.usdio.authoring import author_uniform
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import ANIMATION
@@ -20,6 +21,8 @@ from usdface.usdio.wrong_types import refusing_wrong_types
 
 NAMES = "face:controls:attributes"
 """On an animation: the attributes that are driven beside it, as ``PRIM.ATTRIBUTE``."""
+
+_REMEDY = "key it again"
 
 
 @dataclass(frozen=True)
@@ -106,17 +109,23 @@ def controls_at(
     """
     skel = UsdSkel.Animation(animation)
     shapes = tuple(map(str, skel.GetBlendShapesAttr().Get() or ()))
-    weights = _stack(path, skel.GetBlendShapeWeightsAttr(), times, (len(shapes),))
+    weights = read_array_samples(
+        path, skel.GetBlendShapeWeightsAttr(), times, (len(shapes),), remedy="key it again"
+    )
     controls = bare_controls(shapes, weights)
     joints = tuple(map(str, skel.GetJointsAttr().Get() or ()))
     translations = rotations = scales = None
     if joints:
-        translations = _stack(path, skel.GetTranslationsAttr(), times, (len(joints), 3))
+        translations = read_array_samples(
+            path, skel.GetTranslationsAttr(), times, (len(joints), 3), remedy="key it again"
+        )
         # numpy sees a quaternion as it lies in memory: x, y, z, w
-        rotations = _stack(path, skel.GetRotationsAttr(), times, (len(joints), 4))[
-            ..., [3, 0, 1, 2]
-        ]
-        scales = _stack(path, skel.GetScalesAttr(), times, (len(joints), 3))
+        rotations = read_array_samples(
+            path, skel.GetRotationsAttr(), times, (len(joints), 4), remedy="key it again"
+        )[..., [3, 0, 1, 2]]
+        scales = read_array_samples(
+            path, skel.GetScalesAttr(), times, (len(joints), 3), remedy="key it again"
+        )
         try:
             rotations = normalize_quaternions(rotations)
         except ValueError as error:
@@ -170,25 +179,6 @@ def set_weight_samples(
     place = animation.AppendProperty("blendShapeWeights")
     for time, row in enumerate(np.ascontiguousarray(weights, np.float32), start=first):
         layer.SetTimeSample(place, time, Vt.FloatArray.FromNumpy(row))
-
-
-def _stack(
-    path: Path, attribute: Usd.Attribute, times: Sequence[int], shape: tuple[int, ...]
-) -> FloatArray:
-    out = np.zeros((len(times), *shape))
-    if not shape[0]:
-        return out
-    for index, time in enumerate(times):
-        value = attribute.Get(time)
-        row = None if value is None else np.asarray(value, np.float64)
-        if row is None or row.shape != shape or not np.isfinite(row).all():
-            got = "none" if row is None else f"{len(row)}"
-            raise InputError(
-                f"{path} <{attribute.GetPath()}> time code {time}: {got} values where "
-                f"{shape[0]} finite ones are needed, one for each name; key it again"
-            )
-        out[index] = row
-    return out
 
 
 def _series(path: Path, attribute: Usd.Attribute, times: Sequence[int]) -> FloatArray:

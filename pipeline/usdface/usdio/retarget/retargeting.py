@@ -5,21 +5,19 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from pxr import Sdf, Usd, Vt
+from pxr import Sdf, Usd
 
-from usdface.core.arrays import FloatArray
 from usdface.core.controls import Retargeting, RetargetScore
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.usdio.authoring import author_uniform, define_prim, doubles
+from usdface.usdio.arrays import author_arrays, read_arrays
+from usdface.usdio.authoring import author_uniform, define_prim
 from usdface.usdio.layers import new_layer, open_stage, relative_path
 from usdface.usdio.units import author_units
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 _ROOT = Sdf.Path("/Retargeting")
 TYPE = "FaceRetargeting"
-_ARRAY = "face:array:"
 
 
 def write_retargeting(
@@ -50,10 +48,7 @@ def write_retargeting(
             "rest": trained.rest,
             "ranges": trained.ranges,
         }
-        for name, array in (fixed | {f"fit_{k}": v for k, v in trained.arrays.items()}).items():
-            author_uniform(prim, f"{_ARRAY}{name}", kinds.DoubleArray, doubles(array))
-            shape = Vt.IntArray([int(size) for size in array.shape])
-            author_uniform(prim, f"{_ARRAY}{name}:shape", kinds.IntArray, shape)
+        author_arrays(prim, fixed | {f"fit_{k}": v for k, v in trained.arrays.items()})
 
 
 def is_retargeting(path: Path) -> bool:
@@ -79,10 +74,10 @@ def read_retargeting(path: Path) -> Retargeting:
             f"{path}: not a retargeting: its default prim is no {TYPE}; make one with "
             "`usdface train-retarget`"
         )
-    arrays = _arrays(path, prim)
+    arrays = read_arrays(path, prim)
     missing = [name for name in ("mean_rotations", "rest", "ranges") if name not in arrays]
     if missing:
-        raise InputError(f"{path} <{prim.GetPath()}>: {_ARRAY}{missing[0]} is missing; train again")
+        raise InputError(f"{path} <{prim.GetPath()}>: array {missing[0]} is missing; train again")
     try:
         settings = json.loads(str(_value(prim, "settings") or "{}"))
         scores = tuple(RetargetScore(**e) for e in json.loads(str(_value(prim, "scores") or "[]")))
@@ -118,22 +113,3 @@ def _names(prim: Usd.Prim, name: str) -> tuple[str, ...]:
 def _value(prim: Usd.Prim, name: str) -> Any:
     attribute = prim.GetAttribute(f"face:retargeting:{name}")
     return attribute.Get() if attribute else None
-
-
-def _arrays(path: Path, prim: Usd.Prim) -> dict[str, FloatArray]:
-    arrays = {}
-    for attribute in prim.GetAttributes():
-        name = attribute.GetName()
-        if not name.startswith(_ARRAY) or name.endswith(":shape"):
-            continue
-        beside = prim.GetAttribute(f"{name}:shape").Get()
-        value = attribute.Get()
-        array = np.array(value if value is not None else [], np.float64)
-        shape = tuple(int(size) for size in beside) if beside is not None else array.shape
-        if array.size != int(np.prod(shape)) or not np.isfinite(array).all():
-            raise InputError(
-                f"{path} <{attribute.GetPath()}>: {array.size} numbers make no finite array of "
-                f"shape {shape}; train again"
-            )
-        arrays[name.removeprefix(_ARRAY)] = array.reshape(shape)
-    return arrays
