@@ -72,7 +72,7 @@ def _remembered(run_folder: Path) -> Iterator[None]:
     folder = run_folder / "remembered"
     folder.mkdir(exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
-        for module, name in ((baseline, "register_markers"), (surface, "_rest_exposure")):
+        for module, name in ((baseline, "place_markers"), (surface, "_rest_exposure")):
             patch.setattr(module, name, _remember(getattr(module, name), folder))
         yield
 

@@ -22,8 +22,6 @@ from usdface.usdio.wrong_types import refusing_wrong_types
 NAMES = "face:controls:attributes"
 """On an animation: the attributes that are driven beside it, as ``PRIM.ATTRIBUTE``."""
 
-_REMEDY = "key it again"
-
 
 @dataclass(frozen=True)
 class ReadControls:
