@@ -1,6 +1,7 @@
 """A performer's markers on a rig: by labels where they speak, else by symmetry and motion."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -40,9 +41,22 @@ def test_landmarks_of_a_face_stand_in_the_order_of_a_face(demo) -> None:
         np.testing.assert_allclose(skin.mirrored(right[None])[0], left, atol=1e-9)
 
 
-def test_a_rig_with_foreign_names_has_no_landmarks_rather_than_wrong_ones(demo) -> None:
+def test_shapes_with_foreign_names_are_known_by_what_they_do(demo) -> None:
     rig, skin = demo
-    assert find_landmarks(skin, tuple(f"shape_{i}" for i in range(len(rig.shapes)))) == {}
+    named = find_landmarks(skin, rig.shapes)
+    order = np.random.default_rng(0).permutation(len(rig.shapes))
+    mixed = replace(skin, deltas=skin.deltas[order])
+    found = find_landmarks(mixed, tuple(f"shape_{i}" for i in range(len(order))))
+    for name in ("nose_tip", "chin", "mouth_L", "lid_upper_R", "lid_lower_L", "eye_outer_R"):
+        np.testing.assert_allclose(found[name], named[name], atol=1e-9)
+    assert "brow_inner_L" not in found
+
+
+def test_a_rig_without_blinks_or_a_jaw_has_no_landmarks_rather_than_wrong_ones(demo) -> None:
+    rig, skin = demo
+    left_out = [i for i, name in enumerate(rig.shapes) if not name.startswith(("eye", "jaw"))]
+    rest = replace(skin, deltas=skin.deltas[left_out])
+    assert find_landmarks(rest, tuple(f"shape_{i}" for i in left_out)) == {}
 
 
 def test_labels_put_another_performers_markers_on_their_features(demo) -> None:
@@ -68,6 +82,26 @@ def test_labels_put_another_performers_markers_on_their_features(demo) -> None:
     assert placed.by_labels
     assert away.max() < 5.0
     assert placed.virtual.motion_scale == pytest.approx(1 / np.sqrt(1.15 * 0.9), rel=0.05)
+
+
+def test_labels_place_markers_on_a_rig_with_foreign_names(demo) -> None:
+    rig, skin = demo
+    found = find_landmarks(skin, rig.shapes)
+    labels = {
+        "NoseTip": "nose_tip",
+        "Chin": "chin",
+        "Mouth_Lend": "mouth_L",
+        "Mouth_Rend": "mouth_R",
+        "Leye_Inner": "eye_inner_L",
+        "Reye_Inner": "eye_inner_R",
+        "Leye_Outer": "eye_outer_L",
+        "Reye_Outer": "eye_outer_R",
+    }
+    places = np.array([found[name] for name in labels.values()])
+    cloud = marker_cloud(tuple(labels), places * [1.1, 0.95, 1.2], None)
+    placed = place_markers(cloud, skin, tuple(f"shape_{i}" for i in range(len(rig.shapes))))
+    assert placed.by_labels
+    assert np.linalg.norm(skin.positions[placed.samples] - places, axis=1).max() < 5.0
 
 
 def test_a_place_that_a_person_gave_is_kept(demo) -> None:

@@ -41,10 +41,17 @@ _WARP_COST = 0.3
 """Explained share that a mean warp of the face's size costs, between candidates of the search."""
 
 _LEAST_GAIN = 0.03
-"""Value by which the search in the plane must be better than closest points to be believed."""
+"""Value by which another placement must be better than closest points': they fit proportions in
+every round, and are nearer where many markers cover the face."""
 
 _SIZE_COST = 0.3
-"""Explained share that e times too large or too small a cloud costs: captures cover the face."""
+"""Explained share that e times too large or too small a cloud costs."""
+
+_EYES_TO_MOUTH_MM = 70.0
+"""From the line of the eyes to that of the mouth, on an adult, give or take 5 mm."""
+
+_OTHER_UNIT = 2.2
+"""Factor between two guesses of the scale beyond which the markers are not in millimetres."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +105,8 @@ def place_markers(
     """
     limits = np.tile([0.0, 1.0], (len(shapes), 1)) if ranges is None else ranges
     unit = skin.size_mm / TYPICAL_SIZE_MM
-    known = _named_places(cloud.labels, find_landmarks(skin, shapes), unit)
+    landmarks = find_landmarks(skin, shapes)
+    known = _named_places(cloud.labels, landmarks, unit)
     pins = {m: np.asarray(at, float) @ skin.frame.T for m, at in (pinned or {}).items()}
     scene = _Scene(
         cloud,
@@ -106,6 +114,7 @@ def place_markers(
         limits,
         known | {m: (at, _PIN_SPREAD_MM * unit) for m, at in pins.items()},
         pins,
+        _usual_scale(cloud, skin, landmarks),
     )
     named = len(known) >= FEWEST_HINTS
     if named:
@@ -154,13 +163,17 @@ def _virtual_markers(scene: "_Scene", start: "_Start", samples: IntArray) -> Vir
 
 @dataclass(frozen=True)
 class _Scene:
-    """A cloud, a skin, and the places that labels or people gave, with their spreads [mm]."""
+    """A cloud, a skin, and the places that labels or people gave, with their spreads [mm].
+
+    `usual_scale` is the guess of character over performer.
+    """
 
     cloud: MarkerCloud
     skin: FaceSkin
     ranges: FloatArray
     landmarks: dict[int, tuple[FloatArray, float]]
     pins: dict[int, FloatArray]
+    usual_scale: float
 
 
 @dataclass(frozen=True)
@@ -223,9 +236,9 @@ def _by_labels(scene: _Scene) -> _Start:
 
 
 def _by_motion(scene: _Scene) -> _Start:
-    """Search for where motion agrees; of the best starts, take what it explains best at last.
+    """Try closest points, and a search for where motion agrees; take the best placement.
 
-    The search has one scale; proportions are fitted to what it finds, and the cloud placed again.
+    Where the cloud shows a plane of symmetry, what is found is brought into it, and placed again.
     """
     motion = scene.cloud.motion
     starts = _by_shape(scene)
@@ -239,35 +252,70 @@ def _by_motion(scene: _Scene) -> _Start:
         if not starts:
             raise
         return starts[0]
-    centre = np.array([scene.skin.sagittal_x, 0.0, 0.0])
-    spreads = np.full(len(levelled), _WARPED_SPREAD_MM)
+    begun = [(_yaw_of(start, frame), start.placement.warped) for start in starts]
     for _, yaw, fit in search_by_motion(
-        levelled, scene.skin, motion @ frame.T, ranges=scene.ranges
+        levelled,
+        scene.skin,
+        motion @ frame.T,
+        ranges=scene.ranges,
+        usual_scale=scene.usual_scale,
     ):
         turn = np.array([yaw, 1.0, yaw])
         first = _settle(scene, turn[:, None] * frame, levelled * turn, fit)
-        refit = fit_in_plane(first.levelled, first.placement.warped - centre, spreads)
-        again = PlaneFit(refit.rotation, refit.scale, refit.shift + centre)
-        starts.append(_settle(scene, first.frame, first.levelled, again))
+        begun.append((yaw, first.placement.warped))
+    for yaw, warped in begun:
+        turn = np.array([yaw, 1.0, yaw])
+        fit = _fit_to(scene, levelled * turn, warped)
+        starts.append(_settle(scene, turn[:, None] * frame, levelled * turn, fit))
     if not starts:
         raise ValueError("no place on the rig explains the markers' motion; give landmarks")
-    values = [_value(scene, start, motion) for start in starts]
+    values = [_value(scene, start, frame, levelled) for start in starts]
     best = int(np.argmax(values))
     return starts[best] if values[best] > values[0] + _LEAST_GAIN else starts[0]
 
 
-def _value(scene: _Scene, start: _Start, motion: FloatArray) -> float:
-    """Return the explained share, less what warp and an unlikely size of the face cost."""
-    placement, skin = start.placement, scene.skin
+def _yaw_of(start: _Start, frame: FloatArray) -> float:
+    """Return +1 if the levelled frame looks where a placement does, -1 if it looks back."""
+    rotation = start.placement.fit.rotation @ start.frame @ frame.T
+    return 1.0 if rotation[0, 0] + rotation[2, 2] > 0 else -1.0
+
+
+def _fit_to(scene: _Scene, levelled: FloatArray, places: FloatArray) -> PlaneFit:
+    """Fit the cloud's proportions to places that were found, in the plane of symmetry."""
+    centre = np.array([scene.skin.sagittal_x, 0.0, 0.0])
+    found = fit_in_plane(levelled, places - centre, np.full(len(levelled), _WARPED_SPREAD_MM))
+    return PlaneFit(found.rotation, found.scale, found.shift + centre)
+
+
+def _usual_scale(cloud: MarkerCloud, skin: FaceSkin, landmarks: dict[str, FloatArray]) -> float:
+    """Guess character over performer: adults' faces are alike, else captures cover what moves."""
+    share = skin.activity() / skin.activity().sum()
+    moving = np.sqrt((share @ (skin.positions - share @ skin.positions) ** 2).sum())
+    spread = np.sqrt(cloud.neutral.var(axis=0).sum())
+    covering = float(moving / max(spread, 1e-9))
+    if not {"mouth_middle", "lid_upper_L", "lid_lower_L"} <= landmarks.keys():
+        return covering
+    eyes = (landmarks["lid_upper_L"] + landmarks["lid_lower_L"])[1] / 2
+    adult = float(eyes - landmarks["mouth_middle"][1]) / _EYES_TO_MOUTH_MM
+    return adult if 1 / _OTHER_UNIT < covering / adult < _OTHER_UNIT else covering
+
+
+def _value(scene: _Scene, start: _Start, frame: FloatArray, levelled: FloatArray) -> float:
+    """Return the explained share, less what warp and an unlikely size of the face cost.
+
+    What a placement rolls or shifts the plane of symmetry is a part of its warp.
+    """
+    placement, skin, motion = start.placement, scene.skin, scene.cloud.motion
+    if motion is None:
+        return 0.0
     moved = in_character(motion @ start.frame.T, placement.fit)
     share = explained_share(skin, placement.samples, moved, scene.ranges)
-    placed = placement.fit.apply(start.levelled)
-    bent = float(np.linalg.norm(placement.warped - placed, axis=1).mean()) / skin.size_mm
-    width = float(np.sqrt(placed.var(axis=0)[:2].sum()))
-    weight = skin.activity() / skin.activity().sum()
-    spread = skin.positions - weight @ skin.positions
-    usual = float(np.sqrt((weight @ spread**2)[:2].sum()))
-    return share - _WARP_COST * bent - _SIZE_COST * abs(float(np.log(width / usual)))
+    yaw = _yaw_of(start, frame)
+    turned = levelled * [yaw, 1.0, yaw]
+    fit = _fit_to(scene, turned, placement.warped)
+    away = np.linalg.norm(placement.warped - fit.apply(turned), axis=1)
+    size = abs(float(np.log(np.sqrt(fit.scale[:2].prod()) / scene.usual_scale)))
+    return share - _WARP_COST * float(away.mean()) / skin.size_mm - _SIZE_COST * size
 
 
 def _by_shape(scene: _Scene) -> list[_Start]:

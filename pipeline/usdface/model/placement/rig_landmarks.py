@@ -1,8 +1,8 @@
 """Landmarks of a rig's face, read from what its shapes do.
 
 A blink shows the lids, an opening jaw the line of the mouth, and with eyes and mouth known the
-profile shows nose, bridge and chin. Only shapes whose names are understood are used, so that a rig
-with foreign names has no landmarks, rather than wrong ones.
+profile shows nose, bridge and chin. Shapes are known by their names; in a rig with foreign names,
+blinks and the jaw by what they do.
 """
 
 from collections.abc import Sequence
@@ -45,6 +45,22 @@ _AHEAD_MM = 20.0
 """A point so far before the mouth is nearest to the lips, and not to the teeth."""
 
 
+_LEAST_FALL = 0.5
+"""Share of the displacements' length that goes down, for a lid or a jaw."""
+
+_ALIKE_SHARE = 0.25
+"""Difference of the energies of both sides over their sum, of a shape that moves both alike."""
+
+_LID_RADIUS = 0.27
+"""Root mean square radius of what one lid moves, over the face's size, at most; brows have more."""
+
+_STILL_SHARE = 0.2
+"""Of the jaw's largest displacement: what moves less is not of the mouth."""
+
+_CREASE_OF_EYE = 0.45
+"""The crease over the eye's opening, where no shape of the brow is known: about as much."""
+
+
 def find_landmarks(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArray]:
     """Return landmarks by name, each a position in the face's frame [mm].
 
@@ -60,6 +76,8 @@ def find_landmarks(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArra
         those whose shapes the rig lacks are left out.
     """
     moved = _displacements(skin, shapes)
+    if not {("eyeblink", "L"), ("eyeblink", "R"), ("jawopen", "")} <= moved.keys():
+        moved = recognise_shapes(skin) | moved
     found: dict[str, FloatArray] = {}
     for side, sign in _SIDES:
         blink = moved.get(("eyeblink", side))
@@ -70,9 +88,8 @@ def find_landmarks(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArra
             if delta is not None:
                 away = sign * (skin.positions[:, 0] - skin.sagittal_x)
                 found[f"{name}_{side}"] = _centroid(skin, delta, away > least)
-        if {f"lid_upper_{side}", f"brow_middle_{side}"} <= found.keys():
-            margin, brow = found[f"lid_upper_{side}"], found[f"brow_middle_{side}"]
-            found[f"lid_crease_{side}"] = _nearest(skin, margin + _CREASE_SHARE * (brow - margin))
+        if blink is not None:
+            found[f"lid_crease_{side}"] = _crease(skin, found, side)
     jaw = moved.get(("jawopen", ""))
     if jaw is not None:
         found |= _mouth(skin, jaw, found)
@@ -120,6 +137,15 @@ def _eye(skin: FaceSkin, blink: FloatArray, side: str, sign: float) -> dict[str,
             [skin.sagittal_x + sign * edge, *np.median(at[near][:, 1:], axis=0)]
         )
     return found
+
+
+def _crease(skin: FaceSkin, found: dict[str, FloatArray], side: str) -> FloatArray:
+    margin, brow = found[f"lid_upper_{side}"], found.get(f"brow_middle_{side}")
+    if brow is None:
+        rise = _CREASE_OF_EYE * (margin - found[f"lid_lower_{side}"]) * [0.0, 1.0, 0.0]
+    else:
+        rise = _CREASE_SHARE * (brow - margin)
+    return _nearest(skin, margin + rise)
 
 
 def _mouth(skin: FaceSkin, jaw: FloatArray, eyes: dict[str, FloatArray]) -> dict[str, FloatArray]:
@@ -202,3 +228,54 @@ def _mirrored(skin: FaceSkin, found: dict[str, FloatArray]) -> dict[str, FloatAr
             mean = (place + skin.mirrored(partner[None])[0]) / 2
             out[name], out[f"{name[:-1]}R"] = mean, skin.mirrored(mean[None])[0]
     return out
+
+
+def recognise_shapes(skin: FaceSkin) -> dict[tuple[str, str], FloatArray]:
+    """Return blinks and the opening jaw among shapes with foreign names, by what they do.
+
+    Of what falls, the jaw is the largest that goes alike on both sides. A blink is the farthest of
+    those that are as small as a lid, on each side, where the jaw moves nothing.
+
+    Returns
+    -------
+    dict of (str, str) to (samples, 3) float array
+        As `motion_and_side` names them: ``('eyeblink', 'L')``, ``('jawopen', '')``. Empty unless
+        a jaw and blinks of both eyes are there that mirror each other.
+    """
+    side = np.sign(skin.positions[:, 0] - skin.sagittal_x)
+    jaw, largest = None, 0.0
+    falling = [delta for delta in skin.deltas if _falls(delta)]
+    for delta in falling:
+        energy = (delta**2).sum(axis=1) * skin.areas
+        if abs(energy @ side) < _ALIKE_SHARE * energy.sum() and energy.sum() > largest:
+            jaw, largest = delta, float(energy.sum())
+    if jaw is None:
+        return {}
+    still = np.linalg.norm(jaw, axis=1) < _STILL_SHARE * np.linalg.norm(jaw, axis=1).max()
+    blinks, centres = {}, {}
+    for name, sign in _SIDES:
+        farthest = 0.0
+        for delta in falling:
+            lid = np.where((side == sign)[:, None], delta, 0.0)
+            energy = (lid**2).sum(axis=1) * skin.areas
+            if energy.sum() < _ALIKE_SHARE * ((delta**2).sum(axis=1) @ skin.areas):
+                continue  # what a shape of the other side leaves here
+            centre = energy @ skin.positions / energy.sum()
+            spread = energy @ ((skin.positions - centre) ** 2).sum(axis=1) / energy.sum()
+            small = np.sqrt(spread) < _LID_RADIUS * skin.size_mm
+            peak = float(np.linalg.norm(lid, axis=1).max())
+            if small and energy[still].sum() > 0.5 * energy.sum() and peak > farthest:
+                blinks[name], centres[name], farthest = lid, centre, peak
+    if len(blinks) < len(_SIDES):
+        return {}
+    apart = np.linalg.norm(centres["L"] - skin.mirrored(centres["R"][None])[0])
+    if apart > _LID_RADIUS * skin.size_mm:
+        return {}
+    return {("eyeblink", name): lid for name, lid in blinks.items()} | {("jawopen", ""): jaw}
+
+
+def _falls(delta: FloatArray) -> bool:
+    """Whether what a shape moves most goes down."""
+    size = np.linalg.norm(delta, axis=1)
+    most = size > 0.5 * size.max()
+    return bool(size.max() > 0 and -delta[most, 1].sum() > _LEAST_FALL * size[most].sum())

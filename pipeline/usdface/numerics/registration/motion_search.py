@@ -21,7 +21,7 @@ from usdface.numerics.registration.skin_placement import (
 
 _PITCHES_DEGREES = (-30.0, -15.0, 0.0, 15.0, 30.0)
 _SCALES = (0.75, 0.9, 1.05, 1.25)
-"""Times the ratio of the two faces' widths."""
+"""Times the usual scale."""
 
 _HEIGHTS = (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6)
 """Of the face's size."""
@@ -37,7 +37,12 @@ _MOST_FRAMES = 30
 
 
 def search_by_motion(
-    levelled: FloatArray, skin: FaceSkin, motion: FloatArray, *, ranges: FloatArray
+    levelled: FloatArray,
+    skin: FaceSkin,
+    motion: FloatArray,
+    *,
+    ranges: FloatArray,
+    usual_scale: float,
 ) -> list[tuple[float, float, PlaneFit]]:
     """Return the best fits, best first: score, +1 or -1 for where the cloud looks, and the fit.
 
@@ -48,19 +53,19 @@ def search_by_motion(
     motion : (frames, markers, 3) float array
         Displacements in that space [mm]; some thirty of the frames are used.
     ranges : (shapes, 2) float array
+    usual_scale : float
+        Character over performer, from which the search starts.
     """
     moved = motion[:_MOST_FRAMES]
     moved_size = np.sqrt((skin.deltas**2).sum(axis=(0, 2)))
     share = moved_size / moved_size.sum()
     middle = share @ skin.positions
-    wide = np.sqrt(share @ ((skin.positions - middle) ** 2)[:, :2].sum(axis=1))
-    spread = np.sqrt(((levelled - levelled.mean(axis=0)) ** 2)[:, :2].sum(axis=1).mean())
     tree, flat = KDTree(skin.positions), KDTree(skin.positions[:, :2])
 
     def fit_of(x: FloatArray) -> PlaneFit:
         _, pitch, scale, height, depth = x
         rotation = pitch_rotation(np.deg2rad(pitch))
-        size = scale * wide / spread
+        size = scale * usual_scale
         placed = size * ((levelled * [x[0], 1.0, x[0]]) @ rotation.T)
         shift = np.array([skin.sagittal_x, middle[1] + height - np.median(placed[:, 1]), 0.0])
         placed += shift

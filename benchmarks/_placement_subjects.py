@@ -1,0 +1,101 @@
+"""Performers made of a rig, whose markers' places and weights are known: for `real_captures`."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tests.conftest import SHARED_DATA
+from usdface.capture.sniff import read_capture
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.model.retarget.shape_names import motion_and_side
+from usdface.numerics.registration.face_skin import FaceSkin
+
+MARKER_COUNT = 72
+RIGID_COUNT = 6
+_EVERY_FRAME = 6
+"""Of the recorded performance: about 700 frames."""
+
+_PROPORTIONS = np.array([1.1, 0.9, 1.2])
+"""Character over performer, across, up and forward."""
+
+_WARP_MM, _WARP_LENGTH_MM = 4.0, 40.0
+_GAIN_SPREAD = 0.15
+"""Standard deviation of the logarithm of how far a performer's skin goes, shape by shape."""
+
+_NOISE_MM = 0.15
+
+
+@dataclass(frozen=True)
+class SimulatedTake:
+    """A performer's markers, stabilised, with silent labels.
+
+    Attributes
+    ----------
+    neutral : (markers, 3) float array
+        [mm]
+    positions : (frames, markers, 3) float array
+        [mm]
+    rigid : tuple of int
+        The markers that the shapes move least.
+    weights : (frames, shapes) float array
+        What moved them.
+    samples : (markers,) int array
+        Of the skin: where the markers sit.
+    """
+
+    neutral: FloatArray
+    positions: FloatArray
+    rigid: tuple[int, ...]
+    weights: FloatArray
+    samples: IntArray
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Return names that say nothing."""
+        return tuple(f"m{i}" for i in range(len(self.neutral)))
+
+
+def simulate_take(skin: FaceSkin, shapes: tuple[str, ...], *, seed: int) -> SimulatedTake:
+    """Let a recorded performance move the markers of a performer with other proportions."""
+    rng = np.random.default_rng(seed)
+    samples = _spread_markers(skin, rng)
+    at = skin.positions[samples]
+    turn = np.array([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]])
+    warped = at + _WARP_MM * np.sin(at / _WARP_LENGTH_MM)[:, [1, 2, 0]]
+    neutral = (warped / _PROPORTIONS) @ turn.T + [100.0, 1500.0, -40.0]
+    gains = np.exp(_GAIN_SPREAD * rng.standard_normal((len(shapes), 1, 1)))
+    weights = _recorded_weights(shapes)
+    moved = np.einsum("fs,smc->fmc", weights, skin.deltas[:, samples] * gains, optimize=True)
+    moved = moved / _PROPORTIONS[:2].prod() ** 0.5 @ turn.T
+    moved += _NOISE_MM * rng.standard_normal(moved.shape)
+    rigid = np.argsort(skin.activity()[samples])[:RIGID_COUNT]
+    return SimulatedTake(
+        neutral, neutral + moved, tuple(map(int, np.sort(rigid))), weights, samples
+    )
+
+
+def _spread_markers(skin: FaceSkin, rng: np.random.Generator) -> IntArray:
+    """Choose samples far from each other, closer where the face moves."""
+    share = 0.4 + skin.activity() / skin.activity().max()
+    pool = np.flatnonzero(skin.activity() > 0.02 * skin.activity().max())
+    chosen, distance = [int(rng.choice(pool))], np.full(len(pool), np.inf)
+    while len(chosen) < MARKER_COUNT:
+        step = np.linalg.norm(skin.positions[pool] - skin.positions[chosen[-1]], axis=1)
+        distance = np.minimum(distance, step)
+        chosen.append(int(pool[np.argmax(distance * share[pool])]))
+    return np.array(chosen)
+
+
+def _recorded_weights(shapes: tuple[str, ...]) -> FloatArray:
+    source = read_capture(SHARED_DATA / "livelink_alex" / "alex_rom_3.csv").take.source
+    if source is None:
+        raise SystemExit("livelink_alex has no weights")
+    column_of = {motion_and_side(name): i for i, name in enumerate(source.names)}
+    values = np.clip(source.values[::_EVERY_FRAME].astype(float), 0, 1)
+    weights = np.zeros((len(values), len(shapes)))
+    for i, name in enumerate(shapes):
+        motion, side = motion_and_side(name)
+        column = column_of.get((motion, side), column_of.get((motion, "")))
+        if column is not None:
+            weights[:, i] = values[:, column]
+    return weights
