@@ -50,9 +50,6 @@ LYING_DEGREES = 60.0
 Academy of Orthopaedic Surgeons, range of motion), and a wrong axis turns by 90 or 180."""
 TILTED_DEGREES = 45.0
 
-SAME_SIZE = 1.25
-"""Ratio of two takes' sizes: of one performer within 1.05, and of adults hardly beyond this."""
-
 _FEWEST_LABELLED = 8
 _LEAST_EXPLAINED = 0.6
 """Of the spread of the markers, by the template: with less, labels do not mean what is read."""
@@ -105,12 +102,9 @@ class PlausibilityFinding:
     message: str
     remedy: str
 
-    def __str__(self) -> str:
-        return f"{self.message}; {self.remedy}"
-
 
 def judge_markers(
-    markers: Markers, rate: float, *, axes: FloatArray | None = None
+    markers: Markers, rate: float | None, *, axes: FloatArray | None = None
 ) -> tuple[PlausibilityFinding, ...]:
     """Compare a take's markers with what human faces are and do.
 
@@ -118,8 +112,8 @@ def judge_markers(
     ----------
     markers : Markers
         Captured or stabilised; as they were captured the up axis shows as well.
-    rate : float
-        Frames per second.
+    rate : float or None
+        Frames per second; None where frames do not follow each other, and speeds are not judged.
     axes : (3, 3) float array, optional
         Rotation that brought the file's axes to Y up; names the axis in the remedy.
     """
@@ -133,22 +127,26 @@ def judge_markers(
     fits = _fits(markers.names, positions, seen)
     found = list(_part(markers.names, seen))
     face = face_template(markers.names).columns if fits else np.arange(len(markers.names))
-    motion = SkinMotion.of(markers.positions[:, face], usable[:, face], rows, rate)
+    motion = SkinMotion.of(markers.positions[:, face], usable[:, face], rows, rate or 0.0)
     if fits:
         found += [*_labelled_size(fits), *_labelled_up(fits, axes), *_mirrored(fits)]
     head = bool(fits) or not (motion.articulated or _is_body(markers.names))
     if head and not fits:
         found += [*_cloud_size(positions, seen), *_cloud_up(motion, axes)]
     right_size = not any(each.aspect == "size" for each in found)
-    if right_size and head:
+    if right_size and head and rate is not None:
         found += _speed(motion)
-    if not RATE_RANGE[0] <= rate <= RATE_RANGE[1]:
+    if rate is not None and not RATE_RANGE[0] <= rate <= RATE_RANGE[1]:
         found.append(_rate_finding(f"{rate:g} frames per second", impossible=False))
     return tuple(found)
 
 
 def settle_findings(
-    findings: Iterable[PlausibilityFinding], *, stated: Collection[str] = (), where: object
+    findings: Iterable[PlausibilityFinding],
+    *,
+    stated: Collection[str] = (),
+    where: object,
+    before_remedy: str = "",
 ) -> tuple[str, ...]:
     """Return doubts as notes; refuse what cannot be and nobody has stated.
 
@@ -158,6 +156,8 @@ def settle_findings(
         Aspects on which the user has spoken: there the take is as it is said to be.
     where : object
         File, for the message.
+    before_remedy : str
+        Where options of `ingest` are not those of the command.
 
     Raises
     ------
@@ -167,41 +167,13 @@ def settle_findings(
     findings = list(findings)
     refused = [each for each in findings if each.impossible and each.aspect not in stated]
     if refused:
-        raise InputError("\n".join(f"{where}: {each}" for each in refused))
-    return tuple(map(str, findings))
+        raise InputError(
+            "\n".join(f"{where}: {each.message}; {before_remedy}{each.remedy}" for each in refused)
+        )
+    return tuple(f"{each.message}; {before_remedy}{each.remedy}" for each in findings)
 
 
-def check_same_size(
-    names: Sequence[str], clouds: Sequence[FloatArray], sources: Sequence[object]
-) -> None:
-    """Refuse takes of one performer whose faces differ in size.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Of the markers.
-    clouds : sequence of (markers, 3) float arrays
-        Middle position of each marker, one array a take [mm].
-    sources : sequence of object
-        Files, for the message.
-
-    Raises
-    ------
-    InputError
-        If a take's distances between markers are not those of the first.
-    """
-    first = pdist(clouds[0])
-    for cloud, source in zip(clouds[1:], sources[1:], strict=True):
-        ratio = float(np.median(pdist(cloud)[first > 0] / first[first > 0]))
-        if not 1 / SAME_SIZE <= ratio <= SAME_SIZE:
-            raise InputError(
-                f"{source}: its face is {ratio:.3g} times the size of {sources[0]}'s, by the "
-                f"distances between {len(names)} markers, and they are to be of one performer; "
-                f"ingest one of them again: {unit_remedy(ratio)}"
-            )
-
-
-def unit_remedy(size: float) -> str:
+def _unit_remedy(size: float) -> str:
     """Return the option that mends a size, with the slip of units that it looks like."""
     slip = min(_UNIT_SLIPS, key=lambda factor: abs(np.log(factor * size)))
     if abs(np.log(slip * size)) > np.log(_NEAR_SLIP):
@@ -232,7 +204,7 @@ def _labelled_size(fits: list[FaceFit]) -> Iterable[PlausibilityFinding]:
         not SIZE_LIMITS[0] <= size <= SIZE_LIMITS[1],
         f"the face is {size:.3g} times the size of an adult's, by where the labelled parts lie "
         f"({SIZE_RANGE[0]:g} to {SIZE_RANGE[1]:g} are usual)",
-        unit_remedy(size),
+        _unit_remedy(size),
     )
 
 
@@ -249,7 +221,7 @@ def _cloud_size(positions: FloatArray, seen: BoolArray) -> Iterable[Plausibility
         "size",
         not low <= extent <= high,
         f"the markers span {extent:.3g} mm, and those of a head {low:g} to {HEAD_MM:g}",
-        f"{unit_remedy(extent / 200.0)}; if they are a whole body's, keep those of the face",
+        f"{_unit_remedy(extent / 200.0)}; if they are a whole body's, keep those of the face",
     )
 
 

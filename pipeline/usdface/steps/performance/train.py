@@ -13,6 +13,7 @@ from usdface.core.text import pluralize
 from usdface.model.mapping.regions import sample_skin
 from usdface.model.mapping.rig_match import rig_summary
 from usdface.model.mapping.train import train_mapping
+from usdface.model.placement.rig_orientation import check_rig_stands
 from usdface.runner.result import StepResult
 from usdface.specs.performance import TrainSpec
 from usdface.steps.inputs.tuned_pairs import read_set_references
@@ -36,6 +37,7 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
             f"{int((~tuned).sum())} of {len(tuned)} pairs are proposals that nobody has tuned"
         )
     rig = read_rig(references.rig_file, prim=references.rig_prim)
+    notes += check_rig_stands(rig)
     rig.check_has(
         references.shape_names, source=spec.references, remedy="select again for this rig"
     )

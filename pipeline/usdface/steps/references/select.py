@@ -34,6 +34,7 @@ from usdface.steps.inputs.scene import (
     set_up_scene,
     takes_prediction,
 )
+from usdface.steps.inputs.take_plausibility import plausibility_notes
 from usdface.steps.inputs.tuned_pairs import (
     PlacedPair,
     find_placed_pairs,
@@ -82,6 +83,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     check_nobody_tunes(spec.out)
     takes = read_cleaned_takes(spec.takes)
     rig = read_rig(spec.rig, prim=spec.prim)
+    doubts = plausibility_notes(takes, spec.takes, rig)
     spoken = read_phone_labels(spec, takes)
     kept = find_placed_pairs(spec, takes, rig)
     mapping = None if spec.mapping is None else _mapping_for(spec, rig)
@@ -121,7 +123,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
         (spec.out, proposed_path(spec.out), tuned_path(spec.out), spec.picture_path()),
         f"{len(rows)} pairs of {len(takes.frames)} frames, {len(rig.shapes)} shapes proposed; "
         f"they cover {covered.coverage.share:.0%} of the takes",
-        (*_notes(selection, choice, mapping), *images.notes, *contradictions),
+        (*doubts, *_notes(selection, choice, mapping), *images.notes, *contradictions),
         {
             "pairs": len(rows),
             "frames": references.frames.tolist(),

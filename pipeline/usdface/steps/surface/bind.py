@@ -1,5 +1,7 @@
 """A take and a mesh in, the place of every marker on the mesh out."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from usdface.core.arrays import FloatArray
@@ -14,6 +16,7 @@ from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.surface import BindSpec
+from usdface.steps.inputs.take_plausibility import bound_take_notes
 from usdface.steps.surface.plan import TakeSample, bind_take, landmark_places, sample_take
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.surface.binding import has_binding, read_binding, write_binding
@@ -28,7 +31,9 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) 
     """Propose a binding, keep the corrections of an earlier one, and write both."""
     progress(0.0, "reading")
     face = read_face_mesh(spec.mesh, prim=spec.mesh_prim)
-    sample = sample_take(TakeReader(spec.take))
+    take = TakeReader(spec.take)
+    sample = sample_take(take)
+    doubts = bound_take_notes(take)
     pinned = landmark_places(spec.landmarks, sample.names, face, spec.take)
     sources = dict.fromkeys(pinned, "landmark")
     corrections, left_out = _corrections(spec, sample, face)
@@ -66,7 +71,8 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) 
             metadata=provenance_metadata(provenance),
         )
     progress(1.0, "done")
-    return _report(spec, binding, face, left_out)
+    report = _report(spec, binding, face, left_out)
+    return replace(report, notes=(*doubts, *report.notes))
 
 
 def _corrections(
