@@ -90,6 +90,7 @@ class FaceFit:
     up: FloatArray
     explained: float
     explained_mirrored: float
+    marker_count: int
 
 
 def face_template(labels: Sequence[str]) -> FaceTemplate:
@@ -129,7 +130,13 @@ def fit_face(places: FloatArray, positions: FloatArray, weights: FloatArray) -> 
     }
     best = 1 if explained[1] >= explained[-1] else -1
     rotation = u @ np.diag((1.0, 1.0, best * proper)) @ vt
-    return FaceFit(float(np.sqrt(spread_y / spread_x)), rotation[:, 1], explained[1], explained[-1])
+    return FaceFit(
+        float(np.sqrt(spread_y / spread_x)),
+        rotation[:, 1],
+        explained[1],
+        explained[-1],
+        len(places),
+    )
 
 
 def _place(hint: LabelHint) -> tuple[FloatArray, float] | None:

@@ -53,9 +53,11 @@ TILTED_DEGREES = 45.0
 _FEWEST_LABELLED = 8
 _LEAST_EXPLAINED = 0.6
 """Of the spread of the markers, by the template: with less, labels do not mean what is read."""
-_MIRRORED_ERROR_RATIO = 1.5
-"""Of the squares that the template and its mirror image leave: for 8 markers, of 24 coordinates,
-a likelihood ratio of 1.5^12 = 130."""
+_MIRRORED_RATIO = 1.5
+"""Of the squares that the template and its mirror image leave."""
+_FEWEST_MIRRORED = 12
+"""Markers from which that is no doubt: of their 36 coordinates, a likelihood ratio of 1.5^18, a
+thousand to one."""
 _BODY = re.compile(
     r"[lr]?(?:asi|psi|ster|clav|scap|acro|xiph|elb|wri|arm|kne|ank|toe|heel|thi|tib|sho|pelv|"
     r"shank|foot|fem|hip|fin|[ct]\d+$)",
@@ -276,11 +278,11 @@ def _up_remedy(axis: str) -> str:
 def _mirrored(fits: list[FaceFit]) -> Iterable[PlausibilityFinding]:
     right = float(np.median([fit.explained for fit in fits]))
     mirrored = float(np.median([fit.explained_mirrored for fit in fits]))
-    if (1 - right) < _MIRRORED_ERROR_RATIO * (1 - mirrored):
+    if (1 - right) < _MIRRORED_RATIO * (1 - mirrored):
         return
     yield PlausibilityFinding(
         "sides",
-        True,
+        bool(np.median([fit.marker_count for fit in fits]) >= _FEWEST_MIRRORED),
         "left and right are exchanged: by their labels the markers lie as in the mirror image of "
         f"a face ({mirrored:.0%} of their spread explained, {right:.0%} by a face)",
         "name what is wrong with --mirrored labels (left is labelled right) or --mirrored axes "
