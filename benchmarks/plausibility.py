@@ -2,8 +2,8 @@
 
 The recorded takes of `markers_animface`, whole and with few of their markers, drawn at random, as
 other marker sets would have; each on faces of other proportions as well. An alarm is an aspect on
-which `ingest` refuses or doubts. In the first two rows it is false, but for `part`: some draws leave
-one side or one half of the face without a marker.
+which `ingest` refuses or doubts. In the first two rows it is false, but for `part`: some draws
+leave one side or one half of the face without a marker.
 """
 
 from collections import Counter
