@@ -79,8 +79,8 @@ def make_and_play(folder: Path, rig: Rig) -> LongReport:
 
 
 def _script_seconds(counters: Any) -> float:
-    told = counters.send("Performance.getMetrics")["metrics"]
-    return float(next(each["value"] for each in told if each["name"] == "ScriptDuration"))
+    metrics = counters.send("Performance.getMetrics")["metrics"]
+    return float(next(each["value"] for each in metrics if each["name"] == "ScriptDuration"))
 
 
 PLAY = """async (wanted) => {

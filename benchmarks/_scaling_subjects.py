@@ -370,8 +370,8 @@ def main() -> None:
                 # The very first run also imports, and fills caches.
                 least = 2 if size == subject.sizes[0] else 1
                 seconds = _seconds(subject.prepare(size, Path(folder)), least_runs=least)
-            told = {"subject": number, "size": size, "seconds": seconds}
-            print(json.dumps(told), flush=True)
+            measured = {"subject": number, "size": size, "seconds": seconds}
+            print(json.dumps(measured), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Cleaning on a take whose damage is known: swaps mended, good samples left, and its cost.
+"""Cleaning on a take whose damage is known: swaps relabelled, good samples left, and its cost.
 
 `--full` also ingests and cleans an hour of the demo's actor, by the installed commands.
 """
@@ -20,7 +20,7 @@ STRIDE = 10
 
 
 def run(*, full: bool = False) -> None:
-    """Print what was mended, what it cost, and how the time grows with the take."""
+    """Print what was relabelled, what it cost, and how the time grows with the take."""
     _damaged()
     if full:
         _hour()
@@ -48,7 +48,7 @@ def _damaged() -> None:
     swapped = np.zeros(markers.visible.shape, np.bool_)
     for first, second, start, stop in truth["swaps"]:
         swapped[start:stop, [first, second]] = True
-    mended = sum(_is_mended(cleaned, each) for each in truth["swaps"])
+    relabelled = sum(_is_relabelled(cleaned, each) for each in truth["swaps"])
     touched = cleaned.filled.copy()
     for swap in cleaned.swaps:
         touched[swap.start : swap.stop, [swap.first, swap.second]] = True
@@ -58,11 +58,9 @@ def _damaged() -> None:
     _, twice = clean(2)
     print("| measure | value | wanted |")
     print("|---|---|---|")
-    print(f"| swapped intervals mended | {mended} of {len(truth['swaps'])} | ≥ 95 % |")
+    print(f"| swapped intervals relabelled | {relabelled} of {len(truth['swaps'])} | ≥ 95 % |")
     print(f"| good samples touched | {100 * touched[good].mean():.3f} % | < 0.1 % |")
-    print(
-        f"| mean error of mended and filled samples | {error[repaired].mean():.3f} mm | < 0.3 mm |"
-    )
+    print(f"| mean error, relabelled and filled | {error[repaired].mean():.3f} mm | < 0.3 mm |")
     print(f"| mean error of the others | {error[~repaired].mean():.3f} mm | |")
     print(f"| processor time, {take.frame_count:,} frames | {seconds:.1f} s | |")
     print(f"| for twice the frames | {twice / seconds:.2f}× | linear |")
@@ -112,7 +110,7 @@ def _capture(path: Path, frames: int) -> None:
     )
 
 
-def _is_mended(cleaned: CleanedMarkers, swap: np.ndarray) -> bool:
+def _is_relabelled(cleaned: CleanedMarkers, swap: np.ndarray) -> bool:
     """Whether found swaps cover nine tenths of a true one, and little beside it."""
     first, second, start, stop = (int(value) for value in swap)
     covered = np.zeros(stop - start, np.bool_)

@@ -1,9 +1,9 @@
 """What a mapping says of its own errors, against the errors.
 
-Beside every frame a mapping tells, for the face and each part of it, an error not exceeded nine
-times in ten, and the probability (`confidence`) of an error below a millimetre. Both are counted
-here on frames with known weights: the second half of `crosstake`, at three levels of noise, and
-three takes of each of the performers of `performers`. The constants behind them
+For every frame a mapping predicts, for the face and each part of it, an uncertainty: an error not
+exceeded nine times in ten; and the probability (`confidence`) of an error below a millimetre. Both
+are counted here on frames with known weights: the second half of `crosstake`, at three levels of
+noise, and three takes of each of the performers of `performers`. The constants behind them
 (`usdface.model.mapping.error_model`) were chosen on neither.
 """
 
@@ -36,15 +36,15 @@ FEWEST = 100
 
 
 @dataclass(frozen=True)
-class Told:
-    """One take: what was said, and what was so.
+class Claims:
+    """Predicted and true errors of one take.
 
     Attributes
     ----------
     group, take : str
     count : int
         References.
-    error_mm, told_mm, confidence : (frames, regions) float arrays
+    error_mm, uncertainty_mm, confidence : (frames, regions) float arrays
         The whole face first.
     """
 
@@ -52,18 +52,18 @@ class Told:
     take: str
     count: int
     error_mm: np.ndarray
-    told_mm: np.ndarray
+    uncertainty_mm: np.ndarray
     confidence: np.ndarray
 
     @property
-    def held(self) -> np.ndarray:
-        """Share of frames whose error is not above what was told, of each region."""
-        shares: np.ndarray = (self.error_mm <= self.told_mm).mean(axis=0)
+    def share_within(self) -> np.ndarray:
+        """Share of frames whose error is not above the uncertainty, of each region."""
+        shares: np.ndarray = (self.error_mm <= self.uncertainty_mm).mean(axis=0)
         return shares
 
 
 def run(counts: tuple[int, ...] = COUNTS, *, quick: bool = False) -> None:
-    """Print how often the told error holds, and what each confidence turns out to be worth.
+    """Print how often the uncertainty holds, and what each confidence turns out to be worth.
 
     Quick runs one number of references.
     """
@@ -71,16 +71,16 @@ def run(counts: tuple[int, ...] = COUNTS, *, quick: bool = False) -> None:
         print(f"skipped: no crosstake in {SHARED_DATA}")
         return
     counts = (50,) if quick else counts
-    print("share of frames whose error is not above the one told for nine in ten\n")
-    print("| references | performer | take | face | parts | worst part | told for the face [mm] |")
+    print("share of frames whose error is within the uncertainty, wanted for nine in ten\n")
+    print("| references | performer | take | face | parts | worst part | uncertainty, face [mm] |")
     print("|---|---|---|---|---|---|---|")
     found = []
     for each in chain(_crosstake(counts), _performers(counts)):
-        parts = each.held[1:]
+        parts = each.share_within[1:]
         print(
-            f"| {each.count} | {each.group} | {each.take} | {_percent(each.held[0])} | "
+            f"| {each.count} | {each.group} | {each.take} | {_percent(each.share_within[0])} | "
             f"{_percent(parts.mean())} | {_percent(parts.min())} | "
-            f"{np.median(each.told_mm[:, 0]):.2f} |",
+            f"{np.median(each.uncertainty_mm[:, 0]):.2f} |",
             flush=True,
         )
         found.append(each)
@@ -89,7 +89,7 @@ def run(counts: tuple[int, ...] = COUNTS, *, quick: bool = False) -> None:
         _print_reliability(label, found, columns)
 
 
-def _crosstake(counts: tuple[int, ...]) -> Iterator[Told]:
+def _crosstake(counts: tuple[int, ...]) -> Iterator[Claims]:
     rig_file = SHARED_DATA / "rigs" / "facecap_head.usdc"
     rig = read_rig(rig_file)
     shapes = Deformer(rig).shapes
@@ -117,10 +117,10 @@ def _crosstake(counts: tuple[int, ...]) -> Iterator[Told]:
                     gram[np.ix_(own, own)],
                     skin[own],
                 )
-                yield _told("crosstake", noise, count, error, said)
+                yield _claims("crosstake", noise, count, error, said)
 
 
-def _performers(counts: tuple[int, ...]) -> Iterator[Told]:
+def _performers(counts: tuple[int, ...]) -> Iterator[Claims]:
     for performer in PERFORMERS:
         for count in counts:
             acted = act(performer, count)
@@ -136,11 +136,11 @@ def _performers(counts: tuple[int, ...]) -> Iterator[Told]:
                 error = _errors(
                     said.weights - truth, said.regions, shapes.names, shapes.gram, shapes.skin
                 )
-                yield _told(f"{performer[0]}, {performer[1]}", take, count, error, said)
+                yield _claims(f"{performer[0]}, {performer[1]}", take, count, error, said)
 
 
-def _told(group: str, take: str, count: int, error: np.ndarray, said: Prediction) -> Told:
-    return Told(group, take, count, error, said.region_error, said.region_confidence)
+def _claims(group: str, take: str, count: int, error: np.ndarray, said: Prediction) -> Claims:
+    return Claims(group, take, count, error, said.region_error, said.region_confidence)
 
 
 def _errors(
@@ -160,7 +160,7 @@ def _errors(
     return errors
 
 
-def _print_claims(found: list[Told]) -> None:
+def _print_claims(found: list[Claims]) -> None:
     print("\n| measure | value | wanted |")
     print("|---|---|---|")
     for label, own in (
@@ -168,20 +168,20 @@ def _print_claims(found: list[Told]) -> None:
         ("performers", [each for each in found if each.group != "crosstake"]),
     ):
         for count in sorted({each.count for each in own}):
-            shares = [each.held[0] for each in own if each.count == count]
-            what = f"told errors of the face that hold, {label}, {count} references"
+            shares = [each.share_within[0] for each in own if each.count == count]
+            what = f"share within the uncertainty of the face, {label}, {count} references"
             print(f"| {what}: mean of takes | {_percent(np.mean(shares))} | ≥ 90 % |")
             print(f"| {what}: least of takes | {_percent(min(shares))} | ≥ 85 % |")
 
 
-def _print_reliability(label: str, found: list[Told], columns: slice) -> None:
+def _print_reliability(label: str, found: list[Claims], columns: slice) -> None:
     said = np.concatenate([each.confidence[:, columns].ravel() for each in found])
     so = np.concatenate(
         [(each.error_mm[:, columns] < SURFACE_TOLERANCE_MM).ravel() for each in found]
     )
     print(f"\nconfidence, {label}, all takes: probability of an error below")
-    print(f"{SURFACE_TOLERANCE_MM:g} mm, as said and as found\n")
-    print("| confidence | frames | said | found |")
+    print(f"{SURFACE_TOLERANCE_MM:g} mm, predicted and counted\n")
+    print("| confidence | frames | predicted | counted |")
     print("|---|---|---|---|")
     for low, high in pairwise(EDGES):
         held = (said >= low) & ((said < high) | (high == 1.0))

@@ -64,8 +64,8 @@ def run(counts: tuple[int, ...] = (25, 50)) -> None:
             execute(ReferencesFromEditsSpec(performances=(out,), references=references, out=taught))
             second = _map(folder, taught, rig_file, folder / f"{count}.taught.usda", shapes)
             for label, weights in ((f"{count}", first), (f"{count} + {CORRECTED}", second)):
-                told = ruler.metrics(weights[rest], wanted[rest], shapes, shapes_of, 60.0, seen)
-                print(f"| {label} | {' | '.join(f'{told[c]:.3f}' for c in COLUMNS)} |", flush=True)
+                row = ruler.metrics(weights[rest], wanted[rest], shapes, shapes_of, 60.0, seen)
+                print(f"| {label} | {' | '.join(f'{row[c]:.3f}' for c in COLUMNS)} |", flush=True)
 
 
 def _map(

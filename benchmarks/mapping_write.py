@@ -58,9 +58,9 @@ def run(quick: bool = False) -> None:
     print("| route | peak MB | ratio | target |")
     print("|---|---|---|---|")
     for name in ("one layer", "parts"):
-        told = _route(name, frames)
-        ratio = told["peak_mb"] / raw
-        print(f"| {name} | {told['peak_mb']:.0f} | {ratio:.2f} | {MOST_MEMORY} |", flush=True)
+        cost = _route(name, frames)
+        ratio = cost["peak_mb"] / raw
+        print(f"| {name} | {cost['peak_mb']:.0f} | {ratio:.2f} | {MOST_MEMORY} |", flush=True)
 
 
 _LABELS = {
@@ -79,8 +79,8 @@ def _route(name: str, frames: int) -> dict[str, float]:
         check=True,
         env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
     )
-    told: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
-    return told
+    cost: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    return cost
 
 
 def _peak_mb() -> float:

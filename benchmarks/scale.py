@@ -126,14 +126,14 @@ print(json.dumps([process.returncode, used.ru_utime + used.ru_stime, used.ru_max
 def _cost(folder: Path, words: str, made: str, frames: int) -> Cost:
     command = [sys.executable, "-m", "usdface", *words.format(n=frames).split()]
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    told = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-c", _LAUNCH, *command],
         cwd=folder,
         env=environment,
         stdout=subprocess.PIPE,
         check=True,
     )
-    code, seconds, peak_kb = json.loads(told.stdout)
+    code, seconds, peak_kb = json.loads(done.stdout)
     if code:
         raise SystemExit(f"{' '.join(command)} ended with {code}")
     size = sum(path.stat().st_size for path in folder.glob(made.format(n=frames)))

@@ -77,14 +77,14 @@ def _measured(*, quick: bool) -> Iterator[tuple[Subject, list[int], list[float]]
         stdout=subprocess.PIPE,
         text=True,
     )
-    told: dict[int, dict[int, float]] = defaultdict(dict)
+    measured: dict[int, dict[int, float]] = defaultdict(dict)
     with process:
         for line in process.stdout or ():
             found = json.loads(line)
             number = found["subject"]
-            told[number][found["size"]] = found["seconds"]
+            measured[number][found["size"]] = found["seconds"]
             subject = SUBJECTS[number]
-            if len(told[number]) == len(subject.sizes) - quick:
-                yield subject, list(told[number]), list(told[number].values())
+            if len(measured[number]) == len(subject.sizes) - quick:
+                yield subject, list(measured[number]), list(measured[number].values())
     if process.returncode:
         raise SystemExit(f"{' '.join(command)} ended with {process.returncode}")

@@ -4,7 +4,6 @@ References come from one half of the take and are scored on the other, both ways
 made up for the take, which has none: their places are random, as a mouth's are to a take of moods.
 """
 
-import csv
 import json
 import tempfile
 import time
@@ -15,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import crosstake
 from tests.conftest import SHARED_DATA
 from usdface.core.assets import Markers, References, Take, TrainedMapping
 from usdface.core.deformer import Deformer
@@ -23,7 +23,6 @@ from usdface.model.mapping.regions import sample_skin
 from usdface.model.mapping.train import train_mapping
 from usdface.numerics.measure.face_regions import blinks
 from usdface.runner.execute import execute
-from usdface.specs.capture import CleanSpec, IngestSpec
 from usdface.specs.performance import TrainSpec
 from usdface.specs.references import ReferencesImportSpec, SelectSpec
 from usdface.steps.inputs.cleaned_takes import read_cleaned_takes
@@ -74,22 +73,8 @@ def run(*, quick: bool = False) -> None:
 
 
 def _prepare(folder: Path) -> np.lib.npyio.NpzFile:
-    """Ingest and clean the take, and write what an animator would key at every frame."""
-    source = SHARED_DATA / "crosstake"
-    said, truth = json.loads((source / "take.json").read_text()), np.load(source / "truth.npz")
-    execute(
-        IngestSpec(
-            sources=(source / "take.c3d",),
-            out=folder / "x.take.usda",
-            rigid=tuple(said["rigid"]),
-            neutral=said["neutral_frame"] + 1,  # an index there, a frame number here
-        )
-    )
-    execute(CleanSpec(take=folder / "x.take.usda", out=folder / "x.clean.take.usda"))
-    with (folder / "keys.csv").open("w", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["frame", *truth["shapes"]])
-        writer.writerows([i, *row] for i, row in enumerate(truth["weights"], start=1))
+    truth = np.load(SHARED_DATA / "crosstake" / "truth.npz")
+    crosstake.prepare(folder, crosstake.DAMAGES[0], truth)
     return truth
 
 

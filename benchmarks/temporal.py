@@ -46,9 +46,9 @@ def run() -> None:
                 execute(MapSpec(**spec, out=out, **MODES[mode]), overwrite=True)
                 clip = read_performance(out).weights
                 solved = (clip.names, clip.values.astype(float))
-                told = crosstake.score(ruler, solved, truth, rig)
+                figures = crosstake.score(ruler, solved, truth, rig)
                 print(
-                    f"| {kind} | {mode} | {told['vertex_rms_mm']:.3f} | "
-                    f"{told['blink_bias']:+.3f} | {told['jitter']:.2f} |",
+                    f"| {kind} | {mode} | {figures['vertex_rms_mm']:.3f} | "
+                    f"{figures['blink_bias']:+.3f} | {figures['jitter']:.2f} |",
                     flush=True,
                 )

@@ -242,10 +242,9 @@ def test_training_on_tuned_pairs_only_leaves_proposals_out(shot: Shot) -> None:
             count=PAIRS + 4,
         )
     )
-    every = run(TrainSpec(references=shot / "hero.references.usda", out=shot / "a.usdc"))
-    tuned = run(
-        TrainSpec(references=shot / "hero.references.usda", out=shot / "b.usdc", tuned_only=True)
-    )
+    train = TrainSpec(references=shot / "hero.references.usda", out=shot / "a.usdc", method="ridge")
+    every = run(train)
+    tuned = run(train.model_copy(update={"out": shot / "b.usdc", "tuned_only": True}))
     assert "4 of 28 pairs are proposals" in every.notes[0]
     assert read_mapping(shot / "b.usdc").settings["pairs"] == PAIRS
     assert not tuned.notes

@@ -117,9 +117,9 @@ def test_a_shape_has_a_bend_of_its_own() -> None:
     assert np.delete(curve, 2).max() <= 0.15
 
 
-@pytest.mark.parametrize("low", [-1.0, 0.0])
-def test_ranges_of_any_width_give_the_same_face(low: float) -> None:
-    """A shape of range [low, low + 2] at twice the weight is the same shape."""
+def test_ranges_of_any_width_give_the_same_face() -> None:
+    """A shape of range [-1, 1] at twice the weight less one is the same shape."""
+    low = -1.0
     face = synthetic_face(bend=0.2)
     first = trained(skin=True, bent=0.2)
     wide = replace(

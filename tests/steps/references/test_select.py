@@ -10,14 +10,11 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 from pydantic import ValidationError
 
 from tests.steps.small_shot import PAIRS, Shot
-from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.sidecars import tuned_path
 from usdface.media.picture.image import read_image_metadata
-from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
 from usdface.runner.execute import execute
 from usdface.specs.references import ReferenceSheetSpec, ReferencesImportSpec, SelectSpec
-from usdface.steps.inputs import scene as selection_scene
 from usdface.steps.inputs.tuned_pairs import read_set_references
 from usdface.usdio.references.read import read_references, read_tuned_pairs
 from usdface.usdio.rig.read import read_rig
@@ -25,20 +22,6 @@ from usdface.usdio.rig.write import write_rig
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 from usdface.usdio.validation import validate
-
-EQUATIONS: dict[tuple[str, ...], BlendshapeEquation] = {}
-
-
-@pytest.fixture(autouse=True)
-def registered_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Placing markers on the rig takes most of a selection's time and is not what is tested."""
-
-    def remembered(rig: Rig, *rest: object, **given: object) -> BlendshapeEquation:
-        if rig.shapes not in EQUATIONS:
-            EQUATIONS[rig.shapes] = set_up_equation(rig, *rest, **given)  # type: ignore[arg-type]
-        return EQUATIONS[rig.shapes]
-
-    monkeypatch.setattr(selection_scene, "set_up_equation", remembered)
 
 
 def spec(shot: Shot, **changed: object) -> SelectSpec:
