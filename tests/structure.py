@@ -194,10 +194,12 @@ def _entries_without_text(doc: str) -> Iterator[str]:
         following = lines[number + 1] if number + 1 < len(lines) else ""
         if following and set(following) == {"-"}:
             section = line
+        elif following.startswith("    ") or re.search(r"[(\[{'\"]", line):
+            continue  # a shape is worth an entry by itself; a bare type is not
         elif section in ("Parameters", "Attributes") and re.match(r"\*{0,2}\w[\w, *]* : ", line):
-            # a shape is worth an entry by itself; a bare type is not
-            if not following.startswith("    ") and not re.search(r"[(\[{'\"]", line):
-                yield line.partition(" : ")[0]
+            yield line.partition(" : ")[0]
+        elif section == "Returns" and re.fullmatch(r"[\w.]+", line):
+            yield section
 
 
 def long_functions(modules: dict[str, Module]) -> Iterator[Violation]:

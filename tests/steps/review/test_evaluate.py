@@ -257,7 +257,7 @@ def wrong_ending(shot: Shot) -> list[str]:
         (other_frames, ("late.csv", "9001", "share no frame")),
         (no_shape_in_common, ("names.csv", "grin", "rename")),
         (frames_outside, ("share no frame in 900-999",)),
-        (another_rate, ("slow.usda", "24 frames per second", "one rate")),
+        (another_rate, ("slow.usda", "24 frames per second", "performance's rate")),
         (wrong_ending, ("error.txt", ".json", ".png")),
     ],
 )

@@ -82,10 +82,6 @@ def add_axes(
         What the axes mean, with unit.
     whole : bool
         Whether across only whole numbers mean something: frames.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
     """
     from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 

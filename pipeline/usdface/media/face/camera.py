@@ -167,10 +167,6 @@ def frame_face(
     fov_degrees : float
         Vertical field of view [degrees]; narrow, as a portrait lens is.
 
-    Returns
-    -------
-    Camera
-
     Raises
     ------
     ValueError
@@ -211,10 +207,6 @@ def frame_rig(
     ----------
     yaw_degrees, pitch_degrees, aspect, margin : float
         As in `frame_face`.
-
-    Returns
-    -------
-    Camera
     """
     rest = np.concatenate([mesh.points for mesh in meshes])
     weights = motion_weights(meshes)

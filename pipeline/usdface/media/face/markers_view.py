@@ -48,10 +48,6 @@ def frame_markers(
     margin : float
         Room about the cloud; 1 touches it.
 
-    Returns
-    -------
-    MarkersFrame
-
     Raises
     ------
     InputError

@@ -99,10 +99,6 @@ def find_pieces(meshes: Sequence[RigMesh], *, exposure: FloatArray) -> Pieces:
         At rest.
     exposure : (points,) float array
         How much of the sky each point sees at rest [0-1], all meshes in a row.
-
-    Returns
-    -------
-    Pieces
     """
     labels, named = _label(meshes)
     points = np.concatenate([mesh.points for mesh in meshes])

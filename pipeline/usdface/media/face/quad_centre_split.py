@@ -52,10 +52,6 @@ def cut_polygons(
     face_indices : (corners,) int array
     least_edge : float
         Quads without a longer edge are cut along a diagonal, as all other polygons are.
-
-    Returns
-    -------
-    Cut
     """
     triangles, faces = triangulate(face_counts, face_indices)
     bent = _bent(points, triangles, face_counts, face_indices, least_edge)

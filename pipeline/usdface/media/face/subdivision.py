@@ -47,10 +47,6 @@ def catmull_clark(
         Polygons of fewer than three corners are left out.
     face_indices : (corners,) int array
 
-    Returns
-    -------
-    Subdivision
-
     References
     ----------
     Catmull and Clark (1978), Computer-Aided Design 10(6), 350-355.

@@ -111,10 +111,6 @@ class Surface:
 def build_surface(meshes: Sequence[RigMesh]) -> Surface:
     """Prepare the visible meshes of a rig for drawing.
 
-    Returns
-    -------
-    Surface
-
     Raises
     ------
     InputError

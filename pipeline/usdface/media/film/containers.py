@@ -27,10 +27,6 @@ _LENIENT: dict[str, Any] = (
 def open_media(path: Path) -> Any:
     """Open a media file for reading.
 
-    Returns
-    -------
-    av.container.InputContainer
-
     Raises
     ------
     InputError

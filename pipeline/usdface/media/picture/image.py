@@ -272,10 +272,6 @@ def pack_timecode(label: str) -> int:
     label : str
         ``HH:MM:SS:FF``, or ``;`` before FF for drop-frame.
 
-    Returns
-    -------
-    int
-
     Raises
     ------
     InputError

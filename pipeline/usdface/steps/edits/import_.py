@@ -35,7 +35,8 @@ def run(
     stamp = edits_stamp(spec.performance)
     reader = PerformanceReader(spec.performance, prim=spec.prim)
     table = read_weight_table(spec.changed, known=reader.names)
-    known = _known_shapes(spec, reader, table)
+    table.check_rate(reader.rate, file=spec.changed, performance=spec.performance)
+    known = table.shapes_among(reader.names, file=spec.changed, owner="in the performance")
     # What is said of the last frame is not meant for those that a longer take would add.
     frames = all_frames(reader, reach=(reader.first_frame - 1, reader.last_frame + 1))
     given = _rows(spec, reader, table)
@@ -99,24 +100,6 @@ def _replaced(curve: EditCurve, rows: FloatArray, wanted: FloatArray) -> EditCur
     offset, mask = curve.offset.copy(), curve.mask.copy()
     offset[rows], mask[rows] = wanted, 0.0
     return EditCurve(offset, curve.override, mask)
-
-
-def _known_shapes(
-    spec: EditsImportSpec, reader: PerformanceReader, table: WeightTable
-) -> list[str]:
-    if table.rate is not None and table.rate != reader.rate:
-        raise InputError(
-            f"{spec.changed}: is at {float(table.rate):g} frames per second, the performance at "
-            f"{float(reader.rate):g}; export it at the performance's rate, so that frames match"
-        )
-    known = [name for name in table.names if name in reader.names]
-    if not known:
-        raise InputError(
-            f"{spec.changed}: none of its {len(table.names)} shapes "
-            f"({first_few(table.names, most=3)}) "
-            f"is in the performance ({first_few(reader.names, most=3)}); rename them"
-        )
-    return known
 
 
 def _rows(spec: EditsImportSpec, reader: PerformanceReader, table: WeightTable) -> np.ndarray:

@@ -4,7 +4,7 @@ import csv
 import json
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
@@ -15,6 +15,7 @@ from usdface.core.arrays import FloatArray, IntArray, columns_by_name
 from usdface.core.errors import InputError
 from usdface.core.rates import FARTHEST_FRAME
 from usdface.core.sidecars import LAYER_SUFFIXES
+from usdface.core.text import first_few, pluralize
 from usdface.usdio.mapping import read_alpha_keys
 from usdface.usdio.performance.blender_export import (
     BlenderWeights,
@@ -55,6 +56,38 @@ class WeightTable:
     def columns(self, names: tuple[str, ...]) -> FloatArray:
         """Return the weights in another order of shapes; 0 for those the table lacks."""
         return columns_by_name(self.weights, self.names, names)
+
+    def shapes_among(self, names: Sequence[str], *, file: Path, owner: str) -> list[str]:
+        """Return the shapes that others have as well.
+
+        Parameters
+        ----------
+        file : Path
+            That the table was read from.
+        owner : str
+            Of the other shapes, as the message says it: ``in the performance``.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        known = [name for name in self.names if name in names]
+        if not known:
+            raise InputError(
+                f"{file}: none of its {pluralize(len(self.names), 'shape')} "
+                f"({first_few(self.names, most=3)}) is {owner} ({first_few(names, most=3)}); "
+                "rename its columns"
+            )
+        return known
+
+    def check_rate(self, rate: Fraction, *, file: Path, performance: Path) -> None:
+        """Raise InputError if the file says another rate than the performance's."""
+        if self.rate is not None and self.rate != rate:
+            raise InputError(
+                f"{file}: runs at {float(self.rate):g} frames per second, {performance} at "
+                f"{float(rate):g}; export it at the performance's rate, so that frames match"
+            )
 
 
 def read_weight_table(path: Path, *, known: tuple[str, ...] = ()) -> WeightTable:

@@ -26,13 +26,7 @@ def run(
     """Match the file's rows to pairs and its columns to shapes, and write the tuned layer."""
     references = read_references(spec.references)
     table = read_weight_table(spec.weights, known=references.shape_names)
-    known = [name for name in table.names if name in references.shape_names]
-    if not known:
-        raise InputError(
-            f"{spec.weights}: none of its {len(table.names)} columns "
-            f"({first_few(table.names, most=3)}) is a shape of the rig "
-            f"({first_few(references.shape_names, most=3)}); rename the columns"
-        )
+    known = table.shapes_among(references.shape_names, file=spec.weights, owner="on the rig")
     pairs = _pairs(spec, references, table, known)
     if not pairs:
         raise InputError(

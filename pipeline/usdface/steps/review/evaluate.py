@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, columns_by_name
 from usdface.core.assets import Performance, Rig
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
@@ -78,18 +78,8 @@ def _compare(
     spec: EvaluateSpec, performance: Performance, truth: WeightTable, rig: Rig
 ) -> _Comparison:
     clip = performance.weights
-    if truth.rate is not None and truth.rate != clip.rate:
-        raise InputError(
-            f"{spec.against}: runs at {float(truth.rate):g} frames per second, {spec.performance} "
-            f"at {float(clip.rate):g}; compare performances of one rate"
-        )
-    driven = [name for name in truth.names if name in rig.shapes]
-    if not driven:
-        raise InputError(
-            f"{spec.against}: none of its {len(truth.names)} shapes "
-            f"({first_few(truth.names, most=3)}) "
-            f"is on {rig.file} ({first_few(rig.shapes, most=3)}); rename its columns"
-        )
+    truth.check_rate(clip.rate, file=spec.against, performance=spec.performance)
+    driven = truth.shapes_among(rig.shapes, file=spec.against, owner=f"on {rig.file}")
     solved_frames = np.arange(clip.first_frame, clip.first_frame + len(clip.values), dtype=np.int64)
     truth_frames = np.array(truth.frames, dtype=np.int64)
     frames, mine, other = np.intersect1d(
@@ -106,20 +96,15 @@ def _compare(
             f"{spec.against} (frames {truth_frames.min()}-{truth_frames.max()}) share no "
             f"frame{within}; are they of one take?"
         )
-    solved = WeightTable(clip.names, (), clip.values[mine].astype(np.float64))
     names = np.array(rig.shapes)
     either = np.isin(names, clip.names) | np.isin(names, driven)
     return _Comparison(
         frames=frames,
-        solved=_in_order(solved, rig.shapes),
-        truth=_in_order(replace(truth, weights=truth.weights[other]), rig.shapes),
+        solved=columns_by_name(clip.values[mine], clip.names, rig.shapes),
+        truth=columns_by_name(truth.weights[other], truth.names, rig.shapes),
         compared=either,
         notes=_notes(spec, clip.names, truth.names, rig),
     )
-
-
-def _in_order(table: WeightTable, names: tuple[str, ...]) -> FloatArray:
-    return replace(table, frames=tuple(range(len(table.weights)))).columns(names)
 
 
 def _notes(
