@@ -120,8 +120,8 @@ class Take:
 
     Attributes
     ----------
-    name, performer, emotion : str
-        Empty when unknown.
+    name, performer, session, emotion : str
+        Empty when unknown. Takes of one session share one application of markers.
     rate : Fraction
         Frames per second of the capture.
     first_frame : int
@@ -147,6 +147,7 @@ class Take:
     video: Video | None = None
     audio: Path | None = None
     performer: str = ""
+    session: str = ""
     emotion: str = ""
     timecode_start: str = ""
     events: tuple[Event, ...] = ()
@@ -333,6 +334,8 @@ class References:
         Of the takes the pairs were selected from; None for pairs made by hand.
     visemes, emotions : tuple of str
         Of each pair; empty where unknown, or where none is.
+    performer, session : str
+        Of the take whose head space and neutral face these are; empty where unknown.
     """
 
     marker_names: tuple[str, ...]
@@ -349,6 +352,8 @@ class References:
     motion: MotionSpace | None = None
     visemes: tuple[str, ...] = ()
     emotions: tuple[str, ...] = ()
+    performer: str = ""
+    session: str = ""
 
 
 @dataclass(frozen=True)
@@ -419,6 +424,9 @@ class Performance:
         [0-1]
     residual_mm : (frames, regions) float array or None
         Distance of the markers from anything the references' takes showed [mm].
+    neutral_frame : int or None
+        Frame of the take that shows the performer's neutral face; None where the weights were not
+        mapped from markers.
     """
 
     weights: WeightsClip
@@ -428,3 +436,4 @@ class Performance:
     residual_mm: FloatArray | None = None
     regions: tuple[str, ...] = ()
     timecode_start: str = ""
+    neutral_frame: int | None = None

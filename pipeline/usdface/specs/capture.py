@@ -86,6 +86,9 @@ class IngestSpec(Spec):
     """Name of the take. Default: the name of the file."""
     performer: str = ""
     """Name of the performer."""
+    session: str = ""
+    """Name of the session in which the markers were put on, such as a date. Takes of one session
+    are not searched for markers that were put on again."""
     emotion: str = ""
     """Emotion of the whole take, if it has one."""
     timecode: Annotated[str, Field(pattern=r"^(\d\d:\d\d:\d\d[:;]\d\d)?$")] = ""

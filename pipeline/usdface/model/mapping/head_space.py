@@ -1,13 +1,16 @@
-"""Another take of the same marker set, brought to a mapping's markers and head space."""
+"""Takes brought to a performer's markers, head space and neutral face."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, sample_frames
 from usdface.core.assets import Markers, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
+from usdface.model.mapping.performer_face import PerformerFace, face_of_mapping
+from usdface.model.mapping.take_neutral import TakeNeutral, compare_neutral
+from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.numerics.rigid.rigid_alignment import optimal_rotations
 
 MINIMUM_SHARE = 0.5
@@ -19,6 +22,10 @@ RIGID_TOLERANCE_MM = 5.0
 ON_A_LINE = 0.02
 """Breadth of the rigid markers, as a share of their length, below which they are as good as a
 line: about it noise turns the head."""
+
+OTHER_UNIT = 1.4
+"""Ratio of sizes beyond that of any two heads: adults' differ by a fifth, and a child's by a third;
+units differ by 2.5 or 10."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +72,8 @@ class HeadSpace:
         Markers that only the mapping, or only the take, has.
     moved_mm : float
         How far the take's head space was from the mapping's: root mean square over markers [mm].
+    neutral : TakeNeutral
+        Of the take, in the mapping's order and head space.
     """
 
     columns: IntArray
@@ -75,60 +84,113 @@ class HeadSpace:
     missing: tuple[str, ...]
     extra: tuple[str, ...]
     moved_mm: float
+    neutral: TakeNeutral
 
     def place(self, markers: Markers) -> MappedMarkers:
-        """Bring frames of the take into the mapping's order and head space."""
+        """Bring frames of the take into the mapping's order, head space and neutral face."""
         positions, visible = _in_order(markers, self.columns, self.slots, self.count)
-        flat = positions.reshape(-1, 3) @ self.rotation.T.astype(np.float32)
-        flat += self.shift.astype(np.float32)
-        positions = flat.reshape(positions.shape)
+        positions = self.move(positions)
         if not visible.all():
             positions[~visible] = 0.0
         return MappedMarkers(positions, visible, self.missing, self.extra, self.moved_mm)
 
+    def move(self, positions: Float32Array) -> Float32Array:
+        """Bring positions in the mapping's order, (frames, markers, 3) [mm], to its neutral."""
+        flat = positions.reshape(-1, 3) @ self.rotation.T.astype(np.float32)
+        flat += self.shift.astype(np.float32)
+        moved: Float32Array = flat.reshape(positions.shape)
+        if self.neutral.offset.any():
+            moved -= self.neutral.offset.astype(np.float32)
+        return moved
 
-def find_head_space(mapping: TrainedMapping, markers: Markers) -> HeadSpace:
-    """Match markers by name and find the rigid movement onto the mapping's neutral head.
+    def restore(self, positions: FloatArray) -> FloatArray:
+        """Return positions of the mapping's space, (..., markers, 3) [mm], in the take's."""
+        return np.asarray((positions + self.neutral.offset - self.shift) @ self.rotation)
+
+
+def find_head_space(
+    face: PerformerFace,
+    markers: Markers,
+    *,
+    frames: IntArray | None = None,
+    rate: float = 60.0,
+    performer: str = "",
+    session: str = "",
+) -> HeadSpace:
+    """Match markers by name, and find the rigid movement and the offsets onto a performer's face.
 
     One rigid movement for the whole take: the median position of each rigid marker goes to where
-    that marker stood when the mapping was trained.
+    the performer's is. What then differs in every frame alike is the take's offset.
 
     Parameters
     ----------
     markers : Markers
         Stabilised; frames spread over the take are enough.
+    frames : (frames,) int array, optional
+        Frame numbers of those; by default they begin at 0.
+    rate : float
+        Frames per second.
+    performer, session : str
+        As the take says; empty where unknown.
 
     Raises
     ------
     InputError
-        If the take is not stabilised, shares too few markers with the mapping, or its rigid
-        markers are too few, on a line, or too far from where the mapping had them.
+        If the take is not stabilised, shares too few markers with the face, its rigid markers are
+        too few, on a line, or too far from the performer's, or it is another performer's.
     """
     if markers.space != "stabilized":
         raise InputError("the take still holds head motion; run the clean step on it first")
     place = {name: i for i, name in enumerate(markers.names)}
-    common = [name for name in mapping.marker_names if name in place]
-    missing = tuple(name for name in mapping.marker_names if name not in place)
-    known = set(mapping.marker_names)
-    if len(common) < MINIMUM_SHARE * len(mapping.marker_names):
+    common = [name for name in face.marker_names if name in place]
+    missing = tuple(name for name in face.marker_names if name not in place)
+    known = set(face.marker_names)
+    if len(common) < MINIMUM_SHARE * len(face.marker_names):
         raise InputError(
             f"the take has {len(common)} of the mapping's {len(known)} markers, at least "
             f"{int(np.ceil(MINIMUM_SHARE * len(known)))} are needed; missing: "
             f"{first_few(missing)}. "
             "Rename the take's markers, or train a mapping for this marker set"
         )
-    slots = np.array([i for i, name in enumerate(mapping.marker_names) if name in place])
-    columns = np.array([place[mapping.marker_names[i]] for i in slots])
-    count = len(mapping.marker_names)
+    slots = np.array([i for i, name in enumerate(face.marker_names) if name in place])
+    columns = np.array([place[face.marker_names[i]] for i in slots])
+    count = len(face.marker_names)
     positions, visible = _in_order(markers, columns, slots, count)
-    rotation, shift, moved = _rigid_movement(mapping, positions, visible)
+    rotation, shift = _rigid_movement(face, positions, visible)
+    picks = sample_frames(len(positions), SAMPLE_FRAMES)
+    numbers = np.arange(len(positions)) if frames is None else frames
+    if frames is not None:
+        picks = np.union1d(picks, np.flatnonzero(numbers == markers.neutral_frame))
+    seen = visible[picks]
+
+    def compare() -> TakeNeutral:
+        return compare_neutral(
+            face,
+            positions[picks].astype(np.float64) @ rotation.T + shift,
+            seen,
+            frames=numbers[picks],
+            stated_frame=markers.neutral_frame,
+            rate=rate,
+            performer=performer,
+            session=session,
+        )
+
+    neutral = compare()
+    if neutral.offset.any():
+        # Rigid markers sit on skin, whose median follows what a take does: equal expressions tell
+        # where the head is.
+        turn, step = _head_movement(face, neutral.offset, np.asarray(seen.any(axis=0)))
+        rotation, shift = turn @ rotation, turn @ shift + step
+        neutral = compare()
+    rest = face.frames.mean(axis=0)
+    moved = float(np.sqrt(((rest @ rotation.T + shift - rest) ** 2).sum(axis=1).mean()))
     extra = tuple(name for name in markers.names if name not in known)
-    return HeadSpace(columns, slots, count, rotation, shift, missing, extra, moved)
+    return HeadSpace(columns, slots, count, rotation, shift, missing, extra, moved, neutral)
 
 
 def into_head_space(mapping: TrainedMapping, markers: Markers) -> MappedMarkers:
     """Bring a whole take into a mapping's order and head space; see `find_head_space`."""
-    return find_head_space(mapping, markers).place(markers)
+    return find_head_space(face_of_mapping(mapping), markers).place(markers)
 
 
 def _in_order(
@@ -152,22 +214,22 @@ def _in_order(
 
 
 def _rigid_movement(
-    mapping: TrainedMapping, positions: Float32Array, visible: BoolArray
-) -> tuple[FloatArray, FloatArray, float]:
-    """Rotation and shift that put the take's rigid markers where the mapping had them."""
-    # The mean over whole takes, not the neutral frame: one frame is noisy, the mean is not.
-    rest = mapping.arrays["motion_mean"].reshape(-1, 3)
+    face: PerformerFace, positions: Float32Array, visible: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Rotation and shift that put the take's rigid markers where the performer's are."""
+    # The median over whole takes, not the neutral frame: one frame is noisy.
+    rest = np.median(face.frames, axis=0)
     names = [
         name
-        for name in mapping.rigid
-        if name in mapping.marker_names and visible[:, mapping.marker_names.index(name)].any()
+        for name in face.rigid
+        if name in face.marker_names and visible[:, face.marker_names.index(name)].any()
     ]
     if len(names) < MINIMUM_RIGID:
         raise InputError(
-            f"the take has {len(names)} of the mapping's {len(mapping.rigid)} rigid markers, at "
+            f"the take has {len(names)} of the mapping's {len(face.rigid)} rigid markers, at "
             f"least {MINIMUM_RIGID} are needed to find its head space; name them in the take"
         )
-    slots = [mapping.marker_names.index(name) for name in names]
+    slots = [face.marker_names.index(name) for name in names]
     middle = np.array(
         [np.median(positions[visible[:, i], i].astype(np.float64), axis=0) for i in slots]
     )
@@ -179,21 +241,42 @@ def _rigid_movement(
             "how the head is turned about it; name another of the mapping's rigid markers in the "
             "take, or train with more"
         )
-    trust = np.ones(len(slots))
-    for _ in range(10):  # a rigid marker that slipped must not turn the head
-        centre = np.average(middle, axis=0, weights=trust)
-        goal = np.average(target, axis=0, weights=trust)
-        carried = (trust[:, None] * (target - goal)).T @ (middle - centre)
-        turned, _ = optimal_rotations(carried[None], rank_tolerance=1e-12)
-        rotation: FloatArray = turned[0]
-        away = np.linalg.norm((middle - centre) @ rotation.T - (target - goal), axis=1)
-        trust = 1 / (1 + (away / 1.0) ** 2) ** 2
+    rotation, shift = _robust_movement(middle, target)
+    away = np.linalg.norm(middle @ rotation.T + shift - target, axis=1)
     if np.median(away) > RIGID_TOLERANCE_MM:
+        sizes = [np.linalg.norm(each - each.mean(axis=0)) for each in (middle, target)]
+        size = float(sizes[0] / sizes[1])
+        if not 1 / OTHER_UNIT < size < OTHER_UNIT:
+            raise InputError(
+                f"the take's rigid markers are {size:.3g} times as far from each other as the "
+                "mapping's: one of them is in another unit; ingest it again with --units. It may "
+                "also be another performer"
+            )
         raise InputError(
             f"the take's rigid markers are {np.median(away):.1f} mm from where the mapping had "
             f"them ({names[int(away.argmax())]}: {away.max():.1f} mm); it is another marker set "
             "or another performer: train a mapping for it"
         )
-    shift = goal - rotation @ centre
-    moved = rest @ rotation.T + shift - rest
-    return rotation, shift, float(np.sqrt((moved**2).sum(axis=1).mean()))
+    return rotation, shift
+
+
+def _head_movement(
+    face: PerformerFace, offset: FloatArray, seen: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the part of an offset that is a movement of the head, by the rigid markers."""
+    slots = [i for i, name in enumerate(face.marker_names) if name in face.rigid and seen[i]]
+    return _robust_movement((face.neutral + offset)[slots], face.neutral[slots])
+
+
+def _robust_movement(points: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return rotation and shift of points onto others: one that slipped must not turn the head."""
+    trust = np.ones(len(points))
+    for _ in range(10):
+        centre = np.average(points, axis=0, weights=trust)
+        goal = np.average(target, axis=0, weights=trust)
+        carried = (trust[:, None] * (target - goal)).T @ (points - centre)
+        turned, _ = optimal_rotations(carried[None], rank_tolerance=1e-12)
+        rotation: FloatArray = turned[0]
+        away = np.linalg.norm((points - centre) @ rotation.T - (target - goal), axis=1)
+        trust = 1 / (1 + (away / 1.0) ** 2) ** 2
+    return rotation, goal - rotation @ centre

@@ -13,6 +13,7 @@ from usdface.model.mapping.checks import check_dimensions, check_references, che
 from usdface.model.mapping.coordinates import marker_coordinates
 from usdface.model.mapping.error_model import fit_error_model
 from usdface.model.mapping.motion_space import motion_from_pca
+from usdface.model.mapping.performer_face import thinned_sample
 from usdface.model.mapping.regions import marker_motion, membership, region_points
 from usdface.model.regressions import (
     AUTO,
@@ -145,6 +146,8 @@ def train_mapping(
             "limited_weights": sound.limited_weights,
             "regions": ",".join(regions),
             "unobservable_shapes": int((~compared.observable).sum()),
+            "performer": checked.performer,
+            "session": checked.session,
         },
         scores=compared.scores,
     )
@@ -200,11 +203,12 @@ def _motion_arrays(motion: MotionSpace) -> Arrays:
         "motion_components": motion.components,
         "motion_variances": motion.variances,
         "motion_total": np.array([motion.total_variance]),
+        "takes_sample": thinned_sample(motion),
     }
 
 
 def motion_of(mapping: TrainedMapping) -> MotionSpace:
-    """Put the motion space of a mapping together; without the sample, which training used up."""
+    """Put the motion space of a mapping together; without the sample: prediction needs none."""
     try:
         return MotionSpace(
             mean=mapping.arrays["motion_mean"],

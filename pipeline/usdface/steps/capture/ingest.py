@@ -50,6 +50,7 @@ def run(spec: IngestSpec, *, provenance: Provenance, progress: Progress = silent
         take,
         name=spec.take or take.name,
         performer=spec.performer or take.performer,
+        session=spec.session or take.session,
         emotion=spec.emotion or take.emotion,
         timecode_start=timecode,
         video=take.video if spec.video is None else _open_video(spec.video, spec),

@@ -5,10 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from usdface.core.assets import Take
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, sample_frames
+from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
-from usdface.numerics.rigid.rigid_alignment import align_rigid_robust, remove_motion
+from usdface.model.mapping.head_space import MINIMUM_SHARE, find_head_space
+from usdface.model.mapping.performer_face import PerformerFace
+from usdface.model.mapping.take_neutral import TakeNeutral
+from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.usdio.take.read import read_take
 
 FEWEST_RIGID = 3
@@ -27,7 +30,7 @@ class CleanedTakes:
     neutral : (markers, 3) float array
         Neutral face of the first take [mm].
     positions : tuple of (frames, markers, 3) float32 arrays
-        One a take, in the first take's head space [mm].
+        One a take, in the first take's head space and with its neutral face [mm].
     usable : tuple of (frames, markers) bool arrays
         Where a position was measured or repaired.
     frames : (frames,) int array
@@ -38,6 +41,8 @@ class CleanedTakes:
         Markers that some take lacks.
     sources : tuple of Take
         What else each take says, without its samples.
+    neutrals : tuple of TakeNeutral
+        Of each take against the first one's; that difference is taken out of `positions`.
     """
 
     marker_names: tuple[str, ...]
@@ -49,6 +54,7 @@ class CleanedTakes:
     takes: tuple[str, ...]
     dropped: tuple[str, ...]
     sources: tuple[Take, ...]
+    neutrals: tuple[TakeNeutral, ...]
 
     def places(self, rows: IntArray) -> list[tuple[int, int]]:
         """Return the take of each row of all frames, and its row in that take."""
@@ -107,20 +113,18 @@ def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
     Raises
     ------
     InputError
-        If a take is not cleaned, two have one name, or they share too few markers.
+        If a take is not cleaned, two have one name, they share too few markers, or they are of
+        several performers.
     """
     takes = [read_cleaned(path) for path in paths]
     _check_names(paths, takes)
+    _check_performers(paths, takes)
     clouds = [take.markers for take in takes if take.markers is not None]
     shared = set.intersection(*(set(cloud.names) for cloud in clouds))
     names = tuple(name for name in clouds[0].names if name in shared)
     every = dict.fromkeys(name for cloud in clouds for name in cloud.names)
     rigid = tuple(name for name in names if all(name in cloud.rigid for cloud in clouds))
-    if len(rigid) < FEWEST_RIGID:
-        raise InputError(
-            f"{', '.join(map(str, paths))}: {len(rigid)} rigid markers in common, at least "
-            f"{FEWEST_RIGID} are needed; clean the takes with --rigid"
-        )
+    _check_marker_sets(paths, clouds, names, rigid)
     positions, usable = [], []
     for cloud in clouds:
         known = cloud.visible | (cloud.confidence > 0)
@@ -131,39 +135,109 @@ def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
             columns = [cloud.names.index(name) for name in names]
             positions.append(cloud.positions[:, columns])
             usable.append(known[:, columns])
-    skull = [names.index(name) for name in rigid]
-    home = _middle(positions[0], skull)
-    for index in range(1, len(positions)):
-        middle = _middle(positions[index], skull)[None]
-        alignment = align_rigid_robust(middle, home, visible=np.ones((1, len(skull)), bool))
-        flat = positions[index].reshape(1, -1, 3)
-        moved = remove_motion(flat, alignment).reshape(positions[index].shape)
-        positions[index] = moved.astype(np.float32)
-    first = takes[0]
-    row = clouds[0].neutral_frame - first.first_frame
-    if not 0 <= row < first.frame_count:
+    row = clouds[0].neutral_frame - takes[0].first_frame
+    if not 0 <= row < takes[0].frame_count:
         raise InputError(
             f"{paths[0]}: neutral frame {clouds[0].neutral_frame} is outside the take, "
-            f"{first.first_frame}-{first.first_frame + first.frame_count - 1}; clean it with "
-            "--neutral"
+            f"{takes[0].first_frame}-{takes[0].first_frame + takes[0].frame_count - 1}; clean it "
+            "with --neutral"
         )
+    neutral = positions[0][row].astype(np.float64)
+    neutrals = _onto_first(paths, takes, (names, rigid), neutral, positions, usable)
     return CleanedTakes(
         marker_names=names,
         rigid=rigid,
-        neutral=positions[0][row].astype(np.float64),
+        neutral=neutral,
         positions=tuple(positions),
         usable=tuple(usable),
         frames=np.concatenate([take.frames for take in takes]),
         takes=tuple(take.name for take in takes for _ in range(take.frame_count)),
         dropped=tuple(name for name in every if name not in shared),
         sources=tuple(replace(take, markers=None, head_motion=None, source=None) for take in takes),
+        neutrals=neutrals,
     )
 
 
-def _middle(positions: Float32Array, columns: list[int]) -> FloatArray:
-    """Return the median place of some markers, over frames spread through the take."""
-    step = max(len(positions) // MIDDLE_FRAMES, 1)
-    return np.asarray(np.median(positions[::step, columns].astype(np.float64), axis=0))
+def _onto_first(
+    paths: tuple[Path, ...],
+    takes: list[Take],
+    names: tuple[tuple[str, ...], tuple[str, ...]],
+    neutral: FloatArray,
+    positions: list[Float32Array],
+    usable: list[BoolArray],
+) -> tuple[TakeNeutral, ...]:
+    """Bring every take to the first one's head space and neutral face, in place of its positions.
+
+    Each is compared with all takes before it: expressions that two share, a third may lack.
+    """
+    marker_names, rigid = names
+    neutrals = [TakeNeutral(marker_names, np.zeros_like(neutral))]
+    for index in range(1, len(takes)):
+        frames, seen = _spread_frames(positions[:index], usable[:index])
+        face = PerformerFace(
+            marker_names, rigid, neutral, frames, seen, takes[0].performer, takes[0].session
+        )
+        take, cloud = takes[index], takes[index].markers
+        row = 0 if cloud is None else cloud.neutral_frame - take.first_frame
+        rows = sample_frames(take.frame_count, MIDDLE_FRAMES)
+        if 0 <= row < take.frame_count:
+            rows = np.union1d(rows, row)
+        sample = Markers(
+            names=marker_names,
+            positions=positions[index][rows],
+            visible=usable[index][rows],
+            confidence=usable[index][rows].astype(np.float32),
+            rigid=rigid,
+            neutral_frame=row + take.first_frame,
+            space="stabilized",
+        )
+        try:
+            space = find_head_space(
+                face,
+                sample,
+                frames=take.frames[rows],
+                rate=float(take.rate),
+                performer=take.performer,
+                session=take.session,
+            )
+        except InputError as error:
+            raise InputError(f"{paths[index]}, beside {paths[0]}: {error}") from error
+        positions[index] = space.move(positions[index])
+        neutrals.append(space.neutral)
+    return tuple(neutrals)
+
+
+def _spread_frames(
+    positions: list[Float32Array], usable: list[BoolArray]
+) -> tuple[FloatArray, BoolArray]:
+    """Return frames spread over takes, as many of each, and where they can be used."""
+    share = -(-SAMPLE_FRAMES // len(positions))
+    rows = [sample_frames(len(clip), share) for clip in positions]
+    frames = [clip[row].astype(np.float64) for clip, row in zip(positions, rows, strict=True)]
+    seen = [each[row] for each, row in zip(usable, rows, strict=True)]
+    return np.concatenate(frames), np.concatenate(seen)
+
+
+def _check_marker_sets(
+    paths: tuple[Path, ...],
+    clouds: list[Markers],
+    names: tuple[str, ...],
+    rigid: tuple[str, ...],
+) -> None:
+    """Refuse takes of other marker sets: one performer's markers and landmarks of his video."""
+    least = min(len(cloud.names) for cloud in clouds)
+    if len(names) < MINIMUM_SHARE * least:
+        counts = ", ".join(str(len(cloud.names)) for cloud in clouds)
+        raise InputError(
+            f"{', '.join(map(str, paths))}: takes of several marker sets, of {counts} markers with "
+            f"{len(names)} labels in common; even of one performer a mapping reads one marker set: "
+            "select from the takes of each set by themselves"
+        )
+    if len(rigid) < FEWEST_RIGID:
+        raise InputError(
+            f"{', '.join(map(str, paths))}: {len(rigid)} rigid markers in common, at least "
+            f"{FEWEST_RIGID} are needed; clean the takes with --rigid"
+        )
 
 
 def _check_names(paths: tuple[Path, ...], takes: list[Take]) -> None:
@@ -175,3 +249,16 @@ def _check_names(paths: tuple[Path, ...], takes: list[Take]) -> None:
                 "by take and frame: ingest one of them with --take NAME"
             )
         seen[take.name] = path
+
+
+def _check_performers(paths: tuple[Path, ...], takes: list[Take]) -> None:
+    """Refuse takes that state several performers."""
+    stated = {take.performer: path for path, take in zip(paths, takes, strict=True)}
+    stated.pop("", None)
+    if len(stated) > 1:
+        shown = ", ".join(f"{path}: {performer}" for performer, path in stated.items())
+        raise InputError(
+            f"takes of {len(stated)} performers ({shown}); a mapping is of one performer: select "
+            "from each performer's takes by themselves, or correct the name with `usdface ingest "
+            "--performer`"
+        )

@@ -10,12 +10,17 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.media.charts.coverage import CoveragePage, NextFrame, draw_coverage
 from usdface.media.picture.error_strip import ErrorCurve
+from usdface.model.mapping.performer_face import face_of_references
 from usdface.model.selection.coverage import Coverage, Growth, measure_coverage, measure_growth
 from usdface.model.selection.features import Features, SelectionSpace, features_at
-from usdface.numerics.rigid.rigid_alignment import align_rigid_robust, remove_motion
 from usdface.specs.references import ReferencesCoverageSpec
 from usdface.steps.inputs.cleaned_takes import FEWEST_RIGID, CleanedTakes, read_cleaned_takes
-from usdface.steps.inputs.scene import SelectionScene, candidate_frames, set_up_scene
+from usdface.steps.inputs.scene import (
+    SelectionScene,
+    candidate_frames,
+    set_up_scene,
+    takes_head_space,
+)
 from usdface.steps.inputs.tuned_pairs import read_set_references
 from usdface.usdio.rig.read import read_rig
 
@@ -24,9 +29,6 @@ FURTHER_FRAMES = 10
 
 LEAST_MARKERS = 0.5
 """Share of a take's markers that references must have to be laid on it."""
-
-_GLANCE_FRAMES = 2000
-"""Frames spread over the takes that say where the head is."""
 
 
 @dataclass(frozen=True)
@@ -286,12 +288,5 @@ def _place(scene: SelectionScene, references: References, pairs: IntArray) -> _P
 def _in_head_space(takes: CleanedTakes, references: References) -> FloatArray:
     """Return the markers of all pairs where the takes' head is, in the order of the takes'."""
     columns = [references.marker_names.index(name) for name in takes.marker_names]
-    skull = [takes.marker_names.index(name) for name in takes.rigid]
-    markers = references.markers[:, columns]
-    clip = takes.positions[0]
-    step = max(len(clip) // _GLANCE_FRAMES, 1)
-    home = np.median(clip[::step, skull].astype(np.float64), axis=0)
-    middle = np.median(markers[:, skull], axis=0)[None]
-    alignment = align_rigid_robust(middle, home, visible=np.ones((1, len(skull)), bool))
-    moved = remove_motion(markers.reshape(1, -1, 3), alignment)
-    return np.asarray(moved.reshape(markers.shape), dtype=np.float64)
+    space = takes_head_space(face_of_references(references), takes)
+    return space.restore(references.markers)[:, columns]

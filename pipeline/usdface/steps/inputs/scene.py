@@ -4,12 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, sample_frames
 from usdface.core.assets import Markers, MotionSpace, Rig, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.core.progress import Progress
 from usdface.model.mapping.head_space import HeadSpace, find_head_space
 from usdface.model.mapping.motion_space import fit_motion_space
+from usdface.model.mapping.performer_face import PerformerFace, face_of_mapping
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
 from usdface.model.selection.design import CandidateMarkers
@@ -174,10 +175,17 @@ class TakesPrediction:
 
 
 def takes_prediction(mapping: TrainedMapping, takes: CleanedTakes) -> TakesPrediction:
+    """Lay a mapping on takes that share one head space."""
+    return TakesPrediction(mapping, takes, takes_head_space(face_of_mapping(mapping), takes))
+
+
+def takes_head_space(face: PerformerFace, takes: CleanedTakes) -> HeadSpace:
     """Find the head space of takes that share one, by frames spread over them."""
-    count = len(takes.frames)
-    rows = np.unique(np.linspace(0, count - 1, min(count, _GLANCE_FRAMES)).astype(np.int64))
-    return TakesPrediction(mapping, takes, find_head_space(mapping, _markers(takes, rows)))
+    rows = sample_frames(len(takes.frames), _GLANCE_FRAMES)
+    first = takes.sources[0]
+    return find_head_space(
+        face, _markers(takes, rows), performer=first.performer, session=first.session
+    )
 
 
 def _markers(takes: CleanedTakes, rows: IntArray) -> Markers:

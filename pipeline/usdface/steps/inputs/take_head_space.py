@@ -5,10 +5,9 @@ import numpy as np
 from usdface.core.assets import Markers, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.head_space import HeadSpace, find_head_space
+from usdface.model.mapping.performer_face import face_of_mapping
+from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.usdio.take.read import TakeReader
-
-_SAMPLE_FRAMES = 512
-"""Frames spread over the take from which its head space is found: a median needs no more."""
 
 
 def take_head_space(take: TakeReader, mapping: TrainedMapping) -> HeadSpace:
@@ -20,10 +19,19 @@ def take_head_space(take: TakeReader, mapping: TrainedMapping) -> HeadSpace:
         If the take is not stabilised, or has too few of the mapping's markers.
     """
     count = take.last_frame - take.first_frame + 1
-    picks = np.linspace(take.first_frame, take.last_frame, min(count, _SAMPLE_FRAMES))
-    sample = _require_markers(take, take.read_markers_at(picks.astype(int).tolist()))
+    picks = np.linspace(take.first_frame, take.last_frame, min(count, SAMPLE_FRAMES)).astype(int)
+    if take.first_frame <= take.neutral_frame <= take.last_frame:
+        picks = np.union1d(picks, take.neutral_frame)
+    sample = _require_markers(take, take.read_markers_at(picks.tolist()))
     try:
-        return find_head_space(mapping, sample)
+        return find_head_space(
+            face_of_mapping(mapping),
+            sample,
+            frames=picks,
+            rate=float(take.rate),
+            performer=take.performer,
+            session=take.session,
+        )
     except InputError as error:
         raise InputError(f"{take.path}: {error}") from error
 

@@ -1,7 +1,7 @@
 """A cleaned take and a mapping in, a performance out; a take of any length in bounded memory."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -77,15 +77,18 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
     written = _Written()
     with writing_performance(
         spec.out,
-        make_header(
-            rig,
-            shape_names=mapping.shape_names,
-            rate=take.rate,
-            first_frame=first,
-            last_frame=last,
-            place=spec.prim,
-            regions=regions_of(mapping),
-            timecode_start=take.timecode_at(first),
+        replace(
+            make_header(
+                rig,
+                shape_names=mapping.shape_names,
+                rate=take.rate,
+                first_frame=first,
+                last_frame=last,
+                place=spec.prim,
+                regions=regions_of(mapping),
+                timecode_start=take.timecode_at(first),
+            ),
+            neutral_frame=space.neutral.neutral_frame,
         ),
         rig,
         part_frames=_part_frames(spec, last - first + 1, len(mapping.shape_names)),
@@ -111,10 +114,10 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
             written.add(solved, rows)
             done = min(block.stop - 1, last)
             progress((done - first + 1) / (last - first + 1), f"mapped to frame {done}")
-    notes += _marker_notes(space)
+    notes += [*_marker_notes(space), *space.neutral.notes(take.name)]
     notes += _few_marker_notes(first, np.concatenate(written.few_markers))
     notes += edit_notes(spec.out)
-    return _report(spec, first, written, notes)
+    return _report(spec, first, written, notes, space.neutral.figures())
 
 
 def _predict(
@@ -204,7 +207,9 @@ def _few_marker_notes(first: int, few_markers: BoolArray) -> list[str]:
     ]
 
 
-def _report(spec: MapSpec, first: int, written: _Written, notes: list[str]) -> StepResult:
+def _report(
+    spec: MapSpec, first: int, written: _Written, notes: list[str], neutral: dict[str, object]
+) -> StepResult:
     confidence = np.concatenate(written.confidence)
     residual_mm = float(np.sqrt((np.concatenate(written.residual_mm) ** 2).mean()))
     low = np.flatnonzero(confidence < _LOW_CONFIDENCE)
@@ -225,5 +230,6 @@ def _report(spec: MapSpec, first: int, written: _Written, notes: list[str]) -> S
             "mean_confidence": float(confidence.mean()),
             "doubtful_frames": [first + int(index) for index in low[:1000]],
             "residual_mm": residual_mm,
+            "neutral": neutral,
         },
     )

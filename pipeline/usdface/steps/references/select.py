@@ -135,6 +135,10 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
             "visemes": list(references.visemes),
             "emotions": list(references.emotions),
             "images": sum(file is not None for file in images.files),
+            "neutrals": {
+                take.name: neutral.figures()
+                for take, neutral in zip(takes.sources, takes.neutrals, strict=True)
+            },
             **coverage_figures(covered, takes),
         },
     )
@@ -292,6 +296,8 @@ def _references(
         motion=scene.motion,
         visemes=tuple(choice.visemes.get(row, spoken.viseme_of[row]) for row in rows.tolist()),
         emotions=tuple(spoken.emotion_of[row] for row in rows.tolist()),
+        performer=takes.sources[0].performer,
+        session=takes.sources[0].session,
     )
 
 
@@ -303,6 +309,9 @@ def _notes(
         notes.append(
             f"left out {pluralize(len(dropped), 'marker')}, not in every take: {first_few(dropped)}"
         )
+    takes = selection.scene.takes
+    for take, neutral in zip(takes.sources, takes.neutrals, strict=True):
+        notes += neutral.notes(take.name)
     if selection.kept:
         notes.append(f"kept in place: {pluralize(len(selection.kept), 'tuned pair')}")
     keyed = sum(each.is_keyed for each in selection.kept)

@@ -40,7 +40,10 @@ def set_up_shot_baseline(shot: Shot) -> BlendshapeEquation:
     take, markers = shot.take, shot.take.markers
     if markers is None:
         raise InputError(f"{take.name}: has no markers")
-    row = min(max(markers.neutral_frame - take.first_frame, 0), take.frame_count - 1)
+    frame = shot.performance.neutral_frame  # where the take's own is not neutral, another
+    if frame is None:
+        frame = markers.neutral_frame
+    row = min(max(frame - take.first_frame, 0), take.frame_count - 1)
     return set_up_equation(
         shot.rig,
         shot.deformer,

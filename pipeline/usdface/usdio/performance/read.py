@@ -15,7 +15,11 @@ from usdface.core.rates import exact_rate, span_of_samples
 from usdface.core.timecode import shift_timecode
 from usdface.usdio.layers import open_stage
 from usdface.usdio.performance.edits import ShapeEdit, edited_weights, read_edits
-from usdface.usdio.performance.weights_layer import ANIMATION, WeightsHeader
+from usdface.usdio.performance.weights_layer import (
+    ANIMATION,
+    NEUTRAL_FRAME,
+    WeightsHeader,
+)
 from usdface.usdio.rig.reference import place_of, rig_of
 from usdface.usdio.wrong_types import refusing_wrong_types
 
@@ -92,6 +96,13 @@ class PerformanceReader:
         return tuple(map(str, self._get("face:residual:regions") or ()))
 
     @property
+    @refusing_wrong_types
+    def neutral_frame(self) -> int | None:
+        """Frame of the take that shows the performer's neutral face; None when unknown."""
+        frame = self._get(NEUTRAL_FRAME)
+        return None if frame is None else int(frame)
+
+    @property
     def timecode_start(self) -> str:
         """SMPTE timecode of the first frame; empty when unknown."""
         return str(self._get("face:timecode:start") or "")
@@ -122,6 +133,7 @@ class PerformanceReader:
             regions=self.regions,
             timecode_start=self.timecode_start,
             name=path.name if path.GetParentPath() == Sdf.Path(place) else ANIMATION,
+            neutral_frame=self.neutral_frame,
         )
 
     def rig(self) -> tuple[Path, str]:
@@ -265,6 +277,7 @@ def read_performance(path: Path) -> Performance:
         residual_mm=reader.series("face:residual", first, last),
         regions=reader.regions,
         timecode_start=reader.timecode_start,
+        neutral_frame=reader.neutral_frame,
     )
 
 

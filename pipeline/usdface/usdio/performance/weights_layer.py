@@ -33,6 +33,7 @@ ANIMATION = "FaceSolve"
 WEIGHTS = "blendShapeWeights"
 CONFIDENCE = "face:confidence"
 RESIDUAL = "face:residual"
+NEUTRAL_FRAME = "face:solve:neutralFrame"
 
 COPY_FRAMES = 4096
 """Frames whose samples are in memory at once when they are copied."""
@@ -64,6 +65,8 @@ class WeightsHeader:
         SMPTE timecode of the first frame, empty when unknown.
     name : str
         Of the animation prim.
+    neutral_frame : int or None
+        Frame of the take that shows the performer's neutral face.
     """
 
     place: str
@@ -74,6 +77,7 @@ class WeightsHeader:
     regions: tuple[str, ...] = ()
     timecode_start: str = ""
     name: str = ANIMATION
+    neutral_frame: int | None = None
 
     @property
     def animation(self) -> Sdf.Path:
@@ -340,6 +344,8 @@ def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.Prim
     if header.regions:
         Sdf.AttributeSpec(prim, RESIDUAL, Sdf.ValueTypeNames.FloatArray)
         author_uniform(prim, "face:residual:regions", tokens, list(header.regions))
+    if header.neutral_frame is not None:
+        author_uniform(prim, NEUTRAL_FRAME, Sdf.ValueTypeNames.Int, header.neutral_frame)
     if header.timecode_start:
         text = Sdf.ValueTypeNames.String
         author_uniform(prim, "face:timecode:start", text, header.timecode_start)

@@ -123,7 +123,14 @@ def read_references(path: Path) -> References:
         motion=_read_motion(root),
         visemes=_labels(root, VISEME, pairs),
         emotions=_labels(root, EMOTION, pairs),
+        performer=_text(root, "face:performer"),
+        session=_text(root, "face:session"),
     )
+
+
+def _text(root: Usd.Prim, name: str) -> str:
+    attribute = root.GetAttribute(name)
+    return str(attribute.Get() or "") if attribute else ""
 
 
 def _labels(root: Usd.Prim, path: Sdf.Path, pairs: range) -> tuple[str, ...]:

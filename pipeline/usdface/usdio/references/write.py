@@ -176,6 +176,12 @@ def _author_pairs(layer: Sdf.Layer, references: References) -> None:
     apply_api(root, "FaceReferencesAPI")
     Sdf.AttributeSpec(root, FRAME_PATH.name, Sdf.ValueTypeNames.Int)
     Sdf.AttributeSpec(root, TAKE.name, Sdf.ValueTypeNames.Token)
+    for name, text in (
+        ("face:performer", references.performer),
+        ("face:session", references.session),
+    ):
+        if text:
+            author_uniform(root, name, Sdf.ValueTypeNames.String, text)
     if references.motion is not None:
         _author_motion(root, references.motion)
     points = define_prim(layer, MARKERS_PATH, "Points")

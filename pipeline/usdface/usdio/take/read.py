@@ -89,6 +89,23 @@ class TakeReader:
         """The take's name; the file's, where the take has none."""
         return str(self._value("face:take") or self.path.name.split(".")[0])
 
+    @property
+    def performer(self) -> str:
+        """The performer's name; empty when unknown."""
+        return str(self._value("face:performer") or "")
+
+    @property
+    def session(self) -> str:
+        """The session in which the markers were put on; empty when unknown."""
+        return str(self._value("face:session") or "")
+
+    @functools.cached_property
+    def neutral_frame(self) -> int:
+        """Frame number of the neutral face; the first frame where the take names none."""
+        prim = self._prims[MARKERS.name]
+        frame = prim.GetAttribute("face:markers:neutralFrame").Get() if prim else None
+        return self.first_frame if frame is None else int(frame)
+
     @functools.cached_property
     def marker_names(self) -> tuple[str, ...]:
         """Names of the markers; empty where the take has none."""
@@ -135,7 +152,8 @@ class TakeReader:
             head_motion=self._read_head_motion(frames) if head_motion else None,
             video=self._read_video(),
             audio=self._read_audio(),
-            performer=str(self._value("face:performer") or ""),
+            performer=self.performer,
+            session=self.session,
             emotion=str(self._value("face:emotion") or ""),
             timecode_start=self.timecode_at(first),
             events=tuple(e for e in self._read_events() if first <= e.frame <= last),
@@ -183,14 +201,13 @@ class TakeReader:
         rigid = prim.GetAttribute("face:markers:rigid").Get() or ()
         anchor = prim.GetAttribute("face:markers:anchor").Get() or ""
         space = str(prim.GetAttribute("face:markers:space").Get())
-        neutral = prim.GetAttribute("face:markers:neutralFrame").Get()
         return Markers(
             names=names,
             positions=positions,
             visible=visible,
             confidence=confidence,
             rigid=tuple(map(str, rigid)),
-            neutral_frame=self.first_frame if neutral is None else int(neutral),
+            neutral_frame=self.neutral_frame,
             anchor=str(anchor),
             space="stabilized" if space == "stabilized" else "captured",
         )

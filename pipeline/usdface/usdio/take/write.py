@@ -70,6 +70,7 @@ def _author_take_api(layer: Sdf.Layer, take: Take, path: Path) -> None:
     author_uniform(prim, "face:take", string, take.name)
     for name, kind, value in (
         ("face:performer", string, take.performer),
+        ("face:session", string, take.session),
         ("face:timecode:start", string, take.timecode_start),
         ("face:emotion", token, take.emotion),
     ):

@@ -1,0 +1,88 @@
+"""A performer's face as takes are compared with it: of a mapping, of references, or of a take."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.core.arrays import BoolArray, FloatArray, sample_frames
+from usdface.core.assets import MotionSpace, References, TrainedMapping
+from usdface.core.errors import InputError
+from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
+
+
+@dataclass(frozen=True)
+class PerformerFace:
+    """What takes of a performer are laid on: one head space, one neutral face.
+
+    Attributes
+    ----------
+    marker_names, rigid : tuple of str
+        Of all markers in their order, and of those that say where the head is.
+    neutral : (markers, 3) float array
+        The performer's neutral face [mm].
+    frames : (frames, markers, 3) float array
+        Expressions in that head space, to tell other ones of the face by [mm].
+    usable : (frames, markers) bool array
+    performer, session : str
+        As the take says that defines the space; empty where unknown.
+    """
+
+    marker_names: tuple[str, ...]
+    rigid: tuple[str, ...]
+    neutral: FloatArray
+    frames: FloatArray
+    usable: BoolArray
+    performer: str = ""
+    session: str = ""
+
+
+def face_of_mapping(mapping: TrainedMapping) -> PerformerFace:
+    """Return the face that a mapping was trained on.
+
+    Raises
+    ------
+    InputError
+        If the mapping is of an earlier version.
+    """
+    missing = [name for name in ("motion_mean", "takes_sample") if name not in mapping.arrays]
+    if missing:
+        raise InputError(
+            f"the mapping lacks the array {missing[0]!r}; train it again with this version"
+        )
+    count = len(mapping.marker_names)
+    frames = mapping.arrays["motion_mean"] + (
+        mapping.arrays["takes_sample"] @ mapping.arrays["motion_components"]
+    )
+    return PerformerFace(
+        mapping.marker_names,
+        mapping.rigid,
+        mapping.neutral,
+        frames.reshape(-1, count, 3),
+        np.ones((len(frames), count), np.bool_),
+        str(mapping.settings.get("performer", "")),
+        str(mapping.settings.get("session", "")),
+    )
+
+
+def face_of_references(references: References) -> PerformerFace:
+    """Return the face whose frames are the pairs of references."""
+    frames = references.markers.astype(np.float64)
+    if references.motion is not None and len(references.motion.sample):
+        flat = references.motion.mean + thinned_sample(references.motion) @ (
+            references.motion.components
+        )
+        frames = flat.reshape(len(flat), -1, 3)
+    return PerformerFace(
+        references.marker_names,
+        references.rigid,
+        references.neutral,
+        frames,
+        np.ones(frames.shape[:2], np.bool_),
+        references.performer,
+        references.session,
+    )
+
+
+def thinned_sample(motion: MotionSpace) -> FloatArray:
+    """Return the coordinates of as many frames as takes are compared by: (frames, dimensions)."""
+    return motion.sample[sample_frames(len(motion.sample), SAMPLE_FRAMES)]

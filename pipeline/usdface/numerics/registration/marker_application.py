@@ -1,0 +1,245 @@
+"""Two recordings of markers on one face: what differs that is not expression.
+
+Markers that are put on again sit elsewhere on the skin; heads are laid on each other within a
+millimetre. Both shift a marker by much the same in every frame, which expression does not do.
+
+References
+----------
+Haghverdi, Lun, Morgan and Marioni (2018), Batch effects in single-cell RNA-sequencing data are
+corrected by matching mutual nearest neighbors, Nature Biotechnology 36, 421-427: `find_offset`.
+James and Stein (1961), Estimation with quadratic loss, Berkeley Symposium 1, 361-379: shrinkage.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
+
+SAMPLE_FRAMES = 800
+"""Of either recording: enough that most expressions they share come in both."""
+
+_MUTUAL_NEIGHBOURS = 3
+_CLOSEST_PAIRS = 40
+_MATCHING_ROUNDS = 8
+"""Mutual among the three nearest, as with a third of the frames each expression still has a
+partner; the closest 40, so that what the recordings do not share has no say."""
+
+_FEWEST_FRAMES = 64
+"""A second of a take: of fewer, no expression is in common but by chance."""
+
+NEAR_MM = 45.0
+"""Markers on the same part of the face; distances between parts follow the jaw."""
+
+_GAP_MM = 0.5
+_RANGE_TAIL = 0.002
+"""Two frames in a thousand at either end of a distance's range are outliers."""
+
+
+def find_offset(
+    frames: FloatArray,
+    usable: BoolArray,
+    others: FloatArray,
+    others_usable: BoolArray,
+    *,
+    neutral: FloatArray,
+) -> FloatArray:
+    """Estimate each marker's constant shift between two recordings of one face.
+
+    Frames that are each other's nearest show nearly the same expression: what differs between
+    them is the shift. Matching begins without a shift: of several that would do, a small one is
+    meant. A marker's shift is shrunk by the scatter of those differences, so that
+    recordings which differ by expression alone are left as they are.
+
+    Parameters
+    ----------
+    frames : (frames, markers, 3) float array
+        The performer's [mm].
+    usable : (frames, markers) bool array
+    others : (frames, markers, 3) float array
+        The other recording, in the same head space [mm].
+    others_usable : (frames, markers) bool array
+    neutral : (markers, 3) float array
+        The performer's neutral face, one more frame of his [mm].
+
+    Returns
+    -------
+    (markers, 3) float array
+        To be subtracted from the other recording [mm]; 0 where nothing is known.
+    """
+    known = np.concatenate([np.ones((1, usable.shape[1]), bool), usable])
+    ours = np.concatenate([neutral[None], frames])
+    offset = np.zeros_like(neutral)
+    if min(len(frames), len(others)) < _FEWEST_FRAMES:
+        return offset
+    scatter = np.zeros(len(neutral))
+    for _ in range(_MATCHING_ROUNDS):
+        squared = _squared_distances(ours + offset, known, others, others_usable)
+        mine, theirs = _mutual_pairs(squared)
+        weight = 1 / np.maximum(squared[mine, theirs], _least_distance(squared[mine, theirs]))
+        both = known[mine] & others_usable[theirs]
+        share = weight[:, None] * both
+        share /= np.maximum(share.sum(axis=0), 1e-12)
+        away = np.where(both[..., None], others[theirs] - ours[mine], 0.0)
+        offset = np.einsum("pm,pmc->mc", share, away)
+        left = np.where(both[..., None], away - offset, 0.0)
+        scatter = np.einsum("pm,pm->m", share, (left**2).sum(axis=2))
+    length = np.maximum((offset**2).sum(axis=1), 1e-12)
+    return np.asarray(offset * np.maximum(1 - scatter / length, 0.0)[:, None])
+
+
+def find_nearest_frame(
+    positions: FloatArray, usable: BoolArray, at: FloatArray
+) -> tuple[int, float]:
+    """Return the frame nearest to a face, and its root mean square distance over markers [mm].
+
+    Parameters
+    ----------
+    positions : (frames, markers, 3) float array
+        [mm]
+    usable : (frames, markers) bool array
+    at : (markers, 3) float array
+        [mm]
+    """
+    known = np.ones((1, usable.shape[1]), bool)
+    distance = _squared_distances(at[None], known, positions, usable)[0]
+    row = int(distance.argmin())
+    return row, float(np.sqrt(distance[row]))
+
+
+def _mutual_pairs(squared: FloatArray) -> tuple[IntArray, IntArray]:
+    """Return the closest frames that are among each other's nearest, and the neutral's partner."""
+    near = min(_MUTUAL_NEIGHBOURS, *squared.shape) - 1
+    by_row = np.partition(squared, near, axis=1)[:, near : near + 1]
+    by_column = np.partition(squared, near, axis=0)[near : near + 1]
+    mine, theirs = np.nonzero((squared <= by_row) & (squared <= by_column))
+    best = np.argsort(squared[mine, theirs], kind="stable")[:_CLOSEST_PAIRS]
+    mine, theirs = np.append(mine[best], 0), np.append(theirs[best], squared[0].argmin())
+    return mine, theirs
+
+
+def _least_distance(squared: FloatArray) -> float:
+    """Return the squared distance below which no pair counts more: else one pair would decide."""
+    return max(float(np.median(squared)) / 4, 1e-6)
+
+
+def _squared_distances(
+    first: FloatArray, first_usable: BoolArray, second: FloatArray, second_usable: BoolArray
+) -> FloatArray:
+    """Return mean squared distances over the markers that both frames have, (first, second).
+
+    Infinite for frames that share less than half of the markers.
+    """
+    centre = first.mean(axis=0)  # differences of large squares would lose their digits
+    a, b = first - centre, second - centre
+    mask_a, mask_b = first_usable.astype(float), second_usable.astype(float)
+    shared = mask_a @ mask_b.T
+    squared = ((a**2).sum(axis=2) * mask_a) @ mask_b.T + mask_a @ ((b**2).sum(axis=2) * mask_b).T
+    flat_a = (a * mask_a[..., None]).reshape(len(a), -1)
+    squared -= 2 * flat_a @ (b * mask_b[..., None]).reshape(len(b), -1).T
+    squared = np.maximum(squared, 0.0) / np.maximum(shared, 1)
+    return np.where(shared >= mask_a.shape[1] / 2, squared, np.inf)
+
+
+@dataclass(frozen=True)
+class ParallelRanges:
+    """Distances of neighbouring markers over two recordings.
+
+    Attributes
+    ----------
+    compared : int
+        Number of neighbouring pairs.
+    disjoint : (pairs, 2) int array
+        Pairs whose distances in one recording are all larger than in the other.
+    gap_mm : (pairs,) float array
+        Between those ranges [mm].
+    """
+
+    compared: int
+    disjoint: IntArray
+    gap_mm: FloatArray
+
+
+def compare_neighbours(
+    frames: FloatArray, usable: BoolArray, others: FloatArray, others_usable: BoolArray
+) -> ParallelRanges:
+    """Find neighbours whose distances over two recordings have nothing in common.
+
+    Skin stretches and folds, but over takes of some seconds a distance comes by the same values;
+    only markers that were put on elsewhere part the ranges.
+
+    Parameters
+    ----------
+    frames, others : (frames, markers, 3) float arrays
+        In any head space [mm].
+    usable, others_usable : (frames, markers) bool arrays
+    """
+    middle = np.median(frames, axis=0)
+    near = np.linalg.norm(middle[:, None] - middle, axis=2) < NEAR_MM
+    seen = usable.mean(axis=0), others_usable.mean(axis=0)
+    near &= np.logical_and.outer(np.minimum(*seen) >= 0.5, np.minimum(*seen) >= 0.5)
+    pairs = np.argwhere(np.triu(near, 1))
+    low, high = _ranges(frames, usable, pairs)
+    others_low, others_high = _ranges(others, others_usable, pairs)
+    gap = np.maximum(others_low - high, low - others_high)
+    wide = gap > _GAP_MM
+    order = np.argsort(-gap[wide], kind="stable")
+    return ParallelRanges(len(pairs), pairs[wide][order], gap[wide][order])
+
+
+def _ranges(
+    positions: FloatArray, usable: BoolArray, pairs: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    both = usable[:, pairs[:, 0]] & usable[:, pairs[:, 1]]
+    distance = np.linalg.norm(positions[:, pairs[:, 0]] - positions[:, pairs[:, 1]], axis=2)
+    distance[~both] = np.nan
+    if not len(pairs):
+        return np.zeros(0), np.zeros(0)
+    low, high = np.nanquantile(distance, [_RANGE_TAIL, 1 - _RANGE_TAIL], axis=0)
+    return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
+
+
+@dataclass(frozen=True)
+class CloudStretch:
+    """How one face is stretched against another.
+
+    Attributes
+    ----------
+    size : float
+        Ratio of the clouds' sizes.
+    stretch : (3,) float array
+        Along the principal axes of the stretch; 1 where the faces are alike.
+    error : (3,) float array
+        Standard error of each, from what the stretch leaves unexplained.
+    left_mm : float
+        Root mean square distance of markers that the stretch leaves [mm].
+    """
+
+    size: float
+    stretch: FloatArray
+    error: FloatArray
+    left_mm: float
+
+
+def measure_stretch(cloud: FloatArray, other: FloatArray) -> CloudStretch:
+    """Fit the affine map from one face's markers to another's, and take its rotation away.
+
+    Markers that were put on again move each for itself: what that stretches is within the error.
+    Skulls of two people differ in their proportions.
+
+    Parameters
+    ----------
+    cloud, other : (markers, 3) float arrays
+        The same markers of two neutral faces [mm]; more than four, not in a plane.
+    """
+    a, b = cloud - cloud.mean(axis=0), other - other.mean(axis=0)
+    size = float(np.sqrt((b**2).sum() / max((a**2).sum(), 1e-12)))
+    linear, *_ = np.linalg.lstsq(a, b, rcond=None)
+    left = b - a @ linear
+    freedom = max(3 * (len(a) - 4), 1)
+    sigma = float(np.sqrt((left**2).sum() / freedom))
+    values, axes = np.linalg.eigh(linear @ linear.T)
+    stretch = np.sqrt(np.maximum(values, 0.0))
+    spread = np.linalg.inv(a.T @ a + 1e-9 * np.eye(3))
+    error = sigma * np.sqrt(np.einsum("ij,ik,jk->k", spread, axes, axes))
+    return CloudStretch(size, stretch, error, float(np.sqrt((left**2).sum(axis=1).mean())))

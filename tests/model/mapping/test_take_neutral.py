@@ -1,0 +1,87 @@
+"""A take against its performer: what is said, what is refused, and how sessions count."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.numerics.registration.test_marker_application import GLUE, NEUTRAL, performance, seen
+from usdface.core.arrays import FloatArray
+from usdface.core.errors import InputError
+from usdface.model.mapping.performer_face import PerformerFace
+from usdface.model.mapping.take_neutral import TakeNeutral, compare_neutral
+
+NAMES = tuple(f"m{i:02d}" for i in range(len(NEUTRAL)))
+FRAMES = performance(0)
+FACE = PerformerFace(NAMES, NAMES[:8], NEUTRAL, FRAMES, seen(FRAMES), "Kim", "monday")
+
+
+def compare(positions: FloatArray, stated: int = 1, **given: str) -> TakeNeutral:
+    return compare_neutral(
+        FACE,
+        positions,
+        seen(positions),
+        frames=np.arange(1, len(positions) + 1),
+        stated_frame=stated,
+        rate=60.0,
+        **given,
+    )
+
+
+def nearest(positions: FloatArray, at: FloatArray) -> int:
+    return 1 + int(((positions - at) ** 2).sum(axis=(1, 2)).argmin())
+
+
+def test_a_take_of_the_same_markers_is_not_worth_a_word() -> None:
+    other = performance(1)
+    found = compare(other, stated=nearest(other, NEUTRAL))
+    assert not found.is_reapplied
+    assert found.notes("kitchen") == ()
+
+
+def test_markers_put_on_again_are_said_and_the_worst_are_named() -> None:
+    other = performance(1) + GLUE
+    found = compare(other, stated=nearest(other, NEUTRAL + GLUE))
+    (note,) = found.notes("kitchen")
+    assert "the markers of kitchen were put on again" in note
+    worst = NAMES[int(np.linalg.norm(found.offset, axis=1).argmax())]
+    assert f"{worst} " in note
+    assert found.figures()["reapplied"] is True
+
+
+def test_of_one_session_no_marker_was_put_on_again() -> None:
+    other = performance(1) + GLUE
+    assert not compare(other, session="monday").is_reapplied
+    assert compare(other, session="tuesday").is_reapplied
+
+
+def test_a_stated_frame_that_is_not_neutral_is_said_with_one_that_is() -> None:
+    other = performance(1)
+    smiling = 1 + int(((other - NEUTRAL) ** 2).sum(axis=(1, 2)).argmax())
+    found = compare(other, stated=smiling)
+    (note,) = found.notes("kitchen")
+    assert f"neutral frame {smiling} is not neutral" in note
+    assert f"--neutral {found.frame}" in note
+    assert np.abs(other[found.frame - 1] - NEUTRAL).max() < 1.0
+    assert found.neutral_frame == found.frame
+
+
+def test_another_skull_is_refused_unless_it_is_said_to_be_the_same() -> None:
+    wide = performance(1) * [1.12, 1.0, 1.0]
+    with pytest.raises(InputError, match=r"of another performer: its face is 1\d% larger"):
+        compare(wide)
+    compare(wide, performer="Kim")
+    with pytest.raises(InputError, match="of another performer"):
+        compare(wide, performer="Lee")
+
+
+def test_markers_put_on_carelessly_are_no_other_performer() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(5):
+        compare(performance(1) + rng.normal(size=NEUTRAL.shape) * 4.0 / np.sqrt(3))
+
+
+def test_a_short_take_is_not_searched() -> None:
+    short = performance(1, frames=300) + GLUE
+    assert np.isnan(compare(short).reapplied_share)
+    assert not replace(compare(short), reapplied_share=float("nan")).is_reapplied

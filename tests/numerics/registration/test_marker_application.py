@@ -1,0 +1,117 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from usdface.core.arrays import BoolArray, FloatArray
+from usdface.numerics.registration.marker_application import (
+    compare_neighbours,
+    find_nearest_frame,
+    find_offset,
+    measure_stretch,
+)
+
+MARKERS = 40
+RNG = np.random.default_rng(3)
+NEUTRAL = RNG.uniform([-60, -70, 0], [60, 70, 60], size=(MARKERS, 3))
+SHAPES = RNG.normal(size=(3, MARKERS, 3)) * 3.0
+SHAPES[:, :8] = 0.0
+GLUE = RNG.normal(size=(MARKERS, 3)) * 3.0 / np.sqrt(3)
+
+
+def performance(seed: int, frames: int = 900) -> FloatArray:
+    """Three expressions that come and go, each in its own time."""
+    rng = np.random.default_rng(seed)
+    waves = np.sin(
+        np.arange(frames)[:, None] / 60 * rng.uniform(1.5, 6.0, 3) + rng.uniform(0, 6, 3)
+    )
+    weights = np.clip(waves, 0.0, 1.0)
+    moved = NEUTRAL + np.einsum("fs,smc->fmc", weights, SHAPES)
+    return np.asarray(moved + 0.05 * rng.normal(size=moved.shape))
+
+
+def seen(positions: FloatArray) -> BoolArray:
+    return np.ones(positions.shape[:2], bool)
+
+
+def offset_of(others: FloatArray, usable: BoolArray | None = None) -> FloatArray:
+    ours = performance(0)
+    return find_offset(
+        ours, seen(ours), others, seen(others) if usable is None else usable, neutral=NEUTRAL
+    )
+
+
+def test_the_nearest_frame_is_found_by_the_markers_seen() -> None:
+    frames = performance(1)
+    usable = seen(frames)
+    usable[:, 3] = False
+    frames[:, 3] = 1e4
+    row, away_mm = find_nearest_frame(frames, usable, NEUTRAL)
+    away = np.sqrt(((np.delete(frames - NEUTRAL, 3, axis=1)) ** 2).sum(axis=2).mean(axis=1))
+    assert row == away.argmin()
+    assert away_mm == pytest.approx(away.min(), rel=1e-6)
+
+
+def rms(offset: FloatArray) -> float:
+    return float(np.sqrt((offset**2).sum(axis=1).mean()))
+
+
+def test_a_recording_has_no_offset_from_itself() -> None:
+    assert not offset_of(performance(0)).any()
+
+
+def test_another_performance_of_the_same_markers_has_next_to_none() -> None:
+    assert rms(offset_of(performance(1))) < 0.1
+
+
+def test_markers_that_sit_elsewhere_are_found_whatever_the_face_does() -> None:
+    found = offset_of(performance(1) + GLUE)
+    assert rms(GLUE) > 2.5
+    assert rms(found - GLUE) < rms(GLUE) / 5
+
+
+def test_unseen_markers_say_nothing() -> None:
+    others = performance(1) + GLUE
+    usable = np.random.default_rng(5).random(others.shape[:2]) < 0.98
+    usable[:, 11] = False
+    others[~usable] = 1e4
+    found = offset_of(others, usable)
+    assert not found[11].any()
+    assert rms(np.delete(found - GLUE, 11, axis=0)) < rms(GLUE) / 2
+
+
+def test_a_second_of_a_take_is_left_as_it_is() -> None:
+    found = offset_of(performance(1, frames=30) + GLUE)
+    assert not found.any()
+
+
+def test_only_markers_put_on_again_part_the_ranges_of_distances() -> None:
+    ours, others = performance(0), performance(1)
+    assert not len(compare_neighbours(ours, seen(ours), others, seen(others)).disjoint)
+    turned = (others + GLUE) @ Rotation.from_rotvec([0.2, 0.1, 0]).as_matrix().T
+    found = compare_neighbours(ours, seen(ours), turned, seen(turned))
+    assert len(found.disjoint) > 0.02 * found.compared
+    first, second = found.disjoint[0]  # brute force
+    here = np.linalg.norm(ours[:, first] - ours[:, second], axis=1)
+    there = np.linalg.norm(
+        others[:, first] - others[:, second] + GLUE[first] - GLUE[second], axis=1
+    )
+    gap = max(there.min() - here.max(), here.min() - there.max())
+    assert found.gap_mm[0] == pytest.approx(gap, abs=0.2)
+
+
+def test_stretch_is_that_of_the_affine_map_without_its_rotation() -> None:
+    turn = Rotation.from_euler("xyz", [10, 20, -5], degrees=True).as_matrix()
+    stretched = NEUTRAL @ np.diag([1.1, 1.0, 0.95]) @ turn.T + [3.0, 4.0, 5.0]
+    found = measure_stretch(NEUTRAL, stretched)
+    np.testing.assert_allclose(found.stretch, [0.95, 1.0, 1.1], atol=1e-6)
+    assert found.left_mm < 1e-6
+
+
+def test_random_shifts_stretch_within_the_error() -> None:
+    rng = np.random.default_rng(8)
+    errors = []
+    for _ in range(200):
+        found = measure_stretch(NEUTRAL, NEUTRAL + rng.normal(size=NEUTRAL.shape) * 2.0)
+        errors.append(np.log(found.stretch) / found.error)
+    # The principal axes are those of the largest stretch: a little more than one error.
+    assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.6

@@ -1,0 +1,86 @@
+"""Takes of one performer, from files to one head space and one neutral face."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.numerics.registration.test_marker_application import GLUE, NEUTRAL, performance
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import Markers, Take
+from usdface.core.errors import InputError
+from usdface.steps.inputs.cleaned_takes import read_cleaned_takes
+from usdface.usdio.take.read import read_take
+from usdface.usdio.take.write import write_take
+
+NAMES = tuple(f"m{i:02d}" for i in range(len(NEUTRAL)))
+
+
+def write(
+    folder: Path, name: str, positions: FloatArray, *, names: tuple[str, ...] = NAMES, **stated: str
+) -> Path:
+    seen = np.ones(positions.shape[:2], bool)
+    neutral = int(((positions - positions[0]) ** 2).sum(axis=(1, 2)).argmin())
+    markers = Markers(
+        names=names,
+        positions=positions.astype(np.float32),
+        visible=seen,
+        confidence=seen.astype(np.float32),
+        rigid=names[:8],
+        neutral_frame=1 + neutral,
+        space="stabilized",
+    )
+    path = folder / f"{name}.take.usda"
+    write_take(path, Take(name, Fraction(60), 1, markers=markers, **stated))
+    return path
+
+
+def from_neutral(seed: int) -> FloatArray:
+    """A performance that begins with the neutral face."""
+    return np.concatenate([NEUTRAL[None], performance(seed)])
+
+
+def test_a_take_of_another_day_meets_the_first(tmp_path: Path) -> None:
+    turn = Rotation.from_rotvec([0.05, -0.1, 0.02]).as_matrix()
+    first = write(tmp_path, "first", from_neutral(0))
+    second = write(tmp_path, "second", (from_neutral(1) + GLUE) @ turn.T + [5.0, 9.0, -3.0])
+    takes = read_cleaned_takes((first, second))
+    away = takes.positions[1] - from_neutral(1)
+    assert np.sqrt((away**2).sum(axis=2).mean()) < np.sqrt((GLUE**2).sum(axis=1).mean()) / 3
+    np.testing.assert_allclose(takes.positions[0], from_neutral(0), atol=1e-4)
+    assert not takes.neutrals[0].offset.any()
+    assert takes.neutrals[1].is_reapplied
+
+
+def test_the_session_is_kept_and_used(tmp_path: Path) -> None:
+    first = write(tmp_path, "first", from_neutral(0), session="monday", performer="Kim")
+    assert read_take(first).session == "monday"
+    second = write(tmp_path, "second", from_neutral(1) + GLUE, session="monday")
+    assert not read_cleaned_takes((first, second)).neutrals[1].is_reapplied
+
+
+def test_takes_of_two_performers_are_refused(tmp_path: Path) -> None:
+    first = write(tmp_path, "first", from_neutral(0), performer="Kim")
+    second = write(tmp_path, "second", from_neutral(1), performer="Lee")
+    with pytest.raises(InputError, match=r"takes of 2 performers .*first.*Kim.*second.*Lee"):
+        read_cleaned_takes((first, second))
+    wide = write(tmp_path, "wide", from_neutral(1) * [1.12, 1.0, 1.0])
+    with pytest.raises(InputError, match=r"wide.take.usda, beside .*of another performer"):
+        read_cleaned_takes((first, wide))
+
+
+def test_markers_and_landmarks_of_one_performer_are_no_second_performer(tmp_path: Path) -> None:
+    first = write(tmp_path, "first", from_neutral(0), performer="Kim")
+    landmarks = tuple(f"landmark_{i}" for i in range(len(NAMES)))
+    video = write(tmp_path, "video", from_neutral(1), names=landmarks, performer="Kim")
+    with pytest.raises(InputError, match="several marker sets, of 40, 40 markers with 0 labels"):
+        read_cleaned_takes((first, video))
+
+
+def test_takes_in_two_units_are_refused_with_the_option_that_mends_it(tmp_path: Path) -> None:
+    first = write(tmp_path, "first", from_neutral(0))
+    second = write(tmp_path, "second", from_neutral(1) / 10)
+    with pytest.raises(InputError, match=r"0.1 times as far .* another unit; .*--units"):
+        read_cleaned_takes((first, second))
