@@ -166,9 +166,6 @@ def build_marker_take(
         found.append(f"{pluralize(len(never), 'marker')} never seen, left out: {first_few(never)}")
         positions, visible = positions[:, ever_seen], visible[:, ever_seen]
         names = [name for name, seen in zip(names, ever_seen, strict=True) if seen]
-    if not visible.all():
-        share = 100.0 * (1.0 - float(visible.mean()))
-        found.append(f"{share:.2f} % of the samples are gaps")
     hold_last_seen(positions, visible)
     neutral_frame = _settle_neutral(path, visible, first_frame, options.neutral, found)
     markers = Markers(

@@ -17,6 +17,14 @@ from usdface.capture.vicon_csv import is_vicon_csv, read_vicon_csv
 from usdface.core.errors import InputError
 
 _HEAD_BYTES = 64 << 10
+_SCENE = "export the markers from the scene as USD (points or locators) or C3D, and ingest that"
+_MOVIE = (
+    "a movie holds no markers: track it with OpenFace, and ingest its CSV with the movie as --video"
+)
+_EXPORTS = dict.fromkeys((".ma", ".mb", ".fbx", ".bvh", ".blend"), _SCENE) | dict.fromkeys(
+    (".mp4", ".mov", ".mxf", ".avi", ".mkv", ".webm", ".m4v"), _MOVIE
+)
+"""What to do with files that are often tried."""
 
 
 @dataclass(frozen=True)
@@ -114,9 +122,16 @@ def recognise_format(path: Path) -> CaptureFormat:
         if candidate.recognise(head):
             return candidate
     raise InputError(
-        f"{path}: not a capture file we know (it begins with {head[:24]!r}); known are "
-        f"{_known_formats()}; export one of these, or name the format with --format"
+        f"{path}: not a capture file we know (it begins with {_readable(head)}); known are "
+        f"{_known_formats()}, and USD; "
+        f"{_EXPORTS.get(path.suffix.lower(), 'export one of these, or name it with --format')}"
     )
+
+
+def _readable(head: bytes) -> str:
+    """Return the first characters of a file for a message, whatever they are."""
+    text = head[:24].decode("ascii", errors="replace")
+    return repr(text.replace("\ufffd", "?"))
 
 
 def _named_format(name: str) -> CaptureFormat:

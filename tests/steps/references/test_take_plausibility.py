@@ -18,7 +18,9 @@ from usdface.usdio.take.read import TakeReader
 from usdface.usdio.take.write import write_take
 
 
-def cleaned(path: Path, markers: Markers, doubts: tuple[str, ...] | None) -> Path:
+def cleaned(
+    path: Path, markers: Markers, doubts: tuple[str, ...] | None, *, name: str = "x"
+) -> Path:
     """Write a take whose head stands still, as `clean` leaves it."""
     still = replace(
         markers,
@@ -30,7 +32,7 @@ def cleaned(path: Path, markers: Markers, doubts: tuple[str, ...] | None) -> Pat
         neutral_frame=1,
         space="stabilized",
     )
-    write_take(path, Take("x", Fraction(60), 1, still, doubts=doubts))
+    write_take(path, Take(name, Fraction(60), 1, still, doubts=doubts))
     return path
 
 
@@ -49,6 +51,21 @@ def test_takes_of_other_tools_are_judged_where_they_meet_a_rig(tmp_path: Path) -
         plausibility_notes(read_cleaned_takes((path,)), (path,), demo_rig())
     with pytest.raises(InputError, match=message):
         bound_take_notes(TakeReader(path))
+
+
+def test_takes_of_one_select_have_one_size(tmp_path: Path) -> None:
+    paths = []
+    for name, scale in (("a", 1.0), ("b", 1.0), ("c", 0.1)):
+        markers = synthetic()
+        sized = replace(markers, positions=np.float32(scale) * markers.positions)
+        paths.append(cleaned(tmp_path / f"{name}.take.usda", sized, ("stated",), name=name))
+
+    def notes_of(*chosen: Path) -> list[str]:
+        return plausibility_notes(read_cleaned_takes(chosen), chosen, demo_rig())
+
+    assert notes_of(paths[0], paths[1]) == ["a: stated", "b: stated"]
+    with pytest.raises(InputError, match=r"c\.take\.usda.* 0\.1.* times"):
+        notes_of(paths[0], paths[2])
 
 
 def test_a_face_meets_a_rig_that_stands(tmp_path: Path) -> None:

@@ -159,7 +159,13 @@ def _head_markers(
         )
         return still, PosePrior(motion, float(take.rate))
     try:
-        found = find_rigid_markers(markers.positions, markers.visible)
+        # A padded take is judged by the frames in which something was recorded.
+        recorded = np.flatnonzero(markers.visible.any(axis=1))
+        whole = len(recorded) == take.frame_count  # an hour of markers is not copied
+        found = find_rigid_markers(
+            markers.positions if whole else markers.positions[recorded],
+            markers.visible if whole else markers.visible[recorded],
+        )
     except ValueError as error:
         raise InputError(
             f"{spec.take}: no rigid markers are named and none could be found: {error}"
