@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks._crosstalk import print_crosstalk
 from benchmarks._damage import DAMAGES
 from benchmarks.crosstake import prepare, read_ruler, score
 from tests.conftest import SHARED_DATA
@@ -36,6 +37,9 @@ TAKES = {
     "EyebrowsMoCap": ("mouth", "chin", "nose", "cheek"),
 }
 """Recorded takes, and the parts of the face that are still in each."""
+
+MOVING = {"CheeksMoCap": ("cheeks and nose", "mouth"), "EyebrowsMoCap": ("brows",)}
+"""Parts of a rig that each take moves."""
 
 LANDMARKS = {"nose": "NoseHead", "chin": "Chin", "mouth_L": "Mouth_Lend", "mouth_R": "Mouth_Rend"}
 LIDS = {"lidup_L": "Leye_Up", "lidup_R": "Reye_Up"}
@@ -74,6 +78,9 @@ def run() -> None:
                 row = _placed(skin, rig, cleaned[name], labels, picked[rig_name], known)
                 cells = " | ".join(f"{each:.2f}" for each in row)
                 print(f"| {rig_name}, {name}, {known} | {cells} |", flush=True)
+    print_crosstalk(
+        {name: (cleaned[name], labels, MOVING[name]) for name, (_, labels) in takes.items()}, rigs
+    )
     _starting_weights()
 
 

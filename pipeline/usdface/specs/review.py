@@ -40,10 +40,10 @@ FramePick = Literal["expression", "residual", "confidence", "jump", "even"]
 class SheetSpec(Spec):
     """Draw a contact sheet of a performance.
 
-    Layouts: `comparison` shows video, markers, the baseline (BlendShape equation of Deng et al.
-    2006, eq. 7), the performance, and its difference from the baseline or the keys; `worst`, the
-    frames to check first; `strip`, an overview of the whole shot; `characters`, several
-    performances of the same take.
+    Layouts: `comparison` shows video, markers, the baseline (the BlendShape equation of Deng et al.
+    2006, eq. 7, solved as `select` proposes weights), the performance, and its difference from the
+    baseline or the keys; `worst`, the frames to check first; `strip`, an overview of the whole
+    shot; `characters`, several performances of the same take.
     """
 
     example: ClassVar[str] = (

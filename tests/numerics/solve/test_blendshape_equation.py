@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import optimize
 
 from usdface.numerics.solve.blendshape_equation import MarkerKeys, solve_weights
 from usdface.numerics.solve.blendshapes import BlendShapes, Key, Track
@@ -121,6 +122,8 @@ def test_rank_tells_that_shapes_are_alike(deltas):
         ({"keys": MarkerKeys(np.zeros((0, 30, 3)), np.zeros(0, int), np.asarray)}, "need method"),
         ({"method": "bounded", "ranges": [[0, 1]]}, "ranges must be"),
         ({"method": "bounded", "ridge": -1.0}, "must not be negative"),
+        ({"method": "bounded", "noise_mm": -1.0}, "must not be negative"),
+        ({"tied": [(0, 1)]}, "need method"),
         ({"visible": np.ones((2, 2), bool)}, "visible must be"),
     ],
 )
@@ -163,3 +166,69 @@ def test_a_marker_trusted_four_times_is_that_marker_four_times(deltas, weights, 
     told = solve_weights(deltas, motion, method=method, marker_trust=trust, ridge=1.0)
     copied = solve_weights(deltas[:, copies], motion[:, copies], method=method, ridge=1.0)
     np.testing.assert_allclose(told.weights, copied.weights, atol=1e-9)
+
+
+def test_local_costs_match_a_general_solver():
+    rng = np.random.default_rng(11)
+    deltas, noise, ridge = rng.normal(size=(6, 9, 3)) * 4, 1.5, 2.0
+    ranges = np.array([[0, 1], [-1, 1], [-0.5, 0], [0, 0.4], [-1, 2], [0.1, 1]])
+    motion = rng.normal(size=(5, 9, 3)) * 3
+    trust = rng.uniform(0.2, 1, 9)
+    found = solve_weights(
+        deltas,
+        motion,
+        method="bounded",
+        ranges=ranges,
+        marker_trust=trust,
+        ridge=ridge,
+        noise_mm=noise,
+    ).weights
+    for frame, weights in zip(motion, found, strict=True):
+        cost = np.zeros(6)
+        for row, shape in enumerate(deltas):
+            energy = trust * (shape**2).sum(axis=1)
+            size = np.sqrt((energy * (shape**2).sum(axis=1)).sum() / energy.sum())
+            seen = np.sqrt((energy * (frame**2).sum(axis=1)).sum() / energy.sum())
+            cost[row] = noise**2 * size / (seen + noise)
+
+        def objective(halves, frame=frame, cost=cost):
+            up, down = halves.reshape(2, -1)
+            off = ((frame - np.einsum("s,smc->mc", up - down, deltas)) ** 2).sum(axis=1)
+            size = 2 * cost @ (up + down)
+            return (trust * off).sum() + ridge * ((up - down) ** 2).sum() + size
+
+        bounds = [(max(lo, 0), max(hi, 0)) for lo, hi in ranges]
+        bounds += [(max(-hi, 0), max(-lo, 0)) for lo, hi in ranges]
+        start = np.array([low for low, _ in bounds])
+        other = optimize.minimize(objective, start, bounds=bounds, options={"ftol": 1e-14}).x
+        np.testing.assert_allclose(weights, other[:6] - other[6:], atol=1e-4)
+
+
+def test_costs_mean_the_same_on_a_face_of_another_size(deltas, weights):
+    noisy = motion_of(weights, deltas) + np.random.default_rng(3).normal(size=(50, 30, 3))
+    small = solve_weights(deltas, noisy, method="bounded", ridge=1.0, noise_mm=2.0)
+    large = solve_weights(9 * deltas, 9 * noisy, method="bounded", ridge=81.0, noise_mm=18.0)
+    np.testing.assert_allclose(large.weights, small.weights, atol=1e-7)
+
+
+def test_markers_that_hardly_move_draw_on_few_shapes_and_others_as_before():
+    rng = np.random.default_rng(12)
+    deltas = np.zeros((12, 40, 3))
+    deltas[:6, :20], deltas[6:, 20:] = rng.normal(size=(2, 6, 20, 3)) * 5
+    weights = np.column_stack([rng.uniform(0.3, 1, (40, 6)), np.zeros((40, 6))])
+    moved = motion_of(weights, deltas) + 0.7 * rng.normal(size=(40, 40, 3))
+    options = {"method": "bounded", "ridge": 1.0}
+    plain = solve_weights(deltas, moved, **options).weights
+    local = solve_weights(deltas, moved, **options, noise_mm=1.2).weights
+    assert local[:, 6:].mean() < 0.75 * plain[:, 6:].mean()
+    np.testing.assert_allclose(local[:, :6], plain[:, :6], atol=0.01)
+
+
+def test_tied_shapes_are_one_shape(deltas, weights):
+    noisy = motion_of(weights, deltas) + np.random.default_rng(3).normal(size=(50, 30, 3))
+    tied = solve_weights(deltas, noisy, method="bounded", tied=[(2, 5)]).weights
+    merged = np.delete(deltas, 5, axis=0)
+    merged[2] += deltas[5]
+    single = solve_weights(merged, noisy, method="bounded").weights
+    np.testing.assert_array_equal(tied[:, 2], tied[:, 5])
+    np.testing.assert_allclose(np.delete(tied, 5, axis=1), single, atol=1e-8)

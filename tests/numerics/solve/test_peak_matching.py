@@ -5,7 +5,7 @@ import pytest
 
 from tests.numerics.small_face import small_face
 from usdface.numerics.solve.blendshape_equation import solve_weights
-from usdface.numerics.solve.peak_matching import match_peaks
+from usdface.numerics.solve.peak_matching import effective_size, match_peaks, shape_evidence
 
 
 @pytest.fixture(scope="module")
@@ -76,3 +76,49 @@ def test_a_shape_that_goes_below_zero_alone_is_no_hindrance() -> None:
     ranges = np.array([[0.0, 1.0], [-1.0, 0.0]])
     gain = match_peaks(deltas, motion, [0], ranges=ranges, ridge=0.0)
     np.testing.assert_allclose(gain[:10], 1 / 0.6, rtol=0.05)
+
+
+def lids_and_brow(blinks: np.ndarray, fold: float) -> tuple[np.ndarray, np.ndarray]:
+    """Two blinks with a lid's marker each, 18 markers of a brow; lids follow it by a share."""
+    rng = np.random.default_rng(0)
+    deltas = np.zeros((3, 20, 3))
+    deltas[0, 0], deltas[1, 1] = (0, -9, 3), (0, -9, 3)
+    deltas[2, 2:] = rng.normal(loc=(0, 8, 0), size=(18, 3))
+    brow = np.clip(np.cumsum(rng.normal(size=400)) * 0.1, -1, 1)
+    motion = np.einsum("fs,smc->fmc", np.column_stack([blinks, brow]), deltas)
+    motion[:, :2] += fold * brow[:, None, None] * np.array([0, 8.0, 0])
+    return deltas, motion + 0.1 * rng.normal(size=motion.shape)
+
+
+def test_blinks_that_the_brow_does_not_predict_are_shown() -> None:
+    blinks = np.zeros((400, 2))
+    blinks[::9] = 0.6  # lids that travel six tenths of the character's
+    evidence = shape_evidence(*lids_and_brow(blinks, fold=0.8), [0, 1], surface_mm=[9.5, 9.5])
+    assert evidence.marked.all()
+    assert evidence.shown
+    np.testing.assert_allclose(evidence.own_peaks, 0.6, atol=0.1)
+
+
+def test_lids_that_follow_the_brow_show_no_blink() -> None:
+    evidence = shape_evidence(
+        *lids_and_brow(np.zeros((400, 2)), fold=0.8), [0, 1], surface_mm=[9.5, 9.5]
+    )
+    assert evidence.marked.all()
+    assert not evidence.shown
+    assert evidence.own_peaks.max() < 0.1
+
+
+def test_a_marker_beside_the_lid_does_not_mark_it() -> None:
+    blinks = np.zeros((400, 2))
+    blinks[::9] = 1.0
+    deltas, motion = lids_and_brow(blinks, fold=0.0)
+    evidence = shape_evidence(deltas, motion, [0, 1], surface_mm=[9.5, 40.0])
+    assert evidence.marked.tolist() == [True, False]
+    assert evidence.own_peaks[1] == pytest.approx(9.5 / 40.0, abs=0.05)
+
+
+def test_an_effective_size_leaves_out_points_that_stay() -> None:
+    moved = np.random.default_rng(0).normal(size=(3, 30, 3))
+    padded = np.concatenate([moved, np.zeros((3, 900, 3))], axis=1)
+    np.testing.assert_allclose(effective_size(padded), effective_size(moved))
+    assert effective_size(np.full((1, 5, 3), 2.0)) == pytest.approx(np.sqrt(12.0))

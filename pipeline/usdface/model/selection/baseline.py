@@ -1,10 +1,10 @@
 """The equation-solving way to weights: no examples, only the rig's own geometry.
 
-The baseline of Deng et al. 2006, section 7, and the source of the weights that are proposed to
-animators.
+After Deng et al. 2006, section 7: the weights that are proposed to animators, and the baseline of
+sheets and reports.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +15,18 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.model.placement.marker_cloud import marker_cloud
 from usdface.model.placement.place import MarkerPlacement, place_markers
+from usdface.model.selection.lid_evidence import LidEvidence, find_lid_evidence
 from usdface.numerics.registration.face_skin import sample_face_skin
 from usdface.numerics.registration.virtual_markers import (
     VirtualMarkers,
     character_motion,
     marker_deltas,
 )
-from usdface.numerics.solve.blendshape_equation import MarkerKeys, solve_weights
+from usdface.numerics.solve.blendshape_equation import (
+    EquationSolution,
+    MarkerKeys,
+    solve_weights,
+)
 from usdface.numerics.solve.peak_matching import match_peaks
 
 Positions = NDArray[np.float32] | FloatArray
@@ -29,12 +34,11 @@ Positions = NDArray[np.float32] | FloatArray
 _MOTION_FRAMES = 2000
 """Frames spread over a take that placement may look at."""
 
+_NOISE_FRAMES = 500
+"""Of these, frames by which the markers' error is measured."""
 
 PROPOSAL_RIDGE = 10.0
 """[mm^2] Keeps shapes that the markers cannot tell apart from fighting each other."""
-
-FULL_SHAPES = "eyeblink"
-"""Shapes that every performer does in full: their markers' motion is scaled to reach the top."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,11 @@ class BlendshapeEquation:
         By how much a marker's motion is enlarged so that blinks close the eye.
     placement : MarkerPlacement or None
         How `virtual` was found; None where it was given.
+    noise_mm : float
+        Root mean square distance of markers from the solve: by so much skin, placement and
+        capture differ from what the shapes can do.
+    lids : LidEvidence or None
+        None where blinks are solved as any shape.
     """
 
     virtual: VirtualMarkers
@@ -66,11 +75,13 @@ class BlendshapeEquation:
     trust: FloatArray
     gain: FloatArray
     placement: MarkerPlacement | None = None
+    noise_mm: float = 0.0
+    lids: LidEvidence | None = None
 
     def solve_published(self, positions: Positions) -> FloatArray:
         """Return weights by plain least squares, limited to the ranges afterwards.
 
-        Deng et al. 2006, section 7: the method that animators know, and the baseline of a sheet.
+        Deng et al. 2006, section 7: the comparison of the paper.
 
         Parameters
         ----------
@@ -88,8 +99,8 @@ class BlendshapeEquation:
     def propose(self, positions: Positions, *, visible: BoolArray | None = None) -> FloatArray:
         """Return weights for an animator to start from.
 
-        Least squares within the ranges, with in-betweens, a little shrinkage, and blinks that
-        close.
+        Least squares within the ranges, with in-betweens and a little shrinkage; shapes cost more
+        where their markers are still, and blinks close where the markers show them.
 
         Parameters
         ----------
@@ -101,18 +112,26 @@ class BlendshapeEquation:
         -------
         (frames, shapes) float array
         """
+        solved = self._solve(positions, visible)
+        return np.clip(solved.weights, self.ranges[:, 0], self.ranges[:, 1])
+
+    def _solve(self, positions: Positions, visible: BoolArray | None) -> EquationSolution:
         motion = character_motion(self.virtual, positions, self.neutral)
-        solved = solve_weights(
+        limits = self.ranges.copy()
+        fixed = [] if self.lids is None else list(self.lids.fixed)
+        limits[fixed] = np.clip(0.0, limits[fixed, 0], limits[fixed, 1])[:, None]
+        return solve_weights(
             self.deltas,
             motion * self.gain[:, None],
             method="bounded",
-            ranges=self.ranges,
+            ranges=limits,
             visible=visible,
             marker_trust=self.trust,
             ridge=PROPOSAL_RIDGE,
             keys=self.keys,
+            noise_mm=self.noise_mm,
+            tied=() if self.lids is None else self.lids.tied,
         )
-        return np.clip(solved.weights, self.ranges[:, 0], self.ranges[:, 1])
 
     def explained(self, weights: FloatArray) -> FloatArray:
         """Return where weights put the markers on the performer: (frames, markers, 3) [mm]."""
@@ -182,13 +201,25 @@ def set_up_equation(
     )
     trust = np.ones(len(neutral))
     trust[list(rigid)] = 0.0
-    full = [i for i, name in enumerate(rig.shapes) if name.lower().startswith(FULL_SHAPES)]
+    motion = character_motion(virtual, positions[picks], neutral)
+    lids = find_lid_evidence(rig.shapes, offsets, deltas, motion, trust)
     gain = match_peaks(
         deltas,
-        character_motion(virtual, positions[picks], neutral),
-        full,
+        motion,
+        lids.closing,
         ranges=rig.ranges,
         visible=visible[picks],
         marker_trust=trust,
     )
-    return BlendshapeEquation(virtual, deltas, keys, neutral, rig.ranges, trust, gain, placement)
+    equation = BlendshapeEquation(
+        virtual, deltas, keys, neutral, rig.ranges, trust, gain, placement, lids=lids
+    )
+    few = picks[:: -(-len(picks) // _NOISE_FRAMES)]
+    return replace(equation, noise_mm=_noise_mm(equation, positions[few], visible[few]))
+
+
+def _noise_mm(equation: BlendshapeEquation, positions: Positions, visible: BoolArray) -> float:
+    """Return how far markers are from the plain solve, root mean square."""
+    away = equation._solve(positions, visible).residual_mm[:, equation.trust > 0]
+    seen = np.isfinite(away)
+    return float(np.sqrt((away[seen] ** 2).mean())) if seen.any() else 0.0

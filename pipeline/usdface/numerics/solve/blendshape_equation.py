@@ -2,10 +2,11 @@
 
 Deng et al. 2006, section 7, equation 7: ``B = B0 + sum_i w_i B_i`` at the virtual markers, with the
 performer's motion scaled by the proportions of the two faces. Plain least squares is the baseline
-of the paper's comparison; solved within the rig's ranges it is a starting pose for an animator.
+of the paper's comparison. Solved within the rig's ranges, with a prior that a shape is used where
+its markers move, it is a starting pose for an animator.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -73,10 +74,19 @@ def solve_weights(
     marker_trust: ArrayLike | None = None,
     ridge: float = 0.0,
     keys: MarkerKeys | None = None,
+    noise_mm: float = 0.0,
+    tied: Sequence[Sequence[int]] = (),
 ) -> EquationSolution:
     """Solve the blendshape equation for every frame.
 
-    Minimises ``sum_m trust_m |motion_m - sum_i w_i delta_im|^2 + ridge |w|^2``, in mm^2.
+    Minimises ``sum_m trust_m |motion_m - sum_i w_i delta_im|^2 + ridge |w|^2
+    + 2 sum_i cost_i |w_i|``, in mm^2, where ``cost_i = noise^2 size_i / (seen_i + noise)``.
+    ``size_i`` is how far shape i takes its markers, and ``seen_i`` how far these have moved in the
+    frame: root mean squares over the markers, each counted by the energy ``|delta_im|^2`` that the
+    shape has there. This is the most probable solution if markers err by ``noise`` and weights are
+    distributed exponentially, with a mean that takes a shape's markers as far as they have moved.
+    So a shape whose markers are still is not drawn upon to explain motion elsewhere; one whose
+    markers move far costs next to nothing.
 
     Parameters
     ----------
@@ -96,6 +106,11 @@ def solve_weights(
         Penalty [mm^2], not negative.
     keys : MarkerKeys, optional
         In-betweens, for ``'bounded'``: the equation is linearised again about each solution.
+    noise_mm : float, optional
+        Distance by which markers miss where the right weights put them, for ``'bounded'``; 0 for no
+        cost of shapes.
+    tied : sequence of sequences of int, optional
+        Shapes that share one weight, for ``'bounded'``.
 
     Raises
     ------
@@ -103,71 +118,155 @@ def solve_weights(
         If arrays do not fit together, or an option does not go with the method.
     """
     problem = _checked(deltas, motion, visible, marker_trust)
-    limits = _limits(method, ranges, problem.shape_count)
-    if limits is None and keys is not None:
-        raise ValueError("keys need method 'bounded'")
-    if not ridge >= 0:
-        raise ValueError(f"ridge must not be negative, got {ridge}")
+    if method not in ("lstsq", "bounded"):
+        raise ValueError(f"method must be 'lstsq' or 'bounded', got {method!r}")
+    if not ridge >= 0 or not noise_mm >= 0:
+        raise ValueError(f"ridge and noise_mm must not be negative, got {ridge} and {noise_mm}")
     rank = problem.rank()
-    if limits is not None and rank < problem.shape_count:
-        energy = float(np.einsum("smc,m,smc->", problem.deltas, problem.share, problem.deltas))
-        ridge = max(ridge, _DEPENDENT_RIDGE * energy / problem.shape_count)
-    weights = np.zeros((problem.frame_count, problem.shape_count))
-    for rows in _equal_rows(problem.trust):
-        weights[rows] = _solve_rows(
-            problem, rows, problem.deltas, problem.motion[rows], ridge, limits
-        )
-    if limits is not None and keys is not None:
-        weights = _relinearise(problem, keys, weights, ridge, limits)
+    if method == "lstsq":
+        if keys is not None or noise_mm or tied:
+            raise ValueError("keys, noise_mm and tied need method 'bounded'")
+        weights = _least_squares(problem, ridge)
+    else:
+        if rank < problem.shape_count:
+            energy = float(np.einsum("smc,m,smc->", problem.deltas, problem.share, problem.deltas))
+            ridge = max(ridge, _DEPENDENT_RIDGE * energy / problem.shape_count)
+        limits = _limits(ranges, problem.shape_count)
+        variables = _variables(limits, tied, split=noise_mm > 0)
+        prior = _Prior(ridge, _local_cost(problem, noise_mm))
+        weights = _solve_bounded(problem, prior, variables, problem.deltas, problem.motion)
+        if keys is not None:
+            weights = _relinearise(problem, keys, weights, prior, variables)
     residual = np.linalg.norm(problem.motion - _predict(problem.deltas, keys, weights), axis=2)
     residual[~problem.visible] = np.nan
     return EquationSolution(weights, residual, rank)
 
 
-def _solve_rows(
+@dataclass(frozen=True)
+class _Prior:
+    """Costs of weights [mm^2]: `ridge` of squares, twice `cost` (frames, shapes) of sizes."""
+
+    ridge: float
+    cost: FloatArray
+
+
+@dataclass(frozen=True)
+class _Variables:
+    """What a bounded solve varies.
+
+    Tied shapes are one variable. Where sizes cost, a shape that goes both ways is two, so that no
+    variable is negative and the size of a weight is linear.
+
+    Attributes
+    ----------
+    spread : (variables, shapes) float array
+        The weights that a variable of 1 stands for: 1, -1 or 0.
+    lower, upper : (variables,) float arrays
+    """
+
+    spread: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+
+def _variables(limits: "_Limits", tied: Sequence[Sequence[int]], *, split: bool) -> _Variables:
+    low, high = limits
+    leader = np.arange(len(low))
+    for group in tied:
+        leader[list(group)] = min(group)
+    member = leader == np.unique(leader)[:, None]
+    spread = member.astype(float)
+    lower = np.where(member, low, -np.inf).max(axis=1, initial=-np.inf)
+    upper = np.where(member, high, np.inf).min(axis=1, initial=np.inf)
+    if not split:
+        return _Variables(spread, lower, upper)
+    up, down = (upper > 0) | (lower >= 0), lower < 0
+    return _Variables(
+        np.concatenate([spread[up], -spread[down]]),
+        np.concatenate([np.maximum(lower[up], 0.0), np.maximum(-upper[down], 0.0)]),
+        np.concatenate([upper[up], -lower[down]]),
+    )
+
+
+def _local_cost(problem: "_Problem", noise_mm: float) -> FloatArray:
+    """Return what shapes cost by how far their markers have moved: (frames, shapes) [mm^2]."""
+    energy = (problem.deltas**2).sum(axis=2)
+    moved = (problem.motion**2).sum(axis=2)
+    total = np.maximum(problem.trust @ energy.T, np.finfo(float).tiny)
+    size = np.sqrt(problem.trust @ (energy**2).T / total)
+    seen = np.sqrt((problem.trust * moved) @ energy.T / total)
+    return np.asarray(noise_mm**2 * size / np.maximum(seen + noise_mm, np.finfo(float).tiny))
+
+
+def _least_squares(problem: "_Problem", ridge: float) -> FloatArray:
+    weights = np.zeros((problem.frame_count, problem.shape_count))
+    for rows in _equal_rows(problem.trust):
+        A, b = _stacked(problem, rows, problem.deltas, problem.motion)
+        if ridge == 0:
+            weights[rows] = np.asarray(np.linalg.lstsq(A.T, b.T)[0]).T
+        else:
+            hessian = A @ A.T + ridge * np.eye(len(A))
+            weights[rows] = np.asarray(np.linalg.solve(hessian, (b @ A.T).T)).T
+    return weights
+
+
+def _solve_bounded(
     problem: "_Problem",
-    rows: IntArray,
+    prior: _Prior,
+    variables: _Variables,
     deltas: FloatArray,
-    target: FloatArray,
-    ridge: float,
-    limits: "_Limits | None",
+    motion: FloatArray,
+    rows: IntArray | None = None,
 ) -> FloatArray:
-    """Solve frames that share one matrix; without limits by plain least squares."""
+    """Solve frames within bounds; `deltas` are the shapes' slopes, `motion` is what is left."""
+    chosen = np.arange(problem.frame_count) if rows is None else rows
+    spread, out = variables.spread, np.zeros((len(chosen), problem.shape_count))
+    for group in _equal_rows(problem.trust[chosen]):
+        A, b = _stacked(problem, chosen[group], deltas, motion)
+        hessian = A @ A.T + prior.ridge * np.eye(len(A))
+        linear = (b @ A.T) @ spread.T - prior.cost[chosen[group]] @ np.abs(spread).T
+        solved = minimise_bounded_quadratic(
+            spread @ hessian @ spread.T, linear, lower=variables.lower, upper=variables.upper
+        )
+        out[group] = solved.x @ spread
+    return out
+
+
+def _stacked(
+    problem: "_Problem", rows: IntArray, deltas: FloatArray, motion: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return shapes and motion of frames that share one trust, as rows of coordinates."""
     root = np.sqrt(problem.trust[rows[0]])[:, None]
-    A = (deltas * root).reshape(len(deltas), -1)
-    b = (target * root).reshape(len(rows), -1)
-    if limits is None and ridge == 0:
-        return np.asarray(np.linalg.lstsq(A.T, b.T)[0]).T
-    hessian, linear = A @ A.T + ridge * np.eye(len(deltas)), b @ A.T
-    if limits is None:
-        return np.asarray(np.linalg.solve(hessian, linear.T)).T
-    return minimise_bounded_quadratic(hessian, linear, lower=limits[0], upper=limits[1]).x
+    return (deltas * root).reshape(len(deltas), -1), (motion[rows] * root).reshape(len(rows), -1)
 
 
 def _relinearise(
-    problem: "_Problem", keys: MarkerKeys, weights: FloatArray, ridge: float, limits: "_Limits"
+    problem: "_Problem",
+    keys: MarkerKeys,
+    weights: FloatArray,
+    prior: _Prior,
+    variables: _Variables,
 ) -> FloatArray:
-    """Solve again with each shape's slope at the last solution, keeping what fits better."""
+    """Solve again with each shape's slope at the last solution, keeping what is better."""
     channels = np.asarray(keys.channels, np.int64)
     member = np.zeros((len(channels), problem.shape_count))
     member[np.arange(len(channels)), channels] = 1
     best = weights.copy()
-    error = _error(problem, keys, weights)
+    objective = _objective(problem, keys, weights, prior)
     for _ in range(_MOST_RELINEARISATIONS):
         here = keys.key_weights(weights)
         # each key belongs to one shape, so one step of all shapes gives every slope
         slopes = (keys.key_weights(weights + _SMALL_STEP) - here) / _SMALL_STEP
         offset = here - slopes * weights[:, channels]
+        rest = problem.motion - np.einsum("fk,kmc->fmc", offset, keys.deltas, optimize=True)
         following = np.empty_like(weights)
-        for rows in _equal_rows(np.column_stack([problem.trust, slopes.round(4)])):
+        for rows in _equal_rows(slopes.round(4)):
             D = np.einsum("ks,k,kmc->smc", member, slopes[rows[0]], keys.deltas)
-            fixed = np.einsum("fk,kmc->fmc", offset[rows], keys.deltas)
-            target = problem.motion[rows] - fixed
-            following[rows] = _solve_rows(problem, rows, D, target, ridge, limits)
+            following[rows] = _solve_bounded(problem, prior, variables, D, rest, rows)
         weights = following
-        after = _error(problem, keys, weights)
-        better = after < error
-        best[better], error = weights[better], np.minimum(error, after)
+        after = _objective(problem, keys, weights, prior)
+        better = after < objective
+        best[better], objective = weights[better], np.minimum(objective, after)
         if not better.any():
             break
     return best
@@ -181,9 +280,13 @@ def _predict(deltas: FloatArray, keys: MarkerKeys | None, weights: FloatArray) -
     )
 
 
-def _error(problem: "_Problem", keys: MarkerKeys, weights: FloatArray) -> FloatArray:
+def _objective(
+    problem: "_Problem", keys: MarkerKeys, weights: FloatArray, prior: _Prior
+) -> FloatArray:
     off = ((problem.motion - _predict(problem.deltas, keys, weights)) ** 2).sum(axis=2)
-    return np.asarray((off * problem.trust).sum(axis=1))
+    misfit = (off * problem.trust).sum(axis=1)
+    costs = prior.ridge * weights**2 + 2 * prior.cost * np.abs(weights)
+    return np.asarray(misfit + costs.sum(axis=1))
 
 
 def _equal_rows(rows: FloatArray) -> list[IntArray]:
@@ -248,11 +351,7 @@ _Limits = tuple[FloatArray, FloatArray]
 """Lowest and highest weights, (shapes,) each."""
 
 
-def _limits(method: _Method, ranges: ArrayLike | None, shapes: int) -> _Limits | None:
-    if method == "lstsq":
-        return None
-    if method != "bounded":
-        raise ValueError(f"method must be 'lstsq' or 'bounded', got {method!r}")
+def _limits(ranges: ArrayLike | None, shapes: int) -> _Limits:
     limits = np.asarray([[0.0, 1.0]] * shapes if ranges is None else ranges, float)
     if limits.shape != (shapes, 2):
         raise ValueError(f"ranges must be ({shapes}, 2), got {limits.shape}")

@@ -6,11 +6,12 @@ character's eyes half open.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import BoolArray, FloatArray
 from usdface.numerics.solve.blendshape_equation import solve_weights
 
 _PEAK_QUANTILE = 0.99  # of the weights over time: a peak that lasts, not a single frame
@@ -19,6 +20,94 @@ _GAINS = (0.5, 2.5)
 _MOST_ROUNDS = 3
 _CLOSE_SHARE = 0.02  # [of the range] of the top that counts as reached
 _CARRIED_SHARE = 0.2  # [of a shape's largest displacement] markers below get no gain from it
+_STILL_SHARE = 0.02  # [of a shape's largest displacement] markers below do not follow it
+_MARKED_SHARE = 0.5  # [of the surface's displacement] half of it: the marker sits on what moves
+_COMMON_VARIANCE = 0.95  # of other markers: drops what they share of small motions, such as blinks
+FULL_SHARE = 1 / _GAINS[1]  # [of the range] a peak below it the largest gain would not make full
+
+
+@dataclass(frozen=True)
+class ShapeEvidence:
+    """Whether markers can tell of shapes, and whether a take shows these.
+
+    Attributes
+    ----------
+    marked : (n,) bool array
+        Markers sit on what the shape moves: they go at least half as far as the surface does.
+    own_peaks : (n,) float array
+        Weight at peaks, by the part of the markers' motion that the rest of the face does not
+        predict. A lid's marker that sits in the fold follows the brow and has none.
+    """
+
+    marked: BoolArray
+    own_peaks: FloatArray
+
+    @property
+    def shown(self) -> bool:
+        """Whether the marked shapes, as one, are seen in full: a blink of one eye is half of it."""
+        return bool(self.marked.any() and self.own_peaks[self.marked].mean() >= FULL_SHARE)
+
+
+def shape_evidence(
+    deltas: ArrayLike,
+    motion: ArrayLike,
+    shapes: Sequence[int],
+    *,
+    surface_mm: ArrayLike,
+    marker_trust: ArrayLike | None = None,
+) -> ShapeEvidence:
+    """Measure how much of some shapes is in a take, apart from what all of the face does.
+
+    The motion of the markers that a shape carries is taken along the shape; what a line through the
+    principal components of the markers that no such shape moves predicts of it is taken away.
+
+    Parameters
+    ----------
+    deltas, motion, marker_trust
+        As in `match_peaks`.
+    shapes : sequence of int
+        Such as both blinks.
+    surface_mm : (shapes,) array
+        How far each of the shapes moves the surface at 1, as `effective_size` measures it.
+    """
+    D, m = np.asarray(deltas, float), np.asarray(motion, float)
+    trusted = np.ones(D.shape[1], bool) if marker_trust is None else np.asarray(marker_trust) > 0
+    carried, m = D[list(shapes)][:, trusted], m[:, trusted]
+    reach = np.linalg.norm(carried, axis=2)
+    extent = np.maximum(np.asarray(surface_mm, float), 1e-9)
+    nearness = effective_size(carried) / extent
+    largest = max(float(reach.max(initial=0.0)), 1e-9)
+    common = _common_motion(m[:, (reach < _STILL_SHARE * largest).all(axis=0)])
+    peaks = np.zeros(len(carried))
+    for row, shape in enumerate(carried):
+        markers = reach[row] >= max(_CARRIED_SHARE * reach[row].max(initial=0.0), 1e-9)
+        along = shape[markers].ravel()
+        if not markers.any():
+            continue
+        weight = m[:, markers].reshape(len(m), -1) @ along / (along @ along)
+        own = weight - common @ np.linalg.lstsq(common, weight)[0]
+        peak = np.quantile(own, _PEAK_QUANTILE) - np.median(own)
+        peaks[row] = peak * min(nearness[row], 1.0)
+    return ShapeEvidence(nearness >= _MARKED_SHARE, peaks)
+
+
+def effective_size(deltas: ArrayLike) -> FloatArray:
+    """Return how far shapes move what they move, (shapes, points, 3) to (shapes,) in their unit.
+
+    The root mean square of the displacements, each counted by its energy: points that a shape does
+    not move do not count, however many.
+    """
+    energy = (np.asarray(deltas, float) ** 2).sum(axis=2)
+    return np.asarray(np.sqrt((energy**2).sum(axis=1) / np.maximum(energy.sum(axis=1), 1e-12)))
+
+
+def _common_motion(motion: FloatArray) -> FloatArray:
+    """Return principal components over time, and a constant: (frames, components + 1)."""
+    flat = motion.reshape(len(motion), -1)
+    over_time, size, _ = np.linalg.svd(flat - flat.mean(axis=0), full_matrices=False)
+    share = np.cumsum(size**2) / max(float((size**2).sum()), 1e-12)
+    count = int(np.searchsorted(share, _COMMON_VARIANCE)) + 1
+    return np.column_stack([np.ones(len(flat)), over_time[:, :count]])
 
 
 def match_peaks(
@@ -66,7 +155,7 @@ def match_peaks(
     share = (reach / np.maximum(reach.max(axis=0), 1e-9)) ** 2
     share[reach < _CARRIED_SHARE * reach.max(axis=1, keepdims=True)] = 0
     gain = np.ones(D.shape[1])
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(_MOST_ROUNDS if len(shapes) else 0):
         weights = solve_weights(
             D,
             m * gain[:, None],

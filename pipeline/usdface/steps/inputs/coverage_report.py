@@ -148,6 +148,10 @@ class MeasuredCoverage:
         Rows of the takes that are pairs.
     tuned : (m,) int array
         Those of `rows` that a person has tuned.
+    tuned_count : int
+        Pairs that a person has tuned, those of other takes as well.
+    notes : tuple of str
+        What to know of the measure.
     """
 
     covered: Covered
@@ -155,6 +159,8 @@ class MeasuredCoverage:
     pairs: IntArray
     rows: IntArray
     tuned: IntArray
+    tuned_count: int
+    notes: tuple[str, ...]
 
     def picture(self, title: str) -> ByteImage:
         """Draw it."""
@@ -191,8 +197,15 @@ def measure_pairs(spec: ReferencesCoverageSpec, *, progress: Progress) -> Measur
         candidates=candidate_frames(takes, None),
         pair_features=placed.features,
     )
-    tuned = placed.rows[references.tuned[pairs][placed.is_here]]
-    return MeasuredCoverage(covered, takes, pairs, placed.rows, tuned)
+    is_tuned = references.tuned[pairs]
+    tuned, count = placed.rows[is_tuned[placed.is_here]], int(is_tuned.sum())
+    notes = tuple(scene.notes)
+    if not count:
+        notes += (
+            "no pair is tuned: coverage says that motion is like a pair's, not that the pair's "
+            "weights are right; tune them first",
+        )
+    return MeasuredCoverage(covered, takes, pairs, placed.rows, tuned, count, notes)
 
 
 @dataclass(frozen=True)

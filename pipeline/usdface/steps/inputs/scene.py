@@ -48,6 +48,13 @@ class SelectionScene:
     features: Float32Array
     stand_ins: CandidateMarkers
 
+    @property
+    def notes(self) -> list[str]:
+        """What to know of weights that are proposed or measured here."""
+        lids = self.equation.lids
+        note = "" if lids is None else lids.note(self.rig.shapes)
+        return [note] if note else []
+
     def positions(self, rows: IntArray) -> FloatArray:
         """Return markers at rows of all takes, without putting the takes together."""
         return self.takes.positions_at(rows).astype(np.float64)

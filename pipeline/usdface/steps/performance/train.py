@@ -33,9 +33,7 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
             )
         references = _subset(references, tuned)
     elif not tuned.all():
-        notes.append(
-            f"{int((~tuned).sum())} of {len(tuned)} pairs are proposals that nobody has tuned"
-        )
+        notes.append(_untuned_note(spec, int(tuned.sum()), len(tuned)))
     rig = read_rig(references.rig_file, prim=references.rig_prim)
     notes += check_rig_stands(rig)
     rig.check_has(
@@ -99,6 +97,21 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
             f"left out {pluralize(repeated, 'pair')} that others repeat, markers and weights alike"
         )
     return notes
+
+
+def _untuned_note(spec: TrainSpec, tuned: int, pairs: int) -> str:
+    """Say what a mapping is worth that learnt from proposals, and what to do."""
+    if not tuned:
+        return (
+            f"an untuned start: all {pairs} pairs are proposals, so this mapping repeats what the "
+            "rig's geometry makes of the markers, faults included, and its error is the distance "
+            f"from proposals. Tune a dozen or two (`usdface tune {spec.references}`), then train "
+            "with --tuned-only"
+        )
+    return (
+        f"{pairs - tuned} of {pairs} pairs are proposals that nobody has tuned; with --tuned-only "
+        f"only the {pluralize(tuned, 'tuned pair')} would be learnt from"
+    )
 
 
 def _summary(mapping: TrainedMapping, references: References) -> str:

@@ -26,7 +26,7 @@ def run(
     write_image(spec.out, measured.picture(spec.references.stem), metadata=metadata)
     progress(1.0, "done")
     coverage = covered.coverage
-    notes = []
+    notes = [*measured.notes]
     if len(measured.rows) < len(pairs):
         notes.append(
             f"{len(pairs) - len(measured.rows)} of {len(pairs)} pairs are of other takes; they "
@@ -38,8 +38,9 @@ def run(
     ]
     return StepResult(
         (spec.out,),
-        f"{len(pairs)} pairs cover {coverage.share:.1%} of the motion of {len(takes.frames)} "
-        f"frames; {coverage.hole_share:.1%} of the frames are not covered",
+        f"{len(pairs)} pairs, {measured.tuned_count} of them tuned, cover {coverage.share:.1%} of "
+        f"the motion of {len(takes.frames)} frames; {coverage.hole_share:.1%} of the frames are "
+        "not covered",
         tuple(notes),
         {
             "pairs": [pair + 1 for pair in pairs.tolist()],

@@ -56,17 +56,26 @@ def run(
         notes.append(
             f"interpolated, as {spec.weights.name} has no key there: {pluralize(between, 'pair')}"
         )
-    rest = len(references.frames) - len(pairs)
-    if rest:
-        notes.append(f"not in the file, so unchanged: {pluralize(rest, 'pair')}")
+    tuned = set(np.flatnonzero(references.tuned).tolist()) | {pair.pair for pair in pairs}
+    count = len(references.frames)
+    if len(tuned) < count:
+        notes.append(
+            f"still proposals that nobody tuned: {pluralize(count - len(tuned), 'pair')}; "
+            "`usdface train` with --tuned-only leaves them out"
+        )
     texts, conflicts = tuned_conflicts(spec.references)
     notes += texts
     return StepResult(
         (tuned_path(spec.references),),
-        f"{len(pairs)} of {len(references.frames)} pairs tuned, "
-        f"{pluralize(len(known), 'shape')} each",
+        f"{pluralize(len(pairs), 'pair')} imported, {pluralize(len(known), 'shape')} each; "
+        f"{len(tuned)} of {count} pairs are tuned",
         tuple(notes),
-        {"pairs": len(pairs), "shapes": len(known), "conflicts": conflicts},
+        {
+            "pairs": len(pairs),
+            "tuned": len(tuned),
+            "shapes": len(known),
+            "conflicts": conflicts,
+        },
     )
 
 

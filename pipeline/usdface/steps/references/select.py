@@ -121,9 +121,15 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     contradictions, conflicts = tuned_conflicts(spec.out)
     return StepResult(
         (spec.out, proposed_path(spec.out), tuned_path(spec.out), spec.picture_path()),
-        f"{len(rows)} pairs of {len(takes.frames)} frames, {len(rig.shapes)} shapes proposed; "
-        f"they cover {covered.coverage.share:.0%} of the takes",
-        (*doubts, *_notes(selection, choice, mapping), *images.notes, *contradictions),
+        f"{len(rows)} pairs of {len(takes.frames)} frames, {len(kept)} of them tuned; their "
+        f"markers span {covered.coverage.share:.0%} of the motion",
+        (
+            *doubts,
+            *_notes(selection, choice, mapping),
+            *images.notes,
+            *contradictions,
+            *_next(spec, kept),
+        ),
         {
             "pairs": len(rows),
             "frames": references.frames.tolist(),
@@ -336,6 +342,25 @@ def _notes(
             "no phones are given, so frames were chosen by design alone; that costs nothing in "
             "accuracy, but pairs carry no viseme"
         )
-    if mapping is not None:
+    if mapping is None:
+        notes += selection.scene.notes
+    else:
         notes.append("weights to start from are the mapping's own predictions")
     return notes
+
+
+def _next(spec: SelectSpec, kept: list[PlacedPair]) -> list[str]:
+    """Say what to do where weights are proposals that nobody has seen."""
+    rest = spec.count - len(kept)
+    if not rest:
+        return []
+    if kept:
+        return [
+            f"next: tune some of the {pluralize(rest, 'proposal')}, then `usdface train` with "
+            "--tuned-only"
+        ]
+    return [
+        "an untuned start: all weights are proposals of the rig's geometry, which knows nothing of "
+        f"this performer. Next: `usdface tune {spec.out}`; tune the first dozen or two (they are "
+        "in order of worth), then `usdface train` with --tuned-only"
+    ]

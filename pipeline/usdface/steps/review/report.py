@@ -102,7 +102,7 @@ def _page(
     progress(0.05, "placing the markers on the rig")
     equation = set_up_shot_baseline(shot)
     residual = equation.residual_mm(shot.positions, shot.weights)
-    baseline = equation.solve_published(shot.positions) if spec.baseline else None
+    baseline = equation.propose(shot.positions[rows]) if spec.baseline else None
     pictures, strips = _sheet(spec), _strips(shot, residual, rows)
     tables = listings(shot, evaluate_shown(shot, keys), provenance)
     progress(0.2, "packing the face")
@@ -150,7 +150,7 @@ def _curves(
     if truth is not None:
         found.append(WeightCurves("keys", truth[rows]))
     if baseline is not None:
-        found.append(WeightCurves("baseline", baseline[rows]))
+        found.append(WeightCurves("baseline", baseline))
     return tuple(found)
 
 

@@ -14,6 +14,9 @@ from usdface.specs.review import FramePick
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.steps.review.shot import Shot
 
+_BASELINE_FRAMES = 20_000
+"""Frames at which a long shot's baseline is solved: more than a sheet's curve can show."""
+
 
 @dataclass(frozen=True)
 class Score:
@@ -53,6 +56,22 @@ def set_up_shot_baseline(shot: Shot) -> BlendshapeEquation:
         rigid=tuple(markers.names.index(name) for name in markers.rigid),
         labels=markers.names,
     )
+
+
+def solve_baseline(equation: BlendshapeEquation, shot: Shot, rows: IntArray) -> FloatArray:
+    """Solve a shot as `select` proposes weights, but for lips that touch: (frames, shapes).
+
+    Parameters
+    ----------
+    rows : (n,) int array
+        Rows that are shown. In a long shot the others hold the weights of a row shortly before.
+    """
+    positions = shot.positions
+    step = -(-len(positions) // _BASELINE_FRAMES)
+    weights = np.repeat(equation.propose(positions[::step]), step, axis=0)[: len(positions)]
+    if step > 1:
+        weights[rows] = equation.propose(positions[rows])
+    return weights
 
 
 def read_keys(file: Path | None, rig: Rig, frames: IntArray) -> FloatArray | None:

@@ -29,6 +29,7 @@ from usdface.steps.review.scoring import (
     read_keys,
     score,
     set_up_shot_baseline,
+    solve_baseline,
     surface_distance,
     uncertainty_curves,
 )
@@ -123,16 +124,17 @@ def _compare(spec: SheetSpec, progress: Progress) -> _Comparison:
     equations = [set_up_shot_baseline(each) for each in shots]
     truth = read_keys(spec.against, shot.rig, shot.frames)
     solve = score("solve", shot, shot.weights, truth, equations[0])
+    chosen = _choose(spec, shot, solve)
+    rows = [frame.row for frame in chosen]
     scores = [solve]
     if spec.baseline and spec.layout in ("comparison", "worst"):
-        solved = equations[0].solve_published(shot.positions)
+        solved = solve_baseline(equations[0], shot, np.array(rows, np.int64))
         scores.insert(0, score("baseline", shot, solved, truth, equations[0]))
     labels = _labels([each.performance_file for each in shots[1:]])
     for other, equation, label in zip(shots[1:], equations[1:], labels, strict=True):
         known = truth if _same_face(other, shot) else None
         scores.append(score(label, other, other.weights, known, equation))
-    chosen = _choose(spec, shot, solve)
-    spoken = labels_at(spec.phones, shot.take, shot.frames[[frame.row for frame in chosen]])
+    spoken = labels_at(spec.phones, shot.take, shot.frames[rows])
     return _Comparison(shots, equations[0], truth, scores, chosen, spoken)
 
 

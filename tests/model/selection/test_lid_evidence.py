@@ -1,0 +1,86 @@
+"""What is proposed for lids, by what the markers show of them."""
+
+import numpy as np
+import pytest
+
+from tests.model.selection.test_baseline import bent_equation
+from usdface.capture.sniff import read_capture
+from usdface.core.deformer import Deformer
+from usdface.model.placement.label_hints import skin_motion_mm
+from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
+from usdface.model.selection.lid_evidence import LidEvidence
+from usdface.numerics.repair.cleaning import PosePrior, clean_markers
+from usdface.numerics.solve.peak_matching import ShapeEvidence
+from usdface.usdio.rig.read import read_rig
+
+NAMES = ("jawOpen", "eyeBlink_L", "eyeBlink_R")
+
+
+def lids(marked: tuple[bool, bool], peaks: tuple[float, float]) -> LidEvidence:
+    return LidEvidence((1, 2), ShapeEvidence(np.array(marked), np.array(peaks)))
+
+
+@pytest.mark.parametrize(
+    ("evidence", "closing", "fixed", "tied", "words"),
+    [
+        (lids((True, True), (0.6, 0.5)), (1, 2), (), (), ""),
+        (lids((True, True), (0.2, 0.1)), (), (1, 2), (), "show no blinks: of a full blink, 15%"),
+        (lids((True, False), (0.6, 0.1)), (1,), (), ((1, 2),), "on the lid of eyeBlink_R:"),
+        (lids((False, False), (0.9, 0.9)), (), (), ((1, 2),), "both eyes alike"),
+    ],
+)
+def test_what_markers_show_decides_how_lids_are_solved(
+    evidence: LidEvidence,
+    closing: tuple[int, ...],
+    fixed: tuple[int, ...],
+    tied: tuple[tuple[int, ...], ...],
+    words: str,
+) -> None:
+    assert (evidence.closing, evidence.fixed, evidence.tied) == (closing, fixed, tied)
+    assert words in evidence.note(NAMES)
+    assert bool(words) == bool(evidence.note(NAMES))
+
+
+def test_lids_without_evidence_stay_at_rest_and_lids_without_marker_follow() -> None:
+    equation, shapes = bent_equation()
+    weights = np.random.default_rng(1).random((20, 3))
+    seen = equation.neutral + shapes.offsets(weights)
+    solved = {}
+    for name, evidence in (
+        ("rest", lids((True, True), (0, 0))),
+        ("tied", lids((True, False), (1, 0))),
+    ):
+        known = {**vars(equation), "lids": evidence}
+        solved[name] = BlendshapeEquation(**known).propose(seen)
+    assert (solved["rest"][:, 1:] == 0).all()
+    assert (solved["rest"][:, 0] > 0).any()
+    np.testing.assert_array_equal(solved["tied"][:, 1], solved["tied"][:, 2])
+    assert (solved["tied"][:, 1] > 0).all()
+
+
+@pytest.mark.slow
+@pytest.mark.fixtures("markers_animface", "rigs")
+def test_a_recorded_brow_take_shows_no_blinks(shared_data) -> None:
+    markers = read_capture(shared_data / "markers_animface" / "EyebrowsMoCap.c3d").take.markers
+    positions, prior = markers.positions.astype(float), skin_motion_mm(markers.names)
+    seen, still = np.ones(positions.shape[:2], bool), np.flatnonzero(np.array(prior) <= 1.0)
+    cleaned = clean_markers(
+        positions, seen, rigid=still.tolist(), neutral=0, pose_prior=PosePrior(prior, 60.0)
+    ).positions.astype(float)
+    rig = read_rig(shared_data / "rigs" / "facecap_head.usdc")
+    equation = set_up_equation(
+        rig,
+        Deformer(rig),
+        neutral=cleaned[0],
+        positions=cleaned,
+        visible=seen,
+        rigid=(),
+        labels=markers.names,
+    )
+    assert equation.lids is not None
+    assert [rig.shapes[shape] for shape in equation.lids.fixed] == ["eyeBlink_L", "eyeBlink_R"]
+    assert equation.lids.seen.own_peaks.max() < 0.25
+    np.testing.assert_array_equal(equation.gain, 1.0)
+    weights = equation.propose(cleaned[::10])
+    brows = [i for i, name in enumerate(rig.shapes) if name.startswith("brow")]
+    assert weights[:, brows].max() > 0.5
