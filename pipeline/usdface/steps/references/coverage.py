@@ -26,7 +26,7 @@ def run(
     write_image(spec.out, measured.picture(spec.references.stem), metadata=metadata)
     progress(1.0, "done")
     coverage = covered.coverage
-    notes = [*measured.notes]
+    notes = []
     if len(measured.rows) < len(pairs):
         notes.append(
             f"{len(pairs) - len(measured.rows)} of {len(pairs)} pairs are of other takes; they "
@@ -36,6 +36,7 @@ def run(
         f"frame {each.frame} of {each.take} next: {each.share:.1%} would be covered"
         for each in next_frames(covered, takes)[:_NAMED_FRAMES]
     ]
+    notes += measured.notes
     return StepResult(
         (spec.out,),
         f"{len(pairs)} pairs, {measured.tuned_count} of them tuned, cover {coverage.share:.1%} of "
