@@ -196,6 +196,25 @@ def test_decimal_commas_are_refused_and_not_read_as_columns(shot: Shot) -> None:
     assert run(ReferencesImportSpec(references=asset, weights=table)).figures["pairs"] == 2
 
 
+def test_an_untuned_start_is_named_and_imports_count_all_that_is_tuned(shot: Shot) -> None:
+    asset = shot / "untuned.references.usda"
+    selected = run(
+        SelectSpec(
+            takes=(shot / "shot.clean.take.usda",), rig=shot / "hero.usdc", out=asset, count=6
+        )
+    )
+    trained = run(TrainSpec(references=asset, out=shot / "untuned.mapping.usdc"))
+    for report in (selected, trained):
+        assert any(note.startswith("an untuned start: all ") for note in report.notes)
+        assert any("--tuned-only" in note for note in report.notes)
+    for count, frame in enumerate(read_references(asset).frames[:2].tolist(), start=1):
+        table = shot / f"tuned{count}.csv"
+        table.write_text(f"frame,jawOpen\n{frame},0.25\n")
+        imported = run(ReferencesImportSpec(references=asset, weights=table))
+        assert imported.summary == f"1 pair imported, 1 shape each; {count} of 6 pairs are tuned"
+        assert (imported.figures["pairs"], imported.figures["tuned"]) == (1, count)
+
+
 def test_a_reopened_mapping_predicts_the_same_to_the_last_bit(shot: Shot) -> None:
     references = read_references(shot / "hero.references.usda")
     rig = read_rig(shot / "hero.usdc")
