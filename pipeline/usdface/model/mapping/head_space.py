@@ -10,6 +10,7 @@ from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.model.mapping.performer_face import PerformerFace, face_of_mapping
 from usdface.model.mapping.take_neutral import TakeNeutral, compare_neutral
+from usdface.model.placement.plausibility import unit_remedy
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.numerics.rigid.rigid_alignment import optimal_rotations
 
@@ -248,9 +249,9 @@ def _rigid_movement(
         size = float(sizes[0] / sizes[1])
         if not 1 / OTHER_UNIT < size < OTHER_UNIT:
             raise InputError(
-                f"the take's rigid markers are {size:.3g} times as far from each other as the "
-                "mapping's: one of them is in another unit; ingest it again with --units. It may "
-                "also be another performer"
+                f"the take's rigid markers are {size:.3g} times as far from each other as in the "
+                "takes it is compared with, and one of them is in another unit; ingest it again and "
+                f"{unit_remedy(size)}"
             )
         raise InputError(
             f"the take's rigid markers are {np.median(away):.1f} mm from where the mapping had "

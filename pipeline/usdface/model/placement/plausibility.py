@@ -50,10 +50,6 @@ LYING_DEGREES = 60.0
 Academy of Orthopaedic Surgeons, range of motion), and a wrong axis turns by 90 or 180."""
 TILTED_DEGREES = 45.0
 
-SAME_SIZE = 1.4
-"""Ratio of two takes' sizes beyond that of any two heads, a child's and an adult's: units differ by
-2.5 or 10."""
-
 _FEWEST_LABELLED = 8
 _LEAST_EXPLAINED = 0.6
 """Of the spread of the markers, by the template: with less, labels do not mean what is read."""
@@ -179,34 +175,7 @@ def settle_findings(
     return tuple(f"{each.message}; {before_remedy}{each.remedy}" for each in findings)
 
 
-def check_same_size(
-    cloud: FloatArray, first: FloatArray, *, source: object, first_source: object
-) -> None:
-    """Refuse a take whose markers are much farther from each other than another's, or nearer.
-
-    Parameters
-    ----------
-    cloud, first : (markers, 3) float arrays
-        Middle position of each marker in either take [mm].
-    source, first_source : object
-        Files, for the message.
-
-    Raises
-    ------
-    InputError
-        With the ratio, and the unit that it looks like.
-    """
-    apart, wanted = pdist(cloud), pdist(first)
-    ratio = float(np.median(apart[wanted > 0] / wanted[wanted > 0])) if wanted.any() else 1.0
-    if not 1 / SAME_SIZE <= ratio <= SAME_SIZE:
-        raise InputError(
-            f"{source}: its face is {ratio:.3g} times the size of that of {first_source}, by the "
-            "distances between its markers, and both are to be of one performer; ingest one of "
-            f"them again and {_unit_remedy(ratio)}"
-        )
-
-
-def _unit_remedy(size: float) -> str:
+def unit_remedy(size: float) -> str:
     """Return the option that mends a size, with the slip of units that it looks like."""
     slip = min(_UNIT_SLIPS, key=lambda factor: abs(np.log(factor * size)))
     if abs(np.log(slip * size)) > np.log(_NEAR_SLIP):
@@ -237,7 +206,7 @@ def _labelled_size(fits: list[FaceFit]) -> Iterable[PlausibilityFinding]:
         not SIZE_LIMITS[0] <= size <= SIZE_LIMITS[1],
         f"the face is {size:.3g} times the size of an adult's, by where the labelled parts lie "
         f"({SIZE_RANGE[0]:g} to {SIZE_RANGE[1]:g} are usual)",
-        _unit_remedy(size),
+        unit_remedy(size),
     )
 
 
@@ -254,7 +223,7 @@ def _cloud_size(positions: FloatArray, seen: BoolArray) -> Iterable[Plausibility
         "size",
         not low <= extent <= high,
         f"the markers span {extent:.3g} mm, and those of a head {low:g} to {HEAD_MM:g}",
-        f"{_unit_remedy(extent / 200.0)}; if they are a whole body's, keep those of the face",
+        f"{unit_remedy(extent / 200.0)}; if they are a whole body's, keep those of the face",
     )
 
 

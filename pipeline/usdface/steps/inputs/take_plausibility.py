@@ -4,10 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import Float32Array, FloatArray
 from usdface.core.assets import Markers, Rig
 from usdface.model.placement.plausibility import (
-    check_same_size,
     judge_markers,
     settle_findings,
 )
@@ -24,13 +22,9 @@ def plausibility_notes(takes: CleanedTakes, paths: tuple[Path, ...], rig: Rig) -
     Raises
     ------
     InputError
-        If a take that was not judged at ingest cannot be a human face's, faces of two takes
-        differ in size as units do, or the rig's head lies.
+        If a take that was not judged at ingest cannot be a human face's, or the rig's head lies.
     """
     notes = [f"{rig.file.name}: {doubt}" for doubt in check_rig_stands(rig)]
-    middles = [_middle(clip) for clip in takes.positions]
-    for middle, path in zip(middles[1:], paths[1:], strict=True):
-        check_same_size(middle, middles[0], source=path, first_source=paths[0])
     for index, (path, source) in enumerate(zip(paths, takes.sources, strict=True)):
         doubts = source.doubts
         if doubts is None:
@@ -56,12 +50,6 @@ def bound_take_notes(take: TakeReader) -> list[str]:
     frames = np.unique(np.linspace(take.first_frame, take.last_frame, _SAMPLE_FRAMES).astype(int))
     markers = take.read_markers_at(frames.tolist())
     return [] if markers is None else list(_judge(markers, take.path, None))
-
-
-def _middle(positions: Float32Array) -> FloatArray:
-    """Return the median place of each marker, over frames spread through the take."""
-    rows = np.unique(np.linspace(0, len(positions) - 1, _SAMPLE_FRAMES).astype(np.int64))
-    return np.asarray(np.median(positions[rows].astype(np.float64), axis=0))
 
 
 def _judge(markers: Markers, path: Path, rate: float | None) -> tuple[str, ...]:
