@@ -250,7 +250,7 @@ def _rigid_movement(
         if not 1 / OTHER_UNIT < size < OTHER_UNIT:
             raise InputError(
                 f"the take's rigid markers are {size:.3g} times as far from each other as in the "
-                "takes it is compared with, and one of them is in another unit; ingest it again and "
+                "takes it is compared with: one of them is in another unit; ingest it again and "
                 f"{unit_remedy(size)}"
             )
         raise InputError(
