@@ -95,9 +95,9 @@ def read_ruler() -> ModuleType:
     return module
 
 
-def prepare(folder: Path, kind: str, truth: Any) -> None:
-    """Spoil, ingest and clean the capture; write the keys."""
-    source = SHARED_DATA / "crosstake"
+def prepare(folder: Path, kind: str, truth: Any, name: str = "crosstake") -> None:
+    """Spoil, ingest and clean a fixture's capture; write the keys."""
+    source = SHARED_DATA / name
     said = json.loads((source / "take.json").read_text())
     capture = source / "take.c3d"
     if kind != DAMAGES[0]:

@@ -94,9 +94,10 @@ def _smoothing(mode: str, frames: int) -> float:
     weights = np.random.default_rng(0).uniform(-0.1, 1.1, size=(frames, 51))
     solve = TemporalSolve(mode)  # type: ignore[arg-type]
     ranges = np.tile([0.0, 1.0], (51, 1))
-    sure = np.ones(frames)
+    sure = np.zeros(frames)
     return _fastest(
-        lambda: smooth_weights(weights, confidence=sure, ranges=ranges, rate=60.0, solve=solve), 2
+        lambda: smooth_weights(weights, uncertainty_mm=sure, ranges=ranges, rate=60.0, solve=solve),
+        2,
     )
 
 

@@ -66,7 +66,7 @@ def run(quick: bool = False) -> None:
 _LABELS = {
     "bare": "bare write",
     "weights": "our writer, weights alone",
-    "performance": "our writer, with confidence and residual",
+    "performance": "our writer, with uncertainty and residual",
 }
 
 
@@ -157,8 +157,8 @@ def _written(
         for weights, trust in solved:
             writer.append(
                 weights,
-                confidence=trust,
-                residual_mm=None if trust is None else trust[:, None],
+                uncertainty_mm=trust,
+                residual_mm=trust,
             )
 
 
@@ -229,7 +229,9 @@ def _mapped(folder: Path, frames: int, method: str) -> dict[str, float]:
             yield partial(MappedMarkers, part, visible[: len(part)], (), (), 0.0)
 
     begun = _now()
-    answers = ((each.weights, each.confidence) for each in predict_pipelined(mapping, placed()))
+    answers = (
+        (each.weights, each.uncertainty[:, :1]) for each in predict_pipelined(mapping, placed())
+    )
     _written(folder, frames, SHAPES, answers)
     return _since(begun)
 
@@ -250,7 +252,10 @@ def _measure(name: str, frames: int) -> dict[str, float]:
             begun = _now()
             with_trust = name == "performance"
             _written(
-                where, frames, SHAPES, ((r, trust[: len(r)] if with_trust else None) for r in rows)
+                where,
+                frames,
+                SHAPES,
+                ((r, trust[: len(r), None] if with_trust else None) for r in rows),
             )
             return _since(begun)
         if name in ("one layer", "parts"):

@@ -79,5 +79,5 @@ def widened(block: slice, frames: int, count: int) -> slice:
 
 
 def sample_frames(count: int, most: int) -> IntArray:
-    """Return at most so many frame indices, spread evenly over the take."""
+    """Return at most so many indices, spread evenly over the frames of a take or other rows."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))

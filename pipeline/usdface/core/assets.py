@@ -420,8 +420,9 @@ class Performance:
 
     Attributes
     ----------
-    confidence : (frames,) float array or None
-        [0-1]
+    uncertainty_mm : (frames, regions) float array or None
+        Standard deviation of the surface around what an animator would key, of the face and its
+        regions [mm]; of the face alone in layers of earlier versions.
     residual_mm : (frames, regions) float array or None
         Distance of the markers from anything the references' takes showed [mm].
     neutral_frame : int or None
@@ -432,7 +433,7 @@ class Performance:
     weights: WeightsClip
     rig_file: Path
     rig_prim: str
-    confidence: FloatArray | None = None
+    uncertainty_mm: FloatArray | None = None
     residual_mm: FloatArray | None = None
     regions: tuple[str, ...] = ()
     timecode_start: str = ""

@@ -14,7 +14,7 @@ from usdface.specs.paths import FilePath, Frames, LayerOut, PrimPath, ReadPath, 
 class TrainSpec(Spec):
     """Train the mapping from marker positions to the weights of a rig.
 
-    `auto` cross-validates ridge, ensemble, rbf and d06 on the references and keeps the one with the
+    `auto` cross-validates face_map, ridge, rbf and d06 on the references and keeps the one with the
     smallest error. The table of scores is stored in the mapping (`usdface describe`).
     """
 
@@ -29,8 +29,8 @@ class TrainSpec(Spec):
     out: LayerOut
     """The mapping to write."""
     method: Name = "auto"
-    """Regression method: `auto`, `ensemble`, `d06`, `ridge`, `rbf`, `multiquadric`, `kernel_cca` or
-    `hybrid`."""
+    """Regression method: `auto`, `face_map`, `ensemble`, `d06`, `ridge`, `rbf`, `multiquadric`,
+    `kernel_cca` or `hybrid`."""
     dimensions: Annotated[int, Field(ge=1, le=1000)] | None = None
     """Number of principal components. Default: chosen by cross-validation."""
     tuned_only: bool = False

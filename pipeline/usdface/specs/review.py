@@ -34,7 +34,7 @@ CameraName = Annotated[
 
 
 SheetLayout = Literal["comparison", "worst", "strip", "characters"]
-FramePick = Literal["expression", "residual", "confidence", "jump", "even"]
+FramePick = Literal["expression", "residual", "uncertainty", "jump", "even"]
 
 
 class SheetSpec(Spec):
@@ -66,7 +66,7 @@ class SheetSpec(Spec):
     """More performances of the same take, on this or other rigs: one column each."""
     pick: FramePick | None = None
     """How frames are chosen: `expression`, strongest expressions and largest errors; `residual`;
-    `confidence`; `jump`, largest change between frames; or `even`. Default: by layout."""
+    `uncertainty`; `jump`, largest change between frames; or `even`. Default: by layout."""
     rows: Annotated[int, Field(ge=1, le=10_000)] | None = None
     """Number of frames. Default: 12, or 48 for a strip."""
     page_rows: Annotated[int, Field(ge=1, le=400)] = 100

@@ -23,11 +23,11 @@ def roughness(weights: np.ndarray) -> float:
 
 
 def smoothed(
-    weights: np.ndarray, solve: TemporalSolve, sure: float = 1.0, rate: float = RATE
+    weights: np.ndarray, solve: TemporalSolve, uncertainty: float = 0.0, rate: float = RATE
 ) -> np.ndarray:
     return smooth_weights(
         weights,
-        confidence=np.full(len(weights), sure),
+        uncertainty_mm=np.full(len(weights), uncertainty),
         ranges=RANGES,
         rate=rate,
         solve=solve,
@@ -94,15 +94,15 @@ def test_the_causal_mode_knows_no_more_than_its_lag() -> None:
     assert (first[101] != second[101]).any()
 
 
-def test_a_frame_of_low_confidence_follows_its_neighbours() -> None:
+def test_an_uncertain_frame_follows_its_neighbours() -> None:
     weights = np.full((60, 2), 0.5)
     weights[30] = 0.9
-    sure = np.ones(60)
+    sure = np.zeros(60)
     unsure = sure.copy()
-    unsure[30] = 0.0
+    unsure[30] = 9.0
     found = [
         smooth_weights(
-            weights, confidence=each, ranges=RANGES, rate=RATE, solve=TemporalSolve("whole")
+            weights, uncertainty_mm=each, ranges=RANGES, rate=RATE, solve=TemporalSolve("whole")
         )[30, 0]
         for each in (sure, unsure)
     ]

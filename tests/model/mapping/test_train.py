@@ -208,7 +208,7 @@ def test_markers_that_never_move_do_no_harm(method: str) -> None:
         references_of(stuck, CHOSEN), ranges=face.ranges, gram=face.gram, method=method
     )
     prediction = predict_weights(mapping, positions)
-    assert np.isfinite(prediction.confidence).all()
+    assert np.isfinite(prediction.uncertainty).all()
     error = prediction.weights - face.weights
     assert np.sqrt((error**2).mean()) < (0.25 if method == "d06" else 0.03)
 

@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from usdface.numerics.regression.linear_posterior import (
-    _calibrate,
-    expect_marker_motion,
-    fit_linear_posterior,
-)
+from usdface.numerics.regression.linear_posterior import _calibrate, fit_linear_posterior
+from usdface.numerics.regression.marker_prior import expect_marker_motion
 
 SHAPES, POINTS, MARKERS, PAIRS = 6, 80, 30, 20
 

@@ -16,7 +16,7 @@ from usdface.specs.performance import JoinSpec, MapSpec
 from usdface.specs.references import ReferencesFromEditsSpec
 from usdface.steps.performance import map as map_step
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.performance.weights_layer import CONFIDENCE_TOLERANCE, RESIDUAL_TOLERANCE_MM
+from usdface.usdio.performance.weights_layer import SAMPLE_TOLERANCE_MM
 from usdface.usdio.validation import validate
 
 
@@ -40,7 +40,7 @@ def all_values(path: Path) -> dict[str, np.ndarray]:
     first, last = reader.first_frame, reader.last_frame
     return {
         "weights": reader.solved(),
-        "confidence": reader.series("face:confidence", first, last),
+        "uncertainty": reader.series("face:uncertainty", first, last),
         "residual": reader.series("face:residual", first, last),
         "frames": reader.frames,
         "timecode": np.array(reader.timecode_start),
@@ -48,8 +48,8 @@ def all_values(path: Path) -> dict[str, np.ndarray]:
 
 
 def assert_same(one: Path, other: Path, *, cut_anywhere: bool = False) -> None:
-    """All is equal; confidence and residual near where cuts make other samples of them be kept."""
-    within = {"confidence": CONFIDENCE_TOLERANCE, "residual": RESIDUAL_TOLERANCE_MM}
+    """All is equal; uncertainty and residual near where cuts make other samples of them be kept."""
+    within = dict.fromkeys(("uncertainty", "residual"), SAMPLE_TOLERANCE_MM)
     found, wanted = all_values(one), all_values(other)
     for name, values in wanted.items():
         if cut_anywhere and name in within:

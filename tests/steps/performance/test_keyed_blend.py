@@ -63,7 +63,7 @@ def test_alpha_runs_from_one_part_to_the_other(
     straight = (1 - share) * ends[0] + share * ends[1]
     np.testing.assert_allclose(blended, straight, rtol=0, atol=1e-6)
     assert np.abs(ends[1] - ends[0]).max() > 1e-3
-    assert len(answers[0].confidence) == 60
+    assert len(answers[0].uncertainty) == 60
 
 
 def test_what_is_no_hybrid_has_nothing_to_blend(shot: Shot) -> None:

@@ -13,7 +13,7 @@ def curves(frames: int = 300) -> dict[str, np.ndarray]:
     return {
         "strength": rng.random(frames),
         "error_mm": rng.random(frames),
-        "confidence": rng.random(frames),
+        "uncertainty_mm": rng.random(frames),
         "jump_mm": rng.random(frames),
     }
 
@@ -22,7 +22,7 @@ def curves(frames: int = 300) -> dict[str, np.ndarray]:
     ("pick", "curve", "extreme"),
     [
         ("residual", "error_mm", np.argmax),
-        ("confidence", "confidence", np.argmin),
+        ("uncertainty", "uncertainty_mm", np.argmax),
         ("jump", "jump_mm", np.argmax),
         ("expression", "strength", np.argmax),
     ],
@@ -43,7 +43,7 @@ def test_one_bad_moment_is_one_row() -> None:
 
 
 @given(
-    pick=st.sampled_from(["expression", "residual", "confidence", "jump", "even"]),
+    pick=st.sampled_from(["expression", "residual", "uncertainty", "jump", "even"]),
     count=st.integers(1, 40),
     frames=st.integers(1, 60),
 )

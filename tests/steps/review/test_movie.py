@@ -244,22 +244,24 @@ def test_a_frame_of_a_movie_keeps_its_size_whatever_is_missing() -> None:
     for pixels in (grey, None):
         panels = [MoviePanel(160, pixels, "video", "no video here"), MoviePanel(91, grey, "face")]
         made = compose_movie_frame(
-            panels, height=91, title="a " * 200, clock="01:00:00:00 7", confidence=0.4
+            panels, height=91, title="a " * 200, clock="01:00:00:00 7", uncertainty_mm=0.4
         )
         assert made.shape == (height, wide, 3)
         assert made[92:].max() > 200  # there are letters
 
 
 @pytest.mark.parametrize("width", [400, 300, 220, 120])
-def test_the_confidence_of_a_narrow_movie_is_no_part_of_its_digits(width: int, monkeypatch) -> None:
+def test_the_uncertainty_of_a_narrow_movie_is_no_part_of_its_digits(
+    width: int, monkeypatch
+) -> None:
     """At 128 pixels, 1.00 was drawn as 00."""
     drawn: list[str] = []
     monkeypatch.setattr(
         "usdface.media.picture.text._cut", lambda text, kept: drawn.append(text) or ""
     )
     panels = [MoviePanel(width, np.full((128, 128, 3), 90, np.uint8), "face")]
-    compose_movie_frame(panels, height=128, title="", clock="01:00:00:00  7", confidence=1.0)
-    assert not [text for text in drawn if "confidence" in text or "1.00" in text]
+    compose_movie_frame(panels, height=128, title="", clock="01:00:00:00  7", uncertainty_mm=1.0)
+    assert not [text for text in drawn if "uncertainty" in text or "1.00" in text]
 
 
 def test_the_cores_used_are_those_this_process_may_use() -> None:

@@ -225,8 +225,8 @@ def test_the_page_tells_what_the_mappings_references_cover(shot: Shot) -> None:
     assert 'alt="Coverage by hero.references.usda"' in text
     assert "<h2>Markers that were repaired</h2>" in text
     assert len(report.figures["worst_frames"]) == 6
-    doubts = [w["reason"] for w in data["worst"] if w["reason"].startswith("confidence")]
-    assert all(float(reason.split()[1]) < review_page.SURE_CONFIDENCE for reason in doubts)
+    doubts = [w["reason"] for w in data["worst"] if w["reason"].startswith("uncertainty")]
+    assert all(float(reason.split()[1]) > review_page.SURE_MM for reason in doubts)
 
 
 def test_references_that_are_gone_leave_the_coverage_out(shot: Shot) -> None:

@@ -49,7 +49,7 @@ def write(folder: Path, *, place: str | None = None, weights=WEIGHTS, first: int
             part = weights[start : start + 7]
             writer.append(
                 part,
-                confidence=np.linspace(0, 1, len(weights))[start : start + 7],
+                uncertainty_mm=np.linspace(0, 1, len(weights))[start : start + 7, None],
                 residual_mm=np.full((len(part), 1), 0.5),
             )
     return path
@@ -80,7 +80,7 @@ def test_performance_reads_back_the_same(tmp_path: Path) -> None:
     assert (back.weights.first_frame, back.weights.rate) == (1001, Fraction(30000, 1001))
     assert back.rig_file.resolve() == (tmp_path / "rig.usda").resolve()
     assert (back.rig_prim, back.regions) == ("/Hero", ("face",))
-    np.testing.assert_allclose(back.confidence, np.linspace(0, 1, 20), atol=1e-6)
+    np.testing.assert_allclose(back.uncertainty_mm[:, 0], np.linspace(0, 1, 20), atol=1e-6)
     np.testing.assert_allclose(back.residual_mm, 0.5)
     assert back.timecode_start == "00:01:00;02"
 

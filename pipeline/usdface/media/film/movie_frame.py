@@ -14,6 +14,9 @@ BAR_SHARE = 0.075
 LEAST_BAR = 26
 
 _BAR_COLOR: Color = (14, 15, 17)
+_UNCERTAIN_MM = 2.0
+"""Uncertainty at the hot end of the ramp: twice what is seen."""
+
 _PANEL_GAP = 2
 
 
@@ -48,7 +51,7 @@ def compose_movie_frame(
     height: int,
     title: str,
     clock: str,
-    confidence: float | None = None,
+    uncertainty_mm: float | None = None,
 ) -> ByteImage:
     """Compose one picture.
 
@@ -60,8 +63,8 @@ def compose_movie_frame(
         Shot and character, at the left of the bar.
     clock : str
         Frame number and timecode, at its right.
-    confidence : float, optional
-        [0-1] Shown as a colour between the two.
+    uncertainty_mm : float, optional
+        [mm] Shown as a colour between the two.
 
     Returns
     -------
@@ -85,7 +88,9 @@ def compose_movie_frame(
         fill_box(picture, x, 0, min(ground, panel.width), small.size + 9, _BAR_COLOR)
         draw_text(picture, panel.label, x=x + 6, y=2, style=label, max_width=panel.width - 12)
         x += panel.width + _PANEL_GAP
-    _draw_bar(picture, height, bar, title=title, clock=clock, confidence=confidence, small=small)
+    _draw_bar(
+        picture, height, bar, title=title, clock=clock, uncertainty_mm=uncertainty_mm, small=small
+    )
     return picture
 
 
@@ -96,7 +101,7 @@ def _draw_bar(
     *,
     title: str,
     clock: str,
-    confidence: float | None,
+    uncertainty_mm: float | None,
     small: TextStyle,
 ) -> None:
     width = picture.shape[1]
@@ -106,11 +111,11 @@ def _draw_bar(
         picture, clock, x=width - 10, y=y, style=style, anchor="right", max_width=width - 20
     )
     right = width - used - 34
-    if confidence is not None:
-        color = bytes_from_linear(heat_ramp(1.0 - confidence))
+    if uncertainty_mm is not None:
+        color = bytes_from_linear(heat_ramp(uncertainty_mm, high=_UNCERTAIN_MM))
         side = round(0.44 * bar)
         room = max(right - side - 10, 0)
-        labels = (f"confidence {confidence:.2f}", f"{confidence:.2f}", "")
+        labels = (f"uncertainty {uncertainty_mm:.2f} mm", f"{uncertainty_mm:.2f} mm", "")
         label = next(each for each in labels if text_width(each, small) <= room)
         text = draw_text(
             picture,

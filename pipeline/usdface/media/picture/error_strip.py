@@ -30,14 +30,10 @@ class ErrorCurve:
         Written at the left of its lane.
     values : (frames,) float array
         NaN where there is none.
-    high, unit : float, str or None
-        Of a figure that is no error, such as an uncertainty of 0 to 1; as the strip's by default.
     """
 
     label: str
     values: FloatArray
-    high: float | None = None
-    unit: str | None = None
 
 
 @dataclass(frozen=True)
@@ -83,10 +79,10 @@ def draw_error_strip(page: ByteImage, strip: ErrorStrip, *, x: int, y: int, widt
         draw_text(page, curve.label, x=x, y=lane + 2, style=_LABEL_STYLE, max_width=room)
         finite = curve.values[np.isfinite(curve.values)]
         if len(finite):
-            mean = f"{finite.mean():.2f} {strip.unit if curve.unit is None else curve.unit}"
+            mean = f"{finite.mean():.2f} {strip.unit}"
             draw_text(page, mean, x=x, y=lane + 26, style=_AXIS_STYLE, max_width=room)
         area = page[lane : lane + LANE_HEIGHT, left : left + inner]
-        _draw_lane(area, curve.values, count, strip.high if curve.high is None else curve.high)
+        _draw_lane(area, curve.values, count, strip.high)
     bottom = top + len(strip.curves) * (LANE_HEIGHT + _LANE_GAP) - _LANE_GAP
     last_end = -(10**9)
     for frame, label in sorted(strip.marks):

@@ -168,7 +168,7 @@ def check_sheet(spec: SheetPage) -> None:
 def all_errors(spec: SheetPage) -> FloatArray:
     """Return every error on the sheet, those of the strips included."""
     shown = [t.value for row in spec.rows for t in row.tiles if t.value is not None]
-    curves = [curve.values for curve in spec.curves if curve.high is None]
+    curves = [curve.values for curve in spec.curves]
     return np.concatenate([np.array(shown, float), *curves])
 
 

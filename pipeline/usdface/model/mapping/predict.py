@@ -9,13 +9,19 @@ from usdface.core.arrays import BoolArray, Float32Array, FloatArray
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.coordinates import marker_coordinates
-from usdface.model.mapping.error_model import confidence_of, likely_error, predictive_variance
 from usdface.model.mapping.head_space import MINIMUM_SHARE
 from usdface.model.mapping.train import motion_of
+from usdface.model.mapping.uncertainty import UncertaintyModel
 from usdface.model.regressions import REMOVED_METHODS, find_method
+from usdface.model.regressions.frame_solve import FrameSolver
+from usdface.model.regressions.target_curve import bend, unbend
 
 _BLOCK_FRAMES = 1024
 """What is worked on stays near the processor: a quarter quicker than in large blocks."""
+
+
+_SOLVED_FRAMES = 64
+"""Frames solved at once: each has a matrix of its own."""
 
 
 @dataclass(frozen=True)
@@ -26,33 +32,29 @@ class Prediction:
     ----------
     weights : (frames, shapes) float array
         Within the mapping's ranges.
-    confidence : (frames,) float array
-        [0-1]: probability that the face is within the tolerance of what an animator would key
-        (`train.SURFACE_TOLERANCE_MM`), times how much of the face's motion the
-        markers seen determine.
+    uncertainty : (frames, regions) float array
+        Standard deviation of each region's surface around what an animator would key: in mm where
+        training knew the rig, else in weights. See `uncertainty`.
     residual_mm : (frames,) float array
         Root mean square distance of the markers seen from anything the performer's takes showed
         [mm]: large where markers are swapped or the face does something new.
     regions : tuple of str
         Parts of the face, the whole first.
-    region_confidence : (frames, regions) float array
     region_residual_mm : (frames, regions) float array
         0 where no marker of the region is seen [mm].
-    region_error : (frames, regions) float array
-        What the error stays below nine times in ten: in mm on the surface where training knew the
-        rig, else in weights.
+    left_mm : (frames, markers, 3) float32 array
+        Markers minus where the weights put them; 0 where unseen [mm].
     few_markers : (frames,) bool array
         True where fewer than `head_space.MINIMUM_SHARE` of the mapping's markers are
-        seen: the face is a guess there, and the confidence 0.
+        seen: the face is a guess there.
     """
 
     weights: FloatArray
-    confidence: FloatArray
+    uncertainty: FloatArray
     residual_mm: FloatArray
     regions: tuple[str, ...]
-    region_confidence: FloatArray
     region_residual_mm: FloatArray
-    region_error: FloatArray
+    left_mm: Float32Array
     few_markers: BoolArray
 
 
@@ -76,17 +78,18 @@ class WeightPredictor:
         try:
             self._motion = motion_of(mapping)
             self._regions = regions_of(mapping)
+            self._solver = FrameSolver.from_arrays(mapping.arrays)
+            self._uncertainty = UncertaintyModel.from_arrays(mapping.arrays)
+            self._method = find_method(mapping.method)
             with np.errstate(all="ignore"):  # what is not finite is refused below
-                self._predict = find_method(mapping.method).prepare(
-                    mapping.arrays, mapping.settings
-                )
+                self._predict = self._method.prepare(mapping.arrays, mapping.settings)
                 tried = self.predict(mapping.neutral[None])
         except (KeyError, ValueError, IndexError, TypeError) as error:
             raise InputError(
                 f"the mapping's arrays do not fit its method, {mapping.method}: "
                 f"{type(error).__name__}: {error}; train it again"
             ) from error
-        if not all(np.isfinite(each).all() for each in (tried.weights, tried.region_error)):
+        if not all(np.isfinite(each).all() for each in (tried.weights, tried.uncertainty)):
             raise InputError(
                 "the mapping predicts values that are not finite for its neutral face, by "
                 f"{mapping.method}; its arrays are damaged: train it again"
@@ -99,35 +102,52 @@ class WeightPredictor:
         visible: BoolArray | None = None,
     ) -> Prediction:
         """Evaluate the mapping on stabilised markers; see `predict_weights`."""
-        mapping, arrays = self._mapping, self._mapping.arrays
+        mapping = self._mapping
         _check_positions(mapping, positions, visible)
         frames, regions = len(positions), len(self._regions)
-        members = arrays["region_markers"].T
+        members = mapping.arrays["region_markers"].T
         weights = np.empty((frames, len(mapping.shape_names)))
-        confidence, residual, error = (np.empty((frames, regions)) for _ in range(3))
+        residual, uncertainty = (np.empty((frames, regions)) for _ in range(2))
+        left = np.empty((frames, len(mapping.marker_names), 3), dtype=np.float32)
         for start in range(0, frames, _BLOCK_FRAMES):
             part = slice(start, start + _BLOCK_FRAMES)
-            found = marker_coordinates(
-                self._motion, positions[part], visible=None if visible is None else visible[part]
+            seen = None if visible is None else visible[part]
+            found = marker_coordinates(self._motion, positions[part], visible=seen)
+            weights[part], uncertainty[part], left[part] = self._solve(
+                found.values, positions[part], seen
             )
-            raw = self._predict(found.values)
-            np.clip(raw, mapping.ranges[:, 0], mapping.ranges[:, 1], out=weights[part])
-            left = predictive_variance(arrays, found.values)
-            confidence[part] = confidence_of(arrays, left) * found.certainty[:, None]
-            error[part] = likely_error(arrays, left) * arrays["region_tolerance"]
             residual[part] = _by_region(found.away_mm, members)
         few_markers = _has_few_markers(frames, visible)
-        confidence[few_markers] = 0.0
         return Prediction(
-            weights,
-            confidence[:, 0],
-            residual[:, 0],
-            self._regions,
-            confidence,
-            residual,
-            error,
-            few_markers,
+            weights, uncertainty, residual[:, 0], self._regions, residual, left, few_markers
         )
+
+    def _solve(
+        self,
+        coordinates: FloatArray,
+        positions: NDArray[np.float32] | NDArray[np.float64],
+        visible: BoolArray | None,
+    ) -> tuple[FloatArray, FloatArray, Float32Array]:
+        """Return weights, uncertainty (frames, regions), and what the weights leave over."""
+        low, high = self._mapping.ranges.T
+        weights = np.clip(self._predict(coordinates), low, high)
+        if visible is None:
+            visible = np.ones(positions.shape[:2], dtype=np.bool_)
+        solver, curve = self._solver, self._solver.forward.scales.curve
+        solves = self._method.solves_frames and solver.solvable
+        uncertainty = np.empty((len(weights), len(self._regions)))
+        left = np.empty(positions.shape, dtype=np.float32)
+        for first in range(0, len(weights), _SOLVED_FRAMES):
+            rows = slice(first, first + _SOLVED_FRAMES)
+            moved = positions[rows] - self._mapping.neutral
+            start = bend((weights[rows] - low) / (high - low), curve)
+            solution = solver.solve(moved, visible[rows], start, bounded=solves)
+            if solves:
+                solved = np.clip(unbend(solution.targets, curve), 0.0, 1.0)
+                weights[rows] = low + (high - low) * solved
+            left[rows] = solution.left.reshape(-1, *left.shape[1:])
+            uncertainty[rows] = self._uncertainty.deviations(solver, solution, visible[rows])
+        return weights, uncertainty, left
 
 
 def predict_weights(
@@ -144,7 +164,7 @@ def predict_weights(
         In the mapping's marker order and head space [mm]; see `into_head_space`.
     visible : (frames, markers) bool array, optional
         False where a position is not to be used; it is then estimated from the others, and the
-        confidence falls; to 0 where too few are left. By default all are used.
+        uncertainty grows. By default all are used.
 
     Raises
     ------
@@ -175,14 +195,14 @@ def _by_region(away_mm: Float32Array, members: FloatArray) -> FloatArray:
 
 
 def regions_of(mapping: TrainedMapping) -> tuple[str, ...]:
-    """Return the parts of the face that a mapping tells residual and confidence for.
+    """Return the parts of the face that a mapping tells residual and uncertainty for.
 
     Raises
     ------
     InputError
         If the mapping was trained before there were any.
     """
-    needed = ("region_markers", "region_tolerance", "familiar_error")
+    needed = ("region_markers", "uncertainty_calibration", "forward_basis")
     missing = [name for name in needed if name not in mapping.arrays]
     if missing or "regions" not in mapping.settings:
         raise InputError(

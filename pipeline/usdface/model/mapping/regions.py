@@ -73,8 +73,8 @@ _LEAST_SHARE = 0.02
 """Of the largest movement: points that no shape moves this far are not face."""
 
 
-def sample_skin(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINTS) -> FloatArray:
-    """Keep evenly spaced ones of the points that shapes move.
+def skin_points(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINTS) -> IntArray:
+    """Choose points that stand for a surface: evenly spaced ones of those that shapes move.
 
     Parameters
     ----------
@@ -82,6 +82,18 @@ def sample_skin(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINT
         What each shape at 1 does to the surface [mm], as `BlendShapes.target_offsets` gives it.
     count : int
         Most points to keep.
+    """
+    from scipy import sparse  # only when wanted: it takes half a second
+
+    energy = np.asarray(sparse.csc_array(offsets).power(2).sum(axis=0)).reshape(-1, 3).sum(axis=1)
+    reach = np.sqrt(energy)
+    moving = np.flatnonzero(reach > _LEAST_SHARE * reach.max(initial=0.0))
+    chosen = np.linspace(0, len(moving) - 1, min(count, len(moving))).astype(np.int64)
+    return np.asarray(moving[chosen], dtype=np.int64)
+
+
+def sample_skin(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINTS) -> FloatArray:
+    """Return what shapes do to the points of `skin_points`.
 
     Returns
     -------
@@ -89,11 +101,34 @@ def sample_skin(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINT
     """
     from scipy import sparse  # only when wanted: it takes half a second
 
-    table = sparse.csc_array(offsets)
-    energy = np.asarray(table.power(2).sum(axis=0)).reshape(-1, 3).sum(axis=1)
-    reach = np.sqrt(energy)
-    moving = np.flatnonzero(reach > _LEAST_SHARE * reach.max(initial=0.0))
-    kept = moving[np.linspace(0, len(moving) - 1, min(count, len(moving))).astype(np.int64)]
-    columns = (3 * kept[:, None] + np.arange(3)).ravel()
+    points, table = skin_points(offsets, count=count), sparse.csc_array(offsets)
+    columns = (3 * points[:, None] + np.arange(3)).ravel()
     sampled: FloatArray = np.asarray(table[:, columns].toarray(), dtype=np.float64)
-    return sampled.reshape(table.shape[0], len(kept), 3)
+    return sampled.reshape(table.shape[0], len(points), 3)
+
+
+def region_grams(
+    gram: FloatArray, skin: FloatArray | None, names: tuple[str, ...], regions: tuple[str, ...]
+) -> FloatArray:
+    """Return what small errors of weights do to each region: (regions, shapes, shapes) [mm^2].
+
+    Parameters
+    ----------
+    gram : (shapes, shapes) float array
+        Of the whole face; also that of regions of which the skin has no points.
+    skin : (shapes, points, 3) float array or None
+        [mm]
+    names : tuple of str
+        Of the shapes.
+    regions : tuple of str
+        The whole face first.
+    """
+    grams = np.tile(gram, (len(regions), 1, 1))
+    if skin is None:
+        return grams
+    points = region_points(names, skin)
+    for row, region in enumerate(regions[1:], start=1):
+        if len(points.get(region, ())):
+            moved = skin[:, points[region]].reshape(len(skin), -1)
+            grams[row] = moved @ moved.T / len(points[region])
+    return grams

@@ -1,7 +1,7 @@
 """Weights that move as faces do: smoothed over time, as a whole take or as frames arrive.
 
 A mapping looks at one frame at a time. Smoothing its weights takes out what no face does, at a
-cut-off that keeps blinks; frames of low confidence are interpolated from their neighbours. Ranges
+cut-off that keeps blinks; uncertain frames are interpolated from their neighbours. Ranges
 are constraints of the problem, not cut off afterwards.
 """
 
@@ -38,6 +38,7 @@ their peaks, two .06, three .15."""
 MARGIN_FRAMES = 64
 """Least margin of a window: what happens farther away does not change its frames."""
 
+_HALF_TRUST_MM = 1.0  # uncertainty at which a frame counts half: what is seen
 _LEAST_TRUST = 0.25  # a blink may be the frame that references know least
 _ROUNDING_SHARE = 1e-10  # of a change
 
@@ -52,7 +53,7 @@ class TemporalSolve:
     ----------
     mode : {'none', 'whole', 'causal', 'bands'}
         Not at all; every frame by those before and after it; by those before it and `lag` frames
-        after; or as published, by a filter bank that ignores confidence and is limited last.
+        after; or as published, by a filter bank that ignores uncertainty and is limited last.
     cutoff_hz : float or None
         None for `CUTOFF_HZ`, or `CUTOFF_SHARE` of the rate where that is less.
     lag : int
@@ -90,7 +91,7 @@ class TemporalSolve:
 def smooth_weights(
     weights: FloatArray,
     *,
-    confidence: FloatArray,
+    uncertainty_mm: FloatArray,
     ranges: FloatArray,
     rate: float,
     solve: TemporalSolve,
@@ -103,8 +104,8 @@ def smooth_weights(
     Parameters
     ----------
     weights : (frames, shapes) float array
-    confidence : (frames,) float array
-        [0-1]
+    uncertainty_mm : (frames,) float array
+        Of the face [mm].
     ranges : (shapes, 2) float array
     rate : float
         Frames per second.
@@ -120,7 +121,7 @@ def smooth_weights(
         If the cut-off does not fit the rate or a value is not finite.
     """
     lower, upper = ranges[:, 0], ranges[:, 1]
-    trust = np.clip(confidence, _LEAST_TRUST, 1.0)
+    trust = np.maximum(1 / (1 + (uncertainty_mm / _HALF_TRUST_MM) ** 2), _LEAST_TRUST)
     if solve.mode == "none":
         return weights
     try:

@@ -11,10 +11,15 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.model.mapping.checks import check_dimensions, check_references, check_skin
 from usdface.model.mapping.coordinates import marker_coordinates
-from usdface.model.mapping.error_model import fit_error_model
 from usdface.model.mapping.motion_space import motion_from_pca
 from usdface.model.mapping.performer_face import thinned_sample
-from usdface.model.mapping.regions import marker_motion, membership, region_points
+from usdface.model.mapping.regions import (
+    marker_motion,
+    membership,
+    region_grams,
+    region_points,
+)
+from usdface.model.mapping.uncertainty import UncertaintyModel, calibrate_uncertainty
 from usdface.model.regressions import (
     AUTO,
     Arrays,
@@ -24,17 +29,18 @@ from usdface.model.regressions import (
     Settings,
     find_method,
 )
+from usdface.model.regressions.base import Fitted
+from usdface.model.regressions.forward_model import ForwardModel, ForwardScales, fit_forward_model
+from usdface.model.regressions.frame_solve import FrameSolver
+from usdface.model.regressions.target_curve import bend, unbend
+from usdface.numerics.measure.face_regions import shapes_by_region
 from usdface.numerics.regression.cross_validation import (
-    Fold,
     blocked_folds,
-    predict_out_of_fold,
-    surface_errors_mm,
     surface_rms_mm,
     weight_rmse,
 )
+from usdface.numerics.regression.marker_prior import expect_marker_motion
 from usdface.numerics.regression.pca import fit_pca
-
-_FOLD_COUNT = 5
 
 MINIMUM_TO_COMPARE = 8
 """Pairs below which cross-validation is chance: the first, simplest candidate is taken."""
@@ -42,9 +48,23 @@ MINIMUM_TO_COMPARE = 8
 OBSERVABLE_ERROR_SHARE = 0.9
 """Of a shape's variance: a mean squared error above it says that markers do not show the shape."""
 
-SURFACE_TOLERANCE_MM = 1.0
-WEIGHT_TOLERANCE = 0.1
-"""Errors that would be seen: confidence is the probability of smaller ones."""
+_LEAST_T = 2.0
+"""Student's t beyond which another method than the default is no chance: one in twenty."""
+
+_BLOCK_FRAMES = 120
+"""A second or two: faces and their errors last about as long."""
+
+_STILL_SHARE = 0.1
+"""Of its range: a region whose shapes all stay within it is one that no reference moves."""
+
+_UNKNOWN_ERROR = 0.1
+"""Of a weight: usual error where pairs are too few to measure it."""
+
+_UNKNOWN_CALIBRATION = 2.0
+"""Of uncertainty where pairs are too few to calibrate it."""
+
+_PRIOR_CURVE = 0.3
+"""Bend of weights under which markers are looked for on the skin; it hardly matters there."""
 
 
 @dataclass(frozen=True)
@@ -54,18 +74,37 @@ class _Candidate:
 
 
 @dataclass(frozen=True)
+class _Unseen:
+    """What a candidate makes of pairs that its fit has not seen.
+
+    Attributes
+    ----------
+    errors : (pairs, shapes) float array
+        Of weights.
+    start : (pairs, shapes) float array
+        Bent weights, before the frames are solved.
+    usual : (pairs, shapes) float array or None
+        The fits' own estimates of that start's error, normalised; None where it makes none.
+    """
+
+    errors: FloatArray
+    start: FloatArray
+    usual: FloatArray | None
+
+
+@dataclass(frozen=True)
 class _Compared:
     """Candidates by error, the best first.
 
     Attributes
     ----------
-    errors : (pairs, shapes) float array or None
-        Of the best on unseen pairs; None where pairs were too few to compare.
+    unseen : _Unseen or None
+        Of the best; None where pairs were too few to compare.
     observable : (shapes,) bool array
     """
 
     best: _Candidate
-    errors: FloatArray | None
+    unseen: _Unseen | None
     observable: BoolArray
     scores: tuple[CandidateScore, ...]
 
@@ -76,6 +115,7 @@ def train_mapping(
     ranges: FloatArray,
     gram: FloatArray | None,
     skin: FloatArray | None = None,
+    rest: FloatArray | None = None,
     method: str = "auto",
     dimensions: int | None = None,
     progress: Progress = silent,
@@ -98,6 +138,9 @@ def train_mapping(
     skin : (shapes, points, 3) float array, optional
         What each shape at 1 does to points spread over the rig's surface [mm]; see `sample_skin`.
         With it a mapping also uses the rig's geometry, beyond the pairs.
+    rest : (points, 3) float array, optional
+        Where those points are on the rig's neutral [mm]: markers are then placed by where they
+        are as well, not by their motion alone.
     method : str
         A key of `usdface.model.regressions.MAPPING_METHODS`, or ``'auto'`` to try several.
     dimensions : int, optional
@@ -118,18 +161,23 @@ def train_mapping(
         gram=np.eye(len(ranges)) if gram is None else gram.astype(np.float64),
         motion=motion,
         skin=skin,
+        rest=rest,
+        neutral=checked.neutral.astype(np.float64),
     )
-    coordinates = marker_coordinates(motion, checked.markers).values
-    pairs = Pairs(coordinates, checked.weights, face)
-    folds = blocked_folds(checked.frames, checked.takes, folds=_FOLD_COUNT)
+    markers = checked.markers.astype(np.float64)
+    pairs = Pairs(marker_coordinates(motion, markers).values, checked.weights, face, markers)
+    progress(0.0, "fitting the forward model")
+    forward = _fit_forward(pairs)
+    folds = _Folds(pairs, forward.scales, checked)
     candidates = _candidates(pairs, method, dimensions)
-    compared = _compare(candidates, pairs, folds, in_mm=gram is not None, progress=progress)
+    compared = _compare(candidates, folds, in_mm=gram is not None, progress=progress)
     best = compared.best
     progress(0.9, f"fitting {best.method.name}")
     fitted = best.method.fit(pairs, best.settings)
     progress(1.0, f"trained {best.method.name}")
-    regions, error_arrays = _error_model(compared.errors, pairs, folds, checked, gram)
-    arrays = fitted.arrays | _motion_arrays(motion) | error_arrays
+    solver = FrameSolver(forward, _usual_error(fitted, compared.unseen, face))
+    regions, error_arrays = _uncertainty(compared, folds, checked.shape_names, solver)
+    arrays = fitted.arrays | _motion_arrays(motion) | solver.to_arrays() | error_arrays
     return TrainedMapping(
         method=best.method.name,
         marker_names=checked.marker_names,
@@ -145,6 +193,7 @@ def train_mapping(
             "pairs": len(pairs.outputs),
             "limited_weights": sound.limited_weights,
             "regions": ",".join(regions),
+            "still_regions": ",".join(_still_regions(folds, regions, checked.shape_names)),
             "unobservable_shapes": int((~compared.observable).sum()),
             "performer": checked.performer,
             "session": checked.session,
@@ -153,48 +202,183 @@ def train_mapping(
     )
 
 
+class _Folds:
+    """Pairs in folds of other moments, with a forward model that has not seen each."""
+
+    def __init__(self, pairs: Pairs, scales: ForwardScales, references: References) -> None:
+        self.pairs = pairs
+        self.folds = blocked_folds(references.frames, references.takes)
+        self.blocks = time_blocks(references.frames, references.takes)
+        self.forwards = [_fit_forward(pairs.rows(fold.train), scales) for fold in self.folds]
+        self.targets = bend(pairs.face.normalise(pairs.outputs), scales.curve)
+        self.curve = scales.curve
+
+    def displacements(self, rows: IntArray) -> tuple[FloatArray, BoolArray]:
+        """Return displacements [mm] and visibility of some pairs."""
+        moved = _displacements(self.pairs.rows(rows))
+        return moved, np.ones(moved.shape[:2], dtype=np.bool_)
+
+    def predict(self, candidate: _Candidate) -> _Unseen:
+        """Predict every pair by a fit that has not seen it."""
+        pairs, face, method = self.pairs, self.pairs.face, candidate.method
+        low, span = face.ranges[:, 0], np.ptp(face.ranges, axis=1)
+        errors, start, usual = (np.full_like(pairs.outputs, np.nan) for _ in range(3))
+        for fold, forward in zip(self.folds, self.forwards, strict=True):
+            settings = dict(candidate.settings)
+            if "dimensions" in settings:  # a fold may have too few pairs for what all of them carry
+                most = max(len(fold.train) - 1, 1)
+                settings["dimensions"] = min(int(settings["dimensions"]), most)
+            fitted = method.fit(pairs.rows(fold.train), settings)
+            found = method.predict(fitted.arrays, fitted.settings, pairs.inputs[fold.test])
+            t = bend(face.normalise(found), self.curve)
+            start[fold.test] = t
+            found = np.clip(found, *face.ranges.T)
+            if method.solves_frames:
+                usual[fold.test] = fitted.arrays["start_error"]
+            solver = FrameSolver(forward, fitted.arrays.get("start_error", np.ones(0)))
+            if method.solves_frames and solver.solvable:
+                t = solver.solve(*self.displacements(fold.test), t).targets
+                found = low + span * np.clip(unbend(t, self.curve), 0.0, 1.0)
+            errors[fold.test] = found - pairs.outputs[fold.test]
+        return _Unseen(errors, start, usual if method.solves_frames else None)
+
+    def deviations(
+        self, candidate: _Candidate, unseen: _Unseen, model: UncertaintyModel, error: FloatArray
+    ) -> FloatArray:
+        """Return the uncalibrated uncertainty of every pair: (pairs, regions) [mm]."""
+        out = np.empty((len(unseen.start), len(model.grams)))
+        for fold, forward in zip(self.folds, self.forwards, strict=True):
+            own = error if unseen.usual is None else unseen.usual[fold.test[0]]
+            solver, (moved, visible) = FrameSolver(forward, own), self.displacements(fold.test)
+            bounded = candidate.method.solves_frames and solver.solvable
+            solution = solver.solve(moved, visible, unseen.start[fold.test], bounded=bounded)
+            out[fold.test] = model.deviations(solver, solution, visible)
+        return out
+
+
+def _fit_forward(pairs: Pairs, scales: ForwardScales | None = None) -> ForwardModel:
+    """Fit the forward model, from what the rig's shapes do or, without a rig, the pairs' line."""
+    face = pairs.face
+    weights, moved = face.normalise(pairs.outputs), _displacements(pairs)
+    if face.skin is None:
+        expected = marker_motion(weights, moved)
+    else:
+        expected = expect_marker_motion(
+            face.skin * np.ptp(face.ranges, axis=1)[:, None, None],
+            bend(weights, _PRIOR_CURVE),
+            moved,
+            rest=face.rest,
+            neutral=face.neutral,
+        ).basis
+    neutral = np.zeros(moved.shape[1:]) if face.neutral is None else face.neutral
+    return fit_forward_model(weights, moved, expected=expected, neutral=neutral, scales=scales)
+
+
+def _displacements(pairs: Pairs) -> FloatArray:
+    if pairs.markers is None or pairs.face.neutral is None:
+        raise ValueError("a mapping's pairs need markers and a neutral")
+    return pairs.markers - pairs.face.neutral
+
+
+def _usual_error(fitted: Fitted, unseen: _Unseen | None, face: Face) -> FloatArray:
+    """Return the usual error of a method's normalised weights: (shapes,)."""
+    if "start_error" in fitted.arrays:
+        return fitted.arrays["start_error"]
+    if unseen is None:
+        return np.full(len(face.ranges), _UNKNOWN_ERROR)
+    return np.asarray(np.sqrt((unseen.errors**2).mean(axis=0)) / np.ptp(face.ranges, axis=1))
+
+
 def _compare(
     candidates: list[_Candidate],
-    pairs: Pairs,
-    folds: tuple[Fold, ...],
+    folds: _Folds,
     *,
     in_mm: bool,
     progress: Progress,
 ) -> _Compared:
     """Predict each pair by every candidate from pairs of other moments."""
-    tried = []
+    pairs, tried = folds.pairs, []
     for i, candidate in enumerate(candidates if len(pairs.outputs) >= MINIMUM_TO_COMPARE else []):
         progress(0.9 * i / len(candidates), f"cross-validating {candidate.method.name}")
-        tried.append((_unseen_errors(candidate, pairs, folds), candidate))
-    observable = observable_shapes([errors for errors, _ in tried], pairs.outputs)
+        tried.append((folds.predict(candidate), candidate))
+    observable = observable_shapes([unseen.errors for unseen, _ in tried], pairs.outputs)
     gram = pairs.face.gram if in_mm else None
     scored = [
-        (_score(candidate, errors, observable, gram), candidate, errors)
-        for errors, candidate in tried
+        (_score(candidate, unseen.errors, observable, gram), candidate, unseen)
+        for unseen, candidate in tried
     ]
     scored.sort(key=lambda entry: _order(entry[0]))
-    best, errors = (scored[0][1], scored[0][2]) if scored else (candidates[0], None)
-    return _Compared(best, errors, observable, tuple(score for score, _, _ in scored))
+    best, unseen = candidates[0], None
+    if scored:
+        winner = scored[0]
+        usual = next((each for each in scored if each[1].method.name == AUTO[0]), winner)
+        weight = np.eye(pairs.outputs.shape[1]) if gram is None else gram
+        if paired_t(usual[2].errors, winner[2].errors, weight, folds.blocks) <= _LEAST_T:
+            winner = usual
+        best, unseen = winner[1], winner[2]
+    return _Compared(best, unseen, observable, tuple(score for score, _, _ in scored))
 
 
-def _error_model(
-    errors: FloatArray | None,
-    pairs: Pairs,
-    folds: tuple[Fold, ...],
-    references: References,
-    gram: FloatArray | None,
+def time_blocks(frames: IntArray, takes: Sequence[str]) -> IntArray:
+    """Return the number of the block of `_BLOCK_FRAMES` that each pair is in: (pairs,)."""
+    codes = np.unique(np.asarray(takes, dtype=str), return_inverse=True)[1]
+    rows = np.column_stack([codes, np.asarray(frames) // _BLOCK_FRAMES])
+    return np.asarray(np.unique(rows, axis=0, return_inverse=True)[1]).ravel()
+
+
+def paired_t(usual: FloatArray, other: FloatArray, gram: FloatArray, blocks: IntArray) -> float:
+    """Return Student's t of by how much another method errs less, paired over blocks of time.
+
+    Errors within a block are alike, and count as one.
+
+    Parameters
+    ----------
+    usual, other : (pairs, shapes) float array
+        Errors of the two methods on pairs they have not seen.
+    gram : (shapes, shapes) float array
+        Makes errors squared distances.
+    blocks : (pairs,) int array
+        From `time_blocks`.
+    """
+    gained = np.einsum("ns,st,nt->n", usual, gram, usual, optimize=True)
+    gained -= np.einsum("ns,st,nt->n", other, gram, other, optimize=True)
+    means = np.bincount(blocks, gained) / np.bincount(blocks)
+    if len(means) < 2 or not means.any():
+        return 0.0
+    error = max(float(means.std(ddof=1)) / np.sqrt(len(means)), np.finfo(float).tiny)
+    return float(means.mean() / error)
+
+
+def _uncertainty(
+    compared: _Compared, folds: _Folds, names: tuple[str, ...], solver: FrameSolver
 ) -> tuple[tuple[str, ...], Arrays]:
-    """Return the parts of the face, and the arrays that tell each part's expected error."""
-    motion = marker_motion(pairs.outputs, references.markers.astype(np.float64))
-    points = region_points(references.shape_names, motion)
+    """Return the regions of the face, and the arrays that tell each region's uncertainty."""
+    face = folds.pairs.face
+    span = np.ptp(face.ranges, axis=1)
+    points = region_points(names, solver.forward.basis)
     regions = tuple(points)
-    tolerance, seen = _seen_errors(errors, pairs, regions, references.shape_names, gram)
-    arrays = fit_error_model(
-        pairs.inputs, pairs.face.motion, folds=folds, error_over_tolerance=seen
-    )
-    arrays["region_markers"] = membership(points, len(references.marker_names))
-    arrays["region_tolerance"] = np.array([tolerance])
+    grams = region_grams(face.gram, face.skin, names, regions) * np.outer(span, span)
+    model = UncertaintyModel(grams, np.ones(len(regions)))
+    calibration = np.full(len(regions), _UNKNOWN_CALIBRATION)
+    unseen = compared.unseen
+    if unseen is not None:
+        deviations = folds.deviations(compared.best, unseen, model, solver.error)
+        calibration = calibrate_uncertainty(grams, unseen.errors / span, deviations)
+    arrays = UncertaintyModel(grams, calibration).to_arrays()
+    arrays["region_markers"] = membership(points, len(solver.forward.noise))
     return regions, arrays
+
+
+def _still_regions(
+    folds: _Folds, regions: tuple[str, ...], names: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Return the regions that no reference moves: what moves them later, only the rig tells."""
+    weights, shapes = folds.pairs.face.normalise(folds.pairs.outputs), shapes_by_region(names)
+    return tuple(
+        region
+        for region in regions[1:]
+        if region in shapes and np.ptp(weights[:, shapes[region]], axis=0).max() < _STILL_SHARE
+    )
 
 
 def _motion_arrays(motion: MotionSpace) -> Arrays:
@@ -263,20 +447,6 @@ def observable_shapes(errors: Sequence[FloatArray], weights: FloatArray) -> Bool
     return observable if observable.any() else np.ones_like(observable)
 
 
-def _unseen_errors(candidate: _Candidate, pairs: Pairs, folds: tuple[Fold, ...]) -> FloatArray:
-    def fit_predict(train: IntArray, test: IntArray) -> FloatArray:
-        seen = pairs.rows(train)
-        settings = dict(candidate.settings)
-        if "dimensions" in settings:  # a fold may have too few pairs for what all of them carry
-            settings["dimensions"] = min(int(settings["dimensions"]), max(len(train) - 1, 1))
-        fitted = candidate.method.fit(seen, settings)
-        predicted = candidate.method.predict(fitted.arrays, fitted.settings, pairs.inputs[test])
-        return np.clip(predicted, *pairs.face.ranges.T)
-
-    predicted = predict_out_of_fold(fit_predict, folds, width=pairs.outputs.shape[1])
-    return predicted - pairs.outputs
-
-
 def _score(
     candidate: _Candidate, errors: FloatArray, observable: BoolArray, gram: FloatArray | None
 ) -> CandidateScore:
@@ -291,28 +461,6 @@ def _score(
             else surface_rms_mm(seen, gram[np.ix_(observable, observable)])
         ),
     )
-
-
-def _seen_errors(
-    errors: FloatArray | None,
-    pairs: Pairs,
-    regions: tuple[str, ...],
-    names: tuple[str, ...],
-    gram: FloatArray | None,
-) -> tuple[float, FloatArray]:
-    """Return the tolerance, and errors over it: (pairs, regions), or a row where none are known."""
-    tolerance = WEIGHT_TOLERANCE if gram is None else SURFACE_TOLERANCE_MM
-    if errors is None:
-        return tolerance, np.ones((1, len(regions)))
-    whole = np.sqrt((errors**2).mean(axis=1)) if gram is None else surface_errors_mm(errors, gram)
-    each = np.tile(whole[:, None], (1, len(regions)))
-    if gram is not None and pairs.face.skin is not None:
-        for region, points in region_points(names, pairs.face.skin).items():
-            if region in regions[1:]:
-                moved = np.einsum("ns,spc->npc", errors, pairs.face.skin[:, points], optimize=True)
-                size = np.sqrt((moved**2).sum(axis=2).mean(axis=1))
-                each[:, regions.index(region)] = size
-    return tolerance, each / tolerance
 
 
 def _order(score: CandidateScore) -> float:

@@ -32,6 +32,7 @@ _REGRESSIONS = (
     gaussian_rbf.PUBLISHED,
     gaussian_rbf.METHOD,
     ensemble.METHOD,
+    ensemble.FACE_MAP,
     multiquadric.METHOD,
     kernel_cca.METHOD,
     hybrid.METHOD,
@@ -43,7 +44,7 @@ RETARGET_METHODS = {
     each.retarget_name or each.name: each for each in _REGRESSIONS if each.retarget_candidates
 }
 
-AUTO = ("ridge", "ensemble", "rbf", "d06")
+AUTO = ("face_map", "ridge", "rbf", "d06")
 """What `auto` tries for a mapping; the first is taken where pairs are too few to compare."""
 
 REMOVED_METHODS = frozenset(

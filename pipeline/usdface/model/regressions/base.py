@@ -41,12 +41,23 @@ class Face:
         With coordinates of frames that nobody tuned.
     skin : (shapes, points, 3) float array or None
         What each shape at 1 does to points spread over the rig's surface [mm].
+    rest : (points, 3) float array or None
+        Where those points are on the rig's neutral [mm].
+    neutral : (markers, 3) float array or None
+        The performer's neutral face [mm].
     """
 
     ranges: FloatArray
     gram: FloatArray
     motion: MotionSpace
     skin: FloatArray | None = None
+    rest: FloatArray | None = None
+    neutral: FloatArray | None = None
+
+    def normalise(self, weights: FloatArray) -> FloatArray:
+        """Return weights as shares of their ranges, in [0-1]."""
+        low, high = self.ranges.T
+        return np.asarray(np.clip((weights - low) / (high - low), 0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -62,11 +73,14 @@ class Pairs:
         Weights that the animator set, or control vectors as differences from rest.
     known_face : Face or None
         None in retargeting.
+    markers : (pairs, markers, 3) float array or None
+        Of the references [mm]; None in retargeting.
     """
 
     inputs: FloatArray
     outputs: FloatArray
     known_face: Face | None = None
+    markers: FloatArray | None = None
 
     @property
     def face(self) -> Face:
@@ -77,7 +91,12 @@ class Pairs:
 
     def rows(self, chosen: IntArray) -> "Pairs":
         """Keep some of the pairs, all else equal."""
-        return replace(self, inputs=self.inputs[chosen], outputs=self.outputs[chosen])
+        return replace(
+            self,
+            inputs=self.inputs[chosen],
+            outputs=self.outputs[chosen],
+            markers=None if self.markers is None else self.markers[chosen],
+        )
 
 
 @dataclass(frozen=True)
@@ -118,6 +137,8 @@ class Regression:
         Settings to try; none where the regression does not serve retargeting.
     retarget_name : str
         In retargetings, where it is another.
+    solves_frames : bool
+        What it predicts is where `frame_solve` starts from, not yet the answer.
     """
 
     name: str
@@ -127,6 +148,7 @@ class Regression:
     mapping_candidates: Callable[[Pairs, int | None], tuple[Settings, ...]] | None = None
     retarget_candidates: tuple[Settings, ...] = ()
     retarget_name: str = ""
+    solves_frames: bool = False
 
     def candidates(self, pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
         """Return the settings worth trying for a mapping."""

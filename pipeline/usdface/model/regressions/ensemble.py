@@ -32,11 +32,8 @@ from usdface.model.regressions.members import (
 )
 from usdface.model.regressions.target_curve import CURVES, bend, choose_curves, unbend
 from usdface.numerics.regression.cross_validation import blend_shares
-from usdface.numerics.regression.linear_posterior import (
-    LinearPosterior,
-    expect_marker_motion,
-    fit_linear_posterior,
-)
+from usdface.numerics.regression.linear_posterior import LinearPosterior, fit_linear_posterior
+from usdface.numerics.regression.marker_prior import expect_marker_motion
 from usdface.numerics.regression.regional_process import marker_relevance, regional_features
 from usdface.numerics.solve.bounded_least_squares import BoxProjection
 
@@ -113,7 +110,8 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     arrays = {
         "slope": sum((part * each.slope for each, part in members), np.zeros((kept, len(span)))),
         "intercept": sum((part * each.intercept for each, part in members), np.zeros(len(span))),
-        "doubt": np.clip(_TAKE_ERROR_RATIO * unseen, 1e-6, _MAX_EXPECTED_ERROR),
+        "expected_error": np.clip(_TAKE_ERROR_RATIO * unseen, 1e-6, _MAX_EXPECTED_ERROR),
+        "start_error": unseen,
         "curve": curve,
         "low": low,
         "span": span,
@@ -128,7 +126,7 @@ def _prepare(arrays: Arrays, settings: Settings) -> Predictor:
     slope, intercept, curve, low, span = (
         arrays[name] for name in ("slope", "intercept", "curve", "low", "span")
     )
-    expected_error = arrays["doubt"]
+    expected_error = arrays["expected_error"]
     corrections = prepare_corrections(arrays)
     project = BoxProjection(
         arrays["metric"],
@@ -321,4 +319,11 @@ METHOD = Regression(
     fit=_fit,
     prepare=_prepare,
     mapping_candidates=_candidates,
+)
+
+FACE_MAP = replace(
+    METHOD,
+    name="face_map",
+    summary="the ensemble near the references, and where the markers leave them the rig's geometry",
+    solves_frames=True,
 )

@@ -1,8 +1,6 @@
 """A linear face, calibrated: what shapes do to markers, and that inverted.
 
-Prior: a pair shows how every marker lies when the rig's weights are known. A marker belongs to the
-part of the skin that, under those weights, would move as it does: no registration, no landmarks.
-Shapes that the pairs hardly use, or use only together, still have a direction of motion: the rig's.
+Prior: what the rig's shapes do where the markers sit (`marker_prior`).
 Forward: ``z = w B + b + noise`` with B near that prior and corrected by the pairs. Backward:
 weights are Gaussian around the pairs' mean, so the most probable weights given z are linear in z.
 Unlike a regression from z to w, it knows shapes that the pairs hardly used, and separates shapes
@@ -32,111 +30,6 @@ _CORRELATED_SHARE = 0.4
 """Of the errors' covariance that is taken as it is; the rest marker by marker: pairs are few."""
 _MARKER_EVIDENCE = 3.0
 """How much more markers say together than one direction's error suggests."""
-
-_GAIN_RANGE = (0.4, 2.5)
-"""How much further or less far than the rig a performer's skin may go."""
-_LOG_GAIN_DEVIATION = 0.35
-"""Standard deviation of the gain's logarithm."""
-_MARKER_NOISE_MM = 0.4
-"""What a marker moves for no reason."""
-_MODEL_ERROR_SHARE = 0.15
-"""Of a marker's motion, which no place on another face explains."""
-_PAIR_SAMPLES = 24.0
-"""Independent samples that the pairs count for: faces repeat each other."""
-_ROTATION_ROUNDS = 3
-_SIZE_QUANTILE = 0.97
-"""Quantile of points, by motion, at which two faces are compared in size."""
-
-
-@dataclass(frozen=True)
-class SkinPrior:
-    """Expected motion of markers.
-
-    Attributes
-    ----------
-    basis : (s, markers, 3) float array
-        What each shape at 1 does to each marker, in the markers' space [mm].
-    rotation : (3, 3) float array
-        From the rig's space to the markers'.
-    explained : float
-        Share of the markers' motion energy in the pairs that the best places explain.
-    """
-
-    basis: FloatArray
-    rotation: FloatArray
-    explained: float
-
-
-def expect_marker_motion(skin: FloatArray, weights: FloatArray, markers: FloatArray) -> SkinPrior:
-    """Find for every marker the skin that moves as it does.
-
-    Every point of the skin is a candidate, each with a gain; candidates are averaged by
-    how well they explain the marker. The rotation between the spaces is found on the way. A rig
-    of another size than any performer is brought to the performer's first.
-
-    Parameters
-    ----------
-    skin : (s, points, 3) float array
-        Displacement of points of the rig's surface by each shape at 1 [mm].
-    weights : (pairs, s) float array
-    markers : (pairs, markers, 3) float array
-        [mm]
-
-    Raises
-    ------
-    ValueError
-        If the arrays do not fit together.
-    """
-    if skin.ndim != 3 or skin.shape[2] != 3 or skin.shape[0] != weights.shape[1]:
-        raise ValueError(f"skin {skin.shape} and weights {weights.shape} do not fit together")
-    if markers.shape[0] != len(weights):
-        raise ValueError(f"{markers.shape[0]} marker clouds but {len(weights)} weights")
-    seen = (markers - markers.mean(axis=0)).transpose(1, 0, 2)
-    flat = (weights - weights.mean(axis=0)) @ skin.reshape(len(skin), -1)
-    moved = np.ascontiguousarray(flat.reshape(len(weights), -1, 3).transpose(1, 0, 2))
-    energy = np.einsum("mnc,mnc->m", seen, seen)
-    size = np.einsum("pnc,pnc->p", moved, moved)
-    scale = _size_of_performer(energy, size)
-    skin, moved, size = skin * scale, moved * scale, size * scale**2
-    values = 3 * len(weights)
-    expected = _MARKER_NOISE_MM**2 + _MODEL_ERROR_SHARE**2 * energy[:, None] / values
-    rotation = np.eye(3)
-    for turn in range(_ROTATION_ROUNDS):
-        turned = moved @ rotation.T
-        product = seen.reshape(len(seen), -1) @ turned.reshape(len(turned), -1).T
-        gain = np.clip(product / np.maximum(size, 1e-9), *_GAIN_RANGE)
-        left = energy[:, None] - 2 * gain * product + gain**2 * size
-        log_likelihood = -0.5 * _PAIR_SAMPLES * left / values / expected
-        log_likelihood -= 0.5 * (np.log(gain) / _LOG_GAIN_DEVIATION) ** 2
-        best = log_likelihood.argmax(axis=1)
-        if turn < _ROTATION_ROUNDS - 1:
-            best_gain = gain[np.arange(len(best)), best]
-            rotation = _best_rotation(moved[best] * best_gain[:, None, None], seen)
-    log_likelihood -= log_likelihood.max(axis=1, keepdims=True)
-    share = np.exp(log_likelihood)
-    share /= share.sum(axis=1, keepdims=True)
-    basis = np.einsum("mp,spc->smc", share * gain, skin @ rotation.T, optimize=True)
-    unexplained = left[np.arange(len(best)), best].sum() / max(float(energy.sum()), 1e-300)
-    return SkinPrior(basis, rotation, float(1 - unexplained))
-
-
-def _size_of_performer(seen: FloatArray, moved: FloatArray) -> float:
-    """Scale that brings a rig's motion to the markers'; 1 where the points' gains reach it."""
-    rig_motion = float(np.quantile(moved, _SIZE_QUANTILE)) if len(moved) else 0.0
-    marker_motion = float(np.quantile(seen, _SIZE_QUANTILE)) if len(seen) else 0.0
-    if rig_motion == 0 or marker_motion == 0:
-        return 1.0
-    scale = float(np.sqrt(marker_motion / rig_motion))
-    return 1.0 if _GAIN_RANGE[0] <= scale <= _GAIN_RANGE[1] else scale
-
-
-def _best_rotation(rows: FloatArray, targets: FloatArray) -> FloatArray:
-    """Proper rotation that turns displacements onto others best (Kabsch, without centring)."""
-    cross = np.einsum("mni,mnj->ij", rows, targets)
-    left, _, right = np.linalg.svd(cross)
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(right.T @ left.T))])
-    rotation: FloatArray = right.T @ flip @ left.T
-    return rotation
 
 
 @dataclass(frozen=True)

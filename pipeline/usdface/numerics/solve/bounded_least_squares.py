@@ -11,11 +11,12 @@ steps.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.arrays import BoolArray, FloatArray, RealArray
 
 _GRADIENT_STEPS = 60
 """Enough that a handful of exchanges then end it on face rigs."""
@@ -31,6 +32,9 @@ _DEPENDENT_EIGENVALUE = 1e-8
 """At unit diagonal: columns with a smaller one count as dependent."""
 _DEPENDENT_RIDGE = 1e-6
 """Added to the unit diagonal of dependent columns: of many solutions, a small one."""
+_POWER_STEPS = 8
+_POWER_MARGIN = 1.1
+"""Steps of the power method for a matrix's largest eigenvalue, and what they may fall short."""
 _MOST_PROJECTION_STEPS = 10
 _PROJECTION_ERROR = 1e-3
 """[of the way] What a projection's steps leave, as long as those are enough."""
@@ -143,6 +147,52 @@ def minimise_bounded_quadratic(
     return BoundedSolution(x, violation)
 
 
+def descend_in_boxes(
+    hessians: RealArray,
+    linear: RealArray,
+    *,
+    lower: RealArray,
+    upper: RealArray,
+    start: RealArray,
+    steps: int,
+) -> RealArray:
+    """Minimise ``0.5 x'Hx - l'x`` within bounds, nearly, where every row has a matrix of its own.
+
+    Parameters
+    ----------
+    hessians : (frames, n, n) float array
+        Symmetric, positive definite.
+    linear : (frames, n) float array
+    lower, upper, start : (frames, n) float arrays
+    steps : int
+        Accelerated gradient steps, at unit diagonal.
+
+    Returns
+    -------
+    (frames, n) float array
+        Within the bounds exactly.
+    """
+    diagonal = np.einsum("fnn->fn", hessians)
+    unit = 1 / np.sqrt(np.maximum(diagonal, np.finfo(np.float32).tiny))
+    scaled = hessians * unit[:, :, None] * unit[:, None]
+    vector = np.ones_like(linear)[:, :, None]
+    for _ in range(_POWER_STEPS):
+        vector = scaled @ vector
+        largest = np.linalg.norm(vector, axis=1, keepdims=True)
+        vector /= largest
+    step = 1 / (_POWER_MARGIN * largest[:, 0])
+    target = linear * unit
+    low, high = lower / unit, upper / unit
+    z = _accelerate(
+        lambda z: z - step * ((scaled @ z[:, :, None])[:, :, 0] - target),
+        np.clip(start / unit, low, high),
+        low,
+        high,
+        steps=steps,
+    )
+    return np.asarray(np.clip(z * unit, lower, upper))
+
+
 class BoxProjection:
     """Brings rows within bounds at the least cost under a quadratic metric.
 
@@ -217,13 +267,13 @@ def _check(H: FloatArray, b: FloatArray, lo: FloatArray, hi: FloatArray) -> None
 
 
 def _accelerate(
-    descend: Callable[[FloatArray], FloatArray],
-    start: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
+    descend: Callable[[Any], Any],
+    start: RealArray,
+    lower: RealArray,
+    upper: RealArray,
     *,
     steps: int,
-) -> FloatArray:
+) -> Any:
     """Take accelerated projected gradient steps; `descend` is one without the bounds."""
     now = ahead = start
     momentum = 1.0
@@ -235,7 +285,7 @@ def _accelerate(
         ahead *= (momentum - 1) / gained
         ahead += following
         now, momentum = following, gained
-    return np.asarray(now)
+    return now
 
 
 def _pivot(

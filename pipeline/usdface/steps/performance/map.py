@@ -41,20 +41,30 @@ LARGEST_LAYER_BYTES = 1 << 30
 PART_BYTES = 1 << 27
 """Weights that take more than the first are written in parts of about the second."""
 
-_LOW_CONFIDENCE = 0.5
-"""Confidence below which a frame is worth a look."""
+_UNCERTAIN_MM = 1.0
+"""Uncertainty above which a frame is worth a look: errors of that size are seen."""
+
+
+_CONSTANT_MM, _CONSTANT_SHARE = 0.3, 0.5
+"""What every frame of a take leaves over, root mean square over markers, and its share of all that
+is left over, from which on it is worth a note: twice the noise of a cleaned marker, and half."""
 
 
 @dataclass
 class _Written:
     """What was written, for the report: one array per block."""
 
-    confidence: list[FloatArray] = field(default_factory=list)
+    uncertainty: list[FloatArray] = field(default_factory=list)
     residual_mm: list[FloatArray] = field(default_factory=list)
     few_markers: list[BoolArray] = field(default_factory=list)
+    left_sum: FloatArray | float = 0.0
+    left_squares: float = 0.0
 
     def add(self, solved: Prediction, rows: slice) -> None:
-        self.confidence.append(solved.confidence[rows])
+        left = solved.left_mm[rows].astype(np.float64)
+        self.left_sum = self.left_sum + left.sum(axis=0)
+        self.left_squares += float((left**2).sum())
+        self.uncertainty.append(solved.uncertainty[rows])
         self.residual_mm.append(solved.residual_mm[rows])
         self.few_markers.append(solved.few_markers[rows])
 
@@ -98,7 +108,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
         for block, window, solved in zip(blocks, windows, predictions, strict=True):
             weights = smooth_weights(
                 solved.weights,
-                confidence=solved.confidence,
+                uncertainty_mm=solved.uncertainty[:, 0],
                 ranges=mapping.ranges,
                 rate=float(take.rate),
                 solve=temporal,
@@ -108,13 +118,14 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
             )
             writer.append(
                 weights[rows],
-                confidence=solved.confidence[rows],
+                uncertainty_mm=solved.uncertainty[rows],
                 residual_mm=solved.region_residual_mm[rows],
             )
             written.add(solved, rows)
             done = min(block.stop - 1, last)
             progress((done - first + 1) / (last - first + 1), f"mapped to frame {done}")
     notes += [*_marker_notes(space), *space.neutral.notes(take.name)]
+    notes += _left_over_notes(mapping, written)
     notes += _few_marker_notes(first, np.concatenate(written.few_markers))
     notes += edit_notes(spec.out)
     return _report(spec, first, written, notes, space.neutral.figures())
@@ -186,12 +197,34 @@ def _marker_notes(space: HeadSpace) -> list[str]:
     if space.missing:
         notes.append(
             f"the take lacks {len(space.missing)} of the mapping's markers: "
-            f"{first_few(space.missing)}; they are estimated from the others, with less confidence"
+            f"{first_few(space.missing)}; they are estimated from the others, with more uncertainty"
         )
     if space.extra:
         notes.append(
             f"unknown to the mapping, and not used: {pluralize(len(space.extra), 'marker')}, "
             f"{first_few(space.extra)}"
+        )
+    return notes
+
+
+def _left_over_notes(mapping: TrainedMapping, written: _Written) -> list[str]:
+    """Name what the references cannot explain: a constant of the take, and still regions."""
+    notes = []
+    frames = sum(map(len, written.uncertainty))
+    mean = np.asarray(written.left_sum) / max(frames, 1)
+    constant_mm = float(np.sqrt((mean**2).sum(axis=-1).mean()))
+    share = frames * float((mean**2).sum()) / max(written.left_squares, 1e-12)
+    if constant_mm > _CONSTANT_MM and share > _CONSTANT_SHARE:
+        notes.append(
+            f"{share:.0%} of what the weights leave over at the markers is the same in every "
+            f"frame, {constant_mm:.2f} mm: this take differs from the references' as a whole; key "
+            "one frame of this take and add it to the references"
+        )
+    still = str(mapping.settings.get("still_regions", ""))
+    if still:
+        notes.append(
+            f"no reference moves the {still.replace(',', ', ')}: see their uncertainty, and tune "
+            "frames in which they move"
         )
     return notes
 
@@ -202,33 +235,34 @@ def _few_marker_notes(first: int, few_markers: BoolArray) -> list[str]:
         return []
     return [
         f"fewer than {MINIMUM_SHARE:.0%} of the mapping's markers in "
-        f"{pluralize(len(frames), 'frame')} ({first_few(frames)}): their weights are a guess, with "
-        "confidence 0; fill them in the take, or key them as edits"
+        f"{pluralize(len(frames), 'frame')} ({first_few(frames)}): their weights are a guess; "
+        "fill them in the take, or key them as edits"
     ]
 
 
 def _report(
     spec: MapSpec, first: int, written: _Written, notes: list[str], neutral: dict[str, object]
 ) -> StepResult:
-    confidence = np.concatenate(written.confidence)
+    uncertainty = np.concatenate(written.uncertainty)
     residual_mm = float(np.sqrt((np.concatenate(written.residual_mm) ** 2).mean()))
-    low = np.flatnonzero(confidence < _LOW_CONFIDENCE)
-    if len(low):
-        worst = first + int(confidence.argmin())
+    face = uncertainty[:, 0]
+    high = np.flatnonzero(face > _UNCERTAIN_MM)
+    if len(high):
+        worst = first + int(face.argmax())
         notes.append(
-            f"confidence below {_LOW_CONFIDENCE:g} in {pluralize(len(low), 'frame')}, lowest at "
-            f"frame {worst}: the references show nothing like them"
+            f"uncertainty above {_UNCERTAIN_MM:g} mm in {pluralize(len(high), 'frame')}, largest "
+            f"at frame {worst}, {face.max():.2f} mm: the references show nothing like them"
         )
-    count = len(confidence)
+    count = len(face)
     return StepResult(
         (spec.out, weights_path(spec.out)),
-        f"{pluralize(count, 'frame')}, mean confidence {confidence.mean():.2f}, markers "
+        f"{pluralize(count, 'frame')}, mean uncertainty {face.mean():.2f} mm, markers "
         f"{residual_mm:.2f} mm from what the references' takes showed",
         tuple(notes),
         {
             "frames": count,
-            "mean_confidence": float(confidence.mean()),
-            "doubtful_frames": [first + int(index) for index in low[:1000]],
+            "mean_uncertainty_mm": float(face.mean()),
+            "uncertain_frames": [first + int(index) for index in high[:1000]],
             "residual_mm": residual_mm,
             "neutral": neutral,
         },

@@ -10,7 +10,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.text import pluralize
-from usdface.model.mapping.regions import sample_skin
+from usdface.model.mapping.regions import sample_skin, skin_points
 from usdface.model.mapping.rig_match import rig_summary
 from usdface.model.mapping.train import train_mapping
 from usdface.model.placement.rig_orientation import check_rig_stands
@@ -40,12 +40,14 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
         references.shape_names, source=spec.references, remedy="select again for this rig"
     )
     columns = [rig.shapes.index(name) for name in references.shape_names]
-    shapes = Deformer(rig).shapes
+    deformer = Deformer(rig)
+    offsets = deformer.shapes.target_offsets()
     mapping = train_mapping(
         references,
         ranges=rig.ranges[columns],
-        gram=shapes.gram()[np.ix_(columns, columns)],
-        skin=sample_skin(shapes.target_offsets())[columns],
+        gram=deformer.shapes.gram()[np.ix_(columns, columns)],
+        skin=sample_skin(offsets)[columns],
+        rest=deformer.neutral[skin_points(offsets)],
         method=spec.method,
         dimensions=spec.dimensions,
         progress=progress,
@@ -90,6 +92,12 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
         notes.append(
             f"{pluralize(limited, 'weight')} of the pairs beyond the shape's range on the rig, "
             "limited to it; tune them again if that is not meant"
+        )
+    still = str(mapping.settings.get("still_regions", ""))
+    if still:
+        notes.append(
+            f"no reference moves the {still.replace(',', ', ')}: there the rig's geometry alone "
+            "says what markers mean; tune frames in which they move"
         )
     repeated = len(references.frames) - int(mapping.settings["pairs"])
     if repeated:

@@ -231,7 +231,7 @@ def _pictures(
     if "performance" in plan.panels:
         widths["performance"] = pictures.face_width
     title = f"{shot.take.name}  ·  {shot.rig.file.stem}"
-    confidence = shot.performance.confidence
+    uncertainty = shot.face_uncertainty_mm()
     for number in range(stretch.start, stretch.stop):
         row = plan.clock.row(number)
         frame = int(shot.frames[row])
@@ -246,9 +246,6 @@ def _pictures(
             else:
                 pixels = pictures.face(row, shot.weights[row])
             panels.append(MoviePanel(widths[panel], pixels, LABELS[panel], missing))
-        trust = None
-        if confidence is not None:
-            trust = float(confidence[frame - shot.performance.weights.first_frame])
         # What a player shows of the file: the take's own labels may count at another rate.
         label = plan.clock.timecode(shot.take.timecode_start, shot.take.first_frame, number)
         yield compose_movie_frame(
@@ -256,5 +253,5 @@ def _pictures(
             height=height,
             title=title,
             clock="  ".join(filter(None, (label or shot.timecode(frame), str(frame)))),
-            confidence=trust,
+            uncertainty_mm=None if uncertainty is None else float(uncertainty[row]),
         )

@@ -39,8 +39,8 @@ from usdface.usdio.performance.read import PerformanceReader
 LONGEST_PICTURES = 36_000
 """Ten minutes at 60 pictures per second: a longer page would not open."""
 
-SURE_CONFIDENCE = 0.95
-"""Confidence from which a frame is not worth a look for its lack."""
+SURE_MM = 0.5
+"""Uncertainty up to which a frame is not worth a look for it: half of what is seen."""
 
 LARGEST_SHEET_BYTES = 64 << 20
 SHEET_TYPES = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}
@@ -158,35 +158,31 @@ def _strips(shot: Shot, residual: FloatArray, rows: FloatArray) -> tuple[Strip, 
     strips = [
         Strip("residual", residual[rows], 0.0, round_range(residual), "mm"),
     ]
-    confidence = shot.performance.confidence
-    if confidence is not None:
-        shown_confidence = confidence[shot.frames - shot.performance.weights.first_frame][rows]
-        strips.insert(
-            0, Strip("confidence", np.asarray(shown_confidence, np.float64), 0.0, 1.0, "")
-        )
+    uncertainty = shot.face_uncertainty_mm()
+    if uncertainty is not None:
+        shown = uncertainty[rows]
+        strips.insert(0, Strip("uncertainty", shown, 0.0, round_range(uncertainty), "mm"))
     return tuple(strips)
 
 
 def _worst(
     spec: ReportSpec, shot: Shot, residual: FloatArray, clock: MovieClock
 ) -> tuple[tuple[int, str], ...]:
-    """Return pictures to look at first: by residual, up to half by confidence; by time."""
-    confidence = shot.performance.confidence
-    if confidence is not None:
-        confidence = confidence[shot.frames - shot.performance.weights.first_frame]
+    """Return pictures to look at first: by residual, up to half by uncertainty; by time."""
+    uncertainty = shot.face_uncertainty_mm()
     zero = np.zeros(len(shot.frames))
 
     def pick(by: FramePick, count: int) -> list[ChosenFrame]:
         return choose_frames(
-            by, count, strength=zero, error_mm=residual, confidence=confidence, jump_mm=zero
+            by, count, strength=zero, error_mm=residual, uncertainty_mm=uncertainty, jump_mm=zero
         )
 
     doubtful: list[ChosenFrame] = []
-    if confidence is not None and spec.worst > 1:
+    if uncertainty is not None and spec.worst > 1:
         doubtful = [
             frame
-            for frame in pick("confidence", spec.worst // 2)
-            if confidence[frame.row] < SURE_CONFIDENCE
+            for frame in pick("uncertainty", spec.worst // 2)
+            if uncertainty[frame.row] > SURE_MM
         ]
     reasons: dict[int, str] = {}
     for frame in (*pick("residual", spec.worst - len(doubtful)), *doubtful):
@@ -206,8 +202,9 @@ def _facts(shot: Shot) -> tuple[str, ...]:
         facts.insert(0, take.performer)
     if take.timecode_start:
         facts.append(f"timecode {shot.timecode(int(shot.frames[0]))}")
-    if shot.performance.confidence is not None:
-        facts.append(f"mean confidence {float(shot.performance.confidence.mean()):.2f}")
+    uncertainty = shot.face_uncertainty_mm()
+    if uncertainty is not None:
+        facts.append(f"mean uncertainty {float(uncertainty.mean()):.2f} mm")
     return tuple(facts)
 
 

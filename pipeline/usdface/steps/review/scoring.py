@@ -112,12 +112,9 @@ def surface_distance(shot: Shot, difference: FloatArray) -> FloatArray:
 
 
 def uncertainty_curves(shot: Shot) -> tuple[ErrorCurve, ...]:
-    """Return the uncertainty of the solve, 1 - confidence; none if unknown."""
-    confidence = shot.performance.confidence
-    if confidence is None:
-        return ()
-    confidence = confidence[shot.frames - shot.performance.weights.first_frame]
-    return (ErrorCurve("uncertainty", 1.0 - np.asarray(confidence, np.float64), high=1.0, unit=""),)
+    """Return the uncertainty of the solve; none if unknown."""
+    uncertainty = shot.face_uncertainty_mm()
+    return () if uncertainty is None else (ErrorCurve("uncertainty", uncertainty),)
 
 
 WORST_SHARE = 6
@@ -138,14 +135,14 @@ def choose_frames(
     *,
     strength: FloatArray,
     error_mm: FloatArray,
-    confidence: FloatArray | None,
+    uncertainty_mm: FloatArray | None,
     jump_mm: FloatArray,
 ) -> list[ChosenFrame]:
     """Choose frames, in order of time and spread over it.
 
     Parameters
     ----------
-    pick : {'expression', 'residual', 'confidence', 'jump', 'even'}
+    pick : {'expression', 'residual', 'uncertainty', 'jump', 'even'}
         What makes a frame worth it; ``'expression'`` takes some of the largest errors too.
     count : int
         Fewer where there are fewer frames, or fewer whose error is known, of the worst.
@@ -153,8 +150,8 @@ def choose_frames(
         How far the face is from neutral.
     error_mm : (frames,) float array
         NaN where it is not known.
-    confidence : (frames,) float array or None
-        [0-1] Without it, `error_mm` stands in.
+    uncertainty_mm : (frames,) float array or None
+        Without it, `error_mm` stands in.
     jump_mm : (frames,) float array
         How far the surface moved since the frame before.
     """
@@ -172,9 +169,9 @@ def choose_frames(
         rows = _largest(error, count, apart, taken=chosen)
         found = [ChosenFrame(row) for row in chosen]
         found += [ChosenFrame(row, "worst" if known[row] else "") for row in rows]
-    elif pick == "confidence" and confidence is not None:
-        rows = _largest(-confidence, count, apart)
-        found = [ChosenFrame(row, f"confidence {confidence[row]:.2f}") for row in rows]
+    elif pick == "uncertainty" and uncertainty_mm is not None:
+        rows = _largest(uncertainty_mm, count, apart)
+        found = [ChosenFrame(row, f"uncertainty {uncertainty_mm[row]:.2f} mm") for row in rows]
     elif pick == "jump":
         rows = _largest(jump_mm, count, apart)
         found = [ChosenFrame(row, f"moved {jump_mm[row]:.2f} mm") for row in rows]

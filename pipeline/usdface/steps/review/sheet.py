@@ -223,16 +223,13 @@ def _label_of(judged: Score, beside: list[Score]) -> str:
 
 
 def _choose(spec: SheetSpec, shot: Shot, judged: Score) -> list[ChosenFrame]:
-    confidence = shot.performance.confidence
-    if confidence is not None:
-        confidence = confidence[shot.frames - shot.performance.weights.first_frame]
     steps = np.diff(shot.weights, axis=0, prepend=shot.weights[:1])
     return choose_frames(
         spec.pick or PICKS[spec.layout],
         spec.rows or (STRIP_ROWS if spec.layout == "strip" else OTHER_ROWS),
         strength=surface_distance(shot, shot.weights),
         error_mm=judged.error_mm,
-        confidence=confidence,
+        uncertainty_mm=shot.face_uncertainty_mm(),
         jump_mm=surface_distance(shot, steps),
     )
 
@@ -275,8 +272,9 @@ def _facts(spec: SheetSpec, shot: Shot) -> tuple[str, ...]:
         facts.append(f"camera {spec.camera}")
     if shot.take.performer:
         facts.insert(0, shot.take.performer)
-    if shot.performance.confidence is not None:
-        facts.append(f"mean confidence {float(shot.performance.confidence.mean()):.2f}")
+    uncertainty = shot.face_uncertainty_mm()
+    if uncertainty is not None:
+        facts.append(f"mean uncertainty {float(uncertainty.mean()):.2f} mm")
     return tuple(facts)
 
 
@@ -289,8 +287,8 @@ def _notes(spec: SheetSpec, comparison: _Comparison, *, stand_in_eyes: bool) -> 
     notes = [what, f"mean: {', '.join(means)}"]
     if spec.layout != "strip":
         notes.append(f"lines at markers: the residual, {RESIDUAL_SCALE:g} times as long")
-    if shots[0].performance.confidence is not None:
-        notes.append("uncertainty: 1 less the confidence")
+    if shots[0].performance.uncertainty_mm is not None:
+        notes.append("uncertainty: expected RMS distance of the surface from an animator's keys")
     if any(comparison.labels):
         notes.append("beside frames: phone and viseme")
     if stand_in_eyes:

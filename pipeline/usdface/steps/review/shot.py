@@ -154,6 +154,14 @@ class Shot:
             raise InputError(f"{self.take.name}: has no markers")
         return markers.positions[self.frames - self.take.first_frame].astype(np.float64)
 
+    def face_uncertainty_mm(self) -> FloatArray | None:
+        """Return the face's uncertainty at the shared frames, (frames,) [mm]; None if unknown."""
+        uncertainty = self.performance.uncertainty_mm
+        if uncertainty is None:
+            return None
+        rows = self.frames - self.performance.weights.first_frame
+        return np.asarray(uncertainty[rows, 0])
+
     def timecode(self, frame: int) -> str:
         """Return the SMPTE label of a frame; empty when the take has none."""
         return shift_timecode(

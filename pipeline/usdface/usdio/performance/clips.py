@@ -24,8 +24,8 @@ from usdface.core.replacing import replacing
 from usdface.core.timecode import shift_timecode
 from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
 from usdface.usdio.performance.weights_layer import (
-    CONFIDENCE,
     RESIDUAL,
+    SOLVE_UNCERTAINTY,
     WEIGHTS,
     WeightsHeader,
     author_header,
@@ -75,10 +75,10 @@ class PartsWriter:
         self,
         weights: FloatArray | Float32Array,
         *,
-        confidence: FloatArray | None = None,
+        uncertainty_mm: FloatArray | None = None,
         residual_mm: FloatArray | None = None,
     ) -> None:
-        """Append frames: (frames, shapes), and if known (frames,) and (frames, regions)."""
+        """Append frames: (frames, shapes), and if known (frames, regions)."""
         done = 0
         while done < len(weights):
             if self.next_frame > self._last:
@@ -88,7 +88,7 @@ class PartsWriter:
             part = slice(done, done + count)
             self._writer.append(
                 weights[part],
-                confidence=None if confidence is None else confidence[part],
+                uncertainty_mm=None if uncertainty_mm is None else uncertainty_mm[part],
                 residual_mm=None if residual_mm is None else residual_mm[part],
             )
             done += count
@@ -260,7 +260,7 @@ def _inner_parts(part: ClipPart) -> list[ClipPart]:
 
 def _copy_sample(layer: Sdf.Layer, header: WeightsHeader, part: ClipPart, frame: int) -> None:
     source = open_layer(part.file)
-    for name in (WEIGHTS, CONFIDENCE, RESIDUAL):
+    for name in (WEIGHTS, SOLVE_UNCERTAINTY, RESIDUAL):
         value = source.QueryTimeSample(Sdf.Path(part.animation).AppendProperty(name), frame)
         if value is not None:
             layer.SetTimeSample(header.animation.AppendProperty(name), frame, value)

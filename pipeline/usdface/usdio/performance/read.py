@@ -3,6 +3,7 @@
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,9 @@ from usdface.usdio.performance.weights_layer import (
 )
 from usdface.usdio.rig.reference import place_of, rig_of
 from usdface.usdio.wrong_types import refusing_wrong_types
+
+_CONFIDENCE_RANGE = (0.001, 0.9999)
+"""Of earlier versions, as read: at 0 and 1 there would be no uncertainty to tell."""
 
 
 class PerformanceReader:
@@ -92,7 +96,7 @@ class PerformanceReader:
     @property
     @refusing_wrong_types
     def regions(self) -> tuple[str, ...]:
-        """Names of the residual's regions."""
+        """Names of the uncertainty's and residual's regions."""
         return tuple(map(str, self._get("face:residual:regions") or ()))
 
     @property
@@ -192,6 +196,22 @@ class PerformanceReader:
             [np.array(query.Get(frame)) for frame in range(first, last + 1)], np.float64
         )
 
+    def uncertainty_mm(self, first: int, last: int) -> FloatArray | None:
+        """Return the uncertainty at frames: (frames, regions), or of the face alone (frames, 1).
+
+        Layers of earlier versions hold a confidence instead, the probability of an error below
+        1 mm: a normal distribution has it at a standard deviation of ``1 / Phi^-1((1 + c) / 2)``.
+        """
+        found = self.series("face:uncertainty", first, last)
+        if found is not None:
+            return found
+        confidence = self.series("face:confidence", first, last)
+        if confidence is None:
+            return None
+        inside = np.clip(confidence, *_CONFIDENCE_RANGE)
+        quantile = NormalDist().inv_cdf
+        return np.array([[1 / quantile((1 + each) / 2)] for each in inside.tolist()])
+
     def _get(self, name: str) -> Any:
         attribute = self.animation.GetAttribute(name)
         return attribute.Get() if attribute else None
@@ -273,7 +293,7 @@ def read_performance(path: Path) -> Performance:
         weights=WeightsClip(reader.names, reader.edited(), first, reader.rate),
         rig_file=rig_file,
         rig_prim=rig_prim,
-        confidence=reader.series("face:confidence", first, last),
+        uncertainty_mm=reader.uncertainty_mm(first, last),
         residual_mm=reader.series("face:residual", first, last),
         regions=reader.regions,
         timecode_start=reader.timecode_start,

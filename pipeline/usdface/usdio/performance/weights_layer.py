@@ -31,16 +31,15 @@ ANIMATION = "FaceSolve"
 """Name of the animation prim, a child of the referenced rig."""
 
 WEIGHTS = "blendShapeWeights"
-CONFIDENCE = "face:confidence"
+SOLVE_UNCERTAINTY = "face:uncertainty"
 RESIDUAL = "face:residual"
 NEUTRAL_FRAME = "face:solve:neutralFrame"
 
 COPY_FRAMES = 4096
 """Frames whose samples are in memory at once when they are copied."""
 
-CONFIDENCE_TOLERANCE = 0.005
-RESIDUAL_TOLERANCE_MM = 0.01
-"""Samples of confidence and residual are left out where USD's line between those kept is as near:
+SAMPLE_TOLERANCE_MM = 0.01
+"""Samples of uncertainty and residual are left out where USD's line between those kept is as near:
 nobody sees the difference, and a sample costs as much as a frame of weights. Weights are all
 written."""
 
@@ -60,7 +59,7 @@ class WeightsHeader:
     first_frame, last_frame : int
         Inclusive.
     regions : tuple of str
-        Names of the residual's regions.
+        Names of the uncertainty's and residual's regions.
     timecode_start : str
         SMPTE timecode of the first frame, empty when unknown.
     name : str
@@ -105,7 +104,7 @@ class WeightsWriter:
         self._path = path
         self._layer = layer
         self._weights = header.animation.AppendProperty(WEIGHTS)
-        self._confidence = header.animation.AppendProperty(CONFIDENCE)
+        self._uncertainty = header.animation.AppendProperty(SOLVE_UNCERTAINTY)
         self._residual = header.animation.AppendProperty(RESIDUAL)
         self._save_frames = min(
             FRAMES_IN_MEMORY, VALUES_IN_MEMORY // max(len(header.shape_names), 1) + 1
@@ -118,7 +117,7 @@ class WeightsWriter:
         self,
         weights: FloatArray | Float32Array,
         *,
-        confidence: FloatArray | Float32Array | None = None,
+        uncertainty_mm: FloatArray | Float32Array | None = None,
         residual_mm: FloatArray | Float32Array | None = None,
         keys: IntArray | None = None,
     ) -> None:
@@ -127,8 +126,7 @@ class WeightsWriter:
         Parameters
         ----------
         weights : (frames, shapes) float array
-        confidence : (frames,) float array, optional
-        residual_mm : (frames, regions) float array, optional
+        uncertainty_mm, residual_mm : (frames, regions) float array, optional
         keys : (keys,) int array, optional
             Rows whose weights are written; by default all are.
         """
@@ -140,18 +138,21 @@ class WeightsWriter:
             part = slice(start, start + self._save_frames)
             self._append_block(
                 np.ascontiguousarray(weights[part], dtype=np.float32),
-                None if confidence is None else confidence[part],
-                None
-                if residual_mm is None
-                else np.ascontiguousarray(residual_mm[part], dtype=np.float32),
+                [
+                    (path, np.ascontiguousarray(values[part], dtype=np.float32))
+                    for path, values in (
+                        (self._uncertainty, uncertainty_mm),
+                        (self._residual, residual_mm),
+                    )
+                    if values is not None
+                ],
                 np.flatnonzero(wanted[part]),
             )
 
     def _append_block(
         self,
         rows: Float32Array,
-        confidence: FloatArray | Float32Array | None,
-        residual: Float32Array | None,
+        beside: list[tuple[Sdf.Path, Float32Array]],
         keys: IntArray,
     ) -> None:
         # One attribute after the other, and names looked up once: this loop is what mapping waits
@@ -160,12 +161,9 @@ class WeightsWriter:
         with Sdf.ChangeBlock():
             for index in keys.tolist():
                 write(self._weights, first + index, array(rows[index]))
-            if confidence is not None:
-                for index in _samples(confidence[:, None], CONFIDENCE_TOLERANCE):
-                    write(self._confidence, first + index, float(confidence[index]))
-            if residual is not None:
-                for index in _samples(residual, RESIDUAL_TOLERANCE_MM):
-                    write(self._residual, first + index, array(residual[index]))
+            for path, values in beside:
+                for index in sparse_rows(values, SAMPLE_TOLERANCE_MM).tolist():
+                    write(path, first + index, array(values[index]))
         self._count(len(rows))
 
     def copy(
@@ -196,7 +194,7 @@ class WeightsWriter:
             raise ValueError(f"frame {self.next_frame} comes next, not {first}")
         write, block = self._layer.SetTimeSample, min(self._save_frames, COPY_FRAMES)
         copied = []
-        for path in (self._weights, self._confidence, self._residual):
+        for path in (self._weights, self._uncertainty, self._residual):
             attribute = animation.GetAttribute(path.name)
             if attribute:  # times are asked for once: USD looks through all for any interval
                 times = np.array(attribute.GetTimeSamples())
@@ -230,11 +228,6 @@ class WeightsWriter:
             # A saved binary layer reads its samples back from disk when asked.
             save_layer(self._layer, self._path)
             self._unsaved = 0
-
-
-def _samples(values: FloatArray | Float32Array, within: float) -> list[int]:
-    kept: list[int] = sparse_rows(values, within).tolist()
-    return kept
 
 
 @contextlib.contextmanager
@@ -340,8 +333,8 @@ def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.Prim
     tokens = Sdf.ValueTypeNames.TokenArray
     author_uniform(prim, "blendShapes", tokens, list(header.shape_names))
     Sdf.AttributeSpec(prim, WEIGHTS, Sdf.ValueTypeNames.FloatArray)
-    Sdf.AttributeSpec(prim, CONFIDENCE, Sdf.ValueTypeNames.Float)
     if header.regions:
+        Sdf.AttributeSpec(prim, SOLVE_UNCERTAINTY, Sdf.ValueTypeNames.FloatArray)
         Sdf.AttributeSpec(prim, RESIDUAL, Sdf.ValueTypeNames.FloatArray)
         author_uniform(prim, "face:residual:regions", tokens, list(header.regions))
     if header.neutral_frame is not None:

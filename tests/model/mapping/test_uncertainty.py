@@ -16,6 +16,7 @@ from tests.model.synthetic import (
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model import Prediction, predict_weights, sample_skin, train_mapping
+from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
 
 CHOSEN = np.arange(0, 1200, 30)
 NAMES = ("browUp", "browDown", "eyeBlink", "eyeSquint", "mouthSmile", "mouthOpen")
@@ -60,7 +61,9 @@ def test_nine_of_ten_errors_are_within_what_is_said(noise: float) -> None:
         for shown in (face, face_in_parts(seed + 4, noise)):
             found = predict_weights(mapping, shown.positions)
             assert found.regions[0] == "face"
-            held.append((face_errors(shown, found) < found.region_error[:, 0]).mean())
+            held.append(
+                (face_errors(shown, found) < LIMIT_DEVIATIONS * found.uncertainty[:, 0]).mean()
+            )
     assert 0.75 < np.mean(held) < 0.97
 
 
@@ -71,7 +74,7 @@ def test_noise_errs_where_references_are_near_too() -> None:
     again = face.positions[CHOSEN] + rng.normal(size=(len(CHOSEN), MARKERS, 3))
     found = predict_weights(mapping, again)
     error = face_errors(replace(face, weights=face.weights[CHOSEN]), found)
-    assert (error < 2 * found.region_error[:, 0]).mean() > 0.8
+    assert (error < 2 * LIMIT_DEVIATIONS * found.uncertainty[:, 0]).mean() > 0.8
 
 
 def test_a_marker_that_jumps_shows_in_its_own_part() -> None:
@@ -87,10 +90,28 @@ def test_a_marker_that_jumps_shows_in_its_own_part() -> None:
     np.testing.assert_array_equal(after.residual_mm, after.region_residual_mm[:, 0])
 
 
-def test_confidence_is_the_probability_of_an_error_below_the_tolerance() -> None:
-    face, new = face_in_parts(noise=1.5), face_in_parts(3, 1.5)
-    found = predict_weights(trained(face), new.positions)
-    assert abs((face_errors(new, found) < 1.0).mean() - found.confidence.mean()) < 0.15
+def test_a_shape_that_no_reference_moves_is_uncertain_where_it_moves() -> None:
+    face = face_in_parts(noise=0.05)
+    still = face.weights[CHOSEN].copy()
+    still[:, :2] = 0.0  # the brows
+    shown = np.einsum("fs,smc->fmc", still, face.shapes)
+    references = replace(
+        references_of(face, CHOSEN), shape_names=NAMES, weights=still, markers=face.neutral + shown
+    )
+    mapping = train_mapping(
+        references,
+        ranges=face.ranges,
+        gram=face.gram,
+        skin=sample_skin(face.shapes.reshape(SHAPES, -1)),
+        method="face_map",
+    )
+    assert mapping.settings["still_regions"] == "brows"
+    brow, weights = np.zeros((2, SHAPES)), face.weights[0]
+    brow[:] = weights
+    brow[0, :2], brow[1, :2] = 0.0, (0.8, 0.0)
+    found = predict_weights(mapping, face.neutral + np.einsum("fs,smc->fmc", brow, face.shapes))
+    assert found.uncertainty[1, 1] > 3 * found.uncertainty[0, 1]
+    assert found.weights[1, 0] > 0.4
 
 
 def test_a_part_without_a_marker_seen_has_no_residual() -> None:

@@ -1,0 +1,330 @@
+"""Accuracy near the references and far from them, and whether a mapping knows which it is.
+
+All references are of the first half of `crosstake`. Near is its second half; far are the same
+performer with the right side 20 s late (`onesided`: winks, half smiles), keys that are not exact,
+pairs of two animators whose gains differ, and brows whose references are of the cheeks. Keys and
+takes are read from files as a user would make them; methods are trained and compared in memory.
+
+Frames are blocks of consecutive ones spread over the take, so that jitter is that of consecutive
+frames; `--full` takes them all.
+"""
+
+import csv
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+from scipy.stats import spearmanr
+
+from benchmarks import crosstake
+from benchmarks._damage import DAMAGES
+from tests.conftest import SHARED_DATA
+from usdface.core.assets import References, Rig, Take, TrainedMapping
+from usdface.core.deformer import Deformer
+from usdface.model import Prediction, into_head_space, predict_weights, sample_skin, train_mapping
+from usdface.model.mapping.regions import skin_points
+from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
+from usdface.model.selection.baseline import set_up_equation
+from usdface.numerics.measure.face_regions import points_by_region, region_gram, shapes_by_region
+from usdface.runner.execute import execute
+from usdface.specs.capture import CleanSpec, IngestSpec
+from usdface.specs.references import SelectSpec
+from usdface.usdio.references.read import read_references
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.take.read import read_take
+
+METHODS = ("face_map", "ensemble", "ridge", "kernel_cca")
+RIG = SHARED_DATA / "rigs" / "facecap_head.usdc"
+BLOCKS, BLOCK_FRAMES = 16, 60
+SEEDS = range(5)
+KEY_ERROR, DROPPED_BELOW, DROPPED_SHARE = 0.15, 0.1, 1 / 3
+"""Keys that are not exact: each is 15 % off, and of those under .1 every third is left at 0."""
+
+ANIMATOR_GAINS = (1.1, 0.9)
+"""Of even and odd pairs, each keyed by one of two animators."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """References, frames to map, and what an animator would have keyed there.
+
+    Attributes
+    ----------
+    markers, visible : (frames, markers, 3) and (frames, markers) arrays
+        In the references' order and space.
+    truth : (frames, shapes) float array
+    block : int
+        Frames that follow each other.
+    """
+
+    name: str
+    references: References
+    markers: np.ndarray
+    visible: np.ndarray
+    truth: np.ndarray
+    block: int
+
+
+@dataclass(frozen=True)
+class Ruler:
+    """The rig: what errors of weights do to its surface and its regions."""
+
+    rig: Rig
+    deformer: Deformer
+    gram: np.ndarray
+    skin: np.ndarray
+    rest: np.ndarray
+    regions: dict[str, np.ndarray]
+
+    @classmethod
+    def of(cls, file: Path) -> "Ruler":
+        rig = read_rig(file)
+        deformer = Deformer(rig)
+        offsets = sparse.csr_array(deformer.shapes.target_offsets())
+        points = points_by_region(offsets, shapes_by_region(rig.shapes))
+        regions = {name: region_gram(offsets, each) for name, each in points.items()}
+        gram = deformer.shapes.gram()
+        rest = deformer.neutral[skin_points(offsets)]
+        return cls(rig, deformer, gram, sample_skin(offsets), rest, {"face": gram} | regions)
+
+    def train(self, references: References, method: str) -> TrainedMapping:
+        """Train as `train` does."""
+        columns = [self.rig.shapes.index(name) for name in references.shape_names]
+        return train_mapping(
+            references,
+            ranges=self.rig.ranges[columns],
+            gram=self.gram[np.ix_(columns, columns)],
+            skin=self.skin[columns],
+            rest=self.rest,
+            method=method,
+        )
+
+    def errors_mm(self, error: np.ndarray, region: str = "face") -> np.ndarray:
+        """Return the surface's root mean square error in each frame."""
+        squared = np.einsum("fs,st,ft->f", error, self.regions[region], error, optimize=True)
+        return np.sqrt(np.maximum(squared, 0))
+
+
+def run(methods: tuple[str, ...] = METHODS, *, full: bool = False) -> None:
+    """Print errors near and far of every method, then what the first says of its errors."""
+    if not (SHARED_DATA / "onesided").is_dir():
+        print(f"skipped: no onesided in {SHARED_DATA}")
+        return
+    with tempfile.TemporaryDirectory() as name:
+        prepare(Path(name))
+        compare(Path(name), methods, full=full)
+
+
+def compare(folder: Path, methods: tuple[str, ...], *, full: bool = False) -> None:
+    """Print the tables of takes that `prepare` left in a folder."""
+    ruler = Ruler.of(RIG)
+    setups = list(read_setups(folder, full=full))
+    print("vertex RMS [mm], blink bias, jitter\n")
+    print(f"| method | {' | '.join(each.name for each in setups)} |")
+    print(f"|---|{'---|' * len(setups)}")
+    judged: dict[str, list[Prediction]] = {}
+    for method in methods:
+        judged[method] = [solve(each, ruler, method) for each in setups]
+        cells = [
+            figures(found.weights, each, ruler)
+            for found, each in zip(judged[method], setups, strict=True)
+        ]
+        print(f"| {method} | {' | '.join(cells)} |", flush=True)
+    cells = [figures(_bounded(each, ruler, folder), each, ruler) for each in setups]
+    print(f"| bounded least squares | {' | '.join(cells)} |\n", flush=True)
+    _print_uncertainty(methods[0], setups, judged[methods[0]], ruler)
+    print("\nbrows through references of the cheeks: share of the baseline's motion\n")
+    print("| method | value | wanted |\n|---|---|---|")
+    for method in methods:
+        print(f"| {method} | {brow_share(folder, ruler, method):.2f} | ≥ 0.8 |", flush=True)
+
+
+def prepare(folder: Path) -> None:
+    """Ingest, clean and select; what is there already is left alone."""
+    for name in ("crosstake", "onesided"):
+        if not (folder / name).is_dir():
+            (folder / name).mkdir()
+            truth = np.load(SHARED_DATA / name / "truth.npz")
+            crosstake.prepare(folder / name, DAMAGES[0], truth, name)
+    for count in (50, 25):
+        if not (folder / "crosstake" / f"{count}.references.usda").is_file():
+            crosstake.choose_references(folder / "crosstake", RIG, count)
+    for name in ("CheeksMoCap", "EyebrowsMoCap"):
+        if not (folder / f"{name}.clean.take.usda").is_file():
+            source = SHARED_DATA / "markers_animface" / f"{name}.c3d"
+            take = folder / f"{name}.take.usda"
+            execute(IngestSpec(sources=(source,), out=take))
+            execute(CleanSpec(take=take, out=folder / f"{name}.clean.take.usda"))
+    if not (folder / "cheeks.references.usda").is_file():
+        cheeks = folder / "CheeksMoCap.clean.take.usda"
+        out = folder / "cheeks.references.usda"
+        execute(SelectSpec(takes=(cheeks,), rig=RIG, out=out, count=30))
+
+
+def read_setups(folder: Path, *, full: bool = False) -> Iterator[Setup]:
+    """Yield what there is to map."""
+    near, far = (_read_take(folder / name) for name in ("crosstake", "onesided"))
+    references = {
+        count: read_references(folder / "crosstake" / f"{count}.references.usda")
+        for count in (50, 25)
+    }
+    second, whole = _blocks(crosstake.HALF, len(near[1]), full), _blocks(0, len(far[1]), full)
+    for count, each in references.items():
+        yield _setup(f"crosstake, {count}", each, near, second)
+    fifty = references[50]
+    yield _setup("one-sided", fifty, far, whole)
+    for seed in SEEDS:
+        keys = replace(fifty, weights=_inexact(fifty.weights, seed))
+        yield _setup(f"inexact keys, {seed}", keys, near, second)
+    gains = np.resize(ANIMATOR_GAINS, len(fifty.weights))[:, None]
+    keys = replace(fifty, weights=np.clip(fifty.weights * gains, 0, 1))
+    yield _setup("two animators", keys, near, second)
+
+
+def _inexact(weights: np.ndarray, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    off = weights * (1 + KEY_ERROR * rng.standard_normal(weights.shape))
+    off[(off < DROPPED_BELOW) & (rng.random(weights.shape) < DROPPED_SHARE)] = 0
+    return np.clip(off, 0, 1)
+
+
+def _read_take(folder: Path) -> tuple[Take, np.ndarray, tuple[str, ...]]:
+    with (folder / "keys.csv").open(newline="") as stream:
+        rows = csv.reader(stream)
+        names = tuple(next(rows)[1:])
+        keys = np.array([[float(each) for each in row[1:]] for row in rows])
+    return read_take(folder / "x.clean.take.usda"), keys, names
+
+
+def _blocks(first: int, last: int, full: bool) -> np.ndarray:
+    if full:
+        return np.arange(first, last)
+    starts = np.linspace(first, last - BLOCK_FRAMES, BLOCKS).astype(int)
+    return (starts[:, None] + np.arange(BLOCK_FRAMES)).ravel()
+
+
+def _setup(
+    name: str,
+    references: References,
+    take: tuple[Take, np.ndarray, tuple[str, ...]],
+    rows: np.ndarray,
+) -> Setup:
+    markers = take[0].markers
+    if markers is None:
+        raise SystemExit(f"{name}: no markers")
+    columns = [take[2].index(shape) for shape in references.shape_names]
+    some = replace(
+        markers,
+        positions=markers.positions[rows],
+        visible=markers.visible[rows],
+        confidence=markers.confidence[rows],
+    )
+    space = train_mapping(
+        references, ranges=np.tile([0.0, 1.0], (len(columns), 1)), gram=None, method="ridge"
+    )
+    placed = into_head_space(space, some)
+    follow = len(rows) if len(rows) > BLOCKS * BLOCK_FRAMES else BLOCK_FRAMES
+    return Setup(
+        name, references, placed.positions, placed.visible, take[1][rows][:, columns], follow
+    )
+
+
+def solve(setup: Setup, ruler: Ruler, method: str) -> Prediction:
+    """Train and map."""
+    mapping = ruler.train(setup.references, method)
+    return predict_weights(mapping, setup.markers, visible=setup.visible)
+
+
+def figures(weights: np.ndarray, setup: Setup, ruler: Ruler) -> str:
+    """Return error, blink bias and jitter as a cell: those of the fixtures' ruler."""
+    error = on_rig(weights - setup.truth, setup, ruler)
+    blinks = [
+        i for i, n in enumerate(setup.references.shape_names) if n.lower().startswith("eyebl")
+    ]
+    lids = setup.truth[:, blinks]
+    bias = (weights - setup.truth)[:, blinks][lids > np.quantile(lids, 0.97, axis=0)].mean()
+    rough = [
+        np.abs(np.diff(each.reshape(-1, setup.block, each.shape[1]), 3, axis=1)).mean()
+        for each in (weights, setup.truth)
+    ]
+    rms = np.sqrt((ruler.errors_mm(error) ** 2).mean())
+    return f"{rms:.3f}, {bias:+.3f}, {rough[0] / rough[1]:.2f}"
+
+
+def on_rig(values: np.ndarray, setup: Setup, ruler: Ruler) -> np.ndarray:
+    """Put the references' shapes into the rig's order."""
+    out = np.zeros((len(values), len(ruler.rig.shapes)))
+    out[:, [ruler.rig.shapes.index(name) for name in setup.references.shape_names]] = values
+    return out
+
+
+def _bounded(setup: Setup, ruler: Ruler, folder: Path) -> np.ndarray:
+    """Solve the blendshape equation, which needs no references."""
+    take: Any = _read_take(folder / "crosstake")[0]
+    rigid = tuple(take.markers.names.index(name) for name in take.markers.rigid)
+    equation = set_up_equation(
+        ruler.rig,
+        ruler.deformer,
+        neutral=setup.references.neutral.astype(float),
+        positions=take.markers.positions,
+        visible=take.markers.visible,
+        rigid=rigid,
+        labels=take.markers.names,
+    )
+    weights = equation.propose(setup.markers.astype(float), visible=setup.visible)
+    return weights[:, [ruler.rig.shapes.index(name) for name in setup.references.shape_names]]
+
+
+def _print_uncertainty(
+    method: str, setups: list[Setup], found: list[Prediction], ruler: Ruler
+) -> None:
+    """Print how uncertainty ranks frames, and how often the limit of nine in ten holds."""
+    print(f"{method}: Spearman of uncertainty and error; share of frames within nine in ten\n")
+    print(f"| set-up | {' | '.join(found[0].regions)} |")
+    print(f"|---|{'---|' * len(found[0].regions)}")
+    for setup, each in zip(setups, found, strict=True):
+        error = on_rig(each.weights - setup.truth, setup, ruler)
+        cells = []
+        for region, limit in zip(each.regions, LIMIT_DEVIATIONS * each.uncertainty.T, strict=True):
+            true = ruler.errors_mm(error, region)
+            cells.append(f"{spearmanr(limit, true)[0]:.2f}, {(true <= limit).mean():.0%}")
+        print(f"| {setup.name} | {' | '.join(cells)} |", flush=True)
+
+
+def brow_share(folder: Path, ruler: Ruler, method: str) -> float:
+    """Map a recorded take of the brows through references of the cheeks.
+
+    Keys are the baseline's proposals, so that the baseline on the same registration is what a
+    mapping that loses nothing would give.
+    """
+    references = read_references(folder / "cheeks.references.usda")
+    cheeks, brows = (
+        read_take(folder / f"{name}.clean.take.usda").markers
+        for name in ("CheeksMoCap", "EyebrowsMoCap")
+    )
+    if cheeks is None or brows is None:
+        raise SystemExit("the recorded takes have no markers")
+    columns = [ruler.rig.shapes.index(name) for name in references.shape_names]
+    mapping = ruler.train(references, method)
+    placed = into_head_space(mapping, brows)
+    rows = slice(None, None, 3)
+    equation = set_up_equation(
+        ruler.rig,
+        ruler.deformer,
+        neutral=references.neutral.astype(float),
+        positions=cheeks.positions,
+        visible=cheeks.visible,
+        rigid=tuple(cheeks.names.index(name) for name in references.rigid),
+        labels=cheeks.names,
+    )
+    baseline = equation.propose(placed.positions[rows].astype(float), visible=placed.visible[rows])[
+        :, columns
+    ]
+    solved = predict_weights(mapping, placed.positions[rows], visible=placed.visible[rows]).weights
+    moving = [i for i, name in enumerate(references.shape_names) if name.lower().startswith("brow")]
+    spread = [np.sqrt(each[:, moving].var(axis=0).sum()) for each in (solved, baseline)]
+    return float(spread[0] / spread[1])

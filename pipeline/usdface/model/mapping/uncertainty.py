@@ -1,0 +1,136 @@
+"""How large the error of a frame is likely to be, in each region of the face [mm].
+
+Near the solve the posterior of a frame's bent weights is normal, with covariance (Laplace)::
+
+    C = (J' R^-1 J + P)^-1          J: slope of the forward model, R, P: of `frame_solve`
+
+so that the surface of region g, whose displacements have the Gram matrix ``G_g`` (mean dot products
+over its points), is off by ``tr(G_g D C D)`` squared on average, D being the slope of unbending.
+That knows how well the markers seen determine each shape, how far the frame is from the references
+(P, R), and what only the rig says. It does not know what no weights explain: markers left over at
+the solve, in variances that were expected of them, averaged over the markers that the region's
+shapes move, are ``chi2_g``. The standard deviation of the region's surface is
+
+    sigma_g = c_g sqrt(tr(G_g D C D) (1 + chi2_g))
+
+``c_g`` is calibrated on errors of references predicted by folds that have not seen them, of other
+times or takes: nine in ten are to be within 1.645 sigma, as of a normal distribution. A region with
+few errors of note has the face's constant.
+"""
+
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+
+from usdface.core.arrays import BoolArray, FloatArray, RealArray
+from usdface.model.regressions.base import Arrays
+from usdface.model.regressions.frame_solve import FrameSolution, FrameSolver
+from usdface.model.regressions.target_curve import unbend
+
+ERROR_PROBABILITY = 0.9
+"""That the error of a frame stays below `LIMIT_DEVIATIONS` of its uncertainty."""
+
+LIMIT_DEVIATIONS = NormalDist().inv_cdf((1 + ERROR_PROBABILITY) / 2)
+
+_REGION_PRIOR_ERRORS = 20.0
+"""Errors that the face's constant counts for beside a region's: of 20 errors, the quantile at .9 is
+as uncertain as constants of regions differ."""
+
+_CALIBRATION_RANGE = (0.5, 4.0)
+"""Of ``c``: folds of few references say no more."""
+
+_BEND_STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class UncertaintyModel:
+    """What turns a solved frame into an uncertainty.
+
+    Attributes
+    ----------
+    grams : (regions, shapes, shapes) float array
+        Of normalised weights [mm^2].
+    calibration : (regions,) float array
+        ``c``.
+    """
+
+    grams: FloatArray
+    calibration: FloatArray
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays) -> "UncertaintyModel":
+        """Put a mapping's model together."""
+        return cls(arrays["uncertainty_grams"], arrays["uncertainty_calibration"])
+
+    def to_arrays(self) -> Arrays:
+        """Return what `from_arrays` reads."""
+        return {
+            "uncertainty_grams": self.grams,
+            "uncertainty_calibration": self.calibration,
+        }
+
+    def deviations(
+        self, solver: FrameSolver, solution: FrameSolution, visible: BoolArray
+    ) -> FloatArray:
+        """Return the standard deviation of each region's surface: (frames, regions) [mm].
+
+        Parameters
+        ----------
+        visible : (frames, markers) bool array
+        """
+        if solution.hessian is None:
+            squared = self._shared_squared(solver, solution)
+        else:
+            curve = solver.forward.scales.curve
+            ahead = unbend(solution.targets + _BEND_STEP, curve)
+            unbent = (ahead - unbend(solution.targets, curve)) / _BEND_STEP
+            covariance = np.linalg.inv(solution.hessian)
+            covariance *= unbent.astype(np.float32)[:, :, None] * unbent.astype(np.float32)[:, None]
+            packed = self.grams.reshape(len(self.grams), -1).astype(np.float32)
+            squared = covariance.reshape(len(visible), -1) @ packed.T
+        squared = squared * (1 + self._unexplained(solver, solution.left, visible))
+        return np.asarray(np.sqrt(np.maximum(squared, 0.0)) * self.calibration)
+
+    def _shared_squared(self, solver: FrameSolver, solution: FrameSolution) -> FloatArray:
+        """Return ``tr(G C)`` from shapes' own deviations, where they are too many for a Hessian.
+
+        Shapes count as independent, and the markers' share in C is left out.
+        """
+        return np.asarray((1 / solution.precision) @ np.einsum("rss->sr", self.grams))
+
+    def _unexplained(self, solver: FrameSolver, left: RealArray, visible: BoolArray) -> FloatArray:
+        """Return ``chi2_g``: (frames, regions)."""
+        squared = (left.reshape(len(left), -1, 3) ** 2).sum(axis=2) / 3 / solver.residual2
+        weight = np.einsum("rss->rs", self.grams) @ solver.marker_share
+        seen = np.maximum(visible @ weight.T, 1e-12)
+        return np.asarray((squared @ weight.T) / seen)
+
+
+def calibrate_uncertainty(
+    grams: FloatArray, errors: FloatArray, deviations: FloatArray
+) -> FloatArray:
+    """Return the constant of each region under which nine of ten errors are within the limit.
+
+    Parameters
+    ----------
+    grams : (regions, shapes, shapes) float array
+        [mm^2]
+    errors : (pairs, shapes) float array
+        Normalised, of pairs that the prediction had not seen.
+    deviations : (pairs, regions) float array
+        Uncalibrated, of the same [mm].
+
+    Returns
+    -------
+    (regions,) float array
+    """
+    squared = np.einsum("ns,rst,nt->nr", errors, grams, errors, optimize=True)
+    ratios = np.sqrt(np.maximum(squared, 0.0)) / np.maximum(deviations, 1e-9)
+    needed = np.log(
+        np.maximum(np.quantile(ratios, ERROR_PROBABILITY, axis=0), 1e-6) / LIMIT_DEVIATIONS
+    )
+    share = len(errors) / (len(errors) + _REGION_PRIOR_ERRORS)
+    return np.asarray(
+        np.clip(np.exp(share * needed + (1 - share) * needed[0]), *_CALIBRATION_RANGE)
+    )

@@ -1,0 +1,236 @@
+"""The most probable weights of a frame, within their limits.
+
+Start from what the regression on the examples says, ``t0``, with the error it usually has, and
+bring in what the forward model f (`forward_model`) says of the markers y::
+
+    min over 0 <= t <= 1:   sum_k v_k |y_k - f_k(t)|^2 / r_k  +  sum_s rho((t_s - t0_s) / sd_s)
+
+``v``: visible. ``r_k``, of one coordinate: noise and the model's predictive variance at t0, so that
+a combination no reference shows weighs less, times how much markers err together. ``rho``: Huber's,
+quadratic up to `_TAIL_DEVIATIONS` and linear beyond: the examples may be wrong altogether.
+
+``sd_s`` lies between the examples' usual error and the spread of the shape's weight over faces, by
+shape and so by region. Where the markers that a shape moves are where t0 puts them, the frame looks
+like the references there, and the examples decide; where they are not, the markers do::
+
+    chi2_s = sum_k h_sk |y_k - f_k(t0)|^2 / (3 expected_k) / sum_k h_sk v_k
+    sd_s   = error_s^(1 - g) spread_s^g,    g = log(chi2_s / .3) / log(10 / .3), in [0, 1]
+
+``expected_k`` is the variance that noise, predictive variance and the usual errors explain, and
+``h_sk`` how much marker k shows of shape s. Markers that are not seen let their shapes go in the
+same way. The passage takes a decade and a half of chi2, so that it adds no jitter.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, RealArray
+from usdface.model.regressions.base import Arrays
+from usdface.model.regressions.forward_model import ForwardModel
+from usdface.numerics.solve.bounded_least_squares import descend_in_boxes
+
+CLEANED_NOISE_MM = 0.05
+"""Noise of a coordinate that cleaning leaves."""
+
+_COMMON_ERROR = 3.0
+"""Squared residuals of so many markers count as one: a forward model errs on neighbours alike."""
+
+_FAMILIAR_CHI2, _STRANGE_CHI2 = 0.3, 10.0
+"""Where the examples alone decide, and where they say no more than how far weights spread."""
+
+_WIDEST_SHARE = 0.8
+"""Of the spread of a shape's weight: its prior there."""
+
+_LEAST_ERROR = 0.01
+"""Of a weight: no animator keys finer."""
+
+_LEAST_SPREAD = 0.25
+"""Of a weight over faces: a uniform one has .29. That references leave a shape alone says that
+their take does, not that the next take will."""
+
+_TAIL_DEVIATIONS = 1.5
+"""Standard deviations beyond which the prior is linear (Huber 1964: 95 % efficient at 1.345)."""
+
+_TAIL_ROUNDS = 2
+"""Of reweighting for the tails: the first is without."""
+
+_GRADIENT_STEPS = 30
+"""Accelerated gradient steps of the bounded solve. The forward model is linearised once, at t0: a
+second time changes crosstake by less than .001 mm and takes as long again."""
+
+_MOST_SHAPES = 200
+"""Up to which every frame has a Hessian; beyond, frames share the one of their usual errors."""
+
+
+@dataclass(frozen=True)
+class FrameSolution:
+    """Weights of frames, and how firmly they are held.
+
+    Attributes
+    ----------
+    targets : (frames, shapes) float array
+        Bent weights [0-1].
+    precision : (frames, shapes) float array
+        Of the prior: ``1 / sd^2``, as its tails leave it.
+    left : (frames, 3 markers) float array
+        Markers minus where the weights put them; 0 where unseen [mm].
+    hessian : (frames, shapes, shapes) float32 array or None
+        Of half the sum that is minimised; None on rigs of many shapes.
+    """
+
+    targets: FloatArray
+    precision: RealArray
+    left: RealArray
+    hessian: RealArray | None
+
+
+@dataclass(frozen=True)
+class FrameSolver:
+    """The forward model and the examples' errors, ready for many frames.
+
+    Attributes
+    ----------
+    error : (shapes,) float array
+        Usual error of t0: standard deviation.
+    """
+
+    forward: ForwardModel
+    error: FloatArray
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays) -> "FrameSolver":
+        """Put a mapping's solver together."""
+        return cls(ForwardModel.from_arrays(arrays), arrays["start_error"])
+
+    def to_arrays(self) -> Arrays:
+        """Return what `from_arrays` reads."""
+        return self.forward.to_arrays() | {"start_error": self.error}
+
+    @property
+    def solvable(self) -> bool:
+        """Whether the rig is small enough for frames to be solved one by one."""
+        return len(self.error) <= _MOST_SHAPES
+
+    def solve(
+        self,
+        displacements: FloatArray,
+        visible: BoolArray,
+        start: FloatArray,
+        *,
+        bounded: bool = True,
+    ) -> FrameSolution:
+        """Solve frames.
+
+        Parameters
+        ----------
+        displacements : (frames, markers, 3) float array
+            From the neutral [mm]; what is not visible is not read.
+        visible : (frames, markers) bool array
+        start : (frames, shapes) float array
+            t0: bent weights of the regression on examples [0-1].
+        bounded : bool
+            False leaves weights as they are, another method's answer, and says how firmly they
+            are held.
+        """
+        seen = np.repeat(visible, 3, axis=1)
+        y = np.where(seen, displacements.reshape(len(seen), -1), 0.0)
+        t0 = np.clip(start, 0.0, 1.0).astype(np.float32)
+        predicted, slope = self.linearise(t0)
+        left = np.where(seen, y - predicted, 0.0).astype(np.float32)
+        unknown = self.forward.variance(t0)
+        precision = self._prior_precision(left, visible, unknown)
+        if slope is None:
+            return FrameSolution(start, precision, left, None)
+        noise = CLEANED_NOISE_MM**2 + 0.5 * self.forward.residual2 + unknown
+        weight = np.repeat(visible / (_COMMON_ERROR * noise), 3, axis=1).astype(np.float32)
+        weighted = slope * weight[:, None]
+        hessian = weighted @ slope.transpose(0, 2, 1)
+        diagonal = np.arange(t0.shape[1])
+        if not bounded:
+            hessian[:, diagonal, diagonal] += precision
+            return FrameSolution(start, precision, left, hessian)
+        gradient = (weighted @ left[:, :, None])[:, :, 0]
+        t: RealArray = t0
+        for _ in range(_TAIL_ROUNDS):
+            held = precision / np.maximum(np.abs(t - t0) * np.sqrt(precision) / _TAIL_DEVIATIONS, 1)
+            system = hessian.copy()
+            system[:, diagonal, diagonal] += held
+            t = t0 + descend_in_boxes(
+                system, gradient, lower=-t0, upper=1 - t0, start=t - t0, steps=_GRADIENT_STEPS
+            )
+        moved = (slope.transpose(0, 2, 1) @ (t - t0)[:, :, None])[:, :, 0]
+        left = np.where(seen, left - moved, 0)
+        targets = np.clip(t, 0.0, 1.0).astype(np.float64)
+        return FrameSolution(targets, held, left, system)
+
+    def linearise(self, targets: RealArray) -> tuple[Float32Array, Float32Array | None]:
+        """Return where weights put the markers, and the derivatives.
+
+        Parameters
+        ----------
+        targets : (frames, shapes) float array
+            Bent weights.
+
+        Returns
+        -------
+        displacements : (frames, 3 markers) float32 array
+            [mm]
+        slope : (frames, shapes, 3 markers) float32 array or None
+            None on rigs of many shapes, whose quadratic part is left out.
+        """
+        basis, offset, curvature = self._linear
+        t = targets.astype(np.float32)
+        if curvature is None:
+            return t @ basis + offset, None
+        half = (t @ curvature).reshape(len(t), *basis.shape)
+        predicted = t @ basis + offset + (t[:, None] @ half)[:, 0]
+        half *= 2
+        half += basis
+        return predicted, half
+
+    @cached_property
+    def residual2(self) -> FloatArray:
+        """Expected squared residual of a coordinate at right weights: (markers,) [mm^2]."""
+        return np.asarray(CLEANED_NOISE_MM**2 + self.forward.residual2)
+
+    @cached_property
+    def marker_share(self) -> FloatArray:
+        """``h``, how much each marker shows of each shape: (shapes, markers), rows of sum 1."""
+        shown = self.forward.shape_size2 / (self.residual2 + self._carried)
+        return np.asarray(shown / np.maximum(shown.sum(axis=1, keepdims=True), 1e-9))
+
+    @cached_property
+    def _carried(self) -> FloatArray:
+        """Variance that the usual errors leave in a coordinate: (markers,) [mm^2]."""
+        return np.asarray(self.error**2 @ ((self.forward.basis**2).sum(axis=2) / 3))
+
+    @cached_property
+    def _linear(self) -> tuple[Float32Array, Float32Array, Float32Array | None]:
+        """Return basis (shapes, 3 markers), offset (3 markers) and packed curvature."""
+        model = self.forward
+        basis = model.basis.reshape(len(model.basis), -1).astype(np.float32)
+        curvature = model.curvature().reshape(len(basis), -1) if self.solvable else None
+        return basis, model.offset.reshape(-1).astype(np.float32), curvature
+
+    @cached_property
+    def _spread(self) -> FloatArray:
+        return np.asarray(
+            _WIDEST_SHARE * np.maximum(self.forward.targets.std(axis=0), _LEAST_SPREAD)
+        )
+
+    def _prior_precision(
+        self, left: Float32Array, visible: BoolArray, unknown: RealArray
+    ) -> Float32Array:
+        """Return ``1 / sd^2`` of each shape: (frames, shapes)."""
+        squared = (left.reshape(len(left), -1, 3) ** 2).sum(axis=2) / 3
+        chi2 = (squared / (self.residual2 + self._carried + unknown)) @ self.marker_share.T
+        seen = 1 - ~visible @ self.marker_share.T
+        chi2 /= np.maximum(seen, 1e-9)
+        decades = np.log(np.maximum(chi2, 1e-9) / _FAMILIAR_CHI2)
+        strange = np.clip(decades / np.log(_STRANGE_CHI2 / _FAMILIAR_CHI2), 0.0, 1.0)
+        strange = 1 - (1 - strange) * seen
+        error = np.maximum(self.error, _LEAST_ERROR)
+        deviation = error * (np.maximum(self._spread, error) / error) ** strange
+        return np.asarray(1 / deviation**2, dtype=np.float32)

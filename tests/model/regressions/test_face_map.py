@@ -1,0 +1,116 @@
+"""The forward model against closed forms and brute force, and the bounded solve against SciPy."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from usdface.model.regressions import forward_model
+from usdface.model.regressions.forward_model import (
+    ForwardModel,
+    ForwardScales,
+    fit_forward_model,
+)
+from usdface.model.regressions.frame_solve import FrameSolver
+
+PAIRS, SHAPES, MARKERS = 12, 5, 7
+SCALES = ForwardScales(alpha=0.4, floor=0.2, eta=0.1, tau=0.05, curve=0.0)
+
+
+def a_face(seed: int = 0) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(seed)
+    neutral = rng.uniform(-40, 40, size=(MARKERS, 3))
+    basis = 5 * rng.normal(size=(SHAPES, MARKERS, 3))
+    weights = rng.random((PAIRS, SHAPES))
+    moved = np.einsum("ns,skc->nkc", weights, basis) + 0.1 * rng.normal(size=(PAIRS, MARKERS, 3))
+    return weights, moved, basis, neutral
+
+
+def fitted(rows: np.ndarray | None = None, scales: ForwardScales | None = SCALES) -> ForwardModel:
+    weights, moved, basis, neutral = a_face()
+    rows = np.arange(PAIRS) if rows is None else rows
+    return fit_forward_model(
+        weights[rows], moved[rows], expected=0.8 * basis, neutral=neutral, scales=scales
+    )
+
+
+def test_leave_one_out_residuals_are_those_of_models_without_the_pair(monkeypatch) -> None:
+    monkeypatch.setattr(forward_model, "_NOISES_MM", (0.1,))
+    weights, moved, _, _ = a_face()
+    # The quadratic scale follows the pairs' motion: without it the rest is the same model.
+    scales = replace(SCALES, eta=0.0)
+    whole = fitted(scales=scales)
+    for left in range(3):
+        model = fitted(np.delete(np.arange(PAIRS), left), scales)
+        predicted = FrameSolver(model, np.full(SHAPES, 0.1)).linearise(weights[[left]])[0]
+        expected = moved[left].ravel() - predicted[0]
+        np.testing.assert_allclose(whole.residuals[left].ravel(), expected, atol=2e-4)
+
+
+def test_the_basis_is_the_mean_of_the_conjugate_posterior(monkeypatch) -> None:
+    monkeypatch.setattr(forward_model, "_NOISES_MM", (0.1,))
+    weights, moved, basis, _ = a_face()
+    model = fitted(scales=replace(SCALES, eta=0.0, tau=0.0))
+    for marker in range(2):
+        prior = np.append(1 / model.deviation2[:, marker], 1 / 0.3**2)
+        rows = np.column_stack([weights, np.ones(PAIRS)])
+        right = rows.T @ (moved[:, marker] - weights @ (0.8 * basis[:, marker])) / 0.1**2
+        mean = np.linalg.solve(np.diag(prior) + rows.T @ rows / 0.1**2, right)
+        np.testing.assert_allclose(model.basis[:, marker], 0.8 * basis[:, marker] + mean[:-1])
+        np.testing.assert_allclose(model.offset[marker], mean[-1])
+
+
+def test_the_slope_is_the_derivative() -> None:
+    solver = FrameSolver(fitted(), np.full(SHAPES, 0.1))
+    t = np.full((1, SHAPES), 0.4)
+    _, slope = solver.linearise(t)
+    assert slope is not None
+    for shape in range(SHAPES):
+        step = np.zeros((1, SHAPES))
+        step[0, shape] = 0.05
+        ahead, behind = solver.linearise(t + step)[0], solver.linearise(t - step)[0]
+        np.testing.assert_allclose((ahead - behind)[0] / 0.1, slope[0, shape], atol=1e-3)
+
+
+def test_variance_is_nothing_to_speak_of_at_pairs_and_grows_beyond_them() -> None:
+    model = fitted(scales=replace(SCALES, tau=0.0))
+    at, beyond = model.variance(model.targets), model.variance(3 * model.targets)
+    assert (at < model.noise + 1e-6).all()
+    assert np.median(beyond / at) > 10
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_frames_are_solved_as_by_scipy(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    model = fitted(scales=replace(SCALES, eta=0.0))  # then one linearisation is exact
+    solver = FrameSolver(model, np.full(SHAPES, 0.05))
+    true, start = rng.random(SHAPES), rng.random(SHAPES)
+    y = (true @ model.basis.reshape(SHAPES, -1)).reshape(1, MARKERS, 3) + model.offset
+    seen = np.ones((1, MARKERS), dtype=bool)
+    found = solver.solve(y, seen, start[None])
+    held = np.asarray(found.precision[0], float)
+    matrix = np.asarray(found.hessian, float)[0] - np.diag(held)  # of the markers
+    pulled = matrix @ (np.linalg.solve(matrix, matrix @ (true - start)))
+
+    def cost(t: np.ndarray) -> float:
+        d = t - start
+        return float(0.5 * d @ (matrix + np.diag(held)) @ d - pulled @ d)
+
+    best = minimize(cost, start, bounds=[(0, 1)] * SHAPES, method="L-BFGS-B", tol=1e-14)
+    assert cost(found.targets[0]) <= best.fun + 1e-3 * abs(best.fun)
+
+
+def test_keys_that_are_off_have_their_error_found() -> None:
+    rng = np.random.default_rng(3)
+    basis = 5 * rng.normal(size=(8, 30, 3))
+    weights = rng.random((40, 8))
+    moved = np.einsum("ns,skc->nkc", weights, basis) + 0.05 * rng.normal(size=(40, 30, 3))
+    neutral = rng.uniform(-40, 40, size=(30, 3))
+    off = np.clip(weights * (1 + 0.15 * rng.normal(size=weights.shape)), 0, 1)
+    exact, inexact = (
+        fit_forward_model(keys, moved, expected=basis, neutral=neutral).scales.tau
+        for keys in (weights, off)
+    )
+    assert exact < 0.05
+    assert 0.05 < inexact < 0.25
