@@ -20,6 +20,7 @@ from usdface.model.selection.design import (
     in_order_of_worth,
 )
 from usdface.model.selection.lip_contact import find_lips, keep_lip_contact
+from usdface.model.selection.neutral_check import find_better_neutral
 from usdface.numerics.regression.linear_ridge import fit_linear_ridge
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
@@ -307,6 +308,22 @@ def _references(
     )
 
 
+def _neutral_notes(scene: SelectionScene) -> list[str]:
+    """Say if the first take's neutral frame, which is the performer's, is not neutral."""
+    takes = scene.takes
+    rows = np.flatnonzero(takes.usable[0].all(axis=1))
+    found = find_better_neutral(scene.equation, takes.positions[0], rows)
+    if found is None:
+        return []
+    name, frame = takes.sources[0].name, int(takes.frames[found.row])
+    return [
+        f"{name}: its neutral frame is not neutral: from frame {frame} the rig's shapes explain "
+        f"the take to {found.residual_mm:.1f} mm, from the neutral frame to "
+        f"{found.stated_mm:.1f} mm. Clean the take with --neutral {frame}, "
+        "or a frame in which the face is at rest"
+    ]
+
+
 def _notes(
     selection: _Selection, choice: ReferenceChoice, mapping: TrainedMapping | None
 ) -> list[str]:
@@ -316,6 +333,7 @@ def _notes(
             f"left out {pluralize(len(dropped), 'marker')}, not in every take: {first_few(dropped)}"
         )
     takes = selection.scene.takes
+    notes += _neutral_notes(selection.scene)
     for take, neutral in zip(takes.sources, takes.neutrals, strict=True):
         notes += neutral.notes(take.name)
     if selection.kept:

@@ -1,0 +1,80 @@
+"""Whether a take's neutral frame is neutral, by what a rig's shapes can do."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray, IntArray, sample_frames
+from usdface.model.selection.baseline import BlendshapeEquation, Positions
+
+_SOLVED_FRAMES = 60
+"""Spread over the take, to judge each candidate by."""
+
+_CANDIDATE_FRAMES = 24
+_SEARCHED_FRAMES = 800
+
+BETTER_SHARE = 0.75
+"""Residual of the take from another frame over that from the stated one, below which that frame is
+the neutral one: between frames that are both neutral it differs by a tenth."""
+
+
+@dataclass(frozen=True)
+class BetterNeutral:
+    """A frame that is neutral, where the stated one is not.
+
+    Attributes
+    ----------
+    row : int
+        Of the frames given.
+    residual_mm, stated_mm : float
+        What the shapes leave of the take, from that frame and from the stated one [mm].
+    """
+
+    row: int
+    residual_mm: float
+    stated_mm: float
+
+
+def find_better_neutral(
+    equation: BlendshapeEquation, positions: Positions, rows: IntArray
+) -> BetterNeutral | None:
+    """Return a frame from which the rig's shapes explain a take far better; None if none does.
+
+    Shapes go one way: a smile can be added to a neutral face, but not taken from it. From a frame
+    that smiles already, frames that do not are out of reach.
+
+    Parameters
+    ----------
+    positions : (frames, markers, 3) float array
+        A stabilised take [mm].
+    rows : (n,) int array
+        Frames with all markers.
+    """
+    if len(rows) < _CANDIDATE_FRAMES:
+        return None
+    searched = rows[sample_frames(len(rows), _SEARCHED_FRAMES)]
+    solved = positions[rows[sample_frames(len(rows), _SOLVED_FRAMES)]].astype(np.float64)
+    candidates = _spread(positions[searched].astype(np.float64), equation.neutral)
+
+    def residual_mm(neutral: FloatArray) -> float:
+        tried = replace(equation, neutral=neutral)
+        away = tried.residual_mm(solved, tried.propose(solved))
+        return float(np.sqrt((away**2).mean()))
+
+    stated = residual_mm(equation.neutral)
+    found = [residual_mm(positions[row].astype(np.float64)) for row in searched[candidates]]
+    best = int(np.argmin(found))
+    if not found[best] < BETTER_SHARE * stated:
+        return None
+    return BetterNeutral(int(searched[candidates[best]]), found[best], stated)
+
+
+def _spread(frames: FloatArray, neutral: FloatArray) -> IntArray:
+    """Return frames that differ most from the neutral face and each other, and some at any time."""
+    flat = frames.reshape(len(frames), -1)
+    least = ((flat - neutral.ravel()) ** 2).sum(axis=1)
+    chosen: list[int] = []
+    for _ in range(_CANDIDATE_FRAMES // 2):
+        chosen.append(int(least.argmax()))
+        least = np.minimum(least, ((flat - flat[chosen[-1]]) ** 2).sum(axis=1))
+    return np.union1d(chosen, sample_frames(len(frames), _CANDIDATE_FRAMES // 2))
