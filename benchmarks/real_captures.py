@@ -3,30 +3,33 @@
 Recorded: `markers_animface`, one performer, 41 markers, no skull cap. Distances are measured in the
 front view to landmarks picked by hand; a marker may sit beside its feature, so that they are no
 errors. Beyond doubt are a nose tip off the nose, a lid's marker below its margin, and roll.
-Simulated: `crosstake`, whose keys are known.
+Simulated: `crosstake`, and performers made of each rig, whose weights and places are known.
+Beside them stand the figures of commit ea0f6c3, measured with its code on the same files: rigid
+markers chosen in each take, closest points, three scales for motion.
 """
 
 import json
 import tempfile
 import time
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from benchmarks._crosstalk import print_crosstalk
 from benchmarks._damage import DAMAGES
+from benchmarks._placement_subjects import simulate_take
 from benchmarks.crosstake import prepare, read_ruler, score
 from tests.conftest import SHARED_DATA
 from usdface.capture.sniff import read_capture
 from usdface.core.arrays import FloatArray
+from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
 from usdface.model.placement.label_hints import label_hint, skin_motion_mm
-from usdface.model.placement.marker_cloud import marker_cloud
-from usdface.model.placement.place import place_markers
-from usdface.model.selection.baseline import set_up_equation
-from usdface.numerics.registration.face_skin import sample_face_skin
+from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
+from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
+from usdface.numerics.regression.cross_validation import surface_rms_mm
 from usdface.numerics.repair.cleaning import PosePrior, clean_markers
 from usdface.numerics.rigid.rigid_alignment import align_rigid_robust
 from usdface.usdio.rig.read import read_rig
@@ -41,8 +44,55 @@ TAKES = {
 MOVING = {"CheeksMoCap": ("cheeks and nose", "mouth"), "EyebrowsMoCap": ("brows",)}
 """Parts of a rig that each take moves."""
 
+BROWS = ("brow", "forehead")
+"""What moves in EyebrowsMoCap; a solve's motion elsewhere is crosstalk, or left of the head's."""
+
 LANDMARKS = {"nose": "NoseHead", "chin": "Chin", "mouth_L": "Mouth_Lend", "mouth_R": "Mouth_Rend"}
 LIDS = {"lidup_L": "Leye_Up", "lidup_R": "Reye_Up"}
+SEEDS = (1, 2, 3)
+"""Performers made of each rig."""
+
+FOLDS = 5
+EVERY_FRAME = 4
+"""Of the recorded takes, for shares and held-out markers."""
+
+EARLIER_POSE_MM = {"CheeksMoCap": 1.21, "EyebrowsMoCap": 0.41}
+EARLIER_PLACES = {
+    ("facecap_head", "CheeksMoCap"): (10.9, 9.4, 7.2, 8.1, -9.9, -12.9, 4.1, 0.740, 0.825),
+    ("facecap_head", "EyebrowsMoCap"): (0.8, 13.9, 14.4, 13.6, -0.3, -0.7, 1.9, 0.532, 1.045),
+    ("ict_face", "CheeksMoCap"): (5.9, 4.4, 9.8, 5.9, 2.7, 0.4, 1.1, 0.755, 0.833),
+    ("ict_face", "EyebrowsMoCap"): (1.1, 13.6, 16.0, 12.1, 4.8, 0.4, 0.1, 0.460, 1.010),
+    ("demo_character", "CheeksMoCap"): (20.0, 16.5, 4.1, 9.4, -43.9, -44.9, 9.4, 0.628, 0.338),
+    ("demo_character", "EyebrowsMoCap"): (3.6, 7.4, 17.3, 16.8, -0.8, -0.5, 2.0, 0.390, 0.871),
+}
+EARLIER_OUTSIDE = {"facecap_head": 0.426, "ict_face": 0.502, "demo_character": 0.379}
+EARLIER_HELD_OUT = {
+    ("facecap_head", "CheeksMoCap"): 0.458,
+    ("facecap_head", "EyebrowsMoCap"): 0.672,
+    ("ict_face", "CheeksMoCap"): 0.455,
+    ("ict_face", "EyebrowsMoCap"): 0.701,
+    ("demo_character", "CheeksMoCap"): 0.531,
+    ("demo_character", "EyebrowsMoCap"): 0.748,
+}
+EARLIER_WEIGHTS = {
+    "crosstake": (1.502, 0.014, np.nan),
+    "facecap_head": (1.168, 0.007, 0.80),
+    "ict_face": (1.001, -0.008, 1.01),
+    "demo_character": (1.080, 0.026, 3.42),
+}
+"""Surface [mm], blink bias, median error of places [mm]."""
+
+
+@dataclass(frozen=True)
+class Head:
+    """A rig and what is measured on it."""
+
+    rig: Rig
+    deformer: Deformer
+    skin: FaceSkin
+
+
+Claims = list[tuple[str, str, str]]
 
 
 def run() -> None:
@@ -50,38 +100,39 @@ def run() -> None:
     if not (SHARED_DATA / "markers_animface").is_dir():
         print(f"skipped: no markers_animface in {SHARED_DATA}")
         return
-    takes = {name: _read(name) for name in TAKES}
+    claims: Claims = []
     print("### Head pose: error at the mouth, against the part of each take that is still\n")
-    print("| take | RMS [mm] |\n|---|---|")
-    cleaned = {}
-    for name, (positions, labels) in takes.items():
-        cleaned[name], error = _clean(positions, labels, TAKES[name])
-        print(f"| {name} | {error:.2f} |", flush=True)
-    picked = json.loads((SHARED_DATA / "rigs" / "landmarks.json").read_text())
-    rigs = {
-        "facecap_head": read_rig(SHARED_DATA / "rigs" / "facecap_head.usdc"),
-        "ict_face": read_rig(SHARED_DATA / "rigs" / "ict_face.usdc"),
-        "demo_character": demo_rig(),
+    print("| take | RMS [mm] | ea0f6c3 |\n|---|---|---|")
+    cleaned: dict[str, FloatArray] = {}
+    labels: tuple[str, ...] = ()
+    for name, still in TAKES.items():
+        positions, labels = _read(name)
+        cleaned[name], error = _clean(positions, labels, still)
+        print(f"| {name} | {error:.2f} | {EARLIER_POSE_MM[name]:.2f} |", flush=True)
+        target = "≤ 1.6" if name == "CheeksMoCap" else "≤ 0.45"
+        claims.append((f"pose at the mouth [mm], {name}", f"{error:.2f}", target))
+    heads = {
+        "facecap_head": _head(read_rig(SHARED_DATA / "rigs" / "facecap_head.usdc")),
+        "ict_face": _head(read_rig(SHARED_DATA / "rigs" / "ict_face.usdc")),
+        "demo_character": _head(demo_rig()),
     }
-    print(
-        "\n### Placement: distance from landmarks [mm]; lids above their margin; roll [degrees]\n"
-    )
-    heads = (*LANDMARKS, *LIDS, "roll", "explained", "motion scale", "seconds")
-    print(f"| rig, take, labels | {' | '.join(heads)} |\n|{'---|' * (len(heads) + 1)}")
-    for rig_name, rig in rigs.items():
-        deformer = Deformer(rig)
-        skin = sample_face_skin(
-            deformer.neutral, deformer.triangles, deformer.shapes.target_offsets()
-        )
-        for name, (_, labels) in takes.items():
-            for known in ("labels", "no labels"):
-                row = _placed(skin, rig, cleaned[name], labels, picked[rig_name], known)
-                cells = " | ".join(f"{each:.2f}" for each in row)
-                print(f"| {rig_name}, {name}, {known} | {cells} |", flush=True)
+    equations = _placements(heads, cleaned, labels, claims)
+    _motion_outside(equations, cleaned, labels, claims)
+    _held_out_markers(equations, cleaned)
     print_crosstalk(
-        {name: (cleaned[name], labels, MOVING[name]) for name, (_, labels) in takes.items()}, rigs
+        {name: (cleaned[name], labels, MOVING[name]) for name in TAKES},
+        {name: head.rig for name, head in heads.items()},
     )
-    _starting_weights()
+    _starting_weights(heads, claims)
+    print("\n| measure | value | wanted |\n|---|---|---|")
+    for measure, value, target in claims:
+        print(f"| {measure} | {value} | {target} |")
+
+
+def _head(rig: Rig) -> Head:
+    deformer = Deformer(rig)
+    offsets = deformer.shapes.target_offsets()
+    return Head(rig, deformer, sample_face_skin(deformer.neutral, deformer.triangles, offsets))
 
 
 def _read(name: str) -> tuple[FloatArray, tuple[str, ...]]:
@@ -112,37 +163,172 @@ def _clean(
     return cleaned.positions.astype(float), float(np.sqrt((away**2).sum(axis=2).mean()))
 
 
-def _placed(
-    skin: Any,
-    rig: Any,
-    positions: FloatArray,
+Equations = dict[tuple[str, str], BlendshapeEquation]
+
+
+def _placements(
+    heads: dict[str, Head],
+    cleaned: dict[str, FloatArray],
     labels: tuple[str, ...],
+    claims: Claims,
+) -> Equations:
+    """Print where markers lie; return the equations of the placements by labels."""
+    picked = json.loads((SHARED_DATA / "rigs" / "landmarks.json").read_text())
+    print(
+        "\n### Placement: distance from landmarks [mm]; lids above their margin [mm]; roll "
+        "[degrees]\n"
+    )
+    columns = (*LANDMARKS, *LIDS, "roll", "explained", "motion scale", "seconds")
+    print(f"| rig, take, labels | {' | '.join(columns)} |\n|{'---|' * (len(columns) + 1)}")
+    equations: Equations = {}
+    silent = tuple(f"m{i}" for i in range(len(labels)))
+    worst = {"nose": 0.0, "lid": np.inf, "roll": 0.0, "named": 0.0, "silent": 0.0}
+    for rig_name, head in heads.items():
+        for take, positions in cleaned.items():
+            for kind, given in (("named", labels), ("silent", silent)):
+                begun = time.process_time()
+                equation = _equation(head, positions, positions[0], (), given)
+                seconds = time.process_time() - begun
+                row = _row(equation, head, picked[rig_name], labels)
+                print(f"| {rig_name}, {take}, {kind} | {_cells([*row, seconds])} |", flush=True)
+                worst[kind] = max(worst[kind], seconds)
+                if kind == "named":
+                    equations[rig_name, take] = equation
+                    worst["nose"] = max(worst["nose"], row[0])
+                    worst["lid"] = min(worst["lid"], *row[4:6])
+                    worst["roll"] = max(worst["roll"], row[6])
+            print(f"| {rig_name}, {take}, ea0f6c3 | {_cells(EARLIER_PLACES[rig_name, take])} | |")
+    claims += [
+        ("nose tip from its landmark [mm], worst", f"{worst['nose']:.1f}", "≤ 4.5"),
+        ("upper lids' markers above the margin [mm], worst", f"{worst['lid']:.1f}", "≥ 0"),
+        ("roll [degrees], worst", f"{worst['roll']:.1f}", "≤ 2"),
+        ("placement by labels [s], worst", f"{worst['named']:.1f}", "≤ 10"),
+        ("placement by motion [s], worst", f"{worst['silent']:.1f}", "≤ 30"),
+    ]
+    return equations
+
+
+def _cells(values: list[float] | tuple[float, ...]) -> str:
+    return " | ".join(f"{each:.2f}" for each in values)
+
+
+def _equation(
+    head: Head,
+    positions: FloatArray,
+    neutral: FloatArray,
+    rigid: tuple[int, ...],
+    labels: tuple[str, ...],
+) -> BlendshapeEquation:
+    return set_up_equation(
+        head.rig,
+        head.deformer,
+        neutral=neutral,
+        positions=positions,
+        visible=np.ones(positions.shape[:2], np.bool_),
+        rigid=rigid,
+        labels=labels,
+    )
+
+
+def _row(
+    equation: BlendshapeEquation,
+    head: Head,
     picked: dict[str, list[float]],
-    known: str,
+    labels: tuple[str, ...],
 ) -> list[float]:
-    """Place a take, and return distances, heights, roll, explained share, scale and seconds."""
-    given = labels if known == "labels" else tuple(f"m{i}" for i in range(len(labels)))
-    begun = time.perf_counter()
-    cloud = marker_cloud(given, positions[0], positions)
-    found = place_markers(cloud, skin, rig.shapes, ranges=rig.ranges)
-    places, share = skin.positions[found.samples], found.explained
-    scale = found.virtual.motion_scale
-    seconds = time.perf_counter() - begun
+    """Return distances, heights, roll, explained share and scale of a placement."""
+    places = equation.virtual.places(head.deformer.neutral)
     at = dict(zip(labels, places, strict=True))
     row = [float(np.hypot(*(at[label][:2] - picked[name]))) for name, label in LANDMARKS.items()]
     row += [float(at[label][1] - picked[name][1]) for name, label in LIDS.items()]
     upward = at["ForeHead_M"] - at["Chin"]
     row.append(abs(float(np.degrees(np.arctan2(upward[0], upward[1])))))
-    return [*row, share, scale, seconds]
+    if equation.placement is None:
+        raise SystemExit("the equation was set up without a placement")
+    return [*row, equation.placement.explained, equation.virtual.motion_scale]
 
 
-def _starting_weights() -> None:
-    """Score weights that animators start from, by the shipped placement and the candidate's."""
-    print("\n### Starting weights of crosstake's second half\n")
+def _motion_outside(
+    equations: Equations, cleaned: dict[str, FloatArray], labels: tuple[str, ...], claims: Claims
+) -> None:
+    """Print how much of what the weights move lies off the brows, where only brows move."""
+    print("\n### Share of the solved motion outside the brows, EyebrowsMoCap\n")
+    print("Sums over markers of the root mean square displacement.\n")
+    print("| rig | share | ea0f6c3 |\n|---|---|---|")
+    outside = np.array([label_hint(label).region not in BROWS for label in labels])
+    wanted = {"facecap_head": "≤ 28 %", "ict_face": "≤ 40 %"}
+    for (rig_name, take), equation in equations.items():
+        if take == "EyebrowsMoCap":
+            weights = equation.propose(cleaned[take][::EVERY_FRAME])
+            moved = ((equation.explained(weights) - equation.neutral) ** 2).sum(axis=2)
+            size = np.sqrt(moved.mean(axis=0))
+            share = float(size[outside].sum() / size.sum())
+            print(f"| {rig_name} | {share:.3f} | {EARLIER_OUTSIDE[rig_name]:.3f} |", flush=True)
+            if rig_name in wanted:
+                claims.append(
+                    (f"motion outside the brows, {rig_name}", f"{share:.0%}", wanted[rig_name])
+                )
+
+
+def _held_out_markers(equations: Equations, cleaned: dict[str, FloatArray]) -> None:
+    """Print the error at markers that the weights were not solved from, over that of no motion."""
+    print(f"\n### Markers held out of the solve, {FOLDS} folds: error over that of no motion\n")
+    print("| rig, take | error | ea0f6c3 |\n|---|---|---|")
+    for (rig_name, take), equation in equations.items():
+        positions = cleaned[take][::EVERY_FRAME]
+        order = np.random.default_rng(0).permutation(positions.shape[1])
+        off, still = 0.0, 0.0
+        for fold in range(FOLDS):
+            out = order[fold::FOLDS]
+            trust = equation.trust.copy()
+            trust[out] = 0.0
+            part = replace(equation, trust=trust)
+            predicted = part.explained(part.propose(positions))
+            off += float(((positions[:, out] - predicted[:, out]) ** 2).sum())
+            still += float(((positions[:, out] - equation.neutral[out]) ** 2).sum())
+        earlier = EARLIER_HELD_OUT[rig_name, take]
+        print(f"| {rig_name}, {take} | {np.sqrt(off / still):.3f} | {earlier:.3f} |", flush=True)
+
+
+def _starting_weights(heads: dict[str, Head], claims: Claims) -> None:
+    """Score weights that animators start from, of performers whose weights are known."""
+    print("\n### Weights to start from, labels silent\n")
+    names = ("surface [mm]", "blink bias", "places, median [mm]")
+    columns = [column for name in names for column in (name, "ea0f6c3")]
+    print(f"| performer | {' | '.join(columns)} |\n|{'---|' * (len(columns) + 1)}")
+    figures = {"crosstake": _crosstake(heads["facecap_head"])}
+    for name, head in heads.items():
+        rows = [_simulated(head, seed) for seed in SEEDS]
+        surface, blink, places = np.mean(rows, axis=0)
+        figures[name] = (float(surface), float(blink), float(places))
+    for name, row in figures.items():
+        pairs = zip(row, EARLIER_WEIGHTS[name], strict=True)
+        cells = " | ".join(f"{now:.3f} | {earlier:.3f}" for now, earlier in pairs)
+        cells = cells.replace("nan", "")
+        print(f"| {name} | {cells} |", flush=True)
+    surface, blink, _ = figures["crosstake"]
+    claims.append(("weights to start from, crosstake [mm]", f"{surface:.3f}", "≤ 1.12"))
+    claims.append(("their blink bias, off zero", f"{abs(blink):.3f}", "≤ 0.05"))
+
+
+def _simulated(head: Head, seed: int) -> tuple[float, float, float]:
+    take = simulate_take(head.skin, head.rig.shapes, seed=seed)
+    equation = _equation(head, take.positions, take.neutral, take.rigid, take.labels)
+    error = equation.propose(take.positions) - take.weights
+    offsets = head.deformer.shapes.target_offsets()
+    gram = (offsets @ offsets.T).toarray() / len(head.deformer.neutral)
+    blinks = [i for i, name in enumerate(head.rig.shapes) if name.lower().startswith("eyeblink")]
+    truth = take.weights[:, blinks]
+    peaks = truth > np.quantile(truth, 0.97, axis=0)
+    places = equation.virtual.places(head.deformer.neutral) @ head.skin.frame.T
+    away = np.linalg.norm(places - head.skin.positions[take.samples], axis=1)
+    bias = float(error[:, blinks][peaks].mean())
+    return surface_rms_mm(error, gram), bias, float(np.median(away))
+
+
+def _crosstake(head: Head) -> tuple[float, float, float]:
+    """Score the second half of crosstake; where its markers truly sit is not known."""
     truth = np.load(SHARED_DATA / "crosstake" / "truth.npz")
-    rig_file = SHARED_DATA / "rigs" / "facecap_head.usdc"
-    rig, ruler = read_rig(rig_file), read_ruler()
-    deformer = Deformer(rig)
     with tempfile.TemporaryDirectory() as name:
         prepare(Path(name), DAMAGES[0], truth)
         take = read_take(Path(name) / "x.clean.take.usda")
@@ -151,10 +337,9 @@ def _starting_weights() -> None:
         raise SystemExit("crosstake has no markers")
     neutral = markers.positions[markers.neutral_frame - take.first_frame].astype(float)
     rigid = tuple(markers.names.index(each) for each in markers.rigid)
-    print("| labels | surface [mm] | blink bias | jitter |\n|---|---|---|---|")
     equation = set_up_equation(
-        rig,
-        deformer,
+        head.rig,
+        head.deformer,
         neutral=neutral,
         positions=markers.positions,
         visible=markers.visible,
@@ -162,8 +347,5 @@ def _starting_weights() -> None:
         labels=markers.names,
     )
     weights = equation.propose(markers.positions)
-    figures = score(ruler, (rig.shapes, weights), truth, rig_file)
-    print(
-        f"| silent | {figures['vertex_rms_mm']:.3f} | {figures['blink_bias']:+.3f} | "
-        f"{figures['jitter']:.2f} |"
-    )
+    figures = score(read_ruler(), (head.rig.shapes, weights), truth, head.rig.file)
+    return float(figures["vertex_rms_mm"]), float(figures["blink_bias"]), float("nan")

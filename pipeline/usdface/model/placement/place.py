@@ -29,6 +29,9 @@ FEWEST_HINTS = 6
 FEWEST_PINS = 3
 """Points from which an alignment follows."""
 
+_MARKER_RADIUS_MM = 1.5
+"""Of the smallest face markers in use, 3 mm wide."""
+
 _PIN_SPREAD_MM = 0.5
 _PROPORTION_SPREAD_MM = 4.0
 """Standard deviation of a marker about the similarity that suits the others: as narrow as the
@@ -124,7 +127,7 @@ def place_markers(
     else:
         start = _by_motion(scene)
     placement = start.placement
-    samples = placement.samples.copy()
+    samples = _above_lid_margins(scene, landmarks, placement.samples)
     for marker, at in pins.items():
         samples[marker] = ((skin.positions - at) ** 2).sum(axis=1).argmin()
     virtual = _virtual_markers(scene, start, samples)
@@ -145,6 +148,23 @@ def place_markers(
         },
         named,
     )
+
+
+def _above_lid_margins(
+    scene: "_Scene", landmarks: dict[str, FloatArray], samples: IntArray
+) -> IntArray:
+    """Lift markers of upper lids above the lid's margin: below are the lashes, and the eye."""
+    lifted = samples.copy()
+    radius = _MARKER_RADIUS_MM * scene.skin.size_mm / TYPICAL_SIZE_MM
+    for marker, label in enumerate(scene.cloud.labels):
+        hint = label_hint(label)
+        if marker in scene.landmarks and hint.landmarks == (f"lid_crease_{hint.side}",):
+            heights = scene.skin.positions[:, 1]
+            above = np.flatnonzero(heights >= landmarks[f"lid_upper_{hint.side}"][1] + radius)
+            place = scene.skin.positions[samples[marker]]
+            away = ((scene.skin.positions[above] - place) ** 2).sum(axis=1)
+            lifted[marker] = above[away.argmin()]
+    return lifted
 
 
 def _virtual_markers(scene: "_Scene", start: "_Start", samples: IntArray) -> VirtualMarkers:
