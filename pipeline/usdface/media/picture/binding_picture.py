@@ -1,10 +1,10 @@
-"""Markers on the mesh they are bound to, from the front and both sides: named, the doubtful marked.
+"""Markers on the surface they are bound to, from the front and both sides, under a verdict.
 
 Names stand beside the face, joined to their markers by lines, so that none lies on another.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,22 +20,33 @@ from usdface.media.picture.canvas import (
     new_picture,
     spread_rows,
 )
-from usdface.media.picture.color import BLUE, PAGE, SOFT, Color
+from usdface.media.picture.color import BLUE, GREEN, ORANGE, PAGE, RED, SOFT, Color
 from usdface.media.picture.sheet import draw_header
 from usdface.media.picture.text import TextStyle, draw_text, text_width
 
-_PAGE_MARGIN = 36
-_HEAD_HEIGHT = 124
-_NAMES_WIDTH = 250
-"""Width of the list of names on either side of a face [pixels]."""
+_PAGE_MARGIN = 30
+_HEAD_HEIGHT = 98
+_VERDICT_HEIGHT = 34
+_NAMES_WIDTH = 128
+"""Width of the list of names beside a face [pixels]."""
 
+_NAME_GAP = 24
+"""Room between the names and the face, for lines to fan out [pixels]."""
+
+_NAME_SIZE = 13
+_NAME_LINE = 15.0
 _NAME_MARGIN = 14
 
-_PLACED: Color = (140, 226, 140)
+_FRONT_WIDTH, _SIDE_WIDTH = 500, 318
+_HEIGHT = 720
+"""Of the views [pixels]: with the names, the page is 1600 wide."""
+
 _DOUBT: Color = (255, 128, 72)
 _LINE: Color = (92, 98, 108)
 _HIDDEN_MM = 3.0
 _SIDE_DEGREES = 62.0
+
+VERDICT_COLORS = {"good": GREEN, "check": ORANGE, "bad": RED}
 
 
 @dataclass(frozen=True)
@@ -45,45 +56,47 @@ class BoundMarkers:
     Attributes
     ----------
     positions : (markers, 3) float array
-        On the mesh [mm].
-    confidence : (markers,) float array
-        [0-1]
+        On the surface [mm].
+    doubts : tuple of str
+        Why somebody should look at a marker, in a word or two; empty where there is no reason.
     placed : (markers,) bool array
         True where a person placed the marker.
-    doubtful : float
-        Confidence below which a marker is marked.
+    wanted : dict of int to (3,) float array
+        Where a marker in doubt was expected [mm]: a ring is drawn there.
     """
 
     names: tuple[str, ...]
     positions: FloatArray
-    confidence: FloatArray
+    doubts: tuple[str, ...]
     placed: BoolArray
-    doubtful: float = 0.5
+    wanted: dict[int, FloatArray] = field(default_factory=dict)
 
 
 def draw_binding(
-    mesh: RigMesh,
+    meshes: Sequence[RigMesh],
     markers: BoundMarkers,
     *,
     title: str,
+    verdict: tuple[str, str] = ("", ""),
     facts: Sequence[str] = (),
     yaw_degrees: float = 0.0,
-    height: int = 1000,
     quality: Quality = "final",
 ) -> ByteImage:
     """Draw the picture: the front with every name, and the two sides with the names they add.
 
     Parameters
     ----------
+    meshes : sequence of RigMesh
+        At rest; hidden ones are not drawn.
+    verdict : tuple of str
+        ``'good'``, ``'check'`` or ``'bad'``, and the sentence; without one there is no such line.
     yaw_degrees : float
         How far the face is turned from looking along +Z [degrees].
-    height : int
-        Of the front view [pixels].
     quality : {'draft', 'final'}
 
     Returns
     -------
-    (height, width, 3) uint8 array
+    (height, 1600, 3) uint8 array
         sRGB.
 
     Raises
@@ -93,20 +106,28 @@ def draw_binding(
     """
     if not markers.names:
         raise InputError(f"{title}: no marker to draw")
-    renderer = FaceRenderer([mesh])
-    reach = _near_markers(mesh.points, markers.positions)
+    renderer = FaceRenderer(meshes)
+    points = np.concatenate([mesh.points for mesh in meshes])
+    reach = _near_markers(points, markers.positions)
     panels = [
-        _draw_view(mesh, renderer, markers, reach, (side, yaw_degrees), height, quality)
+        _draw_view(points, renderer, markers, reach, (side, yaw_degrees), quality)
         for side in (-_SIDE_DEGREES, 0.0, _SIDE_DEGREES)
     ]
     width = sum(panel.shape[1] for panel in panels) + 2 * _PAGE_MARGIN
-    page = new_picture(width, _HEAD_HEIGHT + height + _PAGE_MARGIN, PAGE)
+    level, sentence = verdict
+    head = _HEAD_HEIGHT + (_VERDICT_HEIGHT if sentence else 0)
+    page = new_picture(width, head + _HEIGHT + _PAGE_MARGIN, PAGE)
     y = draw_header(page, title, facts, margin=_PAGE_MARGIN)
+    if sentence:
+        color = VERDICT_COLORS[level]
+        fill_box(page, 0, 0, 8, page.shape[0], color)
+        style = TextStyle(size=18, color=color, weight="bold")
+        draw_text(page, sentence, x=_PAGE_MARGIN, y=y, style=style, max_width=width - 60)
     x = _PAGE_MARGIN
     for panel in panels:
-        page[_HEAD_HEIGHT : _HEAD_HEIGHT + height, x : x + panel.shape[1]] = panel
+        page[head : head + _HEIGHT, x : x + panel.shape[1]] = panel
         x += panel.shape[1]
-    _draw_key(page, x=width - _PAGE_MARGIN - 560, y=y - 58)
+    _draw_key(page, right=width - _PAGE_MARGIN, y=_PAGE_MARGIN - 4)
     return page
 
 
@@ -119,98 +140,142 @@ def _near_markers(points: FloatArray, at: FloatArray) -> FloatArray:
 
 
 def _draw_view(
-    mesh: RigMesh,
+    points: FloatArray,
     renderer: FaceRenderer,
     markers: BoundMarkers,
     reach: FloatArray,
     turn: tuple[float, float],
-    height: int,
     quality: Quality,
 ) -> ByteImage:
     side, facing = turn
     front = side == 0.0
-    size = round(height * (0.92 if front else 0.66))
-    camera = frame_face(mesh.points, weights=reach, yaw_degrees=side + facing, aspect=size / height)
-    width = size + 2 * _NAMES_WIDTH
-    panel = renderer.render(mesh.points, camera=camera, width=width, height=height, quality=quality)
-    at = camera.project(markers.positions, width=width, height=height)[:, :2]
-    seen = _seen(mesh, camera, markers.positions)
+    size = _FRONT_WIDTH if front else _SIDE_WIDTH
+    camera = frame_face(points, weights=reach, yaw_degrees=side + facing, aspect=size / _HEIGHT)
+    # A side's names stand on its outer edge; a lens shift puts the face off the middle.
+    columns = (True, True) if front else (side < 0, side > 0)
+    width = size + sum(columns) * (_NAMES_WIDTH + _NAME_GAP)
+    if not front:
+        shift = np.sign(side) * (_NAMES_WIDTH + _NAME_GAP) / _HEIGHT
+        camera = replace(camera, shift=(float(shift), 0.0))
+    panel = renderer.render(points, camera=camera, width=width, height=_HEIGHT, quality=quality)
+    at = camera.project(markers.positions, width=width, height=_HEIGHT)[:, :2]
+    seen = _seen(points, camera, markers.positions)
+    named = seen
     if not front:  # only what the front shows badly: markers on this side of the face
         right = np.array([np.cos(np.radians(facing)), 0.0, -np.sin(np.radians(facing))])
         across = markers.positions @ right
-        seen &= np.sign(side) * (across - np.median(across)) > 0.18 * np.ptp(across)
-    _draw_names(panel, markers, at, seen)
+        named = seen & (np.sign(side) * (across - np.median(across)) > 0.18 * np.ptp(across))
+    wanted = {
+        marker: camera.project(place[None], width=width, height=_HEIGHT)[0, :2]
+        for marker, place in markers.wanted.items()
+        if seen[marker]
+    }
+    _draw_names(panel, markers, at, named, columns)
+    _draw_dots(panel, markers, at, seen, wanted)
     return panel
 
 
-def _seen(mesh: RigMesh, camera: Camera, at: FloatArray) -> BoolArray:
-    """Say which markers the mesh does not hide, by a depth buffer of its points."""
+def _seen(points: FloatArray, camera: Camera, at: FloatArray) -> BoolArray:
+    """Say which markers the surface does not hide, by a depth buffer of its points."""
     cells = 160
-    points = camera.project(mesh.points, width=cells, height=cells)
+    cloud = camera.project(points, width=cells, height=cells)
     own = camera.project(at, width=cells, height=cells)
     depth = np.full((cells, cells), np.inf)
-    column, row = points[:, 0].astype(int), points[:, 1].astype(int)
+    column, row = cloud[:, 0].astype(int), cloud[:, 1].astype(int)
     inside = (column >= 0) & (column < cells) & (row >= 0) & (row < cells)
-    np.minimum.at(depth, (row[inside], column[inside]), points[inside, 2])
+    np.minimum.at(depth, (row[inside], column[inside]), cloud[inside, 2])
     c, r = (np.clip(own[:, i].astype(int), 0, cells - 1) for i in (0, 1))
     seen: BoolArray = own[:, 2] < depth[r, c] + 4 * _HIDDEN_MM
     return seen
 
 
-def _draw_names(panel: ByteImage, markers: BoundMarkers, at: FloatArray, seen: BoolArray) -> None:
+def _draw_names(
+    panel: ByteImage,
+    markers: BoundMarkers,
+    at: FloatArray,
+    named: BoolArray,
+    columns: tuple[bool, bool],
+) -> None:
+    """Write names in the columns there are: left, right, or both."""
     height, width = panel.shape[:2]
+    middle = float(np.median(at[named, 0])) if named.any() else width / 2
     for left in (True, False):
-        side = np.flatnonzero(seen & ((at[:, 0] < width / 2) == left))
+        if not columns[0 if left else 1]:
+            continue
+        mine = named if sum(columns) == 1 else named & ((at[:, 0] < middle) == left)
+        side = np.flatnonzero(mine)
         side = side[np.argsort(at[side, 1], kind="stable")]
         rows = spread_rows(
             at[side, 1],
-            spacing=min(19.0, height / max(len(side), 1)),
+            spacing=min(_NAME_LINE, height / max(len(side), 1)),
             height=height,
             margin=_NAME_MARGIN,
         )
+        x = _NAMES_WIDTH if left else width - _NAMES_WIDTH
         for marker, row in zip(side.tolist(), rows.tolist(), strict=True):
-            color = _color(markers, marker)
-            text = markers.names[marker]
-            doubt = color == _DOUBT
-            if doubt:
-                text = f"{text}  {markers.confidence[marker]:.2f}"
-            style = TextStyle(size=15, color=color, weight="bold" if doubt else "regular")
-            x = _NAMES_WIDTH - 40 if left else width - _NAMES_WIDTH + 40
             draw_line(panel, (x + (6 if left else -6), row), at[marker], _LINE, thickness=1.0)
-            long = min(text_width(text, style), _NAMES_WIDTH - 50)
-            start = x - long - 3 if left else x - 3
-            # A wide head reaches under the names.
-            fill_box(panel, start, round(row) - 9, long + 6, 19, PAGE, cover=0.55)
-            draw_text(
-                panel,
-                text,
-                x=x,
-                y=round(row) - 10,
-                style=style,
-                anchor="right" if left else "left",
-                max_width=_NAMES_WIDTH - 50,
-            )
+            _write_name(panel, markers, marker, x=x, row=round(row), left=left)
+
+
+def _write_name(
+    panel: ByteImage, markers: BoundMarkers, marker: int, *, x: int, row: int, left: bool
+) -> None:
+    doubt = markers.doubts[marker]
+    text = f"{markers.names[marker]}  {doubt}" if doubt else markers.names[marker]
+    style = TextStyle(
+        size=_NAME_SIZE,
+        color=_color(markers, marker),
+        weight="bold" if doubt else "regular",
+    )
+    room = _NAMES_WIDTH - 4
+    long = min(text_width(text, style), room)
+    start = x - long - 3 if left else x - 3
+    # A wide head reaches under the names.
+    fill_box(panel, start, row - 8, long + 6, 16, PAGE, cover=0.55)
+    draw_text(
+        panel,
+        text,
+        x=x,
+        y=row - 9,
+        style=style,
+        anchor="right" if left else "left",
+        max_width=room,
+    )
+
+
+def _draw_dots(
+    panel: ByteImage,
+    markers: BoundMarkers,
+    at: FloatArray,
+    seen: BoolArray,
+    wanted: dict[int, FloatArray],
+) -> None:
+    for marker, place in wanted.items():
+        draw_line(panel, at[marker], place, _DOUBT, thickness=1.4)
+        draw_dot(panel, place[0], place[1], 5.0, _DOUBT, hollow=True)
     for marker in np.flatnonzero(seen).tolist():
         color = _color(markers, marker)
         x, y = at[marker]
-        draw_dot(panel, x, y, 5.5, (16, 17, 19))
-        draw_dot(panel, x, y, 4.2, color)
-        if color == _DOUBT:
-            draw_dot(panel, x, y, 10.0, color, hollow=True)
+        draw_dot(panel, x, y, 4.6, (16, 17, 19))
+        draw_dot(panel, x, y, 3.6, color)
+        if markers.doubts[marker]:
+            draw_dot(panel, x, y, 8.0, color, hollow=True)
 
 
 def _color(markers: BoundMarkers, marker: int) -> Color:
     if markers.placed[marker]:
-        return _PLACED
-    return _DOUBT if markers.confidence[marker] < markers.doubtful else BLUE
+        return GREEN
+    return _DOUBT if markers.doubts[marker] else BLUE
 
 
-def _draw_key(page: ByteImage, *, x: int, y: int) -> None:
+def _draw_key(page: ByteImage, *, right: int, y: int) -> None:
     for color, label in (
+        (GREEN, "placed by a person"),
+        (_DOUBT, "look at it"),
         (BLUE, "proposed"),
-        (_DOUBT, "uncertain: look at it"),
-        (_PLACED, "placed by a person"),
     ):
-        draw_dot(page, x + 8, y + 12, 6.0, color)
-        style = TextStyle(size=17, color=SOFT)
-        x += 24 + draw_text(page, label, x=x + 22, y=y, style=style) + 22
+        style = TextStyle(size=14, color=SOFT)
+        right -= text_width(label, style)
+        draw_text(page, label, x=right, y=y, style=style)
+        draw_dot(page, right - 12, y + 9, 5.0, color)
+        right -= 40

@@ -25,6 +25,7 @@ ORANGE: Color = (255, 178, 92)
 """Blue and orange, which most kinds of colour blindness keep apart: of two curves, the one that is
 given or was before, and the one that is solved, proposed or came after."""
 GREEN: Color = (129, 210, 132)
+RED: Color = (240, 104, 96)
 VIOLET: Color = (188, 160, 246)
 SERIES_COLORS = (ORANGE, BLUE, GREEN, (236, 132, 152), VIOLET, (220, 216, 120), DIM)
 """Of more than two curves, in this order; labels name every curve as well."""

@@ -55,13 +55,12 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) 
         write_image(
             spec.picture,
             draw_binding(
-                face.mesh,
+                [face.mesh],
                 BoundMarkers(
                     binding.names,
                     at,
-                    binding.confidence,
+                    _doubts(binding),
                     np.array([source != "proposed" for source in binding.sources]),
-                    DOUBTFUL_CONFIDENCE,
                 ),
                 title=f"{TakeReader(spec.take).name} on {spec.mesh.stem}",
                 facts=_facts(binding),
@@ -91,6 +90,10 @@ def _corrections(
         if source == "corrected" and name in sample.names
     }
     return corrected, before.left_out
+
+
+def _doubts(binding: MarkerBinding) -> tuple[str, ...]:
+    return tuple(f"{c:.2f}" if c < DOUBTFUL_CONFIDENCE else "" for c in binding.confidence)
 
 
 def _facts(binding: MarkerBinding) -> tuple[str, ...]:

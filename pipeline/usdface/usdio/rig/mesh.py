@@ -1,7 +1,7 @@
 """Read one mesh of any USD file, rig or not, and know how to put moved points back into it."""
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,7 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.core.assets import RigMesh
+from usdface.core.assets import Rig, RigMesh
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.usdio.layers import open_stage
@@ -17,15 +17,77 @@ from usdface.usdio.rig.rest_pose import RestPose
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
 from usdface.usdio.wrong_types import refusing_wrong_types
 
+_REACH_SHARE = 0.05
+"""Of a face's diagonal: a place given farther off its surface was meant for another one. Twelve
+millimetres on a human face, on which markers stand six high."""
+
 
 @dataclass(frozen=True)
-class FaceMesh:
-    """A mesh to deform, as it is at rest.
+class BoundSurface:
+    """A surface at rest, to which markers are bound.
 
     Attributes
     ----------
     mesh : RigMesh
-        In millimetres, Y up; its shapes are left out.
+        In millimetres, Y up.
+    """
+
+    file: Path
+    mesh: RigMesh
+
+    @property
+    def path(self) -> str:
+        """Prim path of the mesh; of the rig, if all of its meshes are one surface."""
+        return self.mesh.path
+
+    @property
+    def hash(self) -> str:
+        """Hash of the surface at rest: of its points and faces, of nothing else."""
+        total = hashlib.sha256()
+        total.update(np.ascontiguousarray(self.mesh.points, dtype="<f4").tobytes())
+        for indices in (self.mesh.face_counts, self.mesh.face_indices):
+            total.update(np.ascontiguousarray(indices, dtype="<i4").tobytes())
+        return total.hexdigest()
+
+    @property
+    def reach_mm(self) -> float:
+        """Largest distance from the surface of a place that is meant to be on it [mm].
+
+        Measured on what shapes move, if there are any: a rig may have a body.
+        """
+        moved = [key.points for shape in self.mesh.shapes for key in shape.keys]
+        points = self.mesh.points
+        if moved:
+            points = points[np.unique(np.concatenate(moved))]
+        return _REACH_SHARE * float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def rig_surfaces(rig: Rig) -> tuple[BoundSurface, ...]:
+    """Return all meshes of a rig as one surface, then each of them."""
+    starts = np.cumsum([0, *(len(mesh.points) for mesh in rig.meshes)])
+    shapes = [
+        replace(shape, keys=tuple(replace(key, points=key.points + start) for key in shape.keys))
+        for mesh, start in zip(rig.meshes, starts, strict=False)
+        for shape in mesh.shapes
+    ]
+    whole = RigMesh(
+        path=rig.prim,
+        points=np.concatenate([mesh.points for mesh in rig.meshes]),
+        face_counts=np.concatenate([mesh.face_counts for mesh in rig.meshes]),
+        face_indices=np.concatenate(
+            [mesh.face_indices + start for mesh, start in zip(rig.meshes, starts, strict=False)]
+        ),
+        shapes=tuple(shapes),
+    )
+    return tuple(BoundSurface(rig.file, mesh) for mesh in (whole, *rig.meshes))
+
+
+@dataclass(frozen=True)
+class FaceMesh(BoundSurface):
+    """A mesh to deform, as it is at rest; its shapes are left out.
+
+    Attributes
+    ----------
     local : (points, 3) float array
         Its points as the file has them.
     linear : (3, 3) or (points, 3, 3) float array
@@ -47,8 +109,6 @@ class FaceMesh:
         Paths of the file's other meshes: they stay still.
     """
 
-    file: Path
-    mesh: RigMesh
     local: FloatArray
     linear: FloatArray
     world: FloatArray
@@ -58,20 +118,6 @@ class FaceMesh:
     normals_attribute: str = "normals"
     authored_normals: FloatArray | None = None
     others: tuple[str, ...] = ()
-
-    @property
-    def path(self) -> str:
-        """Prim path of the mesh."""
-        return self.mesh.path
-
-    @property
-    def hash(self) -> str:
-        """Hash of the surface at rest: of its points and faces, of nothing else."""
-        total = hashlib.sha256()
-        total.update(np.ascontiguousarray(self.mesh.points, dtype="<f4").tobytes())
-        for indices in (self.mesh.face_counts, self.mesh.face_indices):
-            total.update(np.ascontiguousarray(indices, dtype="<i4").tobytes())
-        return total.hexdigest()
 
     def into_mesh(self, moved_mm: FloatArray) -> FloatArray:
         """Turn movements in millimetres into the mesh's own space: (..., points, 3)."""

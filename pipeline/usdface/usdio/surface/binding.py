@@ -1,11 +1,12 @@
 """Marker bindings as layers: the proposal, and the corrections of people.
 
 The layer to open shows the mesh with a ball at every marker. It has two sublayers: the stronger
-holds corrections and is never rewritten, the weaker holds the proposal. A marker is corrected by
-moving its ball, setting another face, other weights on the face or the index of a point, or by
+holds corrections, which binding again keeps; the weaker holds the proposal. A marker is corrected
+by moving its ball, setting another face, other weights on the face or the index of a point, or by
 deactivating its prim, which leaves the marker out.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from pxr import Gf, Sdf, Tf, Usd, Vt
 from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
+from usdface.core.text import first_few
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.numerics.registration.surface_places import (
     SurfacePlaces,
@@ -24,8 +26,8 @@ from usdface.numerics.registration.surface_places import (
     polygon_weights,
 )
 from usdface.usdio.authoring import apply_api, author_uniform, define_prim
-from usdface.usdio.layers import new_layers, open_layer, open_stage, relative_path
-from usdface.usdio.rig.mesh import FaceMesh
+from usdface.usdio.layers import new_layer, new_layers, open_layer, open_stage, relative_path
+from usdface.usdio.rig.mesh import BoundSurface
 from usdface.usdio.units import MM_PER_STAGE_UNIT, author_units, stage_to_ours
 from usdface.usdio.wrong_types import refusing_wrong_types
 
@@ -36,10 +38,11 @@ BALL_RADIUS = 0.15
 """As large as a marker [cm]."""
 
 TRANSLATE = "xformOp:translate"
-HOW_TO_CORRECT = """Corrections of a marker binding: usdface never rewrites this layer. Write an
-over of the marker, with one of: xformOp:translate (move its ball), face:binding:point (index of a
-point of the mesh), face:binding:face with or without face:binding:weights (one weight per corner
-of that face), or `active = false` to leave the marker out."""
+HOW_TO_CORRECT = """Corrections of a marker binding: binding again keeps this layer, and the tuning
+page adds to it. Write an over of the marker, with one of: xformOp:translate (move its ball),
+face:binding:point (index of a point of the mesh), face:binding:face with or without
+face:binding:weights (one weight per corner of that face), or `active = false` to leave the marker
+out."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +64,12 @@ class ReadBinding:
 def write_binding(
     path: Path,
     binding: MarkerBinding,
-    face: FaceMesh,
+    face: BoundSurface,
     *,
     corrected_path: Path,
     proposed_path: Path,
     provenance: Provenance | None = None,
+    author: Callable[[Sdf.PrimSpec], None] | None = None,
 ) -> None:
     """Write a binding and its proposal; corrections stay as they are.
 
@@ -75,8 +79,10 @@ def write_binding(
         The layer to open, and its two sublayers.
     binding : MarkerBinding
         The proposal.
-    face : FaceMesh
+    face : BoundSurface
         The mesh of the binding.
+    author : callable, optional
+        Adds to the root prim of the proposal.
     """
     stage = open_stage(face.file)
     written: dict[Path, Provenance | None] = {proposed_path: provenance, path: provenance}
@@ -91,6 +97,8 @@ def write_binding(
             for place in (_ROOT, _MARKERS):
                 Sdf.CreatePrimInLayer(each, place)
         _author_proposed(proposed, binding, face)
+        if author is not None:
+            author(proposed.GetPrimAtPath(_ROOT))
         author_units(layer)
         layer.defaultPrim = _ROOT.name
         layer.subLayerPaths = [
@@ -106,14 +114,14 @@ def write_binding(
 
 
 @refusing_wrong_types
-def read_binding(path: Path, face: FaceMesh) -> ReadBinding:
+def read_binding(path: Path, face: BoundSurface) -> ReadBinding:
     """Read a binding as it composes, corrections over proposals.
 
     Parameters
     ----------
     path : Path
         The layer to open.
-    face : FaceMesh
+    face : BoundSurface
         The mesh it is to be used on.
 
     Raises
@@ -123,14 +131,7 @@ def read_binding(path: Path, face: FaceMesh) -> ReadBinding:
         the mesh.
     """
     stage = open_stage(path)
-    root = stage.GetDefaultPrim()
-    if not root or not root.HasAPI("FaceBindingAPI"):
-        raise InputError(
-            f"{path}: not a binding: its default prim has no FaceBindingAPI; make one with "
-            "`usdface bind`"
-        )
-    surface = str(root.GetAttribute("face:binding:hash").Get() or "")
-    if surface != face.hash:
+    if read_surface_hash(path) != face.hash:
         raise InputError(
             f"{path}: was made on another surface than {face.file} <{face.path}>, whose points or "
             "faces differ; bind again, under another name if its corrections are to be kept"
@@ -164,7 +165,7 @@ class _MarkerPlace:
     source: str
 
 
-def _author_proposed(layer: Sdf.Layer, binding: MarkerBinding, face: FaceMesh) -> None:
+def _author_proposed(layer: Sdf.Layer, binding: MarkerBinding, face: BoundSurface) -> None:
     mesh = face.mesh
     at = binding.places.positions(mesh.points) / MM_PER_STAGE_UNIT
     shares = polygon_weights(binding.places, mesh.face_counts, mesh.face_indices)
@@ -213,7 +214,7 @@ def _prim_name(name: str, taken: set[str]) -> str:
     return unique
 
 
-def _show_mesh(layer: Sdf.Layer, face: FaceMesh, stage: Usd.Stage, path: Path) -> None:
+def _show_mesh(layer: Sdf.Layer, face: BoundSurface, stage: Usd.Stage, path: Path) -> None:
     """Show the mesh among the balls by a reference, turned and sized into their space."""
     holder = define_prim(layer, MESH, "Xform")
     turn = np.eye(4)
@@ -228,7 +229,7 @@ def _show_mesh(layer: Sdf.Layer, face: FaceMesh, stage: Usd.Stage, path: Path) -
     shown.referenceList.prependedItems = [Sdf.Reference(relative_path(face.file, path), top)]
 
 
-def _read_place(path: Path, prim: Usd.Prim, face: FaceMesh) -> _MarkerPlace:
+def _read_place(path: Path, prim: Usd.Prim, face: BoundSurface) -> _MarkerPlace:
     mesh = face.mesh
     counts, indices = mesh.face_counts, mesh.face_indices
     point = _value(prim, "face:binding:point")
@@ -246,7 +247,7 @@ def _read_place(path: Path, prim: Usd.Prim, face: FaceMesh) -> _MarkerPlace:
             and not corrected["face:binding:face"]
             and not corrected["face:binding:weights"]
         ):
-            places = nearest_places(mesh.points, counts, indices, _ball(prim))
+            places = _under_ball(prim, face)
         else:
             number = int(str(_value(prim, "face:binding:face")))
             weights = np.array(_value(prim, "face:binding:weights"), np.float64).reshape(-1)
@@ -258,7 +259,7 @@ def _read_place(path: Path, prim: Usd.Prim, face: FaceMesh) -> _MarkerPlace:
     except (ValueError, TypeError) as error:
         raise InputError(
             f"{path} <{prim.GetPath()}>: marker {prim.GetName()} is not on the mesh: {error}; "
-            "correct its face and weights, or deactivate it"
+            "correct its ball, point, or face and weights, or deactivate it"
         ) from error
     if is_corrected:
         return _MarkerPlace(places, 1.0, 0.0, "corrected")
@@ -266,6 +267,16 @@ def _read_place(path: Path, prim: Usd.Prim, face: FaceMesh) -> _MarkerPlace:
         float(str(_value(prim, f"face:binding:{key}") or 0)) for key in ("confidence", "distance")
     )
     return _MarkerPlace(places, confidence, distance, source)
+
+
+def _under_ball(prim: Usd.Prim, face: BoundSurface) -> SurfacePlaces:
+    """Return the place nearest to a marker's ball, which must not be far off the mesh."""
+    mesh, at = face.mesh, _ball(prim)
+    places = nearest_places(mesh.points, mesh.face_counts, mesh.face_indices, at)
+    away = float(np.linalg.norm(places.positions(mesh.points) - at))
+    if away > face.reach_mm:
+        raise ValueError(f"its ball is {away:.0f} mm off it")
+    return places
 
 
 def _ball(prim: Usd.Prim) -> FloatArray:
@@ -310,3 +321,67 @@ def has_binding(path: Path) -> bool:
     layer = open_layer(path)  # a prim's spec does not keep its layer
     spec = layer.GetPrimAtPath(_ROOT)
     return spec is not None and "face:binding:hash" in spec.properties
+
+
+def correct_binding(
+    path: Path, corrected_path: Path, places: Mapping[str, FloatArray | None], made: Provenance
+) -> None:
+    """Correct markers of a binding in its corrected layer, in one write.
+
+    Parameters
+    ----------
+    path, corrected_path : Path
+        The layer to open, and its stronger sublayer.
+    places : mapping of str to (3,) float array or None
+        Place of each marker [mm], which becomes that of its ball; None takes its correction back.
+    made : Provenance
+        Of the corrections.
+
+    Raises
+    ------
+    InputError
+        If the binding has no such marker.
+    """
+    prims = _marker_prims(path)
+    unknown = [name for name in places if name not in prims]
+    if unknown:
+        raise InputError(f"{path}: binds no marker {unknown[0]!r}; it has {first_few(prims)}")
+    old = open_layer(corrected_path)
+    with new_layer(corrected_path, made) as layer:
+        layer.TransferContent(old)
+        for name, at in places.items():
+            holder = layer.GetPrimAtPath(_MARKERS)
+            over = layer.GetPrimAtPath(prims[name])
+            if over is not None and holder is not None:
+                del holder.nameChildren[over.name]
+            if at is not None:
+                over = Sdf.CreatePrimInLayer(layer, prims[name])
+                ball = Sdf.AttributeSpec(over, TRANSLATE, Sdf.ValueTypeNames.Double3)
+                ball.default = Gf.Vec3d(*(round(float(c) / MM_PER_STAGE_UNIT, 6) for c in at))
+
+
+def _marker_prims(path: Path) -> dict[str, Sdf.Path]:
+    stage = open_stage(path)
+    holder = stage.GetPrimAtPath(_MARKERS)
+    return {
+        str(_value(prim, "face:binding:marker") or prim.GetName()): prim.GetPath()
+        for prim in (holder.GetAllChildren() if holder else ())
+    }
+
+
+def read_surface_hash(path: Path) -> str:
+    """Return the hash of the surface that a binding was made on.
+
+    Raises
+    ------
+    InputError
+        If the file holds no binding.
+    """
+    stage = open_stage(path)
+    root = stage.GetDefaultPrim()
+    if not root or not root.HasAPI("FaceBindingAPI"):
+        raise InputError(
+            f"{path}: not a binding: its default prim has no FaceBindingAPI; make one with "
+            "`usdface place` or `usdface bind`"
+        )
+    return str(root.GetAttribute("face:binding:hash").Get() or "")

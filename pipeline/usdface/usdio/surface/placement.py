@@ -1,0 +1,158 @@
+"""Placements as layers: a marker binding on a rig, with what turns the performer's motion into it.
+
+The asset is that of `usdio.surface.binding`, so that one way of correcting serves both; its surface
+is all meshes of the rig, in the rig's order.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pxr import Sdf
+
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import Rig
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
+from usdface.core.sidecars import corrected_path, proposed_path
+from usdface.numerics.registration.marker_binding import MarkerBinding
+from usdface.usdio.authoring import apply_api, author_uniform, doubles
+from usdface.usdio.layers import open_stage
+from usdface.usdio.rig.mesh import BoundSurface, rig_surfaces
+from usdface.usdio.surface.binding import read_binding, read_surface_hash, write_binding
+from usdface.usdio.units import MM_PER_STAGE_UNIT
+from usdface.usdio.wrong_types import refusing_wrong_types
+
+_PREFIX = "face:placement:"
+
+
+@dataclass(frozen=True)
+class RigPlacement:
+    """Where a performer's markers sit on a rig, and how the motion there follows.
+
+    Attributes
+    ----------
+    binding : MarkerBinding
+        On all meshes of the rig as one surface.
+    neutral : (markers, 3) float array
+        The performer's neutral face that was placed [mm].
+    rotation : (3, 3) float array
+        From the performer's space to the rig's.
+    motion_scale : float
+        Length of a movement on the rig over that of the performer.
+    explained : float
+        Share of the markers' motion that the shapes explain there [0-1]; NaN if unknown.
+    by_labels : bool
+        Whether labels placed the markers, or motion alone.
+    left_out : tuple of str
+        Markers that somebody deactivated: they count in no solve.
+    """
+
+    binding: MarkerBinding
+    neutral: FloatArray
+    rotation: FloatArray
+    motion_scale: float
+    explained: float
+    by_labels: bool
+    left_out: tuple[str, ...] = ()
+
+
+def write_placement(
+    path: Path, placement: RigPlacement, rig: Rig, *, provenance: Provenance | None = None
+) -> None:
+    """Write a placement; the corrections of an earlier one stay in their layer."""
+
+    def author(root: Sdf.PrimSpec) -> None:
+        kinds = Sdf.ValueTypeNames
+        apply_api(root, "FacePlacementAPI")
+        for name, kind, value in (
+            ("markers", kinds.TokenArray, list(placement.binding.names)),
+            ("neutral", kinds.DoubleArray, doubles(placement.neutral / MM_PER_STAGE_UNIT)),
+            ("rotation", kinds.DoubleArray, doubles(placement.rotation)),
+            ("motionScale", kinds.Double, placement.motion_scale),
+            ("byLabels", kinds.Bool, placement.by_labels),
+        ):
+            author_uniform(root, f"{_PREFIX}{name}", kind, value)
+        if np.isfinite(placement.explained):
+            author_uniform(root, f"{_PREFIX}explained", kinds.Double, round(placement.explained, 6))
+
+    write_binding(
+        path,
+        placement.binding,
+        rig_surfaces(rig)[0],
+        corrected_path=corrected_path(path),
+        proposed_path=proposed_path(path),
+        provenance=provenance,
+        author=author,
+    )
+
+
+@refusing_wrong_types
+def read_placement(path: Path, rig: Rig) -> RigPlacement:
+    """Read a placement as it composes, corrections over what was proposed.
+
+    Raises
+    ------
+    InputError
+        If the file holds no placement, or one on another rig, or a correction is not on the rig.
+    """
+    surface = rig_surfaces(rig)[0]
+    read = read_binding(path, surface)
+    stage = open_stage(path)
+    root = stage.GetDefaultPrim()
+    value = {
+        name: root.GetAttribute(f"{_PREFIX}{name}").Get()
+        for name in ("markers", "neutral", "rotation", "motionScale", "explained", "byLabels")
+    }
+    row = {str(name): index for index, name in enumerate(value["markers"] or [])}
+    neutral = np.array(value["neutral"] or [], np.float64)
+    rotation = np.array(value["rotation"] or [], np.float64)
+    scale = float(value["motionScale"] or 0.0)
+    finite = np.isfinite(neutral).all() and np.isfinite(rotation).all() and np.isfinite(scale)
+    whole = neutral.size == 3 * len(row) and set(read.binding.names) <= row.keys()
+    if not whole or rotation.size != 9 or not finite or scale <= 0:
+        raise InputError(
+            f"{path}: is a binding without the map of the performer's motion, or a damaged one; "
+            "make a placement with `usdface place`, which takes its corrections by --landmarks"
+        )
+    bound = [row[name] for name in read.binding.names]
+    explained = value["explained"]
+    return RigPlacement(
+        binding=read.binding,
+        neutral=neutral.reshape(-1, 3)[bound] * MM_PER_STAGE_UNIT,
+        rotation=rotation.reshape(3, 3),
+        motion_scale=scale,
+        explained=float("nan") if explained is None else float(explained),
+        by_labels=bool(value["byLabels"]),
+        left_out=read.left_out,
+    )
+
+
+def read_corrections(path: Path, rig: Rig) -> dict[str, FloatArray]:
+    """Return the places that people gave in a binding of the rig or of one of its meshes [mm].
+
+    Raises
+    ------
+    InputError
+        If the file is no binding, or its surface is none of the rig's.
+    """
+    surface = _surface_of(path, rig_surfaces(rig))
+    binding = read_binding(path, surface).binding
+    at = binding.places.positions(surface.mesh.points)
+    return {
+        name: at[row]
+        for row, (name, source) in enumerate(zip(binding.names, binding.sources, strict=True))
+        if source != "proposed"
+    }
+
+
+def _surface_of(path: Path, surfaces: Sequence[BoundSurface]) -> BoundSurface:
+    made_on = read_surface_hash(path)
+    for surface in surfaces:
+        if surface.hash == made_on:
+            return surface
+    raise InputError(
+        f"{path}: was made on another surface than those of {surfaces[0].file}, whose points or "
+        "faces differ; give the corrections of this rig"
+    )
