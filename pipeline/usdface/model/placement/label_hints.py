@@ -159,6 +159,8 @@ def _eye(text: str, side: Side) -> _Place:
 
 
 def _mouth(text: str, side: Side) -> _Place:
+    if re.search(r"above|below|under", text):  # on the skin beside the lips: no landmark
+        return "mouth", (), 0.0
     part = "upper" if _is_upper(text) else "lower" if _is_lower(text) else ""
     if "end" in text or "corner" in text or (side and not part):
         return "mouth", (f"mouth_{side}",) if side else (), 6.0

@@ -109,7 +109,7 @@ def place_markers(
     limits = np.tile([0.0, 1.0], (len(shapes), 1)) if ranges is None else ranges
     unit = skin.size_mm / TYPICAL_SIZE_MM
     landmarks = find_landmarks(skin, shapes)
-    known = _named_places(cloud.labels, landmarks, unit)
+    known = named_places(cloud.labels, landmarks, unit)
     pins = {m: np.asarray(at, float) @ skin.frame.T for m, at in (pinned or {}).items()}
     scene = _Scene(
         cloud,
@@ -205,10 +205,10 @@ class _Start:
     placement: SkinPlacement
 
 
-def _named_places(
+def named_places(
     labels: tuple[str, ...], landmarks: dict[str, FloatArray], unit: float
 ) -> dict[int, tuple[FloatArray, float]]:
-    """Return place and spread of every marker whose label names landmarks that are known."""
+    """Return place and spread [mm] of every marker whose label names landmarks that are known."""
     places = {}
     for marker, label in enumerate(labels):
         hint = label_hint(label)

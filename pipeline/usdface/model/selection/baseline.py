@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
@@ -184,7 +184,7 @@ def set_up_equation(
     InputError
         If the markers cannot be put on the rig's face.
     """
-    picks = np.unique(np.linspace(0, len(positions) - 1, _MOTION_FRAMES).astype(np.int64))
+    picks = _picks(len(positions))
     offsets = deformer.shapes.target_offsets()
     try:
         skin = sample_face_skin(deformer.neutral, deformer.triangles, offsets)
@@ -192,7 +192,34 @@ def set_up_equation(
         placement = place_markers(cloud, skin, rig.shapes, ranges=rig.ranges, pinned=pinned)
     except ValueError as error:
         raise InputError(f"the markers cannot be placed on {rig.file}: {error}") from error
-    virtual = placement.virtual
+    made = equation_at(
+        rig,
+        deformer,
+        placement.virtual,
+        neutral=neutral,
+        positions=positions,
+        visible=visible,
+        rigid=rigid,
+    )
+    return replace(made, placement=placement)
+
+
+def equation_at(
+    rig: Rig,
+    deformer: Deformer,
+    virtual: VirtualMarkers,
+    *,
+    neutral: FloatArray,
+    positions: Positions,
+    visible: BoolArray,
+    rigid: tuple[int, ...],
+) -> BlendshapeEquation:
+    """Return the equation of markers whose places on a character are known.
+
+    Parameters are those of `set_up_equation`; `virtual` is where the markers sit.
+    """
+    picks = _picks(len(positions))
+    offsets = deformer.shapes.target_offsets()
     deltas = marker_deltas(virtual, offsets)
     keys = MarkerKeys(
         deltas=marker_deltas(virtual, deformer.shapes.key_offsets),
@@ -212,7 +239,7 @@ def set_up_equation(
         marker_trust=trust,
     )
     equation = BlendshapeEquation(
-        virtual, deltas, keys, neutral, rig.ranges, trust, gain, placement, lids=lids
+        virtual, deltas, keys, neutral, rig.ranges, trust, gain, lids=lids
     )
     few = picks[:: -(-len(picks) // _NOISE_FRAMES)]
     return replace(equation, noise_mm=_noise_mm(equation, positions[few], visible[few]))
@@ -223,3 +250,7 @@ def _noise_mm(equation: BlendshapeEquation, positions: Positions, visible: BoolA
     away = equation._solve(positions, visible).residual_mm[:, equation.trust > 0]
     seen = np.isfinite(away)
     return float(np.sqrt((away[seen] ** 2).mean())) if seen.any() else 0.0
+
+
+def _picks(count: int) -> IntArray:
+    return np.unique(np.linspace(0, count - 1, _MOTION_FRAMES).astype(np.int64))

@@ -111,8 +111,9 @@ def propose_binding(
                 f"landmarks are given; name at least {FEWEST_LANDMARKS} that are not on a line, as "
                 f"--landmarks {_three_of(names)}"
             )
-        places = _pin(mesh, places, pins)
-        return _score(mesh, places, names, neutral, sample, pins, sources or {})
+        return bind_at(
+            mesh, places, names, neutral=neutral, sample=sample, pins=pins, sources=sources
+        )
     except ValueError as error:
         raise InputError(f"the markers cannot be placed on <{mesh.path}>: {error}") from error
 
@@ -217,15 +218,26 @@ def _pin(mesh: RigMesh, places: SurfacePlaces, pins: dict[int, FloatArray]) -> S
     return replace(places, faces=faces, corners=corners, weights=weights)
 
 
-def _score(
+def bind_at(
     mesh: RigMesh,
     places: SurfacePlaces,
     names: tuple[str, ...],
+    *,
     neutral: FloatArray,
     sample: FloatArray,
     pins: dict[int, FloatArray],
-    sources: dict[int, str],
+    sources: dict[int, str] | None = None,
 ) -> MarkerBinding:
+    """Return the binding at places that were found, with its confidence; see `propose_binding`.
+
+    Parameters
+    ----------
+    sample : (frames, markers, 3) float array
+        Frames spread over the take [mm].
+    pins : dict of int to (3,) float array
+        These markers are put there, wherever they were found [mm].
+    """
+    places = _pin(mesh, places, pins)
     at = places.positions(mesh.points)
     fitted = fit_proportions(neutral, at, weight=np.ones(len(neutral)))
     size = float(np.sqrt(((at - at.mean(axis=0)) ** 2).sum(axis=1).mean()))
@@ -241,7 +253,7 @@ def _score(
         places=places,
         confidence=confidence,
         distance_mm=fitted.away_mm,
-        sources=tuple(sources.get(i, "proposed") for i in range(len(names))),
+        sources=tuple((sources or {}).get(i, "proposed") for i in range(len(names))),
     )
 
 

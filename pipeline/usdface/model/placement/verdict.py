@@ -1,0 +1,270 @@
+"""Judge where markers were placed on a rig: does it look right, and which should be seen to."""
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.text import first_few, pluralize
+from usdface.model.placement.label_hints import label_hint
+from usdface.model.placement.marker_cloud import MarkerCloud
+from usdface.model.placement.place import named_places
+from usdface.model.placement.rig_landmarks import find_landmarks
+from usdface.numerics.registration.face_skin import FaceSkin
+from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM, explained_share
+from usdface.numerics.registration.virtual_markers import VirtualMarkers
+
+FAR_SPREADS = 3.0
+"""Times the standard deviation with which people put a marker at its landmark: one of 400 normal
+deviates lies beyond."""
+
+_MOST_FAR_SHARE = 1 / 3
+"""Of the named landmarks: from so many on that are missed, it is not the markers."""
+
+_LEVEL_DEGREES, _TILTED_DEGREES = 3.0, 6.0
+"""Roll from which somebody should look, and from which anybody sees it. Twenty pairs put by hand
+to 3 mm give a level to half a degree."""
+
+_SHIFT_SHARE = 0.25
+"""Of the face's size: how far a placement is shifted to see whether motion fits better there;
+14 mm on an adult's face, as a lid is from its brow."""
+
+_GAIN, _LARGE_GAIN = 0.02, 0.08
+"""Explained share that a shift must gain. Where a placement is right every shift loses."""
+
+_STILL_MM = 1.0
+"""Root mean square motion of skin on an adult's face that needs shapes to show."""
+
+_LEAST_MOBILITY = 1 / 3
+"""Of its root mean square motion: a region that no shape takes so far has no shape."""
+
+_ONE_SIDE_SHARE = 0.05
+"""Of the markers: with fewer on one side of the face, that side is not captured."""
+
+_OPENINGS = {"good": "Looks right", "check": "Look at it", "bad": "Looks wrong"}
+
+_PLURALS = {"brow": "brows", "lid": "lids", "cheek": "cheeks", "eye": "eyes"}
+
+
+@dataclass(frozen=True)
+class PlacementVerdict:
+    """Whether a placement looks right.
+
+    Attributes
+    ----------
+    level : str
+        ``'good'``, ``'check'`` or ``'bad'``.
+    sentence : str
+        The verdict and its reasons.
+    facts : tuple of str
+        What it rests on.
+    explained : float
+        Share of the markers' motion that the shapes explain [0-1]; NaN without motion.
+    roll_degrees : float
+        Of the markers' plane of symmetry against the rig's; NaN without symmetry.
+    doubts : dict of int to str
+        For markers that should be seen to, why.
+    wanted : dict of int to (3,) float array
+        The landmark of a marker that lies far from it, in the rig's space [mm].
+    """
+
+    level: str
+    sentence: str
+    facts: tuple[str, ...]
+    explained: float
+    roll_degrees: float
+    doubts: dict[int, str]
+    wanted: dict[int, FloatArray]
+
+
+def judge_placement(
+    cloud: MarkerCloud,
+    skin: FaceSkin,
+    shapes: tuple[str, ...],
+    virtual: VirtualMarkers,
+    *,
+    at: FloatArray,
+    ranges: FloatArray,
+    by_labels: bool,
+    placed: Collection[int] = (),
+) -> PlacementVerdict:
+    """Judge markers at places on a rig.
+
+    Parameters
+    ----------
+    shapes : tuple of str
+        Names of the rig's shapes.
+    at : (markers, 3) float array
+        Where the markers are, in the rig's space [mm].
+    ranges : (shapes, 2) float array
+        Limits of the weights.
+    by_labels : bool
+        Whether labels placed them, or motion alone.
+    placed : collection of int
+        Markers that a person placed: they are not in doubt.
+    """
+    unit = skin.size_mm / TYPICAL_SIZE_MM
+    local = at @ skin.frame.T
+    nearest = KDTree(skin.positions)
+    samples = np.asarray(nearest.query(local)[1], np.int64)
+    known = named_places(cloud.labels, find_landmarks(skin, shapes), unit)
+    far = _far_markers(cloud.labels, local, known, placed)
+    roll = _roll_degrees(replace(cloud, neutral=local))
+    reasons = [_tilt(roll), _missed(far, cloud.labels, known), _one_sided(local, skin)]
+    explained = float("nan")
+    if cloud.motion is not None:
+        moved = virtual.motion_scale * (cloud.motion @ virtual.rotation.T) @ skin.frame.T
+        explained = explained_share(skin, samples, moved, ranges)
+        shifted = {
+            way: explained_share(
+                skin,
+                nearest.query(local + np.multiply(step, _SHIFT_SHARE * skin.size_mm))[1],
+                moved,
+                ranges,
+            )
+            - explained
+            for way, step in _SHIFTS.items()
+        }
+        reasons.append(_better_elsewhere(shifted, _SHIFT_SHARE * skin.size_mm))
+        reasons.append(_without_shapes(cloud.labels, moved, skin.deltas[:, samples], unit))
+    if not by_labels and not placed:
+        reasons.append(("check", "motion alone placed the markers: their labels name no landmarks"))
+    found = [each for each in reasons if each[0] != "good"]
+    level = max((each[0] for each in found), key=list(_OPENINGS).index, default="good")
+    found.sort(key=lambda each: -list(_OPENINGS).index(each[0]))
+    share = "" if np.isnan(explained) else f"shapes explain {explained:.0%} of the motion"
+    why = [text for _, text in found] or [share or "the markers lie at their landmarks"]
+    return PlacementVerdict(
+        level,
+        f"{_OPENINGS[level]}: {'; '.join(why)}",
+        _facts(cloud, by_labels, share if found else "", roll, len(placed)),
+        explained,
+        roll,
+        {marker: f"{away:.0f} mm" for marker, (away, _) in far.items()},
+        {marker: place @ skin.frame for marker, (_, place) in far.items()},
+    )
+
+
+_SHIFTS = {
+    "higher": (0.0, 1.0, 0.0),
+    "lower": (0.0, -1.0, 0.0),
+    "further to its left": (1.0, 0.0, 0.0),
+    "further to its right": (-1.0, 0.0, 0.0),
+}
+
+_Reason = tuple[str, str]
+"""A level, and the words; ``'good'`` needs none."""
+
+_FINE: _Reason = ("good", "")
+
+
+def _far_markers(
+    labels: tuple[str, ...],
+    local: FloatArray,
+    known: dict[int, tuple[FloatArray, float]],
+    placed: Collection[int],
+) -> dict[int, tuple[float, FloatArray]]:
+    """Return distance and landmark of markers that lie far from it, the farthest first [mm].
+
+    Of several markers with one landmark (``brow_L1`` to ``brow_L5``) their middle is meant.
+    """
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for marker in known:
+        groups.setdefault(label_hint(labels[marker]).landmarks, []).append(marker)
+    far = {}
+    for markers in groups.values():
+        place, spread = known[markers[0]]
+        away = float(np.linalg.norm(local[markers].mean(axis=0) - place))
+        if away > FAR_SPREADS * spread and not set(markers) & set(placed):
+            far |= {marker: (away, place) for marker in markers}
+    return dict(sorted(far.items(), key=lambda each: -each[1][0]))
+
+
+def _missed(
+    far: dict[int, tuple[float, FloatArray]],
+    labels: tuple[str, ...],
+    known: dict[int, tuple[FloatArray, float]],
+) -> _Reason:
+    if not far:
+        return _FINE
+    if len(far) > _MOST_FAR_SHARE * len(known):
+        return "bad", f"{len(far)} of {len(known)} named markers lie far from their landmarks"
+    named = [
+        f"{labels[marker]} lies {away:.0f} mm from {_spoken(label_hint(labels[marker]).landmarks)}"
+        for marker, (away, _) in far.items()
+    ]
+    return "check", first_few(named, most=3)
+
+
+def _spoken(landmarks: tuple[str, ...]) -> str:
+    return " and ".join(name.replace("_", " ") for name in landmarks)
+
+
+def _tilt(roll: float) -> _Reason:
+    if np.isnan(roll) or abs(roll) < _LEVEL_DEGREES:
+        return _FINE
+    level = "bad" if abs(roll) >= _TILTED_DEGREES else "check"
+    return level, f"tilted by {abs(roll):.0f} degrees"
+
+
+def _one_sided(local: FloatArray, skin: FaceSkin) -> _Reason:
+    left = float((local[:, 0] > skin.sagittal_x).mean())
+    if min(left, 1 - left) >= _ONE_SIDE_SHARE:
+        return _FINE
+    side = "left" if left > 0.5 else "right"
+    return "check", f"the markers are on its {side} side only"
+
+
+def _better_elsewhere(gains: dict[str, float], shift_mm: float) -> _Reason:
+    way = max(gains, key=gains.__getitem__)
+    if gains[way] < _GAIN:
+        return _FINE
+    level = "bad" if gains[way] >= _LARGE_GAIN else "check"
+    return level, f"the motion fits {gains[way]:.0%} better {shift_mm:.0f} mm {way}"
+
+
+def _without_shapes(
+    labels: tuple[str, ...], moved: FloatArray, deltas: FloatArray, unit: float
+) -> _Reason:
+    """Name regions that move, and that no shape of the rig moves."""
+    motion = np.sqrt((moved**2).sum(axis=2).mean(axis=0))
+    mobility = np.linalg.norm(deltas, axis=2).max(axis=0, initial=0.0)
+    lacking = (motion > _STILL_MM * unit) & (mobility < _LEAST_MOBILITY * motion)
+    regions: dict[str, IntArray] = {}
+    for region in dict.fromkeys(label_hint(label).region for label in labels):
+        of_region = np.array([label_hint(label).region == region for label in labels])
+        bare = np.flatnonzero(of_region & lacking)
+        if len(bare) and (not region or len(bare) > of_region.sum() / 2):
+            regions[region] = bare
+    if not regions:
+        return _FINE
+    named = [
+        f"the {_PLURALS.get(region, region)} ({pluralize(len(bare), 'marker')})"
+        if region
+        else first_few([labels[marker] for marker in bare], most=3)
+        for region, bare in regions.items()
+    ]
+    return "check", f"the rig has no shape that moves {first_few(named, most=3)}"
+
+
+def _roll_degrees(cloud: MarkerCloud) -> float:
+    try:
+        normal = cloud.levelled()[0][0]
+    except ValueError:
+        return float("nan")
+    return float(np.degrees(np.arctan(normal[1] / normal[0]))) if normal[0] else 90.0
+
+
+def _facts(
+    cloud: MarkerCloud, by_labels: bool, share: str, roll: float, placed: int
+) -> tuple[str, ...]:
+    facts = [
+        pluralize(len(cloud.labels), "marker"),
+        "placed by names" if by_labels else "placed by motion",
+        share,
+        "" if np.isnan(roll) else f"tilt {abs(roll):.1f} degrees",
+        f"{placed} placed by a person" if placed else "",
+    ]
+    return tuple(fact for fact in facts if fact)
