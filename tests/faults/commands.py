@@ -40,6 +40,7 @@ COMMANDS = {
     "movie-join": "movie-join shot.mp4 --out joined.mp4",
     "report": f"report {HERO} --take {TAKE} --out shot.html --frames 1-48 --height 120 --worst 2",
     "evaluate": f"evaluate {HERO} --against keys.csv --out shot.figures.json",
+    "place": f"place {TAKE} --rig {RIG} --out hero.placement.usda --quality draft",
     "bind": "bind talk.take.usda scan.usdc --out scan.binding.usda "
     f"--landmarks '{','.join(landmarks(small_scan()))}' --quality draft",
     "deform": f"deform {SCAN} --out talk.scan.usda --length-scale 30 --quality draft",

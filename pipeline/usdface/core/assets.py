@@ -336,6 +336,8 @@ class References:
         Of each pair; empty where unknown, or where none is.
     performer, session : str
         Of the take whose head space and neutral face these are; empty where unknown.
+    placement : Path or None
+        Where the markers were placed on the rig.
     """
 
     marker_names: tuple[str, ...]
@@ -354,6 +356,7 @@ class References:
     emotions: tuple[str, ...] = ()
     performer: str = ""
     session: str = ""
+    placement: Path | None = None
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,11 @@ def tuned_path(references: Path) -> Path:
     return references.with_name(f"{references.stem}.tuned.usda")
 
 
+def placement_path(references: Path) -> Path:
+    """Return the placement of markers on the rig that `select` writes beside references."""
+    return references.with_name(f"{references.stem}.placement.usda")
+
+
 def lock_path(references: Path) -> Path:
     """Return the file that says who tunes a references asset now."""
     return references.with_name(f"{references.stem}.tuned.lock")

@@ -12,6 +12,7 @@ from usdface.specs.edits import BakeSpec, EditsImportSpec, EditSpec, PackageSpec
 from usdface.specs.paths import Reads, Writes
 from usdface.specs.performance import JoinSpec, MapSpec, TrainSpec
 from usdface.specs.references import (
+    PlaceSpec,
     ReferencesCoverageSpec,
     ReferencesFromEditsSpec,
     ReferenceSheetSpec,
@@ -44,6 +45,7 @@ AnyStep = Annotated[
     | AlignSpec
     | CleanSpec
     | PhonesSpec
+    | PlaceSpec
     | SelectSpec
     | ReferencesImportSpec
     | ReferenceSheetSpec

@@ -1,21 +1,59 @@
-"""Specs of references: select, import, from-edits, coverage, sheet."""
+"""Specs of references: place, select, import, from-edits, coverage, sheet."""
 
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from usdface.core.sidecars import proposed_path, tuned_path
+from usdface.core.sidecars import placement_path, proposed_path, tuned_path
 from usdface.specs.base import Name, Positional, Sidecar, Spec
 from usdface.specs.paths import FilePath, Frames, ImageOut, LayerOut, PrimPath, ReadPath, Reads
+
+_Takes = Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
+
+
+class PlaceSpec(Spec):
+    """Place a performer's markers on a rig, and draw where they are.
+
+    A verdict says whether the placement looks right. To correct a marker, drag it on the tuning
+    page, move its ball in the corrected layer next to the placement, or name its place with
+    --landmarks. Placing again keeps corrections and places the other markers by them.
+    """
+
+    example: ClassVar[str] = (
+        "usdface place kitchen.clean.take.usda --rig hero.usd --out hero.placement.usda "
+        "--picture hero.placement.jpg"
+    )
+    module: ClassVar[str] = "references.place"
+    sidecar: ClassVar[Sidecar | None] = proposed_path
+    cores: ClassVar[int] = 2
+    memory_mib: ClassVar[int] = 4096
+
+    step: Literal["place"] = "place"
+    takes: _Takes
+    """Cleaned takes of one performer."""
+    rig: ReadPath
+    """The rig of the character."""
+    out: LayerOut
+    """The placement to write."""
+    landmarks: ReadPath | None = None
+    """Markers whose place on the rig is known: .csv or .json, by point or by x, y, z in the rig's
+    units; or a placement or binding, whose corrections are used."""
+    picture: ImageOut | None = None
+    """Picture to write of the markers on the rig, with the verdict (.jpg, .png or .exr)."""
+    quality: Literal["draft", "final"] = "final"
+    """`draft` omits soft shadows and ambient occlusion from the picture."""
+    prim: PrimPath | None = None
+    """Face in the rig's file, if it holds several."""
 
 
 class SelectSpec(Spec):
     """Choose the frames for an animator to tune, and propose weights for them.
 
     Few frames are chosen that span the performer's motion, eyelids as well as jaw, in order of
-    their gain in coverage. Tuned pairs of an earlier selection are kept at their time codes. A
-    picture shows the coverage of the takes by the pairs.
+    their gain in coverage. Tuned pairs of an earlier selection are kept at their time codes.
+    Pictures show the coverage of the takes by the pairs, and where the markers are placed on the
+    rig; look at the second before tuning.
     """
 
     example: ClassVar[str] = (
@@ -29,7 +67,7 @@ class SelectSpec(Spec):
     memory_mib: ClassVar[int] = 8192
 
     step: Literal["select"] = "select"
-    takes: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
+    takes: _Takes
     """Cleaned takes of one performer."""
     rig: ReadPath
     """The rig of the character."""
@@ -50,6 +88,12 @@ class SelectSpec(Spec):
     """With visemes: number of extreme frames added per emotion."""
     mapping: ReadPath | None = None
     """With `active`: mapping trained on the pairs tuned so far. It also proposes the weights."""
+    placement: ReadPath | None = None
+    """Placement of the markers on the rig, from `usdface place`. Default: the markers are placed,
+    and the placement is written next to the references, as NAME.placement.usda; its corrections
+    are kept."""
+    landmarks: ReadPath | None = None
+    """Markers whose place on the rig is known; see `usdface place`. Only without --placement."""
     picture: ImageOut | None = None
     """Picture of the coverage to write. Default: next to the references."""
     frames: Frames | None = None
@@ -75,7 +119,17 @@ class SelectSpec(Spec):
             )
         if self.method == "active" and self.mapping is None:
             raise ValueError("active needs --mapping, trained on the pairs tuned so far")
+        if self.landmarks is not None and self.placement is not None:
+            raise ValueError(
+                "--landmarks cannot be used with --placement, which holds its own; give them to "
+                "`usdface place`"
+            )
         return self
+
+    def changes(self) -> tuple[Path, ...]:
+        """Return the outputs, and the placement that is written next to them."""
+        beside = () if self.placement is not None else (placement_path(self.out),)
+        return (*self.outputs(), *beside)
 
     def picture_path(self) -> Path:
         """Return where the coverage is drawn."""

@@ -16,12 +16,21 @@ from usdface.media.picture.image import read_image_metadata
 from usdface.runner.execute import execute
 from usdface.specs.references import ReferenceSheetSpec, ReferencesImportSpec, SelectSpec
 from usdface.steps.inputs.tuned_pairs import read_set_references
+from usdface.steps.references import select
 from usdface.usdio.references.read import read_references, read_tuned_pairs
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 from usdface.usdio.validation import validate
+
+
+
+@pytest.fixture(autouse=True)
+def placement_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawing the placement takes most of a selection's time and is not what is tested."""
+    nothing = np.zeros((8, 8, 3), np.uint8)
+    monkeypatch.setattr(select, "draw_placement", lambda *given, **named: nothing)
 
 
 def spec(shot: Shot, **changed: object) -> SelectSpec:

@@ -25,7 +25,7 @@ from usdface.media.picture.sheet import draw_header
 from usdface.media.picture.text import TextStyle, draw_text, text_width
 
 _PAGE_MARGIN = 30
-_HEAD_HEIGHT = 98
+_HEAD_HEIGHT = 128
 _VERDICT_HEIGHT = 34
 _NAMES_WIDTH = 128
 """Width of the list of names beside a face [pixels]."""
@@ -37,8 +37,8 @@ _NAME_SIZE = 13
 _NAME_LINE = 15.0
 _NAME_MARGIN = 14
 
-_FRONT_WIDTH, _SIDE_WIDTH = 500, 318
-_HEIGHT = 720
+_FRONT_WIDTH, _SIDE_WIDTH = 460, 236
+_VIEW_HEIGHT = 660
 """Of the views [pixels]: with the names, the page is 1600 wide."""
 
 _DOUBT: Color = (255, 128, 72)
@@ -109,23 +109,27 @@ def draw_binding(
     renderer = FaceRenderer(meshes)
     points = np.concatenate([mesh.points for mesh in meshes])
     reach = _near_markers(points, markers.positions)
-    panels = [
-        _draw_view(points, renderer, markers, reach, (side, yaw_degrees), quality)
+    views = [
+        _view(points, markers, reach, side=side, facing=yaw_degrees)
         for side in (-_SIDE_DEGREES, 0.0, _SIDE_DEGREES)
     ]
+    hidden = ~np.any([view.seen for view in views], axis=0)
+    views[1] = replace(views[1], named=views[1].named | hidden)
+    panels = [_draw_view(points, renderer, markers, view, quality) for view in views]
     width = sum(panel.shape[1] for panel in panels) + 2 * _PAGE_MARGIN
     level, sentence = verdict
     head = _HEAD_HEIGHT + (_VERDICT_HEIGHT if sentence else 0)
-    page = new_picture(width, head + _HEIGHT + _PAGE_MARGIN, PAGE)
+    page = new_picture(width, head + _VIEW_HEIGHT + _PAGE_MARGIN, PAGE)
     y = draw_header(page, title, facts, margin=_PAGE_MARGIN)
     if sentence:
         color = VERDICT_COLORS[level]
         fill_box(page, 0, 0, 8, page.shape[0], color)
         style = TextStyle(size=18, color=color, weight="bold")
-        draw_text(page, sentence, x=_PAGE_MARGIN, y=y, style=style, max_width=width - 60)
+        room = width - 2 * _PAGE_MARGIN
+        draw_text(page, sentence, x=_PAGE_MARGIN, y=y - 4, style=style, max_width=room)
     x = _PAGE_MARGIN
     for panel in panels:
-        page[head : head + _HEIGHT, x : x + panel.shape[1]] = panel
+        page[head : head + _VIEW_HEIGHT, x : x + panel.shape[1]] = panel
         x += panel.shape[1]
     _draw_key(page, right=width - _PAGE_MARGIN, y=_PAGE_MARGIN - 4)
     return page
@@ -139,39 +143,65 @@ def _near_markers(points: FloatArray, at: FloatArray) -> FloatArray:
     return inside
 
 
+@dataclass(frozen=True)
+class _View:
+    """One view of the page.
+
+    Attributes
+    ----------
+    columns : tuple of bool
+        Whether names stand to its left, and to its right.
+    seen, named : (markers,) bool arrays
+        Which markers the surface does not hide, and which of all are named here.
+    """
+
+    camera: Camera
+    width: int
+    columns: tuple[bool, bool]
+    seen: BoolArray
+    named: BoolArray
+
+
+def _view(
+    points: FloatArray, markers: BoundMarkers, reach: FloatArray, *, side: float, facing: float
+) -> _View:
+    front = side == 0.0
+    size = _FRONT_WIDTH if front else _SIDE_WIDTH
+    camera = frame_face(
+        points, weights=reach, yaw_degrees=side + facing, aspect=size / _VIEW_HEIGHT
+    )
+    columns = (True, True) if front else (side < 0, side > 0)
+    seen = named = _seen(points, camera, markers.positions)
+    if not front:  # a side names what the front shows badly: markers on this side of the face
+        # Its names stand on its outer edge; a lens shift puts the face off the middle.
+        shift = np.sign(side) * (_NAMES_WIDTH + _NAME_GAP) / _VIEW_HEIGHT
+        camera = replace(camera, shift=(float(shift), 0.0))
+        right = np.array([np.cos(np.radians(facing)), 0.0, -np.sin(np.radians(facing))])
+        across = markers.positions @ right
+        named = seen & (np.sign(side) * (across - np.median(across)) > 0.18 * np.ptp(across))
+    width = size + sum(columns) * (_NAMES_WIDTH + _NAME_GAP)
+    return _View(camera, width, columns, seen, named)
+
+
 def _draw_view(
     points: FloatArray,
     renderer: FaceRenderer,
     markers: BoundMarkers,
-    reach: FloatArray,
-    turn: tuple[float, float],
+    view: _View,
     quality: Quality,
 ) -> ByteImage:
-    side, facing = turn
-    front = side == 0.0
-    size = _FRONT_WIDTH if front else _SIDE_WIDTH
-    camera = frame_face(points, weights=reach, yaw_degrees=side + facing, aspect=size / _HEIGHT)
-    # A side's names stand on its outer edge; a lens shift puts the face off the middle.
-    columns = (True, True) if front else (side < 0, side > 0)
-    width = size + sum(columns) * (_NAMES_WIDTH + _NAME_GAP)
-    if not front:
-        shift = np.sign(side) * (_NAMES_WIDTH + _NAME_GAP) / _HEIGHT
-        camera = replace(camera, shift=(float(shift), 0.0))
-    panel = renderer.render(points, camera=camera, width=width, height=_HEIGHT, quality=quality)
-    at = camera.project(markers.positions, width=width, height=_HEIGHT)[:, :2]
-    seen = _seen(points, camera, markers.positions)
-    named = seen
-    if not front:  # only what the front shows badly: markers on this side of the face
-        right = np.array([np.cos(np.radians(facing)), 0.0, -np.sin(np.radians(facing))])
-        across = markers.positions @ right
-        named = seen & (np.sign(side) * (across - np.median(across)) > 0.18 * np.ptp(across))
+    camera, width, height = view.camera, view.width, _VIEW_HEIGHT
+    panel = renderer.render(points, camera=camera, width=width, height=height, quality=quality)
+    at = camera.project(markers.positions, width=width, height=height)[:, :2]
     wanted = {
-        marker: camera.project(place[None], width=width, height=_HEIGHT)[0, :2]
+        marker: camera.project(place[None], width=width, height=height)[0, :2]
         for marker, place in markers.wanted.items()
-        if seen[marker]
+        if view.seen[marker]
     }
-    _draw_names(panel, markers, at, named, columns)
-    _draw_dots(panel, markers, at, seen, wanted)
+    _draw_names(panel, markers, at, view.named, view.columns)
+    for marker in np.flatnonzero(view.named & ~view.seen).tolist():
+        draw_dot(panel, at[marker, 0], at[marker, 1], 4.6, _color(markers, marker), hollow=True)
+    _draw_dots(panel, markers, at, view.seen, wanted)
     return panel
 
 
@@ -207,7 +237,7 @@ def _draw_names(
         side = side[np.argsort(at[side, 1], kind="stable")]
         rows = spread_rows(
             at[side, 1],
-            spacing=min(_NAME_LINE, height / max(len(side), 1)),
+            spacing=min(_NAME_LINE, (height - 2 * _NAME_MARGIN) / max(len(side), 1)),
             height=height,
             margin=_NAME_MARGIN,
         )

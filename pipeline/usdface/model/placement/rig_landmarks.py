@@ -31,6 +31,9 @@ symmetry that must lie [mm]."""
 _MOST_MOVED_SHARE = 0.6
 """Of a shape's largest displacement: samples above it count for a centroid."""
 
+_LEAST_MOTION_MM = 0.5
+"""A shape that moves nothing further, one left empty above all, shows no landmark."""
+
 _CREASE_SHARE = 0.2
 """Of the way from the lid's margin to the brow: markers of the upper lid are glued above its
 margin, which the lashes and the closing eye need."""
@@ -101,7 +104,8 @@ def find_landmarks(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArra
 def _displacements(skin: FaceSkin, shapes: Sequence[str]) -> dict[tuple[str, str], FloatArray]:
     found: dict[tuple[str, str], FloatArray] = {}
     for index, name in enumerate(shapes):
-        found.setdefault(motion_and_side(name), skin.deltas[index])
+        if np.abs(skin.deltas[index]).max(initial=0.0) > _LEAST_MOTION_MM:
+            found.setdefault(motion_and_side(name), skin.deltas[index])
     return found
 
 

@@ -16,9 +16,9 @@ from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM, explained_share
 from usdface.numerics.registration.virtual_markers import VirtualMarkers
 
-FAR_SPREADS = 3.0
+_FAR_SPREADS = 3.0
 """Times the standard deviation with which people put a marker at its landmark: one of 400 normal
-deviates lies beyond."""
+deviates lies beyond. A marker that a person placed on the rig may lie twice as far."""
 
 _MOST_FAR_SHARE = 1 / 3
 """Of the named landmarks: from so many on that are missed, it is not the markers."""
@@ -64,9 +64,9 @@ class PlacementVerdict:
         Share of the markers' motion that the shapes explain [0-1]; NaN without motion.
     roll_degrees : float
         Of the markers' plane of symmetry against the rig's; NaN without symmetry.
-    doubts : dict of int to str
+    doubts : dict of str to str
         For markers that should be seen to, why.
-    wanted : dict of int to (3,) float array
+    wanted : dict of str to (3,) float array
         The landmark of a marker that lies far from it, in the rig's space [mm].
     """
 
@@ -75,8 +75,8 @@ class PlacementVerdict:
     facts: tuple[str, ...]
     explained: float
     roll_degrees: float
-    doubts: dict[int, str]
-    wanted: dict[int, FloatArray]
+    doubts: dict[str, str]
+    wanted: dict[str, FloatArray]
 
 
 def judge_placement(
@@ -103,7 +103,7 @@ def judge_placement(
     by_labels : bool
         Whether labels placed them, or motion alone.
     placed : collection of int
-        Markers that a person placed: they are not in doubt.
+        Markers that a person placed.
     """
     unit = skin.size_mm / TYPICAL_SIZE_MM
     local = at @ skin.frame.T
@@ -117,20 +117,17 @@ def judge_placement(
     if cloud.motion is not None:
         moved = virtual.motion_scale * (cloud.motion @ virtual.rotation.T) @ skin.frame.T
         explained = explained_share(skin, samples, moved, ranges)
-        shifted = {
-            way: explained_share(
-                skin,
-                nearest.query(local + np.multiply(step, _SHIFT_SHARE * skin.size_mm))[1],
-                moved,
-                ranges,
-            )
-            - explained
-            for way, step in _SHIFTS.items()
-        }
-        reasons.append(_better_elsewhere(shifted, _SHIFT_SHARE * skin.size_mm))
+        shift_mm = _SHIFT_SHARE * skin.size_mm
+        gains = {}
+        for way, step in _SHIFTS.items():
+            there = np.asarray(nearest.query(local + np.multiply(step, shift_mm))[1], np.int64)
+            gains[way] = explained_share(skin, there, moved, ranges) - explained
+        reasons.append(_better_elsewhere(gains, shift_mm))
         reasons.append(_without_shapes(cloud.labels, moved, skin.deltas[:, samples], unit))
     if not by_labels and not placed:
-        reasons.append(("check", "motion alone placed the markers: their labels name no landmarks"))
+        reasons.append(
+            ("check", "placed by motion alone, as labels and shapes name too few landmarks")
+        )
     found = [each for each in reasons if each[0] != "good"]
     level = max((each[0] for each in found), key=list(_OPENINGS).index, default="good")
     found.sort(key=lambda each: -list(_OPENINGS).index(each[0]))
@@ -142,8 +139,8 @@ def judge_placement(
         _facts(cloud, by_labels, share if found else "", roll, len(placed)),
         explained,
         roll,
-        {marker: f"{away:.0f} mm" for marker, (away, _) in far.items()},
-        {marker: place @ skin.frame for marker, (_, place) in far.items()},
+        {cloud.labels[marker]: f"{away:.0f} mm" for marker, (away, _) in far.items()},
+        {cloud.labels[marker]: place @ skin.frame for marker, (_, place) in far.items()},
     )
 
 
@@ -158,6 +155,7 @@ _Reason = tuple[str, str]
 """A level, and the words; ``'good'`` needs none."""
 
 _FINE: _Reason = ("good", "")
+_BY_MOTION = ("check", "placed by motion alone, as labels and shapes name too few landmarks")
 
 
 def _far_markers(
@@ -173,11 +171,12 @@ def _far_markers(
     groups: dict[tuple[str, ...], list[int]] = {}
     for marker in known:
         groups.setdefault(label_hint(labels[marker]).landmarks, []).append(marker)
-    far = {}
+    far: dict[int, tuple[float, FloatArray]] = {}
     for markers in groups.values():
         place, spread = known[markers[0]]
         away = float(np.linalg.norm(local[markers].mean(axis=0) - place))
-        if away > FAR_SPREADS * spread and not set(markers) & set(placed):
+        doubled = 2 if set(markers) & set(placed) else 1
+        if away > doubled * _FAR_SPREADS * spread:
             far |= {marker: (away, place) for marker in markers}
     return dict(sorted(far.items(), key=lambda each: -each[1][0]))
 

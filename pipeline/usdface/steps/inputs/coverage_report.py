@@ -15,6 +15,7 @@ from usdface.model.selection.coverage import Coverage, Growth, measure_coverage,
 from usdface.model.selection.features import Features, SelectionSpace, features_at
 from usdface.specs.references import ReferencesCoverageSpec
 from usdface.steps.inputs.cleaned_takes import FEWEST_RIGID, CleanedTakes, read_cleaned_takes
+from usdface.steps.inputs.placement import stored_placement
 from usdface.steps.inputs.scene import (
     SelectionScene,
     candidate_frames,
@@ -187,7 +188,7 @@ def measure_pairs(spec: ReferencesCoverageSpec, *, progress: Progress) -> Measur
     pairs = _counted(spec, references)
     takes = _with_markers_of(read_cleaned_takes(spec.takes), references, spec)
     rig = _rig(spec, references)
-    scene = set_up_scene(takes, rig, progress=progress)
+    scene = set_up_scene(takes, rig, placement=stored_placement(references, rig), progress=progress)
     progress(0.7, "measuring the coverage")
     placed = _place(scene, references, pairs)
     covered = cover(

@@ -12,11 +12,13 @@ from usdface.model.mapping.head_space import HeadSpace, find_head_space
 from usdface.model.mapping.motion_space import fit_motion_space
 from usdface.model.mapping.performer_face import PerformerFace, face_of_mapping
 from usdface.model.mapping.predict import predict_weights
-from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
+from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.model.selection.design import CandidateMarkers
 from usdface.model.selection.features import SelectionSpace, selection_space
 from usdface.specs.paths import frame_range
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
+from usdface.steps.inputs.placement import placed_equation
+from usdface.usdio.surface.placement import RigPlacement
 
 _USABLE_SHARE = 0.9
 """A frame with fewer markers than this is no example to learn from."""
@@ -72,8 +74,15 @@ class SelectionScene:
         return _coordinates(self.motion, positions)
 
 
-def set_up_scene(takes: CleanedTakes, rig: Rig, *, progress: Progress) -> SelectionScene:
+def set_up_scene(
+    takes: CleanedTakes, rig: Rig, *, placement: RigPlacement | None, progress: Progress
+) -> SelectionScene:
     """Measure the motion, place the markers on the rig and bring every frame into one space.
+
+    Parameters
+    ----------
+    placement : RigPlacement or None
+        Where the markers are; without one they are placed.
 
     Raises
     ------
@@ -86,7 +95,7 @@ def set_up_scene(takes: CleanedTakes, rig: Rig, *, progress: Progress) -> Select
     motion = fit_motion_space([clip[::step] for clip in takes.positions])
     progress(0.35, "placing the markers on the rig")
     deformer = Deformer(rig)
-    equation = _equation(takes, rig, deformer)
+    equation = _equation(takes, rig, deformer, placement)
 
     def stand_in(coordinates: FloatArray) -> FloatArray:
         packed = motion.mean + coordinates @ motion.components
@@ -140,16 +149,19 @@ def _features(takes: CleanedTakes, motion: MotionSpace, space: SelectionSpace) -
     return out
 
 
-def _equation(takes: CleanedTakes, rig: Rig, deformer: Deformer) -> BlendshapeEquation:
+def _equation(
+    takes: CleanedTakes, rig: Rig, deformer: Deformer, placement: RigPlacement | None
+) -> BlendshapeEquation:
     one = len(takes.positions) == 1
-    return set_up_equation(
+    return placed_equation(
+        placement,
         rig,
         deformer,
+        labels=takes.marker_names,
         neutral=takes.neutral,
         positions=takes.positions[0] if one else np.concatenate(takes.positions),
         visible=takes.usable[0] if one else np.concatenate(takes.usable),
         rigid=tuple(takes.marker_names.index(name) for name in takes.rigid),
-        labels=takes.marker_names,
     )
 
 

@@ -1,6 +1,7 @@
 """Choose reference frames and propose weights for them."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from usdface.core.assets import References, Rig, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import proposed_path, tuned_path
+from usdface.core.sidecars import placement_path, proposed_path, tuned_path
 from usdface.core.text import first_few, pluralize
 from usdface.media.picture.image import write_image
 from usdface.model.selection.design import (
@@ -27,7 +28,16 @@ from usdface.runner.result import StepResult
 from usdface.specs.references import SelectSpec
 from usdface.steps.inputs.cleaned_takes import CleanedTakes, read_cleaned_takes
 from usdface.steps.inputs.coverage_report import cover, coverage_figures, coverage_picture
+from usdface.steps.inputs.landmark_files import read_landmarks
 from usdface.steps.inputs.phone_labels import PhoneLabels, read_phone_labels
+from usdface.steps.inputs.placement import (
+    PlacedTakes,
+    draw_placement,
+    judge_stored,
+    place_takes,
+    placement_figures,
+    placement_notes,
+)
 from usdface.steps.inputs.scene import (
     SelectionScene,
     TakesPrediction,
@@ -52,6 +62,7 @@ from usdface.usdio.mapping import read_mapping
 from usdface.usdio.references.read import read_tuned_pairs
 from usdface.usdio.references.write import write_references
 from usdface.usdio.rig.read import read_rig
+from usdface.usdio.surface.placement import RigPlacement, write_placement
 
 FEWEST_TUNED = 2
 """Tuned pairs from which one can learn where a mapping errs."""
@@ -85,17 +96,22 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     takes = read_cleaned_takes(spec.takes)
     rig = read_rig(spec.rig, prim=spec.prim)
     doubts = plausibility_notes(takes, spec.takes, rig)
+    progress(0.1, "placing the markers on the rig")
+    placed = _place(spec, takes, rig)
     spoken = read_phone_labels(spec, takes)
     kept = find_placed_pairs(spec, takes, rig)
     mapping = None if spec.mapping is None else _mapping_for(spec, rig)
-    selection = _set_up(spec, takes, rig, spoken, kept, progress)
+    selection = _set_up(spec, takes, rig, placed.placement, spoken, kept, progress)
     progress(0.5, "choosing frames")
     mapped = None if mapping is None else takes_prediction(mapping, takes)
     choice = _choose(selection, mapped)
     rows = np.array(rows_in_place(spec.count, kept, choice.rows), dtype=np.int64)
     progress(0.7, "proposing weights")
     weights = _propose(selection, mapped, rows)
-    references = _references(selection, choice, rows, weights)
+    references = replace(
+        _references(selection, choice, rows, weights),
+        placement=spec.placement or placement_path(spec.out),
+    )
     images = PairImages((), ())
     metadata = provenance_metadata(provenance)
     if spec.images:
@@ -104,6 +120,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     progress(0.85, f"writing {spec.out.name}")
     with nobody_tunes(spec.out):
         _check_tuning_is_as_read(spec, kept)
+        _write_placement(spec, placed, rig, provenance)
         write_references(
             spec.out,
             references,
@@ -121,11 +138,20 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     progress(1.0, "done")
     contradictions, conflicts = tuned_conflicts(spec.out)
     return StepResult(
-        (spec.out, proposed_path(spec.out), tuned_path(spec.out), spec.picture_path()),
+        (
+            spec.out,
+            proposed_path(spec.out),
+            tuned_path(spec.out),
+            spec.picture_path(),
+            *((placement_path(spec.out),) if spec.placement is None else ()),
+            _placement_picture(spec),
+        ),
         f"{len(rows)} pairs of {len(takes.frames)} frames, {len(kept)} of them tuned; their "
         f"markers span {covered.coverage.share:.0%} of the motion",
         (
             *doubts,
+            f"placement: {placed.verdict.sentence}; see {_placement_picture(spec).name}",
+            *placement_notes(placed),
             *_notes(selection, choice, mapping),
             *images.notes,
             *contradictions,
@@ -146,6 +172,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
                 take.name: neutral.figures()
                 for take, neutral in zip(takes.sources, takes.neutrals, strict=True)
             },
+            "placement": placement_figures(placed),
             **coverage_figures(covered, takes),
         },
     )
@@ -184,10 +211,34 @@ def _mapping_for(spec: SelectSpec, rig: Rig) -> TrainedMapping:
     return mapping
 
 
+def _place(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> PlacedTakes:
+    """Return the placement that is given, or place the markers by landmarks and corrections."""
+    if spec.placement is not None:
+        return judge_stored(spec.placement, takes, rig)
+    landmarks = {}
+    if spec.landmarks is not None:
+        landmarks = read_landmarks(spec.landmarks, takes.marker_names, rig)
+    return place_takes(takes, rig, out=placement_path(spec.out), landmarks=landmarks)
+
+
+def _write_placement(spec: SelectSpec, placed: PlacedTakes, rig: Rig, made: Provenance) -> None:
+    """Write the placement if it is not given, and its picture beside the references."""
+    if spec.placement is None:
+        write_placement(placement_path(spec.out), placed.placement, rig, provenance=made)
+    title = f"{spec.out.stem} on {rig.file.stem}"
+    picture = draw_placement(placed, rig, title=title, quality="draft")
+    write_image(_placement_picture(spec), picture, metadata=provenance_metadata(made))
+
+
+def _placement_picture(spec: SelectSpec) -> Path:
+    return placement_path(spec.out).with_suffix(".jpg")
+
+
 def _set_up(
     spec: SelectSpec,
     takes: CleanedTakes,
     rig: Rig,
+    placement: RigPlacement,
     spoken: PhoneLabels,
     kept: list[PlacedPair],
     progress: Progress,
@@ -200,7 +251,7 @@ def _set_up(
             f"{spec.count} pairs are asked for and {int(free.sum()) + len(kept)} frames can be "
             "used; lower --count, widen --frames or give more takes"
         )
-    scene = set_up_scene(takes, rig, progress=progress)
+    scene = set_up_scene(takes, rig, placement=placement, progress=progress)
     return _Selection(spec, scene, spoken, kept, candidates)
 
 

@@ -21,12 +21,12 @@ from usdface.media.film.image_sequence import ImageSequence, open_video
 from usdface.media.film.video import VideoReader
 from usdface.media.picture.image import read_picture, write_image
 from usdface.media.picture.reference_sheet import ReferenceRow, compose_reference_sheet
-from usdface.model.selection.baseline import set_up_equation
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.references import ReferenceSheetSpec
 from usdface.speech.visemes import viseme_label
+from usdface.steps.inputs.placement import placed_equation, stored_placement
 from usdface.steps.inputs.tuned_pairs import read_set_references
 from usdface.usdio.references.tuning import read_pair_notes
 from usdface.usdio.rig.read import read_rig
@@ -105,7 +105,8 @@ class _PairPictures:
         columns = [rig.shapes.index(name) for name in references.shape_names]
         self._weights = np.zeros((len(references.weights), len(rig.shapes)))
         self._weights[:, columns] = references.weights
-        equation = set_up_equation(
+        equation = placed_equation(
+            stored_placement(references, rig),
             rig,
             self._deformer,
             neutral=references.neutral,

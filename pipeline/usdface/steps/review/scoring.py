@@ -9,8 +9,9 @@ from usdface.core.arrays import BoolArray, FloatArray, IntArray, index_of
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.media.picture.error_strip import ErrorCurve
-from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
+from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.specs.review import FramePick
+from usdface.steps.inputs.placement import placed_equation, placement_of_performance
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.steps.review.shot import Shot
 
@@ -47,7 +48,8 @@ def set_up_shot_baseline(shot: Shot) -> BlendshapeEquation:
     if frame is None:
         frame = markers.neutral_frame
     row = min(max(frame - take.first_frame, 0), take.frame_count - 1)
-    return set_up_equation(
+    return placed_equation(
+        placement_of_performance(shot.performance_file, shot.rig),
         shot.rig,
         shot.deformer,
         neutral=markers.positions[row].astype(np.float64),

@@ -27,6 +27,7 @@ TUNED = ROOT.AppendProperty("face:reference:tuned")
 DONE = ROOT.AppendProperty("face:reference:done")
 VISEME = ROOT.AppendProperty("face:reference:viseme")
 EMOTION = ROOT.AppendProperty("face:reference:emotion")
+PLACEMENT = "face:reference:placement"
 
 
 @dataclass(frozen=True)
@@ -125,12 +126,23 @@ def read_references(path: Path) -> References:
         emotions=_labels(root, EMOTION, pairs),
         performer=_text(root, "face:performer"),
         session=_text(root, "face:session"),
+        placement=_read_placement_path(root, path),
     )
 
 
 def _text(root: Usd.Prim, name: str) -> str:
     attribute = root.GetAttribute(name)
     return str(attribute.Get() or "") if attribute else ""
+
+
+def _read_placement_path(root: Usd.Prim, path: Path) -> Path | None:
+    """Return the placement that the asset names, if the file is there."""
+    attribute = root.GetAttribute(PLACEMENT)
+    named = attribute.Get() if attribute else None
+    if named is None or not named.path:
+        return None
+    file = Path(named.resolvedPath or path.parent / named.path)
+    return file if file.is_file() else None
 
 
 def _labels(root: Usd.Prim, path: Sdf.Path, pairs: range) -> tuple[str, ...]:

@@ -24,6 +24,7 @@ from usdface.usdio.references.read import (
     EMOTION,
     FRAME_PATH,
     MARKERS_PATH,
+    PLACEMENT,
     RIG,
     ROOT,
     TAKE,
@@ -87,6 +88,10 @@ def write_references(
         layer.subLayerPaths = [relative_path(each, path) for each in layer_paths]
         _author_pairs(layer, references)
         _author_images(layer, images, path)
+        if references.placement is not None:
+            named = Sdf.AssetPath(relative_path(references.placement, path))
+            root = layer.GetPrimAtPath(ROOT)
+            author_uniform(root, PLACEMENT, Sdf.ValueTypeNames.Asset, named)
         animation = define_prim(layer, WEIGHTS_PATH, "SkelAnimation")
         names = list(references.shape_names)
         author_uniform(animation, "blendShapes", Sdf.ValueTypeNames.TokenArray, names)

@@ -238,6 +238,8 @@ def _read_place(path: Path, prim: Usd.Prim, face: BoundSurface) -> _MarkerPlace:
         for key in ("face:binding:face", "face:binding:weights", TRANSLATE)
     }
     source = str(_value(prim, "face:binding:source") or "proposed")
+    if source == "corrected":  # by a correction that was taken back since
+        source = "proposed"
     is_corrected = point is not None or any(corrected.values())
     try:
         if point is not None:

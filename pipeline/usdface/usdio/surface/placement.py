@@ -21,7 +21,7 @@ from usdface.usdio.authoring import apply_api, author_uniform, doubles
 from usdface.usdio.layers import open_stage
 from usdface.usdio.rig.mesh import BoundSurface, rig_surfaces
 from usdface.usdio.surface.binding import read_binding, read_surface_hash, write_binding
-from usdface.usdio.units import MM_PER_STAGE_UNIT
+from usdface.usdio.units import MM_PER_STAGE_UNIT, stage_to_ours
 from usdface.usdio.wrong_types import refusing_wrong_types
 
 _PREFIX = "face:placement:"
@@ -46,7 +46,7 @@ class RigPlacement:
     by_labels : bool
         Whether labels placed the markers, or motion alone.
     left_out : tuple of str
-        Markers that somebody deactivated: they count in no solve.
+        Markers that somebody deactivated: they count in no solve, whether they are bound or not.
     """
 
     binding: MarkerBinding
@@ -129,8 +129,25 @@ def read_placement(path: Path, rig: Rig) -> RigPlacement:
     )
 
 
-def read_corrections(path: Path, rig: Rig) -> dict[str, FloatArray]:
-    """Return the places that people gave in a binding of the rig or of one of its meshes [mm].
+@dataclass(frozen=True)
+class GivenPlaces:
+    """What people said of a binding's markers.
+
+    Attributes
+    ----------
+    corrected, landmarks : dict of str to (3,) float array
+        Places corrected in a stronger layer, and those that the binding was made with [mm].
+    left_out : tuple of str
+        Markers that are deactivated.
+    """
+
+    corrected: dict[str, FloatArray]
+    landmarks: dict[str, FloatArray]
+    left_out: tuple[str, ...]
+
+
+def read_given_places(path: Path, rig: Rig) -> GivenPlaces:
+    """Read what people said in a binding of the rig, or of one of its meshes.
 
     Raises
     ------
@@ -138,13 +155,12 @@ def read_corrections(path: Path, rig: Rig) -> dict[str, FloatArray]:
         If the file is no binding, or its surface is none of the rig's.
     """
     surface = _surface_of(path, rig_surfaces(rig))
-    binding = read_binding(path, surface).binding
-    at = binding.places.positions(surface.mesh.points)
-    return {
-        name: at[row]
-        for row, (name, source) in enumerate(zip(binding.names, binding.sources, strict=True))
-        if source != "proposed"
-    }
+    read = read_binding(path, surface)
+    at = read.binding.places.positions(surface.mesh.points)
+    given: dict[str, dict[str, FloatArray]] = {"corrected": {}, "landmark": {}, "proposed": {}}
+    for row, name in enumerate(read.binding.names):
+        given[read.binding.sources[row]][name] = at[row]
+    return GivenPlaces(given["corrected"], given["landmark"], read.left_out)
 
 
 def _surface_of(path: Path, surfaces: Sequence[BoundSurface]) -> BoundSurface:
@@ -156,3 +172,8 @@ def _surface_of(path: Path, surfaces: Sequence[BoundSurface]) -> BoundSurface:
         f"{path}: was made on another surface than those of {surfaces[0].file}, whose points or "
         "faces differ; give the corrections of this rig"
     )
+
+
+def rig_units_to_ours(rig: Rig) -> FloatArray:
+    """Return the 3x3 that turns positions of the rig's file into millimetres, Y up."""
+    return np.asarray(stage_to_ours(open_stage(rig.file)))

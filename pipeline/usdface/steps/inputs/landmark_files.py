@@ -1,0 +1,148 @@
+"""Places of markers on a rig that people give: a table, or the corrections of a binding."""
+
+import csv
+import json
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import Rig, RigMesh
+from usdface.core.errors import InputError
+from usdface.core.sidecars import LAYER_SUFFIXES
+from usdface.core.text import first_few
+from usdface.numerics.registration.surface_places import nearest_places
+from usdface.usdio.rig.mesh import rig_surfaces
+from usdface.usdio.surface.placement import read_given_places, rig_units_to_ours
+
+_LARGEST_BYTES = 1 << 20
+_FORM = (
+    "a CSV table with the columns marker and point, or marker, x, y and z; or JSON, as "
+    '{"nose": 120}'
+)
+
+
+def read_landmarks(path: Path, names: Sequence[str], rig: Rig) -> dict[str, FloatArray]:
+    """Return the place on the rig of each marker that a file names [mm].
+
+    Parameters
+    ----------
+    path : Path
+        .csv with the columns ``marker`` and ``point``, or ``marker``, ``x``, ``y``, ``z``; .json
+        with a point or [x, y, z] by marker; or USD, whose corrections are taken. A point is an
+        index, ``MESH:INDEX`` where the rig has several meshes; x, y, z are in the rig's units.
+    names : sequence of str
+        Of the takes' markers.
+
+    Raises
+    ------
+    InputError
+        If the file names no place, a marker that the takes lack, or a place that is not on the
+        rig; every fault is named.
+    """
+    if path.suffix in LAYER_SUFFIXES:
+        places = read_given_places(path, rig)
+        every = {**places.landmarks, **places.corrected}
+        given = {name: at for name, at in every.items() if name in names}
+        if not given:
+            raise InputError(
+                f"{path}: corrects none of the takes' markers; move the balls of some, or leave "
+                "out --landmarks"
+            )
+        return given
+    faults: list[str] = []
+    found: dict[str, FloatArray] = {}
+    for where, name, value in _rows(path):
+        if name not in names:
+            faults.append(
+                f"{where}: the takes have no marker {name!r}; they have {first_few(names)}"
+            )
+            continue
+        if name in found:
+            faults.append(f"{where}: {name} is there twice; keep one")
+            continue
+        try:
+            found[name] = _place(value, rig)
+        except ValueError as error:
+            faults.append(f"{where}: {name}: {error}")
+    if faults:
+        raise InputError(f"{path}: {'; '.join(faults[:5])}")
+    if not found:
+        raise InputError(f"{path}: names no landmark; write {_FORM}")
+    return found
+
+
+def _rows(path: Path) -> Iterator[tuple[str, str, object]]:
+    """Yield where each row is, its marker and its value."""
+    try:
+        if path.stat().st_size > _LARGEST_BYTES:
+            raise InputError(f"{path}: {path.stat().st_size} bytes are too many for landmarks")
+        text = path.read_text(encoding="utf-8-sig")
+        if path.suffix.lower() == ".json":
+            data = json.loads(text)
+            if not isinstance(data, dict):
+                raise InputError(f"{path}: names no marker; write {_FORM}")
+            yield from (("entry", str(name), value) for name, value in data.items())
+            return
+        reader = csv.DictReader(text.splitlines())
+        columns = set(reader.fieldnames or ())
+        if not ({"marker", "point"} <= columns or {"marker", "x", "y", "z"} <= columns):
+            raise InputError(f"{path} line 1: needs other columns; write {_FORM}")
+        for row in reader:
+            value = row.get("point") or [row.get(axis) for axis in "xyz"]
+            yield f"line {reader.line_num}", str(row["marker"]).strip(), value
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error
+    except (UnicodeDecodeError, csv.Error, RecursionError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: is no table of landmarks ({error}); write {_FORM}") from error
+
+
+def _place(value: object, rig: Rig) -> FloatArray:
+    """Return a place on the rig [mm].
+
+    Raises
+    ------
+    ValueError
+        If the value names none.
+    """
+    if isinstance(value, list):
+        return _at_position(value, rig)
+    mesh_name, _, number = str(value).strip().rpartition(":")
+    meshes = [mesh for mesh in rig.meshes if _is_named(mesh, mesh_name)]
+    if len(meshes) != 1:
+        listed = first_few(mesh.path.rpartition("/")[2] for mesh in rig.meshes)
+        raise ValueError(f"point {value!r} must be MESH:INDEX, with one of the meshes {listed}")
+    if not number.isdecimal() or int(number) >= len(meshes[0].points):
+        raise ValueError(
+            f"<{meshes[0].path}> has no point {number}; it has points 0 to "
+            f"{len(meshes[0].points) - 1}"
+        )
+    return np.asarray(meshes[0].points[int(number)], np.float64)
+
+
+def _is_named(mesh: RigMesh, name: str) -> bool:
+    return not name or name in (mesh.path, mesh.path.rpartition("/")[2])
+
+
+def _at_position(value: Sequence[object], rig: Rig) -> FloatArray:
+    try:
+        given = [float(str(each)) for each in value]
+    except ValueError:
+        given = []
+    if len(given) != 3 or not all(map(math.isfinite, given)):
+        raise ValueError(f"{value} is neither a point nor x, y, z")
+    at = rig_units_to_ours(rig) @ given
+    surface = rig_surfaces(rig)[0]
+    mesh = surface.mesh
+    on_it = nearest_places(mesh.points, mesh.face_counts, mesh.face_indices, at[None])
+    away = float(np.linalg.norm(on_it.positions(mesh.points)[0] - at))
+    if away > surface.reach_mm:
+        raise ValueError(
+            f"{given[0]:g}, {given[1]:g}, {given[2]:g} is {away:.0f} mm off the rig, in the rig's "
+            "own units and axes"
+        )
+    return np.asarray(at)

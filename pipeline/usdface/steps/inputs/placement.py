@@ -1,0 +1,368 @@
+"""Where a performer's markers sit on a rig: placed once, judged, drawn, and used everywhere."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.arrays import BoolArray, ByteImage, FloatArray
+from usdface.core.assets import References, Rig
+from usdface.core.deformer import Deformer
+from usdface.core.errors import InputError
+from usdface.core.text import first_few, pluralize
+from usdface.media.face.render import Quality
+from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
+from usdface.model.placement.marker_cloud import MarkerCloud, marker_cloud
+from usdface.model.placement.place import place_markers
+from usdface.model.placement.verdict import PlacementVerdict, judge_placement
+from usdface.model.selection.baseline import (
+    BlendshapeEquation,
+    Positions,
+    equation_at,
+    set_up_equation,
+)
+from usdface.model.surface.binding import bind_at
+from usdface.numerics.registration.face_skin import sample_face_skin
+from usdface.numerics.registration.marker_binding import FEWEST_MARKERS
+from usdface.numerics.registration.surface_places import places_of_corners
+from usdface.numerics.registration.virtual_markers import VirtualMarkers
+from usdface.numerics.rigid.rigid_alignment import align_rigid_robust
+from usdface.runner.origin import path_made_from
+from usdface.steps.inputs.cleaned_takes import CleanedTakes
+from usdface.usdio.references.read import read_references
+from usdface.usdio.rig.mesh import rig_surfaces
+from usdface.usdio.surface.binding import has_binding
+from usdface.usdio.surface.placement import (
+    GivenPlaces,
+    RigPlacement,
+    read_given_places,
+    read_placement,
+)
+
+_SAMPLE_FRAMES = 2000
+"""Frames spread over the takes that a placement may look at."""
+
+_LEAST_COMMON_SHARE = 0.8
+"""Of the markers: a placement that knows fewer was made for another marker set."""
+
+
+_SAME_FACE_SHARE = 0.1
+"""Of the size of a face: two neutrals of a performer differ by 1 to 2 mm of 55, faces by more."""
+
+
+@dataclass(frozen=True)
+class PlacedTakes:
+    """A placement of takes' markers on a rig, and whether it looks right."""
+
+    placement: RigPlacement
+    verdict: PlacementVerdict
+
+
+class PlacementScene:
+    """Takes and a rig, for placing and judging.
+
+    Raises
+    ------
+    InputError
+        If there are too few markers, or the rig has no face.
+    """
+
+    def __init__(self, takes: CleanedTakes, rig: Rig) -> None:
+        self._takes, self._rig = takes, rig
+        deformer = Deformer(rig)
+        count = len(takes.frames)
+        rows = np.unique(np.linspace(0, count - 1, _SAMPLE_FRAMES).astype(np.int64))
+        self._sample = takes.positions_at(rows).astype(np.float64)
+        self._mesh = rig_surfaces(rig)[0].mesh
+        try:
+            self._cloud = marker_cloud(
+                takes.marker_names,
+                takes.neutral,
+                self._sample,
+                visible=takes.usable_at(rows),
+                rigid=[takes.marker_names.index(name) for name in takes.rigid],
+            )
+            self._skin = sample_face_skin(
+                deformer.neutral, deformer.triangles, deformer.shapes.target_offsets()
+            )
+        except ValueError as error:
+            raise InputError(f"the markers cannot be placed on {rig.file}: {error}") from error
+
+    def place(self, *, out: Path, landmarks: Mapping[str, FloatArray]) -> PlacedTakes:
+        """Place the markers, with landmarks and the corrections of an earlier placement kept.
+
+        Parameters
+        ----------
+        out : Path
+            Where the placement will be written; corrections are read from there.
+        landmarks : mapping of str to (3,) float array
+            Places that are known [mm]; corrections take precedence.
+
+        Raises
+        ------
+        InputError
+            If the markers cannot be placed, or corrections are of another rig.
+        """
+        takes, rig, mesh = self._takes, self._rig, self._mesh
+        given = read_given_places(out, rig) if has_binding(out) else GivenPlaces({}, {}, ())
+        names = takes.marker_names
+        known = {**landmarks, **given.corrected}
+        pins = {names.index(name): at for name, at in known.items() if name in names}
+        try:
+            found = place_markers(
+                self._cloud, self._skin, rig.shapes, ranges=rig.ranges, pinned=pins
+            )
+        except ValueError as error:
+            raise InputError(f"the markers cannot be placed on {rig.file}: {error}") from error
+        at = found.virtual
+        binding = bind_at(
+            mesh,
+            places_of_corners(mesh.face_counts, mesh.face_indices, at.points, at.weights),
+            names,
+            neutral=takes.neutral,
+            sample=self._sample,
+            pins=pins,
+            sources={
+                marker: "corrected" if names[marker] in given.corrected else "landmark"
+                for marker in pins
+            },
+        )
+        return self.judge(
+            RigPlacement(
+                binding=binding,
+                neutral=takes.neutral,
+                rotation=at.rotation,
+                motion_scale=at.motion_scale,
+                explained=found.explained,
+                by_labels=found.by_labels,
+                left_out=given.left_out,
+            )
+        )
+
+    def judge(self, placement: RigPlacement) -> PlacedTakes:
+        """Judge a placement of these markers on this rig."""
+        row_of = _bound(placement)
+        rows = [row for row, name in enumerate(self._takes.marker_names) if name in row_of]
+        names = tuple(self._takes.marker_names[row] for row in rows)
+        cloud = self._cloud
+        virtual = virtual_markers(placement, names, cloud.neutral[rows])
+        sources = [placement.binding.sources[row_of[name]] for name in names]
+        verdict = judge_placement(
+            MarkerCloud(
+                names,
+                cloud.neutral[rows],
+                None if cloud.motion is None else cloud.motion[:, rows],
+                cloud.still[rows],
+            ),
+            self._skin,
+            self._rig.shapes,
+            virtual,
+            at=virtual.places(self._mesh.points),
+            ranges=self._rig.ranges,
+            by_labels=placement.by_labels,
+            placed=[row for row, source in enumerate(sources) if source != "proposed"],
+        )
+        return PlacedTakes(replace(placement, explained=verdict.explained), verdict)
+
+
+def _bound(placement: RigPlacement) -> dict[str, int]:
+    """Return the row of every marker that counts."""
+    return {
+        name: row
+        for row, name in enumerate(placement.binding.names)
+        if name not in placement.left_out
+    }
+
+
+def place_takes(
+    takes: CleanedTakes, rig: Rig, *, out: Path, landmarks: Mapping[str, FloatArray]
+) -> PlacedTakes:
+    """Place takes' markers on a rig; see `PlacementScene.place`."""
+    return PlacementScene(takes, rig).place(out=out, landmarks=landmarks)
+
+
+def judge_stored(path: Path, takes: CleanedTakes, rig: Rig) -> PlacedTakes:
+    """Read a placement that is given, and judge it for takes.
+
+    Raises
+    ------
+    InputError
+        If it is of another rig or another marker set.
+    """
+    placement = read_placement(path, rig)
+    missing = _missing(placement, takes.marker_names)
+    if missing:
+        raise InputError(
+            f"{path}: places {len(takes.marker_names) - len(missing)} of the takes' "
+            f"{len(takes.marker_names)} markers, and not {first_few(missing)}; run `usdface place` "
+            "with these takes"
+        )
+    if not _knows(placement, takes.marker_names, takes.neutral):
+        raise InputError(
+            f"{path}: places the markers of another face; run `usdface place` with these takes"
+        )
+    return PlacementScene(takes, rig).judge(placement)
+
+
+def _missing(placement: RigPlacement, names: tuple[str, ...]) -> list[str]:
+    known = {*placement.binding.names, *placement.left_out}
+    return [name for name in names if name not in known]
+
+
+def _knows(placement: RigPlacement, names: tuple[str, ...], neutral: FloatArray) -> bool:
+    """Whether a placement is of these markers, on this performer's face."""
+    row_of = _bound(placement)
+    bound = [marker for marker, name in enumerate(names) if name in row_of]
+    if len(_missing(placement, names)) > (1 - _LEAST_COMMON_SHARE) * len(names):
+        return False
+    if len(bound) < FEWEST_MARKERS:
+        return False
+    there = placement.neutral[[row_of[names[marker]] for marker in bound]]
+    everywhere = np.ones((1, len(bound)), np.bool_)
+    turned = align_rigid_robust(neutral[None, bound], there, visible=everywhere)
+    away = neutral[bound] - there @ turned.rotations[0].T - turned.translations[0]
+    size = np.sqrt(((there - there.mean(axis=0)) ** 2).sum(axis=1).mean())
+    return bool(np.sqrt((away**2).sum(axis=1).mean()) <= _SAME_FACE_SHARE * size)
+
+
+def virtual_markers(
+    placement: RigPlacement, names: tuple[str, ...], neutral: FloatArray
+) -> VirtualMarkers:
+    """Return a placement as markers of a take, in their order and head space.
+
+    Markers that the placement leaves out lie at the first one's place; see `placed_equation`.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Of the take's markers.
+    neutral : (markers, 3) float array
+        The performer's neutral face in the take's head space [mm].
+    """
+    row_of = _bound(placement)
+    rows = [row_of.get(name, 0) for name in names]
+    bound = [marker for marker, name in enumerate(names) if name in row_of]
+    here, there = neutral[bound], placement.neutral[[row_of[names[m]] for m in bound]]
+    rotation = placement.rotation
+    if not np.array_equal(here, there):  # another head space than the one it was placed in
+        everywhere = np.ones((1, len(bound)), np.bool_)
+        turned = align_rigid_robust(there[None], here, visible=everywhere)
+        rotation = rotation @ turned.rotations[0]
+    places = placement.binding.places
+    return VirtualMarkers(
+        places.corners[rows],
+        places.weights[rows],
+        placement.motion_scale,
+        np.asarray(rotation),
+        placement.binding.distance_mm[rows],
+        np.full(len(names), np.nan),
+    )
+
+
+def placed_equation(
+    placement: RigPlacement | None,
+    rig: Rig,
+    deformer: Deformer,
+    *,
+    labels: tuple[str, ...],
+    neutral: FloatArray,
+    positions: Positions,
+    visible: BoolArray,
+    rigid: tuple[int, ...],
+) -> BlendshapeEquation:
+    """Return the equation of markers as they are placed, or place them where nothing is known.
+
+    Parameters are those of `set_up_equation`. Markers that the placement leaves out are trusted as
+    little as those of the skull.
+    """
+    if placement is None or not _knows(placement, labels, neutral):
+        return set_up_equation(
+            rig,
+            deformer,
+            neutral=neutral,
+            positions=positions,
+            visible=visible,
+            rigid=rigid,
+            labels=labels,
+        )
+    unplaced = [m for m, name in enumerate(labels) if name not in _bound(placement)]
+    return equation_at(
+        rig,
+        deformer,
+        virtual_markers(placement, labels, neutral),
+        neutral=neutral,
+        positions=positions,
+        visible=visible,
+        rigid=tuple(sorted({*rigid, *unplaced})),
+    )
+
+
+def stored_placement(references: References, rig: Rig) -> RigPlacement | None:
+    """Return the placement that references were selected with; None where there is none."""
+    if references.placement is None:
+        return None
+    return read_placement(references.placement, rig)
+
+
+def placement_of_performance(performance: Path, rig: Rig) -> RigPlacement | None:
+    """Return the placement of the references that a performance was mapped from, if it is there.
+
+    It is found by provenance: performance, mapping, references. Where a file is gone or was made
+    for another rig, markers are placed anew: a picture needs none of them.
+    """
+    mapping = path_made_from(performance, "mapping")
+    references = None if mapping is None else path_made_from(mapping, "references")
+    if references is None:
+        return None
+    try:
+        return stored_placement(read_references(references), rig)
+    except InputError:
+        return None
+
+
+def draw_placement(
+    placed: PlacedTakes, rig: Rig, *, title: str, quality: Quality = "final"
+) -> ByteImage:
+    """Draw the markers on the rig under the verdict."""
+    placement, verdict = placed.placement, placed.verdict
+    row_of = _bound(placement)
+    names, rows = tuple(row_of), list(row_of.values())
+    binding = placement.binding
+    return draw_binding(
+        rig.meshes,
+        BoundMarkers(
+            names,
+            binding.places.positions(rig_surfaces(rig)[0].mesh.points)[rows],
+            tuple(verdict.doubts.get(name, "") for name in names),
+            np.array([binding.sources[row] != "proposed" for row in rows]),
+            {names.index(name): at for name, at in verdict.wanted.items()},
+        ),
+        title=title,
+        verdict=(verdict.level, verdict.sentence),
+        facts=verdict.facts,
+        quality=quality,
+    )
+
+
+def placement_notes(placed: PlacedTakes) -> tuple[str, ...]:
+    """Return what a step notes of a placement besides its verdict."""
+    left_out = placed.placement.left_out
+    if not left_out:
+        return ()
+    return (
+        f"left out by the placement: {pluralize(len(left_out), 'marker')}, {first_few(left_out)}",
+    )
+
+
+def placement_figures(placed: PlacedTakes) -> dict[str, object]:
+    """Return the verdict as a step's result carries it."""
+    verdict, sources = placed.verdict, placed.placement.binding.sources
+    return {
+        "verdict": verdict.level,
+        "explained": None if np.isnan(verdict.explained) else round(verdict.explained, 4),
+        "tilt_degrees": None if np.isnan(verdict.roll_degrees) else round(verdict.roll_degrees, 2),
+        "by_labels": placed.placement.by_labels,
+        "placed_by_a_person": sum(source != "proposed" for source in sources),
+        "far": dict(verdict.doubts),
+    }

@@ -1,0 +1,48 @@
+"""Takes and a rig in, the place of every marker on the rig out, judged and drawn."""
+
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.sidecars import corrected_path, proposed_path
+from usdface.core.text import pluralize
+from usdface.media.picture.image import write_image
+from usdface.runner.origin import provenance_metadata
+from usdface.runner.result import StepResult
+from usdface.specs.references import PlaceSpec
+from usdface.steps.inputs.cleaned_takes import read_cleaned_takes
+from usdface.steps.inputs.landmark_files import read_landmarks
+from usdface.steps.inputs.placement import (
+    draw_placement,
+    place_takes,
+    placement_figures,
+    placement_notes,
+)
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.surface.placement import write_placement
+
+
+def run(spec: PlaceSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+    """Place the markers, keep the corrections of an earlier placement, write and draw both."""
+    progress(0.0, "reading the takes")
+    takes = read_cleaned_takes(spec.takes)
+    rig = read_rig(spec.rig, prim=spec.prim)
+    landmarks = {}
+    if spec.landmarks is not None:
+        landmarks = read_landmarks(spec.landmarks, takes.marker_names, rig)
+    progress(0.2, "placing the markers on the rig")
+    placed = place_takes(takes, rig, out=spec.out, landmarks=landmarks)
+    write_placement(spec.out, placed.placement, rig, provenance=provenance)
+    outputs = [spec.out, proposed_path(spec.out), corrected_path(spec.out)]
+    if spec.picture is not None:
+        progress(0.7, f"drawing {spec.picture.name}")
+        title = f"{', '.join(source.name for source in takes.sources[:3])} on {spec.rig.stem}"
+        picture = draw_placement(placed, rig, title=title, quality=spec.quality)
+        write_image(spec.picture, picture, metadata=provenance_metadata(provenance))
+        outputs.append(spec.picture)
+    progress(1.0, "done")
+    return StepResult(
+        tuple(outputs),
+        f"{pluralize(len(takes.marker_names), 'marker')} on {rig.file.name}. "
+        f"{placed.verdict.sentence}",
+        placement_notes(placed),
+        placement_figures(placed),
+    )

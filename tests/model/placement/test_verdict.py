@@ -1,0 +1,160 @@
+"""A verdict is green where markers are right, and names what is wrong where they are not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from usdface.core.deformer import Deformer
+from usdface.demo.rig import demo_rig
+from usdface.model.placement.marker_cloud import MarkerCloud
+from usdface.model.placement.rig_landmarks import find_landmarks
+from usdface.model.placement.verdict import PlacementVerdict, judge_placement
+from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
+from usdface.numerics.registration.virtual_markers import VirtualMarkers
+
+LABELS = {
+    "NoseTip": "nose_tip",
+    "Chin": "chin",
+    "Mouth_Lend": "mouth_L",
+    "Mouth_Rend": "mouth_R",
+    "Leye_Up": "lid_crease_L",
+    "Reye_Up": "lid_crease_R",
+    "Leye_Outer": "eye_outer_L",
+    "Reye_Outer": "eye_outer_R",
+    "Lbrow_Outer": "brow_outer_L",
+    "Rbrow_Outer": "brow_outer_R",
+    "Lbrow_Inner": "brow_inner_L",
+    "Rbrow_Inner": "brow_inner_R",
+    "Lip_Upper": "lip_upper",
+    "Lip_Lower": "lip_lower",
+}
+
+
+class Bench:
+    """Markers at a rig's own landmarks that move as the rig's shapes move them."""
+
+    def __init__(self) -> None:
+        rig = demo_rig()
+        deformer = Deformer(rig)
+        self.shapes, self.ranges = rig.shapes, rig.ranges
+        self.skin: FaceSkin = sample_face_skin(
+            deformer.neutral, deformer.triangles, deformer.shapes.target_offsets()
+        )
+        found = find_landmarks(self.skin, rig.shapes)
+        self.local = np.array([found[name] for name in LABELS.values()])
+        near = ((self.local[:, None] - self.skin.positions) ** 2).sum(axis=2).argmin(axis=1)
+        weights = np.random.default_rng(0).random((60, len(rig.shapes))) ** 4
+        motion = np.einsum("fs,smc->fmc", weights, self.skin.deltas[:, near])
+        still = np.zeros(len(LABELS), np.bool_)
+        self.cloud = MarkerCloud(tuple(LABELS), self.local, motion, still)
+
+    def judge(self, local: np.ndarray, **changed: object) -> PlacementVerdict:
+        count, skin = len(local), self.skin
+        virtual = VirtualMarkers(
+            np.zeros((count, 3), np.int64),
+            np.zeros((count, 3)),
+            1.0,
+            skin.frame.T,
+            np.zeros(count),
+            np.zeros(count),
+        )
+        given = {"at": local @ skin.frame, "ranges": self.ranges, "by_labels": True} | changed
+        cloud = given.pop("cloud", self.cloud)
+        return judge_placement(cloud, skin, self.shapes, virtual, **given)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    return Bench()
+
+
+def test_markers_at_their_landmarks_look_right(bench: Bench) -> None:
+    verdict = bench.judge(bench.local)
+    assert verdict.level == "good"
+    assert verdict.explained > 0.8
+    assert abs(verdict.roll_degrees) < 0.5
+    assert not verdict.doubts
+
+
+def test_one_marker_far_from_its_landmark_is_named_and_no_other(bench: Bench) -> None:
+    moved = bench.local.copy()
+    chin = list(LABELS).index("Chin")
+    moved[chin] += [35.0, 0.0, 0.0]
+    verdict = bench.judge(moved)
+    assert verdict.level == "check"
+    assert list(verdict.doubts) == ["Chin"]
+    assert "Chin lies" in verdict.sentence
+    np.testing.assert_allclose(verdict.wanted["Chin"], bench.local[chin] @ bench.skin.frame)
+    # Where a person put it, it may lie twice as far.
+    assert not bench.judge(moved, placed=[chin]).doubts
+
+
+@pytest.mark.parametrize("degrees", [-8.0, 8.0])
+def test_a_tilted_cloud_looks_wrong(bench: Bench, degrees: float) -> None:
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    middle = bench.local.mean(axis=0)
+    turned = (bench.local - middle) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + middle
+    verdict = bench.judge(turned)
+    assert verdict.level == "bad"
+    assert "tilted by 8 degrees" in verdict.sentence
+    assert abs(verdict.roll_degrees) == pytest.approx(8, abs=0.5)
+
+
+def test_a_face_too_low_looks_wrong_and_the_motion_says_where_it_belongs(bench: Bench) -> None:
+    low = bench.local - [0.0, 0.25 * bench.skin.size_mm, 0.0]
+    verdict = bench.judge(low)
+    assert verdict.level == "bad"
+    assert "better" in verdict.sentence
+    assert "higher" in verdict.sentence
+
+
+def test_a_rig_without_shapes_for_a_region_is_told(bench: Bench) -> None:
+    brows = np.array(["brow" in name.lower() for name in bench.shapes])
+    still = np.where(brows[:, None, None], 0.0, bench.skin.deltas)
+    bare = replace(bench.skin, deltas=still)
+    # Other shapes drag the brows along; without them as well nothing moves there.
+    local = bench.local @ bench.skin.frame
+    at = np.array([i for i, name in enumerate(LABELS) if "brow" in name])
+    near = ((bench.local[at][:, None] - bare.positions) ** 2).sum(axis=2) < 30.0**2
+    still[:, near.any(axis=0)] = 0.0
+    verdict = judge_placement(
+        bench.cloud,
+        bare,
+        bench.shapes,
+        VirtualMarkers(
+            np.zeros((len(local), 3), np.int64),
+            np.zeros((len(local), 3)),
+            1.0,
+            bare.frame.T,
+            np.zeros(len(local)),
+            np.zeros(len(local)),
+        ),
+        at=local,
+        ranges=bench.ranges,
+        by_labels=True,
+    )
+    assert verdict.level == "check"
+    assert "the rig has no shape that moves" in verdict.sentence
+    assert "the brows (4 markers)" in verdict.sentence
+
+
+def test_markers_of_one_side_are_told(bench: Bench) -> None:
+    rows = [row for row in range(len(LABELS)) if bench.local[row, 0] > bench.skin.sagittal_x + 5]
+    cloud = bench.cloud
+    assert cloud.motion is not None
+    half = MarkerCloud(
+        tuple(cloud.labels[row] for row in rows),
+        cloud.neutral[rows],
+        cloud.motion[:, rows],
+        cloud.still[rows],
+    )
+    verdict = bench.judge(bench.local[rows], cloud=half)
+    assert verdict.level == "check"
+    assert "on its left side only" in verdict.sentence
+
+
+def test_motion_alone_asks_for_a_look(bench: Bench) -> None:
+    verdict = bench.judge(bench.local, by_labels=False)
+    assert verdict.level == "check"
+    assert "motion alone" in verdict.sentence
