@@ -3,12 +3,13 @@
 import base64
 import functools
 import json
+import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
@@ -18,12 +19,13 @@ from starlette.routing import Route
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
+from usdface.core.sidecars import corrected_path
 from usdface.media.page.face_payload import FacePayload, pack_face, read_web_file
 from usdface.numerics.measure.mirrored_shapes import mirrored_shapes, sided_shapes
 from usdface.tuning.journal import Change
 from usdface.tuning.pictures import PairPictures
 from usdface.tuning.session import StaleRevisionError, TuningSession
-from usdface.tuning.targets import MarkerTargets, targets_or_reason
+from usdface.tuning.targets import MarkerTargets, correct_place, targets_or_reason
 from usdface.usdio.references.tuning import PairNotes
 
 _FILES = {
@@ -54,7 +56,19 @@ class SentChanges(BaseModel):
     changes: list[SentChange] = Field(max_length=10_000)
 
 
-_SENT: TypeAdapter[SentChanges] = TypeAdapter(SentChanges)
+class SentPlace(BaseModel):
+    """A marker that was dragged over the face at rest; without `at` its correction is taken back.
+
+    `at` is in the rig's space [mm].
+    """
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    marker: str = Field(max_length=1000)
+    at: tuple[float, float, float] | None = None
+
+
+_Sent = TypeVar("_Sent", SentChanges, SentPlace)
 
 
 class Scene:
@@ -71,6 +85,7 @@ class Scene:
         self.rig = rig
         self.notes = notes
         self.pictures = pictures
+        self._placing = threading.Lock()
 
     @functools.cached_property
     def payload(self) -> FacePayload:
@@ -81,6 +96,13 @@ class Scene:
     def targets(self) -> MarkerTargets | str:
         """Where markers should lie, or why that is not known."""
         return targets_or_reason(self.session.references, self.rig)
+
+    def place(self, sent: SentPlace) -> dict[str, Any]:
+        """Correct the place of a marker, or take its correction back; return the markers anew."""
+        with self._placing:
+            correct_place(self.session, self.rig, sent.marker, sent.at)
+            self.__dict__.pop("targets", None)
+            return self.markers()
 
     def face(self) -> dict[str, Any]:
         """Return the face's header, and what the page knows of the references."""
@@ -109,7 +131,7 @@ class Scene:
 
     def markers(self) -> dict[str, Any]:
         """Return marker targets for the live residual."""
-        targets = self.targets
+        targets, placement = self.targets, self.session.references.placement
         if isinstance(targets, str):
             return {"reason": targets}
         return {
@@ -118,6 +140,8 @@ class Scene:
             "rest": _floats(targets.rest),
             "keyDeltas": _floats(targets.key_deltas),
             "targets": _floats(targets.targets),
+            "corrected": list(targets.corrected),
+            "placement": "" if placement is None else corrected_path(placement).name,
         }
 
     def state(self) -> dict[str, Any]:
@@ -159,19 +183,20 @@ def build_application(scene: Scene, *, page: str = "tune.html") -> Starlette:
         return Response(data, media_type="image/jpeg")
 
     async def changes(request: Request) -> Response:
-        try:
-            sent = _SENT.validate_json(await request.body())
-        except ClientDisconnect:
-            return JSONResponse({"reason": "the change is too large"}, status_code=413)
-        except ValidationError as error:
-            fault = error.errors()[0]
-            where = ".".join(map(str, fault["loc"]))
-            return JSONResponse({"reason": f"{where}: {fault['msg']}"}, status_code=400)
+        sent = await _sent(request, SentChanges)
+        if isinstance(sent, Response):
+            return sent
         given = [Change(**each.model_dump()) for each in sent.changes]
         revision = await run_in_threadpool(
             functools.partial(scene.session.apply, given, revision=sent.revision)
         )
         return JSONResponse({"revision": revision})
+
+    async def place(request: Request) -> Response:
+        sent = await _sent(request, SentPlace)
+        if isinstance(sent, Response):
+            return sent
+        return JSONResponse(await run_in_threadpool(scene.place, sent))
 
     routes = [
         Route("/", home),
@@ -182,11 +207,24 @@ def build_application(scene: Scene, *, page: str = "tune.html") -> Starlette:
         Route("/state.json", _json(scene.state)),
         Route("/picture/{pair:int}.jpg", picture),
         Route("/changes", changes, methods=["POST"]),
+        Route("/place", place, methods=["POST"]),
     ]
     return Starlette(
         routes=routes,
         exception_handlers={StaleRevisionError: _stale, InputError: _refused},
     )
+
+
+async def _sent(request: Request, kind: type[_Sent]) -> _Sent | Response:
+    """Return what a POST holds, or the answer that refuses it."""
+    try:
+        return kind.model_validate_json(await request.body())
+    except ClientDisconnect:
+        return JSONResponse({"reason": "the change is too large"}, status_code=413)
+    except ValidationError as error:
+        fault = error.errors()[0]
+        where = ".".join(map(str, fault["loc"]))
+        return JSONResponse({"reason": f"{where}: {fault['msg']}"}, status_code=400)
 
 
 def _json(make: Callable[[], dict[str, Any]]) -> Callable[[Request], Any]:

@@ -1,4 +1,4 @@
-"""Where a pair's markers should lie on the rig: what the live residual is measured against."""
+"""Where markers should lie on the rig: what the live residual is measured against, and corrected."""
 
 from dataclasses import dataclass
 
@@ -8,9 +8,18 @@ from usdface.core.arrays import Float32Array, FloatArray
 from usdface.core.assets import References, Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
-from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
+from usdface.core.provenance import Provenance, canonical_json, hash_files
+from usdface.core.sidecars import corrected_path, proposed_path
+from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.numerics.measure.face_regions import shapes_by_region
+from usdface.numerics.registration.surface_places import nearest_places
 from usdface.numerics.registration.virtual_markers import character_motion
+from usdface.runner.sandbox import confine
+from usdface.steps.inputs.placement import placed_equation, stored_placement
+from usdface.tuning.session import TuningSession
+from usdface.usdio.rig.mesh import rig_surfaces
+from usdface.usdio.surface.binding import correct_binding
+from usdface.usdio.surface.placement import RigPlacement, read_placement
 
 _SAMPLE_FRAMES = 600
 """Of the takes' motion, looked at to find where markers sit."""
@@ -31,6 +40,8 @@ class MarkerTargets:
     regions : tuple of str
         Part of the face of each marker; empty for those that move with the skull alone, which say
         nothing of the weights.
+    corrected : tuple of bool
+        Whether a person placed the marker.
     """
 
     names: tuple[str, ...]
@@ -38,12 +49,14 @@ class MarkerTargets:
     key_deltas: Float32Array
     targets: Float32Array
     regions: tuple[str, ...]
+    corrected: tuple[bool, ...] = ()
 
 
 def find_targets(references: References, rig: Rig) -> MarkerTargets:
-    """Glue the references' markers to the rig as `usdface select` did to propose weights.
+    """Glue the references' markers to the rig where they are placed.
 
-    The takes are not needed: the asset carries a sample of their motion.
+    The takes are not needed: the asset carries a sample of their motion. References without a
+    placement have their markers placed here.
 
     Raises
     ------
@@ -52,7 +65,9 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
     """
     positions = _sample(references)
     rigid = [references.marker_names.index(name) for name in references.rigid]
-    equation = set_up_equation(
+    placement = stored_placement(references, rig)
+    equation = placed_equation(
+        placement,
         rig,
         Deformer(rig),
         neutral=references.neutral,
@@ -69,7 +84,16 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
         key_deltas=np.asarray(equation.keys.deltas, np.float32),
         targets=(rest + motion).astype(np.float32),
         regions=_regions(equation, rig, rigid),
+        corrected=_corrected(placement, references.marker_names),
     )
+
+
+def _corrected(placement: RigPlacement | None, names: tuple[str, ...]) -> tuple[bool, ...]:
+    if placement is None:
+        return (False,) * len(names)
+    binding = placement.binding
+    sources = dict(zip(binding.names, binding.sources, strict=True))
+    return tuple(sources.get(name, "proposed") != "proposed" for name in names)
 
 
 def _sample(references: References) -> FloatArray:
@@ -110,3 +134,47 @@ def targets_or_reason(references: References, rig: Rig) -> MarkerTargets | str:
         return find_targets(references, rig)
     except InputError as error:
         return str(error)
+
+
+def correct_place(
+    session: TuningSession, rig: Rig, marker: str, at: tuple[float, float, float] | None
+) -> None:
+    """Write the place of a marker into the corrected layer of the references' placement.
+
+    Parameters
+    ----------
+    marker : str
+        Its name.
+    at : tuple of three floats or None
+        On the rig at rest [mm]; None takes an earlier correction back.
+
+    Raises
+    ------
+    InputError
+        If the references have no placement, another has the right to tune, or marker or place are
+        not of them. Nothing is changed then.
+    """
+    placement = session.references.placement
+    if placement is None:
+        raise InputError(
+            f"{session.path.name}: has no placement to correct; select again, which writes one"
+        )
+    session.lock.check()
+    layer = corrected_path(placement)
+    confine("tune", reads=[placement], writes=[layer])
+    read_placement(placement, rig)  # of this rig, and whole
+    surface = rig_surfaces(rig)[0]
+    place = None
+    if at is not None:
+        mesh, wanted = surface.mesh, np.array([at])
+        on_it = nearest_places(mesh.points, mesh.face_counts, mesh.face_indices, wanted)
+        place = on_it.positions(mesh.points)[0]
+        away = float(np.linalg.norm(place - wanted[0]))
+        if away > surface.reach_mm:
+            raise InputError(f"{marker}: {away:.0f} mm off the rig; drop it on the face")
+    made = Provenance(
+        step="tune",
+        spec=canonical_json({"step": "tune", "references": session.path.name}),
+        inputs={proposed_path(placement).name: hash_files([proposed_path(placement)])},
+    )
+    correct_binding(placement, layer, {marker: place}, made)

@@ -2,6 +2,7 @@
 // Lengths are millimetres. No dependency, no build step.
 
 const FORMAT = 2;
+const SKIN = 0; // of FacePart in media/face/parts.py
 const MM = 1e-3; // the payload counts micrometres
 const TYPES = {
   i1: Int8Array,
@@ -222,6 +223,43 @@ export class FaceModel {
       normals[m + 1] = y;
       normals[m + 2] = z;
     }
+  }
+
+  /** How far along a ray the skin of the pose is first met; null where it is not. */
+  hit(from, along) {
+    const { positions, triangles, parts } = this;
+    let nearest = null;
+    const [dx, dy, dz] = along;
+    for (let t = 0; t < triangles.length; t += 3) {
+      if (parts[triangles[t]] !== SKIN) continue; // eyes and teeth carry no marker
+      const a = 3 * triangles[t];
+      const b = 3 * triangles[t + 1];
+      const c = 3 * triangles[t + 2];
+      const ux = positions[b] - positions[a];
+      const uy = positions[b + 1] - positions[a + 1];
+      const uz = positions[b + 2] - positions[a + 2];
+      const vx = positions[c] - positions[a];
+      const vy = positions[c + 1] - positions[a + 1];
+      const vz = positions[c + 2] - positions[a + 2];
+      const hx = dy * vz - dz * vy;
+      const hy = dz * vx - dx * vz;
+      const hz = dx * vy - dy * vx;
+      const size = ux * hx + uy * hy + uz * hz;
+      if (Math.abs(size) < 1e-12) continue;
+      const sx = from[0] - positions[a];
+      const sy = from[1] - positions[a + 1];
+      const sz = from[2] - positions[a + 2];
+      const first = (sx * hx + sy * hy + sz * hz) / size;
+      if (first < 0 || first > 1) continue;
+      const qx = sy * uz - sz * uy;
+      const qy = sz * ux - sx * uz;
+      const qz = sx * uy - sy * ux;
+      const second = (dx * qx + dy * qy + dz * qz) / size;
+      if (second < 0 || first + second > 1) continue;
+      const reach = (vx * qx + vy * qy + vz * qz) / size;
+      if (reach > 0 && (nearest === null || reach < nearest)) nearest = reach;
+    }
+    return nearest;
   }
 
   /** How much a shape moves each point, 0 to 255 of its own largest motion. */

@@ -171,6 +171,21 @@ export class FaceViewer {
     ];
   }
 
+  /** Return the nearest point of the skin [mm] under a point of the canvas [CSS pixels], or null. */
+  pick(x, y) {
+    const [v, p] = [this.view, this.projection];
+    const { clientWidth, clientHeight } = this.canvas;
+    const eye = [(2 * x) / clientWidth - 1, 1 - (2 * y) / clientHeight, -1];
+    eye[0] /= p[0];
+    eye[1] /= p[5];
+    // The view is a rotation and a shift: its transpose turns a ray back into the rig's space.
+    const turn = (a) => [0, 1, 2].map((k) => v[4 * k] * a[0] + v[4 * k + 1] * a[1] + v[4 * k + 2] * a[2]);
+    const from = turn([-v[12], -v[13], -v[14]]);
+    const along = turn(eye);
+    const reach = this.face.hit(from, along);
+    return reach === null ? null : from.map((value, k) => value + reach * along[k]);
+  }
+
   /**
    * Draw a pose, framed from the front, without showing it.
    * @returns {ImageData} with transparent ground, for thumbnails

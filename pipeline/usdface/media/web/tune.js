@@ -3,6 +3,7 @@
 import { FaceViewer, bytesFromBase64, unpackFace } from "./face_viewer.js";
 import { FilmStrip } from "./tune_film.js";
 import { Outbox } from "./tune_outbox.js";
+import { PlacementTool } from "./tune_placement.js";
 import { Residual, ResidualTable } from "./tune_residual.js";
 import { ShapePanel } from "./tune_shapes.js";
 import { TuneState } from "./tune_state.js";
@@ -102,9 +103,54 @@ class Page {
       this.tell(`No residual: ${markers.reason}`);
       return;
     }
+    this.unpackMarkers(markers);
+    this.table = new ResidualTable($("regions"), this.residual.parts);
+    $("placeMarkers").disabled = !markers.placement;
+    if (markers.placement) {
+      this.placing = new PlacementTool(this.viewer, markers);
+      this.placing.addEventListener("placed", ({ detail }) => this.place(detail));
+    } else $("placeMarkers").title = "These references have no placement; select again to get one";
+    this.pose();
+  }
+
+  unpackMarkers(markers) {
     for (const key of ["rest", "keyDeltas", "targets"]) markers[key] = floats(markers[key]);
     this.residual = new Residual(this.viewer.face, markers);
-    this.table = new ResidualTable($("regions"), this.residual.parts);
+  }
+
+  /** Send where a marker was dropped; what comes back is where all of them are. */
+  async place(dropped) {
+    let answer = { reason: "the server does not answer" };
+    try {
+      const response = await fetch("/place", {
+        method: "POST",
+        headers: { "Content-Type": "application/json", "X-Usdface-Tune": "1" },
+        body: JSON.stringify(dropped),
+      });
+      answer = await response.json();
+      if (response.ok && !answer.reason) {
+        this.unpackMarkers(answer);
+        this.placing.load(answer);
+        const what = dropped.at ? "corrected" : "back where it was proposed";
+        this.tell(`${dropped.marker} is ${what} (${answer.placement}). Select again to place the others by it and to propose anew`);
+        this.pose();
+        return;
+      }
+    } catch {
+      // said below
+    }
+    this.placing.load(this.residual);
+    this.tell(`${dropped.marker} stays where it was: ${answer.reason}`);
+    this.pose();
+  }
+
+  togglePlacing() {
+    if (!this.placing) return;
+    this.placing.on = !this.placing.on;
+    $("placeMarkers").setAttribute("aria-pressed", this.placing.on);
+    document.querySelector("#face").classList.toggle("placing", this.placing.on);
+    if (this.placing.on) this.tell("Drag a marker to where it sits on the performer; double click takes a correction back; K leaves", 0);
+    else this.hush();
     this.pose();
   }
 
@@ -120,6 +166,12 @@ class Page {
   pose() {
     const { viewer, state, residual } = this;
     if (!viewer) return;
+    if (this.placing?.on) {
+      $("residual").hidden = true;
+      viewer.setMarkers(this.placing.overlay());
+      viewer.setWeights(new Float32Array(this.weights.length));
+      return;
+    }
     const shown = this.showProposal ? state.proposal() : state.row();
     if (residual) {
       const was = residual.measure(this.onRig(state.proposal()), state.current);
@@ -251,6 +303,7 @@ class Page {
       done: () => this.toggleDone(false),
       markers: () => this.toggle("markers", "showMarkers"),
       labels: () => this.toggle("labels", "showLabels"),
+      placeMarkers: () => this.togglePlacing(),
       link: () => this.link(),
       frame: () => this.viewer?.frameFace(),
       videoFit: () => this.video.fit(),
@@ -298,6 +351,7 @@ class Page {
       }
       into.blur?.();
       this.choose(false);
+      if (this.placing?.on) this.togglePlacing();
       return;
     }
     if (into.matches?.('input:not([type="range"])')) return;
@@ -316,6 +370,7 @@ class Page {
       b: () => this.hold(true),
       o: () => this.toggle("markers", "showMarkers"),
       i: () => this.toggle("labels", "showLabels"),
+      k: () => this.togglePlacing(),
       v: () => this.toggleVideo(),
       f: () => this.viewer?.frameFace(),
       1: () => this.view(0),
