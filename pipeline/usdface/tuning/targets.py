@@ -1,4 +1,4 @@
-"""Where markers should lie on the rig: what the live residual is measured against, and corrected."""
+"""Where markers should lie on the rig: what the live residual is measured against."""
 
 from dataclasses import dataclass
 
