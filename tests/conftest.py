@@ -68,11 +68,16 @@ def _remembered(run_folder: Path) -> Iterator[None]:
     """
     from usdface.media.face import surface
     from usdface.model.selection import baseline
+    from usdface.steps.inputs import placement
 
     folder = run_folder / "remembered"
     folder.mkdir(exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
-        for module, name in ((baseline, "place_markers"), (surface, "_rest_exposure")):
+        for module, name in (
+            (baseline, "place_markers"),
+            (placement, "place_markers"),
+            (surface, "_rest_exposure"),
+        ):
             patch.setattr(module, name, _remember(getattr(module, name), folder))
         yield
 

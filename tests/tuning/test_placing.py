@@ -1,0 +1,151 @@
+"""Markers dragged on the page: the correction in its layer, taken back, and what is refused."""
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.browser import chromium
+from tests.steps.small_shot import Shot
+from tests.tuning.test_page import Command, Page
+from usdface.core.errors import InputError
+from usdface.core.sidecars import corrected_path
+from usdface.tuning.session import TuningSession
+from usdface.tuning.targets import correct_place, find_targets
+from usdface.usdio.layers import read_provenance
+from usdface.usdio.references.read import read_references
+from usdface.usdio.rig.mesh import rig_surfaces
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.surface.placement import read_placement
+
+WHERE = "tune.placing.names.indexOf('nose_tip')"
+ON_PAGE = f"""(() => {{
+  const box = tune.viewer.canvas.getBoundingClientRect();
+  const i = 3 * {WHERE};
+  const [x, y] = tune.viewer.project(...tune.placing.points.subarray(i, i + 3));
+  return [x + box.left, y + box.top];
+}})()"""
+
+
+@pytest.fixture
+def asset(shot: Shot) -> Path:
+    return shot / "hero.references.usda"
+
+
+@pytest.fixture
+def page(asset: Path) -> Iterator[tuple[Command, Page, Any]]:
+    command = Command(asset)
+    with chromium() as browser:
+        context = browser.new_context(viewport={"width": 1280, "height": 760})
+        opened = Page(context, command.link)
+        opened.wait("!!tune.placing")
+        yield command, opened, opened.page.mouse
+        context.close()
+    command.interrupt()
+
+
+def place_of(asset: Path, marker: str) -> np.ndarray:
+    references = read_references(asset)
+    assert references.placement is not None
+    rig = read_rig(references.rig_file, prim=references.rig_prim)
+    binding = read_placement(references.placement, rig).binding
+    at = binding.places.positions(rig_surfaces(rig)[0].mesh.points)
+    return np.asarray(at[binding.names.index(marker)])
+
+
+@pytest.mark.slow
+def test_a_marker_dragged_on_the_face_is_corrected_in_its_layer_and_taken_back(
+    asset: Path, page: tuple[Command, Page, Any]
+) -> None:
+    _, opened, mouse = page
+    before = place_of(asset, "nose_tip")
+    opened.page.keyboard.press("k")
+    opened.wait("tune.placing.on && !!tune.viewer.view")
+    time.sleep(1.0)  # software rendering: the face at rest must have been drawn
+    x, y = opened.page.evaluate(ON_PAGE)
+    mouse.move(x, y)
+    mouse.down()
+    mouse.move(x + 12, y - 4)
+    mouse.move(x + 24, y - 8)
+    mouse.up()
+    opened.wait(f"tune.placing.corrected[{WHERE}]")
+    shown = opened.page.evaluate(
+        f"Array.from(tune.placing.points.subarray(3 * {WHERE}, 3 * {WHERE} + 3))"
+    )
+    after = place_of(asset, "nose_tip")
+    np.testing.assert_allclose(after, shown, atol=0.05)
+    assert 2.0 < np.linalg.norm(after - before) < 40.0
+    assert after[0] > before[0] + 1.0  # to the right on the screen: the character's left
+    under = opened.page.evaluate(ON_PAGE)
+    np.testing.assert_allclose(under, [x + 24, y - 8], atol=3.0)  # where it was dropped
+    references = read_references(asset)
+    assert references.placement is not None
+    made = read_provenance(corrected_path(references.placement))
+    assert made is not None
+    assert made.step == "tune"
+    mouse.dblclick(*under)
+    opened.wait(f"!tune.placing.corrected[{WHERE}]")
+    np.testing.assert_allclose(place_of(asset, "nose_tip"), before, atol=0.05)
+    opened.page.keyboard.press("k")  # off again: a drag turns the face
+    opened.page.keyboard.press("1")
+    yaw = opened.page.evaluate("tune.viewer.camera.yaw")
+    mouse.move(x, y)
+    mouse.down()
+    mouse.move(x + 40, y)
+    mouse.up()
+    assert opened.page.evaluate("tune.viewer.camera.yaw") != yaw
+    np.testing.assert_allclose(place_of(asset, "nose_tip"), before, atol=0.05)
+    assert not opened.faults
+
+
+def test_places_off_the_face_and_unknown_markers_are_refused_and_nothing_is_written(
+    asset: Path,
+) -> None:
+    session = TuningSession(asset)
+    try:
+        references = session.references
+        rig = read_rig(references.rig_file, prim=references.rig_prim)
+        assert references.placement is not None
+        layer = corrected_path(references.placement)
+        before = layer.read_bytes()
+        with pytest.raises(InputError, match="mm off the rig"):
+            correct_place(session, rig, "nose_tip", (0.0, 0.0, 900.0))
+        with pytest.raises(InputError, match="binds no marker 'nobody'"):
+            correct_place(session, rig, "nobody", tuple(place_of(asset, "nose_tip").tolist()))
+        assert layer.read_bytes() == before
+        near = place_of(asset, "nose_tip") + np.array([0.0, 3.0, 0.0])
+        correct_place(session, rig, "nose_tip", tuple(near.tolist()))
+        targets = find_targets(references, rig)
+        row = targets.names.index("nose_tip")
+        assert targets.corrected[row]
+        assert sum(targets.corrected) == 1
+        np.testing.assert_allclose(targets.rest[row], place_of(asset, "nose_tip"), atol=0.05)
+    finally:
+        session.lock.release()
+
+
+def test_what_the_page_sends_is_checked(asset: Path) -> None:
+    from tests.tuning.test_guard import RIGHTS, Browser
+    from usdface.tuning.application import Scene, build_application
+    from usdface.tuning.pictures import PairPictures
+    from usdface.usdio.references.tuning import read_pair_notes
+
+    session = TuningSession(asset)
+    try:
+        references = session.references
+        notes = read_pair_notes(asset)
+        rig = read_rig(references.rig_file, prim=references.rig_prim)
+        scene = Scene(session, rig, notes, PairPictures(references, notes, ()))
+        client = Browser(build_application(scene))
+        for sent in (b"{", b'{"marker": 3}', b'{"marker": "a", "at": [1, 2]}', b'{"at": null}'):
+            assert client.post("/place", content=sent, headers=RIGHTS).status_code == 400
+        far = json.dumps({"marker": "nose_tip", "at": [0, 0, 900]})
+        answer = client.post("/place", content=far, headers=RIGHTS)
+        assert answer.status_code == 422
+        assert "off the rig" in answer.json()["reason"]
+    finally:
+        session.lock.release()
