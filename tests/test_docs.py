@@ -140,6 +140,6 @@ def test_the_review_page_runs(shot, monkeypatch, capsys) -> None:
 def test_every_command_of_the_references_page_is_understood(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     lines = commands(REPOSITORY / "docs" / "references.md")
-    assert len(lines) == 10
+    assert len(lines) == 13
     for line in lines:
         assert run(f"{line} --save-spec spec.yaml") == 0, line

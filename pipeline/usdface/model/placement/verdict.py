@@ -132,7 +132,8 @@ def judge_placement(
     level = max((each[0] for each in found), key=list(_OPENINGS).index, default="good")
     found.sort(key=lambda each: -list(_OPENINGS).index(each[0]))
     share = "" if np.isnan(explained) else f"shapes explain {explained:.0%} of the motion"
-    why = [text for _, text in found] or [share or "the markers lie at their landmarks"]
+    fine = ("" if np.isnan(roll) else "level", "at its landmarks" if known else "", share)
+    why = [text for _, text in found] or [", ".join(filter(None, fine))]
     return PlacementVerdict(
         level,
         f"{_OPENINGS[level]}: {'; '.join(why)}",
