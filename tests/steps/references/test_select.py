@@ -25,7 +25,6 @@ from usdface.usdio.take.write import write_take
 from usdface.usdio.validation import validate
 
 
-
 @pytest.fixture(autouse=True)
 def placement_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing the placement takes most of a selection's time and is not what is tested."""
