@@ -99,6 +99,6 @@ def find_lid_evidence(
         0 for markers that are not looked at.
     """
     full = [i for i, name in enumerate(names) if name.lower().startswith(FULL_SHAPES)]
-    surface = effective_size(offsets[full].toarray().reshape(len(full), -1, 3))
+    surface = effective_size(offsets[full].toarray().reshape(len(full), offsets.shape[1] // 3, 3))
     seen = shape_evidence(deltas, motion, full, surface_mm=surface, marker_trust=trust)
     return LidEvidence(tuple(full), seen)
