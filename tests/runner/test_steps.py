@@ -227,7 +227,7 @@ def test_a_reopened_mapping_predicts_the_same_to_the_last_bit(shot: Shot) -> Non
         for each in (mapping, reopened)
     )
     np.testing.assert_array_equal(first.weights, second.weights)
-    np.testing.assert_array_equal(first.uncertainty_mm, second.uncertainty_mm)
+    np.testing.assert_array_equal(first.uncertainty, second.uncertainty)
 
 
 def test_mapping_a_part_equals_that_part_of_the_whole(shot: Shot) -> None:

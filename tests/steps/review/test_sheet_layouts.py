@@ -20,6 +20,7 @@ from usdface.runner.execute import execute
 from usdface.specs.review import SheetSpec
 from usdface.speech.visemes import viseme_label, viseme_of
 from usdface.steps.review import sheet as sheet_step
+from usdface.usdio.performance.read import read_performance
 
 
 def spec_of(shot: Shot, **options: object) -> SheetSpec:
@@ -91,18 +92,20 @@ def test_every_performance_of_a_face_is_judged_by_the_truth_and_another_face_say
     assert "other (marker residual) " in told.summary
 
 
-def test_doubt_has_a_strip_of_its_own_scale(shot: Shot, monkeypatch) -> None:
+def test_uncertainty_is_drawn_below_the_errors(shot: Shot, monkeypatch) -> None:
     pages = []
     compose = sheet_step.compose_sheet
     monkeypatch.setattr(
         sheet_step, "compose_sheet", lambda page: (pages.append(page), compose(page))[1]
     )
     execute(spec_of(shot))
-    doubt = pages[0].curves[-1]
-    assert (doubt.label, doubt.high, doubt.unit) == ("uncertainty", 1.0, "")
-    assert ((doubt.values >= 0) & (doubt.values <= 1)).all()
+    curve = pages[0].curves[-1]
+    assert curve.label == "uncertainty"
+    np.testing.assert_array_equal(
+        curve.values, read_performance(shot / "shot.hero.usda").uncertainty_mm[:, 0]
+    )
     assert pages[0].high == sheet_step.round_range(
-        np.concatenate([curve.values for curve in pages[0].curves[:-1]])
+        np.concatenate([each.values for each in pages[0].curves[:-1]])
     )
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.distance import pdist
 
 from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.assets import Markers
@@ -211,6 +210,8 @@ def _labelled_size(fits: list[FaceFit]) -> Iterable[PlausibilityFinding]:
 
 
 def _cloud_size(positions: FloatArray, seen: BoolArray) -> Iterable[PlausibilityFinding]:
+    from scipy.spatial.distance import pdist  # only when wanted: it takes half a second
+
     extents = [
         pdist(frame[mask][:: max(int(mask.sum()) // 500, 1)]).max()
         for frame, mask in zip(positions, seen, strict=True)
