@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.stats import ttest_rel
 
-from usdface.model.mapping.train import paired_t, time_blocks
+from usdface.model.mapping.candidates import paired_t, time_blocks
 
 
 def test_blocks_are_of_a_take_and_of_time() -> None:

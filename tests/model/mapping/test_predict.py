@@ -9,7 +9,7 @@ from usdface.core.errors import InputError
 from usdface.model import predict_weights, train_mapping
 from usdface.model.mapping.coordinates import marker_coordinates, noise_variance
 from usdface.model.mapping.head_space import MINIMUM_SHARE
-from usdface.model.mapping.train import motion_of
+from usdface.model.mapping.motion_space import motion_of
 from usdface.model.regressions import MAPPING_METHODS, REMOVED_METHODS, find_method
 
 

@@ -7,8 +7,8 @@ from tests.model.synthetic import references_of, synthetic_face
 from usdface.core.assets import References
 from usdface.core.errors import InputError
 from usdface.model import predict_weights, train_mapping
+from usdface.model.mapping.candidates import observable_shapes
 from usdface.model.mapping.checks import check_references
-from usdface.model.mapping.train import observable_shapes
 from usdface.model.regressions import MAPPING_METHODS
 
 CHOSEN = np.arange(0, 1200, 30)

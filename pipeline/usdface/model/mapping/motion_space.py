@@ -5,10 +5,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.core.arrays import FloatArray
-from usdface.core.assets import MotionSpace
+from usdface.core.arrays import FloatArray, sample_frames
+from usdface.core.assets import MotionSpace, References, TrainedMapping
 from usdface.core.errors import InputError
-from usdface.numerics.regression.pca import PCA, pca_from_moments, project, sum_moments
+from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
+from usdface.numerics.regression.pca import PCA, fit_pca, pca_from_moments, project, sum_moments
 
 _Positions = NDArray[np.float32] | NDArray[np.float64]
 
@@ -91,3 +92,41 @@ def _spread(clips: Sequence[_Positions], count: int) -> FloatArray:
         rows_of_clip = wanted[(wanted >= end - len(clip)) & (wanted < end)] - (end - len(clip))
         rows.append(clip[rows_of_clip].reshape(len(rows_of_clip), -1).astype(np.float64))
     return np.concatenate(rows)
+
+
+def motion_of(mapping: TrainedMapping) -> MotionSpace:
+    """Put the motion space of a mapping together; without the sample: prediction needs none."""
+    try:
+        return MotionSpace(
+            mean=mapping.arrays["motion_mean"],
+            components=mapping.arrays["motion_components"],
+            variances=mapping.arrays["motion_variances"],
+            total_variance=float(mapping.arrays["motion_total"][0]),
+            sample=np.zeros((0, len(mapping.arrays["motion_variances"]))),
+        )
+    except KeyError as error:
+        raise InputError(
+            f"the mapping lacks the array {error}; train it again with this version"
+        ) from error
+
+
+def motion_arrays(motion: MotionSpace) -> dict[str, FloatArray]:
+    """Return the arrays of a mapping that keep the motion space; `motion_of` reads them."""
+    return {
+        "motion_mean": motion.mean,
+        "motion_components": motion.components,
+        "motion_variances": motion.variances,
+        "motion_total": np.array([motion.total_variance]),
+        "takes_sample": thinned_sample(motion),
+    }
+
+
+def motion_of_pairs(references: References) -> MotionSpace:
+    """Fit the motion space of pairs that carry none of their takes."""
+    packed = references.markers.reshape(len(references.markers), -1).astype(np.float64)
+    return motion_from_pca(fit_pca(packed), packed)
+
+
+def thinned_sample(motion: MotionSpace) -> FloatArray:
+    """Return the coordinates of as many frames as takes are compared by: (frames, dimensions)."""
+    return motion.sample[sample_frames(len(motion.sample), SAMPLE_FRAMES)]

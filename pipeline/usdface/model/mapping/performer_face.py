@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, sample_frames
-from usdface.core.assets import MotionSpace, References, TrainedMapping
+from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.assets import References, TrainedMapping
 from usdface.core.errors import InputError
-from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
+from usdface.model.mapping.motion_space import thinned_sample
 
 
 @dataclass(frozen=True)
@@ -81,8 +81,3 @@ def face_of_references(references: References) -> PerformerFace:
         references.performer,
         references.session,
     )
-
-
-def thinned_sample(motion: MotionSpace) -> FloatArray:
-    """Return the coordinates of as many frames as takes are compared by: (frames, dimensions)."""
-    return motion.sample[sample_frames(len(motion.sample), SAMPLE_FRAMES)]

@@ -10,7 +10,7 @@ from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.coordinates import marker_coordinates
 from usdface.model.mapping.head_space import MINIMUM_SHARE
-from usdface.model.mapping.train import motion_of
+from usdface.model.mapping.motion_space import motion_of
 from usdface.model.mapping.uncertainty import UncertaintyModel
 from usdface.model.regressions import REMOVED_METHODS, find_method
 from usdface.model.regressions.frame_solve import FrameSolver

@@ -1,0 +1,282 @@
+"""Compare candidates of a mapping on pairs that their fits have not seen."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.assets import CandidateScore, References
+from usdface.core.progress import Progress
+from usdface.model.mapping.regions import marker_motion
+from usdface.model.mapping.uncertainty import UncertaintyModel
+from usdface.model.regressions import AUTO, Pairs, Regression, Settings, find_method
+from usdface.model.regressions.forward_model import ForwardModel, ForwardScales, fit_forward_model
+from usdface.model.regressions.frame_solve import FrameSolver
+from usdface.model.regressions.target_curve import bend, unbend
+from usdface.numerics.regression.cross_validation import (
+    blocked_folds,
+    surface_rms_mm,
+    weight_rmse,
+)
+from usdface.numerics.regression.marker_prior import expect_marker_motion
+
+MINIMUM_TO_COMPARE = 8
+"""Pairs below which cross-validation is chance: the first, simplest candidate is taken."""
+
+OBSERVABLE_ERROR_SHARE = 0.9
+"""Of a shape's variance: a mean squared error above it says that markers do not show the shape."""
+
+_LEAST_T = 2.0
+"""Student's t beyond which another method than the default is no chance: one in twenty."""
+
+_BLOCK_FRAMES = 120
+"""A second or two: faces and their errors last about as long."""
+
+_PRIOR_CURVE = 0.3
+"""Bend of weights under which markers are looked for on the skin; it hardly matters there."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A method and the settings to try it with."""
+
+    method: Regression
+    settings: Settings
+
+
+@dataclass(frozen=True)
+class UnseenPairs:
+    """What a candidate makes of pairs that its fit has not seen.
+
+    Attributes
+    ----------
+    errors : (pairs, shapes) float array
+        Of weights.
+    start : (pairs, shapes) float array
+        Bent weights, before the frames are solved.
+    usual : (pairs, shapes) float array or None
+        The fits' own estimates of that start's error, normalised; None where it makes none.
+    """
+
+    errors: FloatArray
+    start: FloatArray
+    usual: FloatArray | None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Candidates by error, the best first.
+
+    Attributes
+    ----------
+    unseen : UnseenPairs or None
+        Of the best; None where pairs were too few to compare.
+    observable : (shapes,) bool array
+    """
+
+    best: Candidate
+    unseen: UnseenPairs | None
+    observable: BoolArray
+    scores: tuple[CandidateScore, ...]
+
+
+class PairFolds:
+    """Pairs in folds of other moments, with a forward model that has not seen each."""
+
+    def __init__(self, pairs: Pairs, scales: ForwardScales, references: References) -> None:
+        self.pairs = pairs
+        self.folds = blocked_folds(references.frames, references.takes)
+        self.blocks = time_blocks(references.frames, references.takes)
+        self.forwards = [fit_pairs_forward(pairs.rows(fold.train), scales) for fold in self.folds]
+        self.targets = bend(pairs.face.normalise(pairs.outputs), scales.curve)
+        self.curve = scales.curve
+
+    def displacements(self, rows: IntArray) -> tuple[FloatArray, BoolArray]:
+        """Return displacements [mm] and visibility of some pairs."""
+        moved = _displacements(self.pairs.rows(rows))
+        return moved, np.ones(moved.shape[:2], dtype=np.bool_)
+
+    def predict(self, candidate: Candidate) -> UnseenPairs:
+        """Predict every pair by a fit that has not seen it."""
+        pairs, face, method = self.pairs, self.pairs.face, candidate.method
+        low, span = face.ranges[:, 0], np.ptp(face.ranges, axis=1)
+        errors, start, usual = (np.full_like(pairs.outputs, np.nan) for _ in range(3))
+        for fold, forward in zip(self.folds, self.forwards, strict=True):
+            settings = dict(candidate.settings)
+            if "dimensions" in settings:  # a fold may have too few pairs for what all of them carry
+                most = max(len(fold.train) - 1, 1)
+                settings["dimensions"] = min(int(settings["dimensions"]), most)
+            fitted = method.fit(pairs.rows(fold.train), settings)
+            found = method.predict(fitted.arrays, fitted.settings, pairs.inputs[fold.test])
+            t = bend(face.normalise(found), self.curve)
+            start[fold.test] = t
+            found = np.clip(found, *face.ranges.T)
+            if method.solves_frames:
+                usual[fold.test] = fitted.arrays["start_error"]
+            solver = FrameSolver(forward, fitted.arrays.get("start_error", np.ones(0)))
+            if method.solves_frames and solver.solvable:
+                t = solver.solve(*self.displacements(fold.test), t).targets
+                found = low + span * np.clip(unbend(t, self.curve), 0.0, 1.0)
+            errors[fold.test] = found - pairs.outputs[fold.test]
+        return UnseenPairs(errors, start, usual if method.solves_frames else None)
+
+    def deviations(
+        self, candidate: Candidate, unseen: UnseenPairs, model: UncertaintyModel, error: FloatArray
+    ) -> FloatArray:
+        """Return the uncalibrated uncertainty of every pair: (pairs, regions) [mm]."""
+        out = np.empty((len(unseen.start), len(model.grams)))
+        for fold, forward in zip(self.folds, self.forwards, strict=True):
+            own = error if unseen.usual is None else unseen.usual[fold.test[0]]
+            solver, (moved, visible) = FrameSolver(forward, own), self.displacements(fold.test)
+            bounded = candidate.method.solves_frames and solver.solvable
+            solution = solver.solve(moved, visible, unseen.start[fold.test], bounded=bounded)
+            out[fold.test] = model.deviations(solver, solution, visible)
+        return out
+
+
+def list_candidates(pairs: Pairs, method: str, dimensions: int | None) -> list[Candidate]:
+    """Return what to compare: every setting of a method, or of all that ``auto`` tries."""
+    names = AUTO if method == "auto" else (method,)
+    return [
+        Candidate(found, settings)
+        for found in map(find_method, names)
+        for settings in found.candidates(pairs, dimensions)
+    ]
+
+
+def compare_candidates(
+    candidates: list[Candidate],
+    folds: PairFolds,
+    *,
+    in_mm: bool,
+    progress: Progress,
+) -> Comparison:
+    """Predict each pair by every candidate from pairs of other moments."""
+    pairs, tried = folds.pairs, []
+    for i, candidate in enumerate(candidates if len(pairs.outputs) >= MINIMUM_TO_COMPARE else []):
+        progress(0.9 * i / len(candidates), f"cross-validating {candidate.method.name}")
+        tried.append((folds.predict(candidate), candidate))
+    observable = observable_shapes([unseen.errors for unseen, _ in tried], pairs.outputs)
+    gram = pairs.face.gram if in_mm else None
+    scored = [
+        (_score(candidate, unseen.errors, observable, gram), candidate, unseen)
+        for unseen, candidate in tried
+    ]
+    scored.sort(key=lambda entry: _order(entry[0]))
+    best, unseen = candidates[0], None
+    if scored:
+        winner = scored[0]
+        usual = next((each for each in scored if each[1].method.name == AUTO[0]), winner)
+        weight = np.eye(pairs.outputs.shape[1]) if gram is None else gram
+        if paired_t(usual[2].errors, winner[2].errors, weight, folds.blocks) <= _LEAST_T:
+            winner = usual
+        best, unseen = winner[1], winner[2]
+    return Comparison(best, unseen, observable, tuple(score for score, _, _ in scored))
+
+
+def time_blocks(frames: IntArray, takes: Sequence[str]) -> IntArray:
+    """Return the number of the block of `_BLOCK_FRAMES` that each pair is in: (pairs,)."""
+    codes = np.unique(np.asarray(takes, dtype=str), return_inverse=True)[1]
+    rows = np.column_stack([codes, np.asarray(frames) // _BLOCK_FRAMES])
+    return np.asarray(np.unique(rows, axis=0, return_inverse=True)[1]).ravel()
+
+
+def paired_t(usual: FloatArray, other: FloatArray, gram: FloatArray, blocks: IntArray) -> float:
+    """Return Student's t of by how much another method errs less, paired over blocks of time.
+
+    Errors within a block are alike, and count as one.
+
+    Parameters
+    ----------
+    usual, other : (pairs, shapes) float array
+        Errors of the two methods on pairs they have not seen.
+    gram : (shapes, shapes) float array
+        Makes errors squared distances.
+    blocks : (pairs,) int array
+        From `time_blocks`.
+    """
+    gained = np.einsum("ns,st,nt->n", usual, gram, usual, optimize=True)
+    gained -= np.einsum("ns,st,nt->n", other, gram, other, optimize=True)
+    means = np.bincount(blocks, gained) / np.bincount(blocks)
+    if len(means) < 2 or not means.any():
+        return 0.0
+    error = max(float(means.std(ddof=1)) / np.sqrt(len(means)), np.finfo(float).tiny)
+    return float(means.mean() / error)
+
+
+def observable_shapes(errors: Sequence[FloatArray], weights: FloatArray) -> BoolArray:
+    """Find the shapes that markers tell anything about.
+
+    Where the eyes look moves no marker: what candidates make of it is chance, and chance must not
+    decide between them. A shape counts if some candidate predicts unseen pairs of it better than
+    its mean does.
+
+    Parameters
+    ----------
+    errors : sequence of (pairs, shapes) float arrays
+        Of every candidate, on pairs it has not seen.
+    weights : (pairs, shapes) float array
+
+    Returns
+    -------
+    (shapes,) bool array
+        All True where there is nothing to tell by.
+    """
+    variance = weights.var(axis=0)
+    if not len(errors):
+        return np.ones(len(variance), dtype=np.bool_)
+    least = np.min([(each**2).mean(axis=0) for each in errors], axis=0)
+    observable = (least < OBSERVABLE_ERROR_SHARE * variance) | (variance == 0)
+    return observable if observable.any() else np.ones_like(observable)
+
+
+def _score(
+    candidate: Candidate, errors: FloatArray, observable: BoolArray, gram: FloatArray | None
+) -> CandidateScore:
+    seen = errors[:, observable]
+    return CandidateScore(
+        method=candidate.method.name,
+        settings=_readable(candidate.settings),
+        weight_rmse=weight_rmse(seen),
+        vertex_rms_mm=(
+            float("nan")
+            if gram is None
+            else surface_rms_mm(seen, gram[np.ix_(observable, observable)])
+        ),
+    )
+
+
+def _order(score: CandidateScore) -> float:
+    return score.weight_rmse if np.isnan(score.vertex_rms_mm) else score.vertex_rms_mm
+
+
+def _readable(settings: Settings) -> str:
+    return " ".join(
+        f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"
+        for name, value in settings.items()
+    )
+
+
+def fit_pairs_forward(pairs: Pairs, scales: ForwardScales | None = None) -> ForwardModel:
+    """Fit the forward model, from what the rig's shapes do or, without a rig, the pairs' line."""
+    face = pairs.face
+    weights, moved = face.normalise(pairs.outputs), _displacements(pairs)
+    if face.skin is None:
+        expected = marker_motion(weights, moved)
+    else:
+        expected = expect_marker_motion(
+            face.skin * np.ptp(face.ranges, axis=1)[:, None, None],
+            bend(weights, _PRIOR_CURVE),
+            moved,
+            rest=face.rest,
+            neutral=face.neutral,
+        ).basis
+    neutral = np.zeros(moved.shape[1:]) if face.neutral is None else face.neutral
+    return fit_forward_model(weights, moved, expected=expected, neutral=neutral, scales=scales)
+
+
+def _displacements(pairs: Pairs) -> FloatArray:
+    if pairs.markers is None or pairs.face.neutral is None:
+        raise ValueError("a mapping's pairs need markers and a neutral")
+    return pairs.markers - pairs.face.neutral
