@@ -25,18 +25,13 @@ _CHUNK_BYTES = 32 << 20
 
 @dataclass(frozen=True)
 class C3dPoints:
-    """A stretch of point samples, in the file's own units and axes.
-
-    Attributes
-    ----------
-    positions : (frames, points, 3) float32 array
-        As stored, also where a point was not seen.
-    residuals : (frames, points) float32 array
-        Reconstruction residual in the file's units; negative where the point was not seen.
-    """
+    """A stretch of point samples, in the file's own units and axes."""
 
     positions: NDArray[np.float32]
+    """(frames, points, 3): as stored, also where a point was not seen."""
     residuals: NDArray[np.float32]
+    """(frames, points): reconstruction residual in the file's units; negative where the point was
+    not seen."""
 
 
 @dataclass(frozen=True)
@@ -50,25 +45,18 @@ class C3dEvent:
 
 @dataclass(frozen=True)
 class C3dFile:
-    """An opened C3D file: what it holds is read, its samples are read on demand.
-
-    Attributes
-    ----------
-    layout : C3dLayout
-        Counts, rates, parameters.
-    point_labels : tuple of str
-        As written, subject prefixes included; shorter than the points when some have no label.
-    units, x_screen, y_screen : str
-        Empty where the file does not say.
-    """
+    """An opened C3D file: what it holds is read, its samples are read on demand."""
 
     path: Path
     layout: C3dLayout
+    """Counts, rates, parameters."""
     point_labels: tuple[str, ...]
+    """As written, subject prefixes included; shorter than the points when some have no label."""
     analog_labels: tuple[str, ...]
     units: str
     x_screen: str
     y_screen: str
+    """`units`, `x_screen`, `y_screen`: Empty where the file does not say."""
 
     @property
     def frame_count(self) -> int:

@@ -18,38 +18,27 @@ _REPAIR = "export the take again from the capture software, or copy the file aga
 
 @dataclass(frozen=True)
 class C3dLayout:
-    """Everything needed to read any stretch of samples.
-
-    Attributes
-    ----------
-    header : bytes
-        The first block; holds the events of old files.
-    point_count, analog_count : int
-        Points per frame; analog channels.
-    analog_per_frame : int
-        Analog samples of each channel per point frame.
-    rate : float
-        Point frames per second, as stored.
-    scale : float
-        Negative when samples are stored as floats, else the unit of the integers.
-    data_start : int
-        Byte offset of the first frame.
-    notes : tuple of str
-        Contradictions that were settled.
-    """
+    """Everything needed to read any stretch of samples."""
 
     processor: Processor
     parameters: Parameters
     header: bytes
+    """The first block; holds the events of old files."""
     point_count: int
     analog_count: int
+    """`point_count`, `analog_count`: Points per frame; analog channels."""
     analog_per_frame: int
+    """Analog samples of each channel per point frame."""
     first_frame: int
     frame_count: int
     rate: float
+    """Point frames per second, as stored."""
     scale: float
+    """Negative when samples are stored as floats, else the unit of the integers."""
     data_start: int
+    """Byte offset of the first frame."""
     notes: tuple[str, ...]
+    """Contradictions that were settled."""
 
     @property
     def item_size(self) -> int:

@@ -22,17 +22,11 @@ Value = NDArray[np.float64] | tuple[str, ...]
 
 @dataclass(frozen=True)
 class Processor:
-    """Byte order of a C3D file.
-
-    Attributes
-    ----------
-    name : {'Intel', 'DEC', 'MIPS'}
-    order : {'<', '>'}
-        Of integers, and of floats but for DEC.
-    """
+    """Byte order of a C3D file."""
 
     name: str
     order: str
+    """Of integers, and of floats but for DEC."""
 
     @property
     def integer(self) -> np.dtype[np.int16]:
@@ -68,18 +62,12 @@ PROCESSORS = {
 
 @dataclass(frozen=True)
 class Parameters:
-    """Values by ``'GROUP:NAME'`` in capitals: numbers as float64, text as a tuple of str.
-
-    Attributes
-    ----------
-    values : mapping of str to float64 array or tuple of str
-        Integers keep their sign as stored; see `unsigned` for counts.
-    notes : tuple of str
-        What could not be read.
-    """
+    """Values by ``'GROUP:NAME'`` in capitals: numbers as float64, text as a tuple of str."""
 
     values: Mapping[str, Value]
+    """Integers keep their sign as stored; see `unsigned` for counts."""
     notes: tuple[str, ...] = ()
+    """What could not be read."""
 
     def numbers(self, name: str) -> NDArray[np.float64]:
         """Return the numbers of a parameter and its continuations, flat; empty when absent or text.

@@ -41,26 +41,18 @@ _ROTATIONS = ("Yaw", "Pitch", "Roll")
 
 @dataclass(frozen=True)
 class _Rows:
-    """What the rows hold, before they are placed in time.
-
-    Attributes
-    ----------
-    whole : list of int
-        Seconds of each timecode since midnight.
-    parts : list of float
-        Frames of each timecode within its second.
-    lost : int
-        Rows without a face, between others.
-    outside : int
-        Rows without a face, before the first with one or after the last.
-    """
+    """What the rows hold, before they are placed in time."""
 
     whole: list[int]
+    """Seconds of each timecode since midnight."""
     parts: list[float]
+    """Frames of each timecode within its second."""
     values: list[list[float]]
     lines: list[int]
     lost: int
+    """Rows without a face, between others."""
     outside: int
+    """Rows without a face, before the first with one or after the last."""
 
 
 def is_live_link_csv(head: bytes) -> bool:

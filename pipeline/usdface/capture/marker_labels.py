@@ -15,24 +15,16 @@ _SUGGESTION_COUNT = 5
 
 @dataclass(frozen=True)
 class MarkerLabels:
-    """Which columns of a capture are markers.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Unique, subject prefixes taken off.
-    columns : tuple of int
-        Column of each name.
-    dropped : tuple of str
-        Labels of points that no one has labelled.
-    subjects : tuple of str
-        Prefixes that were taken off.
-    """
+    """Which columns of a capture are markers."""
 
     names: tuple[str, ...]
+    """Unique, subject prefixes taken off."""
     columns: tuple[int, ...]
+    """Column of each name."""
     dropped: tuple[str, ...]
+    """Labels of points that no one has labelled."""
     subjects: tuple[str, ...]
+    """Prefixes that were taken off."""
 
     def notes(self) -> list[str]:
         """Say what was left out and taken off, if anything."""

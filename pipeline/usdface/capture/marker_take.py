@@ -23,109 +23,71 @@ _CHUNK_ROWS = 8192
 
 @dataclass(frozen=True)
 class CaptureOptions:
-    """What the user says about a capture, where the file is silent or wrong.
-
-    Attributes
-    ----------
-    units : str or None
-        Overrules the file: ``'mm'``, ``'cm'``, ``'m'``, ``'in'``, …
-    scale : float or None
-        Factor on lengths, beyond the units.
-    up : str or None
-        Overrules the file: ``'y'``, ``'z'``, ``'-x'``, …
-    rate : float or None
-        Frames per second; overrules the file.
-    rigid : tuple of str
-        Names of the markers that move with the skull alone.
-    neutral : int or None
-        Frame number of the neutral face.
-    """
+    """What the user says about a capture, where the file is silent or wrong."""
 
     units: str | None = None
+    """Overrules the file: ``'mm'``, ``'cm'``, ``'m'``, ``'in'``, …"""
     scale: float | None = None
+    """Factor on lengths, beyond the units."""
     up: str | None = None
+    """Overrules the file: ``'y'``, ``'z'``, ``'-x'``, …"""
     rate: float | None = None
+    """Frames per second; overrules the file."""
     rigid: tuple[str, ...] = ()
+    """Names of the markers that move with the skull alone."""
     neutral: int | None = None
+    """Frame number of the neutral face."""
 
 
 @dataclass(frozen=True)
 class Capture:
-    """A capture file, read.
-
-    Attributes
-    ----------
-    format : str
-        Key of the reader, such as ``'c3d'``.
-    notes : tuple of str
-        What was dropped, repaired or assumed, one sentence each.
-    axes : (3, 3) float array or None
-        Rotation that brought the file's axes to Y up, if markers had to be turned.
-    """
+    """A capture file, read."""
 
     take: Take
     format: str
+    """Key of the reader, such as ``'c3d'``."""
     notes: tuple[str, ...] = ()
+    """What was dropped, repaired or assumed, one sentence each."""
     axes: NDArray[np.float64] | None = None
+    """(3, 3): rotation that brought the file's axes to Y up, if markers had to be turned."""
 
 
 @dataclass(frozen=True)
 class CaptureHeader:
-    """What a reader knows of a capture beside its samples.
-
-    Attributes
-    ----------
-    path : Path
-        The capture; its stem names the take.
-    format : str
-        Key of the reader.
-    rate : Fraction
-        Frames per second.
-    first_frame : int
-        Frame number of the first sample.
-    timecode_start : str
-        SMPTE timecode of the first frame, empty when unknown.
-    notes : sequence of str
-        What the reader has noted so far.
-    to_mm : (3, 3) float array or None
-        What brought the file's units and axes to mm, Y up.
-    """
+    """What a reader knows of a capture beside its samples."""
 
     path: Path
+    """The capture; its stem names the take."""
     format: str
+    """Key of the reader."""
     rate: Fraction
+    """Frames per second."""
     first_frame: int
+    """Frame number of the first sample."""
     timecode_start: str = ""
+    """SMPTE timecode of the first frame, empty when unknown."""
     notes: Sequence[str] = ()
+    """What the reader has noted so far."""
     to_mm: NDArray[np.float64] | None = None
+    """(3, 3): what brought the file's units and axes to mm, Y up."""
 
 
 @dataclass(frozen=True)
 class MarkerTable:
-    """Markers that stand in columns X, Y, Z of a table.
-
-    Attributes
-    ----------
-    labels : sequence of str
-        As written, subject prefixes included.
-    columns : sequence of int
-        Column of each label's X; Y and Z follow.
-    values : (rows, columns) float64 array
-        NaN where a marker was not seen.
-    frames : (rows,) int array
-        Frame of each row from 0, ascending.
-    to_mm : (3, 3) float array
-        Brings the table's units and axes to mm, Y up.
-    where : str
-        File and place of the labels, for messages.
-    """
+    """Markers that stand in columns X, Y, Z of a table."""
 
     labels: Sequence[str]
+    """As written, subject prefixes included."""
     columns: Sequence[int]
+    """Column of each label's X; Y and Z follow."""
     values: NDArray[np.float64]
+    """(rows, columns): NaN where a marker was not seen."""
     frames: NDArray[np.int64]
+    """(rows,): frame of each row from 0, ascending."""
     to_mm: NDArray[np.float64]
+    """(3, 3): brings the table's units and axes to mm, Y up."""
     where: str
+    """File and place of the labels, for messages."""
 
 
 def build_marker_take(

@@ -26,24 +26,16 @@ _LARGEST_RATIO = 10
 
 @dataclass(frozen=True)
 class SampleTimes:
-    """Samples on a clock of even frames.
-
-    Attributes
-    ----------
-    rate : Fraction
-        Frames per second.
-    frames : (samples,) float64 array
-        Where each sample lies, in frames from the first; whole numbers where `even`.
-    even : bool
-        Whether samples came at whole frames, some perhaps missing.
-    clock_error : float
-        How much faster than `rate` samples came by their own clock, relative; 0 unless `even`.
-    """
+    """Samples on a clock of even frames."""
 
     rate: Fraction
+    """Frames per second."""
     frames: NDArray[np.float64]
+    """(samples,): where each sample lies, in frames from the first; whole numbers where `even`."""
     even: bool
+    """Whether samples came at whole frames, some perhaps missing."""
     clock_error: float = 0.0
+    """How much faster than `rate` samples came by their own clock, relative; 0 unless `even`."""
 
 
 def settle_device_times(

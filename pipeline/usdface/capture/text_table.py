@@ -44,21 +44,14 @@ class TableLine:
 
 @dataclass(frozen=True)
 class NumberTable:
-    """Rows of numbers under named columns.
-
-    Attributes
-    ----------
-    values : (rows, columns) float64 array
-        NaN where a cell is empty or says so, and in columns kept as text.
-    lines : (rows,) int array
-        Where each row is in its file.
-    texts : dict of int to list of str
-        Cells of the columns that were kept as text, by column.
-    """
+    """Rows of numbers under named columns."""
 
     values: NDArray[np.float64]
+    """(rows, columns): NaN where a cell is empty or says so, and in columns kept as text."""
     lines: NDArray[np.int64]
+    """(rows,): where each row is in its file."""
     texts: dict[int, list[str]] = field(default_factory=dict)
+    """Cells of the columns that were kept as text, by column."""
 
 
 def head_lines(head: bytes, count: int) -> list[str]:

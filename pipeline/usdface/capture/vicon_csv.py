@@ -89,31 +89,22 @@ def _title(line: TableLine) -> str | None:
 
 @dataclass(frozen=True)
 class _BlockHeader:
-    """The lines above the rows of a block.
-
-    Attributes
-    ----------
-    axes : list of str
-        Title of every column: ``Frame``, ``Sub Frame``, ``X``, ``Y``, ``Z``, ...
-    names : list of str
-        What stands above them: ``subject:marker`` over every X.
-    starts : list of int
-        Column of each marker's X.
-    unit : str
-        Of all positions; empty where none is stated.
-    first_row : TableLine or None
-        The line after the titles where that holds no units but is a row already.
-    """
+    """The lines above the rows of a block."""
 
     rate: Fraction
     delimiter: str | None
     axes: list[str]
+    """Title of every column: ``Frame``, ``Sub Frame``, ``X``, ``Y``, ``Z``, ..."""
     names: list[str]
+    """What stands above them: ``subject:marker`` over every X."""
     names_line: TableLine
     starts: list[int]
+    """Column of each marker's X."""
     unit: str
+    """Of all positions; empty where none is stated."""
     unit_line: TableLine
     first_row: TableLine | None
+    """The line after the titles where that holds no units but is a row already."""
 
     @property
     def columns(self) -> list[str]:

@@ -21,58 +21,39 @@ MarkerSpace = Literal["captured", "stabilized"]
 
 @dataclass(frozen=True)
 class Markers:
-    """A cloud of named markers over the frames of a take.
-
-    Attributes
-    ----------
-    names : tuple of str
-        One label per marker, unique.
-    positions : (frames, markers, 3) float32 array
-        [mm], Y up. A marker that is not seen keeps its last good position: never NaN.
-    visible : (frames, markers) bool array
-        False where the capture did not see the marker.
-    confidence : (frames, markers) float32 array
-        [0-1]; 1 as measured, lower where a sample was repaired.
-    rigid : tuple of str
-        Names of the markers that move with the skull alone.
-    neutral_frame : int
-        Frame number (not index) of the neutral face; the reference pose of the head.
-    anchor : str
-        Name of the marker nearest the head's origin; empty when there is none.
-    space : {'captured', 'stabilized'}
-        Whether head motion is still in.
-    """
+    """A cloud of named markers over the frames of a take."""
 
     names: tuple[str, ...]
+    """One label per marker, unique."""
     positions: Float32Array
+    """(frames, markers, 3) [mm], Y up. A marker that is not seen keeps its last good position:
+    never NaN."""
     visible: BoolArray
+    """(frames, markers): false where the capture did not see the marker."""
     confidence: Float32Array
+    """(frames, markers) [0-1]; 1 as measured, lower where a sample was repaired."""
     rigid: tuple[str, ...] = ()
+    """Names of the markers that move with the skull alone."""
     neutral_frame: int = 0
+    """Frame number (not index) of the neutral face; the reference pose of the head."""
     anchor: str = ""
+    """Name of the marker nearest the head's origin; empty when there is none."""
     space: MarkerSpace = "captured"
+    """Whether head motion is still in."""
 
 
 @dataclass(frozen=True)
 class WeightsClip:
-    """Named float channels over time: a performance, or a take's own blendshape weights.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Channel names, unique.
-    values : (frames, channels) float32 array
-        Usually in [0-1]; USD does not limit them.
-    first_frame : int
-        Frame number of ``values[0]``.
-    rate : Fraction
-        Frames per second.
-    """
+    """Named float channels over time: a performance, or a take's own blendshape weights."""
 
     names: tuple[str, ...]
+    """Channel names, unique."""
     values: Float32Array
+    """(frames, channels): usually in [0-1]; USD does not limit them."""
     first_frame: int
+    """Frame number of ``values[0]``."""
     rate: Fraction
+    """Frames per second."""
 
 
 Seconds = TypeVar("Seconds", float, FloatArray)
@@ -80,22 +61,15 @@ Seconds = TypeVar("Seconds", float, FloatArray)
 
 @dataclass(frozen=True)
 class Video:
-    """The camera's recording beside a take: take_time = offset + (1 + drift * 1e-6) * video_time.
-
-    Attributes
-    ----------
-    file : Path
-        The movie; referred to, never copied.
-    rate : Fraction or None
-        Frames per second as the file states it.
-    offset, drift : float
-        [s], [ppm]
-    """
+    """The camera's recording: take_time = offset + (1 + drift * 1e-6) * video_time."""
 
     file: Path
+    """The movie; referred to, never copied."""
     rate: Fraction | None = None
+    """Frames per second as the file states it."""
     offset: float = 0.0
     drift: float = 0.0
+    """`offset`, `drift`: [s], [ppm]"""
 
     def video_time(self, take_seconds: Seconds) -> Seconds:
         """Return moments of the take [s] on the video's clock [s]."""
@@ -116,42 +90,31 @@ class Event:
 
 @dataclass(frozen=True)
 class Take:
-    """One continuous recording of one performer.
-
-    Attributes
-    ----------
-    name, performer, session, emotion : str
-        Empty when unknown. Takes of one session share one application of markers.
-    rate : Fraction
-        Frames per second of the capture.
-    first_frame : int
-        Frame number of the first sample; a time code of the take is a frame number.
-    source : WeightsClip or None
-        Blendshape weights that the capture carries (Live Link, another solver).
-    head_motion : (frames, 4, 4) float array or None
-        Column-vector transforms that put stabilised markers back where they were captured.
-    timecode_start : str
-        SMPTE timecode of the first frame, empty when unknown.
-    events : tuple of Event
-        In the order of the recording.
-    doubts : tuple of str or None
-        What is odd about its markers, as ingest saw it; None where nobody has looked.
-    """
+    """One continuous recording of one performer; texts are empty when unknown."""
 
     name: str
     rate: Fraction
+    """Frames per second of the capture."""
     first_frame: int
+    """Frame number of the first sample; a time code of the take is a frame number."""
     markers: Markers | None = None
     source: WeightsClip | None = None
+    """Blendshape weights that the capture carries (Live Link, another solver)."""
     head_motion: FloatArray | None = None
+    """(frames, 4, 4): Column-vector transforms that put stabilised markers back where they were
+    captured."""
     video: Video | None = None
     audio: Path | None = None
     performer: str = ""
     session: str = ""
+    """Takes of one session share one application of markers."""
     emotion: str = ""
     timecode_start: str = ""
+    """SMPTE timecode of the first frame, empty when unknown."""
     events: tuple[Event, ...] = ()
+    """In the order of the recording."""
     doubts: tuple[str, ...] | None = None
+    """What is odd about its markers, as ingest saw it; None where nobody has looked."""
 
     @property
     def frame_count(self) -> int:
@@ -168,23 +131,16 @@ class Take:
 
 @dataclass(frozen=True)
 class ShapeKey:
-    """One sculpted position of a shape: its full target, or an in-between.
-
-    Attributes
-    ----------
-    weight : float
-        Where on the channel this key is reached; 1 for the full target.
-    points : (n,) int array
-        The points it moves.
-    offsets : (n, 3) float array
-        [mm]
-    normal_offsets : (n, 3) float array or None
-    """
+    """One sculpted position of a shape: its full target, or an in-between."""
 
     weight: float
+    """Where on the channel this key is reached; 1 for the full target."""
     points: IntArray
+    """(n,): the points it moves."""
     offsets: FloatArray
+    """(n, 3) [mm]"""
     normal_offsets: FloatArray | None = None
+    """(n, 3)"""
 
 
 @dataclass(frozen=True)
@@ -197,66 +153,46 @@ class MeshShape:
 
 @dataclass(frozen=True)
 class RigMesh:
-    """One mesh of a rig at rest, in the stage's world space.
-
-    Attributes
-    ----------
-    path : str
-        Prim path.
-    points : (points, 3) float array
-        [mm]
-    face_counts, face_indices : int arrays
-        Polygons as USD stores them.
-    shapes : tuple of MeshShape
-        The BlendShapes bound to this mesh, in the mesh's own order.
-    colors : (points, 3) float array or None
-        Linear display colour per point.
-    normals : (points, 3) float array or None
-        Authored point normals, if the mesh has them and they follow its points.
-    subdivision : str
-        ``'none'``, ``'catmullClark'``, ``'loop'`` or ``'bilinear'``.
-    visible : bool
-        False when hidden or not meant for rendering (purpose guide or proxy).
-    face_colors : (polygons, 4) float array or None
-        Linear colour and opacity that materials give polygons; NaN where none does.
-    undrawn : tuple of str
-        What of its materials pictures leave out.
-    """
+    """One mesh of a rig at rest, in the stage's world space."""
 
     path: str
+    """Prim path."""
     points: FloatArray
+    """(points, 3) [mm]"""
     face_counts: IntArray
     face_indices: IntArray
+    """`face_counts`, `face_indices`: Polygons as USD stores them."""
     shapes: tuple[MeshShape, ...] = ()
+    """The BlendShapes bound to this mesh, in the mesh's own order."""
     colors: FloatArray | None = None
+    """(points, 3): linear display colour per point."""
     normals: FloatArray | None = None
+    """(points, 3): authored point normals, if the mesh has them and they follow its points."""
     subdivision: str = "none"
+    """``'none'``, ``'catmullClark'``, ``'loop'`` or ``'bilinear'``."""
     visible: bool = True
+    """False when hidden or not meant for rendering (purpose guide or proxy)."""
     face_colors: FloatArray | None = None
+    """(polygons, 4): linear colour and opacity that materials give polygons; NaN where none
+    does."""
     undrawn: tuple[str, ...] = ()
+    """What of its materials pictures leave out."""
 
 
 @dataclass(frozen=True)
 class Rig:
-    """A character's face: meshes whose BlendShapes answer to named channels.
-
-    Attributes
-    ----------
-    prim : str
-        Path of the SkelRoot.
-    shapes : tuple of str
-        Channel names over all meshes, each once, in the order they are found.
-    meshes : tuple of RigMesh
-        Lengths in mm, Y up, whatever the stage's units are.
-    ranges : (shapes, 2) float array
-        Lowest and highest weight an animator may give; 0 to 1 unless the rig says otherwise.
-    """
+    """A character's face: meshes whose BlendShapes answer to named channels."""
 
     file: Path
     prim: str
+    """Path of the SkelRoot."""
     shapes: tuple[str, ...]
+    """Channel names over all meshes, each once, in the order they are found."""
     meshes: tuple[RigMesh, ...]
+    """Lengths in mm, Y up, whatever the stage's units are."""
     ranges: FloatArray
+    """(shapes, 2): lowest and highest weight an animator may give; 0 to 1 unless the rig says
+    otherwise."""
 
     def check_has(self, shapes: Iterable[str], *, source: object, remedy: str) -> None:
         """Raise InputError where the rig lacks shapes.
@@ -288,156 +224,109 @@ class Rig:
 
 @dataclass(frozen=True)
 class MotionSpace:
-    """What a performer's face does, in few numbers: principal components over whole takes.
-
-    Attributes
-    ----------
-    mean : (markers * 3,) float array
-        [mm]
-    components : (dimensions, markers * 3) float array
-        Orthonormal rows, the largest variance first.
-    variances : (dimensions,) float array
-        [mm^2]
-    total_variance : float
-        Of all dimensions, kept or not [mm^2].
-    sample : (frames, dimensions) float array
-        Coordinates of frames spread over the takes: the motion without labels.
-    """
+    """What a performer's face does, in few numbers: principal components over whole takes."""
 
     mean: FloatArray
+    """(markers * 3,) [mm]"""
     components: FloatArray
+    """(dimensions, markers * 3): orthonormal rows, the largest variance first."""
     variances: FloatArray
+    """(dimensions,) [mm^2]"""
     total_variance: float
+    """Of all dimensions, kept or not [mm^2]."""
     sample: FloatArray
+    """(frames, dimensions): coordinates of frames spread over the takes: the motion without
+    labels."""
 
 
 @dataclass(frozen=True)
 class References:
-    """Frames of a take with the rig weights an animator wants there; pair *i* is at index *i*.
-
-    Attributes
-    ----------
-    markers : (pairs, markers, 3) float array
-        Stabilised positions [mm].
-    weights : (pairs, shapes) float array
-    frames : (pairs,) int array
-        Frame number of each pair in its take.
-    takes : tuple of str
-        Name of each pair's take.
-    tuned : (pairs,) bool array
-        True where a person set the weights; False where they are still a proposal.
-    rigid : tuple of str
-        The markers that move with the skull alone.
-    neutral : (markers, 3) float array
-        The performer's neutral face in the space of `markers` [mm].
-    motion : MotionSpace or None
-        Of the takes the pairs were selected from; None for pairs made by hand.
-    visemes, emotions : tuple of str
-        Of each pair; empty where unknown, or where none is.
-    performer, session : str
-        Of the take whose head space and neutral face these are; empty where unknown.
-    placement : Path or None
-        Where the markers were placed on the rig.
-    """
+    """Frames of a take with the rig weights an animator wants there; pair *i* is at index *i*."""
 
     marker_names: tuple[str, ...]
     shape_names: tuple[str, ...]
     markers: FloatArray
+    """(pairs, markers, 3): stabilised positions [mm]."""
     weights: FloatArray
+    """(pairs, shapes)"""
     frames: IntArray
+    """(pairs,): frame number of each pair in its take."""
     takes: tuple[str, ...]
+    """Name of each pair's take."""
     tuned: BoolArray
+    """(pairs,): true where a person set the weights; False where they are still a proposal."""
     rigid: tuple[str, ...]
+    """The markers that move with the skull alone."""
     neutral: FloatArray
+    """(markers, 3): the performer's neutral face in the space of `markers` [mm]."""
     rig_file: Path
     rig_prim: str
     motion: MotionSpace | None = None
+    """Of the takes the pairs were selected from; None for pairs made by hand."""
     visemes: tuple[str, ...] = ()
     emotions: tuple[str, ...] = ()
+    """`visemes`, `emotions`: Of each pair; empty where unknown, or where none is."""
     performer: str = ""
     session: str = ""
+    """`performer`, `session`: Of the take whose head space and neutral face these are; empty where
+    unknown."""
     placement: Path | None = None
+    """Where the markers were placed on the rig."""
 
 
 @dataclass(frozen=True)
 class CandidateScore:
-    """How well one candidate predicted references it had not seen.
-
-    Attributes
-    ----------
-    method, settings : str
-        The candidate's hyper-parameters, readable.
-    weight_rmse : float
-        Root mean square error of the weights.
-    vertex_rms_mm : float
-        The same error as it shows on the rig's surface [mm]; NaN when no rig was given.
-    """
+    """How well one candidate predicted references it had not seen."""
 
     method: str
     settings: str
+    """`method`, `settings`: The candidate's hyper-parameters, readable."""
     weight_rmse: float
+    """Root mean square error of the weights."""
     vertex_rms_mm: float
+    """The same error as it shows on the rig's surface [mm]; NaN when no rig was given."""
 
 
 @dataclass(frozen=True)
 class TrainedMapping:
-    """A trained function from stabilised markers to a rig's channels: all that predict needs.
-
-    Attributes
-    ----------
-    method : str
-        Name of the regression, a key of `usdface.model.regressions`.
-    marker_names, shape_names : tuple of str
-        Order of the input and of the output.
-    rigid : tuple of str
-        Markers by which another take is brought into this mapping's head space.
-    neutral : (markers, 3) float array
-        The performer's neutral face [mm]; defines that head space.
-    ranges : (shapes, 2) float array
-        Lowest and highest weight of each channel; predictions are limited to it.
-    arrays : dict of str to float array
-        What the method learned, by name.
-    settings : dict of str to float, int, str or bool
-        Hyper-parameters, given or chosen.
-    scores : tuple of CandidateScore
-        What cross-validation tried, best first.
-    references : str
-        The references it was trained on.
-    """
+    """A trained function from stabilised markers to a rig's channels: all that predict needs."""
 
     method: str
+    """Name of the regression, a key of `usdface.model.regressions`."""
     marker_names: tuple[str, ...]
     shape_names: tuple[str, ...]
+    """`marker_names`, `shape_names`: Order of the input and of the output."""
     rigid: tuple[str, ...]
+    """Markers by which another take is brought into this mapping's head space."""
     neutral: FloatArray
+    """(markers, 3): the performer's neutral face [mm]; defines that head space."""
     ranges: FloatArray
+    """(shapes, 2): lowest and highest weight of each channel; predictions are limited to it."""
     arrays: dict[str, FloatArray]
+    """What the method learned, by name."""
     settings: dict[str, float | int | str | bool] = field(default_factory=dict)
+    """Hyper-parameters, given or chosen."""
     scores: tuple[CandidateScore, ...] = ()
+    """What cross-validation tried, best first."""
     references: str = ""
+    """The references it was trained on."""
 
 
 @dataclass(frozen=True)
 class Performance:
-    """The written result: weights over a rig, and how far they can be trusted.
-
-    Attributes
-    ----------
-    uncertainty_mm : (frames, regions) float array or None
-        Standard deviation of the surface around what an animator would key, of the face and its
-        regions [mm]; of the face alone in layers of earlier versions.
-    residual_mm : (frames, regions) float array or None
-        Distance of the markers from anything the references' takes showed [mm].
-    neutral_frame : int or None
-        Frame of the take that shows the performer's neutral face; None where the weights were not
-        mapped from markers.
-    """
+    """The written result: weights over a rig, and how far they can be trusted."""
 
     weights: WeightsClip
     rig_file: Path
     rig_prim: str
     uncertainty_mm: FloatArray | None = None
+    """(frames, regions): standard deviation of the surface around what an animator would key, of
+    the face and its regions [mm]; of the face alone in layers of earlier versions."""
     residual_mm: FloatArray | None = None
+    """(frames, regions): distance of the markers from anything the references' takes showed
+    [mm]."""
     regions: tuple[str, ...] = ()
     timecode_start: str = ""
     neutral_frame: int | None = None
+    """Frame of the take that shows the performer's neutral face; None where the weights were not
+    mapped from markers."""

@@ -18,33 +18,24 @@ def _none(*shape: int) -> FloatArray:
 
 @dataclass(frozen=True)
 class Controls:
-    """What drives a character, over frames or pairs.
-
-    Attributes
-    ----------
-    shapes : tuple of str
-        BlendShape channels.
-    weights : (n, shapes) float array
-    joints : tuple of str
-        Joint paths, as UsdSkel orders a skeleton's.
-    translations : (n, joints, 3) float array
-        Local to the parent joint [unit of the skeleton].
-    rotations : (n, joints, 4) float array
-        Unit quaternions, w first.
-    scales : (n, joints, 3) float array
-    attributes : tuple of str
-        ``PRIM.ATTRIBUTE``, the prim's path taken from the character's top prim.
-    values : (n, attributes) float array
-    """
+    """What drives a character, over frames or pairs."""
 
     shapes: tuple[str, ...] = ()
+    """BlendShape channels."""
     weights: FloatArray = field(default_factory=lambda: _none(0, 0))
+    """(n, shapes)"""
     joints: tuple[str, ...] = ()
+    """Joint paths, as UsdSkel orders a skeleton's."""
     translations: FloatArray = field(default_factory=lambda: _none(0, 0, 3))
+    """(n, joints, 3): local to the parent joint [unit of the skeleton]."""
     rotations: FloatArray = field(default_factory=lambda: _none(0, 0, 4))
+    """(n, joints, 4): unit quaternions, w first."""
     scales: FloatArray = field(default_factory=lambda: _none(0, 0, 3))
+    """(n, joints, 3)"""
     attributes: tuple[str, ...] = ()
+    """``PRIM.ATTRIBUTE``, the prim's path taken from the character's top prim."""
     values: FloatArray = field(default_factory=lambda: _none(0, 0))
+    """(n, attributes)"""
 
     def __len__(self) -> int:
         return len(self.weights)
@@ -86,16 +77,11 @@ def bare_controls(shapes: tuple[str, ...], weights: FloatArray) -> Controls:
 
 @dataclass(frozen=True)
 class ControlClip:
-    """Controls over consecutive frames.
-
-    Attributes
-    ----------
-    first_frame : int
-        Frame number of the first row.
-    """
+    """Controls over consecutive frames."""
 
     controls: Controls
     first_frame: int
+    """Frame number of the first row."""
 
     @property
     def last_frame(self) -> int:
@@ -107,24 +93,16 @@ class ControlClip:
 class ExpressionPairs:
     """Expressions of a source beside those of a target that mean the same; pair *i* at index *i*.
 
-    Attributes
-    ----------
-    names : tuple of str
-        What each pair is called; empty strings where nobody said.
-    source : (pairs, source shapes) float array
-        The paper's matrix S (eq. 1).
-    target : Controls
-        The paper's matrix T (eq. 2).
-    source_rig, target_rig : Path or None
-        The characters' files, where known.
-    source_prim, target_prim : str
-        Paths of their SkelRoots; empty where unknown.
+    The files of the characters are None, and the paths of their SkelRoots empty, where unknown.
     """
 
     names: tuple[str, ...]
+    """What each pair is called; empty strings where nobody said."""
     source_shapes: tuple[str, ...]
     source: FloatArray
+    """(pairs, source shapes): the paper's matrix S (eq. 1)."""
     target: Controls
+    """The paper's matrix T (eq. 2)."""
     source_rig: Path | None = None
     source_prim: str = ""
     target_rig: Path | None = None
@@ -145,100 +123,69 @@ class ExpressionPairs:
 
 @dataclass(frozen=True)
 class RetargetScore:
-    """The round-trip error of one candidate.
-
-    Attributes
-    ----------
-    settings : str
-        Readable.
-    cyclic_mm : float
-        Source to target to source: mean distance of the source's points [mm]; root mean square of
-        the weights where no source rig is known.
-    pair_error : float
-        Root mean square miss at the pairs themselves, each control over its range.
-    """
+    """The round-trip error of one candidate."""
 
     method: str
     settings: str
+    """Readable."""
     cyclic_mm: float
+    """Source to target to source: mean distance of the source's points [mm]; root mean square of
+    the weights where no source rig is known."""
     pair_error: float
+    """Root mean square miss at the pairs themselves, each control over its range."""
 
 
 @dataclass(frozen=True)
 class Retargeting:
-    """A trained function from source weights to a target's control vector.
-
-    Attributes
-    ----------
-    shapes, joints, attributes : tuples of str
-        Of the target.
-    mean_rotations : (joints, 4) float array
-        Where joint rotations become vectors; w first.
-    rest : (k,) float array
-        Coordinates of the control vector at the source's nearest pair to rest.
-    ranges : (k, 2) float array
-        Lowest and highest coordinate that is passed on.
-    scores : tuple of RetargetScore
-        What was tried, best first.
-    pairs : str
-        The pairs asset it was trained on.
-    """
+    """A trained function from source weights to a target's control vector."""
 
     method: str
     source_shapes: tuple[str, ...]
     shapes: tuple[str, ...]
     joints: tuple[str, ...]
     attributes: tuple[str, ...]
+    """`shapes`, `joints`, `attributes`: Of the target."""
     mean_rotations: FloatArray
+    """(joints, 4): where joint rotations become vectors; w first."""
     rest: FloatArray
+    """(k,): coordinates of the control vector at the source's nearest pair to rest."""
     ranges: FloatArray
+    """(k, 2): lowest and highest coordinate that is passed on."""
     arrays: dict[str, FloatArray]
     settings: dict[str, float | int | str | bool] = field(default_factory=dict)
     scores: tuple[RetargetScore, ...] = ()
+    """What was tried, best first."""
     pairs: str = ""
+    """The pairs asset it was trained on."""
     target_rig: Path | None = None
     target_prim: str = ""
 
 
 @dataclass(frozen=True)
 class EmotionalSequence:
-    """A stretch of source motion and what the target does in its place, of any other length.
-
-    Attributes
-    ----------
-    label : str
-        The emotion.
-    source : (m, source shapes) float array
-        The paper's S^pair (eq. 10).
-    target : Controls
-        The paper's T, over its own frames.
-    key_weights : (target frames,) float array
-        How firmly each key is asked for, as a share of the warp's weight; 1 unless set.
-    """
+    """A stretch of source motion and what the target does in its place, of any other length."""
 
     label: str
+    """The emotion."""
     source_shapes: tuple[str, ...]
     source: FloatArray
+    """(m, source shapes): the paper's S^pair (eq. 10)."""
     target: Controls
+    """The paper's T, over its own frames."""
     key_weights: FloatArray
+    """(target frames,): how firmly each key is asked for, as a share of the warp's weight; 1 unless
+    set."""
 
 
 @dataclass(frozen=True)
 class SequenceMatch:
-    """A place where a take holds a sequence.
-
-    Attributes
-    ----------
-    sequence : Path
-        The asset.
-    first_frame, last_frame : int
-        Of the take, inclusive.
-    distance : float
-        See `usdface.numerics.motion.sequence_search`.
-    """
+    """A place where a take holds a sequence."""
 
     sequence: Path
+    """The asset."""
     label: str
     first_frame: int
     last_frame: int
+    """`first_frame`, `last_frame`: Of the take, inclusive."""
     distance: float
+    """See `usdface.numerics.motion.sequence_search`."""

@@ -29,21 +29,15 @@ _TAKE_OVER = (
 
 @dataclass(frozen=True)
 class Holder:
-    """Who holds a lock.
-
-    Attributes
-    ----------
-    since : str
-        Local time, ISO 8601.
-    key : str
-        Differs each time the lock is taken: how a server knows that it is still its own.
-    """
+    """Who holds a lock."""
 
     user: str
     host: str
     process: int
     since: str
+    """Local time, ISO 8601."""
     key: str
+    """Differs each time the lock is taken: how a server knows that it is still its own."""
 
 
 class TuningLock:

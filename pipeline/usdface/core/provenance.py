@@ -14,24 +14,16 @@ READ_SIZE = 1 << 20
 
 @dataclass(frozen=True)
 class Provenance:
-    """What a written file carries about its own making.
-
-    Attributes
-    ----------
-    step : str
-        Name of the step that wrote it; empty for a file made by hand.
-    spec : str
-        The step's spec as canonical JSON.
-    inputs : mapping of str to str
-        Hash of each input file, by the path the spec names.
-    version : str
-        Version of this package.
-    """
+    """What a written file carries about its own making."""
 
     step: str = ""
+    """Name of the step that wrote it; empty for a file made by hand."""
     spec: str = ""
+    """The step's spec as canonical JSON."""
     inputs: Mapping[str, str] = field(default_factory=dict)
+    """Hash of each input file, by the path the spec names."""
     version: str = __version__
+    """Version of this package."""
 
     @property
     def spec_hash(self) -> str:

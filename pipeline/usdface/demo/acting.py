@@ -98,29 +98,20 @@ class Interval:
 
 @dataclass(frozen=True)
 class ActedPerformance:
-    """Everything the actor does.
-
-    Attributes
-    ----------
-    weights : WeightsClip
-        ARKit names, [0-1].
-    phones : tuple of Interval
-        ARPAbet.
-    neutral_frame : int
-        Frame number at which the face is at rest.
-    rotation : (frames, 3) float array
-        Head pitch, yaw, roll [degrees].
-    translation : (frames, 3) float array
-        Of the neck's top [mm].
-    """
+    """Everything the actor does."""
 
     weights: WeightsClip
+    """ARKit names, [0-1]."""
     emotions: tuple[Interval, ...]
     phones: tuple[Interval, ...]
+    """ARPAbet."""
     transcript: str
     neutral_frame: int
+    """Frame number at which the face is at rest."""
     rotation: FloatArray
+    """(frames, 3): head pitch, yaw, roll [degrees]."""
     translation: FloatArray
+    """(frames, 3): of the neck's top [mm]."""
 
 
 def performance(rate: int = 120) -> ActedPerformance:

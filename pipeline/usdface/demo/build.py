@@ -20,45 +20,30 @@ from usdface.usdio.rig.write import write_rig
 
 @dataclass(frozen=True)
 class DemoInputs:
-    """The files of the built-in demo and what a user would have to know about them.
-
-    Attributes
-    ----------
-    rig : Path
-        The character: a UsdSkel asset.
-    capture : Path
-        The actor's markers, C3D at 120 Hz [mm], Y up.
-    video : Path
-        The actor on camera, with sound.
-    animator_weights : Path
-        CSV: `frame` (of the capture), then one column per shape of the rig.
-    transcript : Path
-        What is said, as plain text.
-    rigid_markers : tuple of str
-        Names of the markers that move with the skull alone.
-    neutral_frame : int
-        Frame of the capture at which the face is at rest.
-    video_offset_seconds : float
-        Take time of the video's first frame [s].
-    emotions : tuple of Interval
-        Moods by capture frames.
-    phones : tuple of Interval
-        Sounds by capture frames.
-    truth : WeightsClip
-        The animator's weights on every frame, of the shapes that the performance uses.
-    """
+    """The files of the built-in demo and what a user would have to know about them."""
 
     rig: Path
+    """The character: a UsdSkel asset."""
     capture: Path
+    """The actor's markers, C3D at 120 Hz [mm], Y up."""
     video: Path
+    """The actor on camera, with sound."""
     animator_weights: Path
+    """CSV: `frame` (of the capture), then one column per shape of the rig."""
     transcript: Path
+    """What is said, as plain text."""
     rigid_markers: tuple[str, ...]
+    """Names of the markers that move with the skull alone."""
     neutral_frame: int
+    """Frame of the capture at which the face is at rest."""
     video_offset_seconds: float
+    """Take time of the video's first frame [s]."""
     emotions: tuple[Interval, ...]
+    """Moods by capture frames."""
     phones: tuple[Interval, ...]
+    """Sounds by capture frames."""
     truth: WeightsClip
+    """The animator's weights on every frame, of the shapes that the performance uses."""
 
 
 def write_demo_inputs(folder: Path, *, workers: int = 2, progress: Progress = silent) -> DemoInputs:

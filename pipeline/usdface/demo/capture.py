@@ -26,24 +26,18 @@ _SKIN_LIMIT = 70.0  # a pull of this many mm arrives as tanh(1) of it
 
 @dataclass(frozen=True)
 class SimulatedCapture:
-    """What the capture system recorded, and what really was.
-
-    Attributes
-    ----------
-    positions : (frames, markers, 3) float32 array
-        As captured: head motion, noise and swapped labels in [mm], Y up. Not seen: anything.
-    visible : (frames, markers) bool array
-    head_motion : (frames, 4, 4) float array
-        True pose of the head in the room [mm].
-    swaps : tuple of (int, int, str, str)
-        First and last frame index of each stretch in which two labels are exchanged.
-    """
+    """What the capture system recorded, and what really was."""
 
     markers: MarkerSet
     positions: Float32Array
+    """(frames, markers, 3): as captured: head motion, noise and swapped labels in [mm], Y up. Not
+    seen: anything."""
     visible: BoolArray
+    """(frames, markers)"""
     head_motion: FloatArray
+    """(frames, 4, 4): true pose of the head in the room [mm]."""
     swaps: tuple[tuple[int, int, str, str], ...]
+    """First and last frame index of each stretch in which two labels are exchanged."""
 
 
 class ActorFace:

@@ -12,20 +12,14 @@ from usdface.demo.sculpt import Form, trace
 
 @dataclass(frozen=True)
 class Piece:
-    """One piece of the head, or its left half.
-
-    Attributes
-    ----------
-    points : (points, 3) float array
-        [mm]
-    faces : (faces, 4) int array
-    colors : (points, 3) float array
-        Linear.
-    """
+    """One piece of the head, or its left half."""
 
     points: FloatArray
+    """(points, 3) [mm]"""
     faces: IntArray
+    """(faces, 4)"""
     colors: FloatArray
+    """(points, 3): linear."""
 
 
 def smooth_step(start: float, stop: float, x: FloatArray) -> FloatArray:

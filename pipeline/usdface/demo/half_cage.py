@@ -69,23 +69,16 @@ MIDLINE_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Whole:
-    """A symmetric mesh.
-
-    Attributes
-    ----------
-    points : (points, 3) float array
-        The left half first, x >= 0.
-    faces : (faces, 4) int array
-    mirror : (points,) int array
-        Index of each point's mirror image; points on the midline are their own.
-    source : (points,) int array
-        The point of the half that each one was made from.
-    """
+    """A symmetric mesh."""
 
     points: FloatArray
+    """(points, 3): the left half first, x >= 0."""
     faces: IntArray
+    """(faces, 4)"""
     mirror: IntArray
+    """(points,): index of each point's mirror image; points on the midline are their own."""
     source: IntArray
+    """(points,): the point of the half that each one was made from."""
 
 
 def mirror_half(points: FloatArray, faces: IntArray) -> Whole:
@@ -114,20 +107,15 @@ def grid_faces(rows: int, columns: int, *, closed: bool = False, flip: bool = Fa
 
 @dataclass(frozen=True)
 class Refinement:
-    """A finer mesh and how its points follow from the cage's.
-
-    Attributes
-    ----------
-    matrix : (fine points, points) sparse array
-        Rows sum to 1: it carries positions and any attribute that varies smoothly.
-    faces : (fine faces, 4) int array
-    mirror : (fine points,) int array
-        Index of each fine point's mirror image.
-    """
+    """A finer mesh and how its points follow from the cage's."""
 
     matrix: sparse.csr_array
+    """(fine points, points): rows sum to 1: it carries positions and any attribute that varies
+    smoothly."""
     faces: IntArray
+    """(fine faces, 4)"""
     mirror: IntArray
+    """(fine points,): index of each fine point's mirror image."""
 
 
 def refine(faces: IntArray, mirror: IntArray, *, levels: int) -> Refinement:

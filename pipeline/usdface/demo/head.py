@@ -34,36 +34,26 @@ class HeadPart(IntEnum):
 
 @dataclass(frozen=True)
 class DemoHead:
-    """All pieces of one head in a row, and the shapes that move them.
-
-    Attributes
-    ----------
-    points : (points, 3) float array
-        [mm]
-    faces : (faces, 4) int array
-    parts : (points,) int array
-        A `HeadPart` for each point.
-    marks : (points, len(Mark)) float array
-        What the loops of the cage say about each point; see `Mark`.
-    colors : (points, 3) float array
-        Linear.
-    mirror : (points,) int array
-        Index of each point's mirror image; hair is not symmetric and is its own.
-    anchors : (points,) int array
-        The point whose motion each one follows: lashes the edge of the lid, all others their own.
-    shapes : mapping of str to tuple of (float, array)
-        For each shape its in-betweens and, at weight 1, its target: (weight, offsets [mm]).
-    """
+    """All pieces of one head in a row, and the shapes that move them."""
 
     style: Style
     points: FloatArray
+    """(points, 3) [mm]"""
     faces: IntArray
+    """(faces, 4)"""
     parts: IntArray
+    """(points,): a `HeadPart` for each point."""
     marks: FloatArray
+    """(points, len(Mark)): what the loops of the cage say about each point; see `Mark`."""
     colors: FloatArray
+    """(points, 3): linear."""
     mirror: IntArray
+    """(points,): index of each point's mirror image; hair is not symmetric and is its own."""
     anchors: IntArray
+    """(points,): the point whose motion each one follows: lashes the edge of the lid, all others
+    their own."""
     shapes: Mapping[str, tuple[tuple[float, FloatArray], ...]] = field(default_factory=dict)
+    """For each shape its in-betweens and, at weight 1, its target: (weight, offsets [mm])."""
 
     def posed(self, weights: Mapping[str, float]) -> FloatArray:
         """Return the points with shapes at these weights; in-betweens as UsdSkel blends them."""
@@ -223,20 +213,16 @@ class Cage:
     A grid of rows (neck to crown) and columns (midline round the ear to the nape) has two blocks
     cut out; each is filled with rings that run round the eye and the mouth, so that lids and lips
     open along loops. The rings' points carry the marks that the shapes need.
-
-    Attributes
-    ----------
-    points : (points, 3) float array
-        [mm]
-    faces : (faces, 4) int array
-    marks : (points, len(Mark)) float array
-    mirror : (points,) int array
     """
 
     points: FloatArray
+    """(points, 3) [mm]"""
     faces: IntArray
+    """(faces, 4)"""
     marks: FloatArray
+    """(points, len(Mark))"""
     mirror: IntArray
+    """(points,)"""
 
 
 def build_cage(style: Style, form: Form) -> Cage:

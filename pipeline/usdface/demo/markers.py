@@ -16,19 +16,13 @@ MARKER_COUNT = 102
 
 @dataclass(frozen=True)
 class MarkerSet:
-    """Markers glued to a head.
-
-    Attributes
-    ----------
-    points : (markers,) int array
-        The head's point under each marker.
-    rigid : tuple of str
-        Names of those that move with the skull alone.
-    """
+    """Markers glued to a head."""
 
     names: tuple[str, ...]
     points: IntArray
+    """(markers,): the head's point under each marker."""
     rigid: tuple[str, ...]
+    """Names of those that move with the skull alone."""
 
 
 def demo_markers(head: DemoHead) -> MarkerSet:

@@ -12,27 +12,19 @@ Weights = Mapping[str, float]
 
 @dataclass(frozen=True)
 class SpokenLine:
-    """One sentence in one mood.
-
-    Attributes
-    ----------
-    start, stop : float
-        Interval of the mood [s].
-    speech : float
-        When the first sound begins [s].
-    phones : tuple of (str, int)
-        ARPAbet phone and duration [ms], in order.
-    stresses : tuple of float
-        When brows and head accent a word [s].
-    """
+    """One sentence in one mood."""
 
     emotion: str
     start: float
     stop: float
+    """`start`, `stop`: Interval of the mood [s]."""
     speech: float
+    """When the first sound begins [s]."""
     text: str
     phones: tuple[tuple[str, int], ...]
+    """ARPAbet phone and duration [ms], in order."""
     stresses: tuple[float, ...]
+    """When brows and head accent a word [s]."""
 
 
 @dataclass(frozen=True)

@@ -22,19 +22,13 @@ CHUNK_LIMIT = 10_000
 
 @dataclass(frozen=True)
 class ChunkSizes:
-    """How many frames one task works on, and what becomes of its parts.
-
-    Attributes
-    ----------
-    movie : int or None
-        None leaves a movie in one piece.
-    clips : {'auto', 'always', 'never'}
-        Whether the parts of a performance stay where they are, as value clips.
-    """
+    """How many frames one task works on, and what becomes of its parts."""
 
     map: int
     movie: int | None = None
+    """None leaves a movie in one piece."""
     clips: Literal["auto", "always", "never"] = "auto"
+    """Whether the parts of a performance stay where they are, as value clips."""
 
 
 def frames_made(step: Spec, frames_of: Callable[[Path], FrameRange | None]) -> FrameRange | None:

@@ -13,40 +13,26 @@ from usdface.specs.performance import MapSpec
 
 @dataclass(frozen=True)
 class FarmStep:
-    """Tasks of one kind that do not wait for one another.
-
-    Attributes
-    ----------
-    name : str
-        Unique in the plan; letters, digits and hyphens only.
-    kind : str
-        The step that every task runs.
-    tasks : tuple of Spec
-        Each for a worker of its own; paths absolute.
-    needs : tuple of str
-        Names of the farm steps to be done before.
-    """
+    """Tasks of one kind that do not wait for one another."""
 
     name: str
+    """Unique in the plan; letters, digits and hyphens only."""
     kind: str
+    """The step that every task runs."""
     tasks: tuple[Spec, ...]
+    """Each for a worker of its own; paths absolute."""
     needs: tuple[str, ...]
+    """Names of the farm steps to be done before."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A job as a farm runs it.
-
-    Attributes
-    ----------
-    steps : tuple of FarmStep
-        Each after those it needs.
-    whole : tuple of Path
-        Performances that are mapped in one piece, as the frames of their takes are not known yet.
-    """
+    """A job as a farm runs it."""
 
     steps: tuple[FarmStep, ...]
+    """Each after those it needs."""
     whole: tuple[Path, ...] = ()
+    """Performances that are mapped in one piece, as the frames of their takes are not known yet."""
 
 
 def plan_job(

@@ -22,18 +22,12 @@ from usdface.usdio.referenced_files import frame_range_of, referenced_files
 
 @dataclass(frozen=True)
 class Submission:
-    """What was handed to a farm.
-
-    Attributes
-    ----------
-    job : str
-        Its name.
-    bundle : Path
-        The folder that describes it.
-    """
+    """What was handed to a farm."""
 
     job: str
+    """Its name."""
     bundle: Path
+    """The folder that describes it."""
     plan: Plan
 
 

@@ -18,41 +18,28 @@ MAKERS = ("map", "join", "retarget", "warp")
 
 @dataclass(frozen=True)
 class PublishItem:
-    """A performance to publish.
-
-    Attributes
-    ----------
-    name : str
-        What it is published as.
-    performance : Path
-        The layer that the animator opens.
-    take : Path or None
-        What it was mapped from; None where the layer does not say or the take is gone: then there
-        is nothing to judge it by, and no sheet.
-    rig : Path
-        The character, which is published elsewhere and referenced.
-    first_frame, last_frame : int
-        Inclusive.
-    rate : Fraction
-        Frames per second.
-    timecode_start : str
-        SMPTE timecode of the first frame, empty when unknown.
-    shapes : int
-        Shapes that it drives.
-    edited : tuple of str
-        Shapes that an animator changed.
-    """
+    """A performance to publish."""
 
     name: str
+    """What it is published as."""
     performance: Path
+    """The layer that the animator opens."""
     take: Path | None
+    """What it was mapped from; None where the layer does not say or the take is gone: then there is
+    nothing to judge it by, and no sheet."""
     rig: Path
+    """The character, which is published elsewhere and referenced."""
     first_frame: int
     last_frame: int
+    """`first_frame`, `last_frame`: Inclusive."""
     rate: Fraction
+    """Frames per second."""
     timecode_start: str
+    """SMPTE timecode of the first frame, empty when unknown."""
     shapes: int
+    """Shapes that it drives."""
     edited: tuple[str, ...]
+    """Shapes that an animator changed."""
 
 
 def collect_performances(paths: Iterable[Path]) -> tuple[PublishItem, ...]:

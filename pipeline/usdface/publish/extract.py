@@ -32,36 +32,24 @@ ABANDONED_SECONDS = 7 * 86400.0
 
 @dataclass(frozen=True)
 class ReviewOptions:
-    """What is made to judge a performance by, where its take is there.
-
-    Attributes
-    ----------
-    rows : int
-        Frames on the sheet.
-    quality : {'draft', 'final'}
-    """
+    """What is made to judge a performance by, where its take is there."""
 
     sheet: bool = True
     movie: bool = False
     rows: int = 12
+    """Frames on the sheet."""
     quality: Literal["draft", "final"] = "final"
 
 
 @dataclass(frozen=True)
 class Extracted:
-    """Files made for one version that does not exist yet.
-
-    Attributes
-    ----------
-    folder : Path
-        Where the files are: beside where they will be, so that what they refer to stays in place.
-    files : mapping of str to str
-        Name of each file by its role: `performance`, `weights`, `sheet`, `movie`.
-    """
+    """Files made for one version that does not exist yet."""
 
     item: PublishItem
     folder: Path
+    """Where the files are: beside where they will be, so that what they refer to stays in place."""
     files: Mapping[str, str]
+    """Name of each file by its role: `performance`, `weights`, `sheet`, `movie`."""
 
     def path(self, role: str) -> Path | None:
         """Return the file of a role, if it was made."""

@@ -18,23 +18,16 @@ MOST_VERSIONS_TRIED = 1000
 
 @dataclass(frozen=True)
 class Published:
-    """A version that is there for others to use.
-
-    Attributes
-    ----------
-    version : int
-        From 1.
-    files : dict of str to Path
-        By role: `performance`, `weights`, `sheet`, `movie`.
-    is_new : bool
-        False where the newest version held the same already, and none was made.
-    """
+    """A version that is there for others to use."""
 
     name: str
     version: int
+    """From 1."""
     folder: Path
     files: dict[str, Path]
+    """By role: `performance`, `weights`, `sheet`, `movie`."""
     is_new: bool = True
+    """False where the newest version held the same already, and none was made."""
 
 
 def integrate_performance(extracted: Extracted, *, comment: str = "") -> Published:

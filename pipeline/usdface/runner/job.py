@@ -33,16 +33,11 @@ _State = Literal["done", "stale", "missing"]
 
 @dataclass(frozen=True)
 class StepState:
-    """Where one step of a job stands.
-
-    Attributes
-    ----------
-    state : {'done', 'stale', 'missing'}
-        Whether its outputs are there, and made from the inputs as they are now.
-    """
+    """Where one step of a job stands."""
 
     spec: Spec
     state: _State
+    """Whether its outputs are there, and made from the inputs as they are now."""
     reason: str
 
 

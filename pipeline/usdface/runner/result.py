@@ -8,33 +8,22 @@ from usdface.core.errors import CheckFailedError
 
 @dataclass(frozen=True)
 class StepResult:
-    """The result of a step, for people and scripts.
-
-    Attributes
-    ----------
-    outputs : tuple of Path
-        Files written; empty where the step only looked.
-    summary : str
-        One line that says what came out.
-    notes : tuple of str
-        What the user should know: things dropped, assumed, repaired, doubtful.
-    figures : dict
-        Numbers and names worth keeping, ready for JSON.
-    table : tuple of str
-        Lines for people; scripts find the same in `figures`.
-    failures : tuple of str
-        What was checked and is not in order.
-    fresh : bool
-        False where the outputs were up to date, and nothing was written.
-    """
+    """The result of a step, for people and scripts."""
 
     outputs: tuple[Path, ...]
+    """Files written; empty where the step only looked."""
     summary: str
+    """One line that says what came out."""
     notes: tuple[str, ...] = ()
+    """What the user should know: things dropped, assumed, repaired, doubtful."""
     figures: dict[str, object] = field(default_factory=dict)
+    """Numbers and names worth keeping, ready for JSON."""
     table: tuple[str, ...] = ()
+    """Lines for people; scripts find the same in `figures`."""
     failures: tuple[str, ...] = ()
+    """What was checked and is not in order."""
     fresh: bool = True
+    """False where the outputs were up to date, and nothing was written."""
 
     def require_success(self) -> None:
         """Raise CheckFailedError, naming every failure, if there is one."""

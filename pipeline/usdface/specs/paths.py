@@ -118,15 +118,10 @@ _FORMATS: dict[str, type[PurePath]] = {"POSIX": PurePosixPath, "WINDOWS": PureWi
 
 @dataclass(frozen=True)
 class PathRule:
-    """A folder on the submitting machine and the same folder on this one.
-
-    Attributes
-    ----------
-    source : PurePosixPath or PureWindowsPath
-        In the submitting machine's manner, whatever this machine's is.
-    """
+    """A folder on the submitting machine and the same folder on this one."""
 
     source: PurePath
+    """In the submitting machine's manner, whatever this machine's is."""
     destination: Path
 
 

@@ -47,27 +47,18 @@ _NO_WORDS = ("<s>", "</s>", "<sil>", "[NOISE]", "[SPEECH]")
 
 @dataclass(frozen=True)
 class PhoneAlignment:
-    """Where every phone lies, and whether to believe it.
-
-    Attributes
-    ----------
-    track : PhoneTrack
-        Phones in ARPAbet, silence as ``SIL``.
-    score : float
-        Mean over the frames of speech; see `WRONG_SCORE`.
-    guessed : dict of str to tuple of str
-        Words that no dictionary had, and how they were taken to be said.
-    doubtful_words : tuple of Span
-        Words that fit their place badly.
-    beam : int
-        Which of `BEAMS` found the path: more than 0 says that something does not fit.
-    """
+    """Where every phone lies, and whether to believe it."""
 
     track: PhoneTrack
+    """Phones in ARPAbet, silence as ``SIL``."""
     score: float
+    """Mean over the frames of speech; see `WRONG_SCORE`."""
     guessed: dict[str, tuple[str, ...]]
+    """Words that no dictionary had, and how they were taken to be said."""
     doubtful_words: tuple[Span, ...]
+    """Words that fit their place badly."""
     beam: int
+    """Which of `BEAMS` found the path: more than 0 says that something does not fit."""
 
 
 def align_phones(

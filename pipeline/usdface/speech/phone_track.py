@@ -6,19 +6,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Span:
-    """Something that lasts.
-
-    Attributes
-    ----------
-    start, end : float
-        [s], on the clock of the sound that was aligned.
-    label : str
-        A phone, a word or an emotion, as its file writes it.
-    """
+    """Something that lasts."""
 
     start: float
     end: float
+    """`start`, `end`: [s], on the clock of the sound that was aligned."""
     label: str
+    """A phone, a word or an emotion, as its file writes it."""
 
     @property
     def middle(self) -> float:
@@ -28,24 +22,16 @@ class Span:
 
 @dataclass(frozen=True)
 class PhoneTrack:
-    """Everything that is known of a recording's speech.
-
-    Attributes
-    ----------
-    phones : tuple of Span
-        In order of time, silences included where the file has them.
-    words : tuple of Span
-        Empty where the file has none.
-    emotions : tuple of Span
-        Empty where the file marks none.
-    duration : float
-        [s]
-    """
+    """Everything that is known of a recording's speech."""
 
     phones: tuple[Span, ...]
+    """In order of time, silences included where the file has them."""
     words: tuple[Span, ...] = ()
+    """Empty where the file has none."""
     emotions: tuple[Span, ...] = ()
+    """Empty where the file marks none."""
     duration: float = 0.0
+    """[s]"""
 
 
 def label_at(spans: tuple[Span, ...], seconds: float) -> str:

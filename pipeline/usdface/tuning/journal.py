@@ -16,25 +16,17 @@ from usdface.core.errors import InputError
 
 @dataclass(frozen=True)
 class Change:
-    """New weights of some shapes of one pair, and whether the pair is done.
-
-    Attributes
-    ----------
-    pair : int
-        Index from 0.
-    take, frame
-        What the pair shows: a change never lands on another pair.
-    weights : dict of str to float
-        By shape name.
-    done : bool or None
-        None leaves it as it is.
-    """
+    """New weights of some shapes of one pair, and whether the pair is done."""
 
     pair: int
+    """Index from 0."""
     take: str
     frame: int
+    """`take`, `frame`: What the pair shows: a change never lands on another pair."""
     weights: dict[str, float] = field(default_factory=dict)
+    """By shape name."""
     done: bool | None = None
+    """None leaves it as it is."""
 
 
 class Journal:

@@ -29,23 +29,18 @@ class StaleRevisionError(InputError):
 
 @dataclass(frozen=True)
 class _State:
-    """What a page shows.
-
-    Attributes
-    ----------
-    revision : int
-        Counts up with every change.
-    weights, proposals : (pairs, shapes) float arrays
-    tuned : (pairs,) bool array
-        True where the weights are a person's: they differ from the proposal, or are done.
-    done : (pairs,) bool array
-    """
+    """What a page shows."""
 
     revision: int
+    """Counts up with every change."""
     weights: FloatArray
     proposals: FloatArray
+    """`weights`, `proposals`: (pairs, shapes)"""
     tuned: BoolArray
+    """(pairs,): true where the weights are a person's: they differ from the proposal, or are
+    done."""
     done: BoolArray
+    """(pairs,)"""
 
 
 class TuningSession:

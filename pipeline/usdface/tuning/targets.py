@@ -27,29 +27,20 @@ _SAMPLE_FRAMES = 600
 
 @dataclass(frozen=True)
 class MarkerTargets:
-    """Markers glued to the rig, and where the captured ones lie in its space.
-
-    Attributes
-    ----------
-    rest : (markers, 3) float32 array
-        On the rig at rest [mm].
-    key_deltas : (keys, markers, 3) float32 array
-        What each key of ``Deformer(rig).shapes`` does to them [mm].
-    targets : (pairs, markers, 3) float32 array
-        Captured positions on the character's proportions [mm].
-    regions : tuple of str
-        Part of the face of each marker; empty for those that move with the skull alone, which say
-        nothing of the weights.
-    corrected : tuple of bool
-        Whether a person placed the marker.
-    """
+    """Markers glued to the rig, and where the captured ones lie in its space."""
 
     names: tuple[str, ...]
     rest: Float32Array
+    """(markers, 3): on the rig at rest [mm]."""
     key_deltas: Float32Array
+    """(keys, markers, 3): what each key of ``Deformer(rig).shapes`` does to them [mm]."""
     targets: Float32Array
+    """(pairs, markers, 3): captured positions on the character's proportions [mm]."""
     regions: tuple[str, ...]
+    """Part of the face of each marker; empty for those that move with the skull alone, which say
+    nothing of the weights."""
     corrected: tuple[bool, ...] = ()
+    """Whether a person placed the marker."""
 
 
 def find_targets(references: References, rig: Rig) -> MarkerTargets:

@@ -19,23 +19,15 @@ _OF_A_LAYER_ALONE = tuple(f"{_PLUGIN}:{name}" for name in ("Weights", "Curves", 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is not in order.
-
-    Attributes
-    ----------
-    severity : {'error', 'warning'}
-    check : str
-        Name of the validator; ours begin with ``usdface:``.
-    where : str
-        File and, where one is to blame, prim or property.
-    message : str
-        What is wrong and how to mend it.
-    """
+    """One thing that is not in order."""
 
     severity: Severity
     check: str
+    """Name of the validator; ours begin with ``usdface:``."""
     where: str
+    """File and, where one is to blame, prim or property."""
     message: str
+    """What is wrong and how to mend it."""
 
 
 @refusing_wrong_types

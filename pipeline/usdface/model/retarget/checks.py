@@ -23,20 +23,14 @@ LEAST_WEIGHT = 1e-4
 
 @dataclass(frozen=True)
 class PairConflict:
-    """Two pairs whose sources are almost the same and whose targets are not.
-
-    Attributes
-    ----------
-    first, second : int
-        Pairs, from 0.
-    source, target : float
-        Distances, as shares of the usual ones.
-    """
+    """Two pairs whose sources are almost the same and whose targets are not."""
 
     first: int
     second: int
+    """`first`, `second`: Pairs, from 0."""
     source: float
     target: float
+    """`source`, `target`: Distances, as shares of the usual ones."""
 
 
 def check_pairs(pairs: ExpressionPairs, where: str) -> None:

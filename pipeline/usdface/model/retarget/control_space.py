@@ -25,18 +25,13 @@ _SMALLEST_SCALE = 1e-6
 
 @dataclass(frozen=True)
 class ControlSpace:
-    """Which controls there are, and where rotations are flattened.
-
-    Attributes
-    ----------
-    mean_rotations : (joints, 4) float array
-        w first.
-    """
+    """Which controls there are, and where rotations are flattened."""
 
     shapes: tuple[str, ...]
     joints: tuple[str, ...]
     attributes: tuple[str, ...]
     mean_rotations: FloatArray
+    """(joints, 4): w first."""
 
     @property
     def width(self) -> int:

@@ -33,20 +33,15 @@ _BLOCK_FRAMES = 256
 
 @dataclass(frozen=True)
 class CyclicError:
-    """One method's errors.
-
-    Attributes
-    ----------
-    mean_vertex_mm : (frames,) float array
-        Mean distance of the source's points from where they were [mm].
-    direct_mm : (frames,) float array or None
-        Mean distance of the target's points from where they should be [mm], where that is known.
-    """
+    """One method's errors."""
 
     method: str
     settings: str
     mean_vertex_mm: FloatArray
+    """(frames,): mean distance of the source's points from where they were [mm]."""
     direct_mm: FloatArray | None = None
+    """(frames,): mean distance of the target's points from where they should be [mm], where that is
+    known."""
 
 
 class SurfaceMeter:

@@ -43,19 +43,14 @@ RIDGE_SHARE = 1e-3
 
 @dataclass(frozen=True)
 class Correspondence:
-    """What the shapes of two rigs do at the same places of the face.
-
-    Attributes
-    ----------
-    source, target : (shapes, samples, 3) float arrays
-        Displacements at weight 1, the source's in the target's space and proportions [mm].
-    residual_mm : float
-        How far the surfaces lie apart once aligned.
-    """
+    """What the shapes of two rigs do at the same places of the face."""
 
     source: FloatArray
     target: FloatArray
+    """`source`, `target`: (shapes, samples, 3): displacements at weight 1, the source's in the
+    target's space and proportions [mm]."""
     residual_mm: float
+    """How far the surfaces lie apart once aligned."""
 
     def similarity(self) -> FloatArray:
         """Return the cosine between every source and every target shape: (ns, nt)."""
@@ -64,17 +59,12 @@ class Correspondence:
 
 @dataclass(frozen=True)
 class ShapeMatch:
-    """Two shapes that move the face alike.
-
-    Attributes
-    ----------
-    similarity : float
-        Cosine between their displacements, at most 1.
-    """
+    """Two shapes that move the face alike."""
 
     source: str
     target: str
     similarity: float
+    """Cosine between their displacements, at most 1."""
 
 
 def correspond(source: Rig, target: Rig) -> Correspondence:

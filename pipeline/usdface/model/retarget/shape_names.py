@@ -101,19 +101,13 @@ _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 
 @dataclass(frozen=True)
 class NameMatch:
-    """An expression that both rigs have by name.
-
-    Attributes
-    ----------
-    name : str
-        For people.
-    source, target : tuple of (str, float)
-        Shapes and their weights.
-    """
+    """An expression that both rigs have by name."""
 
     name: str
+    """For people."""
     source: tuple[tuple[str, float], ...]
     target: tuple[tuple[str, float], ...]
+    """`source`, `target`: Shapes and their weights."""
 
 
 def motion_and_side(name: str) -> tuple[str, str]:

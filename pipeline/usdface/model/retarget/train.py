@@ -48,31 +48,24 @@ _LEAST_SPAN = 1e-9
 
 @dataclass(frozen=True)
 class Examples:
-    """Pairs as numbers: inputs and outputs of both directions.
-
-    Attributes
-    ----------
-    source, target : (pairs, ns) and (pairs, k) float arrays
-        Differences from rest.
-    source_rest, target_rest : (ns,) and (k,) float arrays
-    source_ranges, target_ranges : (ns, 2) and (k, 2) float arrays
-    spans : (k,) float array
-        Of each target coordinate over the pairs; 1 where it does not move.
-    units : (k,) float array
-        What methods count each target coordinate in: weights as they are, joints and attributes in
-        their spans. Kernels over the target add coordinates up, and degrees or centimetres would
-        drown the weights there.
-    """
+    """Pairs as numbers: inputs and outputs of both directions."""
 
     space: ControlSpace
     source: FloatArray
     target: FloatArray
+    """`source`, `target`: (pairs, ns) and (pairs, k): differences from rest."""
     source_rest: FloatArray
     target_rest: FloatArray
+    """`source_rest`, `target_rest`: (ns,) and (k,)"""
     source_ranges: FloatArray
     target_ranges: FloatArray
+    """`source_ranges`, `target_ranges`: (ns, 2) and (k, 2)"""
     spans: FloatArray
+    """(k,): of each target coordinate over the pairs; 1 where it does not move."""
     units: FloatArray
+    """(k,): what methods count each target coordinate in: weights as they are, joints and
+    attributes in their spans. Kernels over the target add coordinates up, and degrees or
+    centimetres would drown the weights there."""
 
 
 @dataclass(frozen=True)

@@ -43,40 +43,28 @@ PROPOSAL_RIDGE = 10.0
 
 @dataclass(frozen=True)
 class BlendshapeEquation:
-    """A performer's markers on a character: all that solving for weights needs.
-
-    Attributes
-    ----------
-    deltas : (shapes, markers, 3) float array
-        What each shape at 1 does to the virtual markers [mm].
-    keys : MarkerKeys
-        The same for every key, in-betweens included.
-    neutral : (markers, 3) float array
-        The performer's neutral face [mm].
-    ranges : (shapes, 2) float array
-    trust : (markers,) float array
-        0 for markers that move with the skull alone: what is left in them is noise.
-    gain : (markers,) float array
-        By how much a marker's motion is enlarged so that blinks close the eye.
-    placement : MarkerPlacement or None
-        How `virtual` was found; None where it was given.
-    noise_mm : float
-        Root mean square distance of markers from the solve: by so much skin, placement and
-        capture differ from what the shapes can do.
-    lids : LidEvidence or None
-        None where blinks are solved as any shape.
-    """
+    """A performer's markers on a character: all that solving for weights needs."""
 
     virtual: VirtualMarkers
     deltas: FloatArray
+    """(shapes, markers, 3): what each shape at 1 does to the virtual markers [mm]."""
     keys: MarkerKeys
+    """The same for every key, in-betweens included."""
     neutral: FloatArray
+    """(markers, 3): the performer's neutral face [mm]."""
     ranges: FloatArray
+    """(shapes, 2)"""
     trust: FloatArray
+    """(markers,): 0 for markers that move with the skull alone: what is left in them is noise."""
     gain: FloatArray
+    """(markers,): by how much a marker's motion is enlarged so that blinks close the eye."""
     placement: MarkerPlacement | None = None
+    """How `virtual` was found; None where it was given."""
     noise_mm: float = 0.0
+    """Root mean square distance of markers from the solve: by so much skin, placement and capture
+    differ from what the shapes can do."""
     lids: LidEvidence | None = None
+    """None where blinks are solved as any shape."""
 
     def solve_published(self, positions: Positions) -> FloatArray:
         """Return weights by plain least squares, limited to the ranges afterwards.

@@ -34,28 +34,19 @@ _ROUNDING_SHARE = 1e-6
 
 @dataclass(frozen=True)
 class ReferenceConflict:
-    """Two pairs that contradict each other.
-
-    Attributes
-    ----------
-    first, second : int
-        Indices of the pairs.
-    region : str
-        Where on the face; empty for the face as a whole.
-    shape : str
-        The shape that differs most.
-    weights : (float, float)
-        Its weight in the one and in the other.
-    times : float
-        How many times further apart the weights are than the markers, each against the usual.
-    """
+    """Two pairs that contradict each other."""
 
     first: int
     second: int
+    """`first`, `second`: Indices of the pairs."""
     region: str
+    """Where on the face; empty for the face as a whole."""
     shape: str
+    """The shape that differs most."""
     weights: tuple[float, float]
+    """Its weight in the one and in the other."""
     times: float
+    """How many times further apart the weights are than the markers, each against the usual."""
 
 
 def find_reference_conflicts(

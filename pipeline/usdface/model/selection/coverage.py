@@ -24,20 +24,14 @@ CURVE_FRAMES = 1500
 
 @dataclass(frozen=True)
 class Coverage:
-    """How well pairs determine every frame.
-
-    Attributes
-    ----------
-    covered : (frames,) float array
-        Share of each frame's motion that the pairs determine: one less the standard deviation
-        that they leave of what there was [0-1].
-    region_covered : (frames, regions) float array
-        The same, of each part of the face alone.
-    """
+    """How well pairs determine every frame."""
 
     covered: FloatArray
+    """(frames,): share of each frame's motion that the pairs determine: one less the standard
+    deviation that they leave of what there was [0-1]."""
     regions: tuple[str, ...]
     region_covered: FloatArray
+    """(frames, regions): the same, of each part of the face alone."""
 
     @property
     def share(self) -> float:
@@ -52,21 +46,15 @@ class Coverage:
 
 @dataclass(frozen=True)
 class Growth:
-    """What each pair brought, and what further ones would.
-
-    Attributes
-    ----------
-    share : (pairs + 1,) float array
-        Coverage with none, one, two ... of the pairs, in their order [0-1].
-    further_rows : (count,) int array
-        Frames that would be chosen next: the deepest holes, each once those before are filled.
-    further_share : (count,) float array
-        Coverage with one, two ... of them as well.
-    """
+    """What each pair brought, and what further ones would."""
 
     share: FloatArray
+    """(pairs + 1,): coverage with none, one, two ... of the pairs, in their order [0-1]."""
     further_rows: IntArray
+    """(count,): frames that would be chosen next: the deepest holes, each once those before are
+    filled."""
     further_share: FloatArray
+    """(count,): coverage with one, two ... of them as well."""
 
 
 def measure_coverage(

@@ -35,48 +35,32 @@ WEIGHT_VARIANCE = 1e-2
 
 @dataclass(frozen=True)
 class CandidateMarkers:
-    """Weights that stand in for tuning while frames are chosen: an estimate by the rig's geometry.
-
-    Attributes
-    ----------
-    features : (sample, d) float array
-        Of frames spread over the takes.
-    weights : (sample, shapes) float array
-    of_rows : callable
-        Weights of any frames, by their rows.
-    gram : (shapes, shapes) float array
-        Makes errors millimetres on the rig.
-    """
+    """Weights that stand in for tuning while frames are chosen, from the rig's geometry."""
 
     features: FloatArray
+    """(sample, d): of frames spread over the takes."""
     weights: FloatArray
+    """(sample, shapes)"""
     of_rows: Callable[[IntArray], FloatArray]
+    """Weights of any frames, by their rows."""
     gram: FloatArray
+    """(shapes, shapes): makes errors millimetres on the rig."""
 
 
 @dataclass(frozen=True)
 class ReferenceChoice:
-    """Frames to tune, the most telling first.
-
-    Attributes
-    ----------
-    rows : (count,) int array
-        None twice, none that was tuned before.
-    design : str
-        Which design was taken; empty where none was needed.
-    measured_mm : dict of str to float
-        Error of the stand-ins on all other frames, by design.
-    visemes : dict of int to str
-        Viseme of the frames that were chosen for one.
-    missing : tuple of (str, str)
-        Emotion and viseme that nobody speaks.
-    """
+    """Frames to tune, the most telling first."""
 
     rows: IntArray
+    """(count,): none twice, none that was tuned before."""
     design: str = ""
+    """Which design was taken; empty where none was needed."""
     measured_mm: dict[str, float] = field(default_factory=dict)
+    """Error of the stand-ins on all other frames, by design."""
     visemes: dict[int, str] = field(default_factory=dict)
+    """Viseme of the frames that were chosen for one."""
     missing: tuple[tuple[str, str], ...] = ()
+    """Emotion and viseme that nobody speaks."""
 
 
 def pool_of(features: Features, candidates: BoolArray, *, limit: int = POOL_FRAMES) -> IntArray:

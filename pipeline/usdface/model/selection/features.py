@@ -30,24 +30,17 @@ WHOLE_FACE = "face"
 
 @dataclass(frozen=True)
 class SelectionSpace:
-    """Features of frames from coordinates in the motion space.
-
-    Attributes
-    ----------
-    projection : (dimensions, features) float array
-    offset : (features,) float array
-        So that the mean face lies at 0.
-    columns : tuple of (int, int)
-        Columns of the features of each region, first and one past the last.
-    relevance : (regions, markers) float array
-        How much each marker has to do with each region [0-1].
-    """
+    """Features of frames from coordinates in the motion space."""
 
     projection: FloatArray
+    """(dimensions, features)"""
     offset: FloatArray
+    """(features,): so that the mean face lies at 0."""
     regions: tuple[str, ...]
     columns: tuple[tuple[int, int], ...]
+    """Columns of the features of each region, first and one past the last."""
     relevance: FloatArray
+    """(regions, markers): how much each marker has to do with each region [0-1]."""
 
     def features(self, coordinates: FloatArray) -> FloatArray:
         """Return features of frames: (frames, dimensions) to (frames, features)."""

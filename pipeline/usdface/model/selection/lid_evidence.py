@@ -23,18 +23,12 @@ FULL_SHAPES = "eyeblink"
 
 @dataclass(frozen=True)
 class LidEvidence:
-    """What the markers tell of blinks.
-
-    Attributes
-    ----------
-    shapes : tuple of int
-        Columns of the shapes that close the eyes.
-    seen : ShapeEvidence
-        Of these shapes.
-    """
+    """What the markers tell of blinks."""
 
     shapes: tuple[int, ...]
+    """Columns of the shapes that close the eyes."""
     seen: ShapeEvidence
+    """Of these shapes."""
 
     @property
     def closing(self) -> tuple[int, ...]:

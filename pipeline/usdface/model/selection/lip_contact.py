@@ -38,23 +38,16 @@ _RIDGE_SHARE = 1e-3
 
 @dataclass(frozen=True)
 class Lips:
-    """Where lips are, on the character and among the markers.
-
-    Attributes
-    ----------
-    upper, lower : (n,) int arrays
-        Markers that sit above each other.
-    columns : (n,) int array
-        Shapes that may be changed: the mouth's and the jaw's.
-    opening : (n,) float array
-        By how much each of them parts the lips [mm].
-    """
+    """Where lips are, on the character and among the markers."""
 
     pairs: LipPairs
     upper: IntArray
     lower: IntArray
+    """`upper`, `lower`: (n,): markers that sit above each other."""
     columns: IntArray
+    """(n,): shapes that may be changed: the mouth's and the jaw's."""
     opening: FloatArray
+    """(n,): by how much each of them parts the lips [mm]."""
 
 
 def find_lips(

@@ -20,19 +20,14 @@ the neutral one: between frames that are both neutral it differs by a tenth."""
 
 @dataclass(frozen=True)
 class BetterNeutral:
-    """A frame that is neutral, where the stated one is not.
-
-    Attributes
-    ----------
-    row : int
-        Of the frames given.
-    residual_mm, stated_mm : float
-        What the shapes leave of the take, from that frame and from the stated one [mm].
-    """
+    """A frame that is neutral, where the stated one is not."""
 
     row: int
+    """Of the frames given."""
     residual_mm: float
     stated_mm: float
+    """`residual_mm`, `stated_mm`: What the shapes leave of the take, from that frame and from the
+    stated one [mm]."""
 
 
 def find_better_neutral(

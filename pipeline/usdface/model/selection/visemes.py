@@ -16,18 +16,12 @@ from usdface.numerics.regression.reference_design import design_k_centre
 
 @dataclass(frozen=True)
 class Segment:
-    """One phone as it was spoken.
-
-    Attributes
-    ----------
-    row : int
-        Its middle frame.
-    frames : int
-        How long it lasts.
-    """
+    """One phone as it was spoken."""
 
     row: int
+    """Its middle frame."""
     frames: int
+    """How long it lasts."""
     viseme: str
     emotion: str
 

@@ -22,28 +22,19 @@ CacheArray = FloatArray | Float32Array | BoolArray
 
 @dataclass(frozen=True)
 class UnreachedReport:
-    """Pairs without a path over the surface: their distance is the straight line.
-
-    Attributes
-    ----------
-    points : (points,) bool array
-        Points that no marker reaches: islands without a marker (teeth, eyes) and loose points.
-        They follow the markers by straight lines.
-    pairs : int
-        Pairs of markers on different islands.
-    islands : int
-        Connected parts of the mesh.
-    islands_without_marker : int
-        Of them.
-    faults : MeshFaults
-        Of the mesh.
-    """
+    """Pairs without a path over the surface: their distance is the straight line."""
 
     points: BoolArray
+    """(points,): points that no marker reaches: islands without a marker (teeth, eyes) and loose
+    points. They follow the markers by straight lines."""
     pairs: int
+    """Pairs of markers on different islands."""
     islands: int
+    """Connected parts of the mesh."""
     islands_without_marker: int
+    """Of them."""
     faults: MeshFaults
+    """Of the mesh."""
 
     def describe(self) -> tuple[str, ...]:
         """Return what a person should know, a sentence each; none where all is well."""
@@ -65,36 +56,24 @@ class UnreachedReport:
 
 @dataclass(frozen=True)
 class SurfaceDistances:
-    """Distances over a mesh at rest and by the straight line; both finite everywhere.
-
-    Attributes
-    ----------
-    points : (N, 3) float32 array
-        The mesh [mm].
-    marker_positions : (M, 3) float array
-        Where the markers sit on it [mm].
-    geodesic_to_points : (M, N) float32 array
-        [mm]
-    geodesic_between : (M, M) float array
-        [mm]
-    euclidean_to_points : (M, N) float32 array
-        [mm]
-    euclidean_between : (M, M) float array
-        [mm]
-    metric : {'dijkstra', 'dijkstra-diagonals', 'heat'}
-        Of the geodesic distances.
-    unreached : UnreachedReport
-        Where geodesic distances are straight lines.
-    """
+    """Distances over a mesh at rest and by the straight line; both finite everywhere."""
 
     points: Float32Array
+    """(N, 3): the mesh [mm]."""
     marker_positions: FloatArray
+    """(M, 3): where the markers sit on it [mm]."""
     geodesic_to_points: Float32Array
+    """(M, N) [mm]"""
     geodesic_between: FloatArray
+    """(M, M) [mm]"""
     euclidean_to_points: Float32Array
+    """(M, N) [mm]"""
     euclidean_between: FloatArray
+    """(M, M) [mm]"""
     metric: Metric
+    """Of the geodesic distances."""
     unreached: UnreachedReport
+    """Where geodesic distances are straight lines."""
 
     def blended_to_points(self, weight: float) -> Float32Array:
         """``w * geodesic + (1 - w) * Euclidean`` to every point: (M, N) float32 array [mm]."""

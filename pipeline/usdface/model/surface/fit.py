@@ -28,73 +28,50 @@ _FIELD_VALUES = 1 << 22
 
 @dataclass(frozen=True)
 class SurfaceMotion:
-    """How a mesh moves.
-
-    Attributes
-    ----------
-    mean : (frames, points, 3) float32 array
-        Displacements from rest [mm].
-    sd : (frames, points) float32 array or None
-        Standard deviation of a coordinate: root mean square over the axes [mm]. None where the
-        model predicts none.
-    sd_of_axes : (frames, points, 3) float32 array or None
-        The same for each axis, on request [mm].
-    """
+    """How a mesh moves."""
 
     mean: Float32Array
+    """(frames, points, 3): displacements from rest [mm]."""
     sd: Float32Array | None
+    """(frames, points): standard deviation of a coordinate: root mean square over the axes [mm].
+    None where the model predicts none."""
     sd_of_axes: Float32Array | None = None
+    """(frames, points, 3): the same for each axis, on request [mm]."""
 
 
 @dataclass(frozen=True)
 class SurfaceDiagnostics:
-    """Quality of a fit.
-
-    Attributes
-    ----------
-    left_out_rms_mm : float
-        Error at markers that were left out of the fit, per coordinate [mm].
-    clipped : float
-        Relative change of the covariance between markers that made it positive definite.
-    acceptance, effective_samples, rhat : float
-        Of the sampler on some of the fitted frames: mean probability of acceptance, effective
-        samples of each chain and split R-hat of two chains, both medians over frames, axes and
-        hyper-parameters. NaN without a sampler.
-    two_modes : float
-        Share of those posteriors with two modes.
-    """
+    """Quality of a fit."""
 
     left_out_rms_mm: float
+    """Error at markers that were left out of the fit, per coordinate [mm]."""
     clipped: float = 0.0
+    """Relative change of the covariance between markers that made it positive definite."""
     acceptance: float = float("nan")
     effective_samples: float = float("nan")
     rhat: float = float("nan")
+    """`acceptance`, `effective_samples`, `rhat`: Of the sampler on some of the fitted frames: mean
+    probability of acceptance, effective samples of each chain and split R-hat of two chains, both
+    medians over frames, axes and hyper-parameters. NaN without a sampler."""
     two_modes: float = float("nan")
+    """Share of those posteriors with two modes."""
 
 
 @dataclass(frozen=True)
 class SurfaceModel(ABC):
-    """A fitted regression from displacements of markers to those of a mesh.
-
-    Attributes
-    ----------
-    blend : float
-        Share of the geodesic distance [0-1].
-    length_scale : float
-        Of the covariance [mm]; 0 of a model without one.
-    diagnostics : SurfaceDiagnostics
-        Of the fit.
-    marker_count, point_count : int
-        Of the mesh and its binding.
-    """
+    """A fitted regression from displacements of markers to those of a mesh."""
 
     predicts_sd: ClassVar[bool]
 
     blend: float
+    """Share of the geodesic distance [0-1]."""
     length_scale: float
+    """Of the covariance [mm]; 0 of a model without one."""
     diagnostics: SurfaceDiagnostics
+    """Of the fit."""
     marker_count: int
     point_count: int
+    """`marker_count`, `point_count`: Of the mesh and its binding."""
 
     def deform(
         self, displacements: FloatArray, *, of_axes: bool = False, progress: Progress = silent

@@ -70,65 +70,44 @@ _MOMENT_FRAMES = 8
 
 @dataclass(frozen=True)
 class GpOptions:
-    """Options of `fit_gp_surface`.
-
-    Attributes
-    ----------
-    sampler : {'hmc', 'map', 'shared'}
-        Hyper-parameters of each frame and axis by Hybrid Monte Carlo, as published; by their mode
-        and the Gaussian around it; or by one set of samples for the whole take.
-    blend : float or None
-        Share of the geodesic distance [0-1]; None chooses it by leaving markers out.
-    length_scale : float or None
-        [mm]; None chooses it by leaving markers out.
-    covariance : {'creased', 'squared-exponential'}
-        The second is eq. 7 as published.
-    prior : HyperPrior
-        Of the hyper-parameters.
-    folds : bool
-        Whether points in folds, such as the insides of lips, follow the markers of their own side;
-        never where `blend` is 0, since the Euclidean distance has no sides.
-    samples : int
-        Of the hyper-parameters, with the samplers ``'hmc'`` and ``'shared'``.
-    seed : int
-        Of every random choice: the same take moves the same way each time.
-    """
+    """Options of `fit_gp_surface`."""
 
     sampler: Sampler = "hmc"
+    """Hyper-parameters of each frame and axis by Hybrid Monte Carlo, as published; by their mode
+    and the Gaussian around it; or by one set of samples for the whole take."""
     blend: float | None = BLEND_PUBLISHED
+    """Share of the geodesic distance [0-1]; None chooses it by leaving markers out."""
     length_scale: float | None = None
+    """[mm]; None chooses it by leaving markers out."""
     covariance: CovarianceShape = "creased"
+    """The second is eq. 7 as published."""
     prior: HyperPrior = field(default_factory=HyperPrior)
+    """Of the hyper-parameters."""
     folds: bool = True
+    """Whether points in folds, such as the insides of lips, follow the markers of their own side;
+    never where `blend` is 0, since the Euclidean distance has no sides."""
     samples: int = SAMPLES_PUBLISHED
+    """Of the hyper-parameters, with the samplers ``'hmc'`` and ``'shared'``."""
     seed: int = 0
+    """Of every random choice: the same take moves the same way each time."""
 
 
 @dataclass(frozen=True)
 class GpSurface(SurfaceModel):
-    """A fitted Gaussian process.
-
-    Attributes
-    ----------
-    options : GpOptions
-        It was fitted with.
-    table : SharedTable
-        Of the posterior's energy.
-    fields : SurfaceFields
-        Of the mesh.
-    factors : SpreadFactors
-        Of standard deviations.
-    shared : (samples, 4) float array or None
-        Log hyper-parameters of the whole take, with the sampler ``'shared'``.
-    """
+    """A fitted Gaussian process."""
 
     predicts_sd: ClassVar[bool] = True
 
     options: GpOptions
+    """It was fitted with."""
     table: SharedTable = field(repr=False)
+    """Of the posterior's energy."""
     fields: SurfaceFields = field(repr=False)
+    """Of the mesh."""
     factors: SpreadFactors = field(repr=False)
+    """Of standard deviations."""
     shared: FloatArray | None = field(repr=False)
+    """(samples, 4): log hyper-parameters of the whole take, with the sampler ``'shared'``."""
 
     def _predict(self, moved: FloatArray, size: int, *, of_axes: bool) -> Iterator[SurfaceMotion]:
         # the next block is sampled while this one becomes fields

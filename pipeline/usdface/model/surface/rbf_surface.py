@@ -28,34 +28,23 @@ from usdface.numerics.manifold.multiquadric import (
 
 @dataclass(frozen=True)
 class RbfOptions:
-    """Options of `fit_rbf_surface`.
-
-    Attributes
-    ----------
-    blend : float or None
-        Share of the geodesic distance [0-1]; None chooses it by leaving markers out.
-    folds : bool
-        Whether points in folds, such as the insides of lips, follow the markers of their own side;
-        never where `blend` is 0, since the Euclidean distance has no sides.
-    """
+    """Options of `fit_rbf_surface`."""
 
     blend: float | None = BLEND_PUBLISHED
+    """Share of the geodesic distance [0-1]; None chooses it by leaving markers out."""
     folds: bool = True
+    """Whether points in folds, such as the insides of lips, follow the markers of their own side;
+    never where `blend` is 0, since the Euclidean distance has no sides."""
 
 
 @dataclass(frozen=True)
 class RbfSurface(SurfaceModel):
-    """Displacements of points are ``operator @ displacements of markers``.
-
-    Attributes
-    ----------
-    operator : (points, markers) float32 array
-        See `multiquadric_fields`.
-    """
+    """Displacements of points are ``operator @ displacements of markers``."""
 
     predicts_sd: ClassVar[bool] = False
 
     operator: Float32Array = field(repr=False)
+    """(points, markers): see `multiquadric_fields`."""
 
     def _predict(self, moved: FloatArray, size: int, *, of_axes: bool) -> Iterator[SurfaceMotion]:
         for start in range(0, len(moved), size):

@@ -36,21 +36,14 @@ _BLOCK_POINTS = 1 << 15
 
 @dataclass(frozen=True)
 class Folds:
-    """Which points lie in folds, and the markers they follow.
-
-    Attributes
-    ----------
-    points : (n,) int array
-        Those in a fold.
-    share : (n,) float32 array
-        s [0-1]
-    weights : (n, markers) float32 array
-        q, sum 1.
-    """
+    """Which points lie in folds, and the markers they follow."""
 
     points: IntArray
+    """(n,): those in a fold."""
     share: Float32Array
+    """(n,): s [0-1]"""
     weights: Float32Array
+    """(n, markers): q, sum 1."""
 
     def apply(self, at_points: RealArray, at_markers: RealArray) -> None:
         """Replace h at points in folds, in place.

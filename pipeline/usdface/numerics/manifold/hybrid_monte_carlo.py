@@ -34,56 +34,36 @@ _PROPOSAL_WIDTH = 1.5
 
 @dataclass(frozen=True)
 class ChainState:
-    """The state of every chain.
-
-    Attributes
-    ----------
-    white : (4, chains) array
-        Position in whitened coordinates.
-    energy : (chains,) array
-        At that position.
-    residual : (4, chains) array
-        Gradient of the energy minus that of the Gaussian.
-    """
+    """The state of every chain."""
 
     white: RealArray
+    """(4, chains): position in whitened coordinates."""
     energy: RealArray
+    """(chains,): at that position."""
     residual: RealArray
+    """(4, chains): gradient of the energy minus that of the Gaussian."""
 
 
 @dataclass(frozen=True)
 class ChainSamples:
-    """The samples after the burn-in.
-
-    Attributes
-    ----------
-    theta : (samples, 4, chains) array
-        In the coordinates that the energy takes.
-    acceptance : (chains,) array
-        Mean probability of acceptance after the burn-in.
-    """
+    """The samples after the burn-in."""
 
     theta: RealArray
+    """(samples, 4, chains): in the coordinates that the energy takes."""
     acceptance: RealArray
+    """(chains,): mean probability of acceptance after the burn-in."""
 
 
 @dataclass(frozen=True)
 class Jumps:
-    """The chains whose posterior has two modes, between which trajectories do not lead.
-
-    Attributes
-    ----------
-    chains : (n,) int array
-        Their indices.
-    energy : callable
-        Of these chains alone.
-    modes : (LaplaceFit, LaplaceFit)
-        Of these chains alone.
-    """
+    """The chains whose posterior has two modes, between which trajectories do not lead."""
 
     chains: IntArray
+    """(n,): their indices."""
     energy: Energy
+    """Of these chains alone."""
     modes: tuple[LaplaceFit, LaplaceFit]
+    """Of these chains alone."""
 
 
 def start_chains(energy: Energy, fit: LaplaceFit, white: RealArray) -> ChainState:

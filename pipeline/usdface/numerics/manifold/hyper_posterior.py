@@ -46,19 +46,13 @@ REJECTED_ENERGY = 1e20
 
 @dataclass(frozen=True)
 class HyperPrior:
-    """Log-normal priors of v0, v1, a0 and a1.
-
-    Attributes
-    ----------
-    medians : tuple of float
-        [mm^2]. Of v0, the motion beyond a linear field; of v1, the markers' noise; of a0, the
-        motion common to all markers; of a1, the motion that is linear in the position.
-    spread : tuple of float
-        Standard deviations of the logarithms.
-    """
+    """Log-normal priors of v0, v1, a0 and a1."""
 
     medians: tuple[float, float, float, float] = (9.0, 0.05, 4.0, 1.0)
+    """[mm^2]. Of v0, the motion beyond a linear field; of v1, the markers' noise; of a0, the motion
+    common to all markers; of a1, the motion that is linear in the position."""
     spread: tuple[float, float, float, float] = (1.5, 1.5, 1.5, 1.5)
+    """Standard deviations of the logarithms."""
 
     def __post_init__(self) -> None:
         if not all(0 < value < np.inf for value in (*self.medians, *self.spread)):
@@ -72,21 +66,14 @@ class HyperPrior:
 
 @dataclass(frozen=True)
 class MarkerSpectrum:
-    """The terms of U that depend on the mesh alone.
-
-    Attributes
-    ----------
-    values : (N,) float array
-        Eigenvalues l of the covariance K between markers.
-    vectors : (N, N) float array
-        Q
-    trend : (N, 4) float array
-        P
-    """
+    """The terms of U that depend on the mesh alone."""
 
     values: FloatArray
+    """(N,): eigenvalues l of the covariance K between markers."""
     vectors: FloatArray
+    """(N, N): Q"""
     trend: FloatArray
+    """(N, 4): P"""
     prior: HyperPrior
 
 
@@ -107,25 +94,17 @@ def decompose(matrix: FloatArray, places: FloatArray, prior: HyperPrior) -> Mark
 
 @dataclass(frozen=True)
 class PosteriorMoments:
-    """The sums over markers at one x per chain, and their derivatives.
-
-    Attributes
-    ----------
-    shared : (11, chains) array
-        The entries of M in the order of `PAIRS`, then h.
-    per_chain : (5, chains) array
-        b, then c.
-    shared_slope, per_chain_slope : arrays
-        d/dx of both.
-    outside : (chains,) bool array or None
-        Chains whose x cannot be evaluated.
-    """
+    """The sums over markers at one x per chain, and their derivatives."""
 
     shared: RealArray
+    """(11, chains): the entries of M in the order of `PAIRS`, then h."""
     per_chain: RealArray
+    """(5, chains): b, then c."""
     shared_slope: RealArray
     per_chain_slope: RealArray
+    """`shared_slope`, `per_chain_slope`: d/dx of both."""
     outside: BoolArray | None = None
+    """(chains,): chains whose x cannot be evaluated."""
 
 
 def energy_of_moments(

@@ -19,41 +19,27 @@ _LARGEST_LOG_RATIO = 7.0
 
 @dataclass(frozen=True)
 class HyperSamples:
-    """Samples of the hyper-parameters of every chain.
-
-    Attributes
-    ----------
-    theta : (samples, 4, chains) float array
-        ``log(v0, v1, a0, a1)``
-    acceptance : (chains,) float array
-        Mean probability of acceptance after the burn-in.
-    """
+    """Samples of the hyper-parameters of every chain."""
 
     theta: FloatArray
+    """(samples, 4, chains): ``log(v0, v1, a0, a1)``"""
     acceptance: FloatArray
+    """(chains,): mean probability of acceptance after the burn-in."""
 
 
 @dataclass(frozen=True)
 class Modes:
-    """The modes of every chain.
-
-    Attributes
-    ----------
-    best : LaplaceFit
-        The one with the larger evidence, in the coordinates phi of `hyper_posterior`.
-    second : LaplaceFit
-        The other start's; only that of chains in `double` is another mode.
-    theta, second_theta : (4, chains) float array
-        Where they are.
-    double : (chains,) bool array
-        Chains with two: what moves may be signal or noise.
-    """
+    """The modes of every chain."""
 
     best: LaplaceFit
+    """The one with the larger evidence, in the coordinates phi of `hyper_posterior`."""
     second: LaplaceFit
+    """The other start's; only that of chains in `double` is another mode."""
     theta: FloatArray
     second_theta: FloatArray
+    """`theta`, `second_theta`: (4, chains): where they are."""
     double: BoolArray
+    """(chains,): chains with two: what moves may be signal or noise."""
 
 
 def find_modes(
@@ -150,20 +136,14 @@ def _distance(of: LaplaceFit, to: LaplaceFit) -> RealArray:
 
 @dataclass(frozen=True)
 class SharedSamples:
-    """Samples of the hyper-parameters that a take's frames and axes have in common.
-
-    Attributes
-    ----------
-    mode : (4,) float array
-        The most probable theta.
-    theta : (samples, 4) float array
-    acceptance : float
-        Mean probability of acceptance after the burn-in.
-    """
+    """Samples of the hyper-parameters that a take's frames and axes have in common."""
 
     mode: FloatArray
+    """(4,): the most probable theta."""
     theta: FloatArray
+    """(samples, 4)"""
     acceptance: float
+    """Mean probability of acceptance after the burn-in."""
 
 
 class PooledEnergy:

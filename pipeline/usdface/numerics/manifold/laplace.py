@@ -27,26 +27,19 @@ standard deviation of about 1.4 in energy."""
 
 @dataclass(frozen=True)
 class LaplaceFit:
-    """A mode of each chain's posterior and the Gaussian with the same curvature there.
-
-    Attributes
-    ----------
-    mode : (4, chains) array
-    energy : (chains,) array
-        At the mode.
-    root : (4, 4, chains) array
-        ``root @ root'`` is the inverse of the Hessian at the mode.
-    inverse : (4, 4, chains) array
-        Of `root`: turns theta into coordinates in which the Gaussian is the standard one.
-    log_evidence : (chains,) array
-        Logarithm of the posterior's mass around the mode, up to a constant.
-    """
+    """A mode of each chain's posterior and the Gaussian with the same curvature there."""
 
     mode: RealArray
+    """(4, chains)"""
     energy: RealArray
+    """(chains,): at the mode."""
     root: RealArray
+    """(4, 4, chains): ``root @ root'`` is the inverse of the Hessian at the mode."""
     inverse: RealArray
+    """(4, 4, chains): of `root`: turns theta into coordinates in which the Gaussian is the standard
+    one."""
     log_evidence: RealArray
+    """(chains,): logarithm of the posterior's mass around the mode, up to a constant."""
 
     def whiten(self, theta: RealArray) -> RealArray:
         """Turn theta (4, chains) into whitened coordinates."""

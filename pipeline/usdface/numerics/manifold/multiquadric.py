@@ -22,18 +22,12 @@ _BLOCK_POINTS = 1 << 15
 
 @dataclass(frozen=True)
 class DistanceMultiquadric:
-    """A fitted network as an operator: displacements of markers in, weights of centres out.
-
-    Attributes
-    ----------
-    stiffness : (markers,) float array
-        s_i [mm]; the paper's sigma_i.
-    inverse : (markers, markers) float array
-        Weights are ``inverse @ displacements``.
-    """
+    """A fitted network as an operator: displacements of markers in, weights of centres out."""
 
     stiffness: FloatArray
+    """(markers,): s_i [mm]; the paper's sigma_i."""
     inverse: FloatArray
+    """(markers, markers): weights are ``inverse @ displacements``."""
 
 
 def nearest_stiffness(between: FloatArray) -> FloatArray:

@@ -43,19 +43,14 @@ _PRIOR_MARKERS = 0.3
 
 @dataclass(frozen=True)
 class DualMoments:
-    """Mean and covariance of the weights on h.
-
-    Attributes
-    ----------
-    mean : (chains, N + 4) float32 array
-    covariance : (chains, N + 4, N + 4) float32 array
-    constant : (chains,) float32 array
-        v0, averaged over samples.
-    """
+    """Mean and covariance of the weights on h."""
 
     mean: Float32Array
+    """(chains, N + 4)"""
     covariance: Float32Array
+    """(chains, N + 4, N + 4)"""
     constant: Float32Array
+    """(chains,): v0, averaged over samples."""
 
 
 def average_dual_weights(
@@ -167,21 +162,15 @@ def mix_variances(moments: DualMoments, shares: FloatArray) -> DualMoments:
 
 @dataclass(frozen=True)
 class SurfaceFields:
-    """h over a mesh, and its products compressed so that variances are one small product.
-
-    Attributes
-    ----------
-    basis : (points, N + 4) float32 array
-        h
-    squares : (points, rank) float32 array
-    directions : (rank, (N + 4)(N + 5) / 2) float32 array
-        ``squares @ directions`` are, nearly, the products ``h_i h_j`` in the order of
-        `numpy.triu_indices`, those with i < j twice.
-    """
+    """h over a mesh, and its products compressed so that variances are one small product."""
 
     basis: Float32Array
+    """(points, N + 4): h"""
     squares: Float32Array
+    """(points, rank)"""
     directions: Float32Array
+    """(rank, (N + 4)(N + 5) / 2): ``squares @ directions`` are, nearly, the products ``h_i h_j`` in
+    the order of `numpy.triu_indices`, those with i < j twice."""
 
 
 def make_fields(
@@ -245,32 +234,22 @@ def predict_variance(fields: SurfaceFields, moments: DualMoments) -> Float32Arra
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Predictions of markers that were left out of the fit, one after the other.
-
-    Attributes
-    ----------
-    errors : (chains, N) float array
-        Measured minus predicted [mm].
-    expected : (chains, N) float array
-        Standard deviation of the prediction, the marker's noise included [mm].
-    """
+    """Predictions of markers that were left out of the fit, one after the other."""
 
     errors: FloatArray
+    """(chains, N): measured minus predicted [mm]."""
     expected: FloatArray
+    """(chains, N): standard deviation of the prediction, the marker's noise included [mm]."""
 
 
 @dataclass(frozen=True)
 class SpreadFactors:
-    """Factors of standard deviations, by which intervals contain what they promise.
-
-    Attributes
-    ----------
-    of_axes : (3,) float array
-    of_points : (points,) float32 array
-    """
+    """Factors of standard deviations, by which intervals contain what they promise."""
 
     of_axes: FloatArray
+    """(3,)"""
     of_points: Float32Array
+    """(points,)"""
 
 
 def leave_markers_out(

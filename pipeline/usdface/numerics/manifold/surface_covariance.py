@@ -42,25 +42,17 @@ _BLOCK_POINTS = 1 << 15
 
 @dataclass(frozen=True)
 class SurfaceCovariance:
-    """A covariance by its features.
-
-    Attributes
-    ----------
-    length_scale : float
-        l [mm]
-    projection : (markers, rank) float array
-        ``Q L^(-1/2)``: turns similarities to the markers into features.
-    features : (markers, rank) float array
-        Of the markers themselves.
-    clipped : float
-        Change of the markers' matrix as a share of its norm; 0 where it was positive definite.
-    """
+    """A covariance by its features."""
 
     shape: CovarianceShape
     length_scale: float
+    """l [mm]"""
     projection: FloatArray
+    """(markers, rank): ``Q L^(-1/2)``: turns similarities to the markers into features."""
     features: FloatArray
+    """(markers, rank): of the markers themselves."""
     clipped: float
+    """Change of the markers' matrix as a share of its norm; 0 where it was positive definite."""
 
     def matrix(self) -> FloatArray:
         """Return the covariance between the markers, 1 on its diagonal: (markers, markers)."""

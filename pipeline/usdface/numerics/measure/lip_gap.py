@@ -29,22 +29,15 @@ _MIDDLE_SHARE = 0.75
 
 @dataclass(frozen=True)
 class LipPairs:
-    """Points of the lower and the upper lip that meet.
-
-    Attributes
-    ----------
-    lower, upper : (n,) int arrays
-        Points, pair by pair.
-    direction : (3,) float array
-        Unit vector along which the jaw parts them.
-    rest_mm : float
-        Mean distance along it at rest [mm].
-    """
+    """Points of the lower and the upper lip that meet."""
 
     lower: IntArray
     upper: IntArray
+    """`lower`, `upper`: (n,): points, pair by pair."""
     direction: FloatArray
+    """(3,): unit vector along which the jaw parts them."""
     rest_mm: float
+    """Mean distance along it at rest [mm]."""
 
 
 def find_lip_pairs(

@@ -28,56 +28,39 @@ _LEAST_ROUGHNESS = 1e-9
 
 @dataclass(frozen=True)
 class SurfaceError:
-    """Errors of one region over time.
-
-    Attributes
-    ----------
-    frames_mm : (frames,) float array
-        Root mean square distance of the region's points [mm].
-    rms_mm, p95_mm, max_mm : float
-        Over the frames [mm].
-    """
+    """Errors of one region over time."""
 
     frames_mm: FloatArray
+    """(frames,): root mean square distance of the region's points [mm]."""
     rms_mm: float
     p95_mm: float
     max_mm: float
+    """`rms_mm`, `p95_mm`, `max_mm`: Over the frames [mm]."""
 
 
 @dataclass(frozen=True)
 class LipError:
-    """Errors of the distance between the lips.
-
-    Attributes
-    ----------
-    truth_mm, solved_mm : (frames,) float arrays
-        The distance; below 0 the lips overlap [mm].
-    rms_mm : float
-        Of the difference [mm].
-    closed_bias_mm : float
-        Mean difference where the truth is closed: above 0 the mouth does not close [mm]; NaN
-        where it never is.
-    """
+    """Errors of the distance between the lips."""
 
     truth_mm: FloatArray
     solved_mm: FloatArray
+    """`truth_mm`, `solved_mm`: (frames,): the distance; below 0 the lips overlap [mm]."""
     rms_mm: float
+    """Of the difference [mm]."""
     closed_bias_mm: float
+    """Mean difference where the truth is closed: above 0 the mouth does not close [mm]; NaN where
+    it never is."""
 
 
 @dataclass(frozen=True)
 class ShapeErrors:
-    """Errors of each shape over the frames.
-
-    Attributes
-    ----------
-    rmse, bias, largest : (shapes,) float arrays
-        Root mean square, mean, and largest size of the weight's error.
-    """
+    """Errors of each shape over the frames."""
 
     rmse: FloatArray
     bias: FloatArray
     largest: FloatArray
+    """`rmse`, `bias`, `largest`: (shapes,): root mean square, mean, and largest size of the
+    weight's error."""
 
 
 def measure_weights(errors: FloatArray, *, observable: BoolArray | None = None) -> float:

@@ -18,21 +18,14 @@ _LEAST_CHANGE = 1e-6
 
 @dataclass(frozen=True)
 class EditCurve:
-    """What an animator changed of one shape, frame by frame.
-
-    Attributes
-    ----------
-    offset : (frames,) float array
-        Added to the weight.
-    override : (frames,) float array
-        Replaces the solved weight by the share `mask`; anything where `mask` is 0.
-    mask : (frames,) float array
-        [0-1]
-    """
+    """What an animator changed of one shape, frame by frame."""
 
     offset: FloatArray
+    """(frames,): added to the weight."""
     override: FloatArray
+    """(frames,): replaces the solved weight by the share `mask`; anything where `mask` is 0."""
     mask: FloatArray
+    """(frames,) [0-1]"""
 
     @property
     def active(self) -> BoolArray:

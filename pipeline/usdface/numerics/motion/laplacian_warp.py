@@ -25,20 +25,15 @@ _ROUNDING_SHARE = 2.0**-60
 
 @dataclass(frozen=True)
 class Insertion:
-    """A sequence to put into a motion.
-
-    Attributes
-    ----------
-    start : int
-        Index of the frame where its first key goes.
-    keys : (m, controls) float array
-    weights : (m,) float array
-        Of each key's squared difference; the paper has 1. 0 leaves a frame free, 100 is obeyed.
-    """
+    """A sequence to put into a motion."""
 
     start: int
+    """Index of the frame where its first key goes."""
     keys: FloatArray
+    """(m, controls)"""
     weights: FloatArray
+    """(m,): of each key's squared difference; the paper has 1. 0 leaves a frame free, 100 is
+    obeyed."""
 
     @property
     def stop(self) -> int:

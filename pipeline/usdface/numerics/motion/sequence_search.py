@@ -30,21 +30,14 @@ _ROUNDING_SLACK = 1e-9
 
 @dataclass(frozen=True)
 class Matches:
-    """Where a sequence was found.
-
-    Attributes
-    ----------
-    starts : (k,) int array
-        Indices, ascending.
-    distances : (k,) float array
-        Mean over frames of the root mean square difference over channels.
-    threshold : float
-        Distance that was allowed.
-    """
+    """Where a sequence was found."""
 
     starts: IntArray
+    """(k,): indices, ascending."""
     distances: FloatArray
+    """(k,): mean over frames of the root mean square difference over channels."""
     threshold: float
+    """Distance that was allowed."""
 
 
 def mean_face_distance(sequence: FloatArray) -> float:

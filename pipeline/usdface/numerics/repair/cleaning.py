@@ -36,56 +36,38 @@ _POSE_SAMPLE_FRAMES = 8192
 
 @dataclass(frozen=True)
 class PosePrior:
-    """What stands in for rigid markers: how far each marker moves over the skull by itself.
-
-    Attributes
-    ----------
-    skin_motion_mm : (markers,) float array
-        Standard deviation [mm]; infinite for markers that say nothing.
-    rate : float
-        Frames per second.
-    """
+    """What stands in for rigid markers: how far each marker moves over the skull by itself."""
 
     skin_motion_mm: FloatArray
+    """(markers,): standard deviation [mm]; infinite for markers that say nothing."""
     rate: float
+    """Frames per second."""
 
 
 @dataclass(frozen=True)
 class CleanedMarkers:
-    """Markers without head motion, and what was done to them.
-
-    Attributes
-    ----------
-    positions : (frames, markers, 3) float32 array
-        [mm] Stabilised. Samples of gaps that were left hold the last good position.
-    visible : (frames, markers) bool array
-        Measured or filled; False only in gaps that were left.
-    confidence : (frames, markers) float32 array
-        [0-1] 1 as measured, lower where relabelled, filled, or where the pose was interpolated;
-        0 in gaps that were left.
-    head_motion : (frames, 4, 4) float array
-        For column vectors: ``captured = head_motion @ stabilised``.
-    swaps : tuple of Swap
-        Labels exchanged back.
-    outliers : (frames, markers) bool array
-        Measured samples that were replaced.
-    filled : (frames, markers) bool array
-        Samples that were not measured or were outliers, and were filled.
-    pose_confidence : (frames,) float array
-        [0-1]
-    noise_mm : float
-        Measurement noise per coordinate before smoothing [mm].
-    """
+    """Markers without head motion, and what was done to them."""
 
     positions: Float32Array
+    """(frames, markers, 3) [mm] Stabilised. Samples of gaps that were left hold the last good
+    position."""
     visible: BoolArray
+    """(frames, markers): measured or filled; False only in gaps that were left."""
     confidence: Float32Array
+    """(frames, markers) [0-1] 1 as measured, lower where relabelled, filled, or where the pose was
+    interpolated; 0 in gaps that were left."""
     head_motion: FloatArray
+    """(frames, 4, 4): for column vectors: ``captured = head_motion @ stabilised``."""
     swaps: tuple[Swap, ...]
+    """Labels exchanged back."""
     outliers: BoolArray
+    """(frames, markers): measured samples that were replaced."""
     filled: BoolArray
+    """(frames, markers): samples that were not measured or were outliers, and were filled."""
     pose_confidence: FloatArray
+    """(frames,) [0-1]"""
     noise_mm: float
+    """Measurement noise per coordinate before smoothing [mm]."""
 
 
 @dataclass(frozen=True)

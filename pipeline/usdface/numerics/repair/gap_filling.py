@@ -52,35 +52,25 @@ _TRIAL_FRAMES = 20_000
 
 @dataclass(frozen=True)
 class GapFill:
-    """Tracks with their gaps filled where that was allowed.
-
-    Attributes
-    ----------
-    positions : (frames, markers, 3) float array
-        [mm] Samples of gaps that were left are unchanged.
-    filled : (frames, markers) bool array
-    confidence : (frames, markers) float array
-        [0-1] 1 where seen, lower the deeper in a filled gap, 0 where left.
-    """
+    """Tracks with their gaps filled where that was allowed."""
 
     positions: RealArray
+    """(frames, markers, 3) [mm] Samples of gaps that were left are unchanged."""
     filled: BoolArray
+    """(frames, markers)"""
     confidence: Float32Array
+    """(frames, markers) [0-1] 1 where seen, lower the deeper in a filled gap, 0 where left."""
 
 
 @dataclass(frozen=True)
 class TakeFill:
-    """What was filled.
-
-    Attributes
-    ----------
-    filled : (frames, markers) bool array
-    confidence : (frames, markers) float array
-        [0-1] 1 where good, lower the deeper in a filled gap, 0 where a gap was too long.
-    """
+    """What was filled."""
 
     filled: BoolArray
+    """(frames, markers)"""
     confidence: Float32Array
+    """(frames, markers) [0-1] 1 where good, lower the deeper in a filled gap, 0 where a gap was too
+    long."""
 
 
 def complete_take(

@@ -24,24 +24,16 @@ _MATRIX_ENTRIES = 1 << 18
 
 @dataclass(frozen=True)
 class LowRankModel:
-    """A Gaussian over whole frames: few directions of motion, and noise per marker.
-
-    Attributes
-    ----------
-    mean : (markers * 3,) float array
-        [mm]
-    components : (rank, markers * 3) float array
-        Orthonormal rows, the largest variance first.
-    variances : (rank,) float array
-        Of the motion along each row, noise taken off [mm^2].
-    noise : (markers,) float array
-        Standard deviation of what the directions leave, per coordinate [mm].
-    """
+    """A Gaussian over whole frames: few directions of motion, and noise per marker."""
 
     mean: FloatArray
+    """(markers * 3,) [mm]"""
     components: FloatArray
+    """(rank, markers * 3): orthonormal rows, the largest variance first."""
     variances: FloatArray
+    """(rank,): of the motion along each row, noise taken off [mm^2]."""
     noise: FloatArray
+    """(markers,): standard deviation of what the directions leave, per coordinate [mm]."""
 
     @cached_property
     def weighted(self) -> FloatArray:

@@ -47,20 +47,14 @@ _DULL_FRAMES = 1 + int(2.0 * (TOGGLE_COST + JUMP_LIMITS[1]) / -_DULL_GAIN)
 
 @dataclass(frozen=True)
 class Swap:
-    """Two markers that carry each other's label for a while.
-
-    Attributes
-    ----------
-    first, second : int
-        Columns, ascending.
-    start, stop : int
-        Frame indices, the stop left out.
-    """
+    """Two markers that carry each other's label for a while."""
 
     first: int
     second: int
+    """`first`, `second`: Columns, ascending."""
     start: int
     stop: int
+    """`start`, `stop`: Frame indices, the stop left out."""
 
 
 def find_swaps(

@@ -40,17 +40,12 @@ _DIRECTIONS_AT_ONCE = 8
 
 @dataclass(frozen=True)
 class SmoothedTracks:
-    """Smoothed series and how strongly each was smoothed.
-
-    Attributes
-    ----------
-    values : (frames, series) float array
-    penalties : (series,) float array
-        Weight of the squared third differences.
-    """
+    """Smoothed series and how strongly each was smoothed."""
 
     values: FloatArray
+    """(frames, series)"""
     penalties: FloatArray
+    """(series,): weight of the squared third differences."""
 
 
 def smooth_tracks(values: ArrayLike, *, penalties: ArrayLike | None = None) -> SmoothedTracks:

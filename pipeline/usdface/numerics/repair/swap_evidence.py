@@ -34,44 +34,30 @@ _JUMP_HINT = -20.0
 
 @dataclass(frozen=True)
 class Pair:
-    """Two neighbouring markers, and their constants over the take.
-
-    Attributes
-    ----------
-    first, second : int
-        Columns, ascending.
-    direction : (3,) float array
-        From the first to the second at rest, over its square.
-    residual_variance : float
-        Of a coordinate about its prediction from all other markers [mm^2].
-    mixing : (6, 6) float array
-        Maps the offsets of the two from their predictions by all other markers to those from their
-        predictions by all markers but the two.
-    """
+    """Two neighbouring markers, and their constants over the take."""
 
     first: int
     second: int
+    """`first`, `second`: Columns, ascending."""
     direction: Float32Array
+    """(3,): from the first to the second at rest, over its square."""
     residual_variance: float
+    """Of a coordinate about its prediction from all other markers [mm^2]."""
     mixing: Float32Array
+    """(6, 6): maps the offsets of the two from their predictions by all other markers to those from
+    their predictions by all markers but the two."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """Consecutive frames, shared by all pairs; each coordinate of a marker is contiguous.
-
-    Attributes
-    ----------
-    positions : (markers, 3, frames) float array
-        [mm] Complete: gaps filled from the model.
-    offsets : (markers, 3, frames) float array
-        From the prediction by all other markers [mm].
-    seen : (markers, frames) bool array
-    """
+    """Consecutive frames, shared by all pairs; each coordinate of a marker is contiguous."""
 
     positions: RealArray
+    """(markers, 3, frames) [mm] Complete: gaps filled from the model."""
     offsets: RealArray
+    """(markers, 3, frames): from the prediction by all other markers [mm]."""
     seen: BoolArray
+    """(markers, frames)"""
 
 
 def open_window(positions: RealArray, visible: BoolArray, model: LowRankModel) -> Window:

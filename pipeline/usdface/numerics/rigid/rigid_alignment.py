@@ -36,23 +36,16 @@ _SAFE_ZETA = 0.05
 
 @dataclass(frozen=True)
 class RigidAlignment:
-    """One rigid transform per frame: ``captured = rotation @ reference + translation``.
-
-    Attributes
-    ----------
-    rotations : (frames, 3, 3) float array
-        Proper rotations; identity where not `determined`.
-    translations : (frames, 3) float array
-    determined : (frames,) bool array
-        False where fewer than three points were seen, or all in a line.
-    weights : (frames, points) float array
-        [0-1] What each point counted in the end; 0 where not seen.
-    """
+    """One rigid transform per frame: ``captured = rotation @ reference + translation``."""
 
     rotations: FloatArray
+    """(frames, 3, 3): proper rotations; identity where not `determined`."""
     translations: FloatArray
+    """(frames, 3)"""
     determined: BoolArray
+    """(frames,): false where fewer than three points were seen, or all in a line."""
     weights: FloatArray
+    """(frames, points) [0-1] What each point counted in the end; 0 where not seen."""
 
     def matrices(self) -> FloatArray:
         """Return (frames, 4, 4) transforms for column vectors."""

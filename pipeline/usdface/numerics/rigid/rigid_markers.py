@@ -23,21 +23,14 @@ _NEAR_BEST = 1.2
 
 @dataclass(frozen=True)
 class RigidMarkers:
-    """A set of markers that moves as one body.
-
-    Attributes
-    ----------
-    indices : tuple of int
-        Columns, ascending.
-    deviation_mm : float
-        Mean standard deviation of their mutual distances, measurement noise included [mm].
-    rotation_error_deg : float
-        How far off the head's rotation may be by what is left of their own motion.
-    """
+    """A set of markers that moves as one body."""
 
     indices: tuple[int, ...]
+    """Columns, ascending."""
     deviation_mm: float
+    """Mean standard deviation of their mutual distances, measurement noise included [mm]."""
     rotation_error_deg: float
+    """How far off the head's rotation may be by what is left of their own motion."""
 
 
 def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers:

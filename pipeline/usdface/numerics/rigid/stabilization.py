@@ -29,28 +29,19 @@ INTERPOLATED_CONFIDENCE = 0.25
 
 @dataclass(frozen=True)
 class Stabilization:
-    """A take in the head's space, and the way back.
-
-    Attributes
-    ----------
-    positions : (frames, markers, 3) float array
-        [mm] Stabilised; the neutral frame stays where it was captured. In single precision where
-        the input is.
-    head_motion : (frames, 4, 4) float array
-        For column vectors: ``captured = head_motion @ stabilised``.
-    pose_confidence : (frames,) float array
-        [0-1] 1 where measured, `INTERPOLATED_CONFIDENCE` where interpolated.
-    reference : (rigid, 3) float array
-        [mm] Shape of the rigid markers in the head's space.
-    rigid_weights : (frames, rigid) float array
-        [0-1] Weight of each rigid marker in the fit; near 0 when swapped or off.
-    """
+    """A take in the head's space, and the way back."""
 
     positions: RealArray
+    """(frames, markers, 3) [mm] Stabilised; the neutral frame stays where it was captured. In
+    single precision where the input is."""
     head_motion: FloatArray
+    """(frames, 4, 4): for column vectors: ``captured = head_motion @ stabilised``."""
     pose_confidence: FloatArray
+    """(frames,) [0-1] 1 where measured, `INTERPOLATED_CONFIDENCE` where interpolated."""
     reference: FloatArray
+    """(rigid, 3) [mm] Shape of the rigid markers in the head's space."""
     rigid_weights: FloatArray
+    """(frames, rigid) [0-1] Weight of each rigid marker in the fit; near 0 when swapped or off."""
 
 
 def stabilize(

@@ -27,41 +27,29 @@ _DEPENDENT_RIDGE = 0.01
 
 @dataclass(frozen=True)
 class EquationSolution:
-    """Weights that explain a marker motion.
-
-    Attributes
-    ----------
-    weights : (frames, shapes) float array
-    residual_mm : (frames, markers) float array
-        Distance between each marker and where the weights put it; NaN where it was not seen.
-    rank : int
-        Of the equation, all trusted markers seen. Below the number of shapes, several weights
-        explain the same motion: least squares returns the smallest; the bounded solve keeps at
-        least a small ridge.
-    """
+    """Weights that explain a marker motion."""
 
     weights: FloatArray
+    """(frames, shapes)"""
     residual_mm: FloatArray
+    """(frames, markers): distance between each marker and where the weights put it; NaN where it
+    was not seen."""
     rank: int
+    """Of the equation, all trusted markers seen. Below the number of shapes, several weights
+    explain the same motion: least squares returns the smallest; the bounded solve keeps at least a
+    small ridge."""
 
 
 @dataclass(frozen=True)
 class MarkerKeys:
-    """Shapes that bend: in-betweens at the virtual markers.
-
-    Attributes
-    ----------
-    deltas : (keys, markers, 3) float array
-        What each key, full targets included, does to the markers [mm].
-    channels : (keys,) int array
-        The shape each key belongs to.
-    key_weights : callable
-        (frames, shapes) weights of shapes to (frames, keys) weights of keys, linear in pieces.
-    """
+    """Shapes that bend: in-betweens at the virtual markers."""
 
     deltas: FloatArray
+    """(keys, markers, 3): what each key, full targets included, does to the markers [mm]."""
     channels: IntArray
+    """(keys,): the shape each key belongs to."""
     key_weights: Callable[[FloatArray], FloatArray]
+    """(frames, shapes) weights of shapes to (frames, keys) weights of keys, linear in pieces."""
 
 
 def solve_weights(
@@ -156,17 +144,13 @@ class _Variables:
 
     Tied shapes are one variable. Where sizes cost, a shape that goes both ways is two, so that no
     variable is negative and the size of a weight is linear.
-
-    Attributes
-    ----------
-    spread : (variables, shapes) float array
-        The weights that a variable of 1 stands for: 1, -1 or 0.
-    lower, upper : (variables,) float arrays
     """
 
     spread: FloatArray
+    """(variables, shapes): the weights that a variable of 1 stands for: 1, -1 or 0."""
     lower: FloatArray
     upper: FloatArray
+    """`lower`, `upper`: (variables,)"""
 
 
 def _variables(limits: "_Limits", tied: Sequence[Sequence[int]], *, split: bool) -> _Variables:

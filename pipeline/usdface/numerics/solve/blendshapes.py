@@ -13,37 +13,24 @@ from usdface.core.arrays import FloatArray, IntArray
 
 @dataclass(frozen=True)
 class Key:
-    """One sculpted position.
-
-    Attributes
-    ----------
-    weight : float
-        The channel's weight at which this key is reached in full.
-    points : (n,) int array
-        The points it moves.
-    offsets : (n, 3) float array
-        How far it moves them.
-    """
+    """One sculpted position."""
 
     weight: float
+    """The channel's weight at which this key is reached in full."""
     points: IntArray
+    """(n,): the points it moves."""
     offsets: FloatArray
+    """(n, 3): how far it moves them."""
 
 
 @dataclass(frozen=True)
 class Track:
-    """What one channel does to one mesh: several meshes may follow the same channel.
-
-    Attributes
-    ----------
-    channel : int
-        Column of the weights that drives it.
-    keys : sequence of Key
-        The full target and any in-betweens.
-    """
+    """What one channel does to one mesh: several meshes may follow the same channel."""
 
     channel: int
+    """Column of the weights that drives it."""
     keys: Sequence[Key]
+    """The full target and any in-betweens."""
 
 
 class BlendShapes:

@@ -42,19 +42,13 @@ _PROJECTION_ERROR = 1e-3
 
 @dataclass(frozen=True)
 class BoundedSolution:
-    """Minimisers, and how near each is to optimal.
-
-    Attributes
-    ----------
-    x : (frames, n) float array
-        Within the bounds exactly.
-    violation : (frames,) float array
-        Largest breach of the optimality (Karush-Kuhn-Tucker) conditions, after scaling every
-        variable to a unit diagonal and relative to the largest linear term.
-    """
+    """Minimisers, and how near each is to optimal."""
 
     x: FloatArray
+    """(frames, n): within the bounds exactly."""
     violation: FloatArray
+    """(frames,): largest breach of the optimality (Karush-Kuhn-Tucker) conditions, after scaling
+    every variable to a unit diagonal and relative to the largest linear term."""
 
 
 def solve_bounded_least_squares(

@@ -28,19 +28,14 @@ FULL_SHARE = 1 / _GAINS[1]  # [of the range] a peak below it the largest gain wo
 
 @dataclass(frozen=True)
 class ShapeEvidence:
-    """Whether markers can tell of shapes, and whether a take shows these.
-
-    Attributes
-    ----------
-    marked : (n,) bool array
-        Markers sit on what the shape moves: they go at least half as far as the surface does.
-    own_peaks : (n,) float array
-        Weight at peaks, by the part of the markers' motion that the rest of the face does not
-        predict. A lid's marker that sits in the fold follows the brow and has none.
-    """
+    """Whether markers can tell of shapes, and whether a take shows these."""
 
     marked: BoolArray
+    """(n,): markers sit on what the shape moves: they go at least half as far as the surface
+    does."""
     own_peaks: FloatArray
+    """(n,): weight at peaks, by the part of the markers' motion that the rest of the face does not
+    predict. A lid's marker that sits in the fold follows the brow and has none."""
 
     @property
     def shown(self) -> bool:

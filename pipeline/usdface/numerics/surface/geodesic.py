@@ -28,27 +28,18 @@ _BLOCK_PLACES = 32
 
 @dataclass(frozen=True)
 class Geodesics:
-    """Distances over a surface; infinite where no path leads.
-
-    Attributes
-    ----------
-    to_points : (places, points) float32 array
-        [mm]
-    between : (places, places) float array
-        [mm]; symmetric, 0 on the diagonal.
-    positions : (places, 3) float array
-        Where the places are [mm].
-    islands : (points,) int array
-        Connected part of each point.
-    faults : MeshFaults
-        Of the mesh.
-    """
+    """Distances over a surface; infinite where no path leads."""
 
     to_points: Float32Array
+    """(places, points) [mm]"""
     between: FloatArray
+    """(places, places) [mm]; symmetric, 0 on the diagonal."""
     positions: FloatArray
+    """(places, 3): where the places are [mm]."""
     islands: IntArray
+    """(points,): connected part of each point."""
     faults: MeshFaults
+    """Of the mesh."""
 
 
 def geodesic_distances(

@@ -16,21 +16,14 @@ since the others are many and, on a face that bends, not on the surface."""
 
 @dataclass(frozen=True)
 class MeshFaults:
-    """Defects of a mesh; counted, never repaired.
-
-    Attributes
-    ----------
-    nonmanifold_edges : int
-        Edges with more than two faces. Distances go over them as over any other.
-    degenerate_faces : int
-        Faces that use a point twice or have fewer than three corners.
-    loose_points : int
-        Points of no face; no path reaches them.
-    """
+    """Defects of a mesh; counted, never repaired."""
 
     nonmanifold_edges: int = 0
+    """Edges with more than two faces. Distances go over them as over any other."""
     degenerate_faces: int = 0
+    """Faces that use a point twice or have fewer than three corners."""
     loose_points: int = 0
+    """Points of no face; no path reaches them."""
 
 
 def check_surface(points: FloatArray, face_counts: IntArray, face_indices: IntArray) -> None:

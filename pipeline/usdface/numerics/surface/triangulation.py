@@ -47,22 +47,16 @@ def _cross_products(points: FloatArray, triangles: IntArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class NormalTurner:
-    """Rotates the authored normals of a mesh; made by `turner_of`.
-
-    Attributes
-    ----------
-    triangles : (triangles, 3) int array
-    smooth : (points, 3) float array
-        Unit normals at rest.
-    authored : (n, 3) float array
-    owners : (n,) int array
-        The point of each authored normal.
-    """
+    """Rotates the authored normals of a mesh; made by `turner_of`."""
 
     triangles: IntArray
+    """(triangles, 3)"""
     smooth: FloatArray
+    """(points, 3): unit normals at rest."""
     authored: FloatArray
+    """(n, 3)"""
     owners: IntArray
+    """(n,): the point of each authored normal."""
 
     def turn(self, points: FloatArray) -> FloatArray:
         """Return the normals (n, 3) of a moved surface (points, 3)."""

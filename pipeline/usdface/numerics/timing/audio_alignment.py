@@ -49,40 +49,29 @@ class SoundAlignment:
     """How the clock of a second recording runs against that of a first, and the evidence.
 
     ``second_time = offset + (1 + drift) * first_time``
-
-    Attributes
-    ----------
-    offset : float
-        [s]
-    drift : float
-        As a share; a millionth is 1 ppm.
-    confidence : float
-        [0-1] The weakest of three signs: peak, ratio and agreement. 0.5 where one of them is at its
-        limit, 1 where all are clear.
-    doubts : tuple of str
-        Why the result should not be used; empty when it should.
-    peak : float
-        Height of the onset correlation in standard deviations of chance.
-    ratio : float
-        How many times better than the second best shift.
-    agreement : float
-        Share of windows within a millisecond of the line [0-1].
-    deviation : float
-        Root mean square distance of those from the line [s].
-    agreeing : (windows,) bool array
     """
 
     offset: float
+    """[s]"""
     drift: float
+    """As a share; a millionth is 1 ppm."""
     confidence: float
+    """[0-1] The weakest of three signs: peak, ratio and agreement. 0.5 where one of them is at its
+    limit, 1 where all are clear."""
     doubts: tuple[str, ...]
+    """Why the result should not be used; empty when it should."""
     peak: float = 0.0
+    """Height of the onset correlation in standard deviations of chance."""
     ratio: float = 0.0
+    """How many times better than the second best shift."""
     agreement: float = 0.0
+    """Share of windows within a millisecond of the line [0-1]."""
     deviation: float = 0.0
+    """Root mean square distance of those from the line [s]."""
     correlation: OnsetCorrelation | None = None
     windows: WindowDelays | None = None
     agreeing: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
+    """(windows,)"""
 
 
 def align_sounds(

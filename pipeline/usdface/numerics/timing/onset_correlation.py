@@ -35,37 +35,26 @@ _RIVAL_PEAK = 6.0
 
 @dataclass(frozen=True)
 class OnsetCorrelation:
-    """How well the onsets of two recordings agree at every shift.
-
-    Attributes
-    ----------
-    shifts : (n,) float array
-        How much later a sound is in the second recording than in the first [s]; ascending.
-    scores : (n,) float array
-        Correlation in robust standard deviations of all shifts; NaN where too little overlaps.
-    shift : float
-        The best, at the middle of the first recording [s].
-    drift : float
-        How much the shift grows per second, of the few values tried.
-    drift_step : float
-        Distance between the values tried; 0 where one was enough.
-    peak : float
-        Score of the best shift.
-    rival : float
-        The shift that explains the recordings second best, away from the best [s].
-    ratio : float
-        How many times better the best is: the smaller of the ratio of the scores and, for a rival
-        that is no accident, of the correlation per second of overlap. 1 for a sound that repeats.
-    """
+    """How well the onsets of two recordings agree at every shift."""
 
     shifts: FloatArray
+    """(n,): how much later a sound is in the second recording than in the first [s]; ascending."""
     scores: FloatArray
+    """(n,): correlation in robust standard deviations of all shifts; NaN where too little
+    overlaps."""
     shift: float
+    """The best, at the middle of the first recording [s]."""
     drift: float
+    """How much the shift grows per second, of the few values tried."""
     drift_step: float
+    """Distance between the values tried; 0 where one was enough."""
     peak: float
+    """Score of the best shift."""
     rival: float
+    """The shift that explains the recordings second best, away from the best [s]."""
     ratio: float
+    """How many times better the best is: the smaller of the ratio of the scores and, for a rival
+    that is no accident, of the correlation per second of overlap. 1 for a sound that repeats."""
 
 
 def onset_flux(sound: Float32Array, *, rate: int) -> Float32Array:

@@ -26,30 +26,20 @@ _TOLERANCE_SECONDS = 0.002
 
 @dataclass(frozen=True)
 class PhaseVote:
-    """A shift that windows agree on, searched for everywhere.
-
-    Attributes
-    ----------
-    shift : float
-        How much later the sound is in the second recording, at the middle of the windows [s].
-    middle : float
-        That middle on the clock of the first recording [s].
-    votes : int
-        Windows that agree on it.
-    rival : float
-        The other shift with most votes [s]; NaN where no two windows agree on another.
-    rival_votes : int
-        Windows that agree on that.
-    windows : int
-        How many windows were searched for.
-    """
+    """A shift that windows agree on, searched for everywhere."""
 
     shift: float
+    """How much later the sound is in the second recording, at the middle of the windows [s]."""
     middle: float
+    """That middle on the clock of the first recording [s]."""
     votes: int
+    """Windows that agree on it."""
     rival: float
+    """The other shift with most votes [s]; NaN where no two windows agree on another."""
     rival_votes: int
+    """Windows that agree on that."""
     windows: int
+    """How many windows were searched for."""
 
 
 def scan_phase(

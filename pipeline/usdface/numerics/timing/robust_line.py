@@ -16,20 +16,14 @@ _PAIRS_AT_ONCE = 2048
 
 @dataclass(frozen=True)
 class RobustLine:
-    """``y = intercept + slope * x``.
-
-    Attributes
-    ----------
-    agreeing : (n,) bool array
-        The points it was fitted to.
-    deviation : float
-        Root mean square distance of those.
-    """
+    """``y = intercept + slope * x``."""
 
     intercept: float
     slope: float
     agreeing: BoolArray
+    """(n,): the points it was fitted to."""
     deviation: float
+    """Root mean square distance of those."""
 
 
 def fit_robust_line(

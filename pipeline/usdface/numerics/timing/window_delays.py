@@ -28,21 +28,14 @@ _LOWEST_HZ, _HIGHEST_HZ = 200.0, 6000.0
 
 @dataclass(frozen=True)
 class WindowDelays:
-    """How much later a sound is in the second recording than in the first.
-
-    Attributes
-    ----------
-    times : (windows,) float array
-        Middle of each window on the clock of the first recording [s].
-    delays : (windows,) float array
-        [s]
-    clarity : (windows,) float array
-        Height of the peak over the next highest; 1 carries no information.
-    """
+    """How much later a sound is in the second recording than in the first."""
 
     times: FloatArray
+    """(windows,): middle of each window on the clock of the first recording [s]."""
     delays: FloatArray
+    """(windows,) [s]"""
     clarity: FloatArray
+    """(windows,): height of the peak over the next highest; 1 carries no information."""
 
 
 def window_delays(

@@ -33,16 +33,11 @@ UNCHECKED_CONFIDENCE = 0.5
 
 @dataclass(frozen=True)
 class Evidence:
-    """What is known of a shift.
-
-    Attributes
-    ----------
-    deaf : str
-        Why there is no sound to compare.
-    """
+    """What is known of a shift."""
 
     sound: SoundAlignment | None
     deaf: str
+    """Why there is no sound to compare."""
     timecode: TimecodeShift
 
     @property
@@ -58,16 +53,11 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Decision:
-    """What is written, or why nothing is.
-
-    Attributes
-    ----------
-    source : str
-        What it rests on, or why nothing was accepted.
-    """
+    """What is written, or why nothing is."""
 
     sync: VideoSync | None
     source: str
+    """What it rests on, or why nothing was accepted."""
     notes: tuple[str, ...] = ()
 
 

@@ -28,15 +28,10 @@ _TAKES = (".take.usda", ".samples.usdc")
 
 @dataclass(frozen=True)
 class Bundle:
-    """What a folder holds of one take.
-
-    Attributes
-    ----------
-    name : str
-        The files' common stem.
-    """
+    """What a folder holds of one take."""
 
     name: str
+    """The files' common stem."""
     captures: tuple[Path, ...]
     video: Path | None
     audio: Path | None

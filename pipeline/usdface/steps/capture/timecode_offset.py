@@ -11,21 +11,14 @@ _DAY_SECONDS = 86400
 
 @dataclass(frozen=True)
 class TimecodeShift:
-    """When a video starts in a take, by the labels of both.
-
-    Attributes
-    ----------
-    offset : float or None
-        [s]; None where the labels cannot be compared.
-    tolerance : float
-        How far the truth may be from it: each label names its frame, not the moment in it [s].
-    reason : str
-        Why they cannot be compared.
-    """
+    """When a video starts in a take, by the labels of both."""
 
     offset: float | None
+    """[s]; None where the labels cannot be compared."""
     tolerance: float = 0.0
+    """How far the truth may be from it: each label names its frame, not the moment in it [s]."""
     reason: str = ""
+    """Why they cannot be compared."""
 
 
 def timecode_shift(

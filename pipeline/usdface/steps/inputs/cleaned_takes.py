@@ -21,40 +21,28 @@ MIDDLE_FRAMES = 20_000
 
 @dataclass(frozen=True)
 class CleanedTakes:
-    """Frames of several takes as if of one.
-
-    Attributes
-    ----------
-    marker_names : tuple of str
-        Those that every take has.
-    neutral : (markers, 3) float array
-        Neutral face of the first take [mm].
-    positions : tuple of (frames, markers, 3) float32 arrays
-        One a take, in the first take's head space and with its neutral face [mm].
-    usable : tuple of (frames, markers) bool arrays
-        Where a position was measured or repaired.
-    frames : (frames,) int array
-        Frame numbers, over all takes.
-    takes : tuple of str
-        Name of the take of each frame.
-    dropped : tuple of str
-        Markers that some take lacks.
-    sources : tuple of Take
-        What else each take says, without its samples.
-    neutrals : tuple of TakeNeutral
-        Of each take against the first one's; that difference is taken out of `positions`.
-    """
+    """Frames of several takes as if of one."""
 
     marker_names: tuple[str, ...]
+    """Those that every take has."""
     rigid: tuple[str, ...]
     neutral: FloatArray
+    """(markers, 3): neutral face of the first take [mm]."""
     positions: tuple[Float32Array, ...]
+    """tuple of (frames, markers, 3) float32 arrays: one a take, in the first take's head space and
+    with its neutral face [mm]."""
     usable: tuple[BoolArray, ...]
+    """tuple of (frames, markers) bool arrays: where a position was measured or repaired."""
     frames: IntArray
+    """(frames,): frame numbers, over all takes."""
     takes: tuple[str, ...]
+    """Name of the take of each frame."""
     dropped: tuple[str, ...]
+    """Markers that some take lacks."""
     sources: tuple[Take, ...]
+    """What else each take says, without its samples."""
     neutrals: tuple[TakeNeutral, ...]
+    """Of each take against the first one's; that difference is taken out of `positions`."""
 
     def places(self, rows: IntArray) -> list[tuple[int, int]]:
         """Return the take of each row of all frames, and its row in that take."""

@@ -139,29 +139,20 @@ def coverage_figures(covered: Covered, takes: CleanedTakes) -> dict[str, object]
 
 @dataclass(frozen=True)
 class MeasuredCoverage:
-    """What pairs cover of takes, and which they are.
-
-    Attributes
-    ----------
-    pairs : (pairs,) int array
-        Those that count, from 0.
-    rows : (n,) int array
-        Rows of the takes that are pairs.
-    tuned : (m,) int array
-        Those of `rows` that a person has tuned.
-    tuned_count : int
-        Pairs that a person has tuned, those of other takes as well.
-    notes : tuple of str
-        What to know of the measure.
-    """
+    """What pairs cover of takes, and which they are."""
 
     covered: Covered
     takes: CleanedTakes
     pairs: IntArray
+    """(pairs,): those that count, from 0."""
     rows: IntArray
+    """(n,): rows of the takes that are pairs."""
     tuned: IntArray
+    """(m,): those of `rows` that a person has tuned."""
     tuned_count: int
+    """Pairs that a person has tuned, those of other takes as well."""
     notes: tuple[str, ...]
+    """What to know of the measure."""
 
     def picture(self, title: str) -> ByteImage:
         """Draw it."""
@@ -211,20 +202,14 @@ def measure_pairs(spec: ReferencesCoverageSpec, *, progress: Progress) -> Measur
 
 @dataclass(frozen=True)
 class _Placed:
-    """Pairs among the frames of takes.
-
-    Attributes
-    ----------
-    features : (pairs, d) float array
-    is_here : (pairs,) bool array
-        Whether the pair is a frame of the takes.
-    rows : (n,) int array
-        Rows of those that are.
-    """
+    """Pairs among the frames of takes."""
 
     features: FloatArray
+    """(pairs, d)"""
     is_here: np.ndarray
+    """(pairs,): whether the pair is a frame of the takes."""
     rows: IntArray
+    """(n,): rows of those that are."""
 
 
 def _counted(spec: ReferencesCoverageSpec, references: References) -> IntArray:

@@ -19,27 +19,19 @@ whole way is seen at once."""
 
 @dataclass(frozen=True)
 class EditedRange:
-    """Consecutive frames at which one shape is edited.
-
-    Attributes
-    ----------
-    first, last : int
-        Frame numbers, inclusive.
-    change : float
-        What the edits change at most, with its sign.
-    solve_change : float
-        How far the solve beneath is from where it was when the edit was made, at most, with its
-        sign; NaN where that is not known.
-    solve_frame : int
-        Frame of the latter.
-    """
+    """Consecutive frames at which one shape is edited."""
 
     shape: str
     first: int
     last: int
+    """`first`, `last`: Frame numbers, inclusive."""
     change: float
+    """What the edits change at most, with its sign."""
     solve_change: float
+    """How far the solve beneath is from where it was when the edit was made, at most, with its
+    sign; NaN where that is not known."""
     solve_frame: int
+    """Frame of the latter."""
 
 
 def find_edited_ranges(reader: PerformanceReader) -> list[EditedRange]:

@@ -23,21 +23,14 @@ MARGIN_SECONDS = 5.0
 
 @dataclass(frozen=True)
 class PhoneLabels:
-    """What is known of the frames of all takes.
-
-    Attributes
-    ----------
-    segments : tuple of Segment
-        Every phone that has a frame.
-    viseme_of : tuple of str
-        Of each frame; empty where unknown.
-    emotion_of : tuple of str
-        Of each frame; empty where unknown.
-    """
+    """What is known of the frames of all takes."""
 
     segments: tuple[Segment, ...]
+    """Every phone that has a frame."""
     viseme_of: tuple[str, ...]
+    """Of each frame; empty where unknown."""
     emotion_of: tuple[str, ...]
+    """Of each frame; empty where unknown."""
     notes: tuple[str, ...]
 
 

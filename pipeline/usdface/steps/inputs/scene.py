@@ -32,14 +32,7 @@ _BLOCK_FRAMES = 2048
 
 @dataclass(frozen=True)
 class SelectionScene:
-    """Takes of a performer, a rig, and the space in which their frames are compared.
-
-    Attributes
-    ----------
-    features : (frames, d) float32 array
-        Of every frame of the takes; half the memory and time of double precision, and rounded
-        far below what markers are known to.
-    """
+    """Takes of a performer, a rig, and the space in which their frames are compared."""
 
     takes: CleanedTakes
     rig: Rig
@@ -48,6 +41,8 @@ class SelectionScene:
     equation: BlendshapeEquation
     space: SelectionSpace
     features: Float32Array
+    """(frames, d): of every frame of the takes; half the memory and time of double precision, and
+    rounded far below what markers are known to."""
     stand_ins: CandidateMarkers
 
     @property

@@ -19,23 +19,17 @@ MOVING_WEIGHT = 0.02
 
 @dataclass(frozen=True)
 class SourceMotion:
-    """Source weights over consecutive frames.
-
-    Attributes
-    ----------
-    weights : (frames, shapes) float array
-    timecode_start : str
-        SMPTE timecode of the first frame, empty when unknown.
-    emotion : str
-        Of the take, empty when unknown.
-    """
+    """Source weights over consecutive frames."""
 
     names: tuple[str, ...]
     weights: FloatArray
+    """(frames, shapes)"""
     first_frame: int
     rate: Fraction
     timecode_start: str = ""
+    """SMPTE timecode of the first frame, empty when unknown."""
     emotion: str = ""
+    """Of the take, empty when unknown."""
 
     @property
     def last_frame(self) -> int:

@@ -29,29 +29,21 @@ LARGEST_TABLE_BYTES = 1 << 30
 
 @dataclass(frozen=True)
 class WeightTable:
-    """Weights of named shapes at frames.
-
-    Attributes
-    ----------
-    weights : (frames, shapes) float array
-    rate : Fraction or None
-        Frames per second; None where the file does not say.
-    keyed : frozenset of int
-        Frames that the file itself holds; at the others, of USD, it is interpolated.
-    meshes : tuple of str
-        By shape, the mesh whose weights these are, of a tool that keys shapes on every mesh apart;
-        empty of other tools.
-    elsewhere : mapping of str to mapping of str to (frames,) float array
-        By shape and mesh, the weights of the other meshes that have it.
-    """
+    """Weights of named shapes at frames."""
 
     names: tuple[str, ...]
     frames: tuple[int, ...]
     weights: FloatArray
+    """(frames, shapes)"""
     rate: Fraction | None = None
+    """Frames per second; None where the file does not say."""
     keyed: frozenset[int] = frozenset()
+    """Frames that the file itself holds; at the others, of USD, it is interpolated."""
     meshes: tuple[str, ...] = ()
+    """By shape, the mesh whose weights these are, of a tool that keys shapes on every mesh apart;
+    empty of other tools."""
     elsewhere: Mapping[str, Mapping[str, FloatArray]] = field(default_factory=dict)
+    """By shape and mesh, the weights of the other meshes that have it."""
 
     def columns(self, names: tuple[str, ...]) -> FloatArray:
         """Return the weights in another order of shapes; 0 for those the table lacks."""

@@ -41,29 +41,20 @@ _SAMPLE_FRAMES = 400
 
 @dataclass(frozen=True)
 class TakeSample:
-    """Frames spread over a take, which binding and fitting need.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Of the markers.
-    rigid : tuple of int
-        Markers that move with the skull alone.
-    neutral : (markers, 3) float array
-        [mm]
-    frames : tuple of int
-        Their numbers.
-    positions : (frames, markers, 3) float array
-        [mm]
-    visible : (frames, markers) bool array
-    """
+    """Frames spread over a take, which binding and fitting need."""
 
     names: tuple[str, ...]
+    """Of the markers."""
     rigid: tuple[int, ...]
+    """Markers that move with the skull alone."""
     neutral: FloatArray
+    """(markers, 3) [mm]"""
     frames: tuple[int, ...]
+    """Their numbers."""
     positions: FloatArray
+    """(frames, markers, 3) [mm]"""
     visible: BoolArray
+    """(frames, markers)"""
 
 
 def sample_take(take: TakeReader) -> TakeSample:
@@ -170,39 +161,27 @@ def landmark_places(
 
 @dataclass(frozen=True)
 class SurfacePlan:
-    """A mesh and the model that moves it by a take.
-
-    Attributes
-    ----------
-    face : FaceMesh
-        The mesh.
-    sample : TakeSample
-        Of the take.
-    columns : (markers,) int array
-        The take's markers that are bound, in the binding's order.
-    places : SurfacePlaces
-        Of the bound markers on the mesh.
-    proportions : Proportions
-        From the performer's face to the mesh's.
-    distances : SurfaceDistances
-        From the bound markers to the mesh.
-    model : SurfaceModel
-        Fitted to the sample.
-    fade : (points, 1) float32 array
-        Factor of each point's motion [0-1]; 0 far from every marker, where the model extrapolates.
-    notes : tuple of str
-        For the user.
-    """
+    """A mesh and the model that moves it by a take."""
 
     face: FaceMesh
+    """The mesh."""
     sample: TakeSample
+    """Of the take."""
     columns: IntArray
+    """(markers,): the take's markers that are bound, in the binding's order."""
     places: SurfacePlaces
+    """Of the bound markers on the mesh."""
     proportions: Proportions
+    """From the performer's face to the mesh's."""
     distances: SurfaceDistances
+    """From the bound markers to the mesh."""
     model: SurfaceModel
+    """Fitted to the sample."""
     fade: Float32Array
+    """(points, 1): factor of each point's motion [0-1]; 0 far from every marker, where the model
+    extrapolates."""
     notes: tuple[str, ...]
+    """For the user."""
 
     def displacements(self, positions: FloatArray | Float32Array) -> FloatArray:
         """Return how far frames move the bound markers, in the mesh's proportions [mm].

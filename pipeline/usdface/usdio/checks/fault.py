@@ -11,42 +11,29 @@ from usdface.core.arrays import Float32Array, FloatArray
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that is not in order.
-
-    Attributes
-    ----------
-    severity : {'error', 'warning'}
-        Whether a publish should stop.
-    path : str
-        The prim or property.
-    message : str
-        What is wrong, when, and how to mend it.
-    """
+    """One thing that is not in order."""
 
     severity: Literal["error", "warning"]
+    """Whether a publish should stop."""
     path: str
+    """The prim or property."""
     message: str
+    """What is wrong, when, and how to mend it."""
 
 
 @dataclass(frozen=True)
 class Samples:
-    """All samples of an animation's weights.
-
-    Attributes
-    ----------
-    path : str
-        Of the attribute.
-    times : (samples,) float array
-    values : (samples, shapes) float32 array
-    rate : float
-        Time codes per second.
-    """
+    """All samples of an animation's weights."""
 
     path: str
+    """Of the attribute."""
     names: tuple[str, ...]
     times: FloatArray
+    """(samples,)"""
     values: Float32Array
+    """(samples, shapes)"""
     rate: float
+    """Time codes per second."""
 
 
 def read_samples(prim: Usd.Prim) -> Samples | None:

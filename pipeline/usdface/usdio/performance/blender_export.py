@@ -25,33 +25,22 @@ MAKER = "Blender"
 
 @dataclass(frozen=True)
 class MeshCurve:
-    """A shape's weights as one mesh shows them.
-
-    Attributes
-    ----------
-    mesh : str
-        The prim's name.
-    values : (frames,) float array
-    """
+    """A shape's weights as one mesh shows them."""
 
     mesh: str
+    """The prim's name."""
     values: FloatArray
+    """(frames,)"""
 
 
 @dataclass(frozen=True)
 class BlenderWeights:
-    """Weights of shapes as every mesh that has them shows them.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Of the shape keys, made identifiers (`blender_names`).
-    curves : tuple of tuple of MeshCurve
-        By shape; that of the mesh with the most shapes first.
-    """
+    """Weights of shapes as every mesh that has them shows them."""
 
     names: tuple[str, ...]
+    """Of the shape keys, made identifiers (`blender_names`)."""
     curves: tuple[tuple[MeshCurve, ...], ...]
+    """By shape; that of the mesh with the most shapes first."""
     frames: tuple[int, ...]
     rate: Fraction
     keyed: frozenset[int]

@@ -37,20 +37,14 @@ CLIP_SET = "parts"
 
 @dataclass(frozen=True)
 class ClipPart:
-    """A layer that holds some frames of a performance's weights.
-
-    Attributes
-    ----------
-    first_frame, last_frame : int
-        Inclusive.
-    animation : str
-        Path of the animation prim in it.
-    """
+    """A layer that holds some frames of a performance's weights."""
 
     file: Path
     first_frame: int
     last_frame: int
+    """`first_frame`, `last_frame`: Inclusive."""
     animation: str
+    """Path of the animation prim in it."""
 
 
 class PartsWriter:

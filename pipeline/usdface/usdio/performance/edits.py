@@ -36,16 +36,11 @@ EDITED_SOLVE_TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class ShapeEdit:
-    """What is changed of one shape over a range of frames.
-
-    Attributes
-    ----------
-    beneath : (frames,) float array
-        The solved weight when the edit was made; NaN where that is not known.
-    """
+    """What is changed of one shape over a range of frames."""
 
     curve: EditCurve
     beneath: FloatArray
+    """(frames,): the solved weight when the edit was made; NaN where that is not known."""
 
     def during(self, part: slice) -> "ShapeEdit":
         """Return the same edit over a part of its frames."""

@@ -46,37 +46,25 @@ written."""
 
 @dataclass(frozen=True)
 class WeightsHeader:
-    """What a weights layer says beside its samples.
-
-    Attributes
-    ----------
-    place : str
-        Prim path of the rig in the performance.
-    shape_names : tuple of str
-        Order of the weights.
-    rate : Fraction
-        Frames per second.
-    first_frame, last_frame : int
-        Inclusive.
-    regions : tuple of str
-        Names of the uncertainty's and residual's regions.
-    timecode_start : str
-        SMPTE timecode of the first frame, empty when unknown.
-    name : str
-        Of the animation prim.
-    neutral_frame : int or None
-        Frame of the take that shows the performer's neutral face.
-    """
+    """What a weights layer says beside its samples."""
 
     place: str
+    """Prim path of the rig in the performance."""
     shape_names: tuple[str, ...]
+    """Order of the weights."""
     rate: Fraction
+    """Frames per second."""
     first_frame: int
     last_frame: int
+    """`first_frame`, `last_frame`: Inclusive."""
     regions: tuple[str, ...] = ()
+    """Names of the uncertainty's and residual's regions."""
     timecode_start: str = ""
+    """SMPTE timecode of the first frame, empty when unknown."""
     name: str = ANIMATION
+    """Of the animation prim."""
     neutral_frame: int | None = None
+    """Frame of the take that shows the performer's neutral face."""
 
     @property
     def animation(self) -> Sdf.Path:

@@ -116,18 +116,12 @@ def writing_top(
 
 @dataclass(frozen=True)
 class _Previous:
-    """What is known of a performance that is written again.
-
-    Attributes
-    ----------
-    place : str
-        Where its rig stands; empty where that is not known.
-    files : frozenset of Path
-        What it was made from, resolved.
-    """
+    """What is known of a performance that is written again."""
 
     place: str = ""
+    """Where its rig stands; empty where that is not known."""
     files: frozenset[Path] = frozenset()
+    """What it was made from, resolved."""
 
 
 def _previous(path: Path) -> _Previous:

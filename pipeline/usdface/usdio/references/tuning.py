@@ -18,23 +18,16 @@ from usdface.usdio.wrong_types import refusing_wrong_types
 
 @dataclass(frozen=True)
 class PairNotes:
-    """What names a pair beside its markers and weights; empty where nothing is known.
-
-    Attributes
-    ----------
-    frame, take
-        Frame number, and the name of its take.
-    viseme, emotion : str
-        What is seen there.
-    image : Path or None
-        The pair's picture, where the asset names one.
-    """
+    """What names a pair beside its markers and weights; empty where nothing is known."""
 
     frame: int = 0
     take: str = ""
+    """`frame`, `take`: Frame number, and the name of its take."""
     viseme: str = ""
     emotion: str = ""
+    """`viseme`, `emotion`: What is seen there."""
     image: Path | None = None
+    """The pair's picture, where the asset names one."""
 
 
 @refusing_wrong_types

@@ -25,19 +25,13 @@ NAMES = "face:controls:attributes"
 
 @dataclass(frozen=True)
 class ReadControls:
-    """Controls as a file holds them.
-
-    Attributes
-    ----------
-    rate : Fraction
-        Frames per second.
-    timecode_start : str
-        SMPTE timecode of the first frame, empty when unknown.
-    """
+    """Controls as a file holds them."""
 
     clip: ControlClip
     rate: Fraction
+    """Frames per second."""
     timecode_start: str
+    """SMPTE timecode of the first frame, empty when unknown."""
 
 
 @refusing_wrong_types

@@ -19,18 +19,12 @@ PRIMVAR = "UsdPrimvarReader_float3"
 
 @dataclass(frozen=True)
 class Look:
-    """The colours of a mesh's faces.
-
-    Attributes
-    ----------
-    face_colors : (faces, 4) float array or None
-        Linear red, green, blue and opacity; NaN where nothing is said of a face.
-    undrawn : tuple of str
-        What is said in ways that pictures do not show.
-    """
+    """The colours of a mesh's faces."""
 
     face_colors: FloatArray | None
+    """(faces, 4): linear red, green, blue and opacity; NaN where nothing is said of a face."""
     undrawn: tuple[str, ...]
+    """What is said in ways that pictures do not show."""
 
 
 @dataclass(frozen=True)

@@ -24,16 +24,11 @@ millimetres on a human face, on which markers stand six high."""
 
 @dataclass(frozen=True)
 class BoundSurface:
-    """A surface at rest, to which markers are bound.
-
-    Attributes
-    ----------
-    mesh : RigMesh
-        In millimetres, Y up.
-    """
+    """A surface at rest, to which markers are bound."""
 
     file: Path
     mesh: RigMesh
+    """In millimetres, Y up."""
 
     @property
     def path(self) -> str:
@@ -84,40 +79,27 @@ def rig_surfaces(rig: Rig) -> tuple[BoundSurface, ...]:
 
 @dataclass(frozen=True)
 class FaceMesh(BoundSurface):
-    """A mesh to deform, as it is at rest; its shapes are left out.
-
-    Attributes
-    ----------
-    local : (points, 3) float array
-        Its points as the file has them.
-    linear : (3, 3) or (points, 3, 3) float array
-        Turns a movement in the mesh's own space into ours [mm].
-    world : (4, 4) float array
-        Its transform in its stage, for column vectors and in the stage's unit.
-    meters_per_unit : float
-        Of its stage [m].
-    up_axis : str
-        Of its stage: ``'Y'`` or ``'Z'``.
-    normals : str
-        How authored normals follow the surface: ``'vertex'``, ``'faceVarying'``, ``'other'`` or,
-        where there are none, ``''``.
-    normals_attribute : str
-        ``'normals'`` or ``'primvars:normals'``.
-    authored_normals : (n, 3) float array or None
-        Per point or per corner of a face, as the file has them.
-    others : tuple of str
-        Paths of the file's other meshes: they stay still.
-    """
+    """A mesh to deform, as it is at rest; its shapes are left out."""
 
     local: FloatArray
+    """(points, 3): its points as the file has them."""
     linear: FloatArray
+    """(3, 3) or (points, 3, 3): turns a movement in the mesh's own space into ours [mm]."""
     world: FloatArray
+    """(4, 4): its transform in its stage, for column vectors and in the stage's unit."""
     meters_per_unit: float
+    """Of its stage [m]."""
     up_axis: str
+    """Of its stage: ``'Y'`` or ``'Z'``."""
     normals: str = ""
+    """How authored normals follow the surface: ``'vertex'``, ``'faceVarying'``, ``'other'`` or,
+    where there are none, ``''``."""
     normals_attribute: str = "normals"
+    """``'normals'`` or ``'primvars:normals'``."""
     authored_normals: FloatArray | None = None
+    """(n, 3): per point or per corner of a face, as the file has them."""
     others: tuple[str, ...] = ()
+    """Paths of the file's other meshes: they stay still."""
 
     def into_mesh(self, moved_mm: FloatArray) -> FloatArray:
         """Turn movements in millimetres into the mesh's own space: (..., points, 3)."""

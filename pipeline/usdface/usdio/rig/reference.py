@@ -214,21 +214,14 @@ def _follows(skeleton: Usd.Prim, animation: Usd.Prim) -> bool:
 
 @dataclass(frozen=True)
 class _Source:
-    """Where a skeleton comes from.
-
-    Attributes
-    ----------
-    file : Path
-        The rig.
-    root : str
-        Its SkelRoot.
-    skeleton : Sdf.Path
-        The skeleton in it.
-    """
+    """Where a skeleton comes from."""
 
     file: Path
+    """The rig."""
     root: str
+    """Its SkelRoot."""
     skeleton: Sdf.Path
+    """The skeleton in it."""
 
 
 def _source_of(skeleton: Usd.Prim, animation: Usd.Prim) -> _Source | None:

@@ -13,18 +13,13 @@ from usdface.usdio.units import column_matrix, transform_points
 
 @dataclass(frozen=True)
 class PlacedMesh:
-    """A mesh at rest and the per-point linear maps that carry its shapes along.
-
-    Attributes
-    ----------
-    points : (n, 3) float array
-        [mm]
-    linear : (n, 3, 3) or (3, 3) float array
-        Turns an offset in mesh space into ours; per point where skinning bends the mesh.
-    """
+    """A mesh at rest and the per-point linear maps that carry its shapes along."""
 
     points: FloatArray
+    """(n, 3) [mm]"""
     linear: FloatArray
+    """(n, 3, 3) or (3, 3): turns an offset in mesh space into ours; per point where skinning bends
+    the mesh."""
 
     def offsets(self, points: NDArray[np.int64], offsets: FloatArray) -> FloatArray:
         """Turn offsets of some points from mesh space into millimetres, Y up."""

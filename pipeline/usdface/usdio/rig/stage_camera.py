@@ -23,31 +23,21 @@ _UNITS_PER_TENTH = 0.1  # apertures and focal lengths count tenths of a scene un
 
 @dataclass(frozen=True)
 class StageView:
-    """What a stage's camera sees at one frame.
-
-    Attributes
-    ----------
-    eye : (3,) float array
-        In the rig's space [mm], Y up.
-    forward, up : (3,) float arrays
-        Unit.
-    fov_degrees : float
-        Vertical field of view [degrees].
-    shift : tuple of two floats
-        Lens shift, right and up [half heights].
-    span_mm : float or None
-        Height of what an orthographic camera sees [mm].
-    aspect : float
-        Width over height of the film.
-    """
+    """What a stage's camera sees at one frame."""
 
     eye: FloatArray
+    """(3,): in the rig's space [mm], Y up."""
     forward: FloatArray
     up: FloatArray
+    """`forward`, `up`: (3,): unit."""
     fov_degrees: float
+    """Vertical field of view [degrees]."""
     shift: tuple[float, float]
+    """Lens shift, right and up [half heights]."""
     span_mm: float | None
+    """Height of what an orthographic camera sees [mm]."""
     aspect: float
+    """Width over height of the film."""
 
 
 class StageCamera:

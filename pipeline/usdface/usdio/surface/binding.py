@@ -47,18 +47,12 @@ out."""
 
 @dataclass(frozen=True)
 class ReadBinding:
-    """A binding as it composes.
-
-    Attributes
-    ----------
-    binding : MarkerBinding
-        Sources are ``'corrected'`` where a stronger layer has an opinion.
-    left_out : tuple of str
-        Markers whose prim is inactive.
-    """
+    """A binding as it composes."""
 
     binding: MarkerBinding
+    """Sources are ``'corrected'`` where a stronger layer has an opinion."""
     left_out: tuple[str, ...]
+    """Markers whose prim is inactive."""
 
 
 def write_binding(

@@ -30,18 +30,12 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class CachedDistances:
-    """Arrays by name, in the precision they came in, and counts.
-
-    Attributes
-    ----------
-    arrays : dict of str to array
-        float64, float32 or bool, of any shape; lengths in millimetres.
-    counts : dict of str to int
-        By name.
-    """
+    """Arrays by name, in the precision they came in, and counts."""
 
     arrays: dict[str, _CacheArray]
+    """float64, float32 or bool, of any shape; lengths in millimetres."""
     counts: dict[str, int] = field(default_factory=dict)
+    """By name."""
 
 
 def write_distances(

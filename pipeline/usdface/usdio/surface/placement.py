@@ -29,33 +29,22 @@ _PREFIX = "face:placement:"
 
 @dataclass(frozen=True)
 class RigPlacement:
-    """Where a performer's markers sit on a rig, and how the motion there follows.
-
-    Attributes
-    ----------
-    binding : MarkerBinding
-        On all meshes of the rig as one surface.
-    neutral : (markers, 3) float array
-        The performer's neutral face that was placed [mm].
-    rotation : (3, 3) float array
-        From the performer's space to the rig's.
-    motion_scale : float
-        Length of a movement on the rig over that of the performer.
-    explained : float
-        Share of the markers' motion that the shapes explain there [0-1]; NaN if unknown.
-    by_labels : bool
-        Whether labels placed the markers, or motion alone.
-    left_out : tuple of str
-        Markers that somebody deactivated: they count in no solve, whether they are bound or not.
-    """
+    """Where a performer's markers sit on a rig, and how the motion there follows."""
 
     binding: MarkerBinding
+    """On all meshes of the rig as one surface."""
     neutral: FloatArray
+    """(markers, 3): the performer's neutral face that was placed [mm]."""
     rotation: FloatArray
+    """(3, 3): from the performer's space to the rig's."""
     motion_scale: float
+    """Length of a movement on the rig over that of the performer."""
     explained: float
+    """Share of the markers' motion that the shapes explain there [0-1]; NaN if unknown."""
     by_labels: bool
+    """Whether labels placed the markers, or motion alone."""
     left_out: tuple[str, ...] = ()
+    """Markers that somebody deactivated: they count in no solve, whether they are bound or not."""
 
 
 def write_placement(
@@ -131,19 +120,14 @@ def read_placement(path: Path, rig: Rig) -> RigPlacement:
 
 @dataclass(frozen=True)
 class GivenPlaces:
-    """What people said of a binding's markers.
-
-    Attributes
-    ----------
-    corrected, landmarks : dict of str to (3,) float array
-        Places corrected in a stronger layer, and those that the binding was made with [mm].
-    left_out : tuple of str
-        Markers that are deactivated.
-    """
+    """What people said of a binding's markers."""
 
     corrected: dict[str, FloatArray]
     landmarks: dict[str, FloatArray]
+    """`corrected`, `landmarks`: dict of str to (3,) float array: places corrected in a stronger
+    layer, and those that the binding was made with [mm]."""
     left_out: tuple[str, ...]
+    """Markers that are deactivated."""
 
 
 def read_given_places(path: Path, rig: Rig) -> GivenPlaces:

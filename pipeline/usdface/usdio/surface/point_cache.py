@@ -31,47 +31,31 @@ UNSAVED_BYTES = 128 << 20
 
 @dataclass(frozen=True)
 class PointsHeader:
-    """What holds for all frames.
-
-    Attributes
-    ----------
-    rate : Fraction
-        Frames per second.
-    first_frame, last_frame : int
-        Inclusive.
-    place : str or None
-        Prim path of the mesh's asset in the new layer; None leaves it where it is in its file.
-    method : str
-        How the points were computed; written on the mesh.
-    timecode_start : str
-        Of the first frame; empty where it is unknown.
-    """
+    """What holds for all frames."""
 
     rate: Fraction
+    """Frames per second."""
     first_frame: int
     last_frame: int
+    """`first_frame`, `last_frame`: Inclusive."""
     place: str | None = None
+    """Prim path of the mesh's asset in the new layer; None leaves it where it is in its file."""
     method: str = ""
+    """How the points were computed; written on the mesh."""
     timecode_start: str = ""
+    """Of the first frame; empty where it is unknown."""
 
 
 @dataclass(frozen=True)
 class PointsFormat:
-    """What is written of each frame.
-
-    Attributes
-    ----------
-    normals : bool
-        Normals over time, where the mesh has authored ones that a renderer would use.
-    uncertainty : bool
-        The primvar ``face:uncertainty`` [mm].
-    clip_bytes : int
-        Takes whose samples are larger go into value clips of about this size.
-    """
+    """What is written of each frame."""
 
     normals: bool = False
+    """Normals over time, where the mesh has authored ones that a renderer would use."""
     uncertainty: bool = False
+    """The primvar ``face:uncertainty`` [mm]."""
     clip_bytes: int = 512 << 20
+    """Takes whose samples are larger go into value clips of about this size."""
 
 
 class PointsWriter:

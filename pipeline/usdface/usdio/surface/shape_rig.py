@@ -27,40 +27,26 @@ _LONGEST_NAME = 63
 
 @dataclass(frozen=True)
 class NewShape:
-    """One frame's face, to be written as a shape.
-
-    Attributes
-    ----------
-    name : str
-        As people call it; made a valid prim name when it is written.
-    moved_mm : (points, 3) float array
-        From the mesh at rest [mm], Y up.
-    take : str
-        Name of the take it comes from.
-    frame : int
-        In the take.
-    """
+    """One frame's face, to be written as a shape."""
 
     name: str
+    """As people call it; made a valid prim name when it is written."""
     moved_mm: FloatArray
+    """(points, 3): from the mesh at rest [mm], Y up."""
     take: str
+    """Name of the take it comes from."""
     frame: int
+    """In the take."""
 
 
 @dataclass(frozen=True)
 class WrittenShape:
-    """A shape as it was written.
-
-    Attributes
-    ----------
-    name : str
-        Of the channel and of its prim.
-    points : int
-        How many points it moves.
-    """
+    """A shape as it was written."""
 
     name: str
+    """Of the channel and of its prim."""
     points: int
+    """How many points it moves."""
 
 
 def shape_names(wanted: list[str]) -> list[str]:

@@ -32,23 +32,17 @@ FEWEST_XFORMS = 3
 
 @dataclass(frozen=True)
 class ForeignTake:
-    """What a foreign USD file holds of a take.
-
-    Attributes
-    ----------
-    kind : str
-        What the markers were found as, with their prim path; empty without markers.
-    positions : (frames, markers, 3) float32 array
-        [mm], Y up, in world space. Anything where not visible.
-    visible : (frames, markers) bool array
-    """
+    """What a foreign USD file holds of a take."""
 
     rate: Fraction
     first_frame: int
     kind: str
+    """What the markers were found as, with their prim path; empty without markers."""
     names: tuple[str, ...]
     positions: NDArray[np.float32]
+    """(frames, markers, 3) [mm], Y up, in world space. Anything where not visible."""
     visible: NDArray[np.bool_]
+    """(frames, markers)"""
     source: WeightsClip | None
 
 

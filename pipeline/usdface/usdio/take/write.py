@@ -226,21 +226,14 @@ def _author_audio(layer: Sdf.Layer, take: Take, path: Path) -> None:
 
 @dataclass(frozen=True)
 class VideoSync:
-    """How a video lies in its take: ``take_time = offset + (1 + drift * 1e-6) * video_time``.
-
-    Attributes
-    ----------
-    offset : float
-        [s]
-    drift : float
-        [ppm]
-    confidence : float
-        [0-1]
-    """
+    """How a video lies in its take: ``take_time = offset + (1 + drift * 1e-6) * video_time``."""
 
     offset: float
+    """[s]"""
     drift: float
+    """[ppm]"""
     confidence: float
+    """[0-1]"""
 
 
 def write_video_sync(path: Path, sync: VideoSync) -> None:
