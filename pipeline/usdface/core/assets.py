@@ -313,6 +313,18 @@ class TrainedMapping:
 
 
 @dataclass(frozen=True)
+class SolveBasis:
+    """What a solve's mapping learnt from."""
+
+    pairs: int
+    """References."""
+    tuned: int
+    """Those of them that a person has tuned."""
+    still_regions: tuple[str, ...] = ()
+    """Regions of the face that no reference moves."""
+
+
+@dataclass(frozen=True)
 class Performance:
     """The written result: weights over a rig, and how far they can be trusted."""
 
@@ -322,10 +334,14 @@ class Performance:
     uncertainty_mm: FloatArray | None = None
     """(frames, regions): standard deviation of the surface around what an animator would key, of
     the face and its regions [mm]; of the face alone in layers of earlier versions."""
+    coverage: FloatArray | None = None
+    """(frames, regions): how far the mapping's references show what the frame does [0-1]."""
     residual_mm: FloatArray | None = None
-    """(frames, regions): distance of the markers from anything the references' takes showed
-    [mm]."""
+    """(frames, regions): distance of the markers from where the weights put them, less what is
+    left at the references themselves [mm]."""
     regions: tuple[str, ...] = ()
+    basis: SolveBasis | None = None
+    """None in layers of earlier versions."""
     timecode_start: str = ""
     neutral_frame: int | None = None
     """Frame of the take that shows the performer's neutral face; None where the weights were not

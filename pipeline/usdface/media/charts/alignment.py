@@ -29,7 +29,7 @@ from usdface.media.picture.color import (
     VIOLET,
     Color,
 )
-from usdface.media.picture.text import TextStyle, draw_text, text_width
+from usdface.media.picture.text import TextStyle, draw_text, text_width, wrap_text
 from usdface.numerics.timing.audio_alignment import LEAST_AGREEMENT, LEAST_PEAK, SoundAlignment
 
 if TYPE_CHECKING:
@@ -90,10 +90,11 @@ def draw_alignment(page: AlignmentPage) -> ByteImage:
     """Return the picture: (height, 1280, 3) uint8 array, sRGB."""
     color = GREEN if page.accepted else ORANGE
     verdict = TextStyle(size=17, color=color)
-    lines = [
-        (line, verdict) for line in _wrapped(page.verdict[:1].upper() + page.verdict[1:], verdict)
-    ]
-    lines += [(line, _FACT_STYLE) for fact in page.facts for line in _wrapped(fact, _FACT_STYLE)]
+    width = _PAGE_WIDTH - 2 * _PAGE_MARGIN
+    said = page.verdict[:1].upper() + page.verdict[1:]
+    lines = [(line, verdict) for line in wrap_text(said, verdict, max_width=width)]
+    for fact in page.facts:
+        lines += [(line, _FACT_STYLE) for line in wrap_text(fact, _FACT_STYLE, max_width=width)]
     head = 72 + _LINE_HEIGHT * len(lines) + 16
     sound = page.sound
     if sound is None or sound.correlation is None:
@@ -104,7 +105,6 @@ def draw_alignment(page: AlignmentPage) -> ByteImage:
         _draw_windows(figure, sound, head + 346)
         picture = render(figure)
     fill_box(picture, 0, 0, 8, picture.shape[0], color)
-    width = _PAGE_WIDTH - 2 * _PAGE_MARGIN
     draw_text(picture, page.title, x=_PAGE_MARGIN, y=24, style=_TITLE_STYLE, max_width=width)
     for index, (line, style) in enumerate(lines):
         draw_text(picture, line, x=_PAGE_MARGIN, y=68 + _LINE_HEIGHT * index, style=style)
@@ -193,14 +193,3 @@ def _draw_windows(figure: Figure, sound: SoundAlignment, y: int) -> None:
     outside = ~sound.agreeing
     plot_points(axes, windows.times[sound.agreeing], agreeing, GREEN)
     plot_points(axes, windows.times[outside], delays_ms[outside], ORANGE, hollow=True)
-
-
-def _wrapped(text: str, style: TextStyle) -> list[str]:
-    lines, line = list[str](), ""
-    for word in text.split():
-        longer = f"{line} {word}" if line else word
-        if line and text_width(longer, style) > _PAGE_WIDTH - 2 * _PAGE_MARGIN:
-            lines.append(line)
-            longer = word
-        line = longer
-    return [*lines, line]

@@ -27,6 +27,9 @@ given or was before, and the one that is solved, proposed or came after."""
 GREEN: Color = (129, 210, 132)
 RED: Color = (240, 104, 96)
 VIOLET: Color = (188, 160, 246)
+VERDICT_COLORS = {"good": GREEN, "check": ORANGE, "bad": RED}
+"""By the level of a verdict."""
+
 SERIES_COLORS = (ORANGE, BLUE, GREEN, (236, 132, 152), VIOLET, (220, 216, 120), DIM)
 """Of more than two curves, in this order; labels name every curve as well."""
 

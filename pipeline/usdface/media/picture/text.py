@@ -118,6 +118,18 @@ def text_width(text: str, style: TextStyle) -> int:
     return int(text_mask(text, size=style.size, weight=style.weight).shape[1])
 
 
+def wrap_text(text: str, style: TextStyle, *, max_width: int) -> list[str]:
+    """Return a text on as many lines as it needs; at least one."""
+    lines, line = list[str](), ""
+    for word in text.split():
+        longer = f"{line} {word}" if line else word
+        if line and text_width(longer, style) > max_width:
+            lines.append(line)
+            longer = word
+        line = longer
+    return [*lines, line]
+
+
 def draw_text(
     picture: ByteImage,
     text: str,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray
+from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.assets import MotionSpace
 
 NOISE_FLOOR_MM = 0.05
@@ -24,13 +24,10 @@ class Coordinates:
     certainty : (frames,) float array
         Share of the markers that are seen times the share of the face's motion that they
         determine [0-1].
-    away_mm : (frames, markers) float32 array
-        Distance of each marker from its projection onto the motion space; NaN where unseen [mm].
     """
 
     values: FloatArray
     certainty: FloatArray
-    away_mm: Float32Array
 
 
 def noise_variance(motion: MotionSpace) -> float:
@@ -73,25 +70,11 @@ def marker_coordinates(
     values = (offsets @ motion.components.T.astype(kind)).astype(np.float64)
     values += rounding @ motion.components.T
     if visible is None or not unseen:
-        return Coordinates(values, certainty, _distances(motion, offsets, values))
+        return Coordinates(values, certainty)
     for pattern, rows in _patterns(visible):
         seen = offsets[rows] + rounding
         values[rows], certainty[rows] = _conditional(motion, seen, pattern)
-    distances = _distances(motion, offsets, values)
-    distances[~visible] = np.nan
-    return Coordinates(values, certainty, distances)
-
-
-def _distances(
-    motion: MotionSpace, offsets: FloatArray | Float32Array, values: FloatArray
-) -> Float32Array:
-    """How far each marker is from its projection; single precision is enough."""
-    away = values.astype(np.float32) @ motion.components.astype(np.float32)
-    np.subtract(offsets, away, out=away, casting="same_kind")
-    np.square(away, out=away)
-    squared = away.reshape(-1, 3) @ np.ones(3, dtype=np.float32)
-    distances: Float32Array = np.sqrt(squared, out=squared).reshape(len(away), -1)
-    return distances
+    return Coordinates(values, certainty)
 
 
 def _patterns(seen: BoolArray) -> list[tuple[BoolArray, NDArray[np.int64]]]:

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray
-from usdface.core.assets import TrainedMapping
+from usdface.core.assets import SolveBasis, TrainedMapping
 from usdface.core.errors import InputError
-from usdface.model.mapping.coordinates import marker_coordinates
+from usdface.model.mapping.coordinates import Coordinates, marker_coordinates
+from usdface.model.mapping.coverage import CoverageModel
 from usdface.model.mapping.head_space import MINIMUM_SHARE
 from usdface.model.mapping.motion_space import motion_of
 from usdface.model.mapping.uncertainty import UncertaintyModel
@@ -35,13 +36,14 @@ class Prediction:
     uncertainty : (frames, regions) float array
         Standard deviation of each region's surface around what an animator would key: in mm where
         training knew the rig, else in weights. See `uncertainty`.
-    residual_mm : (frames,) float array
-        Root mean square distance of the markers seen from anything the performer's takes showed
-        [mm]: large where markers are swapped or the face does something new.
+    coverage : (frames, regions) float array
+        How far the references show what the frame does [0-1]; see `coverage`.
+    residual_mm : (frames, regions) float array
+        Root mean square distance of the markers seen from where the weights put them, less what is
+        left at the references themselves [mm]: large where markers are swapped or the face does
+        something that the weights do not follow. 0 where no marker of the region is seen.
     regions : tuple of str
         Parts of the face, the whole first.
-    region_residual_mm : (frames, regions) float array
-        0 where no marker of the region is seen [mm].
     left_mm : (frames, markers, 3) float32 array
         Markers minus where the weights put them; 0 where unseen [mm].
     few_markers : (frames,) bool array
@@ -51,9 +53,9 @@ class Prediction:
 
     weights: FloatArray
     uncertainty: FloatArray
+    coverage: FloatArray
     residual_mm: FloatArray
     regions: tuple[str, ...]
-    region_residual_mm: FloatArray
     left_mm: Float32Array
     few_markers: BoolArray
 
@@ -80,6 +82,8 @@ class WeightPredictor:
             self._regions = regions_of(mapping)
             self._solver = FrameSolver.from_arrays(mapping.arrays)
             self._uncertainty = UncertaintyModel.from_arrays(mapping.arrays)
+            self._members = mapping.arrays["region_markers"]
+            self._coverage = CoverageModel(self._solver, self._members)
             self._method = find_method(mapping.method)
             with np.errstate(all="ignore"):  # what is not finite is refused below
                 self._predict = self._method.prepare(mapping.arrays, mapping.settings)
@@ -105,9 +109,8 @@ class WeightPredictor:
         mapping = self._mapping
         _check_positions(mapping, positions, visible)
         frames, regions = len(positions), len(self._regions)
-        members = mapping.arrays["region_markers"].T
         weights = np.empty((frames, len(mapping.shape_names)))
-        residual, uncertainty = (np.empty((frames, regions)) for _ in range(2))
+        residual, uncertainty, coverage = (np.empty((frames, regions)) for _ in range(3))
         left = np.empty((frames, len(mapping.marker_names), 3), dtype=np.float32)
         for start in range(0, frames, _BLOCK_FRAMES):
             part = slice(start, start + _BLOCK_FRAMES)
@@ -116,11 +119,34 @@ class WeightPredictor:
             weights[part], uncertainty[part], left[part] = self._solve(
                 found.values, positions[part], seen
             )
-            residual[part] = _by_region(found.away_mm, members)
+            residual[part] = self._excess(left[part], seen)
+            coverage[part] = self._coverage.measure(self._moved(positions[part], seen, found))
         few_markers = _has_few_markers(frames, visible)
         return Prediction(
-            weights, uncertainty, residual[:, 0], self._regions, residual, left, few_markers
+            weights, uncertainty, coverage, residual, self._regions, left, few_markers
         )
+
+    def _moved(
+        self,
+        positions: NDArray[np.float32] | NDArray[np.float64],
+        visible: BoolArray | None,
+        found: Coordinates,
+    ) -> FloatArray:
+        """Return the displacement of all markers; unseen ones as the others let expect."""
+        moved = np.asarray(positions - self._mapping.neutral, dtype=np.float64)
+        if visible is not None and not visible.all():
+            rows = np.flatnonzero(~visible.all(axis=1))
+            expected = self._motion.mean + found.values[rows] @ self._motion.components
+            expected = expected.reshape(len(rows), -1, 3) - self._mapping.neutral
+            moved[rows] = np.where(visible[rows, :, None], moved[rows], expected)
+        return moved
+
+    def _excess(self, left: Float32Array, visible: BoolArray | None) -> FloatArray:
+        """Return what is left at each region's markers beyond what is at the references' [mm]."""
+        seen = np.ones(left.shape[:2]) if visible is None else visible.astype(np.float64)
+        squared = np.square(left).sum(axis=2, dtype=np.float64) - 3 * self._solver.residual2
+        mean = (seen * squared) @ self._members.T / np.maximum(seen @ self._members.T, 1)
+        return np.asarray(np.sqrt(np.maximum(mean, 0.0)))
 
     def _solve(
         self,
@@ -182,18 +208,6 @@ def _has_few_markers(frames: int, visible: BoolArray | None) -> BoolArray:
     return few
 
 
-def _by_region(away_mm: Float32Array, members: FloatArray) -> FloatArray:
-    """Root mean square over each region's markers seen; 0 where there are none."""
-    seen = np.isfinite(away_mm)
-    if seen.all():
-        counts = members.sum(axis=0)
-    else:
-        away_mm, counts = np.where(seen, away_mm, 0.0), seen @ members
-    mean: FloatArray = np.square(away_mm).astype(np.float64) @ members
-    mean /= np.maximum(counts, 1)
-    return np.sqrt(mean, out=mean)
-
-
 def regions_of(mapping: TrainedMapping) -> tuple[str, ...]:
     """Return the parts of the face that a mapping tells residual and uncertainty for.
 
@@ -210,6 +224,19 @@ def regions_of(mapping: TrainedMapping) -> tuple[str, ...]:
             "version"
         )
     return tuple(str(mapping.settings["regions"]).split(","))
+
+
+def basis_of(mapping: TrainedMapping) -> SolveBasis | None:
+    """Return what a mapping learnt from; None where an earlier version trained it."""
+    settings = mapping.settings
+    if "tuned" not in settings or "pairs" not in settings:
+        return None
+    still = str(settings.get("still_regions", ""))
+    return SolveBasis(
+        pairs=int(settings["pairs"]),
+        tuned=int(settings["tuned"]),
+        still_regions=tuple(filter(None, still.split(","))),
+    )
 
 
 def _check_positions(

@@ -5,15 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
-from usdface.model.selection.design import WEIGHT_VARIANCE
+from usdface.model.mapping.coverage import UNCOVERED_SHARE
 from usdface.model.selection.features import Features, SelectionSpace, features_at
-from usdface.numerics.regression.design_kernel import DesignKernel, left_over
+from usdface.numerics.regression.design_kernel import KEY_VARIANCE, DesignKernel, left_over
 from usdface.numerics.regression.reference_design import design_gp_variance
 
 _BLOCK_FRAMES = 4096
-
-UNCOVERED_SHARE = 0.25
-"""Share of a face's motion left to guess at which a frame counts as not covered."""
 
 COVERED_FRAMES = 24_000
 """Frames that are measured one by one; of longer takes every second, third ... stands for all."""
@@ -78,11 +75,11 @@ def measure_coverage(
     parts = [DesignKernel.for_rows(thinned[some, a:b]) for a, b in space.columns]
     for start in range(0, len(thinned), _BLOCK_FRAMES):
         rows = slice(start, start + _BLOCK_FRAMES)
-        left = left_over(whole, pair_features, thinned[rows], noise=WEIGHT_VARIANCE)
+        left = left_over(whole, pair_features, thinned[rows], noise=KEY_VARIANCE)
         covered[rows] = 1 - np.sqrt(left)
         for index, ((a, b), kernel) in enumerate(zip(space.columns, parts, strict=True)):
             left = left_over(
-                kernel, pair_features[:, a:b], thinned[rows, a:b], noise=WEIGHT_VARIANCE
+                kernel, pair_features[:, a:b], thinned[rows, a:b], noise=KEY_VARIANCE
             )
             regions[rows, index] = 1 - np.sqrt(left)
     return Coverage(
@@ -113,7 +110,7 @@ def measure_growth(
     together = np.concatenate([pair_features, features_at(features, rows)])
     known = np.arange(len(pair_features), dtype=np.int64)
     count = min(further, len(rows))
-    design = design_gp_variance(together, count, already=known, noise=WEIGHT_VARIANCE)
+    design = design_gp_variance(together, count, already=known, noise=KEY_VARIANCE)
     chosen = design.chosen - len(known)
     sample = features_at(features, _spread(len(features)))
     kernel = DesignKernel.for_rows(sample)
@@ -127,7 +124,7 @@ def _shares(kernel: DesignKernel, pairs: FloatArray, sample: FloatArray) -> Floa
     """Return the mean coverage with the first 0, 1, 2 ... pairs: one factorisation for all."""
     if not len(pairs):
         return np.zeros(1)
-    factor = np.linalg.cholesky(kernel(pairs, pairs) + WEIGHT_VARIANCE * np.eye(len(pairs)))
+    factor = np.linalg.cholesky(kernel(pairs, pairs) + KEY_VARIANCE * np.eye(len(pairs)))
     rows = np.linalg.solve(factor, kernel(pairs, sample))
     left = np.maximum(1 - np.cumsum(rows**2, axis=0) / kernel.diagonal(sample), 0.0)
     return np.concatenate([[0.0], 1 - np.sqrt(left).mean(axis=1)])

@@ -8,7 +8,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.model.selection.features import Features, features_at
 from usdface.model.selection.visemes import Segment, extreme_frames, viseme_frames
-from usdface.numerics.regression.design_kernel import DesignKernel, predict_from
+from usdface.numerics.regression.design_kernel import KEY_VARIANCE, DesignKernel, predict_from
 from usdface.numerics.regression.reference_design import (
     Design,
     design_d_optimal,
@@ -28,9 +28,6 @@ POOL_FRAMES = 24_000
 
 NEXT_FRAMES = 2500
 """Frames among which the next ones to tune are found: memory is quadratic in them."""
-
-WEIGHT_VARIANCE = 1e-2
-"""Variance of a tuned weight around the true one; the kernel's is of the order of 10."""
 
 
 @dataclass(frozen=True)
@@ -194,7 +191,7 @@ def stand_in_error_mm(features: Features, rows: IntArray, stand_ins: CandidateMa
         features_at(features, rows),
         stand_ins.of_rows(rows),
         stand_ins.features,
-        noise=WEIGHT_VARIANCE,
+        noise=KEY_VARIANCE,
     )
     error = predicted - stand_ins.weights
     squared = np.einsum("fs,st,ft->f", error, stand_ins.gram, error)

@@ -3,9 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from usdface.core.arrays import FloatArray
+
+KEY_VARIANCE = 1e-2
+"""Variance of a tuned weight around the true one; the kernel's is of the order of 10."""
 
 MEDIAN_ROWS = 512
 """Rows spread over the frames from whose distances the width is taken."""
@@ -47,6 +49,13 @@ class DesignKernel:
         median = max(median, 1e-12 * mean_square, 1e-300)
         return cls(linear / max(mean_square, 1e-300), radial, -0.5 / (width * median))
 
+    @classmethod
+    def for_size(
+        cls, square: float, *, linear: float = 10.0, radial: float = 3.0
+    ) -> "DesignKernel":
+        """Scale the kernel so that rows of one squared length are of usual size, as wide as far."""
+        return cls(linear / square, radial, -0.5 / square)
+
     def __call__(self, left: FloatArray, right: FloatArray) -> FloatArray:
         """Return the covariance of every row of one with every row of the other."""
         product = left @ right.T
@@ -83,7 +92,7 @@ def left_over(
     if not len(known):
         return np.ones(len(rows))
     factor = np.linalg.cholesky(kernel(known, known) + noise * np.eye(len(known)))
-    shared = solve_triangular(factor, kernel(known, rows), lower=True, check_finite=False)
+    shared = np.linalg.solve(factor, kernel(known, rows))
     explained = np.einsum("ij,ij->j", shared, shared)
     share: FloatArray = np.clip(1.0 - explained / prior, 0.0, 1.0)
     return share
@@ -106,6 +115,6 @@ def predict_from(
     (frames, s) float array
     """
     mean = values.mean(axis=0)
-    factor = cho_factor(kernel(known, known) + noise * np.eye(len(known)), lower=True)
-    out: FloatArray = mean + kernel(rows, known) @ cho_solve(factor, values - mean)
+    precise = kernel(known, known) + noise * np.eye(len(known))
+    out: FloatArray = mean + kernel(rows, known) @ np.linalg.solve(precise, values - mean)
     return out

@@ -37,9 +37,13 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress = silent) 
             weights = baked_weights(reader, rig, first, last, limit=spec.limit)
             keys = _keys(spec, weights, surface)
             kept += len(keys)
-            uncertainty = reader.uncertainty_mm(first, last)
-            residual = reader.series("face:residual", first, last)
-            writer.append(weights, uncertainty_mm=uncertainty, residual_mm=residual, keys=keys)
+            writer.append(
+                weights,
+                uncertainty_mm=reader.uncertainty_mm(first, last),
+                coverage=reader.series("face:coverage", first, last),
+                residual_mm=reader.series("face:residual", first, last),
+                keys=keys,
+            )
             done = last - reader.first_frame + 1
             progress(done / header.frame_count, f"baked to frame {last}")
     notes = []

@@ -14,9 +14,10 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
 from usdface.core.text import first_few, pluralize
 from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace
-from usdface.model.mapping.predict import Prediction, regions_of
+from usdface.model.mapping.predict import Prediction, basis_of, regions_of
 from usdface.model.mapping.rig_match import check_same_rig
 from usdface.model.mapping.temporal import TemporalSolve, smooth_weights
+from usdface.model.review.verdict import SEEN_MM, SolveEvidence, judge_solve
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.performance import MapSpec
@@ -41,9 +42,7 @@ LARGEST_LAYER_BYTES = 1 << 30
 PART_BYTES = 1 << 27
 """Weights that take more than the first are written in parts of about the second."""
 
-_UNCERTAIN_MM = 1.0
-"""Uncertainty above which a frame is worth a look: errors of that size are seen."""
-
+_LISTED_FRAMES = 1000
 
 _CONSTANT_MM, _CONSTANT_SHARE = 0.3, 0.5
 """What every frame of a take leaves over, root mean square over markers, and its share of all that
@@ -54,7 +53,8 @@ is left over, from which on it is worth a note: twice the noise of a cleaned mar
 class _Written:
     """What was written, for the report: one array per block."""
 
-    uncertainty: list[FloatArray] = field(default_factory=list)
+    uncertainty_mm: list[FloatArray] = field(default_factory=list)
+    coverage: list[FloatArray] = field(default_factory=list)
     residual_mm: list[FloatArray] = field(default_factory=list)
     few_markers: list[BoolArray] = field(default_factory=list)
     left_sum: FloatArray | float = 0.0
@@ -64,7 +64,8 @@ class _Written:
         left = solved.left_mm[rows].astype(np.float64)
         self.left_sum = self.left_sum + left.sum(axis=0)
         self.left_squares += float((left**2).sum())
-        self.uncertainty.append(solved.uncertainty[rows])
+        self.uncertainty_mm.append(solved.uncertainty[rows])
+        self.coverage.append(solved.coverage[rows])
         self.residual_mm.append(solved.residual_mm[rows])
         self.few_markers.append(solved.few_markers[rows])
 
@@ -99,6 +100,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
                 timecode_start=take.timecode_at(first),
             ),
             neutral_frame=space.neutral.neutral_frame,
+            basis=basis_of(mapping),
         ),
         rig,
         part_frames=_part_frames(spec, last - first + 1, len(mapping.shape_names)),
@@ -119,7 +121,8 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
             writer.append(
                 weights[rows],
                 uncertainty_mm=solved.uncertainty[rows],
-                residual_mm=solved.region_residual_mm[rows],
+                coverage=solved.coverage[rows],
+                residual_mm=solved.residual_mm[rows],
             )
             written.add(solved, rows)
             done = min(block.stop - 1, last)
@@ -128,7 +131,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
     notes += _left_over_notes(mapping, written)
     notes += _few_marker_notes(first, np.concatenate(written.few_markers))
     notes += edit_notes(spec.out)
-    return _report(spec, first, written, notes, space.neutral.figures())
+    return _report(spec, mapping, first, written, notes, space.neutral.figures())
 
 
 def _predict(
@@ -208,9 +211,9 @@ def _marker_notes(space: HeadSpace) -> list[str]:
 
 
 def _left_over_notes(mapping: TrainedMapping, written: _Written) -> list[str]:
-    """Name what the references cannot explain: a constant of the take, and still regions."""
+    """Name what of the take the references cannot explain as a whole."""
     notes = []
-    frames = sum(map(len, written.uncertainty))
+    frames = sum(map(len, written.uncertainty_mm))
     mean = np.asarray(written.left_sum) / max(frames, 1)
     constant_mm = float(np.sqrt((mean**2).sum(axis=-1).mean()))
     share = frames * float((mean**2).sum()) / max(written.left_squares, 1e-12)
@@ -219,12 +222,6 @@ def _left_over_notes(mapping: TrainedMapping, written: _Written) -> list[str]:
             f"{share:.0%} of what the weights leave over at the markers is the same in every "
             f"frame, {constant_mm:.2f} mm: this take differs from the references' as a whole; key "
             "one frame of this take and add it to the references"
-        )
-    still = str(mapping.settings.get("still_regions", ""))
-    if still:
-        notes.append(
-            f"no reference moves the {still.replace(',', ', ')}: see their uncertainty, and tune "
-            "frames in which they move"
         )
     return notes
 
@@ -241,29 +238,39 @@ def _few_marker_notes(first: int, few_markers: BoolArray) -> list[str]:
 
 
 def _report(
-    spec: MapSpec, first: int, written: _Written, notes: list[str], neutral: dict[str, object]
+    spec: MapSpec,
+    mapping: TrainedMapping,
+    first: int,
+    written: _Written,
+    notes: list[str],
+    neutral: dict[str, object],
 ) -> StepResult:
-    uncertainty = np.concatenate(written.uncertainty)
-    residual_mm = float(np.sqrt((np.concatenate(written.residual_mm) ** 2).mean()))
-    face = uncertainty[:, 0]
-    high = np.flatnonzero(face > _UNCERTAIN_MM)
-    if len(high):
-        worst = first + int(face.argmax())
-        notes.append(
-            f"uncertainty above {_UNCERTAIN_MM:g} mm in {pluralize(len(high), 'frame')}, largest "
-            f"at frame {worst}, {face.max():.2f} mm: the references show nothing like them"
+    uncertainty = np.concatenate(written.uncertainty_mm)
+    residual_mm = np.concatenate(written.residual_mm)
+    verdict = judge_solve(
+        SolveEvidence(
+            regions_of(mapping),
+            uncertainty_mm=uncertainty,
+            coverage=np.concatenate(written.coverage),
+            residual_mm=residual_mm,
+            basis=basis_of(mapping),
         )
-    count = len(face)
+    )
+    if verdict.advice:
+        notes.append(f"to do: {verdict.advice}")
+    count = len(uncertainty)
     return StepResult(
         (spec.out, weights_path(spec.out)),
-        f"{pluralize(count, 'frame')}, mean uncertainty {face.mean():.2f} mm, markers "
-        f"{residual_mm:.2f} mm from what the references' takes showed",
+        f"{pluralize(count, 'frame')}. {verdict.sentence}",
         tuple(notes),
         {
             "frames": count,
-            "mean_uncertainty_mm": float(face.mean()),
-            "uncertain_frames": [first + int(index) for index in high[:1000]],
-            "residual_mm": residual_mm,
+            "mean_uncertainty_mm": float(uncertainty[:, 0].mean()),
+            "uncertain_frames": (first + np.flatnonzero(uncertainty[:, 0] > SEEN_MM))[
+                :_LISTED_FRAMES
+            ].tolist(),
+            "residual_mm": float(np.sqrt((residual_mm[:, 0] ** 2).mean())),
+            "verdict": verdict.figures,
             "neutral": neutral,
         },
     )

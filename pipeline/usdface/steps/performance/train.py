@@ -56,6 +56,7 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
         mapping,
         references=spec.references.name,
         arrays=mapping.arrays | rig_summary(rig, mapping.shape_names),
+        settings=mapping.settings | {"tuned": int(references.tuned.sum())},
     )
     write_mapping(spec.out, mapping, provenance=provenance)
     notes += _correction_notes(mapping, references)

@@ -24,8 +24,7 @@ from usdface.core.replacing import replacing
 from usdface.core.timecode import shift_timecode
 from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
 from usdface.usdio.performance.weights_layer import (
-    RESIDUAL,
-    SOLVE_UNCERTAINTY,
+    FIGURES,
     WEIGHTS,
     WeightsHeader,
     author_header,
@@ -70,6 +69,7 @@ class PartsWriter:
         weights: FloatArray | Float32Array,
         *,
         uncertainty_mm: FloatArray | None = None,
+        coverage: FloatArray | None = None,
         residual_mm: FloatArray | None = None,
     ) -> None:
         """Append frames: (frames, shapes), and if known (frames, regions)."""
@@ -83,6 +83,7 @@ class PartsWriter:
             self._writer.append(
                 weights[part],
                 uncertainty_mm=None if uncertainty_mm is None else uncertainty_mm[part],
+                coverage=None if coverage is None else coverage[part],
                 residual_mm=None if residual_mm is None else residual_mm[part],
             )
             done += count
@@ -254,7 +255,7 @@ def _inner_parts(part: ClipPart) -> list[ClipPart]:
 
 def _copy_sample(layer: Sdf.Layer, header: WeightsHeader, part: ClipPart, frame: int) -> None:
     source = open_layer(part.file)
-    for name in (WEIGHTS, SOLVE_UNCERTAINTY, RESIDUAL):
+    for name in (WEIGHTS, *FIGURES):
         value = source.QueryTimeSample(Sdf.Path(part.animation).AppendProperty(name), frame)
         if value is not None:
             layer.SetTimeSample(header.animation.AppendProperty(name), frame, value)

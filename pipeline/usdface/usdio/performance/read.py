@@ -10,7 +10,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdSkel
 
 from usdface.core.arrays import Float32Array, FloatArray, IntArray
-from usdface.core.assets import Performance, WeightsClip
+from usdface.core.assets import Performance, SolveBasis, WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate, span_of_samples
 from usdface.core.timecode import shift_timecode
@@ -19,6 +19,8 @@ from usdface.usdio.performance.edits import ShapeEdit, edited_weights, read_edit
 from usdface.usdio.performance.weights_layer import (
     ANIMATION,
     NEUTRAL_FRAME,
+    PAIR_COUNTS,
+    STILL_REGIONS,
     WeightsHeader,
 )
 from usdface.usdio.rig.reference import place_of, rig_of
@@ -96,7 +98,7 @@ class PerformanceReader:
     @property
     @refusing_wrong_types
     def regions(self) -> tuple[str, ...]:
-        """Names of the uncertainty's and residual's regions."""
+        """Names of the regions of uncertainty, coverage and residual."""
         return tuple(map(str, self._get("face:residual:regions") or ()))
 
     @property
@@ -105,6 +107,16 @@ class PerformanceReader:
         """Frame of the take that shows the performer's neutral face; None when unknown."""
         frame = self._get(NEUTRAL_FRAME)
         return None if frame is None else int(frame)
+
+    @property
+    @refusing_wrong_types
+    def basis(self) -> SolveBasis | None:
+        """What the mapping learnt from; None when unknown."""
+        counts = self._get(PAIR_COUNTS)
+        if counts is None or len(counts) != 2:
+            return None
+        still = tuple(map(str, self._get(STILL_REGIONS) or ()))
+        return SolveBasis(pairs=int(counts[1]), tuned=int(counts[0]), still_regions=still)
 
     @property
     def timecode_start(self) -> str:
@@ -138,6 +150,7 @@ class PerformanceReader:
             timecode_start=self.timecode_start,
             name=path.name if path.GetParentPath() == Sdf.Path(place) else ANIMATION,
             neutral_frame=self.neutral_frame,
+            basis=self.basis,
         )
 
     def rig(self) -> tuple[Path, str]:
@@ -294,8 +307,10 @@ def read_performance(path: Path) -> Performance:
         rig_file=rig_file,
         rig_prim=rig_prim,
         uncertainty_mm=reader.uncertainty_mm(first, last),
+        coverage=reader.series("face:coverage", first, last),
         residual_mm=reader.series("face:residual", first, last),
         regions=reader.regions,
+        basis=reader.basis,
         timecode_start=reader.timecode_start,
         neutral_frame=reader.neutral_frame,
     )

@@ -10,7 +10,7 @@ import numpy as np
 from pxr import Sdf, Usd, Vt
 
 from usdface.core.arrays import Float32Array, FloatArray, IntArray
-from usdface.core.assets import Rig
+from usdface.core.assets import Rig, SolveBasis
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.numerics.motion.key_reduction import sparse_rows
@@ -32,14 +32,20 @@ ANIMATION = "FaceSolve"
 
 WEIGHTS = "blendShapeWeights"
 SOLVE_UNCERTAINTY = "face:uncertainty"
+COVERAGE = "face:coverage"
 RESIDUAL = "face:residual"
+FIGURES = (SOLVE_UNCERTAINTY, COVERAGE, RESIDUAL)
+"""What is sampled beside the weights: per region."""
+
+PAIR_COUNTS = "face:solve:references"
+STILL_REGIONS = "face:solve:stillRegions"
 NEUTRAL_FRAME = "face:solve:neutralFrame"
 
 COPY_FRAMES = 4096
 """Frames whose samples are in memory at once when they are copied."""
 
 SAMPLE_TOLERANCE_MM = 0.01
-"""Samples of uncertainty and residual are left out where USD's line between those kept is as near:
+"""Samples of `FIGURES` are left out where USD's line between those kept is as near:
 nobody sees the difference, and a sample costs as much as a frame of weights. Weights are all
 written."""
 
@@ -58,13 +64,15 @@ class WeightsHeader:
     last_frame: int
     """`first_frame`, `last_frame`: Inclusive."""
     regions: tuple[str, ...] = ()
-    """Names of the uncertainty's and residual's regions."""
+    """Names of the regions of `FIGURES`."""
     timecode_start: str = ""
     """SMPTE timecode of the first frame, empty when unknown."""
     name: str = ANIMATION
     """Of the animation prim."""
     neutral_frame: int | None = None
     """Frame of the take that shows the performer's neutral face."""
+    basis: SolveBasis | None = None
+    """What the mapping learnt from."""
 
     @property
     def animation(self) -> Sdf.Path:
@@ -92,8 +100,7 @@ class WeightsWriter:
         self._path = path
         self._layer = layer
         self._weights = header.animation.AppendProperty(WEIGHTS)
-        self._uncertainty = header.animation.AppendProperty(SOLVE_UNCERTAINTY)
-        self._residual = header.animation.AppendProperty(RESIDUAL)
+        self._figures = [header.animation.AppendProperty(name) for name in FIGURES]
         self._save_frames = min(
             FRAMES_IN_MEMORY, VALUES_IN_MEMORY // max(len(header.shape_names), 1) + 1
         )
@@ -106,6 +113,7 @@ class WeightsWriter:
         weights: FloatArray | Float32Array,
         *,
         uncertainty_mm: FloatArray | Float32Array | None = None,
+        coverage: FloatArray | Float32Array | None = None,
         residual_mm: FloatArray | Float32Array | None = None,
         keys: IntArray | None = None,
     ) -> None:
@@ -114,7 +122,7 @@ class WeightsWriter:
         Parameters
         ----------
         weights : (frames, shapes) float array
-        uncertainty_mm, residual_mm : (frames, regions) float array, optional
+        uncertainty_mm, coverage, residual_mm : (frames, regions) float array, optional
         keys : (keys,) int array, optional
             Rows whose weights are written; by default all are.
         """
@@ -128,9 +136,8 @@ class WeightsWriter:
                 np.ascontiguousarray(weights[part], dtype=np.float32),
                 [
                     (path, np.ascontiguousarray(values[part], dtype=np.float32))
-                    for path, values in (
-                        (self._uncertainty, uncertainty_mm),
-                        (self._residual, residual_mm),
+                    for path, values in zip(
+                        self._figures, (uncertainty_mm, coverage, residual_mm), strict=True
                     )
                     if values is not None
                 ],
@@ -182,7 +189,7 @@ class WeightsWriter:
             raise ValueError(f"frame {self.next_frame} comes next, not {first}")
         write, block = self._layer.SetTimeSample, min(self._save_frames, COPY_FRAMES)
         copied = []
-        for path in (self._weights, self._uncertainty, self._residual):
+        for path in (self._weights, *self._figures):
             attribute = animation.GetAttribute(path.name)
             if attribute:  # times are asked for once: USD looks through all for any interval
                 times = np.array(attribute.GetTimeSamples())
@@ -322,11 +329,15 @@ def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.Prim
     author_uniform(prim, "blendShapes", tokens, list(header.shape_names))
     Sdf.AttributeSpec(prim, WEIGHTS, Sdf.ValueTypeNames.FloatArray)
     if header.regions:
-        Sdf.AttributeSpec(prim, SOLVE_UNCERTAINTY, Sdf.ValueTypeNames.FloatArray)
-        Sdf.AttributeSpec(prim, RESIDUAL, Sdf.ValueTypeNames.FloatArray)
+        for name in FIGURES:
+            Sdf.AttributeSpec(prim, name, Sdf.ValueTypeNames.FloatArray)
         author_uniform(prim, "face:residual:regions", tokens, list(header.regions))
     if header.neutral_frame is not None:
         author_uniform(prim, NEUTRAL_FRAME, Sdf.ValueTypeNames.Int, header.neutral_frame)
+    if header.basis is not None:
+        counts = Vt.IntArray([header.basis.tuned, header.basis.pairs])
+        author_uniform(prim, PAIR_COUNTS, Sdf.ValueTypeNames.IntArray, counts)
+        author_uniform(prim, STILL_REGIONS, tokens, list(header.basis.still_regions))
     if header.timecode_start:
         text = Sdf.ValueTypeNames.String
         author_uniform(prim, "face:timecode:start", text, header.timecode_start)

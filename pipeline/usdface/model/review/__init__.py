@@ -1,0 +1,1 @@
+"""What a person should look at in a solve: the verdict on it, and the moments to review first."""

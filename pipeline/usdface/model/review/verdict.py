@@ -1,0 +1,206 @@
+"""The verdict on a solve: can it be used, on what evidence, where not, and what to do.
+
+Every frame is graded in each region of the face by three figures: coverage by the references,
+uncertainty, and residual (markers the weights do not follow, beyond what they leave at the
+references); where keys are known, by the error against them instead::
+
+    bad     coverage below 1/2, or a figure in millimetres above SEEN_MM
+    check   coverage below 3/4, or a figure in millimetres above half of SEEN_MM
+    good    otherwise
+
+A take is bad if most frames are bad somewhere in the face, and good if at most `_CHANCE_SHARE` of
+them need a check anywhere and its references are tuned. Coverage and uncertainty stand beside each
+other because neither knows all: a solve far from its references errs in ways that no reference
+showed, and the uncertainty of a mapping trained on proposals is that of the proposals.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.assets import SolveBasis
+from usdface.core.text import first_few
+from usdface.model.mapping.coverage import UNCOVERED_SHARE
+
+SEEN_MM = 1.0
+"""Error of a part of the face that anybody sees: where a face of 220 mm fills 1080 lines it is five
+pixels, each of them a minute of arc at the distance HDTV is made for (ITU-R BT.1845)."""
+
+_GUESSED_SHARE = 0.5
+"""Of a region's motion: with more left to guess, references tell less than half of it."""
+
+_CHANCE_SHARE = 0.05
+"""Of the frames: two standard deviations are exceeded as often by chance."""
+
+_BAD_SHARE = 0.5
+"""Of the frames: with more, a take is more work to mend than to map again."""
+
+OPENINGS = {"good": "Good", "check": "Check", "bad": "Do not use"}
+
+
+@dataclass(frozen=True)
+class SolveVerdict:
+    """Whether a solve can be used."""
+
+    level: str
+    """``'good'``, ``'check'`` or ``'bad'``."""
+    sentence: str
+    """The verdict and its evidence."""
+    advice: str = ""
+    """What to do; empty where nothing is."""
+    figures: dict[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SolveEvidence:
+    """What is known of a solve, frame by frame; each (frames, regions), the whole face first."""
+
+    regions: tuple[str, ...]
+    uncertainty_mm: FloatArray | None = None
+    coverage: FloatArray | None = None
+    """[0-1]"""
+    residual_mm: FloatArray | None = None
+    error_mm: FloatArray | None = None
+    """Against keys; NaN where there are none [mm]."""
+    basis: SolveBasis | None = None
+
+    def exceeds(self, seen_mm: float, uncovered: float) -> BoolArray | None:
+        """Return where a figure is beyond its limit: (frames, regions); None if none is known."""
+        if self.error_mm is not None:
+            return np.nan_to_num(self.error_mm) > seen_mm
+        found = [
+            each > seen_mm for each in (self.uncertainty_mm, self.residual_mm) if each is not None
+        ]
+        if self.coverage is not None:
+            found.append(self.coverage < 1 - uncovered)
+        if not found:
+            return None
+        width = min(each.shape[1] for each in found)  # earlier versions knew the face alone
+        beyond: BoolArray = np.any([each[:, :width] for each in found], axis=0)
+        return beyond
+
+
+def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
+    """Judge a solve; the one place where it is decided what a picture, page or message says of it."""
+    bad = evidence.exceeds(SEEN_MM, _GUESSED_SHARE)
+    doubtful = evidence.exceeds(SEEN_MM / 2, UNCOVERED_SHARE)
+    if bad is None or doubtful is None:
+        return SolveVerdict(
+            "check",
+            f"{OPENINGS['check']}: nothing is known of this solve's references or its error",
+            "map it with this version, or measure it against keys (--against)",
+        )
+    bad_share, doubtful_share = bad.any(axis=1).mean(), doubtful.any(axis=1).mean()
+    proposals = _learnt_from_proposals(evidence)
+    if bad_share > _BAD_SHARE:
+        level = "bad"
+    elif doubtful_share > _CHANCE_SHARE or proposals:
+        level = "check"
+    else:
+        level = "good"
+    shares = (bad if level == "bad" else doubtful).mean(axis=0)
+    where = _worst_regions(evidence.regions, shares)
+    parts = [_coverage(evidence), _tuned(evidence), _error(evidence), _residual(evidence)]
+    if level != "good" and where:
+        parts.append(f"see the {_list_regions(where)}")
+    return SolveVerdict(
+        level,
+        f"{OPENINGS[level]}: {'; '.join(filter(None, parts))}",
+        _advice(evidence, level, where, proposals),
+        {
+            "level": level,
+            "bad_share": round(float(bad_share), 4),
+            "check_share": round(float(doubtful_share), 4),
+            "regions": {
+                region: round(float(share), 4)
+                for region, share in zip(evidence.regions, shares, strict=False)
+            },
+        },
+    )
+
+
+def _learnt_from_proposals(evidence: SolveEvidence) -> bool:
+    """Whether fewer references are tuned than not, so that uncertainty is that of proposals."""
+    basis = evidence.basis
+    return evidence.error_mm is None and basis is not None and 2 * basis.tuned < basis.pairs
+
+
+def _worst_regions(regions: Sequence[str], shares: FloatArray) -> dict[str, float]:
+    """Return the regions that need it in more frames than chance, the worst first."""
+    found = {
+        region: float(share)
+        for region, share in zip(regions[1:], shares[1:], strict=False)
+        if share > _CHANCE_SHARE
+    }
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def _list_regions(where: dict[str, float]) -> str:
+    words = [f"{region} ({share:.0%})" for region, share in where.items()]
+    return first_few(words, most=2)
+
+
+def _error(evidence: SolveEvidence) -> str:
+    if evidence.error_mm is not None:
+        face = evidence.error_mm[:, 0]
+        high = np.nanpercentile(face, 95)
+        return f"{np.nanmean(face):.2f} mm off the keys, 95th percentile {high:.2f} mm"
+    if evidence.uncertainty_mm is None:
+        return ""
+    mean = evidence.uncertainty_mm.mean(axis=0)
+    words = f"expected error {mean[0]:.2f} mm"
+    if len(mean) > 1:
+        most = 1 + int(mean[1:].argmax())
+        if mean[most] > mean[0]:
+            words += f", {evidence.regions[most]} {mean[most]:.2f} mm"
+    return words
+
+
+def _coverage(evidence: SolveEvidence) -> str:
+    if evidence.coverage is None:
+        return ""
+    covered = (evidence.coverage >= 1 - UNCOVERED_SHARE).mean(axis=0)
+    words = f"references cover {covered[0]:.0%} of the frames"
+    if len(covered) > 1:
+        least = 1 + int(covered[1:].argmin())
+        if covered[least] < covered[0]:
+            words += f", {evidence.regions[least]} {covered[least]:.0%}"
+    return words
+
+
+def _tuned(evidence: SolveEvidence) -> str:
+    basis = evidence.basis
+    if basis is None:
+        return ""
+    if basis.tuned == 0:
+        return f"none of the {basis.pairs} references is tuned"
+    return f"{basis.tuned} of {basis.pairs} references are tuned"
+
+
+def _residual(evidence: SolveEvidence) -> str:
+    """Name markers that the solve does not follow, where somebody would see it."""
+    if evidence.residual_mm is None or evidence.error_mm is not None:
+        return ""
+    face = float(np.sqrt((evidence.residual_mm[:, 0] ** 2).mean()))
+    return f"markers {face:.1f} mm away from the solve" if face > SEEN_MM / 2 else ""
+
+
+def _advice(
+    evidence: SolveEvidence, level: str, where: dict[str, float], proposals: bool
+) -> str:
+    basis = evidence.basis
+    still = () if basis is None else basis.still_regions
+    steps = []
+    if level == "bad" and evidence.error_mm is None:
+        parts = first_few(list(where) or still, most=3)
+        steps.append(
+            "add frames of this take to the references"
+            + (f", chosen for the {parts}" if parts else "")
+        )
+    if proposals and basis is not None:
+        steps.append(f"tune the references ({basis.pairs - basis.tuned} are proposals)")
+    if steps:
+        return f"{' and '.join(steps)}, then train and map again"
+    return "" if level == "good" else "look at the moments to review first"
