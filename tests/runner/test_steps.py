@@ -14,6 +14,7 @@ from usdface.media.picture.image import read_image_metadata
 from usdface.model.mapping.head_space import into_head_space
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.train import train_mapping
+from usdface.model.review.verdict import SolveEvidence, judge_solve
 from usdface.runner.execute import execute
 from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
@@ -23,7 +24,7 @@ from usdface.specs.references import ReferencesImportSpec, SelectSpec
 from usdface.specs.review import SheetSpec
 from usdface.steps.capture import ingest
 from usdface.usdio.mapping import read_mapping, write_mapping
-from usdface.usdio.performance.read import read_performance
+from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
@@ -246,9 +247,17 @@ def test_mapping_a_part_equals_that_part_of_the_whole(shot: Shot) -> None:
     assert part.weights.first_frame == 101
     np.testing.assert_array_equal(part.weights.values, whole.values[100:140])
     assert part.timecode_start == "01:00:00:25"
-    # Not what a sheet calls a residual, which the weights leave: that is many times as much.
-    told = f"markers {report.figures['residual_mm']:.2f} mm from what the references' takes showed"
-    assert report.summary.endswith(told)
+    reader = PerformanceReader(shot / "part.usda")
+    evidence = SolveEvidence(
+        reader.regions,
+        uncertainty_mm=reader.uncertainty_mm(101, 140),
+        coverage=reader.series("face:coverage", 101, 140),
+        residual_mm=reader.series("face:residual", 101, 140),
+        basis=reader.basis,
+    )
+    verdict = judge_solve(evidence)  # by what the layer keeps of it
+    assert report.figures["verdict"]["level"] == verdict.level
+    assert report.summary.startswith(f"40 frames. {verdict.sentence.split(':')[0]}: ")
     assert Sdf.Layer.FindOrOpen(str(weights_path(shot / "part.usda"))).defaultPrim == "shot"
 
 

@@ -89,8 +89,8 @@ def test_residual_tells_a_swapped_pair_of_markers() -> None:
     mapping = trained(face)
     swapped = face.positions.copy()
     swapped[:, [8, 15]] = swapped[:, [15, 8]]
-    clean = predict_weights(mapping, face.positions).residual_mm
-    assert predict_weights(mapping, swapped).residual_mm.min() > 5 * clean.max()
+    clean = predict_weights(mapping, face.positions).residual_mm[:, 0]
+    assert predict_weights(mapping, swapped).residual_mm[:, 0].min() > 5 * clean.max()
 
 
 def test_no_frames_give_no_weights() -> None:

@@ -85,9 +85,8 @@ def test_a_marker_that_jumps_shows_in_its_own_part() -> None:
     before = predict_weights(mapping, face.positions[:50])
     after = predict_weights(mapping, jumped)
     assert after.regions == ("face", "brows", "lids", "mouth")
-    grown = (after.region_residual_mm - before.region_residual_mm).mean(axis=0)
+    grown = (after.residual_mm - before.residual_mm).mean(axis=0)
     assert grown[1] > 2 * grown[2:].max()
-    np.testing.assert_array_equal(after.residual_mm, after.region_residual_mm[:, 0])
 
 
 def test_a_shape_that_no_reference_moves_is_uncertain_where_it_moves() -> None:
@@ -118,9 +117,11 @@ def test_a_part_without_a_marker_seen_has_no_residual() -> None:
     face = face_in_parts()
     visible = np.ones((10, MARKERS), dtype=bool)
     visible[:, RIGID : RIGID + 6] = False  # the brows
-    found = predict_weights(trained(face), face.positions[:10], visible=visible)
-    np.testing.assert_array_equal(found.region_residual_mm[:, 1], 0.0)
-    assert (found.region_residual_mm[:, 2] > 0).all()
+    moved = face.positions[:10].copy()
+    moved[:, RIGID:] += 20.0
+    found = predict_weights(trained(face), moved, visible=visible)
+    np.testing.assert_array_equal(found.residual_mm[:, 1], 0.0)
+    assert (found.residual_mm[:, 2] > 0).all()
 
 
 def test_a_mapping_of_an_earlier_version_is_refused() -> None:

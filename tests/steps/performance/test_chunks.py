@@ -41,6 +41,7 @@ def all_values(path: Path) -> dict[str, np.ndarray]:
     return {
         "weights": reader.solved(),
         "uncertainty": reader.series("face:uncertainty", first, last),
+        "coverage": reader.series("face:coverage", first, last),
         "residual": reader.series("face:residual", first, last),
         "frames": reader.frames,
         "timecode": np.array(reader.timecode_start),
@@ -48,8 +49,8 @@ def all_values(path: Path) -> dict[str, np.ndarray]:
 
 
 def assert_same(one: Path, other: Path, *, cut_anywhere: bool = False) -> None:
-    """All is equal; uncertainty and residual near where cuts make other samples of them be kept."""
-    within = dict.fromkeys(("uncertainty", "residual"), SAMPLE_TOLERANCE_MM)
+    """All is equal; figures near where cuts make other samples of them be kept."""
+    within = dict.fromkeys(("uncertainty", "coverage", "residual"), SAMPLE_TOLERANCE_MM)
     found, wanted = all_values(one), all_values(other)
     for name, values in wanted.items():
         if cut_anywhere and name in within:

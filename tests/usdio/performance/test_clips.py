@@ -53,7 +53,9 @@ def write(
         for start in range(rows.start, rows.stop, 5):
             part = WEIGHTS[start : min(start + 5, rows.stop)]
             residual = np.full((len(part), 1), 0.5)
-            writer.append(part, uncertainty_mm=part[:, :1], residual_mm=residual)
+            writer.append(
+                part, uncertainty_mm=part[:, :1], coverage=part[:, 1:2], residual_mm=residual
+            )
     return path
 
 
@@ -62,7 +64,7 @@ def test_parts_play_as_one_layer_between_frames_too(tmp_path: Path, part_frames:
     whole, parts = write(tmp_path, "whole.usda", None), write(tmp_path, "parts.usda", part_frames)
     np.testing.assert_array_equal(read_performance(parts).weights.values, WEIGHTS)
     one, other = Usd.Stage.Open(str(whole)), Usd.Stage.Open(str(parts))
-    for name in ("blendShapeWeights", "face:uncertainty", "face:residual"):
+    for name in ("blendShapeWeights", "face:uncertainty", "face:coverage", "face:residual"):
         single, joined = (s.GetAttributeAtPath(f"/Hero/FaceSolve.{name}") for s in (one, other))
         for time in np.arange(-5, 22, 0.25):
             np.testing.assert_array_equal(np.array(joined.Get(time)), np.array(single.Get(time)))
@@ -87,7 +89,7 @@ def test_parts_that_are_clips_themselves_join_as_one(tmp_path: Path) -> None:
     )
     np.testing.assert_array_equal(read_performance(tmp_path / "abc.usda").weights.values, WEIGHTS)
     one, other = (Usd.Stage.Open(str(each)) for each in (whole, tmp_path / "abc.usda"))
-    for name in ("blendShapeWeights", "face:uncertainty", "face:residual"):
+    for name in ("blendShapeWeights", "face:uncertainty", "face:coverage", "face:residual"):
         single, joined = (s.GetAttributeAtPath(f"/Hero/FaceSolve.{name}") for s in (one, other))
         for time in np.arange(-5, 22, 0.25):
             np.testing.assert_array_equal(np.array(joined.Get(time)), np.array(single.Get(time)))

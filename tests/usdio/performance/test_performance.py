@@ -1,5 +1,6 @@
 """Performances: the rig is referenced, the weights lie beneath, edits stay."""
 
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 from tests.usdio.small_rig import small_rig
+from usdface.core.assets import SolveBasis
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
@@ -22,6 +24,7 @@ from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.validation import validate
 
+BASIS = SolveBasis(pairs=30, tuned=12, still_regions=("brows", "lids"))
 NAMES = ("smile", "jawOpen", "eyeBlink")  # another order than the rig's
 WEIGHTS = np.random.default_rng(0).random((20, 3)).astype(np.float32)
 
@@ -32,15 +35,18 @@ def write(folder: Path, *, place: str | None = None, weights=WEIGHTS, first: int
     path = folder / "shot.hero.usda"
     with writing_performance(
         path,
-        make_header(
-            read_rig(folder / "rig.usda"),
-            shape_names=NAMES,
-            rate=Fraction(30000, 1001),
-            first_frame=first,
-            last_frame=first + len(weights) - 1,
-            place=place,
-            regions=("face",),
-            timecode_start="00:01:00;02",
+        replace(
+            make_header(
+                read_rig(folder / "rig.usda"),
+                shape_names=NAMES,
+                rate=Fraction(30000, 1001),
+                first_frame=first,
+                last_frame=first + len(weights) - 1,
+                place=place,
+                regions=("face",),
+                timecode_start="00:01:00;02",
+            ),
+            basis=BASIS,
         ),
         read_rig(folder / "rig.usda"),
         provenance=Provenance("map", "{}", {}),
@@ -50,6 +56,7 @@ def write(folder: Path, *, place: str | None = None, weights=WEIGHTS, first: int
             writer.append(
                 part,
                 uncertainty_mm=np.linspace(0, 1, len(weights))[start : start + 7, None],
+                coverage=np.full((len(part), 1), 0.75),
                 residual_mm=np.full((len(part), 1), 0.5),
             )
     return path
@@ -81,7 +88,9 @@ def test_performance_reads_back_the_same(tmp_path: Path) -> None:
     assert back.rig_file.resolve() == (tmp_path / "rig.usda").resolve()
     assert (back.rig_prim, back.regions) == ("/Hero", ("face",))
     np.testing.assert_allclose(back.uncertainty_mm[:, 0], np.linspace(0, 1, 20), atol=1e-6)
+    np.testing.assert_allclose(back.coverage, 0.75)
     np.testing.assert_allclose(back.residual_mm, 0.5)
+    assert back.basis == BASIS
     assert back.timecode_start == "00:01:00;02"
 
 

@@ -20,7 +20,7 @@ from usdface.media.picture.canvas import (
     new_picture,
     spread_rows,
 )
-from usdface.media.picture.color import BLUE, GREEN, ORANGE, PAGE, RED, SOFT, Color
+from usdface.media.picture.color import BLUE, GREEN, PAGE, SOFT, VERDICT_COLORS, Color
 from usdface.media.picture.sheet import draw_header
 from usdface.media.picture.text import TextStyle, draw_text, text_width
 
@@ -45,8 +45,6 @@ _DOUBT: Color = (255, 128, 72)
 _LINE: Color = (92, 98, 108)
 _HIDDEN_MM = 3.0
 _SIDE_DEGREES = 62.0
-
-VERDICT_COLORS = {"good": GREEN, "check": ORANGE, "bad": RED}
 
 
 @dataclass(frozen=True)

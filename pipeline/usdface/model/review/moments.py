@@ -17,7 +17,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.model.review.verdict import SolveEvidence
 
-APART_SECONDS = 0.25
+MOMENT_SECONDS = 0.25
 """Frames nearer than this are one moment: a blink, or a plosive, takes about as long."""
 
 _LEAST_COVERAGE = 0.1
@@ -113,12 +113,12 @@ def review_moments(
     count : int
         Most moments.
     rate : float
-        Frames per second: no two moments are nearer than `APART_SECONDS`.
+        Frames per second: no two moments are nearer than `MOMENT_SECONDS`.
     least_mm : float
         Frames below are left out.
     """
     score = np.nan_to_num(signals.score_mm, nan=-1.0)
-    near = max(round(APART_SECONDS * rate), 1)
+    near = max(round(MOMENT_SECONDS * rate), 1)
     free = score > least_mm
     rows: list[int] = []
     for row in np.argsort(-score, kind="stable").tolist():
@@ -160,4 +160,4 @@ def region_distances(off: FloatArray, grams: FloatArray) -> FloatArray:
         [mm^2]
     """
     squared = [np.einsum("fs,fs->f", off @ gram, off) for gram in grams]
-    return np.sqrt(np.maximum(np.stack(squared, axis=1), 0.0))
+    return np.asarray(np.sqrt(np.maximum(np.stack(squared, axis=1), 0.0)))

@@ -83,7 +83,7 @@ class SolveEvidence:
 
 
 def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
-    """Judge a solve; the one place where it is decided what a picture, page or message says of it."""
+    """Judge a solve: what every picture, page and message says of it."""
     bad = evidence.exceeds(SEEN_MM, _GUESSED_SHARE)
     doubtful = evidence.exceeds(SEEN_MM / 2, UNCOVERED_SHARE)
     if bad is None or doubtful is None:
@@ -187,9 +187,7 @@ def _residual(evidence: SolveEvidence) -> str:
     return f"markers {face:.1f} mm away from the solve" if face > SEEN_MM / 2 else ""
 
 
-def _advice(
-    evidence: SolveEvidence, level: str, where: dict[str, float], proposals: bool
-) -> str:
+def _advice(evidence: SolveEvidence, level: str, where: dict[str, float], proposals: bool) -> str:
     basis = evidence.basis
     still = () if basis is None else basis.still_regions
     steps = []

@@ -78,9 +78,7 @@ def measure_coverage(
         left = left_over(whole, pair_features, thinned[rows], noise=KEY_VARIANCE)
         covered[rows] = 1 - np.sqrt(left)
         for index, ((a, b), kernel) in enumerate(zip(space.columns, parts, strict=True)):
-            left = left_over(
-                kernel, pair_features[:, a:b], thinned[rows, a:b], noise=KEY_VARIANCE
-            )
+            left = left_over(kernel, pair_features[:, a:b], thinned[rows, a:b], noise=KEY_VARIANCE)
             regions[rows, index] = 1 - np.sqrt(left)
     return Coverage(
         np.repeat(covered, step)[:count], space.regions, np.repeat(regions, step, axis=0)[:count]

@@ -1,0 +1,86 @@
+"""The verdict on a solve: its level, its words, what to do."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from usdface.core.assets import SolveBasis
+from usdface.model.review.verdict import SEEN_MM, SolveEvidence, judge_solve
+
+REGIONS = ("face", "brows", "mouth")
+TUNED, PROPOSED = SolveBasis(50, 50), SolveBasis(30, 0, ("brows",))
+
+
+def evidence(**values: float) -> SolveEvidence:
+    """Make 100 frames of constant figures: covered, sure, tuned unless said otherwise."""
+    given = {"uncertainty_mm": 0.1, "coverage": 0.95, "residual_mm": 0.0} | values
+    return SolveEvidence(
+        REGIONS, basis=TUNED, **{name: np.full((100, 3), value) for name, value in given.items()}
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "level"),
+    [
+        ("uncertainty_mm", 0.49 * SEEN_MM, "good"),
+        ("uncertainty_mm", 0.51 * SEEN_MM, "check"),
+        ("uncertainty_mm", 1.01 * SEEN_MM, "bad"),
+        ("residual_mm", 0.51 * SEEN_MM, "check"),
+        ("residual_mm", 1.01 * SEEN_MM, "bad"),
+        ("coverage", 0.74, "check"),
+        ("coverage", 0.49, "bad"),
+    ],
+)
+def test_a_figure_beyond_its_limit_sets_the_level(name: str, value: float, level: str) -> None:
+    verdict = judge_solve(evidence(**{name: value}))
+    assert verdict.level == level
+    assert bool(verdict.advice) == (level != "good")
+
+
+@pytest.mark.parametrize(
+    ("frames", "level"), [(0, "good"), (5, "good"), (6, "check"), (50, "check"), (51, "bad")]
+)
+def test_the_level_of_a_take_is_that_of_most_frames(frames: int, level: str) -> None:
+    found = evidence()
+    found.coverage[:frames, 1] = 0.2
+    verdict = judge_solve(found)
+    assert verdict.level == level
+    if level != "good":
+        assert f"brows ({frames}%)" in verdict.sentence
+
+
+def test_a_take_of_brows_by_references_of_cheeks_is_red_and_says_why_and_what_to_do() -> None:
+    found = replace(evidence(residual_mm=1.6), basis=PROPOSED)
+    found.coverage[:] = [0.4, 0.35, 0.9]
+    verdict = judge_solve(found)
+    assert verdict.level == "bad"
+    for words in ("cover 0% of the frames", "none of the 30 references is tuned", "1.6 mm away"):
+        assert words in verdict.sentence
+    for words in ("add frames of this take", "brows", "30 are proposals", "train and map again"):
+        assert words in verdict.advice
+
+
+def test_proposals_are_never_good_since_their_error_is_that_of_proposals() -> None:
+    assert judge_solve(replace(evidence(), basis=PROPOSED)).level == "check"
+    assert judge_solve(replace(evidence(), basis=SolveBasis(30, 15))).level == "good"
+
+
+def test_keys_decide_where_they_are_known() -> None:
+    found = evidence(uncertainty_mm=9.0, coverage=0.1)
+    for error_mm, level in ((0.2, "good"), (0.6, "check"), (1.2, "bad")):
+        error = np.full((100, 3), error_mm)
+        error[40:] = np.nan if level == "good" else error_mm  # keys of some frames alone
+        verdict = judge_solve(replace(found, error_mm=error))
+        assert verdict.level == level
+        assert f"{error_mm:.2f} mm off the keys" in verdict.sentence
+
+
+def test_nothing_known_is_not_good() -> None:
+    verdict = judge_solve(SolveEvidence(()))
+    assert (verdict.level, "nothing is known" in verdict.sentence) == ("check", True)
+
+
+def test_an_earlier_version_knew_the_face_alone() -> None:
+    found = SolveEvidence(REGIONS, uncertainty_mm=np.full((100, 1), 2.0))
+    assert judge_solve(found).level == "bad"
