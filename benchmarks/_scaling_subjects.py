@@ -27,8 +27,7 @@ from usdface.media.face.subdivision import catmull_clark
 from usdface.model.mapping.motion_space import fit_motion_space, motion_from_pca
 from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
-from usdface.model.selection.design import CandidateMarkers, choose_by_design
-from usdface.model.selection.features import selection_space
+from usdface.model.selection.design import CandidateMarkers, choose_by_design, selection_space
 from usdface.numerics.regression.pca import fit_pca
 from usdface.numerics.repair.cleaning import clean_markers
 from usdface.numerics.rigid.stabilization import stabilize

@@ -11,10 +11,9 @@ from usdface.capture.sniff import read_capture
 from usdface.core.assets import RigMesh
 from usdface.core.deformer import Deformer
 from usdface.demo.acting import performance
-from usdface.demo.markers import demo_markers
+from usdface.demo.capture import demo_markers
 from usdface.demo.proportions import CHARACTER
-from usdface.demo.rig import demo_rig, mesh_points
-from usdface.demo.shapes import make_head
+from usdface.demo.rig import demo_rig, make_head, mesh_points
 from usdface.numerics.registration.surface_places import SurfacePlaces, places_at_points
 from usdface.usdio.rig.read import read_rig
 

@@ -85,10 +85,9 @@ def _capture(path: Path, frames: int) -> None:
     """Write the demo's actor, there and back again and again, with noise in every frame."""
     from usdface.capture.c3d_write import write_c3d
     from usdface.demo.acting import performance
-    from usdface.demo.capture import simulate_capture
-    from usdface.demo.markers import demo_markers
+    from usdface.demo.capture import demo_markers, simulate_capture
     from usdface.demo.proportions import ACTOR
-    from usdface.demo.shapes import make_head
+    from usdface.demo.rig import make_head
 
     actor, acted = make_head(ACTOR), performance()
     markers = demo_markers(actor)

@@ -21,7 +21,7 @@ from usdface.model import Prediction, predict_weights, sample_skin, train_mappin
 from usdface.model.mapping.regions import region_points
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
 from usdface.numerics.regression.cross_validation import surface_errors_mm
-from usdface.steps.inputs.take_head_space import read_markers, take_head_space
+from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader

@@ -7,7 +7,7 @@ from benchmarks._surface_subjects import Subject, demo_subject, recorded_subject
 from usdface.model.surface.distance import surface_distances
 from usdface.model.surface.gp_surface import GpOptions, fit_gp_surface
 from usdface.model.surface.rbf_surface import RbfOptions, fit_rbf_surface
-from usdface.numerics.measure.lip_gap import find_lip_pairs
+from usdface.numerics.measure.performance_error import find_lip_pairs
 
 METHODS: dict[str, GpOptions | RbfOptions] = {
     "RBF, Euclidean": RbfOptions(blend=0.0),

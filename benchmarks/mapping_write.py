@@ -184,7 +184,7 @@ def _mapped(folder: Path, frames: int, method: str) -> dict[str, float]:
     from usdface.model import fit_motion_space
     from usdface.model.mapping.head_space import MappedMarkers
     from usdface.model.mapping.train import train_mapping
-    from usdface.steps.performance.predict_blocks import Block, predict_pipelined
+    from usdface.steps.performance.map import Block, predict_pipelined
 
     rng = np.random.default_rng(0)
     neutral = rng.uniform(-70, 70, (MARKERS, 3))

@@ -84,10 +84,9 @@ def _prepare(folder: Path, lengths: tuple[int, ...]) -> None:
     from tests.steps.small_shot import make_inputs
     from usdface.capture.c3d_write import write_c3d
     from usdface.demo.acting import performance
-    from usdface.demo.capture import simulate_capture
-    from usdface.demo.markers import demo_markers
+    from usdface.demo.capture import demo_markers, simulate_capture
     from usdface.demo.proportions import ACTOR
-    from usdface.demo.shapes import make_head
+    from usdface.demo.rig import make_head
     from usdface.runner.job import run_job
     from usdface.specs.reading import read_job
 

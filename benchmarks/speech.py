@@ -9,10 +9,9 @@ import numpy as np
 from tests.conftest import SHARED_DATA
 from usdface.core.errors import InputError
 from usdface.media.film.sound import read_audio
-from usdface.speech.forced_alignment import PhoneAlignment, align_phones
+from usdface.speech.forced_alignment import PhoneAlignment, align_phones, spoken_words
 from usdface.speech.phone_track import PhoneTrack, Span
 from usdface.speech.track_files import read_phone_track
-from usdface.speech.transcript import spoken_words
 from usdface.speech.visemes import arpabet_of, viseme_of
 
 NAMES = ("acoustic_corpus", "cold_corpus", "cold_corpus3")

@@ -160,10 +160,9 @@ def _prepare(folder: Path, lengths: tuple[int, ...]) -> None:
     """Write captures, rigs, and mappings that were trained on the beginning of the take."""
     from usdface.capture.c3d_write import write_c3d
     from usdface.demo.acting import performance
-    from usdface.demo.capture import simulate_capture
-    from usdface.demo.markers import demo_markers
+    from usdface.demo.capture import demo_markers, simulate_capture
     from usdface.demo.proportions import ACTOR
-    from usdface.demo.shapes import make_head
+    from usdface.demo.rig import make_head
     from usdface.usdio.take.read import read_take
 
     actor, acted = make_head(ACTOR), performance()

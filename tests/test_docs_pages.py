@@ -11,10 +11,9 @@ import pytest
 from tests.regenerate import REFERENCE, REPOSITORY
 from tests.test_docs import commands, run
 from usdface.demo.build import write_demo_inputs
-from usdface.demo.markers import demo_markers
+from usdface.demo.capture import demo_markers
 from usdface.demo.proportions import CHARACTER
-from usdface.demo.rig import demo_rig
-from usdface.demo.shapes import make_head
+from usdface.demo.rig import demo_rig, make_head
 from usdface.specs.surface import BindSpec
 
 DOCS = REPOSITORY / "docs"

@@ -8,9 +8,8 @@ import ezc3d
 import numpy as np
 import pytest
 
-from usdface.capture.c3d import open_c3d
+from usdface.capture.c3d import open_c3d, read_c3d_take
 from usdface.capture.c3d_parameters import Parameters
-from usdface.capture.c3d_take import read_c3d_take
 from usdface.capture.c3d_write import write_c3d
 from usdface.capture.marker_take import CaptureOptions
 from usdface.core.errors import InputError

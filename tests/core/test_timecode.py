@@ -5,7 +5,7 @@ from fractions import Fraction
 import pytest
 
 from usdface.core.errors import InputError
-from usdface.core.timecode import frames_of, shift_timecode, timecode_of
+from usdface.core.rates import frames_of, shift_timecode, timecode_of
 
 NTSC = Fraction(30000, 1001)
 

@@ -5,7 +5,7 @@ import pytest
 from usdface.demo.acting import ActedPerformance, performance
 from usdface.demo.head import DemoHead
 from usdface.demo.proportions import ACTOR, CHARACTER
-from usdface.demo.shapes import make_head
+from usdface.demo.rig import make_head
 
 
 @pytest.fixture(scope="session")

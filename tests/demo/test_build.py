@@ -7,12 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from usdface.capture.c3d_take import read_c3d_take
+from usdface.capture.c3d import read_c3d_take
 from usdface.capture.marker_take import CaptureOptions
 from usdface.demo.acting import ActedPerformance
-from usdface.demo.build import DemoInputs, write_demo_inputs
+from usdface.demo.build import (
+    OFFSET_SECONDS,
+    SIZE,
+    VIDEO_RATE,
+    DemoInputs,
+    Studio,
+    write_demo_inputs,
+)
 from usdface.demo.capture import ActorFace, head_poses
-from usdface.demo.clip import OFFSET_SECONDS, SIZE, VIDEO_RATE, Studio
 from usdface.demo.head import DemoHead
 from usdface.demo.rig import rig_from_head
 from usdface.demo.script import timed_phones

@@ -4,9 +4,17 @@ import numpy as np
 import pytest
 
 from usdface.demo.acting import ActedPerformance
-from usdface.demo.capture import NOISE_MM, ActorFace, SimulatedCapture, simulate_capture
+from usdface.demo.capture import (
+    MARKER_COUNT,
+    MARKER_RADIUS,
+    NOISE_MM,
+    ActorFace,
+    MarkerSet,
+    SimulatedCapture,
+    demo_markers,
+    simulate_capture,
+)
 from usdface.demo.head import DemoHead, HeadPart
-from usdface.demo.markers import MARKER_COUNT, MARKER_RADIUS, MarkerSet, demo_markers
 
 
 @pytest.fixture(scope="module")

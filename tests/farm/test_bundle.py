@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from usdface.core.errors import InputError
 from usdface.farm.bundle import MARK, bundle_hash, compose_bundle, write_bundle
-from usdface.farm.chunks import ChunkSizes
-from usdface.farm.plan import FarmStep, plan_job
+from usdface.farm.plan import ChunkSizes, FarmStep, plan_job
 from usdface.farm.submit import submit
 from usdface.specs.capture import CleanSpec
 from usdface.specs.job import JobSpec

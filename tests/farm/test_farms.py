@@ -18,9 +18,8 @@ from tests.steps.small_shot import Shot
 from tests.usdio.small_rig import small_rig
 from usdface.cli import main
 from usdface.core.errors import CheckFailedError, InputError
-from usdface.farm.commands import named_folders
 from usdface.farm.plan import FarmStep
-from usdface.farm.submit import outline_path, submit
+from usdface.farm.submit import named_folders, outline_path, submit
 from usdface.specs.edits import BakeSpec
 from usdface.specs.submit import SubmitSpec
 from usdface.usdio.performance.read import read_performance

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from usdface.core.errors import InputError
 from usdface.core.sidecars import parts_folder
-from usdface.farm.chunks import ChunkSizes, in_chunks
-from usdface.farm.plan import FarmStep, Plan, plan_job
+from usdface.farm.plan import ChunkSizes, FarmStep, Plan, in_chunks, plan_job
 from usdface.specs.base import Spec
 from usdface.specs.capture import AlignSpec, CleanSpec, IngestSpec
 from usdface.specs.job import JobSpec

@@ -18,10 +18,10 @@ from usdface.publish.integrate import read_manifest
 from usdface.runner.origin import provenance_of
 from usdface.specs.paths import read_path_rules
 from usdface.specs.reading import read_job
-from usdface.speech.dictionary import read_dictionary, read_text
+from usdface.speech.forced_alignment import spoken_words
 from usdface.speech.phone_track import PhoneTrack, Span
+from usdface.speech.pronunciation import read_dictionary, read_text
 from usdface.speech.track_files import read_phone_track, write_phone_track
-from usdface.speech.transcript import spoken_words
 from usdface.steps.inputs.weight_tables import read_alpha, read_weight_table
 from usdface.steps.surface.frames import _from_csv
 

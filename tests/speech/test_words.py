@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from usdface.core.errors import InputError
-from usdface.speech.dictionary import read_dictionary
-from usdface.speech.letter_to_sound import phones_of_letters
-from usdface.speech.transcript import spoken_words
+from usdface.speech.forced_alignment import spoken_words
+from usdface.speech.pronunciation import phones_of_letters, read_dictionary
 from usdface.speech.visemes import viseme_of
 
 

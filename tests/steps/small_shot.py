@@ -8,11 +8,9 @@ import yaml
 from usdface.capture.c3d_write import write_c3d
 from usdface.demo.acting import performance
 from usdface.demo.build import _write_weights
-from usdface.demo.capture import simulate_capture
-from usdface.demo.markers import demo_markers
+from usdface.demo.capture import demo_markers, simulate_capture
 from usdface.demo.proportions import ACTOR
-from usdface.demo.rig import demo_rig
-from usdface.demo.shapes import make_head
+from usdface.demo.rig import demo_rig, make_head
 from usdface.usdio.rig.write import write_rig
 
 FRAMES = 480

@@ -27,8 +27,8 @@ from usdface.capture.text_table import (
     without_empty_tail,
 )
 from usdface.core.errors import InputError
+from usdface.core.rates import timecode_of
 from usdface.core.text import pluralize
-from usdface.core.timecode import timecode_of
 
 _TIMECODE = re.compile(r"(\d\d):(\d\d):(\d\d):(\d{1,3}(?:\.\d{1,9})?)", re.ASCII)
 _TITLES = ("timecode", "blendshapecount")

@@ -32,9 +32,8 @@ from usdface.capture.text_table import (
     without_empty_tail,
 )
 from usdface.core.errors import InputError
-from usdface.core.rates import exact_rate
+from usdface.core.rates import exact_rate, frames_of
 from usdface.core.text import first_few
-from usdface.core.timecode import frames_of
 
 _MOST_HEADER_ROWS = 12
 _RATES = ("Export Frame Rate", "Capture Frame Rate")

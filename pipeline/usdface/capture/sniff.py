@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from usdface.capture.c3d_take import is_c3d, read_c3d_take
+from usdface.capture.c3d import is_c3d, read_c3d_take
 from usdface.capture.face_cap import is_face_cap, read_face_cap
 from usdface.capture.ifacialmocap import is_ifacialmocap, read_ifacialmocap
 from usdface.capture.live_link_csv import is_live_link_csv, read_live_link_csv

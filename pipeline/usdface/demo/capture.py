@@ -13,8 +13,181 @@ from scipy.spatial.transform import Rotation
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.demo.acting import ActedPerformance
 from usdface.demo.details import smooth_step
-from usdface.demo.head import DemoHead
-from usdface.demo.markers import MARKER_RADIUS, MarkerSet
+from usdface.demo.half_cage import Mark
+from usdface.demo.head import DemoHead, HeadPart
+
+MARKER_RADIUS = 1.5
+"""Half the diameter of a marker: its centre lies so far off the skin [mm]."""
+
+MARKER_COUNT = 102
+
+
+@dataclass(frozen=True)
+class MarkerSet:
+    """Markers glued to a head."""
+
+    names: tuple[str, ...]
+    points: IntArray
+    """(markers,): the head's point under each marker."""
+    rigid: tuple[str, ...]
+    """Names of those that move with the skull alone."""
+
+
+def demo_markers(head: DemoHead) -> MarkerSet:
+    """Choose the points of the skin that carry the markers.
+
+    Returns
+    -------
+    MarkerSet
+        `MARKER_COUNT` markers, 10 of them rigid; left and right mirror each other.
+    """
+    skin = _Picker(head)
+    eye, nose, mouth, skull = (getattr(head.style, k) for k in ("eye", "nose", "mouth", "skull"))
+    ex, ey = eye.center[:2]
+    by = ey + skull.brow_height
+    w, my = mouth.half_width, mouth.height
+    wide = skull.face_radii[0]
+
+    middle = {
+        "head_1": (0.0, by + 34.0),
+        "head_2": (0.0, nose.root[0] - 2.0),
+        "forehead_mid": (0.0, by + 18.0),
+        "glabella": (0.0, by - 2.0),
+        "nose_bridge": (0.0, 0.5 * (nose.root[0] + nose.tip[0])),
+        "nose_tip": (0.0, nose.tip[0] + 2.0),
+        "chin_crease": (0.0, my - mouth.lower - 7.0),
+        "chin": (0.0, skull.chin[1] + 2.0),
+    }
+    sides = {
+        "head_3": (20.0, by + 34.0),
+        "head_5": (0.72 * wide, by + 30.0),
+        "forehead_1": (13.0, by + 17.0),
+        "forehead_2": (31.0, by + 15.0),
+        "brow_1": (9.0, by - 1.0),
+        "brow_2": (ex - 11.0, by + 4.0),
+        "brow_3": (ex, by + 6.5),
+        "brow_4": (ex + 11.0, by + 5.0),
+        "brow_5": (ex + 20.0, by - 1.0),
+        "temple": (0.92 * wide, ey + 4.0),
+        "under_eye_1": (ex - 12.0, ey - 20.0),
+        "under_eye_2": (ex + 2.0, ey - 22.0),
+        "under_eye_3": (ex + 16.0, ey - 18.0),
+        "nose_side_1": (8.0, 0.45 * (nose.root[0] + nose.tip[0])),
+        "nose_side_2": (10.5, nose.wing[1] + 10.0),
+        "nose_wing": (nose.wing[0] + 4.0, nose.wing[1]),
+        "fold_1": (nose.wing[0] + 12.0, nose.wing[1] - 1.0),
+        "fold_2": (w + 7.0, my + 15.0),
+        "fold_3": (w + 11.0, my + 4.0),
+        "fold_4": (w + 9.0, my - 9.0),
+        "cheek_1": (ex - 2.0, ey - 32.0),
+        "cheek_2": (ex + 13.0, ey - 32.0),
+        "cheek_3": (0.86 * wide, ey - 26.0),
+        "cheek_4": (ex + 4.0, ey - 45.0),
+        "cheek_5": (0.82 * wide, ey - 45.0),
+        "lip_above": (0.45 * w, my + mouth.upper + 5.0),
+        "lip_below": (0.55 * w, my - mouth.lower - 5.0),
+        "jaw_1": (14.0, skull.chin[1] + 5.0),
+        "jaw_2": (22.0, my - 20.0),
+        "jaw_3": (31.0, my - 13.0),
+        "jaw_4": (0.74 * wide, my - 4.0),
+    }
+    lids = {
+        "lid_upper_1": (1, -0.5),
+        "lid_upper_2": (1, 0.05),
+        "lid_upper_3": (1, 0.6),
+        "lid_lower_1": (-1, -0.45),
+        "lid_lower_2": (-1, 0.05),
+        "lid_lower_3": (-1, 0.6),
+    }
+    chosen = {name: skin.on_front(x, y) for name, (x, y) in middle.items()}
+    chosen["lip_upper_mid"], chosen["lip_lower_mid"] = skin.on_lip(0.0, 1), skin.on_lip(0.0, -1)
+    pairs = {name: skin.on_front(x, y) for name, (x, y) in sides.items()}
+    pairs |= {name: skin.on_lid(side, across) for name, (side, across) in lids.items()}
+    pairs["mouth_corner"] = skin.on_front(w + 3.0, my + mouth.curve)
+    for number, across in enumerate((0.28, 0.62, 0.9), start=1):
+        pairs[f"lip_upper_{number}"] = skin.on_lip(across, 1)
+        pairs[f"lip_lower_{number}"] = skin.on_lip(across, -1)
+    pairs["head_7"], pairs["head_9"] = skin.on_ear(1.0), skin.on_ear(-1.0)
+    for name, point in pairs.items():
+        left, right = _pair_names(name)
+        chosen[left], chosen[right] = point, int(head.mirror[point])
+    names = tuple(sorted(chosen, key=_natural))
+    return MarkerSet(
+        names=names,
+        points=np.array([chosen[name] for name in names], np.int64),
+        rigid=tuple(name for name in names if name.startswith("head_")),
+    )
+
+
+def _pair_names(name: str) -> tuple[str, str]:
+    """Rigid markers are numbered through, all others carry their side."""
+    if name.startswith("head_"):
+        number = int(name.removeprefix("head_"))
+        return f"head_{number}", f"head_{number + 1}"
+    base, _, number_text = name.rpartition("_")
+    if number_text.isdigit():
+        return f"{base}_L{number_text}", f"{base}_R{number_text}"
+    return f"{name}_L", f"{name}_R"
+
+
+def _natural(name: str) -> tuple[str, int]:
+    digits = "".join(c for c in name if c.isdigit())
+    return name.rstrip("0123456789"), int(digits or 0)
+
+
+class _Picker:
+    """Finds points of the skin by where they are."""
+
+    def __init__(self, head: DemoHead) -> None:
+        self._head = head
+        ring = head.marks[:, Mark.MOUTH_RING]
+        outside = (ring > 1.5) & (head.marks[:, Mark.EYE_RING] > 1.5)
+        dry = head.marks[:, Mark.NOSTRIL] < 0.05
+        self._open = (head.parts == HeadPart.SKIN) & outside & dry & (head.points[:, 0] >= 0.0)
+        self._taken: set[int] = set()
+
+    def _nearest(self, cost: FloatArray, allowed: BoolArray) -> int:
+        cost = np.where(allowed, cost, np.inf)
+        cost[list(self._taken)] = np.inf
+        best = int(np.argmin(cost))
+        self._taken.add(best)
+        return best
+
+    def on_front(self, x: float, y: float) -> int:
+        """Choose the point seen from the front at this place; on the midline where x is 0."""
+        p = self._head.points
+        allowed = self._open & (p[:, 2] > 12.0)
+        if x == 0.0:
+            allowed &= p[:, 0] == 0.0
+        # Of two points behind each other (nose over lip) the one in front carries the marker.
+        distance = np.hypot(p[:, 0] - x, p[:, 1] - y)
+        return self._nearest(distance - 0.02 * p[:, 2], allowed)
+
+    def on_lip(self, across: float, side: int) -> int:
+        """Choose a point on the border of the red."""
+        p, marks = self._head.points, self._head.marks
+        ring = np.abs(marks[:, Mark.MOUTH_RING] - 2.0) < 0.3
+        allowed = (
+            (self._head.parts == HeadPart.SKIN) & ring & (side * marks[:, Mark.MOUTH_SIDE] > 0.05)
+        )
+        allowed &= (p[:, 0] == 0.0) if across == 0.0 else (p[:, 0] > 0.0)
+        return self._nearest(np.abs(p[:, 0] - across * self._head.style.mouth.half_width), allowed)
+
+    def on_lid(self, side: int, across: float) -> int:
+        """Choose a point on the outer skin of a lid, near its edge."""
+        p, marks, eye = self._head.points, self._head.marks, self._head.style.eye
+        ring = (marks[:, Mark.EYE_RING] > 0.35) & (marks[:, Mark.EYE_RING] < 0.9)
+        allowed = ring & (side * marks[:, Mark.EYE_SIDE] > 0.3) & (p[:, 0] > 0.0)
+        return self._nearest(np.abs(p[:, 0] - eye.center[0] - across * eye.half_width), allowed)
+
+    def on_ear(self, height: float) -> int:
+        """Choose the outermost point of the left ear's upper or lower end."""
+        p = self._head.points
+        allowed = (self._head.parts == HeadPart.EARS) & (p[:, 0] > 0.0)
+        middle = float(np.mean(p[allowed, 1]))
+        wanted = middle + height * 17.0
+        return self._nearest(np.abs(p[:, 1] - wanted) - 0.5 * p[:, 0], allowed)
+
 
 NOISE_MM = 0.15
 """Standard deviation of a measured position, per axis."""

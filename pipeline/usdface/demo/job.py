@@ -10,8 +10,8 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.demo.build import DemoInputs, write_demo_inputs
 from usdface.runner.job import run_job
+from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
-from usdface.runner.sandbox import confine
 from usdface.specs.capture import CleanSpec, IngestSpec
 from usdface.specs.job import JobSpec
 from usdface.specs.performance import MapSpec, TrainSpec

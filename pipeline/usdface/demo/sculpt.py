@@ -1,7 +1,7 @@
 """The bare head as an implicit form: soft unions of ellipsoids and tapered capsules.
 
 The form is a function of position whose zero set is the skin, without the lips and the edges of
-the lids, which `usdface.demo.cage_rings` places by hand. It knows nothing of topology.
+the lids, which `usdface.demo.cage` places by hand. It knows nothing of topology.
 """
 
 from collections.abc import Callable

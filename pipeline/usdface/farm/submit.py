@@ -1,23 +1,228 @@
-"""From a job's file to a farm."""
+"""From a job's file to a farm.
 
+Farms' own commands are called with lists of arguments: no shell ever reads a name. OpenCue gets an
+outline with a layer per farm step and a frame per task.
+"""
+
+import importlib
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from usdface.core.errors import InputError
+from usdface.core.errors import CheckFailedError, InputError
 from usdface.core.replacing import replacing
 from usdface.core.sidecars import LAYER_SUFFIXES
-from usdface.farm.bundle import bundle_hash, compose_bundle, write_bundle
-from usdface.farm.chunks import ChunkSizes, FrameRange
-from usdface.farm.commands import run_bundle, submit_bundle
-from usdface.farm.opencue import build_outline, outline_text, submit_outline
-from usdface.farm.plan import Plan, plan_job
-from usdface.farm.template import check_job_name
+from usdface.farm.bundle import (
+    TASKS,
+    TEMPLATE,
+    bundle_hash,
+    check_job_name,
+    compose_bundle,
+    task_command,
+    write_bundle,
+)
+from usdface.farm.plan import ChunkSizes, FarmStep, FrameRange, Plan, plan_job
 from usdface.runner.outputs import missing_in_job
-from usdface.specs.job import JobSpec
-from usdface.specs.paths import Reads, check_confined, confinement_root
+from usdface.specs.base import Spec
+from usdface.specs.job import SPEC_BY_STEP, JobSpec
+from usdface.specs.paths import Reads, Writes, check_confined, confinement_root
 from usdface.specs.reading import read_job
 from usdface.specs.submit import SubmitSpec
 from usdface.usdio.referenced_files import frame_range_of, referenced_files
+
+_FRAME = "#IFRAME#"
+"""What OpenCue replaces by a frame's number when it runs a command."""
+
+
+def build_outline(
+    name: str, steps: Sequence[FarmStep], bundle: Path, *, priority: int | None = None
+) -> Any:
+    """Return the launcher of a bundle's outline; nothing is sent yet.
+
+    Commands reach a worker's shell as text, so the bundle's path is quoted; nothing else in them
+    comes from data. OpenCue knows no path mapping: workers must see the files where this machine
+    does.
+
+    Parameters
+    ----------
+    name : str
+        The job's; what OpenCue does not allow in a name becomes ``_``.
+    bundle : Path
+        Where workers find it.
+
+    Raises
+    ------
+    InputError
+        If pyoutline is not installed, or the bundle's path would confuse OpenCue.
+    """
+    outline, shell, cuerun = _pyoutline()
+    if _FRAME[:2] in str(bundle):
+        raise InputError(f"{bundle}: {_FRAME[:2]!r} in a path means a frame to OpenCue; rename it")
+    longest = max(len(step.tasks) for step in steps)
+    # A layer whose frames lie outside the outline's is dropped without a word.
+    job = outline.Outline(name=_allowed(name), frame_range=f"1-{longest}")
+    for step in steps:
+        needs = SPEC_BY_STEP.get(step.kind, Spec)
+        spec = bundle.absolute() / TASKS / step.name / f"{_FRAME}.yaml"
+        layer = shell.Shell(
+            _allowed(step.name),
+            command=[shlex.quote(word) for word in task_command(str(spec))],
+            range=f"1-{len(step.tasks)}",
+            chunk=1,
+            cores=float(needs.cores),
+            memory=f"{needs.memory_mib}m",
+        )
+        job.add_layer(layer)
+        for needed in step.needs:
+            layer.depend_all(job.get_layer(_allowed(needed)))
+    flags = {} if priority is None else {"priority": priority}
+    return cuerun.OutlineLauncher(job, **flags)
+
+
+def outline_text(launcher: Any) -> str:
+    """Return the job as the XML that OpenCue is sent."""
+    return str(launcher.serialize(use_pycuerun=False))
+
+
+def submit_outline(launcher: Any) -> None:
+    """Send an outline to OpenCue; workers run our command alone, they need no pyoutline.
+
+    Raises
+    ------
+    CheckFailedError
+        If OpenCue cannot be reached or refuses the job.
+    """
+    try:
+        launcher.launch(use_pycuerun=False)
+    except Exception as error:  # pyoutline hands on whatever its transport raises
+        raise CheckFailedError(f"OpenCue: {type(error).__name__}: {error}") from error
+
+
+def _pyoutline() -> tuple[Any, Any, Any]:
+    try:
+        return tuple(  # type: ignore[return-value]
+            importlib.import_module(name)
+            for name in ("outline", "outline.modules.shell", "outline.cuerun")
+        )
+    except ImportError as error:
+        raise InputError(
+            f"pyoutline cannot be imported ({error}); install it with: pip install "
+            "opencue-pyoutline opencue-pycue"
+        ) from error
+
+
+def _allowed(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_-]", "_", name)
+
+
+_STOP_SECONDS = 60.0
+"""What a farm's command gets to stop its tasks when it is terminated."""
+
+_RUN_AGAIN = "what was done stays done, and submitting again goes on from there"
+_NOT_TAKEN = (
+    "the job was not submitted, and what deadline says above is why; `deadline config` names farm, "
+    "queue and known asset paths"
+)
+
+
+def run_bundle(bundle: Path, *, quiet: bool = False) -> None:
+    """Run every step of a bundle on this machine, one task after the other, with `openjd`.
+
+    Parameters
+    ----------
+    bundle : Path
+        The folder.
+    quiet : bool
+        Send what the command says to standard error, so that ours stays readable for scripts.
+
+    Raises
+    ------
+    InputError
+        If `openjd` is not installed.
+    CheckFailedError
+        If a task fails; what was done stays done, and running again goes on from there.
+    """
+    openjd = _find_command(
+        "openjd", "install usdface with its farm extra: pip install usdface[farm]"
+    )
+    _run_command([openjd, "run", str(bundle / TEMPLATE)], quiet=quiet, remedy=_RUN_AGAIN)
+
+
+def submit_bundle(
+    bundle: Path, *, steps: Sequence[FarmStep], priority: int | None = None, quiet: bool = False
+) -> None:
+    """Submit a bundle to the farm and queue that `deadline config` names.
+
+    Of job attachments, `deadline` takes only those without a question that lie in folders declared
+    known: those that the job itself names are. What a layer refers to elsewhere is for the user to
+    allow, in `deadline config`: the layer may be somebody else's.
+
+    Raises
+    ------
+    InputError
+        If `deadline` is not installed.
+    CheckFailedError
+        If it refuses the bundle.
+    """
+    deadline = _find_command("deadline", "install it with: pip install deadline")
+    command = [deadline, "bundle", "submit", str(bundle), "--yes", "--submitter-name", "usdface"]
+    for folder in named_folders(steps):
+        command += ["--known-asset-path", str(folder)]
+    if priority is not None:
+        command += ["--priority", str(priority)]
+    _run_command(command, quiet=quiet, remedy=_NOT_TAKEN)
+
+
+def named_folders(steps: Sequence[FarmStep]) -> list[Path]:
+    """Return the folders of the files that tasks name, without those inside others, nor ``/``."""
+    tasks = [task for step in steps for task in step.tasks]
+    named = {path.parent for task in tasks for path in (*task.paths(Reads), *task.paths(Writes))}
+    named = {folder for folder in named if folder.parent != folder}  # everything lies in the root
+    return sorted(folder for folder in named if named.isdisjoint(folder.parents))
+
+
+def _find_command(name: str, remedy: str) -> str:
+    """Return the path of a program: of this environment if it is there, else of the user's."""
+    found = shutil.which(name, path=_search_path())
+    if found is None:
+        raise InputError(f"{name}: no such command on this machine; {remedy}")
+    return found
+
+
+def _run_command(command: Sequence[str], *, quiet: bool, remedy: str) -> None:
+    """Run a program to its end; where this process is interrupted, terminate it and its tasks."""
+    # The tasks call `usdface`: the one that submits, not another that comes first on the path.
+    environment = os.environ | {"PATH": _search_path()}
+    sys.stdout.flush()
+    with subprocess.Popen(
+        list(command),
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=2 if quiet else None,
+    ) as process:
+        try:
+            code = process.wait()
+        except BaseException:
+            process.terminate()
+            try:
+                process.wait(_STOP_SECONDS)
+            except subprocess.TimeoutExpired:
+                process.kill()
+            raise
+    if code:
+        raise CheckFailedError(f"{Path(command[0]).name} ended with {code}; {remedy}")
+
+
+def _search_path() -> str:
+    here = str(Path(sys.executable).parent)
+    return os.pathsep.join((here, os.environ.get("PATH", os.defpath)))
 
 
 @dataclass(frozen=True)

@@ -2,16 +2,18 @@
 
 import logging
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
+
+from pydantic import ValidationError
 
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import LAYER_SUFFIXES
-from usdface.runner.chunk_state import chunk_specs
 from usdface.runner.execute import execute
-from usdface.runner.origin import make_provenance, provenance_of
+from usdface.runner.origin import make_provenance, provenance_of, spec_of
 from usdface.runner.outputs import (
     check_inputs,
     check_may_be_read,
@@ -23,8 +25,78 @@ from usdface.runner.outputs import (
 from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
 from usdface.specs.job import JobSpec
-from usdface.specs.paths import Reads, Writes
-from usdface.usdio.referenced_files import missing_sublayers
+from usdface.specs.paths import Reads, Writes, frame_range
+from usdface.specs.performance import JoinSpec, MapSpec
+from usdface.specs.review import MovieJoinSpec, MovieSpec
+from usdface.usdio.referenced_files import frame_range_of, missing_sublayers
+
+
+def chunk_specs(spec: Spec, made: Provenance, path: Path) -> tuple[Spec, ...]:
+    """Return the specs by which a file that joins parts was made, if they come to a given one.
+
+    Parameters
+    ----------
+    spec : Spec
+        What would make the file whole.
+    made : Provenance
+        What the file says of its making.
+    path : Path
+        The file.
+
+    Returns
+    -------
+    tuple of Spec
+        The join, and each part's as it should be: whether all are done is for the caller to find.
+        Empty if the file was made otherwise, or of other frames.
+    """
+    join = _join_of(spec, made)
+    if join is None:
+        return ()
+    folder = path.resolve().parent
+    join = join.with_paths(lambda part: folder / part)
+    parts, stretches = list[Spec](), list[tuple[int, int]]()
+    for path_of_part in join.parts:
+        frames = spec_of(provenance_of(path_of_part)).get("frames")
+        changed = {"frames": frames, "out": path_of_part}
+        changed |= {"chunk": None} if isinstance(spec, MapSpec) else {"sound": False}
+        try:
+            stretch = frame_range(frames)
+        except (AttributeError, ValueError):
+            return ()
+        if stretch is None:
+            return ()
+        stretches.append(stretch)
+        parts.append(spec.model_copy(update=changed))
+    stretches.sort()
+    follow = all(one[1] + 1 == other[0] for one, other in pairwise(stretches))
+    if not follow or (stretches[0][0], stretches[-1][1]) != _frames_wanted(spec):
+        return ()
+    return (join, *parts)
+
+
+def _join_of(spec: Spec, made: Provenance) -> JoinSpec | MovieJoinSpec | None:
+    kind: type[JoinSpec] | type[MovieJoinSpec]
+    if isinstance(spec, MapSpec):
+        kind = JoinSpec
+    elif isinstance(spec, MovieSpec):
+        kind = MovieJoinSpec
+    else:
+        return None
+    if made.step != kind.step_name():
+        return None
+    try:
+        return kind.model_validate(spec_of(made))
+    except ValidationError:
+        return None
+
+
+def _frames_wanted(spec: Spec) -> tuple[int, int] | None:
+    if isinstance(spec, MapSpec):
+        return frame_range(spec.frames) or frame_range_of(spec.take)
+    if isinstance(spec, MovieSpec):
+        return frame_range(spec.frames) or frame_range_of(spec.performance)
+    return None
+
 
 log = logging.getLogger(__name__)
 

@@ -156,7 +156,7 @@ class Scene:
 
 
 def build_application(scene: Scene, *, page: str = "tune.html") -> Starlette:
-    """Return the application; put `usdface.tuning.guard.Guard` around it."""
+    """Return the application; put `usdface.tuning.serve.Guard` around it."""
 
     async def home(request: Request) -> Response:
         return Response(read_web_file(page), media_type="text/html; charset=utf-8")

@@ -14,7 +14,7 @@ from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.numerics.measure.face_regions import shapes_by_region
 from usdface.numerics.registration.surface_places import nearest_places
 from usdface.numerics.registration.virtual_markers import character_motion
-from usdface.runner.sandbox import confine
+from usdface.runner.outputs import confine
 from usdface.steps.inputs.placement import placed_equation, stored_placement
 from usdface.tuning.session import TuningSession
 from usdface.usdio.rig.mesh import rig_surfaces

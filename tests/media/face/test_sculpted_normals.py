@@ -139,7 +139,7 @@ def test_normals_of_a_turned_and_squeezed_mesh_stay_upright(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("scale", [(2.0, 2.0, 2.0), (1.0, 3.0, 0.5)])
 def test_normals_are_turned_as_the_surface_is(scale: tuple[float, float, float]) -> None:
-    from usdface.usdio.rig.rest_pose import PlacedMesh
+    from usdface.usdio.rig.mesh import PlacedMesh
 
     rng = np.random.default_rng(3)
     linear = np.linalg.qr(rng.normal(size=(3, 3)))[0] @ np.diag(scale)

@@ -8,15 +8,18 @@ from usdface.model.mapping.motion_space import motion_from_pca
 from usdface.model.selection.coverage import Coverage, measure_coverage, measure_growth
 from usdface.model.selection.design import (
     CandidateMarkers,
+    Segment,
+    SelectionSpace,
     choose_by_design,
     choose_next,
     choose_visemes,
+    extreme_frames,
     in_order_of_worth,
     pool_of,
+    selection_space,
     stand_in_error_mm,
+    viseme_frames,
 )
-from usdface.model.selection.features import SelectionSpace, selection_space
-from usdface.model.selection.visemes import Segment, extreme_frames, viseme_frames
 from usdface.numerics.regression.pca import fit_pca
 
 NONE = np.zeros(0, dtype=np.int64)

@@ -7,8 +7,7 @@ from tests.model.selection.test_baseline import bent_equation
 from usdface.capture.sniff import read_capture
 from usdface.core.deformer import Deformer
 from usdface.model.placement.label_hints import skin_motion_mm
-from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
-from usdface.model.selection.lid_evidence import LidEvidence
+from usdface.model.selection.baseline import BlendshapeEquation, LidEvidence, set_up_equation
 from usdface.numerics.repair.cleaning import PosePrior, clean_markers
 from usdface.numerics.solve.peak_matching import ShapeEvidence
 from usdface.usdio.rig.read import read_rig

@@ -11,7 +11,7 @@ from usdface.demo.rig import demo_rig
 from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.model.selection.lip_contact import Lips, find_lips, keep_lip_contact, lip_gap_mm
 from usdface.numerics.measure.face_regions import jaw_opener, shapes_by_region
-from usdface.numerics.measure.lip_gap import find_lip_pairs
+from usdface.numerics.measure.performance_error import find_lip_pairs
 from usdface.numerics.registration.virtual_markers import VirtualMarkers, marker_deltas
 from usdface.numerics.solve.blendshape_equation import MarkerKeys
 

@@ -10,7 +10,7 @@ from usdface.numerics.manifold.hyper_posterior import (
     PosteriorMoments,
     decompose,
 )
-from usdface.numerics.manifold.surface_covariance import fit_covariance
+from usdface.numerics.manifold.surface_fields import fit_covariance
 
 
 def small_spectrum(markers: int = 12, prior: HyperPrior | None = None) -> MarkerSpectrum:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usdface.numerics.manifold.folds import find_folds
+from usdface.numerics.manifold.surface_fields import find_folds
 
 # a hairpin: two lips of 30 mm, 2 mm apart, joined at the left end; markers on either lip
 UPPER = np.stack([np.linspace(0, 30, 31), np.full(31, 1.0)], axis=1)

@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial.distance import cdist
 
-from usdface.numerics.manifold.multiquadric import (
+from usdface.numerics.manifold.surface_fields import (
     fit_distance_multiquadric,
     multiquadric_fields,
     nearest_stiffness,

@@ -22,7 +22,7 @@ from usdface.numerics.manifold.posterior_prediction import (
     predict_mean,
     predict_variance,
 )
-from usdface.numerics.manifold.surface_covariance import fit_covariance
+from usdface.numerics.manifold.surface_fields import fit_covariance
 
 
 def dense_prediction(spectrum, theta, row, cross, places) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from usdface.numerics.manifold.surface_covariance import fit_covariance
+from usdface.numerics.manifold.surface_fields import fit_covariance
 
 SHAPES = ("creased", "squared-exponential")
 

@@ -5,7 +5,7 @@ from scipy import sparse
 from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
 from usdface.numerics.measure.face_regions import shapes_by_region
-from usdface.numerics.measure.lip_gap import LipPairs, find_lip_pairs, gap_of_keys
+from usdface.numerics.measure.performance_error import LipPairs, find_lip_pairs, gap_of_keys
 
 
 @pytest.fixture(scope="module")

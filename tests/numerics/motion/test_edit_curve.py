@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from usdface.numerics.motion.edit_curve import (
+from usdface.numerics.motion.key_reduction import (
     EditCurve,
     add_to_edit,
     apply_edit,

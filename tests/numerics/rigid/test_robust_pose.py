@@ -2,7 +2,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from usdface.numerics.rigid.rigid_alignment import align_rigid
-from usdface.numerics.rigid.robust_pose import align_by_prior
+from usdface.numerics.rigid.stabilization import align_by_prior
 
 
 def moving_head(rng: np.random.Generator, *, frames: int = 240):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from usdface.numerics.solve.filter_bank import apply_filter_bank, filter_reach
+from usdface.numerics.solve.banded_smoothing import apply_filter_bank, filter_reach
 
 
 def curves(frames: int = 300) -> np.ndarray:

@@ -7,9 +7,13 @@ import pytest
 
 from tests.numerics.simulated_sound import RATE, Recorder, record, resampled, speech, true_line
 from usdface.numerics.timing.audio_alignment import align_sounds
-from usdface.numerics.timing.onset_correlation import HOPS_PER_SECOND, correlate_onsets, onset_flux
-from usdface.numerics.timing.phase_scan import scan_phase
-from usdface.numerics.timing.robust_line import fit_robust_line
+from usdface.numerics.timing.onset_correlation import (
+    HOPS_PER_SECOND,
+    correlate_onsets,
+    onset_flux,
+    scan_phase,
+)
+from usdface.numerics.timing.window_delays import fit_robust_line
 
 MILLISECOND = 1e-3
 CAPTURE = Recorder(start=0.3, seconds=17.0, ppm=40, snr_db=30)

@@ -22,8 +22,7 @@ from usdface.runner.execute import execute
 from usdface.runner.job import job_states, run_job
 from usdface.specs.capture import AlignSpec, IngestSpec
 from usdface.specs.job import JobSpec
-from usdface.steps.capture.align import Evidence, decide
-from usdface.steps.capture.timecode_offset import TimecodeShift, timecode_shift
+from usdface.steps.capture.align import Evidence, TimecodeShift, decide, timecode_shift
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import VideoSync, write_take, write_video_sync

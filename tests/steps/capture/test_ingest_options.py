@@ -14,8 +14,8 @@ from usdface.core.errors import CheckFailedError, InputError
 from usdface.runner.execute import execute
 from usdface.runner.result import StepResult
 from usdface.specs.capture import IngestSpec
-from usdface.steps.capture.adjust_take import cut_frames, exchange_sides, padding_notes
 from usdface.steps.capture.ingest_folder import ingest_folder
+from usdface.steps.capture.merge_captures import cut_frames, exchange_sides, padding_notes
 from usdface.usdio.take.read import read_take
 
 RATE = 60

@@ -11,7 +11,7 @@ from tests.capture.text_samples import live_link_csv
 from usdface.capture.c3d_write import write_c3d
 from usdface.core.assets import Markers, Take, WeightsClip
 from usdface.core.errors import InputError
-from usdface.core.timecode import shift_timecode
+from usdface.core.rates import shift_timecode
 from usdface.runner.execute import execute
 from usdface.specs.capture import IngestSpec
 from usdface.steps.capture.merge_captures import join_captures

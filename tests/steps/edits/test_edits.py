@@ -15,7 +15,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.replacing import replacing
 from usdface.core.sidecars import edits_path
-from usdface.numerics.motion.edit_curve import no_edit
+from usdface.numerics.motion.key_reduction import no_edit
 from usdface.runner.execute import execute
 from usdface.runner.origin import make_provenance
 from usdface.runner.result import StepResult

@@ -16,7 +16,7 @@ from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.train import train_mapping
 from usdface.runner.execute import execute
 from usdface.specs.performance import MapSpec
-from usdface.steps.performance.predict_blocks import predict_with_keyed_blend
+from usdface.steps.performance.map import predict_with_keyed_blend
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,11 @@ from tests.model.placement.test_rig_orientation import transformed
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.demo.rig import demo_rig
-from usdface.steps.inputs.cleaned_takes import read_cleaned_takes
-from usdface.steps.inputs.take_plausibility import bound_take_notes, plausibility_notes
+from usdface.steps.inputs.cleaned_takes import (
+    bound_take_notes,
+    plausibility_notes,
+    read_cleaned_takes,
+)
 from usdface.usdio.take.read import TakeReader
 from usdface.usdio.take.write import write_take
 

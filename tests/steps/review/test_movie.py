@@ -13,7 +13,7 @@ import pytest
 from tests.steps.small_shot import Shot
 from usdface.core.assets import Take, Video
 from usdface.core.errors import InputError
-from usdface.farm.chunks import ChunkSizes, in_chunks
+from usdface.farm.plan import ChunkSizes, in_chunks
 from usdface.media.film.movie import read_movie_comment, write_movie
 from usdface.media.film.movie_frame import MoviePanel, compose_movie_frame, movie_size
 from usdface.media.film.video import VideoReader

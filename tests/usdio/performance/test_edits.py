@@ -10,7 +10,7 @@ from pxr import Sdf, Usd
 from tests.usdio.small_rig import small_rig
 from usdface.core.errors import InputError
 from usdface.core.sidecars import edits_path
-from usdface.numerics.motion.edit_curve import EditCurve
+from usdface.numerics.motion.key_reduction import EditCurve
 from usdface.usdio.performance.edits import ShapeEdit, read_edits, write_edits
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import make_header

@@ -16,8 +16,11 @@ from tests.usdio.small_creature import (
 )
 from usdface.core.errors import InputError
 from usdface.core.sidecars import controls_path
-from usdface.usdio.retarget.control_attributes import find_control_attributes, rest_controls
-from usdface.usdio.retarget.controls import read_control_clip
+from usdface.usdio.retarget.controls import (
+    find_control_attributes,
+    read_control_clip,
+    rest_controls,
+)
 from usdface.usdio.validation import validate
 
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from usdface.core.arrays import ByteImage, Float32Array
 from usdface.core.errors import InputError
+from usdface.core.rates import frames_of
 from usdface.core.replacing import replacing
-from usdface.core.timecode import frames_of
 from usdface.media.film.containers import open_media, words_of
 
 _H264 = ("libx264", "libopenh264", "h264_videotoolbox", "h264_mf")

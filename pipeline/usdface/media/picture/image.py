@@ -15,8 +15,8 @@ from PIL import Image
 
 from usdface.core.arrays import ByteImage
 from usdface.core.errors import InputError
+from usdface.core.rates import LABEL
 from usdface.core.replacing import replacing
-from usdface.core.timecode import LABEL
 from usdface.core.version import __version__
 from usdface.media.picture.color import linear_from_srgb
 from usdface.media.picture.tiles import scale_picture

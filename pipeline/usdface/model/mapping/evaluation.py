@@ -15,12 +15,13 @@ from usdface.numerics.measure.face_regions import (
     region_gram,
     shapes_by_region,
 )
-from usdface.numerics.measure.lip_gap import find_lip_pairs, gap_of_keys
 from usdface.numerics.measure.performance_error import (
     LipError,
     ShapeErrors,
     SurfaceError,
     blink_peak_bias,
+    find_lip_pairs,
+    gap_of_keys,
     measure_lips,
     measure_shapes,
     measure_surface,

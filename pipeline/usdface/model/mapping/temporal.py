@@ -16,10 +16,11 @@ from usdface.core.errors import InputError
 from usdface.numerics.solve.banded_smoothing import (
     LEAST_CUTOFF_SHARE,
     FixedLagSmoother,
+    apply_filter_bank,
     cutoff_penalty,
+    filter_reach,
     smooth_within_bounds,
 )
-from usdface.numerics.solve.filter_bank import apply_filter_bank, filter_reach
 
 CUTOFF_HZ = 20.0
 """Motion of this frequency is halved. Blinks lose less than .005 of their peak; at 12 Hz, .01."""

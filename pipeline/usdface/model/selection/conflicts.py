@@ -11,7 +11,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import References
 from usdface.model.mapping.motion_space import motion_from_pca
-from usdface.model.selection.features import selection_space
+from usdface.model.selection.design import selection_space
 from usdface.numerics.measure.face_regions import shapes_by_region
 from usdface.numerics.regression.linear_ridge import fit_linear_ridge
 from usdface.numerics.regression.pca import fit_pca

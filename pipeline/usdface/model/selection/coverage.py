@@ -6,7 +6,7 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.model.mapping.coverage import UNCOVERED_SHARE
-from usdface.model.selection.features import Features, SelectionSpace, features_at
+from usdface.model.selection.design import Features, SelectionSpace, features_at
 from usdface.numerics.regression.design_kernel import KEY_VARIANCE, DesignKernel, left_over
 from usdface.numerics.regression.reference_design import design_gp_variance
 

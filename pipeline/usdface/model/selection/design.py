@@ -1,13 +1,24 @@
-"""Which frames an animator should tune: designs compared by what they would teach."""
+"""Which frames an animator should tune: designs compared by what they would teach.
+
+Faces are compared in a space where every region counts alike. Over all markers the jaw, which moves
+centimetres, drowns the lids, which move millimetres; a selection that looks at the whole face
+leaves blinks to chance. Here each part of the face is seen through the markers that its shapes
+move, and brought to the size of the others. The parts stand side by side, so that a combination, a
+blink under a lowered brow, is a place of its own.
+
+The paper's own selection is a frame for each viseme and emotion, and the extremes of each emotion.
+Deng et al. (2006), section 4: the middle frame of one segment for every viseme and expression,
+picked by hand there and by typicality here, and ten extreme poses an expression.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
-from usdface.model.selection.features import Features, features_at
-from usdface.model.selection.visemes import Segment, extreme_frames, viseme_frames
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.assets import MotionSpace
+from usdface.numerics.measure.face_regions import shapes_by_region
 from usdface.numerics.regression.design_kernel import KEY_VARIANCE, DesignKernel, predict_from
 from usdface.numerics.regression.reference_design import (
     Design,
@@ -15,7 +26,170 @@ from usdface.numerics.regression.reference_design import (
     design_gp_variance,
     design_k_centre,
     design_total_variance,
+    whiten,
 )
+from usdface.numerics.regression.regional_process import marker_relevance, regional_features
+
+Features = Float32Array | FloatArray
+"""Of an hour they are kept in single precision; what is reckoned with is double."""
+
+REGION_DIMENSIONS = 10
+"""Principal axes of each region: beyond these a region differs by noise."""
+
+WHITENING_POWER = 0.5
+"""0 leaves axes as they are, which see only the largest motion; 1 makes all equal, noise too."""
+
+WHOLE_FACE = "face"
+
+
+@dataclass(frozen=True)
+class SelectionSpace:
+    """Features of frames from coordinates in the motion space."""
+
+    projection: FloatArray
+    """(dimensions, features)"""
+    offset: FloatArray
+    """(features,): so that the mean face lies at 0."""
+    regions: tuple[str, ...]
+    columns: tuple[tuple[int, int], ...]
+    """Columns of the features of each region, first and one past the last."""
+    relevance: FloatArray
+    """(regions, markers): how much each marker has to do with each region [0-1]."""
+
+    def features(self, coordinates: FloatArray) -> FloatArray:
+        """Return features of frames: (frames, dimensions) to (frames, features)."""
+        return np.asarray(coordinates @ self.projection - self.offset)
+
+
+def features_at(features: Features, rows: IntArray) -> FloatArray:
+    """Return features of some frames, to reckon with."""
+    return np.asarray(features[rows], dtype=np.float64)
+
+
+def selection_space(
+    motion: MotionSpace, weights: FloatArray, shape_names: tuple[str, ...]
+) -> SelectionSpace:
+    """Learn what each region is from weights of the motion space's sample.
+
+    Parameters
+    ----------
+    weights : (sample frames, shapes) float array
+        Of `motion.sample`, from the rig's geometry or any mapping: they need only tell which
+        markers move with which shapes.
+    shape_names : tuple of str
+        Names tell the regions; where they do not, the whole face is one.
+    """
+    mean = motion.sample.mean(axis=0)
+    covariance = np.cov(motion.sample.T) if len(motion.sample) > 1 else np.diag(motion.variances)
+    covariance = np.atleast_2d(covariance)
+    markers = motion.components.shape[1] // 3
+    found = shapes_by_region(shape_names)
+    moving = np.ptp(weights, axis=0) > 0
+    found = {region: columns[moving[columns]] for region, columns in found.items()}
+    regions = tuple(region for region, columns in found.items() if len(columns))
+    if len(regions) < 2:
+        regions, relevance = (WHOLE_FACE,), np.ones((1, markers))
+    else:
+        each = marker_relevance(motion.sample, weights, motion.components)
+        relevance = np.stack([each[found[region]].max(axis=0) for region in regions])
+    kept = min(REGION_DIMENSIONS if len(regions) > 1 else 32, len(motion.variances))
+    parts = []
+    for row in relevance:
+        axes = regional_features(motion.components, covariance, row)
+        scaled = whiten(axes.projection[:, :kept], axes.variances[:kept], power=WHITENING_POWER)
+        size = np.sqrt(np.mean(np.sum(((motion.sample - mean) @ scaled) ** 2, axis=1)))
+        parts.append(scaled / max(float(size), 1e-300))
+    projection = np.concatenate(parts, axis=1)
+    columns = tuple((start, start + kept) for start in range(0, kept * len(regions), kept))
+    return SelectionSpace(projection, mean @ projection, regions, columns, relevance)
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One phone as it was spoken."""
+
+    row: int
+    """Its middle frame."""
+    frames: int
+    """How long it lasts."""
+    viseme: str
+    emotion: str
+
+
+def viseme_frames(
+    features: Features, segments: Sequence[Segment], *, candidates: BoolArray
+) -> dict[tuple[str, str], int]:
+    """Return the frame of the most typical segment for each emotion and viseme that is spoken.
+
+    Typical is a segment at least as long as most, whose middle frame is nearest the median of all
+    middle frames of its kind: the one a person would pick, for short ones are slurred into their
+    neighbours. No frame serves twice.
+
+    Parameters
+    ----------
+    features : (frames, d) float array
+    candidates : (frames,) bool array
+        Frames that may be chosen.
+
+    Returns
+    -------
+    dict of (emotion, viseme) to int
+    """
+    kinds: dict[tuple[str, str], list[Segment]] = {}
+    for segment in segments:
+        if candidates[segment.row]:
+            kinds.setdefault((segment.emotion, segment.viseme), []).append(segment)
+    found: dict[tuple[str, str], int] = {}
+    for kind, spoken in kinds.items():
+        rows = np.array([segment.row for segment in spoken])
+        lengths = np.array([segment.frames for segment in spoken])
+        away = np.linalg.norm(features[rows] - np.median(features[rows], axis=0), axis=1)
+        away[lengths < np.median(lengths)] += away.max() + 1.0
+        taken = set(found.values())
+        order = [int(rows[i]) for i in np.argsort(away, kind="stable")]
+        free = [row for row in order if row not in taken]
+        if free:
+            found[kind] = free[0]
+    return found
+
+
+def extreme_frames(
+    features: Features,
+    emotion_of: Sequence[str],
+    count: int,
+    *,
+    candidates: BoolArray,
+    already: IntArray,
+) -> dict[str, list[int]]:
+    """Return frames of each emotion far from its ordinary faces, and from one another.
+
+    Parameters
+    ----------
+    features : (frames, d) float array
+    emotion_of : sequence of str
+        Of each frame.
+    count : int
+        Frames an emotion; fewer, or none, where the emotion has no more that may be chosen.
+    candidates : (frames,) bool array
+    already : (n,) int array
+        Frames chosen before, which are not chosen again.
+    """
+    emotions = np.array(emotion_of, dtype=object)
+    taken = np.zeros(len(features), dtype=bool)
+    taken[already] = True
+    found: dict[str, list[int]] = {}
+    for emotion in dict.fromkeys(emotions.tolist()):
+        free = np.flatnonzero((emotions == emotion) & candidates & ~taken)
+        before = np.flatnonzero((emotions == emotion) & taken)
+        pool = np.concatenate([before, free])
+        wanted = min(count, len(free))
+        found[emotion] = []
+        if wanted > 0:
+            known = np.arange(len(before), dtype=np.int64)
+            chosen = design_k_centre(features_at(features, pool), wanted, already=known).chosen
+            found[emotion] = [int(row) for row in pool[chosen]]
+    return found
+
 
 DESIGNS: dict[str, Callable[..., Design]] = {
     "largest variance": design_gp_variance,

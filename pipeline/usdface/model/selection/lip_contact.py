@@ -13,7 +13,7 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.deformer import Deformer
 from usdface.model.selection.baseline import BlendshapeEquation, Positions
 from usdface.numerics.measure.face_regions import jaw_opener, shapes_by_region
-from usdface.numerics.measure.lip_gap import LipPairs, find_lip_pairs
+from usdface.numerics.measure.performance_error import LipPairs, find_lip_pairs
 from usdface.numerics.registration.virtual_markers import character_motion
 
 NEAR_LIPS_MM = 15.0

@@ -15,7 +15,7 @@ from usdface.core.arrays import Float32Array, FloatArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.model.surface.distance import BLEND_PUBLISHED, SurfaceDistances
-from usdface.numerics.manifold.folds import Folds, find_folds
+from usdface.numerics.manifold.surface_fields import Folds, find_folds
 
 BLENDS_TRIED = (0.0, 0.2, BLEND_PUBLISHED, 0.6, 0.8, 1.0)
 

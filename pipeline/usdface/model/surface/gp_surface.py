@@ -40,7 +40,7 @@ from usdface.numerics.manifold.posterior_prediction import (
     predict_mean,
     predict_variance,
 )
-from usdface.numerics.manifold.surface_covariance import (
+from usdface.numerics.manifold.surface_fields import (
     CovarianceShape,
     SurfaceCovariance,
     fit_covariance,

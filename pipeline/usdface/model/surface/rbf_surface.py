@@ -18,7 +18,7 @@ from usdface.model.surface.fit import (
     find_surface_folds,
     fitted_frames,
 )
-from usdface.numerics.manifold.multiquadric import (
+from usdface.numerics.manifold.surface_fields import (
     DistanceMultiquadric,
     fit_distance_multiquadric,
     multiquadric_fields,

@@ -11,10 +11,19 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array
 from usdface.core.progress import Progress, silent
-from usdface.numerics.timing.onset_correlation import OnsetCorrelation, correlate_onsets, onset_flux
-from usdface.numerics.timing.phase_scan import PhaseVote, scan_phase
-from usdface.numerics.timing.robust_line import RobustLine, fit_robust_line
-from usdface.numerics.timing.window_delays import WindowDelays, window_delays
+from usdface.numerics.timing.onset_correlation import (
+    OnsetCorrelation,
+    PhaseVote,
+    correlate_onsets,
+    onset_flux,
+    scan_phase,
+)
+from usdface.numerics.timing.window_delays import (
+    RobustLine,
+    WindowDelays,
+    fit_robust_line,
+    window_delays,
+)
 
 _LARGEST_DRIFT = 300e-6
 """Crystal clocks of recorders stay within 100 ppm of true, so two within 200 of each other."""

@@ -1,4 +1,4 @@
 """Captures to cleaned takes."""
 
 _commands = ("ingest_folder",)
-_helpers = ("adjust_take", "capture_audio", "merge_captures", "timecode_offset")
+_helpers = ("merge_captures",)

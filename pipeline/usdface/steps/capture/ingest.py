@@ -13,18 +13,22 @@ from usdface.core.assets import Take, Video
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.rates import exact_rate
+from usdface.core.rates import exact_rate, frames_of
 from usdface.core.sidecars import LAYER_SUFFIXES, take_samples_path
 from usdface.core.text import pluralize
-from usdface.core.timecode import frames_of
 from usdface.media.film.image_sequence import open_video
 from usdface.model.placement.plausibility import judge_markers, settle_findings
 from usdface.runner.result import StepResult
 from usdface.specs.capture import IngestSpec
 from usdface.specs.paths import frame_range
-from usdface.steps.capture.adjust_take import cut_frames, exchange_sides, padding_notes
-from usdface.steps.capture.capture_audio import CaptureSound, extract_sound
-from usdface.steps.capture.merge_captures import join_captures
+from usdface.steps.capture.merge_captures import (
+    CaptureSound,
+    cut_frames,
+    exchange_sides,
+    extract_sound,
+    join_captures,
+    padding_notes,
+)
 from usdface.usdio.take.foreign import read_foreign_take
 from usdface.usdio.take.read import TakeReader, is_take, read_take
 from usdface.usdio.take.write import write_take

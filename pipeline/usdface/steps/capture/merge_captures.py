@@ -1,16 +1,268 @@
-"""Several captures of one moment, such as markers and Live Link, joined into one take."""
+"""Captures brought into one take: joined, sides exchanged, frames left out, padded, with sound."""
 
+import filecmp
+import re
+import wave
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
-from usdface.core.assets import Take, WeightsClip
+from usdface.capture.c3d import C3dFile, is_c3d, open_c3d
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray
+from usdface.core.assets import Markers, Take, WeightsClip
 from usdface.core.errors import InputError
+from usdface.core.rates import frames_of, shift_timecode, timecode_of
+from usdface.core.replacing import replacing
 from usdface.core.text import pluralize
-from usdface.core.timecode import frames_of, timecode_of
+from usdface.model.placement.label_hints import mirrored_label
+
+_LEAST_FROZEN_SECONDS = 0.25
+"""Measured positions are never equal in two frames; a longer run of copies is padding."""
+
+
+def exchange_sides(take: Take, what: str, *, where: object) -> Take:
+    """Exchange left and right of a take's markers, by their names or by their positions.
+
+    Parameters
+    ----------
+    what : {'labels', 'axes'}
+        `labels` exchanges the names of partners; `axes` reflects positions across the YZ plane.
+
+    Raises
+    ------
+    InputError
+        If there are no markers, or no label has a partner on the other side.
+    """
+    markers = take.markers
+    if markers is None:
+        raise InputError(
+            f"{where}: has no markers whose sides could be exchanged; leave --mirrored"
+        )
+    if what == "axes":
+        reflected = markers.positions * np.array([-1, 1, 1], np.float32)
+        return replace(take, markers=replace(markers, positions=reflected))
+    partners = {
+        name: partner
+        for name in markers.names
+        for partner in mirrored_label(name)
+        if partner in markers.names
+    }
+    if not partners:
+        raise InputError(
+            f"{where}: no label names a side that another label mirrors, as brow_L and brow_R do; "
+            "rename the markers, or reflect them with --mirrored axes"
+        )
+    names, rigid = (
+        tuple(partners.get(name, name) for name in old) for old in (markers.names, markers.rigid)
+    )
+    anchor = partners.get(markers.anchor, markers.anchor)
+    return replace(take, markers=replace(markers, names=names, rigid=rigid, anchor=anchor))
+
+
+def cut_frames(take: Take, limits: tuple[int, int], *, where: object) -> Take:
+    """Keep the frames from the first to the last of `limits`; timecode and video stay in time.
+
+    Raises
+    ------
+    InputError
+        If they are not all in the take.
+    """
+    first, last = limits
+    end = take.first_frame + take.frame_count - 1
+    if not take.first_frame <= first <= last <= end:
+        raise InputError(
+            f"{where}: --frames {first}-{last} are not all in the take, which has "
+            f"{take.first_frame}-{end}"
+        )
+    skipped = first - take.first_frame
+    rows = slice(skipped, last - take.first_frame + 1)
+    markers, source, video = take.markers, take.source, take.video
+    if markers is not None:
+        markers = _cut_markers(markers, rows, first)
+    if source is not None:
+        source = replace(source, values=source.values[rows], first_frame=first)
+    if video is not None:
+        video = replace(video, offset=video.offset - float(Fraction(skipped) / take.rate))
+    return replace(
+        take,
+        first_frame=first,
+        markers=markers,
+        source=source,
+        video=video,
+        head_motion=None if take.head_motion is None else take.head_motion[rows],
+        timecode_start=shift_timecode(take.timecode_start, skipped, take.rate),
+        events=tuple(event for event in take.events if first <= event.frame <= last),
+    )
+
+
+def _cut_markers(markers: Markers, rows: slice, first: int) -> Markers:
+    """Keep rows of the markers; a neutral frame that is gone is chosen as readers choose it."""
+    visible = markers.visible[rows]
+    neutral = markers.neutral_frame
+    if not first <= neutral < first + len(visible):
+        neutral = first + int(np.argmax(visible.sum(axis=1)))
+    return replace(
+        markers,
+        positions=markers.positions[rows],
+        visible=visible,
+        confidence=markers.confidence[rows],
+        neutral_frame=neutral,
+    )
+
+
+def padding_notes(take: Take) -> list[str]:
+    """Say which frames at the ends hold no marker, or copies of one frame."""
+    if take.markers is None or not take.markers.visible.any():
+        return []
+    seen: BoolArray = np.asarray(take.markers.visible.any(axis=1), np.bool_)
+    rows = np.flatnonzero(seen)
+    first, last = int(rows[0]), int(rows[-1])
+    notes = [_padding(take, first, last, "hold no marker")] if last - first + 1 < len(seen) else []
+    positions = take.markers.positions[first : last + 1]
+    head, tail = _frozen(positions), _frozen(positions[::-1])
+    least = _LEAST_FROZEN_SECONDS * float(take.rate)
+    if head + tail < len(positions) - 1 and max(head, tail) >= least:
+        head, tail = (run if run >= least else 0 for run in (head, tail))
+        notes.append(_padding(take, first + head, last - tail, "are copies of one frame"))
+    return notes
+
+
+def _frozen(positions: Float32Array) -> int:
+    """Return how many frames equal the one after them, from the first on."""
+    count = 0
+    while count + 1 < len(positions) and np.array_equal(positions[count], positions[count + 1]):
+        count += 1
+    return count
+
+
+def _padding(take: Take, first: int, last: int, words: str) -> str:
+    """Return the note that rows before `first` and after `last` are padding."""
+    start, end = take.first_frame, take.first_frame + take.frame_count - 1
+    keep = (start + first, start + last)
+    ends = [f"{a}-{b}" for a, b in ((start, keep[0] - 1), (keep[1] + 1, end)) if a <= b]
+    count = take.frame_count - (last - first + 1)
+    return (
+        f"{pluralize(count, 'frame')} at the ends {words} ({' and '.join(ends)}); leave them out "
+        f"with --frames {keep[0]}-{keep[1]}"
+    )
+
+
+SOUND_NAME = re.compile(r"audio|sound|mic|voice|speech", re.IGNORECASE)
+LEAST_RATE = 4000.0
+"""[Hz] Slower channels are force plates and switches: speech needs at least this."""
+
+_CHUNK_FRAMES = 1 << 14
+
+
+@dataclass(frozen=True)
+class CaptureSound:
+    """A sound file made from a capture, and what to say of it."""
+
+    file: Path
+    note: str
+
+
+def extract_sound(
+    sources: Sequence[Path],
+    out: Path,
+    *,
+    channel: str | None = None,
+    ours: bool = False,
+    skipped: tuple[int, int] = (0, 0),
+) -> CaptureSound | None:
+    """Write the analog channel that holds sound as a WAV file.
+
+    Parameters
+    ----------
+    sources : sequence of Path
+        The captures of a take, in any order; only C3D carries analog channels.
+    out : Path
+        The WAV file to write.
+    channel : str, optional
+        Name of the channel; one that is named like sound by default.
+    ours : bool
+        Whether the file that may lie there already was made by this step.
+    skipped : tuple of int
+        Frames of the capture to leave out at its start and end.
+
+    Returns
+    -------
+    CaptureSound or None
+        None where there is no such channel and none was named.
+
+    Raises
+    ------
+    InputError
+        If no capture has the named channel, or the file cannot be written, or there is another
+        that is not ours.
+    """
+    faults = list[str]()
+    for source in sources:
+        with source.open("rb") as stream:
+            if not is_c3d(stream.read(512)):
+                continue
+        capture = open_c3d(source)
+        names = [label.strip() for label in capture.analog_labels]
+        faults.append(
+            f"{source}: no analog channel {channel!r}; there are {', '.join(names) or 'none'}"
+        )
+        chosen = channel if channel in names else None
+        if channel is None and capture.analog_rate >= LEAST_RATE:
+            chosen = next((name for name in names if SOUND_NAME.search(name)), None)
+        if chosen is not None:
+            frames = range(skipped[0], capture.frame_count - skipped[1])
+            _write_wav(out, capture, names.index(chosen), frames, ours=ours)
+            rate = capture.analog_rate
+            return CaptureSound(out, f"sound was taken from analog channel {chosen} ({rate:g} Hz)")
+    if channel is None:
+        return None
+    if faults:
+        raise InputError("\n".join(faults))
+    raise InputError(
+        f"{', '.join(map(str, sources))}: only C3D carries analog channels; leave "
+        "--audio-channel out"
+    )
+
+
+def _write_wav(path: Path, capture: C3dFile, column: int, frames: range, *, ours: bool) -> None:
+    """Write 16-bit samples, the loudest at full scale; two passes keep memory bounded."""
+    starts = frames[::_CHUNK_FRAMES]
+
+    def samples(start: int) -> np.ndarray:
+        stop = min(start + _CHUNK_FRAMES, frames.stop)
+        return capture.read_analog(start, stop)[:, column].astype(np.float64)
+
+    total = sum(float(np.nansum(_numbers(samples(start)))) for start in starts)
+    count = max(sum(int(np.isfinite(samples(start)).sum()) for start in starts), 1)
+    middle = total / count  # a capture card's resting voltage is not sound
+
+    def sound_from(start: int) -> np.ndarray:
+        return np.nan_to_num(_numbers(samples(start)) - middle)  # a dropped sample is silent
+
+    loudest = max((float(np.abs(sound_from(start)).max()) for start in starts), default=0.0)
+    scale = 32767.0 / loudest if loudest > 0 else 0.0
+    with replacing(path) as temporary:
+        with wave.open(str(temporary), "wb") as stream:
+            stream.setnchannels(1)
+            stream.setsampwidth(2)
+            stream.setframerate(round(capture.analog_rate))
+            for start in starts:
+                stream.writeframes(np.round(sound_from(start) * scale).astype("<i2").tobytes())
+        # A run that was killed before it wrote its take left the same.
+        if not ours and path.exists() and not filecmp.cmp(path, temporary, shallow=False):
+            raise InputError(
+                f"{path}: exists, and the take does not say that it is its sound; what the capture "
+                "recorded goes there: move the file away, or name it with --audio"
+            )
+
+
+def _numbers(samples: np.ndarray) -> np.ndarray:
+    """Return samples with NaN for all that is no number."""
+    return np.where(np.isfinite(samples), samples, np.nan)
+
 
 DAY_SECONDS = Fraction(86_400)
 DROP_DAY_SECONDS = Fraction(86_400 * 30 - 2 * (24 * 60 - 24 * 6)) * Fraction(1001, 30_000)

@@ -10,17 +10,16 @@ from usdface.media.film.sound import read_audio
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.capture import PhonesSpec
-from usdface.speech.coverage_of_sound import INCOMPLETE_SHARE, share_outside
-from usdface.speech.dictionary import read_dictionary, read_text
 from usdface.speech.forced_alignment import (
     DOUBTFUL_SCORE,
     SPEECH_SAMPLE_RATE,
     PhoneAlignment,
     align_phones,
+    spoken_words,
 )
-from usdface.speech.phone_track import PhoneTrack, Span
+from usdface.speech.phone_track import INCOMPLETE_SHARE, PhoneTrack, Span, share_outside
+from usdface.speech.pronunciation import read_dictionary, read_text
 from usdface.speech.track_files import write_phone_track
-from usdface.speech.transcript import spoken_words
 from usdface.speech.visemes import viseme_of
 from usdface.usdio.take.read import read_take
 

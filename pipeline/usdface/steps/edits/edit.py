@@ -10,7 +10,7 @@ from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.rates import UNSAMPLED_FRAMES, check_frame_span
 from usdface.core.text import first_few, pluralize
-from usdface.numerics.motion.edit_curve import (
+from usdface.numerics.motion.key_reduction import (
     EditCurve,
     add_to_edit,
     clear_edit,

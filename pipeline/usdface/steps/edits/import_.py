@@ -7,7 +7,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.text import first_few, pluralize
-from usdface.numerics.motion.edit_curve import EditCurve, no_edit
+from usdface.numerics.motion.key_reduction import EditCurve, no_edit
 from usdface.runner.result import StepResult
 from usdface.specs.edits import EditsImportSpec
 from usdface.steps.edits.edit import all_frames, renewed, solved_over

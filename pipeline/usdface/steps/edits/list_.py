@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.text import pluralize
+from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
-from usdface.runner.sandbox import confine
 from usdface.steps.inputs.edit_ranges import NOTABLE_CHANGE, EditedRange, find_edited_ranges
 from usdface.usdio.performance.read import PerformanceReader
 

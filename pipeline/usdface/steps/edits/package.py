@@ -9,8 +9,8 @@ from usdface.core.replacing import replacing
 from usdface.runner.result import StepResult
 from usdface.specs.edits import BakeSpec, PackageSpec
 from usdface.steps.edits import bake
-from usdface.usdio.performance.package import write_package
 from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.performance.write import write_package
 
 
 def run(spec: PackageSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:

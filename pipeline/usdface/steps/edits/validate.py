@@ -4,8 +4,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 from usdface.core.text import pluralize
+from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
-from usdface.runner.sandbox import confine
 from usdface.usdio.validation import validate
 
 

@@ -1,4 +1,4 @@
-"""Cleaned takes of one performer, brought into one order of markers and one head space."""
+"""Cleaned takes of one performer: one order of markers, one head space; their fit to a rig."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -6,13 +6,62 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, sample_frames
-from usdface.core.assets import Markers, Take
+from usdface.core.assets import Markers, Rig, Take, TrainedMapping
 from usdface.core.errors import InputError
-from usdface.model.mapping.head_space import MINIMUM_SHARE, find_head_space
-from usdface.model.mapping.performer_face import PerformerFace
+from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace, find_head_space
+from usdface.model.mapping.performer_face import PerformerFace, face_of_mapping
 from usdface.model.mapping.take_neutral import TakeNeutral
+from usdface.model.placement.plausibility import (
+    judge_markers,
+    settle_findings,
+)
+from usdface.model.placement.rig_orientation import check_rig_stands
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
-from usdface.usdio.take.read import read_take
+from usdface.usdio.take.read import TakeReader, read_take
+
+
+def take_head_space(take: TakeReader, mapping: TrainedMapping) -> HeadSpace:
+    """Find how a take's markers become a mapping's, from frames spread over all of it.
+
+    Raises
+    ------
+    InputError
+        If the take is not stabilised, or has too few of the mapping's markers.
+    """
+    count = take.last_frame - take.first_frame + 1
+    picks = np.linspace(take.first_frame, take.last_frame, min(count, SAMPLE_FRAMES)).astype(int)
+    if take.first_frame <= take.neutral_frame <= take.last_frame:
+        picks = np.union1d(picks, take.neutral_frame)
+    sample = _require_markers(take, take.read_markers_at(picks.tolist()))
+    try:
+        return find_head_space(
+            face_of_mapping(mapping),
+            sample,
+            frames=picks,
+            rate=float(take.rate),
+            performer=take.performer,
+            session=take.session,
+        )
+    except InputError as error:
+        raise InputError(f"{take.path}: {error}") from error
+
+
+def read_markers(take: TakeReader, first: int, last: int) -> Markers:
+    """Read the markers of some frames.
+
+    Raises
+    ------
+    InputError
+        If the take has none.
+    """
+    return _require_markers(take, take.read(first, last, head_motion=False).markers)
+
+
+def _require_markers(take: TakeReader, markers: Markers | None) -> Markers:
+    if markers is None:
+        raise InputError(f"{take.path}: has no markers; ingest a capture that has")
+    return markers
+
 
 FEWEST_RIGID = 3
 MIDDLE_FRAMES = 20_000
@@ -250,3 +299,48 @@ def _check_performers(paths: tuple[Path, ...], takes: list[Take]) -> None:
             "from each performer's takes by themselves, or correct the name with `usdface ingest "
             "--performer`"
         )
+
+
+_SAMPLE_FRAMES = 64
+
+
+def plausibility_notes(takes: CleanedTakes, paths: tuple[Path, ...], rig: Rig) -> list[str]:
+    """Return what is odd about takes and the rig.
+
+    Raises
+    ------
+    InputError
+        If a take that was not judged at ingest cannot be a human face's, or the rig's head lies.
+    """
+    notes = [f"{rig.file.name}: {doubt}" for doubt in check_rig_stands(rig)]
+    for index, (path, source) in enumerate(zip(paths, takes.sources, strict=True)):
+        doubts = source.doubts
+        if doubts is None:
+            usable = takes.usable[index]
+            markers = Markers(
+                takes.marker_names, takes.positions[index], usable, usable.astype(np.float32)
+            )
+            doubts = _judge(markers, path, float(source.rate))
+        notes += [f"{source.name}: {doubt}" for doubt in doubts]
+    return notes
+
+
+def bound_take_notes(take: TakeReader) -> list[str]:
+    """Return what is odd about a take, by frames spread over it where ingest has not judged it.
+
+    Raises
+    ------
+    InputError
+        As `plausibility_notes`.
+    """
+    if take.doubts is not None:
+        return list(take.doubts)
+    frames = np.unique(np.linspace(take.first_frame, take.last_frame, _SAMPLE_FRAMES).astype(int))
+    markers = take.read_markers_at(frames.tolist())
+    return [] if markers is None else list(_judge(markers, take.path, None))
+
+
+def _judge(markers: Markers, path: Path, rate: float | None) -> tuple[str, ...]:
+    return settle_findings(
+        judge_markers(markers, rate), where=path, before_remedy="ingest it again and "
+    )

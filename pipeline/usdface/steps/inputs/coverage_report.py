@@ -12,7 +12,7 @@ from usdface.media.charts.coverage import CoveragePage, NextFrame, draw_coverage
 from usdface.media.picture.error_strip import ErrorCurve
 from usdface.model.mapping.performer_face import face_of_references
 from usdface.model.selection.coverage import Coverage, Growth, measure_coverage, measure_growth
-from usdface.model.selection.features import Features, SelectionSpace, features_at
+from usdface.model.selection.design import Features, SelectionSpace, features_at
 from usdface.specs.references import ReferencesCoverageSpec
 from usdface.steps.inputs.cleaned_takes import FEWEST_RIGID, CleanedTakes, read_cleaned_takes
 from usdface.steps.inputs.placement import stored_placement

@@ -10,7 +10,7 @@ from usdface.core.arrays import IntArray
 from usdface.core.assets import Take
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
-from usdface.model.selection.visemes import Segment
+from usdface.model.selection.design import Segment
 from usdface.specs.references import SelectSpec
 from usdface.speech.phone_track import PhoneTrack, label_at
 from usdface.speech.track_files import read_phone_track, unknown_symbols

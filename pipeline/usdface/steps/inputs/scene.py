@@ -13,8 +13,7 @@ from usdface.model.mapping.motion_space import fit_motion_space
 from usdface.model.mapping.performer_face import PerformerFace, face_of_mapping
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.selection.baseline import BlendshapeEquation
-from usdface.model.selection.design import CandidateMarkers
-from usdface.model.selection.features import SelectionSpace, selection_space
+from usdface.model.selection.design import CandidateMarkers, SelectionSpace, selection_space
 from usdface.specs.paths import frame_range
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
 from usdface.steps.inputs.placement import placed_equation

@@ -1,4 +1,3 @@
 """References to a mapping, takes to performances."""
 
-_helpers = ("predict_blocks",)
 _commands = ("describe",)

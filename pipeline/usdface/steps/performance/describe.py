@@ -4,8 +4,8 @@ import math
 from pathlib import Path
 
 from usdface.model.retarget.train import describe_retargeting_figures, retargeting_table
+from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
-from usdface.runner.sandbox import confine
 from usdface.steps.performance.train import describe_figures
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.retarget.retargeting import is_retargeting, read_retargeting

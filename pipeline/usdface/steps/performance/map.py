@@ -1,8 +1,13 @@
 """A cleaned take and a mapping in, a performance out; a take of any length in bounded memory."""
 
-from collections.abc import Iterator
+import os
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import tee
+from pathlib import Path
 
 import numpy as np
 
@@ -13,26 +18,87 @@ from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
 from usdface.core.text import first_few, pluralize
-from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace
-from usdface.model.mapping.predict import Prediction, basis_of, regions_of
+from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace, MappedMarkers
+from usdface.model.mapping.predict import Prediction, WeightPredictor, basis_of, regions_of
 from usdface.model.mapping.rig_match import check_same_rig
 from usdface.model.mapping.temporal import TemporalSolve, smooth_weights
 from usdface.model.review.verdict import SEEN_MM, SolveEvidence, judge_solve
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.performance import MapSpec
+from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
 from usdface.steps.inputs.edit_ranges import edit_notes
-from usdface.steps.inputs.take_head_space import read_markers, take_head_space
-from usdface.steps.performance.predict_blocks import (
-    check_blend,
-    predict_pipelined,
-    predict_with_keyed_blend,
-)
+from usdface.steps.inputs.weight_tables import read_alpha
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader
+
+MAX_WORKERS = 4
+"""Threads: the one that writes keeps no more of them busy."""
+
+Block = Callable[[], MappedMarkers]
+"""Brings the markers of some frames into the mapping's space, in the thread that predicts them."""
+
+QUEUE_DEPTH = 2
+"""Blocks, beside those being predicted, that wait to be written: memory stays bounded."""
+
+
+def predict_pipelined(mapping: TrainedMapping, blocks: Iterator[Block]) -> Iterator[Prediction]:
+    """Yield the prediction of each block, in order, while threads predict the next ones.
+
+    Arithmetic on arrays leaves Python free, and writing samples is Python: threads do both at
+    once. What comes out does not depend on who is faster, nor on how many there are.
+    """
+    predictor = WeightPredictor(mapping)
+
+    def predict(block: Block) -> Prediction:
+        markers = block()
+        return predictor.predict(markers.positions, visible=markers.visible)
+
+    workers = min(MAX_WORKERS, os.cpu_count() or 1)
+    with ThreadPoolExecutor(max_workers=workers, thread_name_prefix="predict") as pool:
+        under_way: deque[Future[Prediction]] = deque()
+        for block in blocks:
+            under_way.append(pool.submit(predict, block))
+            if len(under_way) >= workers + QUEUE_DEPTH:
+                yield under_way.popleft().result()
+        while under_way:
+            yield under_way.popleft().result()
+
+
+def check_blend(path: Path, mapping: TrainedMapping) -> None:
+    """Refuse to blend what has only one part.
+
+    Raises
+    ------
+    InputError
+        If the mapping is no hybrid.
+    """
+    if mapping.method != "hybrid":
+        raise InputError(
+            f"{path}: alpha blends the two parts of a hybrid, and this mapping is "
+            f"{mapping.method}; train with --method hybrid"
+        )
+
+
+def predict_with_keyed_blend(
+    mapping: TrainedMapping, placed: Iterator[Block], alpha: Path, blocks: list[range]
+) -> Iterator[Prediction]:
+    """Yield the prediction of each block, with the share that `alpha` keys at each frame.
+
+    Both parts are predicted, which takes twice the time of a constant blend.
+    """
+    keyed = [read_alpha(alpha, np.arange(block.start, block.stop)) for block in blocks]
+    parts = [
+        predict_pipelined(replace(mapping, settings=mapping.settings | {"alpha": share}), each)
+        for share, each in zip((1.0, 0.0), tee(placed), strict=True)
+    ]
+    for share, network, regression in zip(keyed, *parts, strict=True):
+        blend = share[:, None] * network.weights + (1 - share[:, None]) * regression.weights
+        yield replace(regression, weights=blend)
+
 
 BLOCK_FRAMES = 1024
 """Blocks are counted from the take's first frame, whichever frames are asked for: sums of another

@@ -14,12 +14,12 @@ from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path, tuned_path
 from usdface.core.text import first_few, pluralize
-from usdface.numerics.motion.edit_curve import EditCurve
+from usdface.numerics.motion.key_reduction import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
 from usdface.runner.origin import spec_of
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesFromEditsSpec
-from usdface.steps.inputs.take_head_space import read_markers, take_head_space
+from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
 from usdface.steps.inputs.tuned_pairs import SAME_WEIGHT
 from usdface.steps.references.tuning_guard import nobody_tunes
 from usdface.usdio.layers import read_provenance

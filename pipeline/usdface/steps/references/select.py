@@ -26,7 +26,7 @@ from usdface.numerics.regression.linear_ridge import fit_linear_ridge
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.references import SelectSpec
-from usdface.steps.inputs.cleaned_takes import CleanedTakes, read_cleaned_takes
+from usdface.steps.inputs.cleaned_takes import CleanedTakes, plausibility_notes, read_cleaned_takes
 from usdface.steps.inputs.coverage_report import cover, coverage_figures, coverage_picture
 from usdface.steps.inputs.landmark_files import read_landmarks
 from usdface.steps.inputs.phone_labels import PhoneLabels, read_phone_labels
@@ -45,7 +45,6 @@ from usdface.steps.inputs.scene import (
     set_up_scene,
     takes_prediction,
 )
-from usdface.steps.inputs.take_plausibility import plausibility_notes
 from usdface.steps.inputs.tuned_pairs import (
     PlacedPair,
     find_placed_pairs,

@@ -11,8 +11,8 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
+from usdface.core.rates import shift_timecode
 from usdface.core.text import pluralize
-from usdface.core.timecode import shift_timecode
 from usdface.media.face.camera import frame_rig
 from usdface.media.face.markers_view import draw_markers, frame_markers
 from usdface.media.face.render import FaceRenderer

@@ -13,8 +13,7 @@ from usdface.model.retarget.checks import check_pairs, unused_shapes
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import PairsImportSpec
 from usdface.steps.inputs.weight_tables import read_weight_table
-from usdface.usdio.retarget.control_attributes import find_control_attributes
-from usdface.usdio.retarget.controls import read_control_clip
+from usdface.usdio.retarget.controls import find_control_attributes, read_control_clip
 from usdface.usdio.retarget.pairs import keyed_above, write_pairs
 from usdface.usdio.rig.read import read_rig
 

@@ -15,7 +15,7 @@ from usdface.model.retarget.shape_matching import ShapeMatch, match_deformations
 from usdface.model.retarget.shape_names import NameMatch, match_names
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import PairsProposeSpec
-from usdface.usdio.retarget.control_attributes import rest_controls
+from usdface.usdio.retarget.controls import rest_controls
 from usdface.usdio.retarget.pairs import keyed_above, merge_pairs, read_pairs, write_pairs
 from usdface.usdio.rig.read import read_rig
 

@@ -9,7 +9,7 @@ import numpy as np
 from usdface.core.arrays import Float32Array
 from usdface.core.assets import Take
 from usdface.core.errors import InputError
-from usdface.core.timecode import frames_of, timecode_of
+from usdface.core.rates import frames_of, timecode_of
 from usdface.media.film.sound import read_audio
 
 HIGHEST_RATE = 60

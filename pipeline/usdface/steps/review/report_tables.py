@@ -13,7 +13,7 @@ from usdface.media.page.report_page import Listing, PagePicture, Strip
 from usdface.media.picture.image import encode_image
 from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
 from usdface.runner.origin import path_made_from, provenance_of, spec_of
-from usdface.runner.sandbox import confine
+from usdface.runner.outputs import confine
 from usdface.specs.references import ReferencesCoverageSpec
 from usdface.specs.review import ReportSpec
 from usdface.steps.inputs.coverage_report import MeasuredCoverage, measure_pairs, next_frames

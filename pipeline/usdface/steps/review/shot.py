@@ -9,7 +9,7 @@ from usdface.core.arrays import FloatArray, IntArray, columns_by_name
 from usdface.core.assets import Performance, Rig, Take
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
-from usdface.core.timecode import shift_timecode
+from usdface.core.rates import shift_timecode
 from usdface.media.face.camera import Camera, frame_rig, motion_weights
 from usdface.specs.paths import frame_range
 from usdface.specs.review import AUTO_CAMERA

@@ -16,7 +16,7 @@ from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.surface import BindSpec
-from usdface.steps.inputs.take_plausibility import bound_take_notes
+from usdface.steps.inputs.cleaned_takes import bound_take_notes
 from usdface.steps.surface.plan import TakeSample, bind_take, landmark_places, sample_take
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.surface.binding import has_binding, read_binding, write_binding

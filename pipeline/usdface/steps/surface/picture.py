@@ -9,7 +9,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
-from usdface.core.timecode import shift_timecode
+from usdface.core.rates import shift_timecode
 from usdface.media.face.render import Quality
 from usdface.media.picture.image import write_image
 from usdface.media.picture.sheet import SheetPage, compose_sheet

@@ -7,11 +7,16 @@ from collections.abc import Callable, Iterable
 
 from pxr import Sdf, Usd, UsdValidation
 
-from usdface.usdio.checks.curves import check_curves
+from usdface.usdio.checks.curves import check_curves, check_timing
 from usdface.usdio.checks.fault import Fault
-from usdface.usdio.checks.files import check_absolute_paths, check_missing_files, check_provenance
-from usdface.usdio.checks.names import check_instances, check_names, check_sides
-from usdface.usdio.checks.timing import check_timing
+from usdface.usdio.checks.files import (
+    check_absolute_paths,
+    check_instances,
+    check_missing_files,
+    check_names,
+    check_provenance,
+    check_sides,
+)
 from usdface.usdio.checks.weights import check_edits, check_weights
 
 _PLUGIN = "usdface.usdio.checks"

@@ -1,11 +1,139 @@
-"""What layers are made of: found, relative, and with a word on where they come from."""
+"""What layers are made of: files that are found and relative, shapes by name, and provenance."""
 
+from collections import Counter
 from pathlib import PurePosixPath, PureWindowsPath
 
-from pxr import Sdf, Usd, UsdSkel, UsdUtils
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdSkel, UsdUtils
 
+from usdface.core.arrays import FloatArray
 from usdface.core.text import first_few
-from usdface.usdio.checks.fault import Fault, is_solved
+from usdface.usdio.checks.curves import pair_sides
+from usdface.usdio.checks.fault import Fault, is_recorded, is_solved
+
+CLEAR_SHARE = 0.2
+"""How one-sided a shape must be, of its whole movement, to count as that side's."""
+
+
+def check_names(prim: Usd.Prim) -> list[Fault]:
+    """Find shapes that no mesh has or that are named twice, and animations nobody follows."""
+    names = list(map(str, UsdSkel.Animation(prim).GetBlendShapesAttr().Get() or []))
+    if not names or is_recorded(prim):
+        return []
+    path = str(prim.GetPath())
+    found = []
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        message = f"{first_few(twice)}: named twice; name each shape once"
+        found.append(Fault("error", path, message))
+    on_meshes, followed = _bound_shapes(prim)
+    if not followed:
+        message = (
+            "no skeleton follows this animation; point skel:animationSource at it, or open the "
+            "layer above that references the rig"
+        )
+        found.append(Fault("warning", path, message))
+    missing = sorted(set(names) - on_meshes)
+    if missing and on_meshes:
+        found.append(
+            Fault(
+                "error",
+                path,
+                f"{len(missing)} shapes are on no mesh: {first_few(missing)}; is it this rig's "
+                "animation? Map again for the rig, or rename the shapes",
+            )
+        )
+    return found
+
+
+def check_instances(stage: Usd.Stage) -> list[Fault]:
+    """Find what layers say below an instance: USD ignores it, so no weight would arrive."""
+    found = []
+    for prim in stage.Traverse():
+        if not prim.IsInstance():
+            continue
+        ignored = [
+            layer.GetDisplayName()
+            for layer in stage.GetLayerStack(includeSessionLayers=False)
+            if (spec := layer.GetPrimAtPath(prim.GetPath())) is not None and spec.nameChildren
+        ]
+        if ignored:
+            found.append(
+                Fault(
+                    "error",
+                    str(prim.GetPath()),
+                    f"is instanceable, and USD ignores what {first_few(ignored)} says below it: "
+                    "the face would not move. Author instanceable = false on it in the shot",
+                )
+            )
+    return found
+
+
+def _bound_shapes(animation: Usd.Prim) -> tuple[set[str], bool]:
+    """Return the shapes on the stage's meshes, and whether a skeleton follows the animation."""
+    on_meshes: set[str] = set()
+    followed = False
+    for prim in animation.GetStage().Traverse():
+        binding = UsdSkel.BindingAPI(prim)
+        on_meshes.update(map(str, binding.GetBlendShapesAttr().Get() or []))
+        if prim.IsA(UsdSkel.Skeleton):
+            source = binding.GetInheritedAnimationSource()
+            followed |= bool(source) and source.GetPath() == animation.GetPath()
+    return on_meshes, followed
+
+
+def check_sides(stage: Usd.Stage) -> list[Fault]:
+    """Find pairs of shapes that move the sides the other way round than most pairs do.
+
+    Which way a character faces is not asked: the majority says where its left is.
+    """
+    found = []
+    for mesh in stage.Traverse():
+        binding = UsdSkel.BindingAPI(mesh) if mesh.IsA(UsdGeom.Mesh) else None
+        names = tuple(map(str, (binding.GetBlendShapesAttr().Get() or []) if binding else []))
+        pairs = pair_sides(names)
+        if len(pairs) < 3:
+            continue
+        shares = _side_shares(mesh)
+        clear = [
+            (names[left], shares[left] - shares[right])
+            for left, right in pairs
+            if min(abs(shares[left]), abs(shares[right])) > CLEAR_SHARE
+            and shares[left] * shares[right] < 0
+        ]
+        side = np.sign(sum(np.sign(lean) for _, lean in clear))
+        flipped = [name for name, lean in clear if side and np.sign(lean) != side]
+        if flipped:
+            found.append(
+                Fault(
+                    "error",
+                    str(mesh.GetPath()),
+                    f"{first_few(flipped)}: left and right are exchanged, compared with the other "
+                    f"{len(clear) - len(flipped)} pairs of this mesh; rename the shapes on the rig",
+                )
+            )
+    return found
+
+
+def _side_shares(mesh: Usd.Prim) -> list[float]:
+    """Return for each shape how far its movement lies on one side: -1 all at -x, 1 all at +x."""
+    points = np.asarray(UsdGeom.Mesh(mesh).GetPointsAttr().Get() or [], dtype=np.float64)
+    binding = UsdSkel.BindingAPI(mesh)
+    out = []
+    for target in binding.GetBlendShapeTargetsRel().GetTargets():
+        shape = UsdSkel.BlendShape(mesh.GetStage().GetPrimAtPath(target))
+        authored = shape.GetOffsetsAttr().Get() if shape else None
+        offsets: FloatArray = np.asarray(authored or np.zeros((0, 3)), dtype=np.float64)
+        indices = shape.GetPointIndicesAttr().Get() if shape else None
+        rows = np.arange(len(offsets)) if indices is None else np.asarray(indices)
+        if not len(offsets) or len(rows) != len(offsets) or rows.max(initial=0) >= len(points):
+            out.append(0.0)
+            continue
+        size = np.linalg.norm(offsets, axis=1)
+        middle = 0.5 * (points[:, 0].min() + points[:, 0].max())
+        side = np.sign(points[rows, 0] - middle)
+        out.append(float((size * side).sum() / max(size.sum(), 1e-12)))
+    return out
 
 
 def _saved_layers(stage: Usd.Stage) -> list[Sdf.Layer]:

@@ -20,8 +20,8 @@ from usdface.core.arrays import Float32Array, FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, hash_text
+from usdface.core.rates import shift_timecode
 from usdface.core.replacing import replacing
-from usdface.core.timecode import shift_timecode
 from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
 from usdface.usdio.performance.weights_layer import (
     FIGURES,

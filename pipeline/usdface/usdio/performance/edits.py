@@ -18,8 +18,13 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, hash_files
 from usdface.core.rates import check_frame_span
 from usdface.core.sidecars import edits_path
-from usdface.numerics.motion.edit_curve import EditCurve, apply_edit, needed_samples, no_edit
-from usdface.numerics.motion.key_reduction import reduce_keys
+from usdface.numerics.motion.key_reduction import (
+    EditCurve,
+    apply_edit,
+    needed_samples,
+    no_edit,
+    reduce_keys,
+)
 from usdface.usdio.authoring import author_timing, retime_layer
 from usdface.usdio.layers import new_layers, open_layer, relative_path
 from usdface.usdio.units import author_units

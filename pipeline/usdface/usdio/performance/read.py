@@ -12,8 +12,7 @@ from pxr import Sdf, Usd, UsdSkel
 from usdface.core.arrays import Float32Array, FloatArray, IntArray
 from usdface.core.assets import Performance, SolveBasis, WeightsClip
 from usdface.core.errors import InputError
-from usdface.core.rates import exact_rate, span_of_samples
-from usdface.core.timecode import shift_timecode
+from usdface.core.rates import exact_rate, shift_timecode, span_of_samples
 from usdface.usdio.layers import open_stage
 from usdface.usdio.performance.edits import ShapeEdit, edited_weights, read_edits
 from usdface.usdio.performance.weights_layer import (

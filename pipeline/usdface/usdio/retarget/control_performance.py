@@ -19,8 +19,13 @@ from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_pat
 from usdface.usdio.performance.clips import PartsWriter
 from usdface.usdio.performance.weights_layer import WeightsHeader, WeightsWriter
 from usdface.usdio.performance.write import writing_performance
-from usdface.usdio.retarget.control_attributes import attribute_path, control_attribute
-from usdface.usdio.retarget.controls import NAMES, author_joints, set_joint_samples
+from usdface.usdio.retarget.controls import (
+    NAMES,
+    attribute_path,
+    author_joints,
+    control_attribute,
+    set_joint_samples,
+)
 from usdface.usdio.units import author_units
 
 _FRAMES_PER_SAVE = 1 << 14

@@ -24,11 +24,12 @@ from usdface.usdio.layers import (
     relative_path,
 )
 from usdface.usdio.references.pair_layers import author_pair_header, open_pair_stage
-from usdface.usdio.retarget.control_attributes import attribute_path, control_attribute
 from usdface.usdio.retarget.controls import (
     NAMES,
     attribute_names,
+    attribute_path,
     author_joints,
+    control_attribute,
     controls_at,
     set_joint_samples,
     set_weight_samples,

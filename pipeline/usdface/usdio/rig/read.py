@@ -13,7 +13,7 @@ from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.core.errors import InputError
 from usdface.usdio.layers import open_stage
 from usdface.usdio.rig.materials import read_look
-from usdface.usdio.rig.rest_pose import PlacedMesh, RestPose
+from usdface.usdio.rig.mesh import PlacedMesh, RestPose
 from usdface.usdio.units import stage_to_ours
 from usdface.usdio.wrong_types import refusing_wrong_types
 

@@ -10,8 +10,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 from usdface.core.arrays import Float32Array
 from usdface.core.assets import Event, Markers, Take, Video, WeightsClip
 from usdface.core.errors import InputError
-from usdface.core.rates import check_frame_span, exact_rate
-from usdface.core.timecode import shift_timecode
+from usdface.core.rates import check_frame_span, exact_rate, shift_timecode
 from usdface.usdio.layers import open_stage
 from usdface.usdio.take.write import AUDIO, HEAD_MOTION, MARKER_CONFIDENCE, MARKERS, SOURCE, VISIBLE
 from usdface.usdio.units import column_matrix, stage_to_ours
