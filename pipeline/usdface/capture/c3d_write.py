@@ -38,16 +38,10 @@ def write_c3d(
         [mm], Y up, +X to the right of the screen.
     visible : (frames, points) array_like of bool
         Where False the point is written as not seen: residual -1 at the origin.
-    labels : sequence of str
-        One per point.
-    rate : Fraction or float
-        Frames per second.
     first_frame : int
         Frame number of the first sample; the format counts from 1.
     analog : (frames * k, channels) array_like, optional
         k samples per frame and channel.
-    analog_labels : sequence of str
-        One per channel.
 
     Raises
     ------

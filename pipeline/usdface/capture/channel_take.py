@@ -33,12 +33,6 @@ def build_channel_take(
     ----------
     path : Path
         The capture; its stem names the take.
-    names : sequence of str
-        Unique, one per column.
-    values : (samples, channels) float64 array
-        Finite.
-    notes : sequence of str
-        What the reader has noted so far.
     """
     found = [*notes, *_describe_times(times)]
     clip = WeightsClip(

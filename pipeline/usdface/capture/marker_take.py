@@ -101,8 +101,6 @@ def build_marker_take(
 
     Parameters
     ----------
-    names : sequence of str
-        Unique, one per column.
     positions : (frames, markers, 3) float32 array
         [mm]; changed in place. Anything where not visible.
     visible : (frames, markers) bool array

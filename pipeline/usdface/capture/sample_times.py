@@ -52,8 +52,6 @@ def settle_device_times(
         [s]
     lines : (samples,) int array
         Where each is in its file, for messages.
-    where : str
-        File and column, for messages.
 
     Raises
     ------
@@ -145,8 +143,6 @@ def check_rate(
 
     Parameters
     ----------
-    stated_in : str
-        What states it, for the message.
     seconds : (rows,) float64 array
         [s]
     frames : (rows,) int array

@@ -80,15 +80,8 @@ def read_capture(
         Overrules the file.
     rate : float, optional
         Frames per second of markers; overrules the file.
-    rigid : sequence of str
-        Names of the markers that move with the skull alone.
     neutral : int, optional
         Frame number of the neutral face; the first frame with the most markers seen by default.
-
-    Returns
-    -------
-    Capture
-        The take, and notes of everything that was dropped, repaired or assumed.
 
     Raises
     ------

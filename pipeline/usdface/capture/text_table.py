@@ -215,8 +215,6 @@ def read_number_table(
     ----------
     lines : iterable of Line
         Those after the header; empty ones are skipped.
-    gaps : bool
-        See `parse_cells`.
     texts : sequence of int
         Columns to keep as text.
     stop_at_empty : bool

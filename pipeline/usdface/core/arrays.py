@@ -61,8 +61,6 @@ def frame_blocks(count: int, *, frames: int | None = None, at_least: int = 1) ->
 
     Parameters
     ----------
-    count : int
-        Frames of the take.
     frames : int, optional
         Frames of a block; by default 2048.
     at_least : int

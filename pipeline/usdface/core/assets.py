@@ -195,17 +195,7 @@ class Rig:
     otherwise."""
 
     def check_has(self, shapes: Iterable[str], *, source: object, remedy: str) -> None:
-        """Raise InputError where the rig lacks shapes.
-
-        Parameters
-        ----------
-        shapes : iterable of str
-            Names that must be there.
-        source : object
-            File whose shapes they are, as the message names it.
-        remedy : str
-            What the message advises.
-        """
+        """Raise InputError where the rig lacks shapes."""
         names = list(shapes)
         missing = [name for name in names if name not in self.shapes]
         if missing:

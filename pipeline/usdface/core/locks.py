@@ -41,13 +41,7 @@ class Holder:
 
 
 class TuningLock:
-    """The right to tune; renew it every few seconds while it is held.
-
-    Parameters
-    ----------
-    path : Path
-        Of the lock file.
-    """
+    """The right to tune; renew it every few seconds while it is held."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -61,8 +55,6 @@ class TuningLock:
         ----------
         take_over : bool
             Take it from whoever holds it; their page then refuses changes and says why.
-        remedy : str
-            What to do where someone else holds it.
 
         Raises
         ------

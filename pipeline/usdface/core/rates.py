@@ -125,13 +125,6 @@ def exact_rate(value: float, *, where: str) -> Fraction:
     become exact rationals; anything else becomes the nearest fraction with a denominator of at
     most 1001.
 
-    Parameters
-    ----------
-    value : float
-        Frames per second as the file states them.
-    where : str
-        File and place, for the message.
-
     Raises
     ------
     InputError
@@ -160,8 +153,6 @@ def check_frame_span(where: str, first: float, last: float, *, samples: int | No
 
     Parameters
     ----------
-    where : str
-        File and prim, for the message.
     first, last : float
         Inclusive; what a file says, finite or not.
     samples : int or None

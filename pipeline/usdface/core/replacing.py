@@ -37,11 +37,6 @@ _WRITE_PERMISSIONS = 0o222
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary name in the same folder; it takes the place of `path` on success.
 
-    Parameters
-    ----------
-    path : Path
-        The file to make or to replace.
-
     Yields
     ------
     Path

@@ -8,8 +8,6 @@ def pluralize(count: int, noun: str) -> str:
 
     Parameters
     ----------
-    count : int
-        At least 0.
     noun : str
         In the singular; one whose plural ends in s.
     """
@@ -17,15 +15,7 @@ def pluralize(count: int, noun: str) -> str:
 
 
 def first_few(names: Iterable[object], *, most: int = 5) -> str:
-    """Return names as a list that stays short: ``a, b, c and 4 more``.
-
-    Parameters
-    ----------
-    names : iterable of object
-        Written as `str` has them.
-    most : int
-        How many are named.
-    """
+    """Return names as a list that stays short: ``a, b, c and 4 more``."""
     written = list(map(str, names))
     rest = len(written) - most
     return ", ".join(written[:most]) + (f" and {rest} more" if rest > 0 else "")

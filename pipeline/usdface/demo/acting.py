@@ -117,11 +117,6 @@ class ActedPerformance:
 def performance(rate: int = 120) -> ActedPerformance:
     """Act the script.
 
-    Parameters
-    ----------
-    rate : int
-        Frames per second.
-
     Returns
     -------
     ActedPerformance

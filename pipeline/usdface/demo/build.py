@@ -94,10 +94,6 @@ def write_clip(
     ----------
     path : Path
         ``.mp4`` or another movie that `usdface.media.film.movie` writes.
-    head : DemoHead
-        Of the actor.
-    workers : int
-        Processes that draw.
     """
     rate = float(acted.weights.rate)
     count = int((DURATION_SECONDS + TAIL_SECONDS - OFFSET_SECONDS) * VIDEO_RATE)
@@ -188,13 +184,6 @@ def write_demo_inputs(folder: Path, *, workers: int = 2, progress: Progress = si
     ----------
     folder : Path
         Created if missing; files of the same names are replaced.
-    workers : int
-        Processes that draw the video.
-
-    Returns
-    -------
-    DemoInputs
-        The same content on every call.
     """
     folder.mkdir(parents=True, exist_ok=True)
     progress(0.0, "sculpting the character")

@@ -214,15 +214,7 @@ class SimulatedCapture:
 
 
 class ActorFace:
-    """The actor's face as it really moves; keeps its own shapes for some of its points.
-
-    Parameters
-    ----------
-    head : DemoHead
-        Of the actor.
-    points : (n,) int array, optional
-        Only these points; all by default.
-    """
+    """The actor's face as it really moves; keeps its own shapes for some of its points."""
 
     def __init__(self, head: DemoHead, points: IntArray | None = None) -> None:
         which = np.arange(len(head.points)) if points is None else points
@@ -283,20 +275,7 @@ def _between(keys: tuple[tuple[float, FloatArray], ...], weight: float) -> Float
 def simulate_capture(
     head: DemoHead, acted: ActedPerformance, markers: MarkerSet
 ) -> SimulatedCapture:
-    """Record the actor's performance with noise, gaps and mislabelled stretches.
-
-    Parameters
-    ----------
-    head : DemoHead
-        Of the actor.
-    markers : MarkerSet
-        On the same head.
-
-    Returns
-    -------
-    SimulatedCapture
-        The same on every call.
-    """
+    """Record the actor's performance with noise, gaps and mislabelled stretches."""
     rng = np.random.default_rng(102)
     face = ActorFace(head, markers.points)
     weights = face.ordered(acted.weights.names, acted.weights.values.astype(np.float64))

@@ -261,11 +261,6 @@ def hair_cap(style: Style, form: Form) -> Piece:
     ----------
     form : callable
         Signed distance to the head [mm].
-
-    Returns
-    -------
-    Piece
-        The whole head of hair.
     """
     azimuth = np.linspace(-180.0, 180.0, _COLUMNS, endpoint=False)
     line = PchipInterpolator(_LINE_AZIMUTH, _LINE_HEIGHT)(np.abs(azimuth))

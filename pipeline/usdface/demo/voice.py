@@ -78,11 +78,6 @@ _LOUD = {"neutral": 0.8, "happiness": 1.0, "anger": 1.15, "sadness": 0.6}
 def speak(sample_rate: int = 48000) -> Float32Array:
     """Synthesise the script.
 
-    Parameters
-    ----------
-    sample_rate : int
-        Samples per second.
-
     Returns
     -------
     (samples,) float32 array

@@ -81,13 +81,7 @@ def job_template(name: str, steps: Sequence[FarmStep]) -> dict[str, Any]:
 
 
 def task_command(spec: str) -> list[str]:
-    """Return the command line of a task, as arguments.
-
-    Parameters
-    ----------
-    spec : str
-        Path of the task's spec, in whatever form the farm fills it in.
-    """
+    """Return the command line of a task, as arguments."""
     return ["usdface", "run", spec, "--make-folders", "--progress", "openjd"]
 
 
@@ -138,8 +132,6 @@ def compose_bundle(
 
     Parameters
     ----------
-    name : str
-        The job's.
     steps : sequence of FarmStep
         With absolute paths.
     carried : iterable of Path

@@ -54,8 +54,6 @@ def build_outline(
     ----------
     name : str
         The job's; what OpenCue does not allow in a name becomes ``_``.
-    bundle : Path
-        Where workers find it.
 
     Raises
     ------
@@ -137,8 +135,6 @@ def run_bundle(bundle: Path, *, quiet: bool = False) -> None:
 
     Parameters
     ----------
-    bundle : Path
-        The folder.
     quiet : bool
         Send what the command says to standard error, so that ours stays readable for scripts.
 

@@ -34,8 +34,6 @@ def execute(
     ----------
     overwrite : bool
         Replace outputs whoever wrote them and however new they are.
-    provenance : Provenance, optional
-        Of this spec, where it has been computed already.
 
     Raises
     ------

@@ -40,8 +40,6 @@ def chunk_specs(spec: Spec, made: Provenance, path: Path) -> tuple[Spec, ...]:
         What would make the file whole.
     made : Provenance
         What the file says of its making.
-    path : Path
-        The file.
 
     Returns
     -------
@@ -120,10 +118,6 @@ def run_job(
 
     Parameters
     ----------
-    job : JobSpec
-        As `read_job` returns it.
-    progress : callable
-        Called with the fraction of the whole job, and what is being done.
     overwrite : bool
         Replace outputs that this package did not write.
 

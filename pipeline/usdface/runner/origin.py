@@ -141,8 +141,6 @@ def path_made_from(file: Path, field: str) -> Path | None:
     ----------
     file : Path
         What was made; paths in its provenance are relative to its folder.
-    field : str
-        Name of the spec's field.
     """
     named = spec_of(provenance_of(file)).get(field)
     if not isinstance(named, str) or not named:

@@ -32,11 +32,6 @@ def check_confined_inputs(spec: Spec, root: Path) -> None:
 def confine(what: str, *, reads: Sequence[Path] = (), writes: Sequence[Path] = ()) -> None:
     """Hold a command that has no spec to the folder that ``USDFACE_ROOT`` names, if it does.
 
-    Parameters
-    ----------
-    what : str
-        The command.
-
     Raises
     ------
     InputError

@@ -29,10 +29,6 @@ def validation_messages(
 
     Parameters
     ----------
-    error : ValidationError
-        As pydantic raised it.
-    spec : type
-        What was validated.
     places : sequence of str
         Where each step stands in the file, if not in the order of `steps`.
     """

@@ -216,8 +216,6 @@ def check_confined(paths: Sequence[tuple[str, Path]], root: Path) -> None:
     ----------
     paths : sequence of (str, Path)
         Each with the name of what reads or writes it.
-    root : Path
-        Folder that must hold them all.
 
     Raises
     ------

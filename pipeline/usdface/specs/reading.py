@@ -23,8 +23,6 @@ def read_job(path: Path, *, path_rules: PathRules = ()) -> JobSpec:
 
     Parameters
     ----------
-    path : Path
-        YAML or JSON.
     path_rules : tuple of PathRule
         Where the paths of the machine that wrote the job lie on this one.
 

@@ -76,8 +76,6 @@ def share_outside(samples: Float32Array, words: Sequence[Span], *, rate: int) ->
     ----------
     samples : (samples,) float32 array
         Mono.
-    rate : int
-        Samples per second.
     """
     loud = loud_moments(samples, rate=rate)
     middle = (np.arange(len(loud)) + 0.5) * STEP_SECONDS

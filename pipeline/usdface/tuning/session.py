@@ -52,8 +52,6 @@ class TuningSession:
 
     Parameters
     ----------
-    path : Path
-        The references asset.
     take_over : bool
         Take the right to tune from whoever has it.
     first_revision : int
@@ -128,11 +126,6 @@ class TuningSession:
         ----------
         revision : int
             Of the state they were made on.
-
-        Returns
-        -------
-        int
-            The new revision.
 
         Raises
         ------

@@ -134,8 +134,6 @@ def correct_place(
 
     Parameters
     ----------
-    marker : str
-        Its name.
     at : tuple of three floats or None
         On the rig at rest [mm]; None takes an earlier correction back.
 

@@ -31,13 +31,7 @@ def doubles(values: ArrayLike) -> Vt.DoubleArray:
 
 
 def retime_layer(layer: Sdf.Layer, rate: float) -> None:
-    """Give a layer another rate, and move its samples so that they stay where they are in time.
-
-    Parameters
-    ----------
-    rate : float
-        Time codes per second.
-    """
+    """Give a layer another rate, and move its samples so that they stay where they are in time."""
     factor = rate / layer.timeCodesPerSecond
     layer.timeCodesPerSecond = rate
     if factor == 1:

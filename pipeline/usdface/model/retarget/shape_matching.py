@@ -101,11 +101,6 @@ def match_deformations(
 ) -> tuple[ShapeMatch, ...]:
     """Return the shapes that move the faces most alike, each in one match at most, best first.
 
-    Parameters
-    ----------
-    source_shapes, target_shapes : tuples of str
-        Those to match.
-
     Raises
     ------
     InputError

@@ -103,8 +103,6 @@ def find_lid_evidence(
 
     Parameters
     ----------
-    names : tuple of str
-        The rig's shapes.
     offsets : (shapes, 3 * points) sparse array
         What they do to its surface [mm].
     deltas : (shapes, markers, 3) float array
@@ -244,8 +242,6 @@ def set_up_equation(
 
     Parameters
     ----------
-    deformer : Deformer
-        Of that rig.
     neutral : (markers, 3) float array
         The performer's neutral face, stabilised [mm].
     positions : (frames, markers, 3) float array

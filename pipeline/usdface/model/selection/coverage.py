@@ -96,8 +96,6 @@ def measure_growth(
 
     Parameters
     ----------
-    features, pair_features
-        As for `measure_coverage`.
     further : int
         How many frames to look ahead.
     candidates : (frames,) bool array, optional

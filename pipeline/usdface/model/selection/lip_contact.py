@@ -53,13 +53,7 @@ class Lips:
 def find_lips(
     equation: BlendshapeEquation, deformer: Deformer, shape_names: tuple[str, ...]
 ) -> Lips | None:
-    """Find lips; None where the rig's names or the markers do not tell.
-
-    Parameters
-    ----------
-    equation : BlendshapeEquation
-        The performer's markers on the character.
-    """
+    """Find lips; None where the rig's names or the markers do not tell."""
     jaw, regions = jaw_opener(shape_names), shapes_by_region(shape_names)
     if jaw is None or "mouth" not in regions:
         return None

@@ -72,8 +72,6 @@ def propose_binding(
     ----------
     mesh : RigMesh
         At rest; its shapes are used if it has any.
-    names : tuple of str
-        Of the markers.
     neutral : (markers, 3) float array
         The performer's neutral face [mm].
     positions : (frames, markers, 3) float array

@@ -201,8 +201,6 @@ def unpack_distances(
         On the mesh.
     metric : {'dijkstra', 'dijkstra-diagonals', 'heat'}
         Of the geodesic distances.
-    arrays, counts : dict
-        As packed.
     """
     return SurfaceDistances(
         points=points.astype(np.float32),

@@ -122,8 +122,6 @@ def energy_of_moments(
     theta : (4, chains) array
     moments : PosteriorMoments
         At ``theta[0] - theta[1]``.
-    count : int
-        N
     centre, precision : (4, 1) arrays
         Of the prior of theta.
 
@@ -188,15 +186,7 @@ def to_phi(theta: RealArray, gain: float) -> RealArray:
 
 
 class PhiEnergy:
-    """An energy of theta as one of phi: call it with phi of shape (4, chains).
-
-    Parameters
-    ----------
-    energy : callable
-        Of theta.
-    gain : float
-        See `noise_gain`.
-    """
+    """An energy of theta as one of phi: call it with phi of shape (4, chains)."""
 
     def __init__(self, energy: Energy, gain: float) -> None:
         self._energy, self._gain = energy, gain

@@ -93,8 +93,6 @@ def sample_hyperparameters(
     ----------
     displacements : (chains, N) float array
         [mm]
-    burn, keep : int
-        See `sample_chains`.
     modes : Modes, optional
         In single precision, where they are known already.
     """

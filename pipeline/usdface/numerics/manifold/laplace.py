@@ -73,8 +73,6 @@ def fit_laplace(energy: Energy, start: RealArray, *, iterations: int = 10) -> La
 
     Parameters
     ----------
-    energy : callable
-        See `Energy`.
     start : (4, chains) array
     iterations : int
         At most.

@@ -58,8 +58,6 @@ def align_by_prior(
     skin_motion_mm : (markers,) array_like
         Standard deviation of each marker's motion over the skull [mm]; positive, infinite for one
         that says nothing.
-    rate : float
-        Frames per second.
     """
     seen = np.asarray(visible, bool)
     prior = np.asarray(skin_motion_mm, float)
@@ -163,8 +161,6 @@ def stabilize_by_prior(
     visible : (frames, markers) array_like of bool
     skin_motion_mm : (markers,) array_like
         How far each marker moves over the skull, as in `align_by_prior`.
-    rate : float
-        Frames per second.
     neutral : int
         Index of the frame whose head pose becomes the head's space.
 

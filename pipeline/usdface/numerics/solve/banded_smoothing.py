@@ -111,8 +111,6 @@ def cutoff_penalty(cutoff_hz: float, rate: float) -> float:
     ----------
     cutoff_hz : float
         From `LEAST_CUTOFF_SHARE` of the rate to half of it.
-    rate : float
-        Frames per second.
 
     Raises
     ------
@@ -269,15 +267,6 @@ class FixedLagSmoother:
 
     The result for a frame is that of smoothing the take up to `lag` frames after it, without
     bounds: a Kalman filter over the last ``lag + 1`` frames, whose gain is shared by all tracks.
-
-    Parameters
-    ----------
-    tracks : int
-        Number of tracks.
-    penalty : float
-        As of `smooth_within_bounds`.
-    lag : int
-        Frames; not negative.
     """
 
     def __init__(self, tracks: int, *, penalty: float, lag: int) -> None:

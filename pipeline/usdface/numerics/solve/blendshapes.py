@@ -41,12 +41,8 @@ class BlendShapes:
 
     Parameters
     ----------
-    point_count : int
-        Number of points.
     channel_count : int
         Number of channels, those that move nothing included.
-    tracks : sequence of Track
-        In any order.
 
     Raises
     ------

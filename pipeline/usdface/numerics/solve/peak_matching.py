@@ -58,8 +58,6 @@ def shape_evidence(
 
     Parameters
     ----------
-    deltas, motion, marker_trust
-        As in `match_peaks`.
     shapes : sequence of int
         Such as both blinks.
     surface_mm : (shapes,) array

@@ -63,8 +63,6 @@ def scan_phase(
     Parameters
     ----------
     first, second : (samples,) float32 array
-    rate : int
-        Samples per second of both.
     window : float
         Length of a window [s].
     count : int
@@ -200,8 +198,6 @@ def onset_flux(sound: Float32Array, *, rate: int) -> Float32Array:
     Parameters
     ----------
     sound : (samples,) float32 array
-    rate : int
-        Samples per second.
 
     Returns
     -------

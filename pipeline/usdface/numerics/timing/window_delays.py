@@ -168,8 +168,6 @@ def window_delays(
     Parameters
     ----------
     first, second : (samples,) float32 array
-    rate : int
-        Samples per second of both.
     window : float
         Length [s].
     count : int
@@ -213,13 +211,6 @@ def loud_windows(sound: Float32Array, starts: IntArray, size: int) -> IntArray:
 
 def speech_band(length: int, *, rate: int) -> Float32Array:
     """Return 1 for the frequencies of a transform of so many samples that speech has, else 0.
-
-    Parameters
-    ----------
-    length : int
-        Samples transformed.
-    rate : int
-        Samples per second.
 
     Returns
     -------

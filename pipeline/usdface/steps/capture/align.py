@@ -52,8 +52,6 @@ def timecode_shift(
     ----------
     take_start, video_start : str
         SMPTE labels; empty where there is none.
-    take_rate : Fraction
-        Frames per second of the capture.
     video_rate : Fraction or None
         Frames per second of the video; None where it varies.
     first_picture : float

@@ -179,8 +179,6 @@ def extract_sound(
     ----------
     sources : sequence of Path
         The captures of a take, in any order; only C3D carries analog channels.
-    out : Path
-        The WAV file to write.
     channel : str, optional
         Name of the channel; one that is named like sound by default.
     ours : bool

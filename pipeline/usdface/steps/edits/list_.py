@@ -15,15 +15,7 @@ _LISTED_RANGES = 60
 
 
 def list_edit_ranges(performance: Path, *, prim: str | None = None) -> StepResult:
-    """Return what was edited of a performance, and where the solve beneath has changed since.
-
-    Parameters
-    ----------
-    performance : Path
-        Edited by `usdface edit`, an import or a DCC.
-    prim : str, optional
-        The face, where the layer holds several.
-    """
+    """Return what was edited of a performance, and where the solve beneath has changed since."""
     confine("edits list", reads=[performance])
     reader = PerformanceReader(performance, prim=prim)
     ranges = find_edited_ranges(reader)

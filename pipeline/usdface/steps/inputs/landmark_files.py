@@ -33,8 +33,6 @@ def read_landmarks(path: Path, names: Sequence[str], rig: Rig) -> dict[str, Floa
         .csv with the columns ``marker`` and ``point``, or ``marker``, ``x``, ``y``, ``z``; .json
         with a point or [x, y, z] by marker; or USD, whose corrections are taken. A point is an
         index, ``MESH:INDEX`` where the rig has several meshes; x, y, z are in the rig's units.
-    names : sequence of str
-        Of the takes' markers.
 
     Raises
     ------

@@ -235,8 +235,6 @@ def virtual_markers(
 
     Parameters
     ----------
-    names : tuple of str
-        Of the take's markers.
     neutral : (markers, 3) float array
         The performer's neutral face in the take's head space [mm].
     """

@@ -30,8 +30,6 @@ def find_keyed_pairs(path: Path, references: References) -> list[int]:
 
     Parameters
     ----------
-    path : Path
-        The asset.
     references : References
         As it composes.
 

@@ -211,10 +211,6 @@ def weights_meant(table: WeightTable, name: str, rows: IntArray, shown: FloatArr
 
     Parameters
     ----------
-    name : str
-        One of the table's.
-    rows : (n,) int array
-        Of the table.
     shown : (n,) float array
         What the shape is now. Where that lies beyond `CUT_TO` and the tool's weight is at the end,
         it was cut and not changed.

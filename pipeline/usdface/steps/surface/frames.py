@@ -68,13 +68,9 @@ def choose_shape_frames(
 
     Parameters
     ----------
-    frames : list of int
-        Frame numbers.
     displacements : (frames, markers, 3) float array
         From the neutral face [mm].
     usable : (frames, markers) bool array
-    count : int
-        Of frames to choose.
 
     Raises
     ------

@@ -219,10 +219,6 @@ def plan_surface(
 
     Parameters
     ----------
-    spec : SurfaceSpec
-        Of the step.
-    take : TakeReader
-        Of `spec.take`.
     out : Path
         Distances are cached beside it.
 

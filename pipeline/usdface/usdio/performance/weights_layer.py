@@ -173,8 +173,6 @@ class WeightsWriter:
 
         Parameters
         ----------
-        first, last : int
-            Inclusive.
         copied_to : callable
             Called with the last frame of every block.
 

@@ -53,8 +53,6 @@ def write_package(
 
     Parameters
     ----------
-    target : Path
-        The .usdz to write.
     reader : PerformanceReader
         Whose rig is packed, at the place it has there.
     weights : Path

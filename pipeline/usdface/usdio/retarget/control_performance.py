@@ -110,8 +110,6 @@ def writing_control_performance(
         The layer to open; what others put into it stays.
     header : WeightsHeader
         Of the weights that will be appended, as `writing_performance` takes it.
-    joints, attributes : tuples of str
-        What will be appended besides, in this order.
 
     Raises
     ------

@@ -44,11 +44,6 @@ def read_look(prim: Usd.Prim, face_count: int) -> Look:
     Bindings of subsets (family ``materialBind``) are stronger than the mesh's own, and a material
     is stronger than a display colour, as in a renderer. A display colour per point is not read
     here.
-
-    Parameters
-    ----------
-    prim : Usd.Prim
-        A UsdGeomMesh.
     """
     colors = _display_colors(prim, face_count)
     undrawn = list[str]()

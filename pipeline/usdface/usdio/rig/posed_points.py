@@ -19,11 +19,6 @@ from usdface.usdio.wrong_types import refusing_wrong_types
 class PosedRig:
     """A performance's meshes, posed when asked for.
 
-    Parameters
-    ----------
-    path : Path
-        A performance; its rig is read as well.
-
     Raises
     ------
     InputError

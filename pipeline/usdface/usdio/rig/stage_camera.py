@@ -45,10 +45,6 @@ class StageCamera:
 
     Parameters
     ----------
-    path : Path
-        The stage that holds the camera.
-    prim : str
-        Path of the camera.
     rig_prim : str
         The character: where it stands in the stage is taken off the camera.
     rate : Fraction

@@ -18,8 +18,6 @@ def write_rig(path: Path, rig: Rig, *, provenance: Provenance | None = None) -> 
 
     Parameters
     ----------
-    path : Path
-        ``.usda`` or ``.usdc``.
     rig : Rig
         `rig.prim` names the SkelRoot; mesh paths must lie below it.
     """

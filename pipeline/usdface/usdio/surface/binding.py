@@ -71,8 +71,6 @@ def write_binding(
     ----------
     path, corrected_path, proposed_path : Path
         The layer to open, and its two sublayers.
-    binding : MarkerBinding
-        The proposal.
     face : BoundSurface
         The mesh of the binding.
     author : callable, optional
@@ -113,8 +111,6 @@ def read_binding(path: Path, face: BoundSurface) -> ReadBinding:
 
     Parameters
     ----------
-    path : Path
-        The layer to open.
     face : BoundSurface
         The mesh it is to be used on.
 

@@ -206,10 +206,6 @@ def writing_points(
         The layer to open. If it exists, other content in it stays.
     face : FaceMesh
         The mesh at rest.
-    header : PointsHeader
-        What holds for all frames.
-    format_ : PointsFormat
-        What is written of each.
 
     Raises
     ------

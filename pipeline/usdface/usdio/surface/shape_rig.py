@@ -78,12 +78,8 @@ def write_shape_rig(
 
     Parameters
     ----------
-    path : Path
-        Of the rig.
     face : FaceMesh
         The mesh; its file is referenced.
-    shapes : list of NewShape
-        At least one.
     name : str
         Of the SkelRoot, the new default prim.
     least_mm : float
