@@ -23,7 +23,7 @@ from usdface.speech.phone_track import PhoneTrack, Span
 from usdface.speech.pronunciation import read_dictionary, read_text
 from usdface.speech.track_files import read_phone_track, write_phone_track
 from usdface.steps.inputs.weight_tables import read_alpha, read_weight_table
-from usdface.steps.surface.frames import _from_csv
+from usdface.steps.surface.make_shapes import _from_csv
 
 TRACK = PhoneTrack(
     phones=(Span(0, 0.25, "SIL"), Span(0.25, 0.4, "HH"), Span(0.4, 0.75, "AY")),

@@ -21,7 +21,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.sidecars import corrected_path
 from usdface.media.page.face_payload import FacePayload, pack_face, read_web_file
-from usdface.numerics.measure.mirrored_shapes import mirrored_shapes, sided_shapes
+from usdface.numerics.measure.face_regions import mirrored_shapes, sided_shapes
 from usdface.tuning.journal import Change
 from usdface.tuning.pictures import PairPictures
 from usdface.tuning.session import StaleRevisionError, TuningSession

@@ -1,11 +1,12 @@
 """Open stages and write layers so that a reader sees the old file or the new one, never half."""
 
 import contextlib
+import functools
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 from pxr import Sdf, Tf, Usd, UsdUtils, Vt
 
@@ -322,3 +323,29 @@ def relative_path(target: Path, layer_path: Path) -> str:
     relative = next((way for way in sound if leads(way, real)), (sound or ways)[0])
     relative = relative.replace(os.sep, "/")
     return relative if relative.startswith(".") else f"./{relative}"
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def refusing_wrong_types(read: Callable[P, R]) -> Callable[P, R]:
+    """Turn what Python or USD says of a value of another type into an InputError for the file.
+
+    USD keeps an attribute's type as it was authored, whatever its schema says, so any value may
+    come out. The reader's first argument is a path, or has one.
+    """
+
+    @functools.wraps(read)
+    def reading(*given: P.args, **named: P.kwargs) -> R:
+        try:
+            return read(*given, **named)
+        except (TypeError, ValueError, IndexError, OverflowError, Tf.ErrorException) as error:
+            file = getattr(given[0], "path", given[0])
+            reason = usd_reason(error) if isinstance(error, Tf.ErrorException) else str(error)
+            raise InputError(
+                f"{file}: a value is not of the type or the length that its place asks for "
+                f"({reason}); write the file again"
+            ) from error
+
+    return reading

@@ -11,11 +11,16 @@ from pxr import Sdf, Usd
 from usdface.core.assets import CandidateScore, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.usdio.arrays import author_arrays, read_arrays, shaped
-from usdface.usdio.authoring import author_uniform, define_prim, doubles
-from usdface.usdio.layers import new_layer, open_stage
+from usdface.usdio.authoring import (
+    author_arrays,
+    author_uniform,
+    define_prim,
+    doubles,
+    read_arrays,
+    shaped,
+)
+from usdface.usdio.layers import new_layer, open_stage, refusing_wrong_types
 from usdface.usdio.units import author_units
-from usdface.usdio.wrong_types import refusing_wrong_types
 
 _ROOT = Sdf.Path("/Mapping")
 ATTRIBUTE = "face:mapping:alpha"

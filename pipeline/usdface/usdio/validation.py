@@ -6,8 +6,7 @@ from typing import Literal
 
 from pxr import Usd, UsdSkel, UsdValidation
 
-from usdface.usdio.layers import open_stage, usd_errors_as_input_errors
-from usdface.usdio.wrong_types import refusing_wrong_types
+from usdface.usdio.layers import open_stage, refusing_wrong_types, usd_errors_as_input_errors
 
 Severity = Literal["error", "warning"]
 

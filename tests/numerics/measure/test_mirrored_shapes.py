@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from usdface.numerics.measure.mirrored_shapes import mirrored_shapes, sided_shapes
+from usdface.numerics.measure.face_regions import mirrored_shapes, sided_shapes
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from usdface.core.deformer import Deformer
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.regions import sample_skin
 from usdface.model.mapping.train import train_mapping
-from usdface.numerics.measure.mirrored_shapes import mirrored_shapes
+from usdface.numerics.measure.face_regions import mirrored_shapes
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig

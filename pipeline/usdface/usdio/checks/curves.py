@@ -1,5 +1,7 @@
 """Weights over time: rates and ranges that are stated and agree; values as faces move."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdSkel
@@ -9,7 +11,7 @@ from usdface.core.text import first_few, pluralize
 from usdface.usdio.checks.fault import Fault, Samples, is_recorded, is_solved, read_samples
 
 
-def check_timing(stage: Usd.Stage) -> list[Fault]:
+def check_timing(stage: Usd.Stage) -> Iterator[Fault]:
     """Look at the timing of a stage that animates weights; others are let be."""
     animated = [
         UsdSkel.Animation(prim).GetBlendShapeWeightsAttr()
@@ -18,34 +20,30 @@ def check_timing(stage: Usd.Stage) -> list[Fault]:
     ]
     animated = [each for each in animated if each and each.GetNumTimeSamples()]
     if not animated:
-        return []
-    found = [*_authored(stage), *_same_rate(stage)]
+        return
+    yield from _authored(stage)
+    yield from _same_rate(stage)
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
     has_range = stage.HasAuthoredTimeCodeRange()
     for attribute in animated:
         times = np.array(attribute.GetTimeSamples())
         path = str(attribute.GetPath())
         if has_range and (times[0] < start or times[-1] > end):
-            found.append(
-                Fault(
-                    "warning",
-                    path,
-                    f"samples from {times[0]:g} to {times[-1]:g} lie outside the stage's range, "
-                    f"{start:g} to {end:g}: a player would not show them; author startTimeCode and "
-                    "endTimeCode",
-                )
+            yield Fault(
+                "warning",
+                path,
+                f"samples from {times[0]:g} to {times[-1]:g} lie outside the stage's range, "
+                f"{start:g} to {end:g}: a player would not show them; author startTimeCode and "
+                "endTimeCode",
             )
         odd = times[np.abs(times - np.round(times)) > 1e-6]
         if len(odd):
-            found.append(
-                Fault(
-                    "warning",
-                    path,
-                    f"{len(odd)} samples lie between time codes, the first at {odd[0]:g}: was the "
-                    "animation retimed by another layer's rate? Author the same rate in both",
-                )
+            yield Fault(
+                "warning",
+                path,
+                f"{len(odd)} samples lie between time codes, the first at {odd[0]:g}: was the "
+                "animation retimed by another layer's rate? Author the same rate in both",
             )
-    return found
 
 
 def _authored(stage: Usd.Stage) -> list[Fault]:
@@ -67,33 +65,27 @@ def _authored(stage: Usd.Stage) -> list[Fault]:
     ]
 
 
-def _same_rate(stage: Usd.Stage) -> list[Fault]:
+def _same_rate(stage: Usd.Stage) -> Iterator[Fault]:
     top = stage.GetRootLayer()
-    found = []
     if top.HasTimeCodesPerSecond() and top.HasFramesPerSecond():
         codes, frames = top.timeCodesPerSecond, top.framesPerSecond
         if codes != frames:
-            found.append(
-                Fault(
-                    "warning",
-                    "/",
-                    f"{codes:g} time codes and {frames:g} frames per second: tools disagree on "
-                    "what a frame is then; author the same number",
-                )
+            yield Fault(
+                "warning",
+                "/",
+                f"{codes:g} time codes and {frames:g} frames per second: tools disagree on "
+                "what a frame is then; author the same number",
             )
     for layer in stage.GetLayerStack(includeSessionLayers=False):
         rate = layer.timeCodesPerSecond
         if layer != top and layer.HasTimeCodesPerSecond() and rate != top.timeCodesPerSecond:
-            found.append(
-                Fault(
-                    "warning",
-                    "/",
-                    f"{layer.GetDisplayName()} has {rate:g} time codes per second, "
-                    f"{top.GetDisplayName()} {top.timeCodesPerSecond:g}: USD moves its samples off "
-                    "the frames; author the rate of the capture in both",
-                )
+            yield Fault(
+                "warning",
+                "/",
+                f"{layer.GetDisplayName()} has {rate:g} time codes per second, "
+                f"{top.GetDisplayName()} {top.timeCodesPerSecond:g}: USD moves its samples off "
+                "the frames; author the rate of the capture in both",
             )
-    return found
 
 
 RANGE_TOLERANCE = 0.02
@@ -184,27 +176,23 @@ def _out_of_range(samples: Samples, ranges: FloatArray) -> list[Fault]:
     ]
 
 
-def _jumps(samples: Samples) -> list[Fault]:
+def _jumps(samples: Samples) -> Iterator[Fault]:
     """Find changes faster than any face; the worst of each shape is reported."""
     seconds = np.diff(samples.times) / samples.rate
     speed = np.abs(np.diff(samples.values, axis=0)) / seconds[:, None]
     # At film rates a blink takes a frame or two: only what outruns even that is a jump.
     too_fast = (speed > 1 / FASTEST_SECONDS) & (seconds[:, None] <= FASTEST_SECONDS)
-    found = []
     for column in np.flatnonzero(too_fast.any(axis=0)):
         row = int(np.where(too_fast[:, column], speed[:, column], 0).argmax())
         change = samples.values[row + 1, column] - samples.values[row, column]
-        found.append(
-            Fault(
-                "warning",
-                samples.path,
-                f"time code {samples.times[row + 1]:g}: {samples.names[column]} jumps by "
-                f"{change:+.2f} in {1000 * seconds[row]:.0f} ms "
-                f"({pluralize(int(too_fast[:, column].sum()), 'jump')}); look at the "
-                "markers there, or fade the edit",
-            )
+        yield Fault(
+            "warning",
+            samples.path,
+            f"time code {samples.times[row + 1]:g}: {samples.names[column]} jumps by "
+            f"{change:+.2f} in {1000 * seconds[row]:.0f} ms "
+            f"({pluralize(int(too_fast[:, column].sum()), 'jump')}); look at the "
+            "markers there, or fade the edit",
         )
-    return found
 
 
 def _frozen(samples: Samples) -> list[Fault]:
@@ -222,28 +210,24 @@ def _frozen(samples: Samples) -> list[Fault]:
     ]
 
 
-def _stuck(samples: Samples, ranges: FloatArray) -> list[Fault]:
+def _stuck(samples: Samples, ranges: FloatArray) -> Iterator[Fault]:
     """Find shapes that stay at a value of their own while others move; the longest of each."""
     still = np.abs(np.diff(samples.values, axis=0)) <= FROZEN_CHANGE
     moving = ~still.all(axis=1)
     inside = np.minimum(samples.values - ranges[:, 0], ranges[:, 1] - samples.values)
-    found = []
     for column in np.flatnonzero(still.any(axis=0)):
         held: NDArray[np.bool_] = still[:, column] & moving & (inside[1:, column] > FROZEN_CHANGE)
         stretches = _stretches(samples, held, STUCK_SECONDS)
         if stretches:
             first, last, seconds = max(stretches, key=lambda each: each[2])
             value = samples.values[np.searchsorted(samples.times, last), column]
-            found.append(
-                Fault(
-                    "warning",
-                    samples.path,
-                    f"time codes {first:g} to {last:g}: {samples.names[column]} stays at "
-                    f"{value:.2f} for {seconds:.1f} s while the face moves; if no edit holds it, "
-                    "map again",
-                )
+            yield Fault(
+                "warning",
+                samples.path,
+                f"time codes {first:g} to {last:g}: {samples.names[column]} stays at "
+                f"{value:.2f} for {seconds:.1f} s while the face moves; if no edit holds it, "
+                "map again",
             )
-    return found
 
 
 def _stretches(

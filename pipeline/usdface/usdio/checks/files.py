@@ -1,6 +1,7 @@
 """What layers are made of: files that are found and relative, shapes by name, and provenance."""
 
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import PurePosixPath, PureWindowsPath
 
 import numpy as np
@@ -15,40 +16,35 @@ CLEAR_SHARE = 0.2
 """How one-sided a shape must be, of its whole movement, to count as that side's."""
 
 
-def check_names(prim: Usd.Prim) -> list[Fault]:
+def check_names(prim: Usd.Prim) -> Iterator[Fault]:
     """Find shapes that no mesh has or that are named twice, and animations nobody follows."""
     names = list(map(str, UsdSkel.Animation(prim).GetBlendShapesAttr().Get() or []))
     if not names or is_recorded(prim):
-        return []
+        return
     path = str(prim.GetPath())
-    found = []
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
         message = f"{first_few(twice)}: named twice; name each shape once"
-        found.append(Fault("error", path, message))
+        yield Fault("error", path, message)
     on_meshes, followed = _bound_shapes(prim)
     if not followed:
         message = (
             "no skeleton follows this animation; point skel:animationSource at it, or open the "
             "layer above that references the rig"
         )
-        found.append(Fault("warning", path, message))
+        yield Fault("warning", path, message)
     missing = sorted(set(names) - on_meshes)
     if missing and on_meshes:
-        found.append(
-            Fault(
-                "error",
-                path,
-                f"{len(missing)} shapes are on no mesh: {first_few(missing)}; is it this rig's "
-                "animation? Map again for the rig, or rename the shapes",
-            )
+        yield Fault(
+            "error",
+            path,
+            f"{len(missing)} shapes are on no mesh: {first_few(missing)}; is it this rig's "
+            "animation? Map again for the rig, or rename the shapes",
         )
-    return found
 
 
-def check_instances(stage: Usd.Stage) -> list[Fault]:
+def check_instances(stage: Usd.Stage) -> Iterator[Fault]:
     """Find what layers say below an instance: USD ignores it, so no weight would arrive."""
-    found = []
     for prim in stage.Traverse():
         if not prim.IsInstance():
             continue
@@ -58,15 +54,12 @@ def check_instances(stage: Usd.Stage) -> list[Fault]:
             if (spec := layer.GetPrimAtPath(prim.GetPath())) is not None and spec.nameChildren
         ]
         if ignored:
-            found.append(
-                Fault(
-                    "error",
-                    str(prim.GetPath()),
-                    f"is instanceable, and USD ignores what {first_few(ignored)} says below it: "
-                    "the face would not move. Author instanceable = false on it in the shot",
-                )
+            yield Fault(
+                "error",
+                str(prim.GetPath()),
+                f"is instanceable, and USD ignores what {first_few(ignored)} says below it: "
+                "the face would not move. Author instanceable = false on it in the shot",
             )
-    return found
 
 
 def _bound_shapes(animation: Usd.Prim) -> tuple[set[str], bool]:
@@ -82,12 +75,11 @@ def _bound_shapes(animation: Usd.Prim) -> tuple[set[str], bool]:
     return on_meshes, followed
 
 
-def check_sides(stage: Usd.Stage) -> list[Fault]:
+def check_sides(stage: Usd.Stage) -> Iterator[Fault]:
     """Find pairs of shapes that move the sides the other way round than most pairs do.
 
     Which way a character faces is not asked: the majority says where its left is.
     """
-    found = []
     for mesh in stage.Traverse():
         binding = UsdSkel.BindingAPI(mesh) if mesh.IsA(UsdGeom.Mesh) else None
         names = tuple(map(str, (binding.GetBlendShapesAttr().Get() or []) if binding else []))
@@ -104,15 +96,12 @@ def check_sides(stage: Usd.Stage) -> list[Fault]:
         side = np.sign(sum(np.sign(lean) for _, lean in clear))
         flipped = [name for name, lean in clear if side and np.sign(lean) != side]
         if flipped:
-            found.append(
-                Fault(
-                    "error",
-                    str(mesh.GetPath()),
-                    f"{first_few(flipped)}: left and right are exchanged, compared with the other "
-                    f"{len(clear) - len(flipped)} pairs of this mesh; rename the shapes on the rig",
-                )
+            yield Fault(
+                "error",
+                str(mesh.GetPath()),
+                f"{first_few(flipped)}: left and right are exchanged, compared with the other "
+                f"{len(clear) - len(flipped)} pairs of this mesh; rename the shapes on the rig",
             )
-    return found
 
 
 def _side_shares(mesh: Usd.Prim) -> list[float]:
@@ -144,11 +133,10 @@ def _is_ours(stage: Usd.Stage) -> bool:
     return any("usdface" in layer.customLayerData for layer in _saved_layers(stage))
 
 
-def check_absolute_paths(stage: Usd.Stage) -> list[Fault]:
+def check_absolute_paths(stage: Usd.Stage) -> Iterator[Fault]:
     """Find paths that only this machine has; layers that are not ours are let be."""
     if not _is_ours(stage):
-        return []
-    found = []
+        return
     for layer in _saved_layers(stage):
         named = [
             str(asset)
@@ -161,22 +149,18 @@ def check_absolute_paths(stage: Usd.Stage) -> list[Fault]:
             if PurePosixPath(asset).is_absolute() or PureWindowsPath(asset).is_absolute()
         ]
         if absolute:
-            found.append(
-                Fault(
-                    "warning",
-                    "/",
-                    f"{layer.GetDisplayName()} names {first_few(absolute)} by an absolute path: on "
-                    "another machine it is not there; name it relative to the layer",
-                )
+            yield Fault(
+                "warning",
+                "/",
+                f"{layer.GetDisplayName()} names {first_few(absolute)} by an absolute path: on "
+                "another machine it is not there; name it relative to the layer",
             )
-    return found
 
 
-def check_missing_files(stage: Usd.Stage) -> list[Fault]:
+def check_missing_files(stage: Usd.Stage) -> Iterator[Fault]:
     """Find references and sublayers of our layers that are not where they should be."""
     if not _is_ours(stage):
-        return []
-    found = []
+        return
     for layer in _saved_layers(stage):
         missing = [
             asset
@@ -184,32 +168,25 @@ def check_missing_files(stage: Usd.Stage) -> list[Fault]:
             if asset and not Sdf.Layer.FindOrOpen(layer.ComputeAbsolutePath(asset))
         ]
         if missing:
-            found.append(
-                Fault(
-                    "error",
-                    "/",
-                    f"{layer.GetDisplayName()} is built from {first_few(missing)}, which cannot be "
-                    "opened: was it moved? Put it back, or map again with the rig where it is now",
-                )
+            yield Fault(
+                "error",
+                "/",
+                f"{layer.GetDisplayName()} is built from {first_few(missing)}, which cannot be "
+                "opened: was it moved? Put it back, or map again with the rig where it is now",
             )
-    return found
 
 
-def check_provenance(stage: Usd.Stage) -> list[Fault]:
+def check_provenance(stage: Usd.Stage) -> Iterator[Fault]:
     """Find solved animations of which no layer says what they were made from."""
-    found = []
     for prim in stage.TraverseAll():
         if not prim.IsA(UsdSkel.Animation) or not is_solved(prim):
             continue
         specs = prim.GetPrimStack()
         if not any("usdface" in spec.layer.customLayerData for spec in specs):
-            found.append(
-                Fault(
-                    "warning",
-                    str(prim.GetPath()),
-                    "says nothing of the take, the mapping and the versions it was made from, so "
-                    "nobody can make it again; write it with usdface, or copy "
-                    'customLayerData["usdface"] with the samples',
-                )
+            yield Fault(
+                "warning",
+                str(prim.GetPath()),
+                "says nothing of the take, the mapping and the versions it was made from, so "
+                "nobody can make it again; write it with usdface, or copy "
+                'customLayerData["usdface"] with the samples',
             )
-    return found

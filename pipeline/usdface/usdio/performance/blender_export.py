@@ -15,9 +15,8 @@ from pxr import Sdf, Usd, UsdSkel
 
 from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
-from usdface.usdio.layers import open_stage
+from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader, animations_of_skeletons
-from usdface.usdio.wrong_types import refusing_wrong_types
 
 MAKER = "Blender"
 """The exporter's documentation of a layer starts with it: ``Blender v5.0.1``."""

@@ -13,7 +13,7 @@ from usdface.core.arrays import Float32Array, FloatArray, IntArray
 from usdface.core.assets import Performance, SolveBasis, WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate, shift_timecode, span_of_samples
-from usdface.usdio.layers import open_stage
+from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.edits import ShapeEdit, edited_weights, read_edits
 from usdface.usdio.performance.weights_layer import (
     ANIMATION,
@@ -23,7 +23,6 @@ from usdface.usdio.performance.weights_layer import (
     WeightsHeader,
 )
 from usdface.usdio.rig.reference import place_of, rig_of
-from usdface.usdio.wrong_types import refusing_wrong_types
 
 _CONFIDENCE_RANGE = (0.001, 0.9999)
 """Of earlier versions, as read: at 0 and 1 there would be no uncertainty to tell."""

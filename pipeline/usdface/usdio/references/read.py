@@ -9,12 +9,11 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MotionSpace, References
 from usdface.core.errors import InputError
-from usdface.usdio.arrays import read_array_samples
-from usdface.usdio.layers import open_layer
+from usdface.usdio.authoring import read_array_samples
+from usdface.usdio.layers import open_layer, refusing_wrong_types
 from usdface.usdio.references.pair_layers import open_pair_stage
 from usdface.usdio.rig.reference import rig_of
 from usdface.usdio.units import MM_PER_STAGE_UNIT
-from usdface.usdio.wrong_types import refusing_wrong_types
 
 ROOT = Sdf.Path("/References")
 MARKERS_PATH = ROOT.AppendChild("Markers")

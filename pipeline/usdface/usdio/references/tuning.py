@@ -10,10 +10,9 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import References
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
-from usdface.usdio.layers import open_layer, read_provenance
+from usdface.usdio.layers import open_layer, read_provenance, refusing_wrong_types
 from usdface.usdio.references.pair_layers import open_pair_stage
 from usdface.usdio.references.read import FRAME_PATH, ROOT, TAKE, WEIGHTS_ATTRIBUTE, WEIGHTS_PATH
-from usdface.usdio.wrong_types import refusing_wrong_types
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,11 @@ from usdface.core.controls import ControlClip, Controls, bare_controls
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.numerics.motion.rotation_space import normalize_quaternions
-from usdface.usdio.arrays import read_array_samples
-from usdface.usdio.authoring import author_uniform
-from usdface.usdio.layers import open_stage
+from usdface.usdio.authoring import author_uniform, read_array_samples
+from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import ANIMATION
 from usdface.usdio.rig.read import skeletons_of
-from usdface.usdio.wrong_types import refusing_wrong_types
 
 FLOATS = (Sdf.ValueTypeNames.Float, Sdf.ValueTypeNames.Double, Sdf.ValueTypeNames.Half)
 

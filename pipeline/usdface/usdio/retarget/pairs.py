@@ -21,6 +21,7 @@ from usdface.usdio.layers import (
     new_layers,
     open_layer,
     open_stage,
+    refusing_wrong_types,
     relative_path,
 )
 from usdface.usdio.references.pair_layers import author_pair_header, open_pair_stage
@@ -40,7 +41,6 @@ from usdface.usdio.rig.reference import (
     rig_of,
     turn_to_our_units,
 )
-from usdface.usdio.wrong_types import refusing_wrong_types
 
 _ROOT = Sdf.Path("/Pairs")
 

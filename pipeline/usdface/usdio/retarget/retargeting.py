@@ -10,11 +10,9 @@ from pxr import Sdf, Usd
 from usdface.core.controls import Retargeting, RetargetScore
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.usdio.arrays import author_arrays, read_arrays
-from usdface.usdio.authoring import author_uniform, define_prim
-from usdface.usdio.layers import new_layer, open_stage, relative_path
+from usdface.usdio.authoring import author_arrays, author_uniform, define_prim, read_arrays
+from usdface.usdio.layers import new_layer, open_stage, refusing_wrong_types, relative_path
 from usdface.usdio.units import author_units
-from usdface.usdio.wrong_types import refusing_wrong_types
 
 _ROOT = Sdf.Path("/Retargeting")
 TYPE = "FaceRetargeting"

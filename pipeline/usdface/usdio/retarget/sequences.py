@@ -11,7 +11,13 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.rates import span_of_samples
 from usdface.usdio.authoring import apply_api, author_timing, author_uniform, define_prim
-from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
+from usdface.usdio.layers import (
+    new_layer,
+    open_layer,
+    open_stage,
+    refusing_wrong_types,
+    relative_path,
+)
 from usdface.usdio.retarget.controls import (
     author_joints,
     controls_at,
@@ -19,7 +25,6 @@ from usdface.usdio.retarget.controls import (
     set_weight_samples,
 )
 from usdface.usdio.units import author_units
-from usdface.usdio.wrong_types import refusing_wrong_types
 
 _ROOT = Sdf.Path("/Sequence")
 _SOURCE = _ROOT.AppendChild("Source")

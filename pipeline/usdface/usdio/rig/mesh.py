@@ -14,9 +14,8 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import Rig, RigMesh
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
-from usdface.usdio.layers import open_stage
+from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
-from usdface.usdio.wrong_types import refusing_wrong_types
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,11 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
-from usdface.usdio.layers import open_stage
+from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.read import find_face, read_rig
 from usdface.usdio.rig.reference import place_of
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
-from usdface.usdio.wrong_types import refusing_wrong_types
 
 
 class PosedRig:

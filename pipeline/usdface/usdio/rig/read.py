@@ -11,11 +11,10 @@ from pxr import Usd, UsdGeom, UsdSkel
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.core.errors import InputError
-from usdface.usdio.layers import open_stage
+from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.rig.materials import read_look
 from usdface.usdio.rig.mesh import PlacedMesh, RestPose
 from usdface.usdio.units import stage_to_ours
-from usdface.usdio.wrong_types import refusing_wrong_types
 
 RANGE_ATTRIBUTE = "face:range"
 """Optional double2 on a BlendShape prim: lowest and highest weight an animator may give."""

@@ -14,9 +14,8 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel
 from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
-from usdface.usdio.layers import open_stage
+from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.units import column_matrix, millimetres, stage_to_ours
-from usdface.usdio.wrong_types import refusing_wrong_types
 
 _UNITS_PER_TENTH = 0.1  # apertures and focal lengths count tenths of a scene unit
 

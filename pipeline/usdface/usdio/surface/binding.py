@@ -26,10 +26,16 @@ from usdface.numerics.registration.surface_places import (
     polygon_weights,
 )
 from usdface.usdio.authoring import apply_api, author_uniform, define_prim
-from usdface.usdio.layers import new_layer, new_layers, open_layer, open_stage, relative_path
+from usdface.usdio.layers import (
+    new_layer,
+    new_layers,
+    open_layer,
+    open_stage,
+    refusing_wrong_types,
+    relative_path,
+)
 from usdface.usdio.rig.mesh import BoundSurface
 from usdface.usdio.units import MM_PER_STAGE_UNIT, author_units, stage_to_ours
-from usdface.usdio.wrong_types import refusing_wrong_types
 
 _ROOT = Sdf.Path("/Binding")
 _MARKERS = _ROOT.AppendChild("Markers")

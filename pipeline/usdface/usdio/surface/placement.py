@@ -18,11 +18,10 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import corrected_path, proposed_path
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.usdio.authoring import apply_api, author_uniform, doubles
-from usdface.usdio.layers import open_stage
+from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.rig.mesh import BoundSurface, rig_surfaces
 from usdface.usdio.surface.binding import read_binding, read_surface_hash, write_binding
 from usdface.usdio.units import MM_PER_STAGE_UNIT, stage_to_ours
-from usdface.usdio.wrong_types import refusing_wrong_types
 
 _PREFIX = "face:placement:"
 

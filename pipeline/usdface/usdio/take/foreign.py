@@ -13,9 +13,8 @@ from pxr import Usd, UsdGeom, UsdSkel
 from usdface.core.assets import WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import check_frame_span, exact_rate
-from usdface.usdio.layers import open_stage
+from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
-from usdface.usdio.wrong_types import refusing_wrong_types
 
 NAME_ATTRIBUTES = (
     "face:markers:names",
