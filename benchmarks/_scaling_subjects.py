@@ -295,8 +295,8 @@ def _geodesic(size: int, folder: Path) -> Work:
 
 
 FRAMES = (4_096, 8_192, 16_384, 32_768)
-REFERENCES = {"ridge": (50, 100, 200, 400, 800), "ensemble": (13, 25, 50, 100)}
-RIG_SHAPES = {"ridge": (46, 92, 184, 368, 736), "ensemble": (23, 46, 92, 184)}
+REFERENCES = {"ridge": (50, 100, 200, 400, 800), "face_map": (13, 25, 50, 100)}
+RIG_SHAPES = {"ridge": (46, 92, 184, 368, 736), "face_map": (23, 46, 92, 184)}
 
 
 def _of_method(method: str) -> tuple[Subject, ...]:
@@ -334,7 +334,7 @@ SUBJECTS = (
     Subject("stabilise", "frames", FRAMES, LINEAR, ON, _stabilize),
     Subject("select", "frames", (3_000, 6_000, 12_000, 24_000), LINEAR, f"{PAIRS} chosen", _select),
     *_of_method("ridge"),
-    *_of_method("ensemble"),
+    *_of_method("face_map"),
     Subject("write", "frames", FRAMES, LINEAR, f"{SHAPES} shapes", partial(_write, by="frames")),
     Subject(
         "write",

@@ -72,7 +72,7 @@ def _map(
     folder: Path, references: Path, rig_file: Path, out: Path, shapes: list[str]
 ) -> np.ndarray:
     mapping = references.with_suffix(".mapping.usdc")
-    execute(TrainSpec(references=references, out=mapping, method="ensemble"), overwrite=True)
+    execute(TrainSpec(references=references, out=mapping, method="face_map"), overwrite=True)
     take = folder / "x.clean.take.usda"
     execute(MapSpec(take=take, mapping=mapping, rig=rig_file, out=out), overwrite=True)
     clip = read_weights(out)

@@ -28,16 +28,18 @@ from usdface.core.deformer import Deformer
 from usdface.model import Prediction, into_head_space, predict_weights, sample_skin, train_mapping
 from usdface.model.mapping.regions import skin_points
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
+from usdface.model.regressions import RestPlaces
 from usdface.model.selection.baseline import set_up_equation
 from usdface.numerics.measure.face_regions import points_by_region, region_gram, shapes_by_region
 from usdface.runner.execute import execute
 from usdface.specs.capture import CleanSpec, IngestSpec
 from usdface.specs.references import SelectSpec
+from usdface.steps.inputs.placement import registered_places
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
 
-METHODS = ("face_map", "ensemble", "ridge", "kernel_cca")
+METHODS = ("face_map", "ridge", "kernel_cca")
 RIG = SHARED_DATA / "rigs" / "facecap_head.usdc"
 BLOCKS, BLOCK_FRAMES = 16, 60
 SEEDS = range(5)
@@ -99,7 +101,7 @@ class Ruler:
             ranges=self.rig.ranges[columns],
             gram=self.gram[np.ix_(columns, columns)],
             skin=self.skin[columns],
-            rest=self.rest,
+            rest=RestPlaces(self.rest, registered_places(references, self.rig)),
             method=method,
         )
 

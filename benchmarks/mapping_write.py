@@ -24,7 +24,7 @@ import numpy as np
 FRAMES = 432_000
 MARKERS, RIGID, SHAPES, MANY, PAIRS = 102, 12, 46, 946, 100
 BLOCK = 4096
-METHODS = ("ridge", "rbf", "ensemble")
+METHODS = ("ridge", "rbf", "face_map")
 EXPRESSIONS, KEY_SECONDS = 24, 0.4
 
 ROUNDS = 3

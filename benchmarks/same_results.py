@@ -28,7 +28,7 @@ from pxr import Sdf
 from tests.conftest import SHARED_DATA
 
 HALF = 4030
-METHODS = ("auto", "ensemble", "ridge", "rbf", "d06", "multiquadric", "kernel_cca", "hybrid")
+METHODS = ("auto", "face_map", "ridge", "rbf", "d06", "multiquadric", "kernel_cca", "hybrid")
 RETARGETINGS = ("auto", "rbf", "kernel_cca", "hybrid", "additive", "ridge")
 TOLERANCE = 1e-6
 LAYERS = {".usda", ".usdc"}

@@ -31,7 +31,7 @@ from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 
-METHOD = "ensemble"
+METHOD = "face_map"
 HALVES = ("1-4030", "4031-8059")
 PHONES = "pau b p m k g ae aa f v ch sh iy ay ow oy n d t l eh er th dh s z r w uw hh".split()
 EMOTIONS = ("neutral", "joy", "anger", "sadness")

@@ -23,7 +23,7 @@ HOUR = 432_000
 FRAMES = 12_000
 SHAPES = (46, 946)
 PAIRS = 50
-METHOD = "ensemble"
+METHOD = "face_map"
 """What `auto` takes on every set-up measured so far; named, so that training is short."""
 LEARNED_FRAMES = 1_500
 WANTED = 1.8

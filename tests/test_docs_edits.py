@@ -14,5 +14,5 @@ def test_the_page_runs(page: str, shot: Shot, monkeypatch, capsys) -> None:
     assert lines
     for line in lines:
         # Comparing the methods takes long, and is tested elsewhere.
-        code = run(f"{line} --method ensemble" if line.startswith("usdface train ") else line)
+        code = run(f"{line} --method face_map" if line.startswith("usdface train ") else line)
         assert code == 0, f"{line}\n{capsys.readouterr()}"

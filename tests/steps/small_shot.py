@@ -71,7 +71,7 @@ def make_inputs(folder: Path) -> Shot:
             "step": "train",
             "references": "hero.references.usda",
             "out": "hero.mapping.usdc",
-            "method": "ensemble",  # what auto chooses here as well, without comparing
+            "method": "face_map",  # what auto chooses here as well, without comparing
         },
         {
             "step": "map",

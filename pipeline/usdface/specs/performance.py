@@ -29,8 +29,8 @@ class TrainSpec(Spec):
     out: LayerOut
     """The mapping to write."""
     method: Name = "auto"
-    """Regression method: `auto`, `face_map`, `ensemble`, `d06`, `ridge`, `rbf`, `multiquadric`,
-    `kernel_cca` or `hybrid`."""
+    """Regression method: `auto`, `face_map`, `d06`, `ridge`, `rbf`, `multiquadric`, `kernel_cca`
+    or `hybrid`."""
     dimensions: Annotated[int, Field(ge=1, le=1000)] | None = None
     """Number of principal components. Default: chosen by cross-validation."""
     tuned_only: bool = False

@@ -111,7 +111,7 @@ def test_positions_that_do_not_fit_are_refused() -> None:
         predict_weights(mapping, face.positions, visible=np.ones((2, 2), dtype=bool))
 
 
-@pytest.mark.parametrize("method", ["ridge", "rbf", "ensemble", "face_map"])
+@pytest.mark.parametrize("method", ["ridge", "rbf", "face_map"])
 def test_takes_in_single_precision_are_told_as_in_double(method: str) -> None:
     face = synthetic_face(noise=0.05)
     mapping = trained(face, method)
@@ -155,13 +155,13 @@ def test_a_mapping_by_a_method_of_earlier_versions_is_to_be_trained_again(name: 
     face = synthetic_face()
     with pytest.raises(InputError, match=f"trained by {name}, which left .*; train again with aut"):
         predict_weights(replace(trained(face), method=name), face.positions)
-    with pytest.raises(InputError, match=f"^{name} left the methods in .*; use auto or ensemble"):
+    with pytest.raises(InputError, match=f"^{name} left the methods in .*; use auto or face_map"):
         trained(face, name)
 
 
 def test_arrays_that_earlier_versions_added_are_not_read() -> None:
     face = synthetic_face()
-    mapping = trained(face, "ensemble")
+    mapping = trained(face, "face_map")
     more = replace(mapping, arrays=mapping.arrays | {"condensed_dual": np.ones((2, 4, 6))})
     np.testing.assert_array_equal(
         predict_weights(more, face.positions).weights,

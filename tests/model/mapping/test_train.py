@@ -237,7 +237,7 @@ def test_shapes_that_do_not_fit_are_all_listed() -> None:
 
 
 def test_an_unknown_method_lists_the_known() -> None:
-    with pytest.raises(InputError, match="no method 'magic'; choose one of auto, d06, ense"):
+    with pytest.raises(InputError, match="no method 'magic'; choose one of auto, d06, face_map"):
         train_mapping(references(), ranges=synthetic_face().ranges, gram=None, method="magic")
 
 

@@ -12,7 +12,7 @@ from usdface.model.regressions.forward_model import (
     ForwardScales,
     fit_forward_model,
 )
-from usdface.model.regressions.frame_solve import FrameSolver
+from usdface.model.regressions.frame_solve import FrameSolver, correct_keys
 
 PAIRS, SHAPES, MARKERS = 12, 5, 7
 SCALES = ForwardScales(alpha=0.4, floor=0.2, eta=0.1, tau=0.05, curve=0.0)
@@ -114,3 +114,41 @@ def test_keys_that_are_off_have_their_error_found() -> None:
     )
     assert exact < 0.05
     assert 0.05 < inexact < 0.25
+
+
+def keyed_with_error(error: float) -> tuple[np.ndarray, np.ndarray, ForwardModel]:
+    """Return true weights, keys that are off by a share of them, and the model of the latter."""
+    rng = np.random.default_rng(3)
+    basis = 5 * rng.normal(size=(8, 30, 3))
+    weights = rng.random((40, 8))
+    moved = np.einsum("ns,skc->nkc", weights, basis) + 0.05 * rng.normal(size=(40, 30, 3))
+    keys = np.clip(weights * (1 + error * rng.normal(size=weights.shape)), 0, 1)
+    neutral = rng.uniform(-40, 40, size=(30, 3))
+    scales = ForwardScales(alpha=0.15, floor=0.1, eta=0.05, tau=error, curve=0.0)
+    model = fit_forward_model(keys, moved, expected=0.8 * basis, neutral=neutral, scales=scales)
+    return weights, keys, model
+
+
+def test_keys_go_to_where_their_markers_put_them() -> None:
+    weights, keys, model = keyed_with_error(0.15)
+    found = correct_keys(model, keys, 0.15)
+    before, after = (np.sqrt(((each - weights) ** 2).mean()) for each in (keys, found.targets))
+    assert after < 0.5 * before
+    assert (found.variance < 0.15**2 * (keys**2 + 0.04)).all()
+
+
+def test_keys_without_error_stay() -> None:
+    _, keys, model = keyed_with_error(0.0)
+    found = correct_keys(model, keys, 0.0)
+    np.testing.assert_array_equal(found.targets, keys)
+    assert not found.variance.any()
+
+
+def test_the_variance_of_pairs_left_out_is_that_of_models_without_them(monkeypatch) -> None:
+    monkeypatch.setattr(forward_model, "_NOISES_MM", (0.1,))
+    scales = replace(SCALES, eta=0.0)
+    whole = fitted(scales=scales)
+    for left in range(3):
+        model = fitted(np.delete(np.arange(PAIRS), left), scales)
+        expected = model.variance(whole.targets[[left]])[0] + model.noise
+        np.testing.assert_allclose(whole.unseen_variance[left], expected, rtol=1e-6)

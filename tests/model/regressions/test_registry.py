@@ -29,7 +29,7 @@ def pairs_of_a_face() -> Pairs:
 
 def test_one_registry_serves_mappings_and_retargetings() -> None:
     assert set(MAPPING_METHODS) == {
-        "ridge", "d06", "rbf", "ensemble", "face_map", "multiquadric", "kernel_cca", "hybrid"
+        "ridge", "d06", "rbf", "face_map", "multiquadric", "kernel_cca", "hybrid"
     }  # fmt: skip
     assert set(RETARGET_METHODS) == {"ridge", "rbf", "kernel_cca", "hybrid", "additive"}
     for name in ("ridge", "kernel_cca", "hybrid"):

@@ -5,7 +5,6 @@ import pytest
 from scipy.optimize import lsq_linear, nnls
 
 from usdface.numerics.solve.bounded_least_squares import (
-    BoxProjection,
     minimise_bounded_quadratic,
     solve_bounded_least_squares,
 )
@@ -95,37 +94,3 @@ def test_refuses_what_it_cannot_solve(change, message):
     given = {"linear": np.zeros((1, 2)), "lower": 0.0, "upper": 1.0, **change}
     with pytest.raises(ValueError, match=message):
         minimise_bounded_quadratic(np.eye(2), **given)
-
-
-def test_projection_is_the_nearest_point_of_the_box_under_the_metric() -> None:
-    rng = np.random.default_rng(0)
-    factor = rng.normal(size=(6, 6)) + 2 * np.eye(6)
-    metric = factor.T @ factor
-    wanted = rng.uniform(-0.5, 1.5, size=(12, 6))
-    low, high = np.zeros(6), np.ones(6)
-    found = BoxProjection(metric, lower=low, upper=high, steps=2000)(wanted)
-    for row, result in zip(wanted, found, strict=True):
-        exact = lsq_linear(factor, factor @ row, bounds=(low, high), tol=1e-12).x
-        np.testing.assert_allclose(result, exact, atol=1e-5)
-
-
-def test_a_metric_given_by_its_factor_is_the_same_metric() -> None:
-    rng = np.random.default_rng(0)
-    factor, diagonal = rng.normal(size=(40, 5)), rng.uniform(0.5, 2, 40)
-    low, high = np.zeros(40), np.ones(40)
-    wanted = rng.uniform(-0.4, 1.4, size=(30, 40))
-    whole = BoxProjection(np.diag(diagonal) + factor @ factor.T, lower=low, upper=high)(wanted)
-    thin = BoxProjection(diagonal, factor=factor, lower=low, upper=high)
-    np.testing.assert_allclose(thin(wanted), whole, atol=1e-12)
-    assert np.abs(whole - np.clip(wanted, 0, 1)).max() > 0.01
-
-
-def test_rows_within_their_limits_are_left_alone_and_a_diagonal_metric_only_cuts() -> None:
-    rng = np.random.default_rng(0)
-    inside = rng.uniform(0.1, 0.9, size=(5, 3))
-    metric = np.array([[2.0, 1.0, 0.0], [1.0, 3.0, 0.5], [0.0, 0.5, 1.0]])
-    low, high = np.zeros(3), np.ones(3)
-    np.testing.assert_array_equal(BoxProjection(metric, lower=low, upper=high)(inside), inside)
-    outside = rng.uniform(-1, 2, size=(5, 3))
-    cut = BoxProjection(np.diag([1.0, 5.0, 9.0]), lower=low, upper=high)(outside)
-    np.testing.assert_allclose(cut, np.clip(outside, 0, 1), atol=1e-12)

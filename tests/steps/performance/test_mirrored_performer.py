@@ -104,7 +104,7 @@ def test_the_mirrored_markers_of_a_performer_drive_the_other_side(finished_shot:
 
 
 @pytest.mark.parametrize(
-    "method", ["ridge", "d06", "kernel_cca", pytest.param("ensemble", marks=pytest.mark.slow)]
+    "method", ["ridge", "d06", "kernel_cca", pytest.param("face_map", marks=pytest.mark.slow)]
 )
 def test_training_on_the_mirror_image_gives_the_mirrored_mapping(
     finished_shot: Shot, method: str

@@ -28,7 +28,7 @@ def test_what_comes_out_does_not_depend_on_how_many_solve_and_few_blocks_wait(
     face = synthetic_face()
     chosen = np.arange(0, len(face.positions), 60)
     mapping = train_mapping(
-        references_of(face, chosen), ranges=face.ranges, gram=face.gram, method="ensemble"
+        references_of(face, chosen), ranges=face.ranges, gram=face.gram, method="face_map"
     )
     found = []
     for workers in (1, 4):

@@ -1,17 +1,16 @@
 """Compare candidates of a mapping on pairs that their fits have not seen."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import CandidateScore, References
 from usdface.core.progress import Progress
-from usdface.model.mapping.regions import marker_motion
+from usdface.model.mapping.corrected_pairs import CorrectedPairs, displacements, fit_pairs_forward
 from usdface.model.mapping.uncertainty import UncertaintyModel
 from usdface.model.regressions import AUTO, Pairs, Regression, Settings, find_method
-from usdface.model.regressions.forward_model import ForwardModel, ForwardScales, fit_forward_model
 from usdface.model.regressions.frame_solve import FrameSolver
 from usdface.model.regressions.target_curve import bend, unbend
 from usdface.numerics.regression.cross_validation import (
@@ -19,7 +18,6 @@ from usdface.numerics.regression.cross_validation import (
     surface_rms_mm,
     weight_rmse,
 )
-from usdface.numerics.regression.marker_prior import expect_marker_motion
 
 MINIMUM_TO_COMPARE = 8
 """Pairs below which cross-validation is chance: the first, simplest candidate is taken."""
@@ -32,9 +30,6 @@ _LEAST_T = 2.0
 
 _BLOCK_FRAMES = 120
 """A second or two: faces and their errors last about as long."""
-
-_PRIOR_CURVE = 0.3
-"""Bend of weights under which markers are looked for on the skin; it hardly matters there."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +79,9 @@ class Comparison:
 class PairFolds:
     """Pairs in folds of other moments, with a forward model that has not seen each."""
 
-    def __init__(self, pairs: Pairs, scales: ForwardScales, references: References) -> None:
-        self.pairs = pairs
+    def __init__(self, corrected: CorrectedPairs, references: References) -> None:
+        pairs, scales = corrected.pairs, corrected.forward.scales
+        self.pairs, self.corrected = pairs, corrected
         self.folds = blocked_folds(references.frames, references.takes)
         self.blocks = time_blocks(references.frames, references.takes)
         self.forwards = [fit_pairs_forward(pairs.rows(fold.train), scales) for fold in self.folds]
@@ -94,7 +90,7 @@ class PairFolds:
 
     def displacements(self, rows: IntArray) -> tuple[FloatArray, BoolArray]:
         """Return displacements [mm] and visibility of some pairs."""
-        moved = _displacements(self.pairs.rows(rows))
+        moved = displacements(self.pairs.rows(rows))
         return moved, np.ones(moved.shape[:2], dtype=np.bool_)
 
     def predict(self, candidate: Candidate) -> UnseenPairs:
@@ -107,7 +103,8 @@ class PairFolds:
             if "dimensions" in settings:  # a fold may have too few pairs for what all of them carry
                 most = max(len(fold.train) - 1, 1)
                 settings["dimensions"] = min(int(settings["dimensions"]), most)
-            fitted = method.fit(pairs.rows(fold.train), settings)
+            known = self.corrected.known_to(method).rows(fold.train)
+            fitted = method.fit(replace(known, forward=forward), settings)
             found = method.predict(fitted.arrays, fitted.settings, pairs.inputs[fold.test])
             t = bend(face.normalise(found), self.curve)
             start[fold.test] = t
@@ -118,7 +115,7 @@ class PairFolds:
             if method.solves_frames and solver.solvable:
                 t = solver.solve(*self.displacements(fold.test), t).targets
                 found = low + span * np.clip(unbend(t, self.curve), 0.0, 1.0)
-            errors[fold.test] = found - pairs.outputs[fold.test]
+            errors[fold.test] = found - self.corrected.given[fold.test]
         return UnseenPairs(errors, start, usual if method.solves_frames else None)
 
     def deviations(
@@ -256,27 +253,3 @@ def _readable(settings: Settings) -> str:
         f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"
         for name, value in settings.items()
     )
-
-
-def fit_pairs_forward(pairs: Pairs, scales: ForwardScales | None = None) -> ForwardModel:
-    """Fit the forward model, from what the rig's shapes do or, without a rig, the pairs' line."""
-    face = pairs.face
-    weights, moved = face.normalise(pairs.outputs), _displacements(pairs)
-    if face.skin is None:
-        expected = marker_motion(weights, moved)
-    else:
-        expected = expect_marker_motion(
-            face.skin * np.ptp(face.ranges, axis=1)[:, None, None],
-            bend(weights, _PRIOR_CURVE),
-            moved,
-            rest=face.rest,
-            neutral=face.neutral,
-        ).basis
-    neutral = np.zeros(moved.shape[1:]) if face.neutral is None else face.neutral
-    return fit_forward_model(weights, moved, expected=expected, neutral=neutral, scales=scales)
-
-
-def _displacements(pairs: Pairs) -> FloatArray:
-    if pairs.markers is None or pairs.face.neutral is None:
-        raise ValueError("a mapping's pairs need markers and a neutral")
-    return pairs.markers - pairs.face.neutral

@@ -10,11 +10,11 @@ from usdface.model.mapping.candidates import (
     PairFolds,
     UnseenPairs,
     compare_candidates,
-    fit_pairs_forward,
     list_candidates,
 )
 from usdface.model.mapping.checks import check_dimensions, check_references, check_skin
 from usdface.model.mapping.coordinates import marker_coordinates
+from usdface.model.mapping.corrected_pairs import correct_pairs
 from usdface.model.mapping.motion_space import motion_arrays, motion_of_pairs
 from usdface.model.mapping.regions import (
     membership,
@@ -26,6 +26,7 @@ from usdface.model.regressions import (
     Arrays,
     Face,
     Pairs,
+    RestPlaces,
 )
 from usdface.model.regressions.base import Fitted
 from usdface.model.regressions.frame_solve import FrameSolver
@@ -47,7 +48,7 @@ def train_mapping(
     ranges: FloatArray,
     gram: FloatArray | None,
     skin: FloatArray | None = None,
-    rest: FloatArray | None = None,
+    rest: RestPlaces | None = None,
     method: str = "auto",
     dimensions: int | None = None,
     progress: Progress = silent,
@@ -70,9 +71,9 @@ def train_mapping(
     skin : (shapes, points, 3) float array, optional
         What each shape at 1 does to points spread over the rig's surface [mm]; see `sample_skin`.
         With it a mapping also uses the rig's geometry, beyond the pairs.
-    rest : (points, 3) float array, optional
-        Where those points are on the rig's neutral [mm]: markers are then placed by where they
-        are as well, not by their motion alone.
+    rest : RestPlaces, optional
+        Where those points, and markers, are on the rig's neutral: markers are then placed by where
+        they are as well, not by their motion alone.
     method : str
         A key of `usdface.model.regressions.MAPPING_METHODS`, or ``'auto'`` to try several.
     dimensions : int, optional
@@ -97,17 +98,17 @@ def train_mapping(
         neutral=checked.neutral.astype(np.float64),
     )
     markers = checked.markers.astype(np.float64)
-    pairs = Pairs(marker_coordinates(motion, markers).values, checked.weights, face, markers)
+    z = marker_coordinates(motion, markers).values
     progress(0.0, "fitting the forward model")
-    forward = fit_pairs_forward(pairs)
-    folds = PairFolds(pairs, forward.scales, checked)
-    candidates = list_candidates(pairs, method, dimensions)
+    corrected = correct_pairs(Pairs(z, checked.weights, face, markers))
+    folds = PairFolds(corrected, checked)
+    candidates = list_candidates(corrected.pairs, method, dimensions)
     compared = compare_candidates(candidates, folds, in_mm=gram is not None, progress=progress)
     best = compared.best
     progress(0.9, f"fitting {best.method.name}")
-    fitted = best.method.fit(pairs, best.settings)
+    fitted = best.method.fit(corrected.known_to(best.method), best.settings)
     progress(1.0, f"trained {best.method.name}")
-    solver = FrameSolver(forward, _usual_error(fitted, compared.unseen, face))
+    solver = FrameSolver(corrected.forward, _usual_error(fitted, compared.unseen, face))
     regions, error_arrays = _uncertainty(compared, folds, checked.shape_names, solver)
     arrays = fitted.arrays | motion_arrays(motion) | solver.to_arrays() | error_arrays
     return TrainedMapping(
@@ -117,21 +118,25 @@ def train_mapping(
         rigid=checked.rigid,
         neutral=checked.neutral.astype(np.float64),
         ranges=face.ranges,
-        arrays={
-            name: np.ascontiguousarray(value, dtype=np.float64) for name, value in arrays.items()
-        },
+        arrays=_as_stored(arrays),
         settings=fitted.settings
         | {
-            "pairs": len(pairs.outputs),
+            "pairs": len(markers),
             "limited_weights": sound.limited_weights,
             "regions": ",".join(regions),
             "still_regions": ",".join(_still_regions(folds, regions, checked.shape_names)),
+            "key_error": corrected.key_error,
             "unobservable_shapes": int((~compared.observable).sum()),
             "performer": checked.performer,
             "session": checked.session,
         },
         scores=compared.scores,
     )
+
+
+def _as_stored(arrays: Arrays) -> Arrays:
+    """Return arrays as a file gives them back, so that a mapping predicts the same reopened."""
+    return {name: np.ascontiguousarray(each, dtype=np.float64) for name, each in arrays.items()}
 
 
 def _usual_error(fitted: Fitted, unseen: UnseenPairs | None, face: Face) -> FloatArray:
@@ -157,7 +162,10 @@ def _uncertainty(
     unseen = compared.unseen
     if unseen is not None:
         deviations = folds.deviations(compared.best, unseen, model, solver.error)
-        calibration = calibrate_uncertainty(grams, unseen.errors / span, deviations)
+        corrected = folds.corrected
+        calibration = calibrate_uncertainty(
+            grams, unseen.errors / span, deviations, corrected.variance / span**2
+        )
     arrays = UncertaintyModel(grams, calibration).to_arrays()
     arrays["region_markers"] = membership(points, len(solver.forward.noise))
     return regions, arrays

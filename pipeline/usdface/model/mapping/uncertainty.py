@@ -108,7 +108,7 @@ class UncertaintyModel:
 
 
 def calibrate_uncertainty(
-    grams: FloatArray, errors: FloatArray, deviations: FloatArray
+    grams: FloatArray, errors: FloatArray, deviations: FloatArray, key_variance: FloatArray
 ) -> FloatArray:
     """Return the constant of each region under which nine of ten errors are within the limit.
 
@@ -120,12 +120,15 @@ def calibrate_uncertainty(
         Normalised, of pairs that the prediction had not seen.
     deviations : (pairs, regions) float array
         Uncalibrated, of the same [mm].
+    key_variance : (pairs, shapes) float array
+        Of what the errors are measured from; adds to them.
 
     Returns
     -------
     (regions,) float array
     """
     squared = np.einsum("ns,rst,nt->nr", errors, grams, errors, optimize=True)
+    squared -= key_variance @ np.einsum("rss->sr", grams)
     ratios = np.sqrt(np.maximum(squared, 0.0)) / np.maximum(deviations, 1e-9)
     needed = np.log(
         np.maximum(np.quantile(ratios, ERROR_PROBABILITY, axis=0), 1e-6) / LIMIT_DEVIATIONS

@@ -3,14 +3,22 @@
 from usdface.core.errors import InputError
 from usdface.model.regressions import (
     additive,
-    ensemble,
+    face_map,
     gaussian_rbf,
     hybrid,
     kernel_cca,
     multiquadric,
     ridge,
 )
-from usdface.model.regressions.base import Arrays, Face, Fitted, Pairs, Regression, Settings
+from usdface.model.regressions.base import (
+    Arrays,
+    Face,
+    Fitted,
+    Pairs,
+    Regression,
+    RestPlaces,
+    Settings,
+)
 
 __all__ = [
     "AUTO",
@@ -22,6 +30,7 @@ __all__ = [
     "Fitted",
     "Pairs",
     "Regression",
+    "RestPlaces",
     "Settings",
     "find_method",
     "find_retarget_method",
@@ -31,8 +40,7 @@ _REGRESSIONS = (
     ridge.METHOD,
     gaussian_rbf.PUBLISHED,
     gaussian_rbf.METHOD,
-    ensemble.METHOD,
-    ensemble.FACE_MAP,
+    face_map.METHOD,
     multiquadric.METHOD,
     kernel_cca.METHOD,
     hybrid.METHOD,
@@ -56,6 +64,7 @@ REMOVED_METHODS = frozenset(
         "nnls",
         "bounded",
         "sparse",
+        "ensemble",
     )
 )
 """Of earlier versions."""
@@ -70,7 +79,7 @@ def find_method(name: str) -> Regression:
         If there is none; the message lists those there are.
     """
     if name in REMOVED_METHODS:
-        raise InputError(f"{name} left the methods in this version; use auto or ensemble")
+        raise InputError(f"{name} left the methods in this version; use auto or face_map")
     if name not in MAPPING_METHODS:
         known = ", ".join(sorted(MAPPING_METHODS))
         raise InputError(f"no method {name!r}; choose one of auto, {known}")

@@ -6,11 +6,15 @@ source's weights. To a regression both are pairs of inputs and outputs.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MotionSpace
+
+if TYPE_CHECKING:
+    from usdface.model.regressions.forward_model import ForwardModel
 
 Settings = dict[str, float | int | str | bool]
 Arrays = dict[str, FloatArray]
@@ -24,6 +28,22 @@ all components equal, and noise as loud as the jaw."""
 
 _LEAST_VARIANCE_SHARE = 1e-6
 """Of the largest variance: a component that does not move is not divided by nothing."""
+
+
+@dataclass(frozen=True)
+class RestPlaces:
+    """Where things are on the rig's neutral face.
+
+    Attributes
+    ----------
+    points : (points, 3) float array
+        Those of the skin whose displacements are known [mm].
+    markers : (markers, 3) float array or None
+        NaN where a marker's place is not known [mm].
+    """
+
+    points: FloatArray
+    markers: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -41,8 +61,8 @@ class Face:
         With coordinates of frames that nobody tuned.
     skin : (shapes, points, 3) float array or None
         What each shape at 1 does to points spread over the rig's surface [mm].
-    rest : (points, 3) float array or None
-        Where those points are on the rig's neutral [mm].
+    rest : RestPlaces or None
+        Where those points, and markers, are on the rig's neutral.
     neutral : (markers, 3) float array or None
         The performer's neutral face [mm].
     """
@@ -51,7 +71,7 @@ class Face:
     gram: FloatArray
     motion: MotionSpace
     skin: FloatArray | None = None
-    rest: FloatArray | None = None
+    rest: RestPlaces | None = None
     neutral: FloatArray | None = None
 
     def normalise(self, weights: FloatArray) -> FloatArray:
@@ -75,12 +95,15 @@ class Pairs:
         None in retargeting.
     markers : (pairs, markers, 3) float array or None
         Of the references [mm]; None in retargeting.
+    forward : ForwardModel or None
+        Conditioned on these pairs; None in retargeting.
     """
 
     inputs: FloatArray
     outputs: FloatArray
     known_face: Face | None = None
     markers: FloatArray | None = None
+    forward: "ForwardModel | None" = None
 
     @property
     def face(self) -> Face:
@@ -90,12 +113,13 @@ class Pairs:
         return self.known_face
 
     def rows(self, chosen: IntArray) -> "Pairs":
-        """Keep some of the pairs, all else equal."""
+        """Keep some of the pairs; the forward model, which knows them all, is left out."""
         return replace(
             self,
             inputs=self.inputs[chosen],
             outputs=self.outputs[chosen],
             markers=None if self.markers is None else self.markers[chosen],
+            forward=None,
         )
 
 

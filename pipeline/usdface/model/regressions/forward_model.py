@@ -92,6 +92,10 @@ class ForwardScales:
     tau: float = 0.0
     curve: float = 0.3
 
+    def key_variance(self, targets: FloatArray) -> FloatArray:
+        """Return the variance of the keys' errors, of the shape of the bent keys given."""
+        return np.asarray(self.tau**2 * (targets**2 + _ZERO_KEY_SHARE**2))
+
 
 @dataclass(frozen=True)
 class ForwardModel:
@@ -139,6 +143,16 @@ class ForwardModel:
     def residual2(self) -> FloatArray:
         """Mean squared leave-one-out residual of a coordinate of each marker: (markers,) [mm^2]."""
         return np.asarray((self.residuals**2).mean(axis=(0, 2)))
+
+    @property
+    def unseen_variance(self) -> FloatArray:
+        """Variance of a coordinate of each reference for a model without it: (pairs, markers).
+
+        Noise is part of it, the error of the reference's own key is not [mm^2].
+        """
+        own = np.einsum("knn->nk", self.inverse)
+        keys = self.scales.key_variance(self.targets) @ self.shape_size2 / 3
+        return np.asarray(np.maximum(1 / own - keys, self.noise))
 
     def curvature(self) -> Float32Array:
         """Return the posterior mean of Q: (shapes, shapes, 3 markers), symmetric [mm]."""
@@ -259,7 +273,7 @@ class _Prior:
         rest = displacements - np.einsum("ns,skc->nkc", t, expected, optimize=True)
         self.rest = rest.transpose(1, 0, 2)
         self.covariance = _kernel(t, t, self.deviation2, size2, self.quadratic)
-        keys = (scales.tau**2 * (t**2 + _ZERO_KEY_SHARE**2)) @ size2 / 3
+        keys = scales.key_variance(t) @ size2 / 3
         diagonal = np.arange(len(t))
         self.covariance[:, diagonal, diagonal] += keys.T
 

@@ -21,7 +21,7 @@ like the references there, and the examples decide; where they are not, the mark
 same way. The passage takes a decade and a half of chi2, so that it adds no jitter.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -59,6 +59,9 @@ _TAIL_ROUNDS = 2
 _GRADIENT_STEPS = 30
 """Accelerated gradient steps of the bounded solve. The forward model is linearised once, at t0: a
 second time changes crosstake by less than .001 mm and takes as long again."""
+
+_KEY_GRADIENT_STEPS = 200
+"""The same for keys, whose prior is ill-conditioned, and which are few."""
 
 _MOST_SHAPES = 200
 """Up to which every frame has a Hessian; beyond, frames share the one of their usual errors."""
@@ -234,3 +237,59 @@ class FrameSolver:
         error = np.maximum(self.error, _LEAST_ERROR)
         deviation = error * (np.maximum(self._spread, error) / error) ** strange
         return np.asarray(1 / deviation**2, dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class KeyPosterior:
+    """Keys of references, once their markers have been heard.
+
+    Attributes
+    ----------
+    targets : (pairs, shapes) float array
+        Most probable bent weights.
+    variance : (pairs, shapes) float array
+        Of the error that is left.
+    """
+
+    targets: FloatArray
+    variance: FloatArray
+
+
+def correct_keys(forward: ForwardModel, keys: FloatArray, tau: float) -> KeyPosterior:
+    """Move keys to where their markers put them, as far as keys err.
+
+    A key t is off by tau of itself, and by a fifth of tau where it is small (`forward_model`); half
+    of the variance is the face's, one animator's gain on one day, half the shape's::
+
+        cov(t) = tau^2 (diag(t^2 + 1/25) + t t') / 2
+
+    The pair's markers, less what a model that has not seen the pair predicts of them, say in which
+    direction.
+
+    Parameters
+    ----------
+    forward : ForwardModel
+        Conditioned on these pairs, at the keys found so far.
+    keys : (pairs, shapes) float array
+        As given, bent.
+    """
+    solver, now = FrameSolver(forward, np.full(keys.shape[1], tau)), forward.targets
+    _, slope = solver.linearise(now)
+    if slope is None or tau == 0:
+        return KeyPosterior(now, np.zeros_like(now))
+    weighted = slope / np.repeat(_COMMON_ERROR * forward.unseen_variance, 3, axis=1)[:, None]
+    prior = replace(forward.scales, tau=tau).key_variance(keys)[:, None] * np.eye(keys.shape[1])
+    precision = np.linalg.inv(0.5 * (prior + tau**2 * keys[:, :, None] * keys[:, None]))
+    hessian = weighted @ slope.transpose(0, 2, 1) + precision
+    gradient = (weighted @ forward.residuals.reshape(len(keys), -1, 1))[:, :, 0]
+    gradient += (precision @ (keys - now)[:, :, None])[:, :, 0]
+    moved = descend_in_boxes(
+        hessian,
+        gradient,
+        lower=-now,
+        upper=1 - now,
+        start=np.zeros_like(now),
+        steps=_KEY_GRADIENT_STEPS,
+    )
+    variance = np.einsum("nss->ns", np.linalg.inv(hessian))
+    return KeyPosterior(np.clip(now + moved, 0.0, 1.0), variance)

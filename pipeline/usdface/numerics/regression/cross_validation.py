@@ -1,4 +1,4 @@
-"""Folds that keep neighbours together, errors as they show on the surface, and blends by errors.
+"""Folds that keep neighbours together, and errors as they show on the surface.
 
 Two reference frames a few frames apart are nearly the same face: split between training and
 testing they would flatter every method. So folds are made of runs of neighbours.
@@ -6,15 +6,11 @@ testing they would flatter every method. So folds are made of runs of neighbours
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from usdface.core.arrays import FloatArray, IntArray
-
-MAX_BLENDED = 8
-"""Every subset of the members of a blend is tried: beyond these, too many."""
 
 FEWEST_TRAINING_ROWS = 3
 """Rows below which a fold teaches nothing: then neighbours of tested rows are trained on too."""
@@ -123,51 +119,6 @@ def surface_errors_mm(errors: FloatArray, gram: FloatArray) -> FloatArray:
     squared = np.einsum("fs,fs->f", errors @ gram, errors)
     errors_mm: FloatArray = np.sqrt(np.maximum(squared, 0.0))
     return errors_mm
-
-
-def blend_shares(covariance: FloatArray) -> FloatArray:
-    """Return the shares, none below 0, that minimise the variance of a blend.
-
-    Where errors are independent these are inverse variances; members that err together share
-    what one of them alone would have.
-
-    Parameters
-    ----------
-    covariance : (outputs, members, members) float array
-        Of the members' errors, for each output; positive definite.
-
-    Returns
-    -------
-    (members, outputs) float array
-        Each column sums to 1.
-
-    Raises
-    ------
-    ValueError
-        If the shape is another, or there are more than `MAX_BLENDED` members.
-
-    References
-    ----------
-    Bates and Granger (1969), Operational Research Quarterly 20(4), 451-468, for two members.
-    """
-    if covariance.ndim != 3 or covariance.shape[1] != covariance.shape[2]:
-        raise ValueError(f"covariance must be (outputs, members, members), got {covariance.shape}")
-    outputs, members, _ = covariance.shape
-    if not 1 <= members <= MAX_BLENDED:
-        raise ValueError(f"1 to {MAX_BLENDED} members can be blended, got {members}")
-    least = np.full(outputs, np.inf)
-    shares = np.zeros((members, outputs))
-    for size in range(1, members + 1):
-        for chosen in combinations(range(members), size):
-            part = covariance[np.ix_(range(outputs), chosen, chosen)]
-            found = np.linalg.solve(part, np.ones((outputs, size, 1)))[..., 0]
-            found /= found.sum(axis=1, keepdims=True)
-            variance = np.einsum("oi,oij,oj->o", found, part, found)
-            better = (found >= 0).all(axis=1) & (variance < least)
-            least[better] = variance[better]
-            shares[:, better] = 0.0
-            shares[np.ix_(chosen, better)] = found[better].T
-    return shares
 
 
 def _deal(sizes: IntArray, folds: int) -> IntArray:

@@ -191,32 +191,6 @@ def fit_gaussian_process(
     )
 
 
-def fit_best_gaussian_process(
-    features: FloatArray,
-    outputs: FloatArray,
-    *,
-    variances: FloatArray,
-    choices: Sequence[ProcessSettings],
-    importance: FloatArray,
-    noises: FloatArray = NOISES,
-) -> GaussianProcess:
-    """Fit under the one choice whose leave-one-out errors weigh least over all outputs.
-
-    Parameters
-    ----------
-    importance : (s,) float array
-        Weight of each output's squared error.
-    """
-    errors = leave_one_out_errors(
-        features, outputs, variances=variances, choices=choices, noises=noises
-    )
-    best = int((errors.min(axis=1) @ importance).argmin())
-    noise = noises[smoothest_near_best(errors[best])]
-    return fit_gaussian_process(
-        features, outputs, variances=variances, choice=choices[best], noise=noise
-    )
-
-
 class _Scaled:
     """Features under one choice: scaled, with the numbers that make its parts comparable."""
 

@@ -30,6 +30,8 @@ _SIZE_QUANTILE = 0.97
 _PLACE_DEVIATIONS_MM = (30.0, 15.0, 10.0, 8.0)
 """How far from its skin a marker may lie once the faces are laid on each other, round by round, on
 the rig: features of two faces are that far apart."""
+_REGISTERED_DEVIATION_MM = 4.0
+"""The same where the places of markers are known: as far as registration by labels errs."""
 _UNRELATED_SHARE = 0.5
 """Of the face's radius: median distance between markers and the skin that moves as they do, from
 which on their places say nothing. Markers laid at random are a whole radius off."""
@@ -77,6 +79,7 @@ def expect_marker_motion(
     *,
     rest: FloatArray | None = None,
     neutral: FloatArray | None = None,
+    places: FloatArray | None = None,
 ) -> MarkerPrior:
     """Find for every marker the skin that moves as it does, and lies where it lies.
 
@@ -95,6 +98,9 @@ def expect_marker_motion(
         Where those points are on the rig's neutral [mm]. Without it motion alone decides.
     neutral : (markers, 3) float array, optional
         The performer's neutral face [mm]; needed with `rest`.
+    places : (markers, 3) float array, optional
+        Where markers are known to sit on the rig's neutral, NaN where not [mm]; used with `rest`
+        and `neutral`. By default the faces are laid on each other.
 
     Raises
     ------
@@ -117,7 +123,8 @@ def expect_marker_motion(
         if turn < _MOTION_ROUNDS - 1:
             rotation = _rotation_of(match, moved, seen)
     if rest is not None and neutral is not None:
-        match, rotation = _refine_by_place(match, rotation, (seen, moved, energy), rest, neutral)
+        motion = seen, moved, energy
+        match, rotation = _refine_by_place(match, rotation, motion, rest, neutral, places)
     best = match.log_likelihood.argmax(axis=1)
     share = _shares(match.log_likelihood)
     basis = np.einsum("mp,spc->smc", share * match.gain, scale * skin @ rotation.T, optimize=True)
@@ -154,21 +161,27 @@ def _refine_by_place(
     motion: tuple[FloatArray, FloatArray, FloatArray],
     rest: FloatArray,
     neutral: FloatArray,
+    places: FloatArray | None,
 ) -> tuple[_Match, FloatArray]:
     """Lay the markers on the rig, and let the distance decide between skin that moves alike."""
+    if places is None:
+        places = np.full_like(neutral, np.nan)
+    known = np.isfinite(places).all(axis=1)
     seen, moved, energy = motion
     radius = float(np.sqrt(((rest - rest.mean(axis=0)) ** 2).sum(axis=1).mean()))
     refined = match
     for turn in range(_PLACE_ROUNDS):
         share = _shares(refined.log_likelihood)
         laid, scale, distance = _lay_on_rig(neutral @ rotation, share, rest, energy)
-        if turn == 0 and distance > _UNRELATED_SHARE * radius:
+        if turn == 0 and not known.any() and distance > _UNRELATED_SHARE * radius:
             return match, rotation
         usual = float(np.clip(1 / scale, *_GAIN_RANGE))
         refined = _match_motion(seen, moved @ rotation.T, energy, usual)
         deviation = scale * _PLACE_DEVIATIONS_MM[min(turn, len(_PLACE_DEVIATIONS_MM) - 1)]
+        deviations = np.full(len(laid), deviation)
+        laid[known], deviations[known] = places[known], _REGISTERED_DEVIATION_MM
         squared = ((laid[:, None] - rest) ** 2).sum(axis=2)
-        refined.log_likelihood[:] -= 0.5 * squared / deviation**2
+        refined.log_likelihood[:] -= 0.5 * squared / deviations[:, None] ** 2
         if turn < _PLACE_ROUNDS - 1:
             rotation = _rotation_of(refined, moved, seen)
     return refined, rotation

@@ -4,8 +4,8 @@ Each frame is a small convex programme: minimise ``0.5 x'Hx - l'x`` with ``lower
 All frames advance together by accelerated projected gradient steps. From there
 `minimise_bounded_quadratic` goes on to the exact solution: the steps find nearly the right set of
 bounds, block pivoting makes it exact, and an active-set walk finishes the few frames on which
-pivoting cycles. `BoxProjection`, which every frame of a performance goes through, stops after a few
-steps.
+pivoting cycles. `descend_in_boxes`, which every frame of a performance goes through, has a matrix
+for each frame, and stops after the steps.
 """
 
 import math
@@ -35,9 +35,6 @@ _DEPENDENT_RIDGE = 1e-6
 _POWER_STEPS = 8
 _POWER_MARGIN = 1.1
 """Steps of the power method for a matrix's largest eigenvalue, and what they may fall short."""
-_MOST_PROJECTION_STEPS = 10
-_PROJECTION_ERROR = 1e-3
-"""[of the way] What a projection's steps leave, as long as those are enough."""
 
 
 @dataclass(frozen=True)
@@ -185,66 +182,6 @@ def descend_in_boxes(
         steps=steps,
     )
     return np.asarray(np.clip(z * unit, lower, upper))
-
-
-class BoxProjection:
-    """Brings rows within bounds at the least cost under a quadratic metric.
-
-    Cutting a variable off at its bound leaves the others as they were, though they were chosen to
-    go with it. The nearest point of the box moves them along: minimises ``(x - w)' M (x - w)`` with
-    ``lower <= x <= upper`` for every row w. Rows already within their bounds stay as they are; the
-    others take a fixed number of steps from where they are cut off, which leaves them nearly, not
-    exactly, nearest.
-
-    Parameters
-    ----------
-    metric : (n, n) float array
-        Symmetric, positive definite; with `factor` (n,), the diagonal to which it adds.
-    lower, upper : (n,) float arrays
-    factor : (n, r) float array, optional
-        The metric is then ``diag(metric) + factor @ factor.T``, which is quicker where r is small.
-    steps : int, optional
-        By default as many as leave a thousandth of the way, ``log(1000) sqrt(condition)`` of the
-        metric at unit diagonal; at most 10.
-    """
-
-    def __init__(
-        self,
-        metric: FloatArray,
-        *,
-        lower: FloatArray,
-        upper: FloatArray,
-        factor: FloatArray | None = None,
-        steps: int | None = None,
-    ) -> None:
-        whole = metric if factor is None else np.diag(metric) + factor @ factor.T
-        squared = 1 / np.diag(whole)
-        curvature = np.linalg.eigvalsh(whole * np.sqrt(np.outer(squared, squared)))
-        least, largest = float(curvature[0]), float(curvature[-1])
-        step = 1 / largest
-        needed = -math.log(_PROJECTION_ERROR) * math.sqrt(largest / max(least, 1e-12 * largest))
-        self._steps = min(_MOST_PROJECTION_STEPS, math.ceil(needed)) if steps is None else steps
-        self._lower, self._upper = lower, upper
-        # in the variables' own units, a step is one product: x - step M diag(squared) x
-        self._product: FloatArray | None = None
-        if factor is None:
-            self._product = np.ascontiguousarray(np.eye(len(whole)) - step * whole * squared)
-        else:
-            self._diagonal = 1 - step * metric * squared
-            self._left = np.ascontiguousarray(-step * factor)
-            self._right = np.ascontiguousarray((factor * squared[:, None]).T)
-
-    def __call__(self, rows: FloatArray) -> FloatArray:
-        """Return the projection of (rows, n) float array, of the same shape."""
-        low, high = self._lower - rows, self._upper - rows
-        start = np.clip(np.zeros_like(low), low, high)
-        moved = _accelerate(self._descend, start, low, high, steps=self._steps)
-        return np.asarray(np.clip(rows + moved, self._lower, self._upper))
-
-    def _descend(self, ahead: FloatArray) -> FloatArray:
-        if self._product is not None:
-            return np.asarray(ahead @ self._product)
-        return np.asarray(ahead * self._diagonal + (ahead @ self._left) @ self._right)
 
 
 def _check(H: FloatArray, b: FloatArray, lo: FloatArray, hi: FloatArray) -> None:

@@ -303,6 +303,29 @@ def stored_placement(references: References, rig: Rig) -> RigPlacement | None:
     return read_placement(references.placement, rig)
 
 
+def registered_places(references: References, rig: Rig) -> FloatArray | None:
+    """Return where the placement of references puts their markers, if it can be relied on.
+
+    It can where labels or a person placed them.
+
+    Returns
+    -------
+    (markers, 3) float array or None
+        On the rig's neutral, NaN where it cannot [mm].
+    """
+    placement = stored_placement(references, rig)
+    if placement is None or not _knows(placement, references.marker_names, references.neutral):
+        return None
+    binding, row_of = placement.binding, _bound(placement)
+    at = binding.places.positions(rig_surfaces(rig)[0].mesh.points)
+    places = np.full((len(references.marker_names), 3), np.nan)
+    for marker, name in enumerate(references.marker_names):
+        row = row_of.get(name)
+        if row is not None and (placement.by_labels or binding.sources[row] != "proposed"):
+            places[marker] = at[row]
+    return places
+
+
 def placement_of_performance(performance: Path, rig: Rig) -> RigPlacement | None:
     """Return the placement of the references that a performance was mapped from, if it is there.
 

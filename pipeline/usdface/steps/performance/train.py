@@ -14,8 +14,10 @@ from usdface.model.mapping.regions import sample_skin, skin_points
 from usdface.model.mapping.rig_match import rig_summary
 from usdface.model.mapping.train import train_mapping
 from usdface.model.placement.rig_orientation import check_rig_stands
+from usdface.model.regressions import RestPlaces
 from usdface.runner.result import StepResult
 from usdface.specs.performance import TrainSpec
+from usdface.steps.inputs.placement import registered_places
 from usdface.steps.inputs.tuned_pairs import read_set_references
 from usdface.usdio.mapping import write_mapping
 from usdface.usdio.rig.read import read_rig
@@ -47,7 +49,7 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
         ranges=rig.ranges[columns],
         gram=deformer.shapes.gram()[np.ix_(columns, columns)],
         skin=sample_skin(offsets)[columns],
-        rest=deformer.neutral[skin_points(offsets)],
+        rest=RestPlaces(deformer.neutral[skin_points(offsets)], registered_places(references, rig)),
         method=spec.method,
         dimensions=spec.dimensions,
         progress=progress,

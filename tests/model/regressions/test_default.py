@@ -11,7 +11,6 @@ from tests.model.synthetic import RIGID, SyntheticFace, references_of, synthetic
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model import predict_weights, sample_skin, train_mapping
-from usdface.model.regressions.members import WIDE_REGION_CHOICES, affordable_choices
 from usdface.model.regressions.target_curve import bend, unbend
 
 CHOSEN = np.arange(0, 1200, 30)
@@ -24,7 +23,7 @@ def trained(*, skin: bool, bent: float = 0.0, chosen: np.ndarray = CHOSEN) -> Tr
         ranges=face.ranges,
         gram=face.gram,
         skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)) if skin else None,
-        method="ensemble",
+        method="face_map",
     )
 
 
@@ -53,7 +52,7 @@ def test_more_dimensions_than_the_take_moves_in_do_no_harm(skin: bool) -> None:
         ranges=face.ranges,
         gram=face.gram,
         skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)) if skin else None,
-        method="ensemble",
+        method="face_map",
         dimensions=20,
     )
     error = predict_weights(mapping, face.positions).weights - face.weights
@@ -72,7 +71,7 @@ def saturating(seed: int) -> SyntheticFace:
 def test_it_is_better_than_a_line_on_skin_that_saturates(skin: bool) -> None:
     face, new = saturating(0), saturating(3)
     errors = []
-    for method in ("ridge", "ensemble"):
+    for method in ("ridge", "face_map"):
         mapping = train_mapping(
             references_of(face, CHOSEN),
             ranges=face.ranges,
@@ -94,27 +93,9 @@ def test_the_curve_finds_skin_that_slows_down() -> None:
         ranges=face.ranges,
         gram=face.gram,
         skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)),
-        method="ensemble",
+        method="face_map",
     )
     assert 0.25 < float(mapping.settings["curve"]) < 0.5
-
-
-def test_a_shape_has_a_bend_of_its_own() -> None:
-    """Of six shapes one slows down, the others do not."""
-    face = synthetic_face()
-    acted = face.weights.copy()
-    acted[:, 2] = 1.5 * acted[:, 2] - 0.5 * acted[:, 2] ** 2
-    positions = face.neutral + np.einsum("fs,smc->fmc", acted, face.shapes)
-    mapping = train_mapping(
-        references_of(replace(face, positions=positions), CHOSEN),
-        ranges=face.ranges,
-        gram=face.gram,
-        skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)),
-        method="ensemble",
-    )
-    curve = mapping.arrays["curve"]
-    assert curve[2] >= 0.3
-    assert np.delete(curve, 2).max() <= 0.15
 
 
 def test_ranges_of_any_width_give_the_same_face() -> None:
@@ -134,7 +115,7 @@ def test_ranges_of_any_width_give_the_same_face() -> None:
         ranges=wide.ranges,
         gram=wide.gram,
         skin=sample_skin(wide.shapes.reshape(len(wide.shapes), -1)),
-        method="ensemble",
+        method="face_map",
     )
     new = synthetic_face(bend=0.2, seed=3).positions[:200]
     expected = 2 * predict_weights(first, new).weights + low
@@ -169,9 +150,25 @@ def test_unbending_undoes_bending(weight: float, curve: float) -> None:
     assert bend(np.array([0.0, 1.0]), curve).tolist() == [0.0, 1.0]
 
 
-def test_choices_are_thinned_only_where_there_is_much_to_compare() -> None:
-    assert affordable_choices(WIDE_REGION_CHOICES, pairs=100, shapes=60) == WIDE_REGION_CHOICES
-    fewer = affordable_choices(WIDE_REGION_CHOICES, pairs=100, shapes=1500)
-    assert 1 < len(fewer) < len(WIDE_REGION_CHOICES)
-    assert set(fewer) <= set(WIDE_REGION_CHOICES)
-    assert len(affordable_choices(WIDE_REGION_CHOICES, pairs=2000, shapes=1000)) == 1
+def test_shapes_that_references_only_use_together_are_told_apart() -> None:
+    """A wink that no reference shows is a wink."""
+    face = synthetic_face()
+    both = face.weights.copy()
+    both[:, 1] = both[:, 0]  # as lids close together
+
+    def markers(weights: np.ndarray) -> np.ndarray:
+        return face.neutral + np.einsum("fs,smc->fmc", weights, face.shapes)
+
+    shown = replace(face, weights=both, positions=markers(both))
+    mapping = train_mapping(
+        references_of(shown, np.arange(0, 1200, 30)),
+        ranges=face.ranges,
+        gram=face.gram,
+        skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)),
+        method="face_map",
+    )
+    wink = np.zeros((5, both.shape[1]))
+    wink[:, 0] = np.linspace(0.2, 1.0, 5)
+    found = predict_weights(mapping, markers(wink)).weights
+    assert found[-1, 0] > 0.75
+    assert found[-1, 1] < 0.25

@@ -1,0 +1,91 @@
+"""Pairs as training takes them: with a forward model, and keys as far as they are believed."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.model.mapping.regions import marker_motion
+from usdface.model.regressions import Pairs, Regression
+from usdface.model.regressions.forward_model import ForwardModel, ForwardScales, fit_forward_model
+from usdface.model.regressions.frame_solve import correct_keys
+from usdface.model.regressions.target_curve import bend, unbend
+from usdface.numerics.regression.marker_prior import expect_marker_motion
+
+_KEY_ROUNDS = 2
+"""Of correcting keys and fitting the forward model again. A third changes nothing to speak of."""
+
+_PRIOR_CURVE = 0.3
+"""Bend of weights under which markers are looked for on the skin; it hardly matters there."""
+
+
+@dataclass(frozen=True)
+class CorrectedPairs:
+    """Pairs whose keys are where the markers put them, as far as keys err.
+
+    Attributes
+    ----------
+    pairs : Pairs
+        With the corrected keys.
+    forward : ForwardModel
+        Conditioned on them.
+    given : (pairs, shapes) float array
+        Keys as they came.
+    variance : (pairs, shapes) float array
+        Of their error.
+    key_error : float
+        Of the keys as they came, as a share of them: `ForwardScales.tau`.
+    """
+
+    pairs: Pairs
+    forward: ForwardModel
+    given: FloatArray
+    variance: FloatArray
+    key_error: float
+
+    def known_to(self, method: Regression) -> Pairs:
+        """Return the pairs that a method learns: methods of the literature, the keys as given."""
+        return self.pairs if method.solves_frames else replace(self.pairs, outputs=self.given)
+
+
+def correct_pairs(pairs: Pairs) -> CorrectedPairs:
+    """Fit the forward model, and correct the keys by it where its evidence says that they err."""
+    given, face = pairs.outputs, pairs.face
+    forward = fit_pairs_forward(pairs)
+    scales, keys = forward.scales, forward.targets
+    variance = np.zeros_like(given)
+    low, span = face.ranges[:, 0], np.ptp(face.ranges, axis=1)
+    for _ in range(_KEY_ROUNDS if scales.tau > 0 else 0):
+        posterior = correct_keys(forward, keys, scales.tau)
+        moved = low + span * unbend(posterior.targets, scales.curve)
+        variance = span**2 * scales.key_variance(keys)
+        pairs = replace(pairs, outputs=moved)
+        left = posterior.variance.sum() / scales.key_variance(keys).sum()
+        forward = fit_pairs_forward(pairs, replace(scales, tau=scales.tau * float(np.sqrt(left))))
+    return CorrectedPairs(replace(pairs, forward=forward), forward, given, variance, scales.tau)
+
+
+def fit_pairs_forward(pairs: Pairs, scales: ForwardScales | None = None) -> ForwardModel:
+    """Fit the forward model, from what the rig's shapes do or, without a rig, the pairs' line."""
+    face = pairs.face
+    weights, moved = face.normalise(pairs.outputs), displacements(pairs)
+    if face.skin is None:
+        expected = marker_motion(weights, moved)
+    else:
+        expected = expect_marker_motion(
+            face.skin * np.ptp(face.ranges, axis=1)[:, None, None],
+            bend(weights, _PRIOR_CURVE),
+            moved,
+            rest=None if face.rest is None else face.rest.points,
+            neutral=face.neutral,
+            places=None if face.rest is None else face.rest.markers,
+        ).basis
+    neutral = np.zeros(moved.shape[1:]) if face.neutral is None else face.neutral
+    return fit_forward_model(weights, moved, expected=expected, neutral=neutral, scales=scales)
+
+
+def displacements(pairs: Pairs) -> FloatArray:
+    """Return how far the references' markers are from the neutral: (pairs, markers, 3) [mm]."""
+    if pairs.markers is None or pairs.face.neutral is None:
+        raise ValueError("a mapping's pairs need markers and a neutral")
+    return pairs.markers - pairs.face.neutral
