@@ -12,8 +12,8 @@ from usdface.core.assets import RigMesh
 from usdface.core.deformer import Deformer
 from usdface.demo.acting import performance
 from usdface.demo.capture import demo_markers
-from usdface.demo.proportions import CHARACTER
 from usdface.demo.rig import demo_rig, make_head, mesh_points
+from usdface.demo.sculpt import CHARACTER
 from usdface.numerics.registration.surface_places import SurfacePlaces, places_at_points
 from usdface.usdio.rig.read import read_rig
 

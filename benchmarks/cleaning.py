@@ -86,8 +86,8 @@ def _capture(path: Path, frames: int) -> None:
     from usdface.capture.c3d_write import write_c3d
     from usdface.demo.acting import performance
     from usdface.demo.capture import demo_markers, simulate_capture
-    from usdface.demo.proportions import ACTOR
     from usdface.demo.rig import make_head
+    from usdface.demo.sculpt import ACTOR
 
     actor, acted = make_head(ACTOR), performance()
     markers = demo_markers(actor)

@@ -15,8 +15,8 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.controls import ExpressionPairs, bare_controls
 from usdface.demo.acting import performance
-from usdface.demo.proportions import ACTOR
 from usdface.demo.rig import demo_rig
+from usdface.demo.sculpt import ACTOR
 from usdface.model.retarget.checks import find_pair_conflicts
 from usdface.model.retarget.cyclic import evaluate_cyclic, spread_displacements
 from usdface.model.retarget.shape_names import match_names

@@ -161,8 +161,8 @@ def _prepare(folder: Path, lengths: tuple[int, ...]) -> None:
     from usdface.capture.c3d_write import write_c3d
     from usdface.demo.acting import performance
     from usdface.demo.capture import demo_markers, simulate_capture
-    from usdface.demo.proportions import ACTOR
     from usdface.demo.rig import make_head
+    from usdface.demo.sculpt import ACTOR
     from usdface.usdio.take.read import read_take
 
     actor, acted = make_head(ACTOR), performance()

@@ -17,8 +17,8 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.core.controls import Controls
 from usdface.demo.head import DemoHead, HeadPart
-from usdface.demo.proportions import CHARACTER
 from usdface.demo.rig import make_head, mesh_points, rig_from_head
+from usdface.demo.sculpt import CHARACTER
 from usdface.model.retarget.shape_names import motion_and_side
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig

@@ -12,8 +12,8 @@ from tests.regenerate import REFERENCE, REPOSITORY
 from tests.test_docs import commands, run
 from usdface.demo.build import write_demo_inputs
 from usdface.demo.capture import demo_markers
-from usdface.demo.proportions import CHARACTER
 from usdface.demo.rig import demo_rig, make_head
+from usdface.demo.sculpt import CHARACTER
 from usdface.specs.surface import BindSpec
 
 DOCS = REPOSITORY / "docs"

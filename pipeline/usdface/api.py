@@ -14,8 +14,7 @@ from usdface.runner.job import StepState
 from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
 from usdface.specs.job import SPEC_BY_STEP
-from usdface.specs.messages import validation_messages
-from usdface.specs.reading import read_job
+from usdface.specs.reading import read_job, validation_messages
 from usdface.usdio import mapping as mapping_files
 from usdface.usdio import validation
 from usdface.usdio.performance import read as performance_files

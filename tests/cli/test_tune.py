@@ -15,7 +15,7 @@ from tests.test_docs import commands
 from tests.tuning.small_asset import write_asset
 from usdface.cli import main
 from usdface.core.locks import TuningLock
-from usdface.specs.tune import TuneSpec
+from usdface.specs.commands import TuneSpec
 
 
 def run(*arguments: str) -> int:

@@ -4,8 +4,8 @@ import pytest
 
 from usdface.demo.acting import ActedPerformance, performance
 from usdface.demo.head import DemoHead
-from usdface.demo.proportions import ACTOR, CHARACTER
 from usdface.demo.rig import make_head
+from usdface.demo.sculpt import ACTOR, CHARACTER
 
 
 @pytest.fixture(scope="session")

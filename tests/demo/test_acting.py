@@ -5,8 +5,7 @@ import numpy as np
 from tests.demo.test_shapes import lid_gap, lip_offset
 from usdface.demo.acting import ActedPerformance, performance
 from usdface.demo.head import DemoHead
-from usdface.demo.script import LINES, VISEME_OF_PHONE, VISEME_SHAPES, timed_phones
-from usdface.demo.voice import speak
+from usdface.demo.script import LINES, VISEME_OF_PHONE, VISEME_SHAPES, speak, timed_phones
 
 
 def channel(acted: ActedPerformance, name: str) -> np.ndarray:

@@ -6,8 +6,7 @@ import pytest
 from usdface.core.arrays import FloatArray
 from usdface.demo.half_cage import Mark
 from usdface.demo.head import DemoHead, HeadPart, bare_head, lip_rim, lower_lid_edge, upper_lid_edge
-from usdface.demo.proportions import ACTOR, CHARACTER
-from usdface.demo.sculpt import head_form
+from usdface.demo.sculpt import ACTOR, CHARACTER, head_form
 
 
 def face_normals(points: FloatArray, faces: np.ndarray) -> FloatArray:

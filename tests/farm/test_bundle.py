@@ -12,9 +12,9 @@ from usdface.farm.bundle import MARK, bundle_hash, compose_bundle, write_bundle
 from usdface.farm.plan import ChunkSizes, FarmStep, plan_job
 from usdface.farm.submit import submit
 from usdface.specs.capture import CleanSpec
+from usdface.specs.commands import SubmitSpec
 from usdface.specs.job import JobSpec
 from usdface.specs.reading import read_job
-from usdface.specs.submit import SubmitSpec
 
 HOSTILE = [
     "{{Param.Job}}",

@@ -20,8 +20,8 @@ from usdface.cli import main
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.farm.plan import FarmStep
 from usdface.farm.submit import named_folders, outline_path, submit
+from usdface.specs.commands import SubmitSpec
 from usdface.specs.edits import BakeSpec
-from usdface.specs.submit import SubmitSpec
 from usdface.usdio.performance.read import read_performance
 from usdface.usdio.rig.write import write_rig
 

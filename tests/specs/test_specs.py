@@ -13,10 +13,9 @@ from usdface.core.errors import InputError
 from usdface.core.sidecars import tuned_path
 from usdface.specs.base import field_help
 from usdface.specs.job import STEP_SPECS, JobSpec
-from usdface.specs.messages import PATTERN_WORDS
 from usdface.specs.paths import Reads, Writes, frame_range
 from usdface.specs.performance import MapSpec
-from usdface.specs.reading import read_job, spec_text
+from usdface.specs.reading import PATTERN_WORDS, read_job, spec_text
 
 JOB = """
 job: kitchen_talk_v003

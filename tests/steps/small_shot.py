@@ -9,8 +9,8 @@ from usdface.capture.c3d_write import write_c3d
 from usdface.demo.acting import performance
 from usdface.demo.build import _write_weights
 from usdface.demo.capture import demo_markers, simulate_capture
-from usdface.demo.proportions import ACTOR
 from usdface.demo.rig import demo_rig, make_head
+from usdface.demo.sculpt import ACTOR
 from usdface.usdio.rig.write import write_rig
 
 FRAMES = 480

@@ -13,7 +13,7 @@ from usdface.tuning.application import Scene, build_application
 from usdface.tuning.pictures import PairPictures
 from usdface.tuning.serve import LARGEST_BODY, Guard
 from usdface.tuning.session import TuningSession
-from usdface.usdio.references.tuning import PairNotes
+from usdface.usdio.references.read import PairNotes
 from usdface.usdio.rig.read import read_rig
 
 PORT = 50123

@@ -16,7 +16,7 @@ from usdface.core.assets import References, Video
 from usdface.core.errors import InputError
 from usdface.media.picture.image import write_image
 from usdface.tuning.pictures import PairPictures
-from usdface.usdio.references.tuning import PairNotes, read_pair_notes, take_files
+from usdface.usdio.references.read import PairNotes, read_pair_notes, take_files
 from usdface.usdio.take.write import write_take
 
 RATE = Fraction(24)

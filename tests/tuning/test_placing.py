@@ -132,7 +132,7 @@ def test_what_the_page_sends_is_checked(asset: Path) -> None:
     from tests.tuning.test_guard import RIGHTS, Browser
     from usdface.tuning.application import Scene, build_application
     from usdface.tuning.pictures import PairPictures
-    from usdface.usdio.references.tuning import read_pair_notes
+    from usdface.usdio.references.read import read_pair_notes
 
     session = TuningSession(asset)
     try:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.tuning.small_asset import change, write_asset
-from usdface.specs.tune import TuneSpec
+from usdface.specs.commands import TuneSpec
 from usdface.tuning import serve
 from usdface.tuning.serve import _listen
 from usdface.tuning.session import StaleRevisionError, TuningSession

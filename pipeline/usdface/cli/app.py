@@ -30,10 +30,10 @@ from usdface.core.text import first_few, pluralize
 from usdface.core.version import __version__
 from usdface.specs.base import Spec
 from usdface.specs.capture import IngestSpec
+from usdface.specs.commands import SubmitSpec
 from usdface.specs.job import COMMAND_SPECS, JobSpec
 from usdface.specs.paths import ROOT_VARIABLE, check_confined, read_path_rules
 from usdface.specs.reading import read_job, spec_text
-from usdface.specs.submit import SubmitSpec
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for scripts.")]
 ShowProgress = Annotated[

@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 
 from usdface.core.errors import InputError
 from usdface.specs.base import Positional, Spec, field_help, warn_of_old_name
-from usdface.specs.messages import removed_message, validation_messages
+from usdface.specs.reading import removed_message, validation_messages
 
 SpecType = TypeVar("SpecType", bound=Spec)
 

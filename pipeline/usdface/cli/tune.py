@@ -11,7 +11,7 @@ from usdface.core.errors import InputError
 from usdface.core.text import pluralize
 from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
-from usdface.specs.tune import TuneSpec
+from usdface.specs.commands import TuneSpec
 
 _NEEDED = ("starlette", "uvicorn", "anyio", "h11")
 

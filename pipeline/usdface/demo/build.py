@@ -16,10 +16,9 @@ from usdface.core.progress import Progress, part, silent
 from usdface.demo.acting import FIRST_FRAME, ActedPerformance, Interval, performance
 from usdface.demo.capture import ActorFace, demo_markers, head_poses, simulate_capture
 from usdface.demo.head import DemoHead, HeadPart
-from usdface.demo.proportions import ACTOR
 from usdface.demo.rig import demo_rig, make_head, mesh_points, rig_from_head
-from usdface.demo.script import DURATION_SECONDS
-from usdface.demo.voice import speak
+from usdface.demo.script import DURATION_SECONDS, speak
+from usdface.demo.sculpt import ACTOR
 from usdface.media.face.camera import Camera
 from usdface.media.face.render import FaceRenderer
 from usdface.media.film.movie import write_movie

@@ -8,8 +8,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.demo.half_cage import HalfCage, Mark
-from usdface.demo.proportions import Style
-from usdface.demo.sculpt import LID_THICKNESS, Form, trace
+from usdface.demo.sculpt import LID_THICKNESS, Form, Style, trace
 
 _COLUMN_COUNT = 12
 ROW_COUNT = 21

@@ -7,8 +7,7 @@ from scipy.interpolate import PchipInterpolator
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.demo.half_cage import grid_faces
-from usdface.demo.proportions import Style
-from usdface.demo.sculpt import Form, trace
+from usdface.demo.sculpt import Form, Style, trace
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ from usdface.demo import details
 from usdface.demo.cage import lay_eye, lay_grid, lay_grid_faces, lay_mouth
 from usdface.demo.details import hair_cap, smooth_step
 from usdface.demo.half_cage import NO_RING, HalfCage, Mark, Whole, mirror_half, refine
-from usdface.demo.proportions import Style
-from usdface.demo.sculpt import Form, head_form, settle
+from usdface.demo.sculpt import Form, Style, head_form, settle
 
 
 def skin_colors(style: Style, points: FloatArray, marks: FloatArray) -> FloatArray:

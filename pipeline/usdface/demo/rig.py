@@ -10,7 +10,7 @@ from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.demo.details import smooth_step
 from usdface.demo.fields import LID_TURNS, FaceFields
 from usdface.demo.head import DemoHead, HeadPart, bare_head
-from usdface.demo.proportions import CHARACTER, Style
+from usdface.demo.sculpt import CHARACTER, Style
 
 Keys = tuple[tuple[float, FloatArray], ...]
 

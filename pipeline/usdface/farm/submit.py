@@ -31,10 +31,10 @@ from usdface.farm.bundle import (
 from usdface.farm.plan import ChunkSizes, FarmStep, FrameRange, Plan, plan_job
 from usdface.runner.outputs import missing_in_job
 from usdface.specs.base import Spec
+from usdface.specs.commands import SubmitSpec
 from usdface.specs.job import SPEC_BY_STEP, JobSpec
 from usdface.specs.paths import Reads, Writes, check_confined, confinement_root
 from usdface.specs.reading import read_job
-from usdface.specs.submit import SubmitSpec
 from usdface.usdio.referenced_files import frame_range_of, referenced_files
 
 _FRAME = "#IFRAME#"

@@ -26,7 +26,7 @@ from usdface.tuning.journal import Change
 from usdface.tuning.pictures import PairPictures
 from usdface.tuning.session import StaleRevisionError, TuningSession
 from usdface.tuning.targets import MarkerTargets, correct_place, targets_or_reason
-from usdface.usdio.references.tuning import PairNotes
+from usdface.usdio.references.read import PairNotes
 
 _FILES = {
     ".js": "text/javascript; charset=utf-8",

@@ -11,7 +11,7 @@ from usdface.core.errors import InputError
 from usdface.media.film.image_sequence import ImageSequence, open_video
 from usdface.media.film.video import VideoReader
 from usdface.media.picture.image import encode_image, read_picture
-from usdface.usdio.references.tuning import PairNotes
+from usdface.usdio.references.read import PairNotes
 from usdface.usdio.take.read import TakeReader
 
 CACHED_PICTURES = 64

@@ -25,12 +25,12 @@ from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from usdface.core.errors import CancelledError, InputError
+from usdface.specs.commands import TuneSpec
 from usdface.specs.paths import check_confined, confinement_root
-from usdface.specs.tune import TuneSpec
 from usdface.tuning.application import Scene, build_application
 from usdface.tuning.pictures import PairPictures
 from usdface.tuning.session import TuningSession
-from usdface.usdio.references.tuning import read_pair_notes, take_files
+from usdface.usdio.references.read import read_pair_notes, take_files
 from usdface.usdio.rig.read import read_rig
 
 HEADER = "x-usdface-tune"

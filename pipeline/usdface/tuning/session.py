@@ -15,8 +15,13 @@ from usdface.core.provenance import Provenance, canonical_json, hash_files
 from usdface.core.sidecars import journal_path, lock_path, proposed_path, tuned_path
 from usdface.tuning.journal import Change, Journal, flush_folder
 from usdface.usdio.layers import read_provenance
-from usdface.usdio.references.read import TunedPair, read_references, read_tuned_pairs
-from usdface.usdio.references.tuning import check_tuned_layer, read_proposals
+from usdface.usdio.references.read import (
+    TunedPair,
+    check_tuned_layer,
+    read_proposals,
+    read_references,
+    read_tuned_pairs,
+)
 from usdface.usdio.references.write import write_tuned_layer
 
 _SAME_WEIGHT = 1e-6

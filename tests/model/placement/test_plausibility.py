@@ -15,8 +15,8 @@ from usdface.core.assets import Markers
 from usdface.core.errors import InputError
 from usdface.demo.acting import performance
 from usdface.demo.capture import demo_markers, simulate_capture
-from usdface.demo.proportions import ACTOR
 from usdface.demo.rig import make_head
+from usdface.demo.sculpt import ACTOR
 from usdface.model.placement.face_template import face_template, fit_face
 from usdface.model.placement.label_hints import label_hint, mirrored_label
 from usdface.model.placement.plausibility import judge_markers, settle_findings

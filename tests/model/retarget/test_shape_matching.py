@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from usdface.demo.proportions import ACTOR
 from usdface.demo.rig import demo_rig
+from usdface.demo.sculpt import ACTOR
 from usdface.model.retarget.shape_matching import correspond, match_deformations, match_positions
 from usdface.usdio.rig.read import read_rig
 

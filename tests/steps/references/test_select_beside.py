@@ -26,8 +26,7 @@ from usdface.specs.references import (
 from usdface.steps.references import select
 from usdface.tuning.journal import Change
 from usdface.tuning.session import TuningSession
-from usdface.usdio.references.read import read_references
-from usdface.usdio.references.tuning import read_pair_notes
+from usdface.usdio.references.read import read_pair_notes, read_references
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 

@@ -16,8 +16,13 @@ from usdface.model.selection.conflicts import (
 )
 from usdface.specs.references import SelectSpec
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
-from usdface.usdio.references.read import TunedPair, read_references, read_tuned_pairs
-from usdface.usdio.references.tuning import check_tuned_layer, read_proposals
+from usdface.usdio.references.read import (
+    TunedPair,
+    check_tuned_layer,
+    read_proposals,
+    read_references,
+    read_tuned_pairs,
+)
 
 SAME_WEIGHT = 1e-6
 """Weights that differ by less are equal: layers hold single precision."""

@@ -25,8 +25,13 @@ from usdface.steps.references.tuning_guard import nobody_tunes
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.references.read import TunedPair, read_references, read_tuned_pairs
-from usdface.usdio.references.tuning import read_pair_notes, read_proposals
+from usdface.usdio.references.read import (
+    TunedPair,
+    read_pair_notes,
+    read_proposals,
+    read_references,
+    read_tuned_pairs,
+)
 from usdface.usdio.references.write import write_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader

@@ -16,7 +16,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.surface import MakeShapesSpec
 from usdface.steps.surface.picture import write_shapes_picture
 from usdface.steps.surface.plan import SurfacePlan, plan_surface
-from usdface.usdio.references.tuning import read_pair_notes
+from usdface.usdio.references.read import read_pair_notes
 from usdface.usdio.surface.shape_rig import NewShape, WrittenShape, write_shape_rig
 from usdface.usdio.take.read import TakeReader
 
