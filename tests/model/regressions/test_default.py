@@ -11,6 +11,7 @@ from tests.model.synthetic import RIGID, SyntheticFace, references_of, synthetic
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model import predict_weights, sample_skin, train_mapping
+from usdface.model.regressions import face_map, frame_solve
 from usdface.model.regressions.target_curve import bend, unbend
 
 CHOSEN = np.arange(0, 1200, 30)
@@ -172,3 +173,23 @@ def test_shapes_that_references_only_use_together_are_told_apart() -> None:
     found = predict_weights(mapping, markers(wink)).weights
     assert found[-1, 0] > 0.75
     assert found[-1, 1] < 0.25
+
+
+def test_rigs_of_very_many_shapes_are_solved_without_a_matrix_for_each_frame(monkeypatch) -> None:
+    """Without the quadratic part both ways minimise the same sum."""
+    mapping = trained(skin=True)
+    new = synthetic_face(seed=3).positions[:100]
+    each = predict_weights(mapping, new)
+    monkeypatch.setattr(frame_solve, "_MOST_SHAPES", 0)
+    shared = predict_weights(mapping, new)
+    assert np.abs(shared.weights - each.weights).mean() < 0.02
+    ratio = shared.uncertainty[:, 0] / each.uncertainty[:, 0]
+    assert 0.3 < np.median(ratio) < 3
+
+
+def test_many_shapes_share_regions(monkeypatch) -> None:
+    alone = rms(trained(skin=True), seed=3)
+    monkeypatch.setattr(face_map, "_MOST_REGIONS", 3)
+    mapping = trained(skin=True)
+    assert len(mapping.arrays["projection"]) <= 3
+    assert rms(mapping, seed=3) < 2 * alone

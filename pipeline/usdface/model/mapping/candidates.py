@@ -112,7 +112,7 @@ class PairFolds:
             if method.solves_frames:
                 usual[fold.test] = fitted.arrays["start_error"]
             solver = FrameSolver(forward, fitted.arrays.get("start_error", np.ones(0)))
-            if method.solves_frames and solver.solvable:
+            if method.solves_frames:
                 t = solver.solve(*self.displacements(fold.test), t).targets
                 found = low + span * np.clip(unbend(t, self.curve), 0.0, 1.0)
             errors[fold.test] = found - self.corrected.given[fold.test]
@@ -126,7 +126,7 @@ class PairFolds:
         for fold, forward in zip(self.folds, self.forwards, strict=True):
             own = error if unseen.usual is None else unseen.usual[fold.test[0]]
             solver, (moved, visible) = FrameSolver(forward, own), self.displacements(fold.test)
-            bounded = candidate.method.solves_frames and solver.solvable
+            bounded = candidate.method.solves_frames
             solution = solver.solve(moved, visible, unseen.start[fold.test], bounded=bounded)
             out[fold.test] = model.deviations(solver, solution, visible)
         return out

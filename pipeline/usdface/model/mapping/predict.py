@@ -160,7 +160,7 @@ class WeightPredictor:
         if visible is None:
             visible = np.ones(positions.shape[:2], dtype=np.bool_)
         solver, curve = self._solver, self._solver.forward.scales.curve
-        solves = self._method.solves_frames and solver.solvable
+        solves = self._method.solves_frames
         uncertainty = np.empty((len(weights), len(self._regions)))
         left = np.empty(positions.shape, dtype=np.float32)
         for first in range(0, len(weights), _SOLVED_FRAMES):

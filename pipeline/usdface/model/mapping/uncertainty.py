@@ -42,6 +42,9 @@ _CALIBRATION_RANGE = (0.5, 4.0)
 
 _BEND_STEP = 1e-3
 
+_LEAST_MM2 = 1e-12
+"""Variance of a region that nothing moves."""
+
 
 @dataclass(frozen=True)
 class UncertaintyModel:
@@ -93,11 +96,20 @@ class UncertaintyModel:
         return np.asarray(np.sqrt(np.maximum(squared, 0.0)) * self.calibration)
 
     def _shared_squared(self, solver: FrameSolver, solution: FrameSolution) -> FloatArray:
-        """Return ``tr(G C)`` from shapes' own deviations, where they are too many for a Hessian.
+        """Return ``tr(G C)`` of rigs whose frames have no Hessian: (frames, regions).
 
-        Shapes count as independent, and the markers' share in C is left out.
+        C is known at the narrowest and the widest prior; between them it is interpolated, the prior
+        variance of the region telling where: both by their logarithms.
         """
-        return np.asarray((1 / solution.precision) @ np.einsum("rss->sr", self.grams))
+        own = np.einsum("rss->sr", self.grams)
+        error2, narrow, spread2, wide = solver.usual_posteriors
+        priors = [np.log(each @ own + _LEAST_MM2) for each in (error2, spread2)]
+        posteriors = [
+            np.log(np.einsum("rst,st->r", self.grams, each) + _LEAST_MM2) for each in (narrow, wide)
+        ]
+        now = np.log((1 / solution.precision) @ own + _LEAST_MM2)
+        share = (now - priors[0]) / np.maximum(priors[1] - priors[0], _LEAST_MM2)
+        return np.asarray(np.exp(posteriors[0] + share * (posteriors[1] - posteriors[0])))
 
     def _unexplained(self, solver: FrameSolver, left: RealArray, visible: BoolArray) -> FloatArray:
         """Return ``chi2_g``: (frames, regions)."""

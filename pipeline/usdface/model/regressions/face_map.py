@@ -13,7 +13,7 @@ The answer is where `frame_solve` starts from; the leave-one-out error is how fa
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, sample_frames
+from usdface.core.arrays import FloatArray, IntArray, sample_frames
 from usdface.model.regressions.base import Arrays, Fitted, Pairs, Predictor, Regression, Settings
 from usdface.model.regressions.target_curve import unbend
 from usdface.numerics.regression.gaussian_process import (
@@ -44,6 +44,9 @@ _COVARIANCES = tuple(
 )
 """Tried: features, and size and width of the local part. They differ by a few hundredths."""
 
+_MOST_REGIONS = 64
+"""Of the face: with so many, neighbouring ones see nearly the same markers."""
+
 _COMPARED_SHAPES = 40
 """Shapes, those that matter most on the surface, by which the covariance is chosen."""
 
@@ -61,12 +64,12 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     z, targets = pairs.inputs[:, :kept], forward.targets
     length = np.sqrt((forward.basis**2).sum(axis=2))
     share = length / np.maximum(length.max(axis=1, keepdims=True), 1e-9)
-    relevance = np.maximum(share, _LEAST_RELEVANCE)
+    region, relevance = _gather_regions(np.maximum(share, _LEAST_RELEVANCE))
     sample, axes = pairs.face.motion.sample[:, :kept], pairs.face.motion.components[:kept]
     covariance = np.cov(sample.T).reshape(kept, -1)
-    regions = [regional_features(axes, covariance, row) for row in relevance]
-    chosen = _choose_covariance(z, targets, regions, np.diag(pairs.face.gram))
-    arrays = _fit_shapes(z, targets, regions, chosen)
+    features = [regional_features(axes, covariance, row) for row in relevance]
+    chosen = _choose_covariance(z, targets, [features[k] for k in region], pairs.face.gram)
+    arrays = _fit_regions(z, targets, features, region, chosen)
     low, span = pairs.face.ranges[:, 0], np.ptp(pairs.face.ranges, axis=1)
     curve = forward.scales.curve
     return Fitted(
@@ -75,18 +78,33 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     )
 
 
+def _gather_regions(relevance: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the region of each shape, and what of the markers each region sees.
+
+    Few shapes have a region each. Many share those of shapes that move nearly the same markers.
+    """
+    if len(relevance) <= _MOST_REGIONS:
+        return np.arange(len(relevance)), relevance
+    from scipy.cluster.hierarchy import fcluster, linkage  # mapping starts without SciPy
+
+    region = np.asarray(
+        fcluster(linkage(relevance, "ward"), _MOST_REGIONS, "maxclust") - 1, np.int64
+    )
+    return region, np.stack([relevance[region == k].mean(axis=0) for k in range(region.max() + 1)])
+
+
 def _choose_covariance(
-    z: FloatArray, targets: FloatArray, regions: list[RegionalFeatures], importance: FloatArray
+    z: FloatArray, targets: FloatArray, features: list[RegionalFeatures], gram: FloatArray
 ) -> ProcessSettings:
     """Return the covariance whose errors, each shape's against its own least, are least."""
     choices = usable_choices(_COVARIANCES, most=z.shape[1])
-    by_size = np.argsort(-importance, kind="stable")
+    by_size = np.argsort(-np.diag(gram), kind="stable")
     errors = np.stack(
         [
             leave_one_out_errors(
-                z @ regions[s].projection,
+                z @ features[s].projection,
                 targets[:, [s]],
-                variances=regions[s].variances,
+                variances=features[s].variances,
                 choices=choices,
             ).min(axis=1)[:, 0]
             for s in by_size[sample_frames(len(by_size), _COMPARED_SHAPES)]
@@ -96,40 +114,46 @@ def _choose_covariance(
     return choices[int(relative.mean(axis=0).argmin())]
 
 
-def _fit_shapes(
-    z: FloatArray, targets: FloatArray, regions: list[RegionalFeatures], choice: ProcessSettings
+def _fit_regions(
+    z: FloatArray,
+    targets: FloatArray,
+    features: list[RegionalFeatures],
+    region: IntArray,
+    choice: ProcessSettings,
 ) -> Arrays:
-    """Fit every shape's process, and lay them side by side."""
-    slopes, intercepts, residuals = [], [], []
-    projections, centres, exponents, duals = [], [], [], []
-    for s, region in enumerate(regions):
-        given = {"features": z @ region.projection, "outputs": targets[:, [s]]}
-        errors = leave_one_out_errors(**given, variances=region.variances, choices=(choice,))[0]
+    """Fit the processes of each region's shapes, and lay regions side by side."""
+    slope, intercept = np.empty((z.shape[1], len(region))), np.empty(len(region))
+    dual, residuals = np.empty_like(targets), np.empty_like(targets)
+    projection, centres, exponent = [], [], []
+    for k, each in enumerate(features):
+        shapes = np.flatnonzero(region == k)
+        given = {"features": z @ each.projection, "outputs": targets[:, shapes]}
+        errors = leave_one_out_errors(**given, variances=each.variances, choices=(choice,))[0]
         noise = NOISES[smoothest_near_best(errors)]
-        fit = fit_gaussian_process(**given, variances=region.variances, choice=choice, noise=noise)
-        projection = region.projection[:, : len(fit.scale)] * fit.scale
-        projections.append(projection)
-        slopes.append(projection @ fit.slope[:, 0])
-        intercepts.append(fit.intercept[0])
-        residuals.append(fit.residuals[:, 0])
+        fit = fit_gaussian_process(**given, variances=each.variances, choice=choice, noise=noise)
+        projection.append(each.projection[:, : len(fit.scale)] * fit.scale)
         centres.append(fit.centres)
-        exponents.append(fit.exponent)
-        duals.append(fit.dual[:, 0])
+        exponent.append(fit.exponent)
+        slope[:, shapes] = projection[-1] @ fit.slope
+        intercept[shapes], dual[:, shapes] = fit.intercept, fit.dual
+        residuals[:, shapes] = fit.residuals
     return {
-        "slope": np.stack(slopes, axis=1),
-        "intercept": np.array(intercepts),
-        "projection": np.stack(projections),
+        "slope": slope,
+        "intercept": intercept,
+        "projection": np.stack(projection),
         "centres": np.stack(centres),
-        "exponent": np.array(exponents),
-        "dual": np.stack(duals, axis=1),
-        "start_error": np.sqrt((np.stack(residuals) ** 2).mean(axis=1)),
+        "exponent": np.array(exponent),
+        "dual": dual,
+        "region": region.astype(np.float64),
+        "start_error": np.sqrt((residuals**2).mean(axis=0)),
     }
 
 
 def _prepare(arrays: Arrays, settings: Settings) -> Predictor:
     kept, curve = int(settings["dimensions"]), float(arrays["curve"][0])
     local = LocalSums(
-        **{name: arrays[name] for name in ("projection", "centres", "exponent", "dual")}
+        **{name: arrays[name] for name in ("projection", "centres", "exponent", "dual")},
+        region=arrays["region"].astype(np.int64),
     )
 
     def predict(coordinates: FloatArray) -> FloatArray:

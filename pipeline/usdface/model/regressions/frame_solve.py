@@ -21,6 +21,7 @@ like the references there, and the examples decide; where they are not, the mark
 same way. The passage takes a decade and a half of chi2, so that it adds no jitter.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -64,7 +65,8 @@ _KEY_GRADIENT_STEPS = 200
 """The same for keys, whose prior is ill-conditioned, and which are few."""
 
 _MOST_SHAPES = 200
-"""Up to which every frame has a Hessian; beyond, frames share the one of their usual errors."""
+"""Up to which every frame has a slope and a Hessian. Beyond, frames share the slope at rest, the
+quadratic part is left out, and uncertainty comes from `usual_posteriors`."""
 
 
 @dataclass(frozen=True)
@@ -111,11 +113,6 @@ class FrameSolver:
         """Return what `from_arrays` reads."""
         return self.forward.to_arrays() | {"start_error": self.error}
 
-    @property
-    def solvable(self) -> bool:
-        """Whether the rig is small enough for frames to be solved one by one."""
-        return len(self.error) <= _MOST_SHAPES
-
     def solve(
         self,
         displacements: FloatArray,
@@ -142,31 +139,31 @@ class FrameSolver:
         t0 = np.clip(start, 0.0, 1.0).astype(np.float32)
         predicted, slope = self.linearise(t0)
         left = np.where(seen, y - predicted, 0.0).astype(np.float32)
-        unknown = self.forward.variance(t0)
+        unknown = self.forward.residual2 if slope is None else self.forward.variance(t0)
         precision = self._prior_precision(left, visible, unknown)
-        if slope is None:
-            return FrameSolution(start, precision, left, None)
         noise = CLEANED_NOISE_MM**2 + 0.5 * self.forward.residual2 + unknown
         weight = np.repeat(visible / (_COMMON_ERROR * noise), 3, axis=1).astype(np.float32)
-        weighted = slope * weight[:, None]
-        hessian = weighted @ slope.transpose(0, 2, 1)
-        diagonal = np.arange(t0.shape[1])
+        data = (
+            _SharedSlope(self._linear[0], weight) if slope is None else _FrameSlopes(slope, weight)
+        )
         if not bounded:
-            hessian[:, diagonal, diagonal] += precision
-            return FrameSolution(start, precision, left, hessian)
-        gradient = (weighted @ left[:, :, None])[:, :, 0]
+            return FrameSolution(start, precision, left, data.hessian(precision))
+        gradient, diagonal = data.gradient(left), data.diagonal
         t: RealArray = t0
         for _ in range(_TAIL_ROUNDS):
             held = precision / np.maximum(np.abs(t - t0) * np.sqrt(precision) / _TAIL_DEVIATIONS, 1)
-            system = hessian.copy()
-            system[:, diagonal, diagonal] += held
             t = t0 + descend_in_boxes(
-                system, gradient, lower=-t0, upper=1 - t0, start=t - t0, steps=_GRADIENT_STEPS
+                data.product(held),
+                diagonal + held,
+                gradient,
+                lower=-t0,
+                upper=1 - t0,
+                start=t - t0,
+                steps=_GRADIENT_STEPS,
             )
-        moved = (slope.transpose(0, 2, 1) @ (t - t0)[:, :, None])[:, :, 0]
-        left = np.where(seen, left - moved, 0)
+        left = np.where(seen, left - data.moved(t - t0), 0)
         targets = np.clip(t, 0.0, 1.0).astype(np.float64)
-        return FrameSolution(targets, held, left, system)
+        return FrameSolution(targets, held, left, data.hessian(held))
 
     def linearise(self, targets: RealArray) -> tuple[Float32Array, Float32Array | None]:
         """Return where weights put the markers, and the derivatives.
@@ -214,8 +211,27 @@ class FrameSolver:
         """Return basis (shapes, 3 markers), offset (3 markers) and packed curvature."""
         model = self.forward
         basis = model.basis.reshape(len(model.basis), -1).astype(np.float32)
-        curvature = model.curvature().reshape(len(basis), -1) if self.solvable else None
+        curvature = (
+            model.curvature().reshape(len(basis), -1) if len(basis) <= _MOST_SHAPES else None
+        )
         return basis, model.offset.reshape(-1).astype(np.float32), curvature
+
+    @cached_property
+    def usual_posteriors(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return prior variance and posterior covariance at the narrowest and the widest prior.
+
+        Returns
+        -------
+        error2, narrow : (shapes,) and (shapes, shapes) float arrays
+        spread2, wide : (shapes,) and (shapes, shapes) float arrays
+        """
+        noise = CLEANED_NOISE_MM**2 + 1.5 * self.forward.residual2
+        weighted = self.forward.basis / (_COMMON_ERROR * noise)[:, None]
+        markers = np.einsum("skc,tkc->st", weighted, self.forward.basis, optimize=True)
+        error2 = np.maximum(self.error, _LEAST_ERROR) ** 2
+        spread2 = np.maximum(self._spread**2, error2)
+        narrow, wide = (np.linalg.inv(markers + np.diag(1 / each)) for each in (error2, spread2))
+        return error2, narrow, spread2, wide
 
     @cached_property
     def _spread(self) -> FloatArray:
@@ -237,6 +253,53 @@ class FrameSolver:
         error = np.maximum(self.error, _LEAST_ERROR)
         deviation = error * (np.maximum(self._spread, error) / error) ** strange
         return np.asarray(1 / deviation**2, dtype=np.float32)
+
+
+class _FrameSlopes:
+    """The markers' half of the sum, where each frame has a slope: ``sum w (left - slope' d)^2``."""
+
+    def __init__(self, slope: RealArray, weight: RealArray) -> None:
+        self._slope, self._weighted = slope, slope * weight[:, None]
+        self._squared = self._weighted @ slope.transpose(0, 2, 1)
+        self.diagonal = np.einsum("fss->fs", self._squared)
+
+    def gradient(self, left: RealArray) -> RealArray:
+        return np.asarray((self._weighted @ left[:, :, None])[:, :, 0])
+
+    def moved(self, step: RealArray) -> RealArray:
+        """Return what a step does to the markers."""
+        return np.asarray((step[:, None] @ self._slope)[:, 0])
+
+    def hessian(self, prior: RealArray) -> RealArray:
+        """Return the matrices, with a prior's precision on their diagonals."""
+        system = self._squared.copy()
+        diagonal = np.arange(system.shape[1])
+        system[:, diagonal, diagonal] += prior
+        return system
+
+    def product(self, prior: RealArray) -> Callable[[RealArray], RealArray]:
+        system = self.hessian(prior)
+        return lambda rows: (system @ rows[:, :, None])[:, :, 0]
+
+
+class _SharedSlope:
+    """The same where shapes are too many: one slope for all frames, and no matrix."""
+
+    def __init__(self, slope: RealArray, weight: RealArray) -> None:
+        self._slope, self._weight = slope, weight
+        self.diagonal = weight @ (slope**2).T
+
+    def gradient(self, left: RealArray) -> RealArray:
+        return np.asarray((self._weight * left) @ self._slope.T)
+
+    def moved(self, step: RealArray) -> RealArray:
+        return np.asarray(step @ self._slope)
+
+    def hessian(self, _prior: RealArray) -> None:
+        return None
+
+    def product(self, prior: RealArray) -> Callable[[RealArray], RealArray]:
+        return lambda rows: self.gradient(rows @ self._slope) + prior * rows
 
 
 @dataclass(frozen=True)
@@ -284,7 +347,8 @@ def correct_keys(forward: ForwardModel, keys: FloatArray, tau: float) -> KeyPost
     gradient = (weighted @ forward.residuals.reshape(len(keys), -1, 1))[:, :, 0]
     gradient += (precision @ (keys - now)[:, :, None])[:, :, 0]
     moved = descend_in_boxes(
-        hessian,
+        lambda rows: (hessian @ rows[:, :, None])[:, :, 0],
+        np.einsum("nss->ns", hessian),
         gradient,
         lower=-now,
         upper=1 - now,

@@ -100,36 +100,44 @@ def regional_features(
 
 
 class LocalSums:
-    """``sum_i dual[i, j] exp(exponent[j] |x projection[j] - centres[j, i]|^2)`` for each output j.
+    """``sum_i dual[i, j] exp(exponent[k] |x projection[k] - centres[k, i]|^2)``, k the region of j.
 
-    Where every output has its own features, nothing of one kernel serves another; they are laid
-    side by side, so that a block of points takes few calls and not some per output. Kernels whose
-    duals are small are evaluated in single precision, at half the time.
+    Where regions have their own features, nothing of one kernel serves another; they are laid side
+    by side, so that a block of points takes few calls and not some per region. Kernels whose duals
+    are small are evaluated in single precision, at half the time.
 
     Parameters
     ----------
-    projection : (D, d) or (s, D, d) float array
-        From coordinates to the features of all outputs, or of each.
-    centres : (n, d) or (s, n, d) float array
-    exponent : (1,) or (s,) float array
-        Negative; of all kernels, or of each output's.
+    projection : (k, D, d) float array
+        From coordinates to the features of each region.
+    centres : (k, n, d) float array
+    exponent : (k,) float array
+        Negative.
     dual : (n, s) float array
+    region : (s,) int array
+        Of each output.
     """
 
     def __init__(
-        self, projection: FloatArray, centres: FloatArray, exponent: FloatArray, dual: FloatArray
+        self,
+        projection: FloatArray,
+        centres: FloatArray,
+        exponent: FloatArray,
+        dual: FloatArray,
+        region: IntArray,
     ) -> None:
         self._outputs = dual.shape[1]
-        if projection.ndim == 2:
-            projection, centres, duals = projection[None], centres[None], dual[None]
-        else:
-            duals = dual.T[:, :, None]
+        most = int(np.bincount(region).max())
+        columns = np.full((len(projection), most), self._outputs)  # the one beyond the last: none
+        duals = np.zeros((len(projection), len(dual), most))
+        for k in range(len(projection)):
+            its = np.flatnonzero(region == k)
+            columns[k, : len(its)], duals[k, :, : len(its)] = its, dual[:, its]
         # of features, their squared norm and 1, makes exponents
         squares = np.einsum("knd,knd->kn", centres, centres)[:, :, None]
         operand = np.concatenate([-2.0 * centres, np.ones_like(squares), squares], axis=2)
         operand = operand.transpose(0, 2, 1) * exponent[:, None, None]
         norms = np.linalg.norm(duals, axis=1).max(axis=1)
-        columns = np.arange(self._outputs).reshape(len(duals), -1)
         rounded = norms <= _SINGLE_NORM
         self._groups: list[_Kernels] = []
         for kind, chosen in ((np.float32, rounded & (norms > 0)), (np.float64, ~rounded)):
@@ -140,10 +148,10 @@ class LocalSums:
 
     def __call__(self, points: FloatArray) -> FloatArray:
         """Evaluate the sums: (f, D) points to (f, s) outputs."""
-        out = np.zeros((len(points), self._outputs))
+        out = np.zeros((len(points), self._outputs + 1))
         for group in self._groups:
             out[:, group.columns] = group.sums(points)
-        return out
+        return out[:, :-1]
 
 
 @dataclass(frozen=True)

@@ -139,7 +139,8 @@ def minimise_bounded_quadratic(
 
 
 def descend_in_boxes(
-    hessians: RealArray,
+    product: Callable[[Any], Any],
+    diagonal: RealArray,
     linear: RealArray,
     *,
     lower: RealArray,
@@ -151,8 +152,10 @@ def descend_in_boxes(
 
     Parameters
     ----------
-    hessians : (frames, n, n) float array
-        Symmetric, positive definite.
+    product : callable
+        (frames, n) rows to each row's H times it; H is symmetric, positive definite.
+    diagonal : (frames, n) float array
+        Of each row's H.
     linear : (frames, n) float array
     lower, upper, start : (frames, n) float arrays
     steps : int
@@ -163,19 +166,16 @@ def descend_in_boxes(
     (frames, n) float array
         Within the bounds exactly.
     """
-    diagonal = np.einsum("fnn->fn", hessians)
     unit = 1 / np.sqrt(np.maximum(diagonal, np.finfo(np.float32).tiny))
-    scaled = hessians * unit[:, :, None] * unit[:, None]
-    vector = np.ones_like(linear)[:, :, None]
+    vector = np.ones_like(linear)
     for _ in range(_POWER_STEPS):
-        vector = scaled @ vector
+        vector = unit * product(unit * vector)
         largest = np.linalg.norm(vector, axis=1, keepdims=True)
         vector /= largest
-    step = 1 / (_POWER_MARGIN * largest[:, 0])
-    target = linear * unit
+    step = unit / (_POWER_MARGIN * largest)
     low, high = lower / unit, upper / unit
     z = _accelerate(
-        lambda z: z - step * ((scaled @ z[:, :, None])[:, :, 0] - target),
+        lambda z: z - step * (product(unit * z) - linear),
         np.clip(start / unit, low, high),
         low,
         high,
