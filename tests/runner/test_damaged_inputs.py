@@ -14,13 +14,14 @@ from hypothesis import strategies as st
 from tests.damage import DEEP, TOKENS, Spoil, damage
 from tests.specs.test_takes import job
 from usdface.core.errors import InputError
+from usdface.core.text import read_text
 from usdface.publish.integrate import read_manifest
 from usdface.runner.origin import provenance_of
 from usdface.specs.paths import read_path_rules
 from usdface.specs.reading import read_job
 from usdface.speech.forced_alignment import spoken_words
 from usdface.speech.phone_track import PhoneTrack, Span
-from usdface.speech.pronunciation import read_dictionary, read_text
+from usdface.speech.pronunciation import read_dictionary
 from usdface.speech.track_files import read_phone_track, write_phone_track
 from usdface.steps.inputs.weight_tables import read_alpha, read_weight_table
 from usdface.steps.surface.make_shapes import _from_csv

@@ -1,6 +1,9 @@
-"""Numbers and lists as messages write them."""
+"""Numbers and lists as messages write them; text files that people write."""
 
 from collections.abc import Iterable
+from pathlib import Path
+
+from usdface.core.errors import InputError
 
 
 def pluralize(count: int, noun: str) -> str:
@@ -19,3 +22,24 @@ def first_few(names: Iterable[object], *, most: int = 5) -> str:
     written = list(map(str, names))
     rest = len(written) - most
     return ", ".join(written[:most]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def read_text(path: Path, largest_bytes: int) -> str:
+    """Read a text file of people, in UTF-8 or UTF-16.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read or is too large.
+    """
+    try:
+        if path.stat().st_size > largest_bytes:
+            raise InputError(f"{path}: {path.stat().st_size} bytes are too many for a text")
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error
+    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    try:
+        return data.decode(encoding)
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not UTF-8 at byte {error.start}; save it as UTF-8") from error

@@ -10,6 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from usdface.core.errors import InputError
+from usdface.core.text import read_text
 from usdface.speech.visemes import SILENCE, arpabet_of
 
 # Each rule is where it applies and what is said; the first that fits at a letter wins. Looking
@@ -174,24 +175,3 @@ def read_dictionary(path: Path) -> dict[str, tuple[str, ...]]:
         name = re.sub(r"\(\d+\)$", "", word.lower())
         said.setdefault(name, tuple(phone.upper() for phone in known if phone is not None))
     return said
-
-
-def read_text(path: Path, largest_bytes: int) -> str:
-    """Read a text file of people, in UTF-8 or UTF-16.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read or is too large.
-    """
-    try:
-        if path.stat().st_size > largest_bytes:
-            raise InputError(f"{path}: {path.stat().st_size} bytes are too many for a text")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error
-    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    try:
-        return data.decode(encoding)
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8 at byte {error.start}; save it as UTF-8") from error

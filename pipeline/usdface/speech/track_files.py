@@ -11,8 +11,8 @@ from urllib.parse import quote, unquote
 
 from usdface.core.errors import InputError
 from usdface.core.replacing import replacing, replacing_together
+from usdface.core.text import read_text
 from usdface.speech.phone_track import PhoneTrack, Span
-from usdface.speech.pronunciation import read_text
 from usdface.speech.visemes import viseme_of
 
 if TYPE_CHECKING:

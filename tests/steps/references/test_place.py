@@ -160,7 +160,7 @@ def test_a_marker_that_is_deactivated_counts_in_no_solve(shot: Shot) -> None:
         ("marker,x,y,z\n{name},0,0,9000\n", "mm off the rig"),
         ("marker,point\n{name},-3\n", "no point -3|must be MESH:INDEX"),
         ("marker,point\n", "names no landmark"),
-        ("frame,point\n1,3\n", "needs other columns"),
+        ("frame,point\n1,3\n", "has no `marker` column"),
         ('{{"{name}": [1, 2]}}', "neither a point nor x, y, z"),
         ("[1, 2]", "names no marker"),
         ("{{", "is no table of landmarks"),

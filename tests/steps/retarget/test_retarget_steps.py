@@ -583,7 +583,7 @@ def another_source(stall: Stall) -> str:
         (unmatched_targets, "1 retargetings, 2 outputs and 0 rigs"),
         (alpha_without_hybrid, "train with --method hybrid"),
         (alpha_out_of_range, "frame 9: alpha is 1.5"),
-        (alpha_without_numbers, "line 2: needs numbers in the columns"),
+        (alpha_without_numbers, "line 1: has no `frame` column"),
         (mapping_of_markers, "not a retargeting"),
         (rig_gone, "is not there; name it with --rig"),
         (another_source, "none of its 3 shapes"),

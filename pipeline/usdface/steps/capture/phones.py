@@ -5,7 +5,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import LAYER_SUFFIXES
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import first_few, pluralize, read_text
 from usdface.media.film.sound import read_audio
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
@@ -18,7 +18,7 @@ from usdface.speech.forced_alignment import (
     spoken_words,
 )
 from usdface.speech.phone_track import INCOMPLETE_SHARE, PhoneTrack, Span, share_outside
-from usdface.speech.pronunciation import read_dictionary, read_text
+from usdface.speech.pronunciation import read_dictionary
 from usdface.speech.track_files import write_phone_track
 from usdface.speech.visemes import viseme_of
 from usdface.usdio.take.read import read_take

@@ -1,9 +1,8 @@
 """Places of markers on a rig that people give: a table, or the corrections of a binding."""
 
-import csv
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,9 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig, RigMesh
 from usdface.core.errors import InputError
 from usdface.core.sidecars import LAYER_SUFFIXES
-from usdface.core.text import first_few
+from usdface.core.text import first_few, read_text
 from usdface.numerics.registration.surface_places import nearest_places
+from usdface.steps.inputs.weight_tables import csv_rows
 from usdface.usdio.rig.mesh import rig_surfaces
 from usdface.usdio.surface.placement import read_given_places, rig_units_to_ours
 
@@ -72,31 +72,26 @@ def read_landmarks(path: Path, names: Sequence[str], rig: Rig) -> dict[str, Floa
     return found
 
 
-def _rows(path: Path) -> Iterator[tuple[str, str, object]]:
-    """Yield where each row is, its marker and its value."""
-    try:
-        if path.stat().st_size > _LARGEST_BYTES:
-            raise InputError(f"{path}: {path.stat().st_size} bytes are too many for landmarks")
-        text = path.read_text(encoding="utf-8-sig")
-        if path.suffix.lower() == ".json":
+def _rows(path: Path) -> list[tuple[str, str, object]]:
+    """Return where each row is, its marker and its value."""
+    if path.suffix.lower() == ".json":
+        text = read_text(path, _LARGEST_BYTES)
+        try:
             data = json.loads(text)
-            if not isinstance(data, dict):
-                raise InputError(f"{path}: names no marker; write {_FORM}")
-            yield from (("entry", str(name), value) for name, value in data.items())
-            return
-        reader = csv.DictReader(text.splitlines())
-        columns = set(reader.fieldnames or ())
-        if not ({"marker", "point"} <= columns or {"marker", "x", "y", "z"} <= columns):
-            raise InputError(f"{path} line 1: needs other columns; write {_FORM}")
-        for row in reader:
-            value = row.get("point") or [row.get(axis) for axis in "xyz"]
-            yield f"line {reader.line_num}", str(row["marker"]).strip(), value
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error
-    except (UnicodeDecodeError, csv.Error, RecursionError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path}: is no table of landmarks ({error}); write {_FORM}") from error
+        except (ValueError, RecursionError) as error:
+            raise InputError(
+                f"{path}: is no table of landmarks ({error}); write {_FORM}"
+            ) from error
+        if not isinstance(data, dict):
+            raise InputError(f"{path}: names no marker; write {_FORM}")
+        return [("entry", str(name), value) for name, value in data.items()]
+    rows = csv_rows(path, ("marker",))
+    if rows and not ("point" in rows[0][1] or set("xyz") <= rows[0][1].keys()):
+        raise InputError(f"{path} line 1: needs other columns; write {_FORM}")
+    return [
+        (where, str(row["marker"]).strip(), row.get("point") or [row.get(axis) for axis in "xyz"])
+        for where, row in rows
+    ]
 
 
 def _place(value: object, rig: Rig) -> FloatArray:

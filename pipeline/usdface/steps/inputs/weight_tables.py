@@ -15,7 +15,7 @@ from usdface.core.arrays import FloatArray, IntArray, columns_by_name
 from usdface.core.errors import InputError
 from usdface.core.rates import FARTHEST_FRAME
 from usdface.core.sidecars import LAYER_SUFFIXES
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import first_few, pluralize, read_text
 from usdface.usdio.mapping import read_alpha_keys
 from usdface.usdio.performance.blender_export import (
     BlenderWeights,
@@ -103,8 +103,7 @@ def read_weight_table(path: Path, *, known: tuple[str, ...] = ()) -> WeightTable
         weights = reader.edited().astype(np.float64)
         numbers = tuple(reader.frames.tolist())
         return WeightTable(reader.names, numbers, weights, reader.rate, reader.keyed_frames)
-    text = _read_text(path)
-    rows = _json_rows(path, text) if path.suffix == ".json" else _csv_rows(path, text)
+    rows = _json_rows(path) if path.suffix == ".json" else csv_rows(path, ("frame",))
     if not rows:
         raise InputError(f"{path}: holds no rows of weights")
     names = tuple(name for name in rows[0][1] if name != "frame")
@@ -141,24 +140,20 @@ def _blender_table(exported: BlenderWeights, known: tuple[str, ...]) -> WeightTa
     )
 
 
-def _read_text(path: Path) -> str:
-    try:
-        if path.stat().st_size > LARGEST_TABLE_BYTES:
-            raise InputError(f"{path}: {path.stat().st_size} bytes are too many for a table")
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8 at byte {error.start}; save it as UTF-8") from error
+def csv_rows(path: Path, columns: Sequence[str]) -> list[tuple[str, dict[str, object]]]:
+    """Read the rows of a table that has these columns, each with where it stands.
 
-
-def _csv_rows(path: Path, text: str) -> list[tuple[str, dict[str, object]]]:
-    reader = csv.DictReader(text.splitlines())
+    Raises
+    ------
+    InputError
+        If the file is no such table; the line and the column are named.
+    """
+    reader = csv.DictReader(read_text(path, LARGEST_TABLE_BYTES).splitlines())
     header = reader.fieldnames or []
-    if "frame" not in header:
+    missing = [name for name in columns if name not in header]
+    if missing:
         raise InputError(
-            f"{path} line 1: has no `frame` column; the first line must name the columns: frame, "
-            "then one per shape"
+            f"{path} line 1: has no `{missing[0]}` column; the first line must name the columns"
         )
     repeated = sorted({name for name in header if header.count(name) > 1})
     if repeated:
@@ -178,7 +173,8 @@ def _csv_rows(path: Path, text: str) -> list[tuple[str, dict[str, object]]]:
         raise InputError(f"{path} line {reader.line_num}: {error}") from error
 
 
-def _json_rows(path: Path, text: str) -> list[tuple[str, dict[str, object]]]:
+def _json_rows(path: Path) -> list[tuple[str, dict[str, object]]]:
+    text = read_text(path, LARGEST_TABLE_BYTES)
     try:
         data = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -269,7 +265,7 @@ def read_alpha(path: Path, frames: IntArray) -> FloatArray:
     InputError
         If there are no keys, or one lies outside 0 to 1.
     """
-    keys = read_alpha_keys(path) if path.suffix in LAYER_SUFFIXES else _read_table(path)
+    keys = read_alpha_keys(path) if path.suffix in LAYER_SUFFIXES else _read_keys(path)
     for frame, alpha in keys:
         if not 0.0 <= alpha <= 1.0:
             raise InputError(f"{path} frame {frame:g}: alpha is {alpha:g}; it must lie in 0 to 1")
@@ -280,22 +276,11 @@ def read_alpha(path: Path, frames: IntArray) -> FloatArray:
     return np.asarray(np.interp(frames, times, values))
 
 
-def _read_table(path: Path) -> list[tuple[float, float]]:
-    try:
-        rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read as CSV: {error}") from error
-    keys = []
-    for line, row in enumerate(rows, start=2):
-        try:
-            key = float(str(row.get("frame"))), float(str(row.get("alpha")))
-        except ValueError:
-            key = math.nan, math.nan
-        if not all(map(math.isfinite, key)):
-            raise InputError(
-                f"{path} line {line}: needs numbers in the columns `frame` and `alpha`, got {row}"
-            )
-        keys.append(key)
-    if not keys:
+def _read_keys(path: Path) -> list[tuple[float, float]]:
+    rows = csv_rows(path, ("frame", "alpha"))
+    if not rows:
         raise InputError(f"{path}: holds no keys; write a line `frame,alpha` and one for each key")
-    return keys
+    return [
+        (_number(path, where, "frame", row["frame"]), _number(path, where, "alpha", row["alpha"]))
+        for where, row in rows
+    ]

@@ -1,6 +1,5 @@
 """Frames of a take, chosen and named, become the shapes of a mesh that has none."""
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,13 +13,12 @@ from usdface.core.text import first_few
 from usdface.numerics.regression.reference_design import most_different_rows
 from usdface.runner.result import StepResult
 from usdface.specs.surface import MakeShapesSpec
+from usdface.steps.inputs.weight_tables import csv_rows
 from usdface.steps.surface.picture import write_shapes_picture
 from usdface.steps.surface.plan import SurfacePlan, plan_surface
 from usdface.usdio.references.read import read_pair_notes
 from usdface.usdio.surface.shape_rig import NewShape, WrittenShape, write_shape_rig
 from usdface.usdio.take.read import TakeReader
-
-_LARGEST_CSV_BYTES = 1 << 20
 
 _USABLE_SHARE = 0.9
 """Share of visible markers [0-1] below which a frame is not chosen."""
@@ -100,23 +98,17 @@ def _from_text(text: str) -> ShapeFrame:
 
 
 def _from_csv(path: Path) -> tuple[ShapeFrame, ...]:
-    try:
-        if path.stat().st_size > _LARGEST_CSV_BYTES:
-            raise InputError(f"{path}: is too large for a list of frames and names")
-        rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read as CSV: {error}; save it as UTF-8") from error
-    if not rows or not {"frame", "name"} <= set(rows[0]):
-        raise InputError(f"{path}: needs the columns frame and name, and a row for each shape")
     found = []
-    for number, row in enumerate(rows, start=2):
+    for where, row in csv_rows(path, ("frame", "name")):
         try:
             frame = int(str(row["frame"]).strip())
         except ValueError as error:
             raise InputError(
-                f"{path} line {number}: frame {row['frame']!r} is no whole number"
+                f"{path} {where}: frame {row['frame']!r} is no whole number"
             ) from error
         found.append(ShapeFrame(frame, str(row["name"] or "").strip() or f"frame_{frame}"))
+    if not found:
+        raise InputError(f"{path}: needs a row with a frame and a name for each shape")
     return tuple(found)
 
 
