@@ -1,8 +1,8 @@
 """Units and axes of a capture brought to millimetres with Y up."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 
 _MM_PER_UNIT = {
@@ -56,7 +56,7 @@ def mm_per_unit(units: str, *, where: str) -> float:
     return scale
 
 
-def rotation_to_y_up(*, up: str, where: str) -> NDArray[np.float64]:
+def rotation_to_y_up(*, up: str, where: str) -> FloatArray:
     """Return the rotation that brings `up`, such as 'y', 'z' or '-x', to Y.
 
     Raises
@@ -69,7 +69,7 @@ def rotation_to_y_up(*, up: str, where: str) -> NDArray[np.float64]:
     return _UPRIGHT[up.lower()]
 
 
-def rotation_from_screen(x_screen: str, y_screen: str, *, where: str) -> NDArray[np.float64]:
+def rotation_from_screen(x_screen: str, y_screen: str, *, where: str) -> FloatArray:
     """Return the rotation to Y up from the axes that point right and up: ``'+X'``, ``'-Z'``.
 
     Raises
@@ -86,7 +86,7 @@ def rotation_from_screen(x_screen: str, y_screen: str, *, where: str) -> NDArray
     return np.stack([right, up, np.cross(right, up)])
 
 
-def _signed_axis(text: str) -> NDArray[np.float64] | None:
+def _signed_axis(text: str) -> FloatArray | None:
     """Return the unit vector of ``'+X'``, ``'-y'`` or ``'Z'``."""
     text = text.strip().upper()
     axis = _AXES.get(text[-1:])

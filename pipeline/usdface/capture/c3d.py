@@ -25,6 +25,7 @@ from usdface.capture.marker_take import (
     build_marker_take,
     settle_units,
 )
+from usdface.core.arrays import Float32Array
 from usdface.core.assets import Event
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
@@ -39,9 +40,9 @@ _CHUNK_BYTES = 32 << 20
 class C3dPoints:
     """A stretch of point samples, in the file's own units and axes."""
 
-    positions: NDArray[np.float32]
+    positions: Float32Array
     """(frames, points, 3): as stored, also where a point was not seen."""
-    residuals: NDArray[np.float32]
+    residuals: Float32Array
     """(frames, points): reconstruction residual in the file's units; negative where the point was
     not seen."""
 
@@ -102,7 +103,7 @@ class C3dFile:
                 positions[rows] *= np.float32(layout.scale)
         return C3dPoints(positions, residuals)
 
-    def read_analog(self, start: int = 0, stop: int | None = None) -> NDArray[np.float32]:
+    def read_analog(self, start: int = 0, stop: int | None = None) -> Float32Array:
         """Read the analog samples of point frames `start` to `stop`, scaled to their units.
 
         Returns
@@ -155,7 +156,7 @@ class C3dFile:
             C3dEvent(labels[i], "", float(times[i])) for i in range(min(count, _HEADER_EVENT_LIMIT))
         )
 
-    def _analog_calibration(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _analog_calibration(self) -> tuple[Float32Array, Float32Array]:
         """Return scale and offset per channel; a channel without them is passed as stored."""
         parameters, count = self.layout.parameters, self.layout.analog_count
         scale, offset = np.ones(count, np.float32), np.zeros(count, np.float32)
@@ -218,7 +219,7 @@ def open_c3d(path: Path) -> C3dFile:
     )
 
 
-def _residuals(words: NDArray[np.generic], scale: float) -> NDArray[np.float32]:
+def _residuals(words: NDArray[np.generic], scale: float) -> Float32Array:
     """Decode the fourth number of a point: cameras in the high byte, the residual in the low one.
 
     Negative, or not a number: the point was not seen.

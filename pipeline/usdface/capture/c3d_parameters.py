@@ -10,14 +10,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from usdface.core.arrays import Float32Array, FloatArray
 
 _TYPE_TEXT = -1
 _TYPE_BYTE = 1
 _TYPE_INTEGER = 2
 _TYPE_REAL = 4
 _SECTION_HEADER_SIZE = 4
-Value = NDArray[np.float64] | tuple[str, ...]
+Value = FloatArray | tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Processor:
         """16-bit unsigned."""
         return np.dtype(f"{self.order}u2")
 
-    def floats(self, raw: bytes | bytearray | memoryview) -> NDArray[np.float32]:
+    def floats(self, raw: bytes | bytearray | memoryview) -> Float32Array:
         """Decode 32-bit floats.
 
         DEC machines stored VAX F floats: the two 16-bit words the other way round and an exponent
@@ -69,12 +70,12 @@ class Parameters:
     notes: tuple[str, ...] = ()
     """What could not be read."""
 
-    def numbers(self, name: str) -> NDArray[np.float64]:
+    def numbers(self, name: str) -> FloatArray:
         """Return the numbers of a parameter and its continuations, flat; empty when absent or text.
 
         Scales of channels and times of events are continued as labels are, see `texts`.
         """
-        found: list[NDArray[np.float64]] = []
+        found: list[FloatArray] = []
         while isinstance(value := self.values.get(_part(name, len(found) + 1)), np.ndarray):
             found.append(value.ravel())
         return np.concatenate(found) if found else np.empty(0)

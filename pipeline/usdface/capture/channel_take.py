@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from usdface.capture.marker_take import Capture
 from usdface.capture.sample_times import SampleTimes
+from usdface.core.arrays import Float32Array, FloatArray
 from usdface.core.assets import Take, WeightsClip
 from usdface.core.text import first_few
 
@@ -18,7 +18,7 @@ _FIRST_FRAME = 1
 def build_channel_take(
     path: Path,
     names: Sequence[str],
-    values: NDArray[np.float64],
+    values: FloatArray,
     times: SampleTimes,
     *,
     notes: Sequence[str],
@@ -51,7 +51,7 @@ def build_channel_take(
     return Capture(take, format_name, tuple(found))
 
 
-def fill_frames(values: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray[np.float32]:
+def fill_frames(values: FloatArray, frames: FloatArray) -> Float32Array:
     """Return one row per whole frame, linear between the samples around it.
 
     Parameters
@@ -74,7 +74,7 @@ def fill_frames(values: NDArray[np.float64], frames: NDArray[np.float64]) -> NDA
     return filled
 
 
-def describe_missing(frames: NDArray[np.float64]) -> list[str]:
+def describe_missing(frames: FloatArray) -> list[str]:
     """Say which frames are missing between samples at whole frames, if any."""
     skipped = (np.diff(frames) - 1).astype(np.int64)
     if not skipped.any():

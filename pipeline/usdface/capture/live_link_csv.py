@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from usdface.capture.channel_take import build_channel_take
 from usdface.capture.marker_take import Capture, CaptureOptions
@@ -26,6 +25,7 @@ from usdface.capture.text_table import (
     split_cells,
     without_empty_tail,
 )
+from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 from usdface.core.rates import timecode_of
 from usdface.core.text import pluralize
@@ -170,15 +170,15 @@ def _settle_base(rows: _Rows, notes: list[str], where: str) -> int:
     return min(possible, key=lambda base: abs(base - estimate))
 
 
-def _unwrap(rows: _Rows, base: int) -> NDArray[np.float64]:
+def _unwrap(rows: _Rows, base: int) -> FloatArray:
     """Return seconds since the first midnight, through later ones."""
-    seconds: NDArray[np.float64] = np.array(rows.whole) + np.array(rows.parts) / base
+    seconds: FloatArray = np.array(rows.whole) + np.array(rows.parts) / base
     midnights = np.diff(seconds) < -_DAY_SECONDS / 2
     seconds[1:] += _DAY_SECONDS * np.cumsum(midnights)
     return seconds
 
 
-def _check_one_rate(seconds: NDArray[np.float64], rows: _Rows, where: str) -> None:
+def _check_one_rate(seconds: FloatArray, rows: _Rows, where: str) -> None:
     """Refuse a recording whose rows come at one rate for a while, then at twice or half of it."""
     steps = np.diff(seconds)
     usual = float(np.median(steps))

@@ -4,9 +4,6 @@ import re
 from fractions import Fraction
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from usdface.capture.marker_take import (
     Capture,
     CaptureHeader,
@@ -25,6 +22,7 @@ from usdface.capture.text_table import (
     split_cells,
     without_empty_tail,
 )
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
 
@@ -98,9 +96,9 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
 
 
 def _rate(
-    values: NDArray[np.float64],
+    values: FloatArray,
     time_at: int | None,
-    frames: NDArray[np.int64],
+    frames: IntArray,
     options: CaptureOptions,
     path: Path,
 ) -> Fraction:

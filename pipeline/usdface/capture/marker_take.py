@@ -6,10 +6,10 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from usdface.capture.axes import mm_per_unit, rotation_to_y_up
 from usdface.capture.marker_labels import match_labels, settle_labels
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
@@ -48,7 +48,7 @@ class Capture:
     """Key of the reader, such as ``'c3d'``."""
     notes: tuple[str, ...] = ()
     """What was dropped, repaired or assumed, one sentence each."""
-    axes: NDArray[np.float64] | None = None
+    axes: FloatArray | None = None
     """(3, 3): rotation that brought the file's axes to Y up, if markers had to be turned."""
 
 
@@ -68,7 +68,7 @@ class CaptureHeader:
     """SMPTE timecode of the first frame, empty when unknown."""
     notes: Sequence[str] = ()
     """What the reader has noted so far."""
-    to_mm: NDArray[np.float64] | None = None
+    to_mm: FloatArray | None = None
     """(3, 3): what brought the file's units and axes to mm, Y up."""
 
 
@@ -80,11 +80,11 @@ class MarkerTable:
     """As written, subject prefixes included."""
     columns: Sequence[int]
     """Column of each label's X; Y and Z follow."""
-    values: NDArray[np.float64]
+    values: FloatArray
     """(rows, columns): NaN where a marker was not seen."""
-    frames: NDArray[np.int64]
+    frames: IntArray
     """(rows,): frame of each row from 0, ascending."""
-    to_mm: NDArray[np.float64]
+    to_mm: FloatArray
     """(3, 3): brings the table's units and axes to mm, Y up."""
     where: str
     """File and place of the labels, for messages."""
@@ -93,8 +93,8 @@ class MarkerTable:
 def build_marker_take(
     header: CaptureHeader,
     names: Sequence[str],
-    positions: NDArray[np.float32],
-    visible: NDArray[np.bool_],
+    positions: Float32Array,
+    visible: BoolArray,
     options: CaptureOptions,
 ) -> Capture:
     """Make a take of markers that are already in mm with Y up.
@@ -162,14 +162,14 @@ def _settle_rate(header: CaptureHeader, options: CaptureOptions, notes: list[str
     return stated
 
 
-def _confidence(visible: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _confidence(visible: BoolArray) -> Float32Array:
     """Return 1 where seen, 0 elsewhere; without memory of its own where all is seen."""
     if visible.all():
         return np.broadcast_to(np.float32(1), visible.shape)
     return visible.astype(np.float32)
 
 
-def hold_last_seen(positions: NDArray[np.float32], visible: NDArray[np.bool_]) -> None:
+def hold_last_seen(positions: Float32Array, visible: BoolArray) -> None:
     """Give unseen samples the last seen position, or before the first sighting that one; in place.
 
     Parameters
@@ -186,7 +186,7 @@ def hold_last_seen(positions: NDArray[np.float32], visible: NDArray[np.bool_]) -
         positions[~seen, marker] = positions[latest[~seen], marker]
 
 
-def _hide_impossible(positions: NDArray[np.float32], visible: NDArray[np.bool_]) -> list[str]:
+def _hide_impossible(positions: Float32Array, visible: BoolArray) -> list[str]:
     """Mark samples no camera can have seen as unseen, and say how many there were."""
     counts = np.zeros(3, np.int64)
     for start in range(0, len(positions), _CHUNK_ROWS):  # temporaries stay small on long takes
@@ -209,7 +209,7 @@ def _hide_impossible(positions: NDArray[np.float32], visible: NDArray[np.bool_])
 
 
 def _settle_neutral(
-    path: Path, visible: NDArray[np.bool_], first_frame: int, neutral: int | None, notes: list[str]
+    path: Path, visible: BoolArray, first_frame: int, neutral: int | None, notes: list[str]
 ) -> int:
     last_frame = first_frame + len(visible) - 1
     if neutral is None:
@@ -265,7 +265,7 @@ def settle_space(
     where: str,
     field: str,
     up_note: str = "",
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Return the matrix to mm with Y up, from what the file states, assumes or the user says.
 
     Parameters

@@ -11,7 +11,6 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from usdface.capture.channel_take import fill_frames
 from usdface.capture.marker_take import (
@@ -34,7 +33,7 @@ from usdface.capture.text_table import (
     split_cells,
     without_empty_tail,
 )
-from usdface.core.arrays import index_of
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, index_of
 from usdface.core.assets import Take, WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
@@ -144,10 +143,8 @@ def _read_header(header: TableLine, delimiter: str) -> _Columns:
     return _Columns(titles, at, landmarks, units)
 
 
-def _rows_with_face(
-    success: NDArray[np.float64], path: Path, notes: list[str]
-) -> NDArray[np.bool_]:
-    seen: NDArray[np.bool_] = success == 1
+def _rows_with_face(success: FloatArray, path: Path, notes: list[str]) -> BoolArray:
+    seen: BoolArray = success == 1
     if not seen.any():
         raise InputError(
             f"{path}: no face found in any of {len(seen)} frames (success is 0); film the face "
@@ -178,8 +175,8 @@ def _one_face(table: NumberTable, face_column: int | None, notes: list[str]) -> 
 def _read_units(
     table: NumberTable,
     columns: _Columns,
-    seen: NDArray[np.bool_],
-    frames: NDArray[np.int64],
+    seen: BoolArray,
+    frames: IntArray,
     first_frame: int,
     rate: Fraction,
     *,
@@ -201,7 +198,7 @@ def _read_units(
     return WeightsClip(tuple(columns.units), held, first_frame, rate)
 
 
-def _add(capture: Capture, source: WeightsClip | None, confidence: NDArray[np.float64]) -> Capture:
+def _add(capture: Capture, source: WeightsClip | None, confidence: FloatArray) -> Capture:
     """Put weights and the tracker's confidence into a take of markers."""
     take = capture.take
     if take.markers is not None:

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.rates import NTSC_BASES, exact_rate
 
@@ -30,7 +30,7 @@ class SampleTimes:
 
     rate: Fraction
     """Frames per second."""
-    frames: NDArray[np.float64]
+    frames: FloatArray
     """(samples,): where each sample lies, in frames from the first; whole numbers where `even`."""
     even: bool
     """Whether samples came at whole frames, some perhaps missing."""
@@ -38,9 +38,7 @@ class SampleTimes:
     """How much faster than `rate` samples came by their own clock, relative; 0 unless `even`."""
 
 
-def settle_device_times(
-    seconds: NDArray[np.float64], lines: NDArray[np.int64], *, where: str
-) -> SampleTimes:
+def settle_device_times(seconds: FloatArray, lines: IntArray, *, where: str) -> SampleTimes:
     """Find the frame rate a device ran at and the frame of each of its samples.
 
     Frames are counted from one sample to the next, so a device whose clock is a little off keeps
@@ -84,8 +82,8 @@ def settle_device_times(
 
 
 def settle_frame_numbers(
-    numbers: NDArray[np.float64], lines: NDArray[np.int64], *, where: str
-) -> tuple[int, NDArray[np.int64]]:
+    numbers: FloatArray, lines: IntArray, *, where: str
+) -> tuple[int, IntArray]:
     """Return the first frame number, and the frame of each row from 0.
 
     Raises
@@ -107,9 +105,7 @@ def settle_frame_numbers(
     return int(numbers[0]), frames.astype(np.int64)
 
 
-def rate_of_times(
-    seconds: NDArray[np.float64], frames: NDArray[np.int64], *, where: str
-) -> Fraction:
+def rate_of_times(seconds: FloatArray, frames: IntArray, *, where: str) -> Fraction:
     """Return the simplest rate that rounded times of numbered frames allow.
 
     Raises
@@ -134,8 +130,8 @@ def rate_of_times(
 def check_rate(
     rate: Fraction,
     stated_in: str,
-    seconds: NDArray[np.float64],
-    frames: NDArray[np.int64],
+    seconds: FloatArray,
+    frames: IntArray,
     *,
     where: str,
 ) -> None:
@@ -162,7 +158,7 @@ def check_rate(
         )
 
 
-def check_ascending(values: NDArray[np.float64], lines: NDArray[np.int64], *, where: str) -> None:
+def check_ascending(values: FloatArray, lines: IntArray, *, where: str) -> None:
     """Refuse times or frame numbers that repeat or go back.
 
     Raises
@@ -179,7 +175,7 @@ def check_ascending(values: NDArray[np.float64], lines: NDArray[np.int64], *, wh
         )
 
 
-def check_span(frames: NDArray[np.float64], lines: NDArray[np.int64], *, where: str) -> None:
+def check_span(frames: FloatArray, lines: IntArray, *, where: str) -> None:
     """Refuse samples so far apart that most of a take would be missing.
 
     Raises
@@ -196,7 +192,7 @@ def check_span(frames: NDArray[np.float64], lines: NDArray[np.int64], *, where: 
 
 
 def _rate_limits(
-    seconds: NDArray[np.float64], frames: NDArray[np.int64], *, where: str
+    seconds: FloatArray, frames: IntArray, *, where: str
 ) -> tuple[float, float, float]:
     """Return the lowest, the measured and the highest rate that such rounded times can mean."""
     usable = len(seconds) > 1 and bool((np.abs(seconds) < _LONGEST_SECONDS).all())  # and not NaN

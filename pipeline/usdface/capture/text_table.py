@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
 
 LARGEST_BYTES = 4 << 30
@@ -46,9 +46,9 @@ class TableLine:
 class NumberTable:
     """Rows of numbers under named columns."""
 
-    values: NDArray[np.float64]
+    values: FloatArray
     """(rows, columns): NaN where a cell is empty or says so, and in columns kept as text."""
-    lines: NDArray[np.int64]
+    lines: IntArray
     """(rows,): where each row is in its file."""
     texts: dict[int, list[str]] = field(default_factory=dict)
     """Cells of the columns that were kept as text, by column."""

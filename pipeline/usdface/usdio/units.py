@@ -3,9 +3,10 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pxr import Gf, Sdf, Usd, UsdGeom
 
+from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 from usdface.usdio.layers import open_layer
 
@@ -18,18 +19,18 @@ _SMALLEST_UNIT_M, _LARGEST_UNIT_M = 1e-9, 1e6
 """Nanometres, and more than any scene is measured in."""
 
 
-def stage_to_ours(stage: Usd.Stage) -> NDArray[np.float64]:
+def stage_to_ours(stage: Usd.Stage) -> FloatArray:
     """Return the 3x3 that turns a stage's column vectors into millimetres, Y up."""
     turn = Z_UP_TO_Y_UP if is_z_up(stage) else np.eye(3)
     return millimetres(stage) * turn
 
 
-def column_matrix(matrix: Gf.Matrix4d) -> NDArray[np.float64]:
+def column_matrix(matrix: Gf.Matrix4d) -> FloatArray:
     """Return a USD matrix (row vectors) as one for column vectors."""
     return np.array(matrix, dtype=np.float64).T
 
 
-def transform_points(matrix: NDArray[np.float64], points: ArrayLike) -> NDArray[np.float64]:
+def transform_points(matrix: FloatArray, points: ArrayLike) -> FloatArray:
     """Apply a (4, 4) column-vector transform to (n, 3) points."""
     points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     return np.asarray(points @ matrix[:3, :3].T + matrix[:3, 3], dtype=np.float64)

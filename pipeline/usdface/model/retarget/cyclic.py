@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import Rig
 from usdface.core.controls import ExpressionPairs
 from usdface.core.deformer import Deformer
@@ -77,7 +76,7 @@ def spread_displacements(
     return np.asarray(moved).reshape(len(names), -1, 3)
 
 
-def _columns(point_count: int, most: int) -> NDArray[np.int64]:
+def _columns(point_count: int, most: int) -> IntArray:
     """Return the columns x, y, z of every n-th point, so that at most so many are taken."""
     points = np.arange(0, point_count, -(-point_count // most))
     return np.asarray((3 * points[:, None] + np.arange(3)).ravel(), np.int64)

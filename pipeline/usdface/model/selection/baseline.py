@@ -11,10 +11,9 @@ tell of lids is measured, and enlarged or left out.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
@@ -118,7 +117,7 @@ def find_lid_evidence(
     return LidEvidence(tuple(full), seen)
 
 
-Positions = NDArray[np.float32] | FloatArray
+Positions = Float32Array | FloatArray
 
 _MOTION_FRAMES = 2000
 """Frames spread over a take that placement may look at."""

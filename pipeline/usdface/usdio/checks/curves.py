@@ -3,10 +3,9 @@
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 from pxr import Usd, UsdSkel
 
-from usdface.core.arrays import FloatArray, index_of, runs
+from usdface.core.arrays import BoolArray, FloatArray, index_of, runs
 from usdface.core.text import first_few, pluralize
 from usdface.usdio.checks.fault import Fault, Samples, is_recorded, is_solved, read_samples
 
@@ -216,7 +215,7 @@ def _stuck(samples: Samples, ranges: FloatArray) -> Iterator[Fault]:
     moving = ~still.all(axis=1)
     inside = np.minimum(samples.values - ranges[:, 0], ranges[:, 1] - samples.values)
     for column in np.flatnonzero(still.any(axis=0)):
-        held: NDArray[np.bool_] = still[:, column] & moving & (inside[1:, column] > FROZEN_CHANGE)
+        held: BoolArray = still[:, column] & moving & (inside[1:, column] > FROZEN_CHANGE)
         stretches = _stretches(samples, held, STUCK_SECONDS)
         if stretches:
             first, last, seconds = max(stretches, key=lambda each: each[2])
@@ -231,7 +230,7 @@ def _stuck(samples: Samples, ranges: FloatArray) -> Iterator[Fault]:
 
 
 def _stretches(
-    samples: Samples, still: NDArray[np.bool_], least_seconds: float
+    samples: Samples, still: BoolArray, least_seconds: float
 ) -> list[tuple[float, float, float]]:
     """Return first and last time code, and seconds, of stretches that are long enough."""
     found = []

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdSkel, Vt
 
 from usdface.core.arrays import FloatArray, IntArray
@@ -28,13 +27,13 @@ class PlacedMesh:
     """(n, 3, 3) or (3, 3): turns an offset in mesh space into ours; per point where skinning bends
     the mesh."""
 
-    def offsets(self, points: NDArray[np.int64], offsets: FloatArray) -> FloatArray:
+    def offsets(self, points: IntArray, offsets: FloatArray) -> FloatArray:
         """Turn offsets of some points from mesh space into millimetres, Y up."""
         if self.linear.ndim == 2:
             return np.asarray(offsets @ self.linear.T)
         return np.asarray(np.einsum("nij,nj->ni", self.linear[points], offsets))
 
-    def normals(self, normals: FloatArray, points: NDArray[np.int64] | None = None) -> FloatArray:
+    def normals(self, normals: FloatArray, points: IntArray | None = None) -> FloatArray:
         """Turn normals, or what is added to them, into our space; unit ones stay unit.
 
         Of the points given; of all by default.

@@ -5,10 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdSkel
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.core.errors import InputError
 from usdface.usdio.layers import open_stage, refusing_wrong_types
@@ -171,7 +170,7 @@ def _read_mesh(prim: Usd.Prim, rest: RestPose, path: Path) -> RigMesh:
 
 def _shape_keys(
     shape: UsdSkel.BlendShape, point_count: int, path: Path
-) -> list[tuple[float, NDArray[np.int64], FloatArray, FloatArray | None]]:
+) -> list[tuple[float, IntArray, FloatArray, FloatArray | None]]:
     """Return (weight, points, offsets, normal offsets) by ascending weight."""
     where = f"{path} <{shape.GetPath()}>"
     authored = shape.GetPointIndicesAttr().Get()
@@ -234,9 +233,7 @@ def _read_ranges(root: Usd.Prim, shapes: tuple[str, ...]) -> FloatArray:
     return np.array([ranges[name] for name in shapes], dtype=np.float64).reshape(-1, 2)
 
 
-def _read_colors(
-    mesh: UsdGeom.Mesh, point_count: int, indices: NDArray[np.int64]
-) -> FloatArray | None:
+def _read_colors(mesh: UsdGeom.Mesh, point_count: int, indices: IntArray) -> FloatArray | None:
     primvar = mesh.GetDisplayColorPrimvar()
     values = primvar.ComputeFlattened() if primvar and primvar.HasAuthoredValue() else None
     if values is None:

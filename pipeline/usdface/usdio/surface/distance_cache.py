@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pxr import Sdf, Vt
 
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.usdio.authoring import apply_api, author_uniform, define_prim
@@ -19,7 +19,7 @@ _ARRAY = "face:array:"
 KEY = "face:distances:key"
 _FACTS = "face:distances:facts"
 
-_CacheArray = NDArray[np.float64] | NDArray[np.float32] | NDArray[np.bool_]
+_CacheArray = FloatArray | Float32Array | BoolArray
 
 _KINDS = {
     "float64": (Sdf.ValueTypeNames.DoubleArray, Vt.DoubleArray),

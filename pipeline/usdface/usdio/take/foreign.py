@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdSkel
 
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray
 from usdface.core.assets import WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import check_frame_span, exact_rate
@@ -38,9 +38,9 @@ class ForeignTake:
     kind: str
     """What the markers were found as, with their prim path; empty without markers."""
     names: tuple[str, ...]
-    positions: NDArray[np.float32]
+    positions: Float32Array
     """(frames, markers, 3) [mm], Y up, in world space. Anything where not visible."""
-    visible: NDArray[np.bool_]
+    visible: BoolArray
     """(frames, markers)"""
     source: WeightsClip | None
 
@@ -113,8 +113,8 @@ def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
 class _Grid:
     rate: Fraction
     first_frame: int
-    stage_times: NDArray[np.float64]
-    sampled: NDArray[np.bool_]
+    stage_times: FloatArray
+    sampled: BoolArray
 
 
 def _frame_grid(stage: Usd.Stage, times: list[float], path: Path) -> _Grid:
@@ -157,7 +157,7 @@ class _MarkerSet(Protocol):
     names: tuple[str, ...]
     times: list[float]
 
-    def at(self, time: float) -> NDArray[np.float64]: ...
+    def at(self, time: float) -> FloatArray: ...
 
 
 class _PointsSet:
@@ -171,7 +171,7 @@ class _PointsSet:
         count = len(self._attribute.Get(self.times[0]) or ())
         self.names = _labels(prim, count)
 
-    def at(self, time: float) -> NDArray[np.float64]:
+    def at(self, time: float) -> FloatArray:
         points = np.array(self._attribute.Get(time) or [], dtype=np.float64).reshape(-1, 3)
         world = UsdGeom.Xformable(self._prim).ComputeLocalToWorldTransform(time)
         return transform_points(column_matrix(world), points)
@@ -206,7 +206,7 @@ class _JointSet:
         full = [joints[index] for index in self._leaves]
         self.names = tuple(short if len(set(short)) == len(short) else full)
 
-    def at(self, time: float) -> NDArray[np.float64]:
+    def at(self, time: float) -> FloatArray:
         cache = UsdGeom.XformCache(time)
         matrices = self._query.ComputeJointWorldTransforms(cache)
         positions = [matrices[index].ExtractTranslation() for index in self._leaves]
@@ -225,7 +225,7 @@ class _XformSet:
             times.update(UsdGeom.Xformable(prim).GetTimeSamples())
         self.times = sorted(times)
 
-    def at(self, time: float) -> NDArray[np.float64]:
+    def at(self, time: float) -> FloatArray:
         cache = UsdGeom.XformCache(time)
         return np.array(
             [cache.GetLocalToWorldTransform(prim).ExtractTranslation() for prim in self._prims],
