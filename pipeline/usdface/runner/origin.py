@@ -59,7 +59,7 @@ def make_provenance(spec: Spec) -> Provenance:
     anchor = spec.outputs()[0].resolve().parent if spec.outputs() else Path.cwd()
     alone = set(spec.read_alone())
     inputs = {
-        _relative(path, anchor): _hash(path, alone=path in alone) for path in spec.paths(Reads)
+        _relative(path, anchor): hash_input(path, alone=path in alone) for path in spec.paths(Reads)
     }
     data = spec.model_dump(mode="json", exclude_defaults=True)
     for kind in (Reads, Writes):
@@ -115,7 +115,8 @@ def _from_text(text: str) -> Provenance | None:
     return _from_metadata(made) if isinstance(made, dict) else None
 
 
-def _hash(path: Path, *, alone: bool) -> str:
+def hash_input(path: Path, *, alone: bool = False) -> str:
+    """Return a file's hash as provenance has it; of a layer, with all that it refers to."""
     if alone or not is_layer_name(path):
         return hash_files([path])
     return hash_files(dependencies(path))

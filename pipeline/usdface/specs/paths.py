@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePath, PurePosixPath, PureWindowsPath
@@ -100,6 +101,28 @@ def _in_order(frames: str) -> str:
 Frames = Annotated[
     str, Field(pattern=FRAMES_PATTERN, examples=["101-240"]), AfterValidator(_in_order)
 ]
+
+
+def _in_order_or_listed(frames: str) -> str:
+    return _in_order(frames) if frame_list(frames) is None else frames
+
+
+ChosenFrames = Annotated[
+    str,
+    Field(
+        pattern=rf"{FRAMES_PATTERN}|^-?\d+(,-?\d+)*$",
+        max_length=10_000,
+        examples=["101-240", "1,434,1182"],
+    ),
+    AfterValidator(_in_order_or_listed),
+]
+
+
+def frame_list(frames: str | None) -> tuple[int, ...] | None:
+    """Turn ``"1,434,1182"`` into (1, 434, 1182); None of a range and of None."""
+    if frames is None or re.search(r"\d-", frames):
+        return None
+    return tuple(sorted({int(frame) for frame in frames.split(",")}))
 
 
 def frame_range(frames: str | None) -> tuple[int, int] | None:

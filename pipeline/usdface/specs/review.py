@@ -8,6 +8,7 @@ from pydantic import AfterValidator, Field
 from usdface.specs.base import Name, Positional, Spec
 from usdface.specs.paths import (
     PRIM_PATTERN,
+    ChosenFrames,
     FilePath,
     Frames,
     ImageOut,
@@ -34,16 +35,17 @@ CameraName = Annotated[
 
 
 SheetLayout = Literal["comparison", "worst", "strip", "characters"]
-FramePick = Literal["expression", "residual", "uncertainty", "jump", "even"]
+FramePick = Literal["expression", "review", "residual", "uncertainty", "jump", "even"]
 
 
 class SheetSpec(Spec):
     """Draw a contact sheet of a performance.
 
-    Layouts: `comparison` shows video, markers, the baseline (the BlendShape equation of Deng et al.
-    2006, eq. 7, solved as `select` proposes weights), the performance, and its difference from the
-    baseline or the keys; `worst`, the frames to check first; `strip`, an overview of the whole
-    shot; `characters`, several performances of the same take.
+    It begins with a verdict. Layouts: `comparison` shows video, the markers on the solve, the
+    baseline (the BlendShape equation of Deng et al. 2006, eq. 7, solved as `select` proposes
+    weights), the solve, and its error against the keys or else its uncertainty; `worst`, the
+    moments to review first; `strip`, an overview of the whole shot; `characters`, several
+    performances of the same take.
     """
 
     example: ClassVar[str] = (
@@ -56,8 +58,8 @@ class SheetSpec(Spec):
     step: Literal["sheet"] = "sheet"
     performance: Annotated[FilePath, Reads(), Positional()]
     """The performance to draw."""
-    take: ReadPath
-    """The cleaned take it was mapped from."""
+    take: ReadPath | None = None
+    """The cleaned take it was mapped from. Default: the one its provenance names."""
     out: ImageOut
     """Picture to write: .jpg, .png or .exr. Further pages are NAME.2.jpg and so on."""
     layout: SheetLayout = "comparison"
@@ -65,14 +67,15 @@ class SheetSpec(Spec):
     also: tuple[ReadPath, ...] = ()
     """More performances of the same take, on this or other rigs: one column each."""
     pick: FramePick | None = None
-    """How frames are chosen: `expression`, strongest expressions and largest errors; `residual`;
+    """How frames are chosen: `expression`, strongest expressions and some moments to review;
+    `review`, the moments to review first; `residual`, markers that the solve does not follow;
     `uncertainty`; `jump`, largest change between frames; or `even`. Default: by layout."""
     rows: Annotated[int, Field(ge=1, le=10_000)] | None = None
     """Number of frames. Default: 12, or 48 for a strip."""
     page_rows: Annotated[int, Field(ge=1, le=400)] = 100
     """Rows per page."""
-    frames: Frames | None = None
-    """Choose from these frames only, as FIRST-LAST."""
+    frames: ChosenFrames | None = None
+    """Choose from these frames only, as FIRST-LAST; or draw these, as 1,434,1182."""
     against: ReadPath | None = None
     """Keys or other known weights to compare with (.csv, .json or .usd). Errors are measured
     against them."""
@@ -85,7 +88,7 @@ class SheetSpec(Spec):
     baseline: bool = True
     """Draw the baseline, in layouts that have it."""
     difference: bool = True
-    """Draw the difference from keys or baseline, in layouts that have it."""
+    """Draw the error against the keys, or the uncertainty, in layouts that have it."""
     camera: CameraName = "auto"
     """Camera of the renders: `auto` frames the face; a prim path is a camera of the stage."""
     camera_stage: ReadPath | None = None
@@ -120,8 +123,8 @@ class MovieSpec(Spec):
     step: Literal["movie"] = "movie"
     performance: Annotated[FilePath, Reads(), Positional()]
     """The performance to draw."""
-    take: ReadPath
-    """The cleaned take it was mapped from."""
+    take: ReadPath | None = None
+    """The cleaned take it was mapped from. Default: the one its provenance names."""
     out: MovieOut
     """Movie to write: .mp4, .mov, .mkv or .webm."""
     frames: Frames | None = None
@@ -186,8 +189,8 @@ class ReportSpec(Spec):
     step: Literal["report"] = "report"
     performance: Annotated[FilePath, Reads(), Positional()]
     """The performance to show."""
-    take: ReadPath
-    """The cleaned take it was mapped from."""
+    take: ReadPath | None = None
+    """The cleaned take it was mapped from. Default: the one its provenance names."""
     out: Annotated[WritePath, AfterValidator(file_ending(PAGE_SUFFIXES, "a page"))]
     """Report to write: .html."""
     frames: Frames | None = None

@@ -38,18 +38,6 @@ def test_unseen_markers_are_hollow() -> None:
     assert marked(hidden).sum() > 0
 
 
-def test_residual_runs_from_the_marker_to_what_explains_it() -> None:
-    frame = frame_markers(CLOUD, margin=2)
-    away = CLOUD + np.array([[0, 0, 0], [0, 0, 0], [0, 20.0, 0]])
-    plain = draw_markers(CLOUD, width=300, height=300, frame=frame)
-    lines = draw_markers(CLOUD, width=300, height=300, frame=frame, explained=away)
-    changed = np.argwhere(np.any(plain != lines, axis=2))
-    scale = 300 / frame.height
-    top = 150 - (away[2, 1] - frame.center[1]) * scale
-    assert changed[:, 0].min() == pytest.approx(top, abs=3)
-    assert np.ptp(changed[:, 1]) < 10
-
-
 def test_a_stray_sample_does_not_shrink_the_face() -> None:
     cloud = np.random.default_rng(0).normal(0, 40, (200, 50, 3))
     stray = cloud.copy()

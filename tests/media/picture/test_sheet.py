@@ -1,18 +1,21 @@
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from usdface.core.errors import InputError
 from usdface.media.picture import sheet as sheet_module
-from usdface.media.picture.color import bytes_from_linear, heat_ramp
+from usdface.media.picture.color import VERDICT_COLORS, bytes_from_linear, heat_ramp
 from usdface.media.picture.error_strip import (
+    _AXIS_STYLE,
     LABEL_WIDTH,
     ErrorCurve,
     ErrorStrip,
     draw_error_strip,
 )
 from usdface.media.picture.sheet import (
+    _CODE_STYLE,
     SheetPage,
     SheetRow,
     Tile,
@@ -20,7 +23,14 @@ from usdface.media.picture.sheet import (
     draw_legend,
     round_range,
 )
-from usdface.media.picture.sheet_layout import lay_out, legend_lines
+from usdface.media.picture.sheet_layout import (
+    READ_LETTER,
+    READ_WIDTH,
+    VERDICT_LINE,
+    lay_out,
+    legend_lines,
+    verdict_lines,
+)
 from usdface.media.picture.tiles import empty_tile, fit_picture
 
 COLUMNS = ("video", "markers", "baseline", "solve")
@@ -115,8 +125,39 @@ def test_notes_are_told_whole_whatever_the_width(width: int, monkeypatch) -> Non
         "usdface.media.picture.text._cut", lambda text, kept: cut.append(text) or ""
     )
     page = np.zeros((400, width, 3), np.uint8)
-    draw_legend(page, lines, x=36, y=10, width=width - 72, high=1.5, unit="mm")
+    draw_legend(page, lines, x=36, y=10, width=width - 72, high="1.5 mm")
     assert not cut
+
+
+@pytest.mark.parametrize(("columns", "tile"), [(2, 320), (5, 320), (5, 640)])
+def test_the_smallest_letters_are_twelve_pixels_on_a_screen(columns: int, tile: int) -> None:
+    picture = np.zeros((tile, tile, 3), np.uint8)
+    rows = tuple(SheetRow(n, "", (Tile(picture),) * columns) for n in range(12))
+    page = SheetPage("sheet", ("a",) * columns, rows, tile_height=tile)
+    layout = lay_out(page)
+    shown = min(READ_WIDTH / layout.width, 1.0)
+    smallest = min(_CODE_STYLE.size, _AXIS_STYLE.size)
+    assert smallest * layout.scale * shown >= READ_LETTER - 1e-9
+    sheet = compose_sheet(page)
+    assert sheet.shape[:2] == (layout.height, layout.width)
+
+
+@pytest.mark.parametrize("level", ["good", "check", "bad"])
+def test_a_verdict_is_written_whole_in_its_colour_which_runs_down_the_page(level: str) -> None:
+    rows = (SheetRow(7, "", tuple(Tile(None) for _ in COLUMNS)),)
+    plain = SheetPage("bare", COLUMNS, rows, tile_height=64)
+    sentence = "a sentence that is longer than a sheet is wide " * 4
+    sheet = compose_sheet(replace(plain, verdict=(level, sentence, "To do: tune")))
+    assert (sheet[:, 2] == VERDICT_COLORS[level]).all()
+    lines = verdict_lines((level, sentence, "To do: tune"), sheet.shape[1], 1.0)
+    assert " ".join(lines[:-1]) == sentence.strip()
+    assert len(sheet) == len(compose_sheet(plain)) + len(lines) * VERDICT_LINE
+
+
+def test_without_keys_no_value_is_the_best() -> None:
+    rows = (SheetRow(7, "", (Tile(None, value=0.1), Tile(None, value=2.0))),)
+    page = SheetPage("bare", ("a", "b"), rows, tile_height=64, high=3.0)
+    assert (compose_sheet(page) != compose_sheet(replace(page, comparable=False))).any()
 
 
 def test_sheet_without_curves_values_and_facts_is_still_made() -> None:

@@ -81,7 +81,3 @@ def test_a_steady_motion_does_not_jump_and_distances_are_those_of_the_gram() -> 
     off = rng.normal(size=(7, 5))
     moved = np.linalg.norm(off @ half, axis=1)
     np.testing.assert_allclose(region_distances(off, (half @ half.T)[None])[:, 0], moved)
-
-
-def test_frames_below_what_is_worth_a_look_are_left_out() -> None:
-    assert review_moments(signals(), 12, rate=60.0, least_mm=5.0) == []

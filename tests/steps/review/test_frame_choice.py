@@ -1,43 +1,48 @@
 """Frames that are worth a look: the right ones, spread in time, as many as asked for."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from usdface.model.review.moments import ReviewSignals
+from usdface.model.review.verdict import SolveEvidence
 from usdface.steps.review.scoring import choose_frames
 
 
-def curves(frames: int = 300) -> dict[str, np.ndarray]:
+def curves(frames: int = 300, **evidence: Any) -> dict[str, Any]:
     rng = np.random.default_rng(0)
+    known = {name: rng.random((frames, 1)) for name in ("uncertainty_mm", "residual_mm")}
     return {
         "strength": rng.random(frames),
-        "error_mm": rng.random(frames),
-        "uncertainty_mm": rng.random(frames),
-        "jump_mm": rng.random(frames),
+        "signals": ReviewSignals(
+            SolveEvidence(("face",), **(known | evidence)), rng.random((frames, 1))
+        ),
+        "rate": 60.0,
     }
 
 
-@pytest.mark.parametrize(
-    ("pick", "curve", "extreme"),
-    [
-        ("residual", "error_mm", np.argmax),
-        ("uncertainty", "uncertainty_mm", np.argmax),
-        ("jump", "jump_mm", np.argmax),
-        ("expression", "strength", np.argmax),
-    ],
-)
-def test_the_most_extreme_frame_is_always_shown(pick, curve, extreme) -> None:
-    given_curves = curves()
-    chosen = choose_frames(pick, 7, **given_curves)
-    assert int(extreme(given_curves[curve])) in [frame.row for frame in chosen]
+@pytest.mark.parametrize("pick", ["review", "residual", "uncertainty", "jump", "expression"])
+def test_the_most_extreme_frame_is_always_shown(pick: str) -> None:
+    shown = curves()
+    signals = shown["signals"]
+    curve = {
+        "review": signals.score_mm,
+        "residual": signals.evidence.residual_mm,
+        "uncertainty": signals.evidence.uncertainty_mm,
+        "jump": signals.jump_mm,
+        "expression": shown["strength"],
+    }[pick]
+    assert int(np.argmax(curve)) in [frame.row for frame in choose_frames(pick, 7, **shown)]
 
 
 def test_one_bad_moment_is_one_row() -> None:
-    shown = curves()
-    shown["error_mm"][100:110] = 9.0  # one long mistake, and a short one far away
-    shown["error_mm"][250] = 5.0
-    rows = [frame.row for frame in choose_frames("residual", 2, **shown)]
+    error = np.full((300, 1), 0.1)
+    error[100:110] = 9.0  # one long mistake, and a short one far away
+    error[250] = 5.0
+    rows = [frame.row for frame in choose_frames("review", 2, **curves(error_mm=error))]
     assert len([row for row in rows if 100 <= row < 110]) == 1
     assert 250 in rows
 
@@ -54,20 +59,13 @@ def test_as_many_rows_as_asked_for_in_order_and_none_twice(pick, count, frames) 
     assert 0 <= rows[0] <= rows[-1] < frames
 
 
-def test_frames_whose_error_is_unknown_are_not_the_worst() -> None:
-    shown = curves()
-    shown["error_mm"][:150] = np.nan
-    assert all(frame.row >= 150 for frame in choose_frames("residual", 10, **shown))
-
-
 def test_where_few_errors_are_known_the_worst_are_those_and_no_error_is_made_up() -> None:
-    shown = curves()
-    shown["error_mm"][3:] = np.nan
-    worst = choose_frames("residual", 10, **shown)
-    assert [frame.row for frame in worst] == [0, 1, 2]
-    assert all(frame.reason == f"error {shown['error_mm'][frame.row]:.2f} mm" for frame in worst)
+    error = np.random.default_rng(1).random((300, 1))
+    error[3:] = np.nan
+    shown = curves(error_mm=error)
+    worst = choose_frames("review", 10, **shown)
+    assert [(frame.row, frame.reason) for frame in worst] == [
+        (int(np.nanargmax(error)), f"{np.nanmax(error):.2f} mm off the keys")
+    ]
     for frame in choose_frames("expression", 60, **shown):
         assert frame.reason == "" or frame.row < 3
-    shown["error_mm"][:] = np.nan
-    plain = choose_frames("residual", 10, **shown)
-    assert [frame.reason for frame in plain] == [""] * 10

@@ -50,13 +50,16 @@ def test_ten_thousand_tiles_are_drawn_page_by_page(shot: Shot, monkeypatch) -> N
         return picture
 
     monkeypatch.setattr(ShotPictures, "face", draw)
-    monkeypatch.setattr(ShotPictures, "markers", lambda self, row, **_: np.zeros((64, 64, 3), "u1"))
+    blank = np.zeros((64, 64, 3), "u1")
+    monkeypatch.setattr(ShotPictures, "markers_on_face", lambda self, row, equation: blank)
     report = execute(
         SheetSpec(
             performance=shot / "shot.hero.usda",
             take=shot / "shot.clean.take.usda",
             out=shot / "all.jpg",
             layout="worst",
+            pick="residual",
+            difference=False,
             rows=10_000,
             page_rows=50,
             tile=64,
@@ -89,6 +92,7 @@ def test_performances_of_one_name_have_an_error_each(shot: Shot) -> None:
             take=shot / "shot.clean.take.usda",
             also=(other, shot / "shot.hero.usda", shot / "shot.hero.usda"),
             out=shot / "all.jpg",
+            against=shot / "keys.csv",
             rows=1,
             tile=64,
             quality="draft",

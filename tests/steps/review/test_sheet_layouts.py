@@ -16,6 +16,7 @@ from usdface.media.picture.color import bytes_from_linear
 from usdface.media.picture.display_view import display_view
 from usdface.media.picture.image import read_image_metadata
 from usdface.media.picture.sheet import Tile
+from usdface.model.review.verdict import OPENINGS
 from usdface.runner.execute import execute
 from usdface.specs.review import SheetSpec
 from usdface.speech.visemes import viseme_label, viseme_of
@@ -42,14 +43,14 @@ def columns_of(shot: Shot, monkeypatch: pytest.MonkeyPatch, **options: object) -
 
 def test_a_comparison_shows_how_far_the_result_is_from_the_truth(shot, monkeypatch) -> None:
     columns = columns_of(shot, monkeypatch, against=shot / "keys.csv")
-    assert columns == ("markers", "baseline", "solve", "difference to keys")
+    assert columns == ("markers", "baseline", "solve", "error vs. keys")
 
 
 def test_worst_frames_come_with_their_reason(shot: Shot, monkeypatch) -> None:
     report = execute(spec_of(shot, layout="worst", rows=3))
     assert len(report.figures["frames"]) == 3
     columns = columns_of(shot, monkeypatch, layout="worst", baseline=False, out=shot / "b.png")
-    assert columns == ("markers", "solve")
+    assert columns == ("markers", "solve", "uncertainty")
 
 
 def test_a_strip_does_not_explain_lines_that_it_does_not_show(shot: Shot, monkeypatch) -> None:
@@ -60,7 +61,7 @@ def test_a_strip_does_not_explain_lines_that_it_does_not_show(shot: Shot, monkey
     )
     execute(spec_of(shot, layout="strip"))
     execute(spec_of(shot, layout="worst", out=shot / "b.png"))
-    told = ["lines at markers" in " ".join(page.notes) for page in pages]
+    told = ["lines: from the solve" in " ".join(page.notes) for page in pages]
     assert told == ["markers" in page.columns for page in pages] == [False, True]
 
 
@@ -85,11 +86,11 @@ def test_every_performance_of_a_face_is_judged_by_the_truth_and_another_face_say
     told = execute(spec_of(shot, layout="characters", **given))
     means = told.figures["mean_error_mm"]
     assert means["other"] == pytest.approx(means["usdface"])
-    assert "marker residual" not in told.summary
+    assert "off the keys" in told.summary
     monkeypatch.setattr(sheet_step, "_same_face", lambda *_: False)
     told = execute(spec_of(shot, layout="characters", out=shot / "b.png", **given))
     assert told.figures["mean_error_mm"]["other"] != pytest.approx(means["usdface"])
-    assert "other (marker residual) " in told.summary
+    assert "mm uncertainty" in told.summary
 
 
 def test_uncertainty_is_drawn_below_the_errors(shot: Shot, monkeypatch) -> None:
@@ -99,14 +100,37 @@ def test_uncertainty_is_drawn_below_the_errors(shot: Shot, monkeypatch) -> None:
         sheet_step, "compose_sheet", lambda page: (pages.append(page), compose(page))[1]
     )
     execute(spec_of(shot))
-    curve = pages[0].curves[-1]
-    assert curve.label == "uncertainty"
+    curve, covered = pages[0].curves
+    assert (curve.label, covered.label) == ("uncertainty", "not covered")
+    assert (pages[0].high, pages[0].comparable) == (3.0, False)
+    assert pages[0].verdict[0] in OPENINGS
     np.testing.assert_array_equal(
         curve.values, read_performance(shot / "shot.hero.usda").uncertainty_mm[:, 0]
     )
-    assert pages[0].high == sheet_step.round_range(
-        np.concatenate([each.values for each in pages[0].curves[:-1]])
+    execute(spec_of(shot, against=shot / "keys.csv", out=shot / "b.png"))
+    assert (pages[1].high, pages[1].comparable) == (1.0, True)
+    assert "gaze alone" in " ".join(pages[1].notes)
+
+
+def test_frames_that_are_named_are_drawn_and_the_take_is_the_performances_own(shot: Shot) -> None:
+    named = SheetSpec(
+        performance=shot / "shot.hero.usda",
+        out=shot / "c.png",
+        frames="200,7,31",
+        tile=64,
+        quality="draft",
     )
+    assert execute(named).figures["frames"] == [7, 31, 200]
+    with pytest.raises(InputError, match=r"frames 7,9000 are not all in it; it has 1-480"):
+        execute(named.model_copy(update={"frames": "7,9000"}), overwrite=True)
+    take = shot / "shot.clean.take.usda"
+    other = shot / "nose.take.usda"
+    other.write_text(take.read_text(encoding="utf-8").replace("Take", "Nose"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"nose.take.usda: not the take of shot.hero.usda"):
+        execute(named.model_copy(update={"take": other}), overwrite=True)
+    take.rename(shot / "moved.usda")
+    with pytest.raises(InputError, match=r"its take, .*shot.clean.take.usda, is gone; say where"):
+        execute(named, overwrite=True)
 
 
 def test_rows_that_do_not_fit_go_to_further_pages(shot: Shot) -> None:

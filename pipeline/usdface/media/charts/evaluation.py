@@ -22,6 +22,7 @@ from usdface.media.picture.color import (
     BLUE,
     BRIGHT,
     DIM,
+    KEYS_RANGE_MM,
     LANE,
     ORANGE,
     SOFT,
@@ -35,7 +36,7 @@ from usdface.media.picture.error_strip import (
     draw_error_strip,
     strip_height,
 )
-from usdface.media.picture.sheet import HEADER_HEIGHT, draw_header, draw_legend, round_range
+from usdface.media.picture.sheet import HEADER_HEIGHT, draw_header, draw_legend
 from usdface.media.picture.text import TextStyle, draw_text, shortened
 
 if TYPE_CHECKING:
@@ -129,14 +130,14 @@ def draw_evaluation(page: EvaluationPage) -> ByteImage:
     picture = render(figure)
 
     inner = PAGE_WIDTH - 2 * _PAGE_MARGIN
-    high = round_range(np.concatenate([curve.values for curve in page.curves]))
+    high = KEYS_RANGE_MM
     y = draw_header(picture, page.title, page.facts, margin=_PAGE_MARGIN)
     marks = tuple((frame, str(frame)) for frame in page.worst)
     strip = ErrorStrip(page.curves, page.first_frame, high, marks)
     draw_error_strip(picture, strip, x=_PAGE_MARGIN, y=y, width=inner)
     y += strip_height(len(page.curves))
     note = "RMS distance of the surface from the keyed one; numbers mark the worst frames"
-    draw_legend(picture, (note,), x=_PAGE_MARGIN, y=y, width=inner, high=high, unit="mm")
+    draw_legend(picture, (note,), x=_PAGE_MARGIN, y=y, width=inner, high=f"{high:g} mm")
     if shapes:
         _write_shape_caption(picture, y=shapes_top, hidden=len(page.shapes) - len(shapes))
     return picture

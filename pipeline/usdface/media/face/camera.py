@@ -17,6 +17,10 @@ an open jaw drags it further than that.
 """
 
 
+_HAIR_SHARE = 0.5
+"""Of a face's height: hair and hats that reach higher are cut."""
+
+
 @dataclass(frozen=True)
 class Camera:
     """Where a picture is taken from; rows run down, columns to the right.
@@ -145,6 +149,7 @@ def frame_face(
     aspect: float = 1.0,
     margin: float = 1.12,
     fov_degrees: float = 16.0,
+    hair: bool = False,
 ) -> Camera:
     """Return a camera that frames the face; Y is up and the face looks along +Z.
 
@@ -166,6 +171,8 @@ def frame_face(
         Room about the face; 1 touches it.
     fov_degrees : float
         Vertical field of view [degrees]; narrow, as a portrait lens is.
+    hair : bool
+        Whether what stands above the face is in the picture too, up to half a face.
 
     Raises
     ------
@@ -180,6 +187,9 @@ def frame_face(
     backward = np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
     axes = Camera(eye=_triple(backward), target=(0.0, 0.0, 0.0)).axes()
     low, high = (face @ axes.T).min(axis=0), (face @ axes.T).max(axis=0)
+    if hair:
+        top = float((cloud @ axes[1]).max())
+        high[1] = min(max(top, high[1]), high[1] + _HAIR_SHARE * (high[1] - low[1]))
     width, height = np.maximum(high - low, 1e-6)[:2]
     span = margin * max(height, width / aspect)
     half = np.tan(np.radians(fov_degrees / 2))
@@ -200,12 +210,13 @@ def frame_rig(
     pitch_degrees: float = 0.0,
     aspect: float = 1.0,
     margin: float = 1.12,
+    hair: bool = False,
 ) -> Camera:
     """Return a camera that keeps a rig's face in the picture, an open jaw included.
 
     Parameters
     ----------
-    yaw_degrees, pitch_degrees, aspect, margin : float
+    yaw_degrees, pitch_degrees, aspect, margin, hair
         As in `frame_face`.
     """
     rest = np.concatenate([mesh.points for mesh in meshes])
@@ -226,6 +237,7 @@ def frame_rig(
         pitch_degrees=pitch_degrees,
         aspect=aspect,
         margin=margin,
+        hair=hair,
     )
 
 

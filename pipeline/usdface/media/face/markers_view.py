@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 from usdface.core.arrays import ByteImage, FloatArray
 from usdface.core.errors import InputError
 from usdface.media.face.raycast import background
-from usdface.media.picture.canvas import draw_dot, draw_line
-from usdface.media.picture.color import bytes_from_linear, heat_ramp
+from usdface.media.picture.canvas import draw_dot
+from usdface.media.picture.color import bytes_from_linear
 
 _FAR, _NEAR = np.array([74, 92, 112]), np.array([150, 208, 255])
 _UNSEEN = (214, 122, 84)
@@ -74,9 +74,6 @@ def draw_markers(
     height: int,
     frame: MarkersFrame | None = None,
     visible: ArrayLike | None = None,
-    explained: ArrayLike | None = None,
-    exaggeration: float = 1.0,
-    residual_range_mm: float = 3.0,
 ) -> ByteImage:
     """Draw one frame of a marker cloud.
 
@@ -90,13 +87,6 @@ def draw_markers(
         Without it the tile fits this one cloud.
     visible : (markers,) bool array, optional
         False is drawn hollow.
-    explained : (markers, 3) array, optional
-        Where the result puts the markers [mm]: a line runs there from each marker.
-    exaggeration : float
-        How many times as long those lines are drawn: millimetres are a pixel or two. Say so in the
-        legend.
-    residual_range_mm : float
-        Distance drawn in the ramp's last colour [mm].
 
     Returns
     -------
@@ -111,11 +101,10 @@ def draw_markers(
     if cloud.ndim != 2 or cloud.shape[1] != 3:
         raise InputError(f"markers to draw are (markers, 3), got shape {cloud.shape}")
     seen = np.ones(len(cloud), bool) if visible is None else np.asarray(visible, bool)
-    ends = cloud if explained is None else np.asarray(explained, np.float64)
-    if seen.shape != (len(cloud),) or ends.shape != cloud.shape:
+    if seen.shape != (len(cloud),):
         raise InputError(
-            f"{len(cloud)} markers to draw with visibility of shape {seen.shape} and explained "
-            f"positions of shape {ends.shape}; give one for each marker"
+            f"{len(cloud)} markers to draw with visibility of shape {seen.shape}; give one for "
+            "each marker"
         )
     view = frame or frame_markers(cloud, aspect=width / height)
     scale = height / view.height
@@ -125,10 +114,8 @@ def draw_markers(
         local = (points - view.center) * scale
         return np.stack([width / 2 + local[:, 0], height / 2 - local[:, 1]], axis=1)
 
-    at, to = place(cloud), place(cloud + exaggeration * (ends - cloud))
+    at = place(cloud)
     near = np.clip((cloud[:, 2] - view.center[2]) / max(view.depth, 1e-6) + 0.5, 0, 1)
-    length = np.linalg.norm(ends - cloud, axis=1)
-    line_colors = bytes_from_linear(heat_ramp(length, high=residual_range_mm))
     finite = np.asarray(np.isfinite(at).all(axis=1), bool)
     size = min(width, height) / 320
     for marker in np.argsort(near, kind="stable"):
@@ -136,9 +123,6 @@ def draw_markers(
             continue
         x, y = at[marker]
         radius = size * (2.6 + 1.6 * near[marker])
-        if explained is not None and bool(np.isfinite(to[marker]).all()):
-            red, green, blue = (int(c) for c in line_colors[marker])
-            draw_line(picture, at[marker], to[marker], (red, green, blue), thickness=2.2 * size)
         shade = _FAR + (_NEAR - _FAR) * near[marker]
         color = (int(shade[0]), int(shade[1]), int(shade[2]))
         if seen[marker]:

@@ -5,8 +5,16 @@ from dataclasses import dataclass
 
 from usdface.core.arrays import ByteImage
 from usdface.media.picture.canvas import fill_box, new_picture
-from usdface.media.picture.color import BRIGHT, SOFT, Color, bytes_from_linear, heat_ramp
-from usdface.media.picture.text import TextStyle, draw_text, text_width
+from usdface.media.picture.color import (
+    BRIGHT,
+    SOFT,
+    UNKEYED_RANGE_MM,
+    VERDICT_COLORS,
+    Color,
+    bytes_from_linear,
+    heat_ramp,
+)
+from usdface.media.picture.text import TextStyle, draw_text, text_width, wrap_text
 from usdface.media.picture.tiles import empty_tile, fit_picture
 
 BAR_SHARE = 0.075
@@ -14,9 +22,6 @@ BAR_SHARE = 0.075
 LEAST_BAR = 26
 
 _BAR_COLOR: Color = (14, 15, 17)
-_UNCERTAIN_MM = 2.0
-"""Uncertainty at the hot end of the ramp: twice what is seen."""
-
 _PANEL_GAP = 2
 
 
@@ -52,6 +57,7 @@ def compose_movie_frame(
     title: str,
     clock: str,
     uncertainty_mm: float | None = None,
+    verdict: tuple[str, ...] = (),
 ) -> ByteImage:
     """Compose one picture.
 
@@ -65,6 +71,9 @@ def compose_movie_frame(
         Frame number and timecode, at its right.
     uncertainty_mm : float, optional
         [mm] Shown as a colour between the two.
+    verdict : tuple of str
+        ``'good'``, ``'check'`` or ``'bad'``, whose colour runs along the bar, and the sentence,
+        which is written over the panels where it is given.
 
     Returns
     -------
@@ -91,7 +100,25 @@ def compose_movie_frame(
     _draw_bar(
         picture, height, bar, title=title, clock=clock, uncertainty_mm=uncertainty_mm, small=small
     )
+    if verdict:
+        fill_box(picture, 0, height, width, max(bar // 10, 2), VERDICT_COLORS[verdict[0]])
+        _draw_sentence(picture, height, verdict, TextStyle(size=small.size + 3, color=BRIGHT))
     return picture
+
+
+def _draw_sentence(
+    picture: ByteImage, bottom: int, verdict: tuple[str, ...], style: TextStyle
+) -> None:
+    """Write a verdict's sentence on a ground of its own above the bar."""
+    width = picture.shape[1] - 32
+    lines = [line for text in verdict[1:] for line in wrap_text(text, style, max_width=width)]
+    step = round(1.4 * style.size)
+    top = bottom - step * len(lines) - 16
+    if lines and top > 0:
+        fill_box(picture, 0, top, picture.shape[1], bottom - top, _BAR_COLOR)
+        fill_box(picture, 0, top, 8, bottom - top, VERDICT_COLORS[verdict[0]])
+    for number, line in enumerate(lines):
+        draw_text(picture, line, x=20, y=top + 8 + step * number, style=style)
 
 
 def _draw_bar(
@@ -112,7 +139,7 @@ def _draw_bar(
     )
     right = width - used - 34
     if uncertainty_mm is not None:
-        color = bytes_from_linear(heat_ramp(uncertainty_mm, high=_UNCERTAIN_MM))
+        color = bytes_from_linear(heat_ramp(uncertainty_mm, high=UNKEYED_RANGE_MM))
         side = round(0.44 * bar)
         room = max(right - side - 10, 0)
         labels = (f"uncertainty {uncertainty_mm:.2f} mm", f"{uncertainty_mm:.2f} mm", "")

@@ -93,8 +93,10 @@ class ReviewPage:
 
     Attributes
     ----------
+    verdict : tuple of str
+        ``'good'``, ``'check'`` or ``'bad'``; why; and what to do, or nothing.
     rate : float
-        Pictures per second.
+        Pictures per second: those of the take. The movie may have fewer.
     frames : sequence of int
         Frame number of each picture.
     timecodes : sequence of str
@@ -105,11 +107,12 @@ class ReviewPage:
         Region of each shape.
     curves : tuple of WeightCurves
         The first poses the face.
-    worst : tuple of (picture, reason)
+    worst : tuple of (picture, region, reason)
+        Moments to review first, the worst first.
     face : FacePayload
         Its shapes are matched by name.
     movie : bytes
-        Video, one picture each; empty without.
+        Video on the clock of the pictures; empty without.
     movie_type : str
         Such as ``'video/mp4'``.
     pictures : tuple of PagePicture
@@ -121,6 +124,7 @@ class ReviewPage:
     """
 
     title: str
+    verdict: tuple[str, str, str]
     facts: tuple[str, ...]
     rate: float
     frames: Sequence[int]
@@ -129,7 +133,7 @@ class ReviewPage:
     regions: tuple[str, ...]
     curves: tuple[WeightCurves, ...]
     strips: tuple[Strip, ...]
-    worst: tuple[tuple[int, str], ...]
+    worst: tuple[tuple[int, str, str], ...]
     listings: tuple[Listing, ...]
     face: FacePayload
     movie: bytes = b""
@@ -161,6 +165,9 @@ def build_page(page: ReviewPage) -> str:
     script = f"{viewer_source()}\n{read_web_file('report.js').decode('utf-8')}"
     parts = {
         "@TITLE@": html.escape(page.title),
+        "@LEVEL@": page.verdict[0],
+        "@VERDICT@": html.escape(page.verdict[1]),
+        "@TODO@": html.escape(f"To do: {page.verdict[2]}" if page.verdict[2] else ""),
         "@FACTS@": "".join(f"<li>{html.escape(fact)}</li>" for fact in page.facts),
         "@POLICY@": _policy(script, style),
         "@ORIGIN@": html.escape(json.dumps(page.origin, ensure_ascii=False) if page.origin else ""),
@@ -205,7 +212,10 @@ def _data(page: ReviewPage) -> Mapping[str, Any]:
             }
             for strip in page.strips
         ],
-        "worst": [{"picture": picture, "reason": reason} for picture, reason in page.worst],
+        "worst": [
+            {"picture": picture, "region": region, "reason": reason}
+            for picture, region, reason in page.worst
+        ],
         "movie": page.movie_type if page.movie else "",
     }
 

@@ -33,6 +33,11 @@ VERDICT_COLORS = {"good": GREEN, "check": ORANGE, "bad": RED}
 SERIES_COLORS = (ORANGE, BLUE, GREEN, (236, 132, 152), VIOLET, (220, 216, 120), DIM)
 """Of more than two curves, in this order; labels name every curve as well."""
 
+KEYS_RANGE_MM = 1.0
+UNKEYED_RANGE_MM = 3.0
+"""What the last colour of `heat_ramp` stands for in every picture [mm]: an error against keys that
+anybody sees, and an uncertainty of three times as much."""
+
 # Lightness, chroma and hue [degrees] in OKLCh. Lightness climbs evenly, so the ramp survives a
 # grey print; blue to yellow is the axis that the common kinds of colour blindness keep. It starts
 # bright enough to be read as text on a dark page and to show the form it is painted on.

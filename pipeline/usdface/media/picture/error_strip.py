@@ -22,18 +22,16 @@ _AXIS_STYLE = TextStyle(size=16, color=DIM, weight="mono")
 
 @dataclass(frozen=True)
 class ErrorCurve:
-    """One method's error on every frame of a take.
-
-    Attributes
-    ----------
-    label : str
-        Written at the left of its lane.
-    values : (frames,) float array
-        NaN where there is none.
-    """
+    """One method's error on every frame of a take."""
 
     label: str
+    """Written at the left of its lane."""
     values: FloatArray
+    """(frames,): NaN where there is none."""
+    high: float | None = None
+    """At the top of its lane; that of the strip by default."""
+    unit: str | None = None
+    """That of the strip by default."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +50,8 @@ class ErrorStrip:
         Frames to mark.
     unit : str
         Of all curves that name none.
+    scale : float
+        Of labels and lanes.
     """
 
     curves: tuple[ErrorCurve, ...]
@@ -59,42 +59,52 @@ class ErrorStrip:
     high: float
     marks: tuple[tuple[int, str], ...] = ()
     unit: str = "mm"
+    scale: float = 1.0
 
 
-def strip_height(curve_count: int) -> int:
+def strip_height(curve_count: int, scale: float = 1.0) -> int:
     """Return how much room the strips take [pixels]."""
-    return _MARK_HEIGHT + curve_count * (LANE_HEIGHT + _LANE_GAP) + _AXIS_HEIGHT
+    lanes = curve_count * round(scale * (LANE_HEIGHT + _LANE_GAP))
+    return round(scale * _MARK_HEIGHT) + lanes + round(scale * _AXIS_HEIGHT)
 
 
 def draw_error_strip(page: ByteImage, strip: ErrorStrip, *, x: int, y: int, width: int) -> None:
     """Draw a strip from its upper left corner; a column shows the largest error of its frames."""
-    left, inner = x + LABEL_WIDTH, width - LABEL_WIDTH
+    size = strip.scale
+    left = x + round(size * LABEL_WIDTH)
+    inner = width - round(size * LABEL_WIDTH)
     count = max((len(curve.values) for curve in strip.curves), default=0)
     if not count or inner < 2:
         return
-    top = y + _MARK_HEIGHT
+    label_style, number_style, axis_style = (
+        style.scaled(size) for style in (_LABEL_STYLE, _NUMBER_STYLE, _AXIS_STYLE)
+    )
+    top, step = y + round(size * _MARK_HEIGHT), round(size * (LANE_HEIGHT + _LANE_GAP))
+    room = round(size * (LABEL_WIDTH - 8))
     for row, curve in enumerate(strip.curves):
-        lane = top + row * (LANE_HEIGHT + _LANE_GAP)
-        room = LABEL_WIDTH - 8
-        draw_text(page, curve.label, x=x, y=lane + 2, style=_LABEL_STYLE, max_width=room)
+        lane = top + row * step
+        draw_text(page, curve.label, x=x, y=lane + 2, style=label_style, max_width=room)
         finite = curve.values[np.isfinite(curve.values)]
         if len(finite):
-            mean = f"{finite.mean():.2f} {strip.unit}"
-            draw_text(page, mean, x=x, y=lane + 26, style=_AXIS_STYLE, max_width=room)
-        area = page[lane : lane + LANE_HEIGHT, left : left + inner]
-        _draw_lane(area, curve.values, count, strip.high)
-    bottom = top + len(strip.curves) * (LANE_HEIGHT + _LANE_GAP) - _LANE_GAP
+            mean = f"{finite.mean():.2f} {curve.unit or strip.unit}"
+            below = lane + round(size * 26)
+            draw_text(page, mean, x=x, y=below, style=axis_style, max_width=room)
+        area = page[lane : lane + round(size * LANE_HEIGHT), left : left + inner]
+        _draw_lane(area, curve.values, count, curve.high or strip.high)
+    bottom = top + len(strip.curves) * step - round(size * _LANE_GAP)
     last_end = -(10**9)
     for frame, label in sorted(strip.marks):
         at = left + int((frame - strip.first_frame + 0.5) / count * inner)
         if not left <= at < left + inner:
             continue
         fill_box(page, at, top - 4, 1, bottom - top + 8, BRIGHT, cover=0.75)
-        half = text_width(label, _NUMBER_STYLE) // 2
+        half = text_width(label, number_style) // 2
         if at - half > last_end + 3:
-            draw_text(page, label, x=at, y=y + 2, style=_NUMBER_STYLE, anchor="middle")
+            draw_text(page, label, x=at, y=y + 2, style=number_style, anchor="middle")
             last_end = at + half
-    draw_frame_axis(page, left, bottom + 4, inner, first_frame=strip.first_frame, count=count)
+    draw_frame_axis(
+        page, left, bottom + 4, inner, first_frame=strip.first_frame, count=count, scale=size
+    )
 
 
 def _draw_lane(area: ByteImage, values: FloatArray, count: int, high: float) -> None:
@@ -121,10 +131,18 @@ def _column_maxima(values: FloatArray, width: int, *, count: int) -> FloatArray:
 
 
 def draw_frame_axis(
-    page: ByteImage, left: int, top: int, width: int, *, first_frame: int, count: int
+    page: ByteImage,
+    left: int,
+    top: int,
+    width: int,
+    *,
+    first_frame: int,
+    count: int,
+    scale: float = 1.0,
 ) -> None:
     """Write round frame numbers below the lanes."""
-    wanted = max(width // 160, 1)
+    style = _AXIS_STYLE.scaled(scale)
+    wanted = max(round(width / (160 * scale)), 1)
     raw = max(count / wanted, 1)
     magnitude = 10 ** int(np.floor(np.log10(raw)))
     step = next(m * magnitude for m in (1, 2, 5, 10) if m * magnitude >= raw)
@@ -132,5 +150,5 @@ def draw_frame_axis(
     for frame in range(start, first_frame + count, step):
         at = left + int((frame - first_frame + 0.5) / count * width)
         fill_box(page, at, top, 1, 4, DIM)
-        if at + 24 < left + width:
-            draw_text(page, str(frame), x=at + 4, y=top, style=_AXIS_STYLE)
+        if at + 24 * scale < left + width:
+            draw_text(page, str(frame), x=at + 4, y=top, style=style)

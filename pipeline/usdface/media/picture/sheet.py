@@ -20,6 +20,7 @@ from usdface.media.picture.color import (
     RULE,
     SOFT,
     TEXT,
+    VERDICT_COLORS,
     bytes_from_linear,
     heat_ramp,
 )
@@ -30,14 +31,14 @@ from usdface.media.picture.error_strip import (
     strip_height,
 )
 from usdface.media.picture.sheet_layout import (
-    CAPTION_HEIGHT,
-    COLUMN_HEAD,
     FACTS_HEIGHT,
     GROUP_GAP,
     LEGEND_LINE,
     PAGE_MARGIN,
     TILE_GUTTER,
     TITLE_HEIGHT,
+    VERDICT_LINE,
+    VERDICT_STYLE,
     Layout,
     SheetPage,
     SheetRow,
@@ -45,9 +46,11 @@ from usdface.media.picture.sheet_layout import (
     all_errors,
     check_sheet,
     has_legend,
+    header_height,
     lay_out,
     legend_bar,
     legend_lines,
+    verdict_lines,
 )
 from usdface.media.picture.text import TextStyle, draw_text, text_width
 from usdface.media.picture.tiles import empty_tile, fit_picture
@@ -55,8 +58,7 @@ from usdface.media.picture.tiles import empty_tile, fit_picture
 __all__ = ["ErrorCurve", "SheetPage", "SheetRow", "Tile", "compose_sheet"]
 
 LARGEST_SHEET_PIXELS = 400_000_000
-HEADER_HEIGHT = TITLE_HEIGHT + FACTS_HEIGHT + 10
-"""Of title, facts and the rule below them, from a page's margin on [pixels]."""
+HEADER_HEIGHT = header_height()
 
 _TITLE_STYLE = TextStyle(size=40, color=BRIGHT, weight="bold")
 _FACTS_STYLE = TextStyle(size=20, color=DIM)
@@ -89,17 +91,19 @@ def compose_sheet(spec: SheetPage) -> ByteImage:
             "or smaller tiles"
         )
     high = spec.high if spec.high is not None else round_range(all_errors(spec))
-    page = new_picture(layout.width, layout.height, PAGE)
+    page, scale = new_picture(layout.width, layout.height, PAGE), layout.scale
     inner = layout.width - 2 * PAGE_MARGIN
-    y = draw_header(page, spec.title, spec.facts, margin=PAGE_MARGIN)
+    y = draw_header(page, spec.title, spec.facts, margin=PAGE_MARGIN, scale=scale)
+    y = draw_verdict(page, spec.verdict, y=y, scale=scale)
     if spec.curves:
         marks = tuple((row.frame, str(n)) for n, row in enumerate(spec.rows, start=1))
-        strip = ErrorStrip(spec.curves, spec.first_frame, high, marks, spec.unit)
+        strip = ErrorStrip(spec.curves, spec.first_frame, high, marks, spec.unit, scale)
         draw_error_strip(page, strip, x=PAGE_MARGIN, y=y, width=inner)
-        y += strip_height(len(spec.curves))
+        y += strip_height(len(spec.curves), scale)
     if has_legend(spec):
-        notes = legend_lines(spec.notes, layout.width)
-        draw_legend(page, notes, x=PAGE_MARGIN, y=y, width=inner, high=high, unit=spec.unit)
+        notes = legend_lines(spec.notes, layout.width, scale)
+        unit = f"{high:g} {spec.unit}"
+        draw_legend(page, notes, x=PAGE_MARGIN, y=y, width=inner, high=unit, scale=scale)
     for group in range(layout.groups):
         first = group * layout.rows_per_group
         rows = spec.rows[first : first + layout.rows_per_group]
@@ -121,17 +125,44 @@ def round_range(errors: FloatArray) -> float:
     )
 
 
-def draw_header(page: ByteImage, title: str, facts: Sequence[str], *, margin: int) -> int:
+def draw_header(
+    page: ByteImage, title: str, facts: Sequence[str], *, margin: int, scale: float = 1.0
+) -> int:
     """Write title and facts at the top of a page; return the row where the next part begins."""
     width, y = page.shape[1] - 2 * margin, margin - 8
-    draw_text(page, title, x=margin, y=y, style=_TITLE_STYLE, max_width=width)
-    y += TITLE_HEIGHT
+    draw_text(page, title, x=margin, y=y, style=_TITLE_STYLE.scaled(scale), max_width=width)
+    y += round(scale * TITLE_HEIGHT)
     if facts:
         line = "   ·   ".join(facts)
-        draw_text(page, line, x=margin, y=y, style=_FACTS_STYLE, max_width=width)
-        y += FACTS_HEIGHT
+        draw_text(page, line, x=margin, y=y, style=_FACTS_STYLE.scaled(scale), max_width=width)
+        y += round(scale * FACTS_HEIGHT)
     fill_box(page, margin, y + 6, width, 1, RULE)
     return y + 18
+
+
+def draw_verdict(page: ByteImage, verdict: Sequence[str], *, y: int, scale: float = 1.0) -> int:
+    """Write a verdict in its colour, which also runs down the page's left edge.
+
+    Parameters
+    ----------
+    verdict : sequence of str
+        As in `SheetPage`; nothing is drawn where it is empty.
+
+    Returns
+    -------
+    int
+        The row where the next part begins.
+    """
+    if not verdict:
+        return y
+    color = VERDICT_COLORS[verdict[0]]
+    fill_box(page, 0, 0, round(scale * 10), page.shape[0], color)
+    first = len(verdict_lines(verdict[:2], page.shape[1], scale))
+    for number, line in enumerate(verdict_lines(verdict, page.shape[1], scale)):
+        style = replace(VERDICT_STYLE.scaled(scale), color=color if number < first else BRIGHT)
+        draw_text(page, line, x=PAGE_MARGIN, y=y, style=style)
+        y += round(scale * VERDICT_LINE)
+    return y
 
 
 def draw_legend(
@@ -141,19 +172,20 @@ def draw_legend(
     x: int,
     y: int,
     width: int,
-    high: float,
-    unit: str,
+    high: str,
+    scale: float = 1.0,
 ) -> None:
     """Draw the ramp with its ends, and notes beside it, each on a line of its own."""
-    bar = legend_bar(width)
+    bar, style = legend_bar(width), _TEXT_STYLE.scaled(scale)
     ramp = bytes_from_linear(heat_ramp(np.linspace(0, 1, bar)))
-    start = x + draw_text(page, "0", x=x, y=y, style=_TEXT_STYLE) + 8
-    page[y + 5 : y + 20, start : start + bar] = ramp
+    start = x + draw_text(page, "0", x=x, y=y, style=style) + 8
+    page[y + round(5 * scale) : y + round(20 * scale), start : start + bar] = ramp
     end = start + bar + 8
-    end += draw_text(page, f"{high:g} {unit}", x=end, y=y, style=_TEXT_STYLE) + 28
+    end += draw_text(page, high, x=end, y=y, style=style) + round(28 * scale)
     for number, line in enumerate(notes):
-        below = y + number * LEGEND_LINE
-        draw_text(page, line, x=end, y=below, style=_DIM_STYLE, max_width=x + width - end)
+        below = y + round(scale * number * LEGEND_LINE)
+        room = x + width - end
+        draw_text(page, line, x=end, y=below, style=_DIM_STYLE.scaled(scale), max_width=room)
 
 
 def _draw_group(
@@ -167,12 +199,12 @@ def _draw_group(
     high: float,
 ) -> None:
     """Draw column heads and the rows below them."""
-    y = layout.head_height
+    y, style = layout.head_height, _COLUMN_STYLE.scaled(layout.scale)
     at = x
     for label, width in zip(spec.columns, layout.column_widths, strict=True):
-        draw_text(page, label, x=at + 2, y=y, style=_COLUMN_STYLE, max_width=width)
+        draw_text(page, label, x=at + 2, y=y, style=style, max_width=width)
         at += width + TILE_GUTTER
-    y += COLUMN_HEAD
+    y += layout.column_head
     fill_box(page, x, y - 4, layout.group_width, 1, RULE)
     for number, row in enumerate(rows, start=first + 1):
         _draw_row(page, spec, layout, row, number, x=x, y=y, high=high)
@@ -190,24 +222,29 @@ def _draw_row(
     y: int,
     high: float,
 ) -> None:
+    scale = layout.scale
+    code, text, dim, best_style, value_style = (
+        style.scaled(scale)
+        for style in (_CODE_STYLE, _TEXT_STYLE, _DIM_STYLE, _BEST_STYLE, _VALUE_STYLE)
+    )
     badge = str(number)
-    wide = max(text_width(badge, _CODE_STYLE) + 12, 26)
-    fill_box(page, x, y + 2, wide, 24, RULE)
-    draw_text(page, badge, x=x + wide // 2, y=y + 3, style=_CODE_STYLE, anchor="middle")
+    wide = max(text_width(badge, code) + 12, round(26 * scale))
+    fill_box(page, x, y + 2, wide, round(24 * scale), RULE)
+    draw_text(page, badge, x=x + wide // 2, y=y + 3, style=code, anchor="middle")
     at, right = x + wide + 12, x + layout.group_width
     labels = (
-        (f"frame {row.frame}", _CODE_STYLE),
-        (row.timecode, _CODE_STYLE),
-        (row.said, _TEXT_STYLE),
-        (row.note, _DIM_STYLE),
+        (f"frame {row.frame}", code),
+        (row.timecode, code),
+        (row.said, text),
+        (row.note, dim),
     )
     for label, style in labels:
         if label:
             room = max(right - at, 0)
             at += draw_text(page, label, x=at, y=y + 3, style=style, max_width=room) + 20
-    top = y + CAPTION_HEIGHT
+    top = y + layout.caption_height
     known = [t.value for t in row.tiles if t.value is not None and np.isfinite(t.value)]
-    best = min(known) if len(known) > 1 else None
+    best = min(known) if len(known) > 1 and spec.comparable else None
     at = x
     for tile, width in zip(row.tiles, layout.column_widths, strict=True):
         height = layout.tile_height
@@ -221,20 +258,15 @@ def _draw_row(
         used = 0
         if tile.value is not None:
             color = bytes_from_linear(heat_ramp(np.array([tile.value]), high=high))[0]
-            fill_box(page, at, below + 6, 16, 16, (int(color[0]), int(color[1]), int(color[2])))
-            style = _BEST_STYLE if tile.value == best else _VALUE_STYLE
-            label, style = _value_label(tile.value, spec.unit, style, room=width - 24)
-            level = below + (_VALUE_STYLE.size - style.size) // 2
-            used = 38 + draw_text(page, label, x=at + 24, y=level, style=style)
+            side = round(16 * scale)
+            fill_box(page, at, below + 6, side, side, (int(color[0]), int(color[1]), int(color[2])))
+            style = best_style if tile.value == best else value_style
+            label, style = _value_label(tile.value, spec.unit, style, room=width - side - 8)
+            level = below + (value_style.size - style.size) // 2
+            used = side + 22 + draw_text(page, label, x=at + side + 8, y=level, style=style)
         if tile.pixels is not None:
-            draw_text(
-                page,
-                tile.caption,
-                x=at + used,
-                y=below + 1,
-                style=_DIM_STYLE,
-                max_width=max(width - used, 0),
-            )
+            room = max(width - used, 0)
+            draw_text(page, tile.caption, x=at + used, y=below + 1, style=dim, max_width=room)
         at += width + TILE_GUTTER
 
 

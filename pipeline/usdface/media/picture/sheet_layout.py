@@ -8,7 +8,9 @@ import numpy as np
 
 from usdface.core.arrays import ByteImage, FloatArray
 from usdface.core.errors import InputError
+from usdface.media.picture.color import BRIGHT
 from usdface.media.picture.error_strip import ErrorCurve, strip_height
+from usdface.media.picture.text import TextStyle, wrap_text
 
 BEST_ASPECT = 1.5
 """Width over height that fills a screen and a landscape page alike."""
@@ -21,6 +23,14 @@ CAPTION_HEIGHT = 30
 COLUMN_HEAD = 36
 _LEGEND_HEIGHT = 42
 LEGEND_LINE = 24
+READ_WIDTH = 1600
+READ_LETTER = 12
+"""On a sheet shown so wide the smallest letters are so high [pixels]: they are still read."""
+
+_SMALLEST_STYLE = 16
+VERDICT_STYLE = TextStyle(size=23, color=BRIGHT, weight="bold")
+VERDICT_LINE = 30
+
 LEGEND_LETTERS = 90  # of one line of notes; more go to lines of their own
 LEGEND_LETTER = 8  # [pixels] the width of one, about
 LEAST_WIDTH = 800  # for the title and the strip above a few small tiles
@@ -78,6 +88,8 @@ class SheetPage:
     ----------
     title : str
         The shot or the performance.
+    verdict : tuple of str
+        ``'good'``, ``'check'`` or ``'bad'``, and lines that say why and what to do; or none.
     facts : tuple of str
         Take, performer, mapping … one line, set apart by dots.
     columns : tuple of str
@@ -96,6 +108,8 @@ class SheetPage:
         Error in the ramp's last colour; chosen from the curves and rows when None.
     tile_height : int
         [pixels]
+    comparable : bool
+        Whether values of a row measure one thing, so that the smallest is the best.
     groups : int or None
         How many blocks of rows stand side by side; None lets the sheet's shape decide.
     """
@@ -103,6 +117,7 @@ class SheetPage:
     title: str
     columns: tuple[str, ...]
     rows: tuple[SheetRow, ...]
+    verdict: tuple[str, ...] = ()
     facts: tuple[str, ...] = ()
     curves: tuple[ErrorCurve, ...] = ()
     first_frame: int = 0
@@ -110,6 +125,7 @@ class SheetPage:
     unit: str = "mm"
     high: float | None = None
     tile_height: int = 320
+    comparable: bool = True
     groups: int | None = None
 
 
@@ -124,6 +140,21 @@ class Layout:
     head_height: int
 
     @property
+    def scale(self) -> float:
+        """Of letters and what holds them: a wide sheet is shown smaller."""
+        return max(self.width * READ_LETTER / (READ_WIDTH * _SMALLEST_STYLE), 1.0)
+
+    @property
+    def caption_height(self) -> int:
+        """Of the lines above and below a tile [pixels]."""
+        return round(self.scale * CAPTION_HEIGHT)
+
+    @property
+    def column_head(self) -> int:
+        """Of the heads of the columns [pixels]."""
+        return round(self.scale * COLUMN_HEAD)
+
+    @property
     def group_width(self) -> int:
         """Width of one block of rows."""
         return sum(self.column_widths) + TILE_GUTTER * (len(self.column_widths) - 1)
@@ -131,7 +162,7 @@ class Layout:
     @property
     def row_height(self) -> int:
         """From one row's head to the next one's."""
-        return CAPTION_HEIGHT + self.tile_height + CAPTION_HEIGHT + _ROW_GAP
+        return 2 * self.caption_height + self.tile_height + _ROW_GAP
 
     @property
     def width(self) -> int:
@@ -142,7 +173,12 @@ class Layout:
     @property
     def height(self) -> int:
         """Height of the sheet."""
-        return self.head_height + COLUMN_HEAD + self.rows_per_group * self.row_height + PAGE_MARGIN
+        return (
+            self.head_height
+            + self.column_head
+            + self.rows_per_group * self.row_height
+            + PAGE_MARGIN
+        )
 
 
 def check_sheet(spec: SheetPage) -> None:
@@ -182,10 +218,16 @@ def legend_bar(width: int) -> int:
     return min(240, width // 4)
 
 
-def legend_lines(notes: Sequence[str], width: int) -> tuple[str, ...]:
+def verdict_lines(verdict: Sequence[str], width: int, scale: float) -> list[str]:
+    """Return a verdict on as many lines as it needs on a sheet so wide."""
+    style, room = VERDICT_STYLE.scaled(scale), width - 2 * PAGE_MARGIN
+    return [line for text in verdict[1:] for line in wrap_text(text, style, max_width=room)]
+
+
+def legend_lines(notes: Sequence[str], width: int, scale: float = 1.0) -> tuple[str, ...]:
     """Return notes on as many lines as they need to be read on a sheet so wide; at least one."""
     inner = width - 2 * PAGE_MARGIN
-    room = (inner - legend_bar(inner) - 120) // LEGEND_LETTER
+    room = int((inner - legend_bar(inner) - 120 * scale) / (scale * LEGEND_LETTER))
     room = min(max(room, 20), LEGEND_LETTERS)
     lines = [""]
     for note in notes:
@@ -206,17 +248,25 @@ def lay_out(spec: SheetPage) -> Layout:
     count = len(spec.rows)
     choices = [spec.groups] if spec.groups else range(1, count + 1)
     bare = [Layout(widths, spec.tile_height, g, -(-count // g), 0) for g in choices]
-    layouts = [replace(one, head_height=_head_height(spec, one.width)) for one in bare]
+    layouts = [replace(one, head_height=_head_height(spec, one)) for one in bare]
     # Of two equal shapes the one with fewer groups reads better; min keeps the first.
     return min(layouts, key=lambda one: abs(np.log(one.width / one.height / BEST_ASPECT)))
 
 
-def _head_height(spec: SheetPage, width: int) -> int:
-    head = PAGE_MARGIN - 8 + TITLE_HEIGHT + (FACTS_HEIGHT if spec.facts else 0) + 18
-    head += strip_height(len(spec.curves)) if spec.curves else 0
+def _head_height(spec: SheetPage, one: Layout) -> int:
+    width, scale = one.width, one.scale
+    head = PAGE_MARGIN + header_height(scale, facts=bool(spec.facts))
+    head += round(scale * VERDICT_LINE) * len(verdict_lines(spec.verdict, width, scale))
+    head += strip_height(len(spec.curves), scale) if spec.curves else 0
     if has_legend(spec):
-        head += _LEGEND_HEIGHT + LEGEND_LINE * (len(legend_lines(spec.notes, width)) - 1)
+        lines = len(legend_lines(spec.notes, width, scale))
+        head += round(scale * (_LEGEND_HEIGHT + LEGEND_LINE * (lines - 1)))
     return head
+
+
+def header_height(scale: float = 1.0, *, facts: bool = True) -> int:
+    """Return the height of title, facts and the rule below them, from a page's margin on."""
+    return round(scale * (TITLE_HEIGHT + (FACTS_HEIGHT if facts else 0) + 10))
 
 
 def _column_aspect(rows: Sequence[SheetRow], column: int) -> float:

@@ -1,6 +1,6 @@
 """Letters on pictures, drawn by Pillow with the DejaVu fonts that matplotlib brings along."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -56,6 +56,10 @@ class TextStyle:
     size: int = 16
     color: Color = (222, 224, 228)
     weight: Weight = "regular"
+
+    def scaled(self, scale: float) -> "TextStyle":
+        """Return it in another size."""
+        return replace(self, size=round(scale * self.size))
 
 
 def font_file(weight: Weight) -> Path:

@@ -47,12 +47,11 @@ class Report {
     this.picture = -1;
     this.shown = [];
     this.playing = false;
-    this.timer = 0;
+    this.naming = 0;
     this.scriptMillis = 0;
     this.viewer = new FaceViewer(byId("face"), face);
     const column = new Map(data.shapes.map((name, index) => [name, index]));
-    this.columns = face.names.map((name) => column.get(name) ?? -1);
-    this.weights = new Float32Array(face.names.length);
+    this.columns = Float32Array.from(face.names, (name) => column.get(name) ?? -1);
     this.pose = curves[0];
     this.video = data.movie ? byId("video") : null;
     this.seeking = false;
@@ -65,16 +64,13 @@ class Report {
     if (at === this.picture) return;
     const start = performance.now();
     this.picture = at;
-    for (let i = 0; i < this.weights.length; i++) {
-      const c = this.columns[i];
-      const step = c < 0 ? 0 : this.pose.values[c * count + at];
-      this.weights[i] = step === NOTHING ? 0 : step / data.steps;
-    }
-    this.viewer.setWeights(this.weights);
+    this.viewer.setWeights(this.weightsAt(at));
     document.documentElement.style.setProperty("--at", count > 1 ? at / (count - 1) : 0);
     const frame = data.frames[at], code = data.timecodes[at] ?? "";
     byId("clock").textContent = `${code}  ${frame}`.trim();
     byId("said").textContent = data.labels[data.said[at]] ?? "";
+    clearTimeout(this.naming); // browsers refuse an address that changes with every frame
+    this.naming = setTimeout(() => history.replaceState(null, "", `#${data.frames[this.picture]}`), 200);
     const scrub = byId("scrub");
     scrub.value = at;
     scrub.setAttribute("aria-valuetext", `frame ${frame}${code ? `, ${code}` : ""}`);
@@ -84,6 +80,21 @@ class Report {
     }
     if (this.video && !fromVideo) this.seek(at);
     this.scriptMillis = performance.now() - start;
+  }
+
+  weightsAt(at) {
+    return this.columns.map((column) => {
+      const step = column < 0 ? 0 : this.pose.values[column * count + at];
+      return step === NOTHING ? 0 : step / data.steps;
+    });
+  }
+
+  /** Go to the next or the previous moment to review, in order of time. */
+  review(way) {
+    const moments = data.worst.map(({ picture }) => picture).sort((a, b) => a - b);
+    const next = way > 0 ? moments.find((at) => at > this.picture) : moments.findLast((at) => at < this.picture);
+    this.play(false);
+    this.show(next ?? moments.at(way > 0 ? 0 : -1) ?? this.picture);
   }
 
   /** One seek at a time; while one is on its way only the newest is remembered. */
@@ -133,22 +144,25 @@ class Report {
       new Blob([bytesFromBase64(byId("movie").textContent)], { type: data.movie }),
     );
     this.video.addEventListener("seeked", () => this.seeked());
-    this.video.addEventListener("ended", () => this.play(false));
+    this.video.addEventListener("ended", () => { this.show(count - 1, { fromVideo: true }); this.play(false); });
     this.video.addEventListener("error", () => {
       tell("the video cannot be played by this browser; the face and the curves still can");
       this.video = null;
     });
     const follow = (_now, { mediaTime }) => {
       if (this.playing) this.show(Math.floor(mediaTime * data.rate + 1e-3), { fromVideo: true });
-      this.video?.requestVideoFrameCallback(follow);
+      this.video?.requestVideoFrameCallback?.(follow);
     };
-    this.video.requestVideoFrameCallback?.(follow);
+    if (this.video.requestVideoFrameCallback) this.video.requestVideoFrameCallback(follow);
+    else this.video.addEventListener("timeupdate", () => follow(0, { mediaTime: this.video.currentTime }));
   }
 
   fillWorst() {
-    for (const { picture, reason } of data.worst) {
+    for (const { picture, region, reason } of data.worst) {
       const frame = data.frames[picture];
-      const link = node("a", { href: `#${frame}` }, String(frame), node("span", {}, data.timecodes[picture] ?? ""), node("small", {}, reason));
+      const still = node("canvas", { width: 128, height: 128, "aria-hidden": "true" });
+      still.getContext("2d").putImageData(this.viewer.thumbnail(this.weightsAt(picture), 128, 128), 0, 0);
+      const link = node("a", { href: `#${frame}` }, still, node("span", {}, `${frame} ${region}`.trim()), node("span", {}, data.timecodes[picture] ?? ""), node("small", {}, reason));
       byId("worst").append(node("li", {}, link));
     }
     if (!data.worst.length) byId("worst").append(node("li", {}, "nothing stands out"));
@@ -277,13 +291,17 @@ class Report {
       this.show(at, { fromVideo: true });
     });
     addEventListener("hashchange", () => this.fromAddress());
+    // A link to the frame in the address changes nothing there, and still goes to it.
+    addEventListener("click", (event) => { if (event.target.closest?.("a[href^='#']")) setTimeout(() => this.fromAddress()); });
     addEventListener("keydown", (event) => {
       if (event.altKey || event.ctrlKey || event.metaKey) return;
       const typing = event.target.matches?.("input[type=search], select, canvas");
       const step = { ArrowLeft: -1, ArrowRight: 1, Home: -Infinity, End: Infinity }[event.key];
       // What a space means something to keeps it; a link and the scrubber do not.
       const own = "button, input:not([type=range]), select";
+      const way = { n: 1, p: -1 }[event.key];
       if (event.key === " " && !event.target.matches?.(own)) this.play();
+      else if (way && !event.target.matches?.("input[type=search], select")) this.review(way);
       else if (step !== undefined && !typing && event.target !== scrub) {
         this.play(false);
         this.show(step === -Infinity ? 0 : step === Infinity ? count - 1 : this.picture + step);
@@ -297,7 +315,7 @@ class Report {
   keepStill() {
     for (const entry of this.rows) if (!entry.head && !entry.row.hidden) this.drawCurve(entry);
     const still = byId("still");
-    const image = this.viewer.thumbnail(this.weights, 640, 640);
+    const image = this.viewer.thumbnail(this.weightsAt(this.picture), 640, 640);
     still.width = image.width;
     still.height = image.height;
     still.getContext("2d").putImageData(image, 0, 0);

@@ -103,9 +103,7 @@ def _largest_region(regions: tuple[str, ...], values: FloatArray) -> str:
     return regions[1 + int(np.nan_to_num(values[1:]).argmax())]
 
 
-def review_moments(
-    signals: ReviewSignals, count: int, *, rate: float, least_mm: float = 0.0
-) -> list[Moment]:
+def review_moments(signals: ReviewSignals, count: int, *, rate: float) -> list[Moment]:
     """Return the moments to review first, the worst first.
 
     Parameters
@@ -114,12 +112,10 @@ def review_moments(
         Most moments.
     rate : float
         Frames per second: no two moments are nearer than `MOMENT_SECONDS`.
-    least_mm : float
-        Frames below are left out.
     """
     score = np.nan_to_num(signals.score_mm, nan=-1.0)
     near = max(round(MOMENT_SECONDS * rate), 1)
-    free = score > least_mm
+    free = score >= 0
     rows: list[int] = []
     for row in np.argsort(-score, kind="stable").tolist():
         if len(rows) >= count:

@@ -192,7 +192,7 @@ def _advice(evidence: SolveEvidence, level: str, where: dict[str, float], propos
     still = () if basis is None else basis.still_regions
     steps = []
     if level == "bad" and evidence.error_mm is None:
-        parts = first_few(list(where) or still, most=3)
+        parts = " and the ".join(list(where)[:2] or still[:2])
         steps.append(
             "add frames of this take to the references"
             + (f", chosen for the {parts}" if parts else "")

@@ -97,9 +97,11 @@ def _swapped(name: str, match: re.Match[str]) -> str:
 
 REGIONS = ("brows", "lids", "cheeks and nose", "mouth", "jaw")
 
+_GAZE = ("look", "gaze", "pupil", "eyeball")
+
 # Tried in this order: a cheek's squint is not the lids', a lip is not the chin's, a gaze no lid.
 _WORDS: tuple[tuple[str, tuple[str, ...]], ...] = (
-    ("", ("look", "gaze", "pupil", "eyeball", "tongue")),
+    ("", (*_GAZE, "tongue")),
     ("brows", ("brow",)),
     ("cheeks and nose", ("cheek", "nose", "nostril", "sneer")),
     ("lids", ("blink", "lid", "squint", "eyewide", "eye_wide", "eyeopen", "eyeclose")),
@@ -128,6 +130,11 @@ def shapes_by_region(names: Sequence[str]) -> dict[str, IntArray]:
     found = np.array([region_of_shape(name) for name in names], dtype=object)
     columns = {region: np.flatnonzero(found == region) for region in REGIONS}
     return {region: shapes for region, shapes in columns.items() if len(shapes)}
+
+
+def gaze_shapes(names: Sequence[str]) -> IntArray:
+    """Return the columns of the shapes that turn the eyes, which markers do not show."""
+    return np.flatnonzero([any(word in name.lower() for word in _GAZE) for name in names])
 
 
 def blinks(names: Sequence[str]) -> IntArray:

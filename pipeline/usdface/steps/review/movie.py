@@ -21,15 +21,19 @@ from usdface.core.text import pluralize
 from usdface.media.film.movie import write_movie
 from usdface.media.film.movie_frame import MoviePanel, compose_movie_frame
 from usdface.media.film.movie_join import join_movies
+from usdface.model.review.verdict import judge_solve
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.review import MovieSpec, PanelKind
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
 from usdface.steps.review.pictures import ShotPictures
-from usdface.steps.review.shot import Shot, open_shot
+from usdface.steps.review.shot import Shot, open_shot, solve_evidence
 
 STRETCH_PICTURES = 48
 """Drawn and encoded by one process at a time, and lost at most when a run is stopped."""
+
+_SLATE_SECONDS = 3
+"""From the performance's first frame: how long the verdict is written over the panels."""
 
 LABELS: dict[PanelKind, str] = {"video": "video", "markers": "markers", "performance": "solve"}
 
@@ -232,6 +236,8 @@ def _pictures(
         widths["performance"] = pictures.face_width
     title = f"{shot.take.name}  ·  {shot.rig.file.stem}"
     uncertainty = shot.face_uncertainty_mm()
+    verdict = judge_solve(solve_evidence(shot.performance, slice(None)))  # whatever part is drawn
+    slate_end = shot.performance.weights.first_frame + _SLATE_SECONDS * shot.take.rate
     for number in range(stretch.start, stretch.stop):
         row = plan.clock.row(number)
         frame = int(shot.frames[row])
@@ -254,4 +260,5 @@ def _pictures(
             title=title,
             clock="  ".join(filter(None, (label or shot.timecode(frame), str(frame)))),
             uncertainty_mm=None if uncertainty is None else float(uncertainty[row]),
+            verdict=(verdict.level, *([verdict.sentence] if frame < slate_end else [])),
         )

@@ -1,7 +1,6 @@
 """The pictures that sheets and movies are made of: video, markers and faces of one shot."""
 
 from contextlib import ExitStack
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Literal, Self
 
@@ -15,12 +14,13 @@ from usdface.media.face.render import FaceRenderer
 from usdface.media.face.sculpted_normals import SculptedNormals
 from usdface.media.film.image_sequence import ImageSequence, open_video
 from usdface.media.film.video import VideoReader
+from usdface.media.picture.canvas import draw_dot, draw_line
+from usdface.media.picture.color import BLUE, BRIGHT
 from usdface.media.picture.display_view import DisplayView
 from usdface.media.picture.sheet import Tile
+from usdface.model.selection.baseline import BlendshapeEquation
+from usdface.numerics.registration.virtual_markers import character_motion
 from usdface.steps.review.shot import Shot, ShotCamera
-
-RESIDUAL_SCALE = 4.0
-"""Lines from markers to where the weights put them are so many times as long: they are short."""
 
 UNDRAWN_TOLD = 3
 
@@ -34,14 +34,6 @@ def _spread(take: Take) -> FloatArray:
         raise InputError(f"{take.name}: has no markers")
     step = max(take.frame_count // FRAMED_BY, 1)
     return take.markers.positions[::step].astype(np.float64)
-
-
-@dataclass(frozen=True)
-class Painted:
-    """A face painted with distances, and the largest of them [mm]."""
-
-    picture: ByteImage
-    largest_mm: float
 
 
 class ShotPictures:
@@ -125,8 +117,8 @@ class ShotPictures:
             return Tile(None, caption="cannot be decoded")
         return Tile(picture, caption="" if picture is not None else "no video here")
 
-    def markers(self, row: int, *, explained: FloatArray | None = None) -> ByteImage:
-        """Draw the markers of a row, with lines to where the weights put them."""
+    def markers(self, row: int) -> ByteImage:
+        """Draw the markers of a row."""
         markers = self._shot.take.markers
         if markers is None:
             raise InputError(f"{self._shot.take.name}: has no markers")
@@ -137,9 +129,29 @@ class ShotPictures:
             height=self._height,
             frame=self._cloud,
             visible=markers.visible[at],
-            explained=explained,
-            exaggeration=RESIDUAL_SCALE,
         )
+
+    def markers_on_face(self, row: int, equation: BlendshapeEquation) -> ByteImage:
+        """Draw the solve of a row with the performer's markers where they sit on the character.
+
+        A line runs from where the solve takes a marker's place on the skin to the marker.
+        """
+        shot = self._shot
+        picture = self.face(row, shot.weights[row])
+        posed = shot.deformer.points(shot.weights[row][None])[0]
+        motion = character_motion(equation.virtual, shot.positions[row][None], equation.neutral)[0]
+        seen = equation.virtual.places(shot.deformer.neutral) + motion
+        view = self._camera.at(int(shot.frames[row]))
+        size = self._height / 320
+        ends = [
+            view.project(points, width=self._width, height=self._height)[:, :2]
+            for points in (equation.virtual.places(posed), seen)
+        ]
+        for solved, captured in zip(*ends, strict=True):
+            if np.isfinite(solved).all() and np.isfinite(captured).all():
+                draw_line(picture, solved, captured, BRIGHT, thickness=1.4 * size)
+                draw_dot(picture, float(captured[0]), float(captured[1]), 2.4 * size, BLUE)
+        return picture
 
     def face(self, row: int, weights: FloatArray) -> ByteImage:
         """Draw the rig at one set of weights, (shapes,), as a row's frame sees it."""
@@ -152,20 +164,16 @@ class ShotPictures:
             sculpted=self._normals.at(weights),
         )
 
-    def difference(
-        self, row: int, weights: FloatArray, other: FloatArray, *, high_mm: float
-    ) -> Painted:
-        """Paint on the rig how far its surface lies from where other weights put it."""
-        ours = self._shot.deformer.points(weights[None])[0]
-        theirs = self._shot.deformer.points(other[None])[0]
-        away = np.linalg.norm(np.asarray(ours) - np.asarray(theirs), axis=-1)
-        picture = self._renderer.render(
-            ours,
+    def painted(
+        self, row: int, weights: FloatArray, values: FloatArray, *, high: float
+    ) -> ByteImage:
+        """Paint values of points, (points,), on the rig at one set of weights; NaN is grey."""
+        return self._renderer.render(
+            self._shot.deformer.points(weights[None])[0],
             camera=self._camera.at(int(self._shot.frames[row])),
             width=self._width,
             height=self._height,
             quality="draft",
-            values=away,
-            value_range=(0.0, high_mm),
+            values=values,
+            value_range=(0.0, high),
         )
-        return Painted(picture, float(away.max(initial=0.0)))

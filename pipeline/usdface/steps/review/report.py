@@ -23,24 +23,27 @@ from usdface.media.page.report_page import (
     WeightCurves,
     build_page,
 )
-from usdface.media.picture.sheet import round_range
+from usdface.media.picture.color import KEYS_RANGE_MM, UNKEYED_RANGE_MM
 from usdface.media.picture.tiles import empty_tile, fit_picture
+from usdface.model.review.moments import ReviewSignals, review_moments
 from usdface.numerics.measure.face_regions import region_of_shape
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
-from usdface.specs.review import AUTO_CAMERA, FramePick, ReportSpec
+from usdface.specs.review import ReportSpec
 from usdface.steps.inputs.phone_labels import labels_at
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
 from usdface.steps.review.report_tables import evaluate_shown, listings, show_coverage
-from usdface.steps.review.scoring import ChosenFrame, choose_frames, read_keys, set_up_shot_baseline
+from usdface.steps.review.scoring import (
+    ShotRuler,
+    read_keys,
+    set_up_shot_baseline,
+    solve_baseline,
+)
 from usdface.steps.review.shot import Shot, open_shot
 from usdface.usdio.performance.read import PerformanceReader
 
-LONGEST_PICTURES = 36_000
-"""Ten minutes at 60 pictures per second: a longer page would not open."""
-
-SURE_MM = 0.5
-"""Uncertainty up to which a frame is not worth a look for it: half of what is seen."""
+LONGEST_FRAMES = 36_000
+"""Ten minutes at 60 frames per second: a longer page would not open."""
 
 LARGEST_SHEET_BYTES = 64 << 20
 SHEET_TYPES = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}
@@ -60,13 +63,14 @@ def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent
     progress(1.0, "done")
     return StepResult(
         (spec.out,),
-        f"{pluralize(clock.picture_count, 'picture')}, {pluralize(len(shot.rig.shapes), 'shape')}, "
-        f"{len(text) / 1e6:.1f} MB; open it in a browser",
+        f"{pluralize(len(page.frames), 'frame')}, {pluralize(len(shot.rig.shapes), 'shape')}, "
+        f"{len(text) / 1e6:.1f} MB; open it in a browser. {page.verdict[1]}",
         tuple(notes),
         {
-            "pictures": clock.picture_count,
+            "pictures": len(page.frames),
             "megabytes": len(text) / 1e6,
-            "worst_frames": [int(page.frames[picture]) for picture, _ in page.worst],
+            "worst_frames": [int(page.frames[picture]) for picture, *_ in page.worst],
+            "verdict": page.verdict[0],
         },
     )
 
@@ -78,10 +82,10 @@ def _clock(spec: ReportSpec, shot: Shot) -> MovieClock:
         first_frame=int(shot.frames[0]),
         frame_count=len(shot.frames),
     )
-    if clock.picture_count > LONGEST_PICTURES:
+    if len(shot.frames) > LONGEST_FRAMES:
         raise InputError(
-            f"{spec.performance}: {clock.picture_count} pictures are too many for a page, which "
-            f"holds {LONGEST_PICTURES}; show parts of it with --frames"
+            f"{spec.performance}: {len(shot.frames)} frames are too many for a page, which "
+            f"holds {LONGEST_FRAMES}; show parts of it with --frames"
         )
     return clock
 
@@ -95,100 +99,77 @@ def _page(
     progress: Progress,
 ) -> ReviewPage:
     """Measure, pack and draw what the page shows; what could not be had is added to the notes."""
-    take, rig = shot.take, shot.rig
-    rows = np.array([clock.row(picture) for picture in range(clock.picture_count)])
-    frames = shot.frames[rows]
+    take, rig, ruler = shot.take, shot.rig, ShotRuler(shot)
     keys = read_keys(spec.against, rig, shot.frames)
     progress(0.05, "placing the markers on the rig")
     equation = set_up_shot_baseline(shot)
-    residual = equation.residual_mm(shot.positions, shot.weights)
-    baseline = equation.propose(shot.positions[rows]) if spec.baseline else None
-    pictures, strips = _sheet(spec), _strips(shot, residual, rows)
+    signals = ruler.signals(keys, equation)
+    verdict = ruler.verdict(signals)
+    rows = np.arange(len(shot.frames))
+    baseline = solve_baseline(equation, shot, rows) if spec.baseline else None
+    pictures = _sheet(spec)
     tables = listings(shot, evaluate_shown(shot, keys), provenance)
     progress(0.2, "packing the face")
     view = shot.camera(spec.camera, spec.camera_stage)
     notes += [*view.notes(clock.first_frame), *rig.undrawn_notes()]
-    face = pack_face(rig, camera=None if spec.camera == AUTO_CAMERA else view.at(clock.first_frame))
     movie = _movie(spec, shot, clock, notes, part(progress, 0.25, 0.93))
-    coverage = show_coverage(spec, shot, rows, notes, part(progress, 0.93, 0.97))
+    coverage = show_coverage(spec, shot, notes, part(progress, 0.93, 0.97))
     if coverage is not None:
-        strips = (*strips, coverage.strip)
         tables = (*tables[:-1], *coverage.listings, tables[-1])  # provenance is last
         pictures = (*pictures, coverage.picture)
+    moments = review_moments(signals, spec.worst, rate=float(take.rate))
     return ReviewPage(
         title=f"{take.name} on {rig.file.stem}",
+        verdict=(verdict.level, verdict.sentence, verdict.advice),
         facts=_facts(shot),
-        rate=float(clock.rate),
-        frames=frames.tolist(),
-        timecodes=list(map(shot.timecode, frames.tolist())) if take.timecode_start else [],
+        rate=float(take.rate),
+        frames=shot.frames.tolist(),
+        timecodes=list(map(shot.timecode, shot.frames.tolist())) if take.timecode_start else [],
         shapes=rig.shapes,
         regions=tuple(region_of_shape(name) or "other" for name in rig.shapes),
-        curves=_curves(shot, rows, keys, baseline),
-        strips=strips,
-        worst=_worst(spec, shot, residual, clock),
+        curves=_curves(shot, keys, baseline),
+        strips=_strips(signals),
+        worst=tuple((each.row, each.region, each.reason) for each in moments),
         listings=tables,
-        face=face,
+        face=pack_face(rig, camera=view.at(clock.first_frame)),
         movie=movie,
         movie_type=_movie_kind()[1],
         pictures=pictures,
-        said=labels_at(spec.phones, take, frames) if spec.phones else (),
+        said=labels_at(spec.phones, take, shot.frames) if spec.phones else (),
         origin=provenance_metadata(provenance),
     )
 
 
 def _curves(
-    shot: Shot, rows: FloatArray, truth: FloatArray | None, baseline: FloatArray | None
+    shot: Shot, truth: FloatArray | None, baseline: FloatArray | None
 ) -> tuple[WeightCurves, ...]:
     """Return every set of weights there is; the first is what is published."""
     reader = PerformanceReader(shot.performance_file)
-    shown = WeightCurves("edited" if reader.edits else "solve", shot.weights[rows])
+    shown = WeightCurves("edited" if reader.edits else "solve", shot.weights)
     found = [shown]
     if reader.edits:
         solved = reader.solved(int(shot.frames[0]), int(shot.frames[-1]))
         ordered = columns_by_name(solved, reader.names, shot.rig.shapes)
-        found.append(WeightCurves("solve", ordered[rows]))
+        found.append(WeightCurves("solve", ordered))
     if truth is not None:
-        found.append(WeightCurves("keys", truth[rows]))
+        found.append(WeightCurves("keys", truth))
     if baseline is not None:
         found.append(WeightCurves("baseline", baseline))
     return tuple(found)
 
 
-def _strips(shot: Shot, residual: FloatArray, rows: FloatArray) -> tuple[Strip, ...]:
-    strips = [
-        Strip("residual", residual[rows], 0.0, round_range(residual), "mm"),
-    ]
-    uncertainty = shot.face_uncertainty_mm()
-    if uncertainty is not None:
-        shown = uncertainty[rows]
-        strips.insert(0, Strip("uncertainty", shown, 0.0, round_range(uncertainty), "mm"))
-    return tuple(strips)
-
-
-def _worst(
-    spec: ReportSpec, shot: Shot, residual: FloatArray, clock: MovieClock
-) -> tuple[tuple[int, str], ...]:
-    """Return pictures to look at first: by residual, up to half by uncertainty; by time."""
-    uncertainty = shot.face_uncertainty_mm()
-    zero = np.zeros(len(shot.frames))
-
-    def pick(by: FramePick, count: int) -> list[ChosenFrame]:
-        return choose_frames(
-            by, count, strength=zero, error_mm=residual, uncertainty_mm=uncertainty, jump_mm=zero
-        )
-
-    doubtful: list[ChosenFrame] = []
-    if uncertainty is not None and spec.worst > 1:
-        doubtful = [
-            frame
-            for frame in pick("uncertainty", spec.worst // 2)
-            if uncertainty[frame.row] > SURE_MM
-        ]
-    reasons: dict[int, str] = {}
-    for frame in (*pick("residual", spec.worst - len(doubtful)), *doubtful):
-        picture = min(round(frame.row * clock.rate / clock.take_rate), clock.picture_count - 1)
-        reasons.setdefault(picture, frame.reason.replace("error", "residual"))
-    return tuple(sorted(reasons.items()))
+def _strips(signals: ReviewSignals) -> tuple[Strip, ...]:
+    """Return what is known of the solve over time, on the scales of all pictures."""
+    evidence = signals.evidence
+    found = []
+    if evidence.error_mm is not None:
+        found.append(Strip("error", evidence.error_mm[:, 0], 0.0, KEYS_RANGE_MM, "mm"))
+    if evidence.uncertainty_mm is not None:
+        shown = evidence.uncertainty_mm[:, 0]
+        found.append(Strip("uncertainty", shown, 0.0, UNKEYED_RANGE_MM, "mm"))
+    if evidence.coverage is not None:
+        found.append(Strip("coverage", evidence.coverage[:, 0], 0.0, 1.0, "by references"))
+    return tuple(found)
 
 
 def _facts(shot: Shot) -> tuple[str, ...]:
@@ -202,9 +183,6 @@ def _facts(shot: Shot) -> tuple[str, ...]:
         facts.insert(0, take.performer)
     if take.timecode_start:
         facts.append(f"timecode {shot.timecode(int(shot.frames[0]))}")
-    uncertainty = shot.face_uncertainty_mm()
-    if uncertainty is not None:
-        facts.append(f"mean uncertainty {float(uncertainty.mean()):.2f} mm")
     return tuple(facts)
 
 

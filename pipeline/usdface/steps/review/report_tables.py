@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
-from usdface.media.page.report_page import Listing, PagePicture, Strip
+from usdface.media.page.report_page import Listing, PagePicture
 from usdface.media.picture.image import encode_image
 from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
 from usdface.runner.origin import path_made_from, provenance_of, spec_of
@@ -19,7 +19,7 @@ from usdface.specs.review import ReportSpec
 from usdface.steps.inputs.coverage_report import MeasuredCoverage, measure_pairs, next_frames
 from usdface.steps.inputs.edit_ranges import find_edited_ranges
 from usdface.steps.review.evaluation_tables import evaluation_figures, shapes_with_motion
-from usdface.steps.review.shot import Shot
+from usdface.steps.review.shot import Shot, find_take
 from usdface.usdio.performance.read import PerformanceReader
 
 _LISTED_MARKERS = 12
@@ -148,28 +148,19 @@ def _provenance(shot: Shot, page: Provenance) -> Listing:
 
 @dataclass(frozen=True)
 class ShownCoverage:
-    """What a page shows of coverage.
+    """What a page shows of coverage by the references, as they are now."""
 
-    Attributes
-    ----------
-    strip : Strip
-        Share of the motion that the references determine, picture by picture.
-    """
-
-    strip: Strip
     listings: tuple[Listing, ...]
     picture: PagePicture
 
 
 def show_coverage(
-    spec: ReportSpec, shot: Shot, rows: IntArray, notes: list[str], progress: Progress
+    spec: ReportSpec, shot: Shot, notes: list[str], progress: Progress
 ) -> ShownCoverage | None:
     """Measure how the references cover a shot; None where they are not known.
 
     Parameters
     ----------
-    rows : (pictures,) int array
-        Row of the shot that each picture shows.
     notes : list of str
         Added to, where references are known and cannot be used.
 
@@ -186,7 +177,9 @@ def show_coverage(
             confine("report", reads=[references])
         measured = measure_pairs(
             ReferencesCoverageSpec(
-                references=references, takes=(spec.take,), out=Path("coverage.png")
+                references=references,
+                takes=(find_take(spec.performance, spec.take),),
+                out=Path("coverage.png"),
             ),
             progress=progress,
         )
@@ -195,10 +188,7 @@ def show_coverage(
             raise
         notes.append(f"coverage is left out: {error}")
         return None
-    coverage = measured.covered.coverage
-    covered: FloatArray = coverage.covered[shot.frames - shot.take.first_frame]
     return ShownCoverage(
-        Strip("coverage", covered[rows], 0.0, 1.0, "by references"),
         (_shares(measured, references), _next(measured)),
         PagePicture(
             "Coverage",

@@ -1,15 +1,34 @@
 """What a review judges: weights over a shot's frames, and how far each is off."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray, index_of
+from usdface.core.arrays import FloatArray, IntArray, index_of
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
+from usdface.media.picture.color import KEYS_RANGE_MM, UNKEYED_RANGE_MM
 from usdface.media.picture.error_strip import ErrorCurve
+from usdface.model.mapping.regions import FACE
+from usdface.model.review.moments import (
+    Moment,
+    ReviewSignals,
+    region_distances,
+    review_moments,
+    surface_jumps,
+)
+from usdface.model.review.verdict import SolveVerdict, judge_solve
 from usdface.model.selection.baseline import BlendshapeEquation
+from usdface.model.selection.lip_contact import CONTACT_MM, find_lips, lip_gap_mm
+from usdface.numerics.measure.face_regions import (
+    gaze_shapes,
+    points_by_region,
+    region_gram,
+    shapes_by_region,
+)
+from usdface.numerics.registration.virtual_markers import character_motion
 from usdface.specs.review import FramePick
 from usdface.steps.inputs.placement import placed_equation, placement_of_performance
 from usdface.steps.inputs.weight_tables import read_weight_table
@@ -18,25 +37,113 @@ from usdface.steps.review.shot import Shot
 _BASELINE_FRAMES = 20_000
 """Frames at which a long shot's baseline is solved: more than a sheet's curve can show."""
 
+_MEASURED_GAPS = 200
+"""Frames whose lips are measured on the rig, of those whose shapes say that they are open."""
+
+
+@dataclass(frozen=True)
+class ShotRuler:
+    """What differences of weights do to the skin of a shot's rig; the gaze is left out."""
+
+    shot: Shot
+
+    @cached_property
+    def gaze(self) -> IntArray:
+        """Columns of the shapes that turn the eyes."""
+        return gaze_shapes(self.shot.rig.shapes)
+
+    @cached_property
+    def points(self) -> dict[str, IntArray]:
+        """Points of the rig by region, the whole face first; see `points_by_region`."""
+        offsets = self.shot.deformer.shapes.target_offsets()
+        count = offsets.shape[1] // 3
+        return {FACE: np.arange(count)} | points_by_region(
+            offsets, shapes_by_region(self.shot.rig.shapes)
+        )
+
+    @cached_property
+    def grams(self) -> FloatArray:
+        """Of each region: (regions, shapes, shapes) [mm^2]."""
+        offsets = self.shot.deformer.shapes.target_offsets()
+        grams = np.stack([region_gram(offsets, points) for points in self.points.values()])
+        grams[:, self.gaze] = 0.0
+        grams[:, :, self.gaze] = 0.0
+        return grams
+
+    @property
+    def regions(self) -> tuple[str, ...]:
+        """Names of the regions that are measured."""
+        return tuple(self.points)
+
+    def distances(self, off: FloatArray) -> FloatArray:
+        """Return what differences of weights do to the skin: (frames, regions) [mm]."""
+        return region_distances(off, self.grams)
+
+    def gaze_error_mm(self, truth: FloatArray) -> float:
+        """Return the mean error of the eyes alone, over all points of the rig [mm]."""
+        off = np.zeros_like(truth)
+        off[:, self.gaze] = (self.shot.weights - truth)[:, self.gaze]
+        return float(np.nanmean(surface_distance(self.shot, off)))
+
+    def signals(
+        self, truth: FloatArray | None, equation: BlendshapeEquation | None = None
+    ) -> ReviewSignals:
+        """Return what the shot's frames are judged and ranked by.
+
+        Parameters
+        ----------
+        truth : (frames, shapes) float array or None
+            The keys; NaN where there are none.
+        equation : BlendshapeEquation, optional
+            To see where the performer's lips are closed.
+        """
+        shot = self.shot
+        error = None if truth is None else self.distances(shot.weights - truth)
+        evidence = shot.evidence(self.regions if error is not None else None, error)
+        jumps = surface_jumps(shot.weights, self.grams)
+        if evidence.regions != self.regions:  # the mapping's regions, where its markers tell fewer
+            columns = [self.regions.index(r) if r in self.regions else 0 for r in evidence.regions]
+            jumps = jumps[:, columns or [0]]
+        gaps = None if equation is None or error is not None else lip_gaps(shot, equation)
+        return ReviewSignals(evidence, jumps, gaps)
+
+    def verdict(self, signals: ReviewSignals) -> SolveVerdict:
+        """Judge the shot."""
+        return judge_solve(signals.evidence)
+
+
+def lip_gaps(shot: Shot, equation: BlendshapeEquation) -> FloatArray | None:
+    """Return how far lips are open where the performer's are closed: (frames,) [mm].
+
+    None where rig or markers do not tell where the lips are.
+    """
+    lips = find_lips(equation, shot.deformer, shot.rig.shapes)
+    if lips is None:
+        return None
+    motion = character_motion(equation.virtual, shot.positions, equation.neutral)
+    direction = lips.pairs.direction
+    parted = ((motion[:, lips.upper] - motion[:, lips.lower]) @ direction).mean(axis=1)
+    about = np.where(parted < CONTACT_MM, shot.weights[:, lips.columns] @ lips.opening, 0.0)
+    rows = np.argsort(-about, kind="stable")[:_MEASURED_GAPS]
+    rows = rows[about[rows] > CONTACT_MM]
+    gaps = np.zeros(len(about))
+    measured = lip_gap_mm(shot.deformer, lips, shot.weights[rows])
+    shown = np.maximum(parted[rows], 0.0) + CONTACT_MM
+    gaps[rows] = np.maximum(measured - shown, 0.0)
+    return gaps
+
 
 @dataclass(frozen=True)
 class Score:
-    """Weights over the frames that a sheet may show, and their error.
-
-    Attributes
-    ----------
-    weights : (frames, shapes) float array
-        In the rig's order.
-    error_mm : (frames,) float array
-        NaN where it is not known.
-    against_truth : bool
-        Whether the error is one of the surface; else it is the residual of the markers.
-    """
+    """Weights over the frames that a sheet may show, and how far they are off."""
 
     label: str
     weights: FloatArray
+    """(frames, shapes): in the rig's order."""
     error_mm: FloatArray
+    """(frames,): of the skin against the keys, else the uncertainty; NaN where it is not known."""
     against_truth: bool = False
+    """Whether the error is one against keys."""
 
 
 def set_up_shot_baseline(shot: Shot) -> BlendshapeEquation:
@@ -94,17 +201,15 @@ def read_keys(file: Path | None, rig: Rig, frames: IntArray) -> FloatArray | Non
     return truth
 
 
-def score(
-    label: str,
-    shot: Shot,
-    weights: FloatArray,
-    truth: FloatArray | None,
-    equation: BlendshapeEquation,
-) -> Score:
-    """Measure weights on the surface where the truth is known, else by the markers."""
-    if truth is None:
-        return Score(label, weights, equation.residual_mm(shot.positions, weights))
-    return Score(label, weights, surface_distance(shot, weights - truth), against_truth=True)
+def score(label: str, shot: Shot, weights: FloatArray, truth: FloatArray | None) -> Score:
+    """Measure weights against the keys; without them only the shot's own have an uncertainty."""
+    if truth is not None:
+        error = ShotRuler(shot).distances(weights - truth)[:, 0]
+        return Score(label, weights, error, against_truth=True)
+    uncertainty = shot.face_uncertainty_mm()
+    if uncertainty is None or weights is not shot.weights:
+        uncertainty = np.full(len(weights), np.nan)
+    return Score(label, weights, uncertainty)
 
 
 def surface_distance(shot: Shot, difference: FloatArray) -> FloatArray:
@@ -113,10 +218,17 @@ def surface_distance(shot: Shot, difference: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
 
-def uncertainty_curves(shot: Shot) -> tuple[ErrorCurve, ...]:
-    """Return the uncertainty of the solve; none if unknown."""
-    uncertainty = shot.face_uncertainty_mm()
-    return () if uncertainty is None else (ErrorCurve("uncertainty", uncertainty),)
+def range_mm(*, keyed: bool) -> float:
+    """Return the end of the scale of colours, one of all pictures with keys or without."""
+    return KEYS_RANGE_MM if keyed else UNKEYED_RANGE_MM
+
+
+def coverage_curves(shot: Shot) -> tuple[ErrorCurve, ...]:
+    """Return how much of each frame the references do not show; nothing where it is unknown."""
+    coverage = shot.evidence().coverage
+    if coverage is None:
+        return ()
+    return (ErrorCurve("not covered", 100 * (1 - coverage[:, 0]), high=100.0, unit="%"),)
 
 
 WORST_SHARE = 6
@@ -136,53 +248,53 @@ def choose_frames(
     count: int,
     *,
     strength: FloatArray,
-    error_mm: FloatArray,
-    uncertainty_mm: FloatArray | None,
-    jump_mm: FloatArray,
+    signals: ReviewSignals,
+    rate: float,
 ) -> list[ChosenFrame]:
     """Choose frames, in order of time and spread over it.
 
     Parameters
     ----------
-    pick : {'expression', 'residual', 'uncertainty', 'jump', 'even'}
-        What makes a frame worth it; ``'expression'`` takes some of the largest errors too.
+    pick : {'expression', 'review', 'residual', 'uncertainty', 'jump', 'even'}
+        What makes a frame worth it; ``'expression'`` takes some of the moments to review first too.
     count : int
-        Fewer where there are fewer frames, or fewer whose error is known, of the worst.
+        Fewer where there are fewer frames or, of moments to review, fewer that stand apart.
     strength : (frames,) float array
         How far the face is from neutral.
-    error_mm : (frames,) float array
-        NaN where it is not known.
-    uncertainty_mm : (frames,) float array or None
-        Without it, `error_mm` stands in.
-    jump_mm : (frames,) float array
-        How far the surface moved since the frame before.
+    rate : float
+        Frames per second.
     """
-    frames = len(strength)
+    frames, evidence = len(strength), signals.evidence
     count = min(count, frames)
-    apart = max(frames // (3 * count), 1)
-    known = np.isfinite(error_mm)
-    error = np.where(known, error_mm, -1.0)
+    near = max(frames // (3 * count), 1)
     if pick == "even":
         spread = np.unique(np.linspace(0, frames - 1, count).round().astype(np.int64))
         return [ChosenFrame(row) for row in spread.tolist()]
+    if pick == "review":
+        moments = review_moments(signals, count, rate=rate)
+        return sorted(map(_chosen_moment, moments), key=lambda frame: frame.row)
     if pick == "expression":
         worst = min(count // WORST_SHARE, count - 1)
-        chosen = _strongest(strength, count - worst, apart)
-        rows = _largest(error, count, apart, taken=chosen)
+        chosen = _strongest(strength, count - worst, near)
         found = [ChosenFrame(row) for row in chosen]
-        found += [ChosenFrame(row, "worst" if known[row] else "") for row in rows]
-    elif pick == "uncertainty" and uncertainty_mm is not None:
-        rows = _largest(uncertainty_mm, count, apart)
-        found = [ChosenFrame(row, f"uncertainty {uncertainty_mm[row]:.2f} mm") for row in rows]
-    elif pick == "jump":
-        rows = _largest(jump_mm, count, apart)
-        found = [ChosenFrame(row, f"moved {jump_mm[row]:.2f} mm") for row in rows]
+        error = np.nan_to_num(signals.score_mm, nan=-1.0)
+        for row in _largest(error, count, near, taken=chosen):
+            reason = _chosen_moment(signals.moment(row)) if error[row] > 0 else ChosenFrame(row)
+            found.append(reason)
     else:
-        rows = _largest(error, count, apart, among=known if known.any() else None)
-        found = [
-            ChosenFrame(row, f"error {error[row]:.2f} mm" if known[row] else "") for row in rows
-        ]
+        values, words = signals.jump_mm[:, 0], "moved"
+        if pick == "uncertainty" and evidence.uncertainty_mm is not None:
+            values, words = evidence.uncertainty_mm[:, 0], "uncertainty"
+        elif pick == "residual" and evidence.residual_mm is not None:
+            values, words = evidence.residual_mm[:, 0], "residual"
+        rows = _largest(values, count, near)
+        found = [ChosenFrame(row, f"{words} {values[row]:.2f} mm") for row in rows]
     return sorted(found, key=lambda frame: frame.row)
+
+
+def _chosen_moment(moment: Moment) -> ChosenFrame:
+    words = f"{moment.region}: {moment.reason}" if moment.region else moment.reason
+    return ChosenFrame(moment.row, words)
 
 
 def _strongest(strength: FloatArray, count: int, apart: int) -> list[int]:
@@ -195,12 +307,7 @@ def _strongest(strength: FloatArray, count: int, apart: int) -> list[int]:
 
 
 def _largest(
-    values: FloatArray,
-    count: int,
-    apart: int,
-    *,
-    taken: list[int] | None = None,
-    among: BoolArray | None = None,
+    values: FloatArray, count: int, apart: int, *, taken: list[int] | None = None
 ) -> list[int]:
     """Return rows by falling value, none near another or one that is taken, up to `count` of both.
 
@@ -213,8 +320,6 @@ def _largest(
     for row in known:
         blocked[max(row - apart + 1, 0) : row + apart] = True
     order = np.argsort(-values, kind="stable")
-    if among is not None:
-        order = order[among[order]]
     for row in order.tolist():
         if len(known) + len(chosen) >= count:
             return chosen

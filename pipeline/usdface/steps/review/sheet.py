@@ -15,29 +15,33 @@ from usdface.core.text import pluralize
 from usdface.media.picture.display_view import display_view
 from usdface.media.picture.error_strip import ErrorCurve
 from usdface.media.picture.image import write_image
-from usdface.media.picture.sheet import SheetPage, SheetRow, Tile, compose_sheet, round_range
+from usdface.media.picture.sheet import SheetPage, SheetRow, Tile, compose_sheet
+from usdface.model.review.moments import ReviewSignals
 from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
+from usdface.specs.paths import frame_list
 from usdface.specs.review import AUTO_CAMERA, FramePick, SheetLayout, SheetSpec
 from usdface.steps.inputs.phone_labels import labels_at
-from usdface.steps.review.pictures import RESIDUAL_SCALE, ShotPictures
+from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.scoring import (
     ChosenFrame,
     Score,
+    ShotRuler,
     choose_frames,
+    coverage_curves,
+    range_mm,
     read_keys,
     score,
     set_up_shot_baseline,
     solve_baseline,
     surface_distance,
-    uncertainty_curves,
 )
 from usdface.steps.review.shot import Shot, ShotCamera, open_shot
 
 PICKS: dict[SheetLayout, FramePick] = {
     "comparison": "expression",
-    "worst": "residual",
+    "worst": "review",
     "strip": "even",
     "characters": "expression",
 }
@@ -56,6 +60,10 @@ class _Comparison:
     ----------
     shots : list of Shot
         The performance first, then those beside it.
+    ruler : ShotRuler
+        Of the first.
+    signals : ReviewSignals
+        Of the first.
     truth : (frames, shapes) float array or None
         The keys; NaN at frames that have none.
     chosen : list of ChosenFrame
@@ -65,16 +73,13 @@ class _Comparison:
     """
 
     shots: list[Shot]
+    ruler: ShotRuler
+    signals: ReviewSignals
     equation: BlendshapeEquation
     truth: FloatArray | None
     scores: list[Score]
     chosen: list[ChosenFrame]
     labels: tuple[str, ...]
-
-    @property
-    def high_mm(self) -> float:
-        """Upper end of the range of errors."""
-        return round_range(np.concatenate([each.error_mm for each in self.scores]))
 
 
 @dataclass(frozen=True)
@@ -121,21 +126,21 @@ def _compare(spec: SheetSpec, progress: Progress) -> _Comparison:
     shots = _open_shots(spec)
     shot = shots[0]
     progress(0.1, "placing the markers on the rig")
-    equations = [set_up_shot_baseline(each) for each in shots]
+    equation, ruler = set_up_shot_baseline(shot), ShotRuler(shot)
     truth = read_keys(spec.against, shot.rig, shot.frames)
-    solve = score("solve", shot, shot.weights, truth, equations[0])
-    chosen = _choose(spec, shot, solve)
+    signals = ruler.signals(truth, equation)
+    chosen = _choose(spec, shot, signals)
     rows = [frame.row for frame in chosen]
-    scores = [solve]
+    scores = [score("solve", shot, shot.weights, truth)]
     if spec.baseline and spec.layout in ("comparison", "worst"):
-        solved = solve_baseline(equations[0], shot, np.array(rows, np.int64))
-        scores.insert(0, score("baseline", shot, solved, truth, equations[0]))
+        solved = solve_baseline(equation, shot, np.array(rows, np.int64))
+        scores.insert(0, score("baseline", shot, solved, truth))
     labels = _labels([each.performance_file for each in shots[1:]])
-    for other, equation, label in zip(shots[1:], equations[1:], labels, strict=True):
+    for other, label in zip(shots[1:], labels, strict=True):
         known = truth if _same_face(other, shot) else None
-        scores.append(score(label, other, other.weights, known, equation))
+        scores.append(score(label, other, other.weights, known))
     spoken = labels_at(spec.phones, shot.take, shot.frames[rows])
-    return _Comparison(shots, equations[0], truth, scores, chosen, spoken)
+    return _Comparison(shots, ruler, signals, equation, truth, scores, chosen, spoken)
 
 
 def _open_pictures(
@@ -160,30 +165,46 @@ def _page(
 ) -> SheetPage:
     shot = comparison.shots[0]
     rigs = dict.fromkeys(each.rig.file.stem for each in comparison.shots)
-    errors = (
-        ErrorCurve(_label_of(each, comparison.scores), each.error_mm) for each in comparison.scores
-    )
+    verdict = comparison.ruler.verdict(comparison.signals)
+    keyed = comparison.truth is not None
+    known = [each for each in comparison.scores if np.isfinite(each.error_mm).any()]
+    curves = [
+        ErrorCurve(
+            each.label if each.against_truth else f"{each.label}, uncertainty", each.error_mm
+        )
+        for each in known
+    ]
+    if not keyed and len(curves) == 1:
+        curves = [replace(curves[0], label="uncertainty")]
     return SheetPage(
         title=f"{shot.take.name} on {', '.join(rigs)}",
+        verdict=(verdict.level, verdict.sentence, *_to_do(verdict.advice)),
         facts=_facts(spec, shot),
         columns=tuple(column.head for column in columns),
         rows=(),
-        curves=(*errors, *uncertainty_curves(shot)),
+        curves=(*curves, *(() if keyed else coverage_curves(shot))),
         first_frame=int(shot.frames[0]),
         notes=_notes(spec, comparison, stand_in_eyes=any(each.stand_in_eyes for each in pictures)),
         tile_height=_tile_height(spec),
-        high=comparison.high_mm,
+        high=range_mm(keyed=keyed),
+        comparable=keyed,
     )
 
 
 def _open_shots(spec: SheetSpec) -> list[Shot]:
     """Open every performance over the frames that all of them have."""
     files = (spec.performance, *spec.also)
-    shots = [open_shot(file, spec.take, frames=spec.frames) for file in files]
+    listed = frame_list(spec.frames)
+    limits = spec.frames if listed is None else None
+    shots = [open_shot(file, spec.take, frames=limits) for file in files]
     first = max(int(shot.frames[0]) for shot in shots)
     last = min(int(shot.frames[-1]) for shot in shots)
     if last < first:
-        raise InputError(f"{', '.join(map(str, files))}: share no frame of {spec.take}")
+        raise InputError(f"{', '.join(map(str, files))}: share no frame of {shots[0].take.name}")
+    if listed is not None and (listed[0] < first or listed[-1] > last):
+        raise InputError(
+            f"{spec.performance}: frames {spec.frames} are not all in it; it has {first}-{last}"
+        )
     return [
         replace(
             shot,
@@ -216,21 +237,21 @@ def _same_face(shot: Shot, other: Shot) -> bool:
     return faces[0] == faces[1]
 
 
-def _label_of(judged: Score, beside: list[Score]) -> str:
-    """Return a label that says so where this one is measured otherwise than those beside it."""
-    by_markers = not judged.against_truth and any(each.against_truth for each in beside)
-    return f"{judged.label} (marker residual)" if by_markers else judged.label
+def _to_do(advice: str) -> list[str]:
+    return [f"To do: {advice}"] if advice else []
 
 
-def _choose(spec: SheetSpec, shot: Shot, judged: Score) -> list[ChosenFrame]:
-    steps = np.diff(shot.weights, axis=0, prepend=shot.weights[:1])
+def _choose(spec: SheetSpec, shot: Shot, signals: ReviewSignals) -> list[ChosenFrame]:
+    given = frame_list(spec.frames)
+    if given is not None:
+        rows = np.searchsorted(shot.frames, given)
+        return [ChosenFrame(int(row)) for row in np.unique(rows)]
     return choose_frames(
         spec.pick or PICKS[spec.layout],
         spec.rows or (STRIP_ROWS if spec.layout == "strip" else OTHER_ROWS),
         strength=surface_distance(shot, shot.weights),
-        error_mm=judged.error_mm,
-        uncertainty_mm=shot.face_uncertainty_mm(),
-        jump_mm=surface_distance(shot, steps),
+        signals=signals,
+        rate=float(shot.take.rate),
     )
 
 
@@ -272,23 +293,27 @@ def _facts(spec: SheetSpec, shot: Shot) -> tuple[str, ...]:
         facts.append(f"camera {spec.camera}")
     if shot.take.performer:
         facts.insert(0, shot.take.performer)
-    uncertainty = shot.face_uncertainty_mm()
-    if uncertainty is not None:
-        facts.append(f"mean uncertainty {float(uncertainty.mean()):.2f} mm")
     return tuple(facts)
 
 
 def _notes(spec: SheetSpec, comparison: _Comparison, *, stand_in_eyes: bool) -> tuple[str, ...]:
-    scores, shots = comparison.scores, comparison.shots
-    what = "residual: RMS distance of the markers from the rig under the weights"
-    if comparison.truth is not None:
-        what = "error: RMS distance of the surface from the keys"
-    means = (f"{_label_of(each, scores)} {np.nanmean(each.error_mm):.2f} mm" for each in scores)
-    notes = [what, f"mean: {', '.join(means)}"]
+    shots, shot, truth = comparison.shots, comparison.shots[0], comparison.truth
+    notes = ["uncertainty: expected RMS distance of the skin from an animator's keys"]
+    if truth is not None:
+        notes = [
+            "error: RMS distance of the skin from the keys, without the gaze",
+            f"gaze alone {comparison.ruler.gaze_error_mm(truth):.2f} mm",
+        ]
+        means = (
+            f"{each.label} {np.nanmean(each.error_mm):.2f} mm"
+            for each in comparison.scores
+            if each.against_truth
+        )
+        notes.append(f"mean: {', '.join(means)}")
+    elif shot.performance.uncertainty_mm is None:
+        notes = ["the uncertainty is not known: the performance was not mapped by this version"]
     if spec.layout != "strip":
-        notes.append(f"lines at markers: the residual, {RESIDUAL_SCALE:g} times as long")
-    if shots[0].performance.uncertainty_mm is not None:
-        notes.append("uncertainty: expected RMS distance of the surface from an animator's keys")
+        notes.append("dots: the markers on the character; lines: from the solve to them")
     if any(comparison.labels):
         notes.append("beside frames: phone and viseme")
     if stand_in_eyes:
@@ -302,18 +327,22 @@ def _result(
     written: tuple[Path, ...], comparison: _Comparison, notes: tuple[str, ...]
 ) -> StepResult:
     scores, chosen = comparison.scores, comparison.chosen
-    against_keys = comparison.truth is not None
-    means = {each.label: float(np.nanmean(each.error_mm)) for each in scores}
-    listed = ", ".join(f"{_label_of(each, scores)} {means[each.label]:.2f} mm" for each in scores)
-    what = "surface error against the keys" if against_keys else "marker residual"
+    verdict = comparison.ruler.verdict(comparison.signals)
+    known = [each for each in scores if np.isfinite(each.error_mm).any()]
+    means = {each.label: float(np.nanmean(each.error_mm)) for each in known}
+    what = {True: "off the keys", False: "uncertainty"}
+    listed = ", ".join(
+        f"{each.label} {means[each.label]:.2f} mm {what[each.against_truth]}" for each in known
+    )
     return StepResult(
         written,
-        f"{pluralize(len(chosen), 'row')}; mean {what}: {listed}",
+        f"{pluralize(len(chosen), 'row')}; {f'{listed}; ' if listed else ''}{verdict.sentence}",
         notes,
         {
             "frames": [int(comparison.shots[0].frames[frame.row]) for frame in chosen],
             "mean_error_mm": {FIGURE_KEYS.get(label, label): mean for label, mean in means.items()},
-            "against_truth": against_keys,
+            "against_truth": comparison.truth is not None,
+            "verdict": verdict.figures,
         },
     )
 
@@ -327,19 +356,17 @@ def sheet_columns(
     if shot.take.video is not None:
         columns.append(Column("video", lambda row: drawn.video(int(shot.frames[row]))))
     if spec.layout != "strip":
-        rows = [frame.row for frame in comparison.chosen]
-        explained = comparison.equation.explained(shot.weights[rows])
-        at = dict(zip(rows, explained, strict=True))
-        columns.append(Column("markers", lambda row: Tile(drawn.markers(row, explained=at[row]))))
+        equation = comparison.equation
+        columns.append(Column("markers", lambda row: Tile(drawn.markers_on_face(row, equation))))
     others = iter(pictures[1:])
     for each in comparison.scores:
         face = drawn if each.label in ("baseline", "solve") else next(others)
         columns.append(Column(each.label, _face(face, each)))
-    compared = _compared(comparison.scores, comparison.truth)
-    if spec.difference and compared is not None and spec.layout in ("comparison", "worst"):
-        label, weights = compared
-        distances = _distances(drawn, shot.weights, weights, high_mm=comparison.high_mm)
-        columns.append(Column(f"difference to {label}", distances))
+    if spec.difference and spec.layout in ("comparison", "worst"):
+        if comparison.truth is not None:
+            columns.append(Column("error vs. keys", _errors(drawn, comparison)))
+        elif comparison.signals.evidence.uncertainty_mm is not None:
+            columns.append(Column("uncertainty", _uncertainties(drawn, comparison)))
     return columns
 
 
@@ -352,19 +379,38 @@ def _face(pictures: ShotPictures, judged: Score) -> Callable[[int], Tile]:
     return draw
 
 
-def _distances(
-    pictures: ShotPictures, weights: FloatArray, other: FloatArray, *, high_mm: float
-) -> Callable[[int], Tile]:
+def _errors(pictures: ShotPictures, comparison: _Comparison) -> Callable[[int], Tile]:
+    """Return what paints how far the skin is from where the keys put it; the gaze is theirs."""
+    shot, truth = comparison.shots[0], comparison.truth
+
     def draw(row: int) -> Tile:
-        if np.isnan(other[row]).any():
+        if truth is None or np.isnan(truth[row]).any():
             return Tile(None, caption="nothing keyed here")
-        painted = pictures.difference(row, weights[row], other[row], high_mm=high_mm)
-        return Tile(painted.picture, caption=f"largest {painted.largest_mm:.1f} mm")
+        seen = shot.weights[row].copy()
+        seen[comparison.ruler.gaze] = truth[row, comparison.ruler.gaze]
+        ours, theirs = (np.asarray(shot.deformer.points(w[None])[0]) for w in (seen, truth[row]))
+        away = np.linalg.norm(ours - theirs, axis=-1)
+        picture = pictures.painted(row, seen, away, high=range_mm(keyed=True))
+        return Tile(picture, caption=f"max {away.max():.1f} mm")
 
     return draw
 
 
-def _compared(judged: list[Score], truth: FloatArray | None) -> tuple[str, FloatArray] | None:
-    if truth is not None:
-        return "keys", truth
-    return next((("baseline", j.weights) for j in judged if j.label == "baseline"), None)
+def _uncertainties(pictures: ShotPictures, comparison: _Comparison) -> Callable[[int], Tile]:
+    """Return what paints the uncertainty of each part of the face."""
+    shot, evidence = comparison.shots[0], comparison.signals.evidence
+    points = {name: comparison.ruler.points.get(name) for name in evidence.regions[1:]}
+
+    def draw(row: int) -> Tile:
+        if evidence.uncertainty_mm is None:
+            return Tile(None)
+        said = evidence.uncertainty_mm[row]
+        values = np.zeros(len(shot.deformer.neutral))
+        for (_, own), value in zip(points.items(), said[1:], strict=False):
+            if own is not None:
+                values[own] = value
+        picture = pictures.painted(row, shot.weights[row], values, high=range_mm(keyed=False))
+        covered = "" if evidence.coverage is None else f"{evidence.coverage[row, 0]:.0%} covered"
+        return Tile(picture, caption=covered)
+
+    return draw

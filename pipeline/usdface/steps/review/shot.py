@@ -11,15 +11,14 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.rates import shift_timecode
 from usdface.media.face.camera import Camera, frame_rig, motion_weights
+from usdface.model.review.verdict import SolveEvidence
+from usdface.runner.origin import hash_input, provenance_of, spec_of
 from usdface.specs.paths import frame_range
 from usdface.specs.review import AUTO_CAMERA
 from usdface.steps.inputs.cleaned_takes import read_cleaned
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.stage_camera import StageCamera, StageView
-
-_YAW_DEGREES = 12.0
-"""A little from the side, where lips and lids show their depth."""
 
 WIDEST_ASPECT = 3.0
 """Width over height at which a picture is cut: wider film would leave a face of few pixels."""
@@ -49,7 +48,7 @@ class ShotCamera:
         stage: Path | None = None,
     ) -> None:
         self._rig = rig
-        self._framed = frame_rig(rig.meshes, yaw_degrees=_YAW_DEGREES)
+        self._framed = frame_rig(rig.meshes, hair=True)
         self._name = name
         self._stage: StageCamera | None = None
         if name != AUTO_CAMERA:
@@ -162,6 +161,23 @@ class Shot:
         rows = self.frames - self.performance.weights.first_frame
         return np.asarray(uncertainty[rows, 0])
 
+    def evidence(
+        self, regions: tuple[str, ...] | None = None, error_mm: FloatArray | None = None
+    ) -> SolveEvidence:
+        """Return what is known of the solve at the shared frames.
+
+        Parameters
+        ----------
+        regions : tuple of str, optional
+            Of the error against keys, which then decides; by default those of the mapping.
+        error_mm : (frames, regions) float array, optional
+            [mm]
+        """
+        if error_mm is not None and regions is not None:
+            return SolveEvidence(regions, error_mm=error_mm, basis=self.performance.basis)
+        rows = self.frames - self.performance.weights.first_frame
+        return solve_evidence(self.performance, rows)
+
     def timecode(self, frame: int) -> str:
         """Return the SMPTE label of a frame; empty when the take has none."""
         return shift_timecode(
@@ -169,11 +185,59 @@ class Shot:
         )
 
 
-def open_shot(performance_file: Path, take_file: Path, *, frames: str | None = None) -> Shot:
+def solve_evidence(performance: Performance, rows: IntArray | slice) -> SolveEvidence:
+    """Return what a performance says of some of its frames, by row."""
+    shown = (performance.uncertainty_mm, performance.coverage, performance.residual_mm)
+    uncertainty, coverage, residual = (None if each is None else each[rows] for each in shown)
+    return SolveEvidence(
+        performance.regions or ("face",),
+        uncertainty_mm=uncertainty,
+        coverage=coverage,
+        residual_mm=None if coverage is None else residual,  # of earlier versions: another one
+        basis=performance.basis,
+    )
+
+
+def find_take(performance: Path, given: Path | None) -> Path:
+    """Return the take that a performance was mapped from.
+
+    Parameters
+    ----------
+    given : Path or None
+        What the command names; None leaves it to the provenance.
+
+    Raises
+    ------
+    InputError
+        If it is not known where the take is, or another is given.
+    """
+    made = provenance_of(performance)
+    named = spec_of(made).get("take")
+    own = performance.parent / named if isinstance(named, str) and named else None
+    if given is None:
+        if own is None:
+            raise InputError(f"{performance}: does not say which take it is of; give it by --take")
+        if not own.is_file():
+            raise InputError(f"{performance}: its take, {own}, is gone; say where by --take")
+        return own
+    same_name = own is None or own.name == given.name
+    if same_name or made is None or hash_input(given) in made.inputs.values():
+        return given
+    raise InputError(
+        f"{given}: not the take of {performance.name}, which was mapped from {own}; leave out "
+        "--take, or map this take first"
+    )
+
+
+def open_shot(
+    performance_file: Path, take_file: Path | None = None, *, frames: str | None = None
+) -> Shot:
     """Read a performance with the take it was mapped from.
 
     Parameters
     ----------
+    take_file : Path, optional
+        See `find_take`.
     frames : str, optional
         FIRST-LAST, to use no others.
 
@@ -182,6 +246,7 @@ def open_shot(performance_file: Path, take_file: Path, *, frames: str | None = N
     InputError
         If a file cannot be read, they share no frame, or the performance was moved in time.
     """
+    take_file = find_take(performance_file, take_file)
     moved = PerformanceReader(performance_file).moved
     if moved:
         raise InputError(
