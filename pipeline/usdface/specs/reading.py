@@ -17,6 +17,8 @@ from usdface.specs.takes import step_places
 
 PATTERN_WORDS = {
     r"^-?\d+--?\d+$": "give the first and the last frame, such as 101-240",
+    r"^-?\d+--?\d+$|^-?\d+(,-?\d+)*$": "give the first and the last frame, such as 101-240, or "
+    "frames, such as 1,434,1182",
     r"^-?\d+(=.+)?$": "give a frame, or a frame and a name, such as 120=smile",
     r"^[^=]+=\d+$": "give a marker and a point of the mesh, such as nose_tip=1203",
     f"^{PRIM_PATTERN}$": "give the path of a prim, such as /shot/cast/hero",
