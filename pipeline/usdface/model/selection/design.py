@@ -53,8 +53,6 @@ class SelectionSpace:
     regions: tuple[str, ...]
     columns: tuple[tuple[int, int], ...]
     """Columns of the features of each region, first and one past the last."""
-    relevance: FloatArray
-    """(regions, markers): how much each marker has to do with each region [0-1]."""
 
     def features(self, coordinates: FloatArray) -> FloatArray:
         """Return features of frames: (frames, dimensions) to (frames, features)."""
@@ -101,7 +99,7 @@ def selection_space(
         parts.append(scaled / max(float(size), 1e-300))
     projection = np.concatenate(parts, axis=1)
     columns = tuple((start, start + kept) for start in range(0, kept * len(regions), kept))
-    return SelectionSpace(projection, mean @ projection, regions, columns, relevance)
+    return SelectionSpace(projection, mean @ projection, regions, columns)
 
 
 @dataclass(frozen=True)

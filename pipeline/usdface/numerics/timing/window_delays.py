@@ -149,8 +149,6 @@ class WindowDelays:
     """(windows,): middle of each window on the clock of the first recording [s]."""
     delays: FloatArray
     """(windows,) [s]"""
-    clarity: FloatArray
-    """(windows,): height of the peak over the next highest; 1 carries no information."""
 
 
 def window_delays(
@@ -183,7 +181,7 @@ def window_delays(
     starts = loud_windows(first, starts, size)
     middle = (starts[0] + starts[-1]) / 2 if len(starts) else 0.0
     taper = np.hanning(size).astype(np.float32)
-    times, delays, clarity = list[float](), list[float](), list[float]()
+    times, delays = list[float](), list[float]()
     for start in starts.tolist():
         seconds = (start + size / 2) / rate
         guess = round((expected[0] + expected[1] * seconds) * rate)
@@ -195,9 +193,8 @@ def window_delays(
         found = _delay(first[start : start + size] * taper, region, reach, rate)
         if found is not None:
             times.append(seconds)
-            delays.append((guess - reach + found[0]) / rate)
-            clarity.append(found[1])
-    return WindowDelays(np.array(times), np.array(delays), np.array(clarity))
+            delays.append((guess - reach + found) / rate)
+    return WindowDelays(np.array(times), np.array(delays))
 
 
 def loud_windows(sound: Float32Array, starts: IntArray, size: int) -> IntArray:
@@ -260,10 +257,8 @@ def _starts(
     return np.unique(np.linspace(begin, end, min(room, count)).astype(np.int64))
 
 
-def _delay(
-    sound: Float32Array, region: Float32Array, reach: int, rate: int
-) -> tuple[float, float] | None:
-    """Return where in `region` the sound begins [samples], and how clearly."""
+def _delay(sound: Float32Array, region: Float32Array, reach: int, rate: int) -> float | None:
+    """Return where in `region` the sound begins [samples]; None for silence."""
     length = fft.next_fast_len(len(region) + len(sound), real=True)
     spectra = fft.rfft(sound, length), fft.rfft(region, length)
     whitened = whitened_product(*spectra, band=speech_band(length, rate=rate))
@@ -274,13 +269,9 @@ def _delay(
         fft.irfft(whitened, length * _DELAY_OVERSAMPLING)[: 2 * reach * _DELAY_OVERSAMPLING + 1]
     )
     best = int(np.argmax(curve))
-    peak = float(curve[best])
     between = 0.0
     if 0 < best < len(curve) - 1:
-        left, right = float(curve[best - 1]), float(curve[best + 1])
+        left, peak, right = curve[best - 1 : best + 2].tolist()
         bend = left - 2 * peak + right
         between = 0.5 * (left - right) / bend if bend < 0 else 0.0
-    lobe = _DELAY_OVERSAMPLING * rate // 2000  # half a millisecond: the peak's own ripples
-    others = np.concatenate([curve[: max(best - lobe, 0)], curve[best + lobe + 1 :]])
-    next_best = float(others.max()) if len(others) else 0.0
-    return (best + between) / _DELAY_OVERSAMPLING, peak / max(next_best, 1e-30)
+    return (best + between) / _DELAY_OVERSAMPLING

@@ -261,7 +261,7 @@ def _summary(cleaned: CleanedMarkers, take: Take) -> str:
 def _figures(cleaned: CleanedMarkers, rigid: tuple[str, ...]) -> dict[str, object]:
     return {
         "swaps": len(cleaned.swaps),
-        "strays": int(cleaned.outliers.sum()),
+        "outliers": int(cleaned.outliers.sum()),
         "filled": int(cleaned.filled.sum()),
         "left": int((~cleaned.visible).sum()),
         "noise_mm": cleaned.noise_mm,

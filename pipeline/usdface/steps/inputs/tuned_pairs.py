@@ -123,7 +123,7 @@ def _keyed_pairs(out: Path, marked: dict[int, TunedPair]) -> dict[int, TunedPair
     """Return pairs of the asset there is whose weights are neither proposed nor marked as tuned.
 
     A DCC that opened the asset keyed them. An asset that cannot be read tells nothing: to select
-    again is how it is mended.
+    again is how that is repaired.
     """
     if not out.is_file():
         return {}
