@@ -10,9 +10,8 @@ from tests.conftest import SHARED_DATA
 from usdface.core.errors import InputError
 from usdface.media.film.sound import read_audio
 from usdface.speech.forced_alignment import PhoneAlignment, align_phones, spoken_words
-from usdface.speech.phone_track import PhoneTrack, Span
+from usdface.speech.phones import PhoneTrack, Span, arpabet_of, viseme_of
 from usdface.speech.track_files import read_phone_track
-from usdface.speech.visemes import arpabet_of, viseme_of
 
 NAMES = ("acoustic_corpus", "cold_corpus", "cold_corpus3")
 

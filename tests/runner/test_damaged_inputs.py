@@ -20,7 +20,7 @@ from usdface.runner.origin import provenance_of
 from usdface.specs.paths import read_path_rules
 from usdface.specs.reading import read_job
 from usdface.speech.forced_alignment import spoken_words
-from usdface.speech.phone_track import PhoneTrack, Span
+from usdface.speech.phones import PhoneTrack, Span
 from usdface.speech.pronunciation import read_dictionary
 from usdface.speech.track_files import read_phone_track, write_phone_track
 from usdface.steps.inputs.weight_tables import read_alpha, read_weight_table

@@ -20,7 +20,7 @@ from usdface.runner.origin import provenance_metadata, provenance_of
 from usdface.specs.job import JobSpec
 from usdface.specs.performance import MapSpec
 from usdface.specs.reading import read_job
-from usdface.speech.phone_track import PhoneTrack, Span
+from usdface.speech.phones import PhoneTrack, Span
 from usdface.speech.track_files import read_phone_track, write_phone_track
 
 MADE = Provenance(

@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 
 from usdface.core.errors import InputError
-from usdface.speech.phone_track import PhoneTrack, Span, label_at
+from usdface.speech.phones import PhoneTrack, Span, label_at, viseme_of
 from usdface.speech.track_files import read_phone_track, write_phone_track
-from usdface.speech.visemes import viseme_of
 
 pytest.importorskip("praatio")
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from usdface.speech.visemes import VISEME_PHONES, VISEMES, arpabet_of, viseme_label, viseme_of
+from usdface.speech.phones import VISEME_PHONES, VISEMES, arpabet_of, viseme_label, viseme_of
 
 ARPABET = (
     "AA AE AH AO AW AY B CH D DH EH ER EY F G HH IH IY JH K L M N NG OW OY P R S SH T TH UH UW V W "

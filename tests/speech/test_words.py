@@ -8,8 +8,8 @@ import pytest
 
 from usdface.core.errors import InputError
 from usdface.speech.forced_alignment import spoken_words
+from usdface.speech.phones import viseme_of
 from usdface.speech.pronunciation import phones_of_letters, read_dictionary
-from usdface.speech.visemes import viseme_of
 
 
 @pytest.mark.parametrize(

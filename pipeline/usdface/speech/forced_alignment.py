@@ -16,7 +16,7 @@ import numpy as np
 from usdface.core.arrays import Float32Array
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
-from usdface.speech.phone_track import PhoneTrack, Span
+from usdface.speech.phones import PhoneTrack, Span
 from usdface.speech.pronunciation import phones_of_letters
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from usdface.core.errors import InputError
 from usdface.core.text import read_text
-from usdface.speech.visemes import SILENCE, arpabet_of
+from usdface.speech.phones import SILENCE, arpabet_of
 
 # Each rule is where it applies and what is said; the first that fits at a letter wins. Looking
 # ahead and behind tells the open syllable (vowel, consonant, vowel) from the closed one.

@@ -12,8 +12,7 @@ from urllib.parse import quote, unquote
 from usdface.core.errors import InputError
 from usdface.core.replacing import replacing, replacing_together
 from usdface.core.text import read_text
-from usdface.speech.phone_track import PhoneTrack, Span
-from usdface.speech.visemes import viseme_of
+from usdface.speech.phones import PhoneTrack, Span, viseme_of
 
 if TYPE_CHECKING:
     from praatio.data_classes.textgrid import Textgrid

@@ -9,13 +9,13 @@ from tests.usdio.small_creature import creature_acts, human_moves
 from usdface.core.controls import Controls, ExpressionPairs, bare_controls
 from usdface.core.errors import InputError
 from usdface.model.regressions import RETARGET_METHODS
-from usdface.model.retarget.checks import (
+from usdface.model.retarget.control_space import (
     check_pairs,
+    control_space,
     dead_controls,
     find_pair_conflicts,
     unused_shapes,
 )
-from usdface.model.retarget.control_space import control_space
 from usdface.model.retarget.train import (
     EQUAL_ROUND_TRIP_MM,
     make_examples,

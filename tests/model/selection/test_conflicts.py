@@ -7,7 +7,7 @@ import numpy as np
 
 from tests.model.selection.test_design import SHAPES, small_face
 from usdface.core.assets import References
-from usdface.model.selection.conflicts import conflict_text, find_reference_conflicts
+from usdface.model.selection.coverage import conflict_text, find_reference_conflicts
 
 
 def pairs_of_a_face(count: int = 40) -> References:

@@ -16,9 +16,8 @@ from usdface.runner.execute import execute
 from usdface.runner.origin import make_provenance, provenance_of
 from usdface.runner.result import StepResult
 from usdface.specs.capture import PhonesSpec
-from usdface.speech.phone_track import PhoneTrack, Span, share_outside
+from usdface.speech.phones import PhoneTrack, Span, arpabet_of, share_outside, viseme_of
 from usdface.speech.track_files import read_phone_track
-from usdface.speech.visemes import arpabet_of, viseme_of
 from usdface.steps.capture.phones import _on_take_clock
 from usdface.usdio.take.write import write_take
 

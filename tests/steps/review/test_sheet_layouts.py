@@ -19,7 +19,7 @@ from usdface.media.picture.sheet import Tile
 from usdface.model.review.verdict import OPENINGS
 from usdface.runner.execute import execute
 from usdface.specs.review import SheetSpec
-from usdface.speech.visemes import viseme_label, viseme_of
+from usdface.speech.phones import viseme_label, viseme_of
 from usdface.steps.review import sheet as sheet_step
 from usdface.usdio.performance.read import read_performance
 

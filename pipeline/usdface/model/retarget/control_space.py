@@ -3,14 +3,18 @@
 Weights and attributes are numbers as they are. A joint's rotation is the rotation vector from the
 mean over the pairs, its scale the logarithm: what a regression adds up there is a rotation and a
 positive scale again, whatever comes out.
+
+Pairs are checked before anything is trained on them.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from usdface.core.arrays import FloatArray
-from usdface.core.controls import Controls
+from usdface.core.controls import Controls, ExpressionPairs
+from usdface.core.errors import InputError
 from usdface.numerics.motion.rotation_space import (
     mean_rotation,
     rotation_vectors,
@@ -89,3 +93,94 @@ def control_space(controls: Controls) -> ControlSpace:
     return ControlSpace(
         controls.shapes, controls.joints, controls.attributes, mean_rotation(controls.rotations)
     )
+
+
+_EQUAL_SHARE = 0.15
+"""Two expressions are as good as the same when they differ by less than this share of the usual
+distance between expressions."""
+
+CONFLICT_RATIO = 3.0
+"""Target expressions conflict when they are this many times further apart than their sources."""
+
+LEAST_WEIGHT = 1e-4
+"""Weight below which a shape is not used."""
+
+
+@dataclass(frozen=True)
+class PairConflict:
+    """Two pairs whose sources are almost the same and whose targets are not."""
+
+    first: int
+    second: int
+    """`first`, `second`: Pairs, from 0."""
+    source: float
+    target: float
+    """`source`, `target`: Distances, as shares of the usual ones."""
+
+
+def check_pairs(pairs: ExpressionPairs, where: str) -> None:
+    """Refuse pairs from which nothing can be learned.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two, all sources or all targets are alike, or a value is not finite.
+    """
+    if len(pairs) < 2:
+        raise InputError(
+            f"{where}: {len(pairs)} pair; at least two are needed, rest and one expression: "
+            "key more time codes"
+        )
+    coordinates = control_space(pairs.target).encode(pairs.target)
+    for side, values in (("source", pairs.source), ("target", coordinates)):
+        bad = np.argwhere(~np.isfinite(values))
+        if len(bad):
+            raise InputError(f"{where}: pair {bad[0, 0] + 1} has NaN on its {side} side; key it")
+        if np.ptp(values, axis=0).max(initial=0.0) < LEAST_WEIGHT:
+            raise InputError(
+                f"{where}: all {len(pairs)} pairs have the same {side} expression, so nothing "
+                "tells them apart; key different ones"
+            )
+
+
+def find_pair_conflicts(pairs: ExpressionPairs) -> tuple[PairConflict, ...]:
+    """Return pairs that contradict each other, the worst first (S11, section 4.1)."""
+    target = control_space(pairs.target).encode(pairs.target)
+    source_distances = _relative_distances(pairs.source)
+    target_distances = _relative_distances(target / _spans(target))
+    first, second = np.triu_indices(len(pairs), 1)
+    near, far = source_distances[first, second], target_distances[first, second]
+    found = (near < _EQUAL_SHARE) & (
+        far > CONFLICT_RATIO * np.maximum(near, _EQUAL_SHARE / CONFLICT_RATIO)
+    )
+    conflicts = [
+        PairConflict(int(a), int(b), float(x), float(y))
+        for a, b, x, y in zip(first[found], second[found], near[found], far[found], strict=True)
+    ]
+    return tuple(sorted(conflicts, key=lambda each: each.source - each.target))
+
+
+def unused_shapes(pairs: ExpressionPairs) -> tuple[str, ...]:
+    """Return the source shapes that no pair uses: whatever they do, the target will not move."""
+    moved = np.abs(pairs.source).max(axis=0) > LEAST_WEIGHT
+    return tuple(name for name, used in zip(pairs.source_shapes, moved, strict=True) if not used)
+
+
+def dead_controls(pairs: ExpressionPairs) -> tuple[str, ...]:
+    """Return the target's shapes and attributes that are the same in every pair."""
+    target = pairs.target
+    still = np.ptp(target.weights, axis=0) < LEAST_WEIGHT
+    constant = np.ptp(target.values, axis=0) < LEAST_WEIGHT
+    shapes = [name for name, each in zip(target.shapes, still, strict=True) if each]
+    return (*shapes, *(n for n, each in zip(target.attributes, constant, strict=True) if each))
+
+
+def _spans(values: FloatArray) -> FloatArray:
+    return np.asarray(np.maximum(np.ptp(values, axis=0), LEAST_WEIGHT))
+
+
+def _relative_distances(values: FloatArray) -> FloatArray:
+    """Return distances over the median distance of pairs that differ."""
+    distances = cdist(values, values)
+    positive = distances[distances > 0]
+    return np.asarray(distances / (np.median(positive) if len(positive) else 1.0))

@@ -22,8 +22,12 @@ from usdface.model.regressions import (
     find_retarget_method,
 )
 from usdface.model.regressions.hybrid import predict_blended
-from usdface.model.retarget.checks import LEAST_WEIGHT, check_pairs
-from usdface.model.retarget.control_space import ControlSpace, control_space
+from usdface.model.retarget.control_space import (
+    LEAST_WEIGHT,
+    ControlSpace,
+    check_pairs,
+    control_space,
+)
 
 PROBE_COUNT = 384
 """Expressions for the round trip by which methods are compared."""

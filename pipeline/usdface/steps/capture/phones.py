@@ -17,10 +17,9 @@ from usdface.speech.forced_alignment import (
     align_phones,
     spoken_words,
 )
-from usdface.speech.phone_track import INCOMPLETE_SHARE, PhoneTrack, Span, share_outside
+from usdface.speech.phones import INCOMPLETE_SHARE, PhoneTrack, Span, share_outside, viseme_of
 from usdface.speech.pronunciation import read_dictionary
 from usdface.speech.track_files import write_phone_track
-from usdface.speech.visemes import viseme_of
 from usdface.usdio.take.read import read_take
 
 LARGEST_TRANSCRIPT_BYTES = 1 << 20

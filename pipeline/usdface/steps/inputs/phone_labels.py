@@ -12,9 +12,8 @@ from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.model.selection.design import Segment
 from usdface.specs.references import SelectSpec
-from usdface.speech.phone_track import PhoneTrack, label_at
+from usdface.speech.phones import SILENCE, PhoneTrack, arpabet_of, label_at, viseme_label, viseme_of
 from usdface.speech.track_files import read_phone_track, unknown_symbols
-from usdface.speech.visemes import SILENCE, arpabet_of, viseme_label, viseme_of
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
 
 MARGIN_SECONDS = 5.0

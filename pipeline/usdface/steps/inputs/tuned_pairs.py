@@ -9,7 +9,7 @@ from usdface.core.arrays import IntArray
 from usdface.core.assets import References, Rig
 from usdface.core.errors import InputError
 from usdface.core.sidecars import proposed_path, tuned_path
-from usdface.model.selection.conflicts import (
+from usdface.model.selection.coverage import (
     ReferenceConflict,
     conflict_text,
     find_reference_conflicts,

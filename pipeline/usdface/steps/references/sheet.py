@@ -25,7 +25,7 @@ from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.references import ReferenceSheetSpec
-from usdface.speech.visemes import viseme_label
+from usdface.speech.phones import viseme_label
 from usdface.steps.inputs.placement import placed_equation, stored_placement
 from usdface.steps.inputs.tuned_pairs import read_set_references
 from usdface.usdio.references.read import read_pair_notes

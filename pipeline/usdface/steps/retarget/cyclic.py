@@ -17,7 +17,7 @@ from usdface.media.charts.motion_curves import Curve, Panel, draw_motion_curves
 from usdface.media.picture.color import SERIES_COLORS
 from usdface.media.picture.image import write_image
 from usdface.model.regressions import find_retarget_method
-from usdface.model.retarget.checks import check_pairs
+from usdface.model.retarget.control_space import check_pairs
 from usdface.model.retarget.cyclic import POSITIONS, CyclicError, evaluate_cyclic
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult

@@ -9,7 +9,7 @@ from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import LAYER_SUFFIXES, proposed_path
 from usdface.core.text import first_few, pluralize
-from usdface.model.retarget.checks import check_pairs, unused_shapes
+from usdface.model.retarget.control_space import check_pairs, unused_shapes
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import PairsImportSpec
 from usdface.steps.inputs.weight_tables import read_weight_table

@@ -10,7 +10,7 @@ from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path
 from usdface.core.text import first_few, pluralize
-from usdface.model.retarget.checks import dead_controls
+from usdface.model.retarget.control_space import dead_controls
 from usdface.model.retarget.shape_matching import ShapeMatch, match_deformations
 from usdface.model.retarget.shape_names import NameMatch, match_names
 from usdface.runner.result import StepResult

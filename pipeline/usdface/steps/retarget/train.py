@@ -10,7 +10,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.text import first_few, pluralize
-from usdface.model.retarget.checks import (
+from usdface.model.retarget.control_space import (
     check_pairs,
     dead_controls,
     find_pair_conflicts,
