@@ -3,11 +3,13 @@
 Where keys are known, frames are ranked by the error against them. Elsewhere by what may be off, as
 a distance that somebody would see [mm]::
 
-    score^2 = (uncertainty / coverage)^2 + jump^2 + gap^2
+    score^2 = (uncertainty / coverage)^2 + jump^2 + (gap / 2)^2 lips
 
 Coverage is the share of the motion that references determine: the error that is expected of that
 share grows in proportion with the rest. A jump is how far the surface leaves the line between the
-frames before and after; a gap, how far lips are open where the performer's are closed.
+frames before and after; a gap, how far lips are open where the performer's are closed: each lip is
+off by half, and ``lips`` is the share of the rig's points that they are, as all distances are root
+mean squares over the surface.
 """
 
 from dataclasses import dataclass
@@ -46,6 +48,8 @@ class ReviewSignals:
     """(frames, regions): see `surface_jumps`."""
     gap_mm: FloatArray | None = None
     """(frames,): of lips that should be closed; 0 where they need not be."""
+    lip_share: float = 1.0
+    """Of the rig's points, those of the lips."""
 
     @property
     def score_mm(self) -> FloatArray:
@@ -54,7 +58,7 @@ class ReviewSignals:
             return self.evidence.error_mm[:, 0]
         squared = self.expected_mm[:, 0] ** 2 + self.jump_mm[:, 0] ** 2
         if self.gap_mm is not None:
-            squared += self.gap_mm**2
+            squared += self.lip_share * (self.gap_mm / 2) ** 2
         return np.asarray(np.sqrt(squared))
 
     @property
@@ -75,14 +79,16 @@ class ReviewSignals:
             return Moment(row, score, region, f"{score:.2f} mm off the keys")
         gap = 0.0 if self.gap_mm is None else float(self.gap_mm[row])
         jump, expected = float(self.jump_mm[row, 0]), float(self.expected_mm[row, 0])
-        if gap >= max(jump, expected) and gap > 0:
-            return Moment(row, score, "mouth", f"lips {gap:.1f} mm open, the performer's closed")
+        lips = f"lips {gap:.1f} mm open, the performer's closed" if gap > 0 else ""
+        if gap / 2 * self.lip_share**0.5 > max(jump, expected):
+            return Moment(row, score, "mouth", lips)
         if jump > expected:
             region = _largest_region(evidence.regions, self.jump_mm[row])
-            return Moment(row, score, region, f"jumps by {jump:.2f} mm")
-        region = _largest_region(evidence.regions, self.expected_mm[row])
-        reason = "" if evidence.uncertainty_mm is None else _expected(evidence, row, region)
-        return Moment(row, score, region, reason)
+            reason = f"jumps by {jump:.2f} mm"
+        else:
+            region = _largest_region(evidence.regions, self.expected_mm[row])
+            reason = "" if evidence.uncertainty_mm is None else _expected(evidence, row, region)
+        return Moment(row, score, region, ", ".join(filter(None, [reason, lips])))
 
 
 def _expected(evidence: SolveEvidence, row: int, region: str) -> str:

@@ -21,7 +21,7 @@ from usdface.model.review.moments import (
 )
 from usdface.model.review.verdict import SolveVerdict, judge_solve
 from usdface.model.selection.baseline import BlendshapeEquation
-from usdface.model.selection.lip_contact import CONTACT_MM, find_lips, lip_gap_mm
+from usdface.model.selection.lip_contact import CONTACT_MM, Lips, find_lips, lip_gap_mm
 from usdface.numerics.measure.face_regions import (
     gaze_shapes,
     points_by_region,
@@ -104,22 +104,22 @@ class ShotRuler:
         if evidence.regions != self.regions:  # the mapping's regions, where its markers tell fewer
             columns = [self.regions.index(r) if r in self.regions else 0 for r in evidence.regions]
             jumps = jumps[:, columns or [0]]
-        gaps = None if equation is None or error is not None else lip_gaps(shot, equation)
-        return ReviewSignals(evidence, jumps, gaps)
+        if equation is None or error is not None:
+            return ReviewSignals(evidence, jumps)
+        lips = find_lips(equation, shot.deformer, shot.rig.shapes)
+        if lips is None:
+            return ReviewSignals(evidence, jumps)
+        on_lips = len(np.union1d(lips.pairs.upper, lips.pairs.lower))
+        share = on_lips / len(shot.deformer.neutral)
+        return ReviewSignals(evidence, jumps, lip_gaps(shot, equation, lips), share)
 
     def verdict(self, signals: ReviewSignals) -> SolveVerdict:
         """Judge the shot."""
         return judge_solve(signals.evidence)
 
 
-def lip_gaps(shot: Shot, equation: BlendshapeEquation) -> FloatArray | None:
-    """Return how far lips are open where the performer's are closed: (frames,) [mm].
-
-    None where rig or markers do not tell where the lips are.
-    """
-    lips = find_lips(equation, shot.deformer, shot.rig.shapes)
-    if lips is None:
-        return None
+def lip_gaps(shot: Shot, equation: BlendshapeEquation, lips: Lips) -> FloatArray:
+    """Return how far lips are open where the performer's are closed: (frames,) [mm]."""
     motion = character_motion(equation.virtual, shot.positions, equation.neutral)
     direction = lips.pairs.direction
     parted = ((motion[:, lips.upper] - motion[:, lips.lower]) @ direction).mean(axis=1)

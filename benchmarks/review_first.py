@@ -1,0 +1,141 @@
+"""What review says first, against what is true: verdicts on takes, and moments ranked without keys.
+
+References of `crosstake` are of its first half. Its second half is a usual take; `onesided` is one
+that chose nothing: the same performer's winks and half smiles, none of them among the references.
+The recorded takes of one performer have proposals alone: the take they are of, and a take of the
+brows by references of the cheeks.
+"""
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import spearmanr
+
+from benchmarks import crosstake
+from benchmarks._damage import DAMAGES
+from tests.conftest import SHARED_DATA
+from usdface.model.review.moments import MOMENT_SECONDS, ReviewSignals, review_moments
+from usdface.model.review.verdict import SolveVerdict
+from usdface.runner.execute import execute
+from usdface.specs.capture import CleanSpec, IngestSpec
+from usdface.specs.performance import MapSpec, TrainSpec
+from usdface.specs.references import SelectSpec
+from usdface.steps.review.scoring import ShotRuler, read_keys, set_up_shot_baseline
+from usdface.steps.review.shot import Shot, open_shot
+
+REFERENCES = 50
+MOMENTS = 12
+RECORDED = ("Cheeks", "Eyebrows")
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """How well a take's moments are ranked without keys."""
+
+    spearman: float
+    found: int
+    """Of the worst moments, those within `MOMENT_SECONDS` of one that is listed."""
+    keyed_found: int
+    """The same, listed with keys."""
+
+
+def run() -> None:
+    """Print the verdict on every take, and the scores of the rankings."""
+    if not (SHARED_DATA / "crosstake").is_dir():
+        print(f"skipped: no crosstake in {SHARED_DATA}")
+        return
+    verdicts: dict[str, SolveVerdict] = {}
+    ranked: dict[str, Ranked] = {}
+    with tempfile.TemporaryDirectory() as name:
+        for take, performance, keys, frames in _keyed_takes(Path(name)):
+            shot = open_shot(performance, frames=frames)
+            ruler = ShotRuler(shot)
+            truth = read_keys(keys, shot.rig, shot.frames)
+            signals = ruler.signals(None, set_up_shot_baseline(shot))
+            keyed = ruler.signals(truth)
+            ranked[take] = rank(shot, signals, keyed)
+            verdicts[take] = ruler.verdict(signals)
+            verdicts[f"{take}, with keys"] = ruler.verdict(keyed)
+        for take, performance in _recorded_takes(Path(name)):
+            shot = open_shot(performance)
+            ruler = ShotRuler(shot)
+            verdicts[take] = ruler.verdict(ruler.signals(None))
+    _print(verdicts, ranked)
+
+
+def rank(shot: Shot, signals: ReviewSignals, keyed: ReviewSignals) -> Ranked:
+    """Score the ranking without keys by the error against them."""
+    rate = float(shot.take.rate)
+    near = MOMENT_SECONDS * rate
+    error = keyed.score_mm
+    worst, free = [], np.ones(len(error), bool)  # found here without `review_moments`
+    for row in np.argsort(-error, kind="stable").tolist():
+        if free[row] and len(worst) < MOMENTS:
+            worst.append(row)
+            free[max(row - round(near) + 1, 0) : row + round(near)] = False
+    counts = []
+    for each in (signals, keyed):
+        listed = np.array([moment.row for moment in review_moments(each, MOMENTS, rate=rate)])
+        counts.append(sum(int(np.abs(listed - row).min()) <= near for row in worst))
+    return Ranked(float(spearmanr(signals.score_mm, error)[0]), counts[0], counts[1])
+
+
+def _keyed_takes(folder: Path) -> list[tuple[str, Path, Path, str | None]]:
+    rig = SHARED_DATA / "rigs" / "facecap_head.usdc"
+    usual, other = folder / "usual", folder / "other"
+    last = len(np.load(SHARED_DATA / "crosstake" / "truth.npz")["weights"])
+    for place, name in ((usual, "crosstake"), (other, "onesided")):
+        place.mkdir()
+        crosstake.prepare(place, DAMAGES[0], np.load(SHARED_DATA / name / "truth.npz"), name)
+    crosstake.map_take(crosstake.choose_references(usual, rig, REFERENCES), rig, "auto")
+    _map(other / "x.clean.take.usda", usual / "x.mapping.usdc", rig, other / "x.hero.usda")
+    return [
+        (
+            "crosstake, second half",
+            usual / "x.hero.usda",
+            usual / "keys.csv",
+            f"{crosstake.HALF + 1}-{last}",
+        ),
+        ("onesided", other / "x.hero.usda", other / "keys.csv", None),
+    ]
+
+
+def _recorded_takes(folder: Path) -> list[tuple[str, Path]]:
+    rig = SHARED_DATA / "rigs" / "ict_face.usdc"
+    for name in RECORDED:
+        source = SHARED_DATA / "markers_animface" / f"{name}MoCap.c3d"
+        execute(IngestSpec(sources=(source,), out=folder / f"{name}.take.usda"))
+        execute(
+            CleanSpec(take=folder / f"{name}.take.usda", out=folder / f"{name}.clean.take.usda")
+        )
+    references, mapping = folder / "c.references.usda", folder / "c.mapping.usdc"
+    first = folder / f"{RECORDED[0]}.clean.take.usda"
+    execute(SelectSpec(takes=(first,), rig=rig, out=references, count=30))
+    execute(TrainSpec(references=references, out=mapping))
+    found = []
+    for name in RECORDED:
+        out = folder / f"{name}.usda"
+        _map(folder / f"{name}.clean.take.usda", mapping, rig, out)
+        found.append((f"{name.lower()} by proposals of {RECORDED[0].lower()}", out))
+    return found
+
+
+def _map(take: Path, mapping: Path, rig: Path, out: Path) -> None:
+    execute(MapSpec(take=take, mapping=mapping, rig=rig, out=out))
+
+
+def _print(verdicts: dict[str, SolveVerdict], ranked: dict[str, Ranked]) -> None:
+    print("| take | verdict | to do |")
+    print("|---|---|---|")
+    for take, verdict in verdicts.items():
+        print(f"| {take} | {verdict.sentence} | {verdict.advice} |")
+    print("\n| measure | value | wanted |")
+    print("|---|---|---|")
+    for take, each in ranked.items():
+        print(f"| rank correlation with the error, no keys, {take} | {each.spearman:.2f} | ≥ 0.5 |")
+        found = f"{each.found} of {MOMENTS}"
+        print(f"| worst moments found without keys, {take} | {found} | ≥ 8 |")
+        keyed = f"{each.keyed_found} of {MOMENTS}"
+        print(f"| worst moments found with keys, {take} | {keyed} | {MOMENTS} |")
