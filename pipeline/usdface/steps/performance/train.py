@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from usdface.core.assets import References, TrainedMapping
+from usdface.core.assets import CandidateScore, References, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
@@ -102,6 +102,12 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
             f"no reference moves the {still.replace(',', ', ')}: there the rig's geometry alone "
             "says what markers mean; tune frames in which they move"
         )
+    off = float(mapping.settings.get("key_error", 0.0))
+    if off:
+        notes.append(
+            f"the markers say that keys are off by about {off:.0%} of themselves; face_map moves "
+            "them to where the markers put them, other methods take them as they are"
+        )
     repeated = len(references.frames) - int(mapping.settings["pairs"])
     if repeated:
         notes.append(
@@ -130,12 +136,17 @@ def _summary(mapping: TrainedMapping, references: References) -> str:
         f"{mapping.method} on {len(references.frames)} pairs, {len(mapping.marker_names)} markers "
         f"to {len(mapping.shape_names)} shapes"
     )
-    if mapping.scores:
-        best = mapping.scores[0]
+    errors: dict[str, CandidateScore] = {}
+    for score in mapping.scores:  # of a method's settings the best comes first
+        errors.setdefault(score.method, score)
+    chosen = errors.pop(mapping.method, None)
+    if chosen is not None:
         summary += (
-            f"; cross-validated error {best.vertex_rms_mm:.2f} mm on the surface, "
-            f"{best.weight_rmse:.3f} in the weights"
+            f"; cross-validated error {chosen.vertex_rms_mm:.2f} mm on the surface, "
+            f"{chosen.weight_rmse:.3f} in the weights"
         )
+        others = [f"{name} {score.vertex_rms_mm:.2f}" for name, score in errors.items()]
+        summary += f" ({', '.join(others)} mm)" if others else ""
     return summary
 
 
