@@ -89,9 +89,18 @@ def label_hint(label: str) -> LabelHint:
     text, side = label.lower(), side_of_label(label)
     for part, read in _PARTS:
         if re.search(part, text):
-            region, landmarks, spread = read(text, side)
+            region, landmarks = read(text, side)
+            spread = max((landmark_spread_mm(name) for name in landmarks), default=0.0)
             return LabelHint(side, region, landmarks, spread)
     return LabelHint(side)
+
+
+def landmark_spread_mm(name: str) -> float:
+    """Return the standard deviation with which people put a marker at a landmark of an adult.
+
+    0 for landmarks at which nobody puts one: a marker of the upper lid is glued above its margin.
+    """
+    return _SPREAD_MM.get(re.sub("_[LR]$", "", name), 0.0)
 
 
 def skin_motion_mm(labels: Sequence[str]) -> FloatArray:
@@ -129,52 +138,69 @@ nothing: such markers hardly count for the head's pose."""
 _OUTER_MOTION_MM = {"brow": 1.5, "cheek": 2.0}
 _SIDE_OF_NOSE_MM = 2.0
 
-_Place = tuple[str, tuple[str, ...], float]
+_SPREAD_MM = {
+    "nose_tip": 4.0,
+    "mouth": 6.0,
+    "lip_upper": 8.0,
+    "lip_lower": 8.0,
+    "nose_bridge": 8.0,
+    "eye_inner": 8.0,
+    "eye_outer": 9.0,
+    "brow_centre": 9.0,
+    "brow_inner": 9.0,
+    "brow_middle": 9.0,
+    "brow_outer": 9.0,
+    "chin": 10.0,
+    "lid_crease": 12.0,
+    "lid_lower": 12.0,
+}
+
+_Place = tuple[str, tuple[str, ...]]
 
 
 def _brow(text: str, side: Side) -> _Place:
     if not side or re.search(r"cent|mid(?!dle_)", text):
-        return "brow", ("brow_centre",), 9.0
+        return "brow", ("brow_centre",)
     part = "inner" if _is_inner(text) else "outer" if _is_outer(text) else "middle"
-    return "brow", (f"brow_{part}_{side}",), 9.0
+    return "brow", (f"brow_{part}_{side}",)
 
 
 def _nose(text: str, side: Side) -> _Place:
     if side:
-        return "nose", (), 0.0
+        return "nose", ()
     if re.search(r"top|bridge|root|nasion", text):
-        return "bridge", ("nose_bridge",), 8.0
-    return "nose", ("nose_tip",), 4.0
+        return "bridge", ("nose_bridge",)
+    return "nose", ("nose_tip",)
 
 
 def _eye(text: str, side: Side) -> _Place:
     if not side:
-        return "eye", (), 0.0
+        return "eye", ()
     if _is_inner(text):
-        return "eye corner", (f"eye_inner_{side}",), 8.0
+        return "eye corner", (f"eye_inner_{side}",)
     if _is_outer(text):
-        return "eye corner", (f"eye_outer_{side}",), 9.0
+        return "eye corner", (f"eye_outer_{side}",)
     part = "crease" if _is_upper(text) else "lower" if _is_lower(text) else ""
-    return ("lid", (f"lid_{part}_{side}",), 12.0) if part else ("eye", (), 0.0)
+    return ("lid", (f"lid_{part}_{side}",)) if part else ("eye", ())
 
 
 def _mouth(text: str, side: Side) -> _Place:
     if re.search(r"above|below|under", text):  # on the skin beside the lips: no landmark
-        return "mouth", (), 0.0
+        return "mouth", ()
     part = "upper" if _is_upper(text) else "lower" if _is_lower(text) else ""
     if "end" in text or "corner" in text or (side and not part):
-        return "mouth", (f"mouth_{side}",) if side else (), 6.0
+        return "mouth", (f"mouth_{side}",) if side else ()
     if not part:
-        return "mouth", (), 0.0
-    return "mouth", (f"lip_{part}", f"mouth_{side}") if side else (f"lip_{part}",), 8.0
+        return "mouth", ()
+    return "mouth", (f"lip_{part}", f"mouth_{side}") if side else (f"lip_{part}",)
 
 
 def _chin(text: str, side: Side) -> _Place:
-    return ("chin", (), 0.0) if side else ("chin", ("chin",), 10.0)
+    return "chin", () if side else ("chin",)
 
 
 def _only(region: str) -> Callable[[str, Side], _Place]:
-    return lambda text, side: (region, (), 0.0)
+    return lambda text, side: (region, ())
 
 
 _PARTS = (

@@ -1,17 +1,24 @@
 """Place a performer's markers on a rig: by labels and landmarks, else by motion."""
 
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.model.placement.label_hints import label_hint
+from usdface.model.placement.label_hints import label_hint, landmark_spread_mm
 from usdface.model.placement.marker_cloud import MarkerCloud, middle_markers
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.numerics.registration.cloud_alignment import align_cloud, align_landmarks
 from usdface.numerics.registration.face_skin import FaceSkin
+from usdface.numerics.registration.landmark_matching import FaceLandmarks, match_landmarks
 from usdface.numerics.registration.motion_correspondence import place_by_motion
-from usdface.numerics.registration.motion_search import search_by_motion
+from usdface.numerics.registration.motion_search import (
+    LANDMARK_VALUE,
+    motion_value,
+    search_by_motion,
+    size_cost,
+)
 from usdface.numerics.registration.skin_placement import (
     TYPICAL_SIZE_MM,
     PlaneFit,
@@ -47,8 +54,8 @@ _LEAST_GAIN = 0.03
 """Value by which another placement must be better than closest points': they fit proportions in
 every round, and are nearer where many markers cover the face."""
 
-_SIZE_COST = 0.3
-"""Explained share that e times too large or too small a cloud costs."""
+_ACTIVE_SHARE = 0.1
+"""Of the largest displacement: skin that moves less is not where markers are put."""
 
 _EYES_TO_MOUTH_MM = 70.0
 """From the line of the eyes to that of the mouth, on an adult, give or take 5 mm."""
@@ -118,6 +125,7 @@ def place_markers(
         known | {m: (at, _PIN_SPREAD_MM * unit) for m, at in pins.items()},
         pins,
         _usual_scale(cloud, skin, landmarks),
+        face_landmarks(skin, landmarks),
     )
     named = len(known) >= FEWEST_HINTS
     if named:
@@ -185,7 +193,7 @@ def _virtual_markers(scene: "_Scene", start: "_Start", samples: IntArray) -> Vir
 class _Scene:
     """A cloud, a skin, and the places that labels or people gave, with their spreads [mm].
 
-    `usual_scale` is the guess of character over performer.
+    `usual_scale` is the guess of character over performer; `features` are the rig's landmarks.
     """
 
     cloud: MarkerCloud
@@ -194,6 +202,7 @@ class _Scene:
     landmarks: dict[int, tuple[FloatArray, float]]
     pins: dict[int, FloatArray]
     usual_scale: float
+    features: FaceLandmarks
 
 
 @dataclass(frozen=True)
@@ -256,55 +265,125 @@ def _by_labels(scene: _Scene) -> _Start:
 
 
 def _by_motion(scene: _Scene) -> _Start:
-    """Try closest points, and a search for where motion agrees; take the best placement.
+    """Settle where motion and landmarks agree, by a search of the plane and by closest points.
 
-    Where the cloud shows a plane of symmetry, what is found is brought into it, and placed again.
+    Markers that may sit at landmarks are drawn to them, as likely as that is.
     """
-    motion = scene.cloud.motion
-    starts = _by_shape(scene)
+    cloud, skin, motion = scene.cloud, scene.skin, scene.cloud.motion
     if motion is None or not motion.any():
-        if not starts:
-            raise ValueError("neither labels, motion nor shape say where the markers belong")
-        return starts[0]
+        return _by_shape(scene)
     try:
-        frame, levelled = scene.cloud.levelled()
+        frame, levelled = cloud.levelled()
     except ValueError:  # no symmetry: what closest points find is all there is
-        if not starts:
-            raise
-        return starts[0]
-    begun = [(_yaw_of(start, frame), start.placement.warped) for start in starts]
-    for _, yaw, fit in search_by_motion(
+        return _by_shape(scene)
+    starts = []
+    with suppress(ValueError):  # nothing ends upright
+        starts.append(_by_shape(scene))
+    count = len(starts)
+    for found in search_by_motion(
         levelled,
-        scene.skin,
+        skin,
         motion @ frame.T,
         ranges=scene.ranges,
         usual_scale=scene.usual_scale,
+        landmarks=scene.features,
     ):
-        turn = np.array([yaw, 1.0, yaw])
-        first = _settle(scene, turn[:, None] * frame, levelled * turn, fit)
-        begun.append((yaw, first.placement.warped))
-    for yaw, warped in begun:
-        turn = np.array([yaw, 1.0, yaw])
-        fit = _fit_to(scene, levelled * turn, warped)
-        starts.append(_settle(scene, turn[:, None] * frame, levelled * turn, fit))
-    if not starts:
-        raise ValueError("no place on the rig explains the markers' motion; give landmarks")
+        turned = levelled * found.turn
+        starts.append(_drawn(scene, found.turn[:, None] * frame, turned, found.fit))
     values = [_value(scene, start, frame, levelled) for start in starts]
-    best = int(np.argmax(values))
-    return starts[best] if values[best] > values[0] + _LEAST_GAIN else starts[0]
+    first = int(np.argmax(values))
+    if count and values[0] >= values[first] - _LEAST_GAIN:
+        return starts[0]
+    turn = _turn_of(starts[first], frame)
+    fit = _fit_to(scene, starts[first], levelled * turn)
+    again = _drawn(scene, turn[:, None] * frame, levelled * turn, fit)
+    return again if _value(scene, again, frame, levelled) > values[first] else starts[first]
 
 
-def _yaw_of(start: _Start, frame: FloatArray) -> float:
-    """Return +1 if the levelled frame looks where a placement does, -1 if it looks back."""
+def _drawn(scene: _Scene, frame: FloatArray, levelled: FloatArray, fit: PlaneFit) -> _Start:
+    """Settle a fit, its markers drawn to the landmarks at which they may sit."""
+    features = scene.features
+    match = match_landmarks(fit.apply(levelled), features)
+    spreads = features.spreads[match.landmarks] / np.sqrt(match.probability)
+    places = features.places[match.landmarks]
+    likely = dict(zip(match.markers.tolist(), zip(places, spreads, strict=True), strict=True))
+    return _settle(replace(scene, landmarks=likely | scene.landmarks), frame, levelled, fit)
+
+
+def _turn_of(start: _Start, frame: FloatArray) -> FloatArray:
+    """Return the factors that turn the levelled cloud to where a placement looks."""
     rotation = start.placement.fit.rotation @ start.frame @ frame.T
-    return 1.0 if rotation[0, 0] + rotation[2, 2] > 0 else -1.0
+    yaw = 1.0 if rotation[0, 0] + rotation[2, 2] > 0 else -1.0
+    return np.array([yaw, 1.0, yaw])
 
 
-def _fit_to(scene: _Scene, levelled: FloatArray, places: FloatArray) -> PlaneFit:
-    """Fit the cloud's proportions to places that were found, in the plane of symmetry."""
+def _fit_to(scene: _Scene, start: _Start, turned: FloatArray) -> PlaneFit:
+    """Fit the cloud's proportions to where it was settled, in the plane of symmetry."""
     centre = np.array([scene.skin.sagittal_x, 0.0, 0.0])
-    found = fit_in_plane(levelled, places - centre, np.full(len(levelled), _WARPED_SPREAD_MM))
+    spreads = np.full(len(turned), _WARPED_SPREAD_MM * scene.features.unit)
+    found = fit_in_plane(turned, start.placement.warped - centre, spreads)
     return PlaneFit(found.rotation, found.scale, found.shift + centre)
+
+
+def _value(scene: _Scene, start: _Start, frame: FloatArray, levelled: FloatArray) -> float:
+    """Return what motion and landmarks say for a placement, less the costs of warp and size.
+
+    What a placement rolls or shifts the plane of symmetry is a part of its warp.
+    """
+    placement, skin, motion = start.placement, scene.skin, scene.cloud.motion
+    turned = levelled * _turn_of(start, frame)
+    fit = _fit_to(scene, start, turned)
+    places = fit.apply(turned)
+    away = np.linalg.norm(placement.warped - places, axis=1)
+    value = LANDMARK_VALUE * match_landmarks(places, scene.features).score
+    value -= _WARP_COST * float(away.mean()) / skin.size_mm + size_cost(fit, scene.usual_scale)
+    if motion is not None:
+        moved = in_character(motion @ start.frame.T, placement.fit)
+        value += motion_value(explained_share(skin, placement.samples, moved, scene.ranges))
+    return value
+
+
+def _by_shape(scene: _Scene) -> _Start:
+    """Place by closest points, with how far each marker moves as a fourth coordinate.
+
+    Needs neither symmetry nor motion, and fits proportions in every round: nearest where many
+    markers cover the whole face. With few it slides, up to a face in the wrong place.
+    """
+    cloud, skin = scene.cloud, scene.skin
+    moved = None if cloud.motion is None else np.sqrt((cloud.motion**2).sum(axis=2)).mean(axis=0)
+    found = align_cloud(
+        cloud.neutral,
+        skin.positions,
+        activity=skin.activity(),
+        areas=skin.areas,
+        amplitude=moved,
+    )
+    placed = place_by_motion(
+        cloud.neutral,
+        skin.positions,
+        found,
+        skin_deltas=None if cloud.motion is None else skin.deltas,
+        motion=cloud.motion,
+        ranges=scene.ranges,
+        pinned=scene.pins,
+    )
+    alignment = placed.alignment
+    fit = PlaneFit(alignment.rotation, alignment.scale, alignment.translation)
+    placement = SkinPlacement(placed.chosen, placed.warped, placed.agreement, fit)
+    return _Start(np.eye(3), cloud.neutral, placement)
+
+
+def face_landmarks(skin: FaceSkin, landmarks: dict[str, FloatArray]) -> FaceLandmarks:
+    """Return the landmarks at which people put markers."""
+    names = tuple(name for name in landmarks if landmark_spread_mm(name))
+    unit, activity = skin.size_mm / TYPICAL_SIZE_MM, skin.activity()
+    return FaceLandmarks(
+        names,
+        np.array([landmarks[name] for name in names]).reshape(-1, 3),
+        np.array([landmark_spread_mm(name) for name in names]) * unit,
+        float(skin.areas[activity > _ACTIVE_SHARE * activity.max()].sum()),
+        unit,
+    )
 
 
 def _usual_scale(cloud: MarkerCloud, skin: FaceSkin, landmarks: dict[str, FloatArray]) -> float:
@@ -318,57 +397,6 @@ def _usual_scale(cloud: MarkerCloud, skin: FaceSkin, landmarks: dict[str, FloatA
     eyes = (landmarks["lid_upper_L"] + landmarks["lid_lower_L"])[1] / 2
     adult = float(eyes - landmarks["mouth_middle"][1]) / _EYES_TO_MOUTH_MM
     return adult if 1 / _OTHER_UNIT < covering / adult < _OTHER_UNIT else covering
-
-
-def _value(scene: _Scene, start: _Start, frame: FloatArray, levelled: FloatArray) -> float:
-    """Return the explained share, less what warp and an unlikely size of the face cost.
-
-    What a placement rolls or shifts the plane of symmetry is a part of its warp.
-    """
-    placement, skin, motion = start.placement, scene.skin, scene.cloud.motion
-    if motion is None:
-        return 0.0
-    moved = in_character(motion @ start.frame.T, placement.fit)
-    share = explained_share(skin, placement.samples, moved, scene.ranges)
-    yaw = _yaw_of(start, frame)
-    turned = levelled * [yaw, 1.0, yaw]
-    fit = _fit_to(scene, turned, placement.warped)
-    away = np.linalg.norm(placement.warped - fit.apply(turned), axis=1)
-    size = abs(float(np.log(np.sqrt(fit.scale[:2].prod()) / scene.usual_scale)))
-    return share - _WARP_COST * float(away.mean()) / skin.size_mm - _SIZE_COST * size
-
-
-def _by_shape(scene: _Scene) -> list[_Start]:
-    """Place by closest points, with how far each marker moves as a fourth coordinate.
-
-    Needs neither symmetry nor motion, and is nearest where many markers cover the whole face; with
-    few it slides, up to a face in the wrong place and of the wrong size.
-    """
-    cloud, skin = scene.cloud, scene.skin
-    moved = None if cloud.motion is None else np.sqrt((cloud.motion**2).sum(axis=2)).mean(axis=0)
-    try:
-        found = align_cloud(
-            cloud.neutral,
-            skin.positions,
-            activity=skin.activity(),
-            areas=skin.areas,
-            amplitude=moved,
-        )
-    except ValueError:  # nothing ends upright
-        return []
-    placed = place_by_motion(
-        cloud.neutral,
-        skin.positions,
-        found,
-        skin_deltas=None if cloud.motion is None else skin.deltas,
-        motion=cloud.motion,
-        ranges=scene.ranges,
-        pinned=scene.pins,
-    )
-    alignment = placed.alignment
-    fit = PlaneFit(alignment.rotation, alignment.scale, alignment.translation)
-    placement = SkinPlacement(placed.chosen, placed.warped, placed.agreement, fit)
-    return [_Start(np.eye(3), cloud.neutral, placement)]
 
 
 def _motion_scale(turned: FloatArray, skin: FaceSkin, samples: IntArray) -> float:

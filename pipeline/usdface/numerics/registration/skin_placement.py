@@ -51,7 +51,7 @@ _EVIDENCE_FRAMES = 6.0
 """Independent samples that a path counts for: frames repeat each other."""
 
 _NOISE_MM = 0.5
-_MODEL_ERROR_SHARE = 0.06
+MODEL_ERROR_SHARE = 0.06
 """Of a path's energy, which no correct place explains either."""
 
 _GAIN_LIMITS = (0.5, 2.0)
@@ -242,11 +242,14 @@ def explained_share(
 ) -> float:
     """Return how much of the markers' motion the shapes explain at their samples.
 
-    The mean over markers of the share of each path's energy, weighted by its root.
+    The mean over markers of the share of each path's energy, weighted by its root; 0 where nothing
+    moves.
     """
+    if not paths.any():
+        return 0.0
     share = _agreement(skin, samples, paths, ranges)
     weight = np.sqrt((paths**2).sum(axis=(0, 2)))
-    return float(weight @ share / weight.sum()) if weight.any() else 0.0
+    return float(weight @ share / weight.sum())
 
 
 def solve_weights_at(
@@ -301,7 +304,7 @@ def _motion_pull(
     """
     misfit = _path_misfit(skin, near, paths, ranges)
     before = cdist(warped, skin.positions, "sqeuclidean") / (2 * reach**2)
-    cost = before + _EVIDENCE_FRAMES / 2 * np.log(misfit + _MODEL_ERROR_SHARE)
+    cost = before + _EVIDENCE_FRAMES / 2 * np.log(misfit + MODEL_ERROR_SHARE)
     mean_before, wide = _moments(before, skin.positions)
     mean_after, narrow = _moments(cost, skin.positions)
     narrow = np.minimum(narrow, 0.95 * wide)
@@ -356,7 +359,7 @@ def _settle(
     """Choose last between samples near the warped place: where it is and how it moves together."""
     misfit = _path_misfit(skin, samples, paths, ranges)
     misfit[still] = 1.0
-    cost = prior + _EVIDENCE_FRAMES / 2 * np.log(misfit + _MODEL_ERROR_SHARE)
+    cost = prior + _EVIDENCE_FRAMES / 2 * np.log(misfit + MODEL_ERROR_SHARE)
     return np.where(np.isfinite(cost.min(axis=1)), cost.argmin(axis=1), samples)
 
 
