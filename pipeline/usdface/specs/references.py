@@ -237,11 +237,12 @@ class ReferenceSheetSpec(Spec):
     takes: Annotated[tuple[Path, ...], Reads()] = ()
     """Takes that the frames were selected from. Without them, video and timecode are not shown."""
     out: ImageOut
-    """Picture to write: .jpg, .png or .exr."""
+    """Picture to write: .jpg, .png or .exr. A page has six pairs; further pages are NAME.2.jpg and
+    so on."""
     pairs: Frames | None = None
-    """Pairs to draw, as FIRST-LAST. Default: all. A sheet of paper holds about 24."""
+    """Pairs to draw, as FIRST-LAST. Default: all."""
     paper: bool = False
-    """Draw dark on white, for printing, with space for notes."""
+    """Draw dark on white, for printing, with lines to write on."""
     tile: Annotated[int, Field(ge=64, le=2048)] = 280
     """Height of an image in pixels."""
     quality: Literal["draft", "final"] = "final"

@@ -31,6 +31,12 @@ _HEAD_HEIGHT = 34
 FOOT_HEIGHT = 54
 _ROW_GAP = 26
 _TITLE_HEIGHT = 100
+PAGE_PAIRS = 6
+"""On a page: on landscape A4, and on a screen of 1600 pixels, its letters are read."""
+
+_WRITING_LINES, _WRITING_LINE = 3, 46
+"""Below each pair on paper; on A4 some 7 mm from line to line, as in ruled books."""
+
 PAGE_ASPECT = 1.414
 """Of a landscape page."""
 
@@ -142,7 +148,8 @@ def compose_reference_sheet(
     aspect = max((shape[1] / shape[0] for shape in shapes), default=0.0)
     widths = (round(tile * min(aspect, 16 / 9)), tile, tile) if aspect else (tile, tile)
     block = sum(widths) + _TILE_GUTTER * (len(widths) - 1)
-    height = _HEAD_HEIGHT + tile + FOOT_HEIGHT + _ROW_GAP
+    room = _WRITING_LINES * _WRITING_LINE if paper else 0
+    height = _HEAD_HEIGHT + tile + FOOT_HEIGHT + room + _ROW_GAP
     columns = min(
         range(1, len(rows) + 1),
         key=lambda n: abs(np.log(_size(n, len(rows), block, height) / PAGE_ASPECT)),
@@ -179,6 +186,9 @@ def compose_reference_sheet(
         x = _PAGE_MARGIN + (index % columns) * (block + BLOCK_GAP)
         y = _PAGE_MARGIN + _TITLE_HEIGHT + index // columns * height
         _draw_row(page, row, widths, palette, x=x, y=y, tile=tile, paper=paper)
+        below = y + _HEAD_HEIGHT + tile + FOOT_HEIGHT
+        for down in range(_WRITING_LINE, room + 1, _WRITING_LINE):
+            fill_box(page, x, below + down, block, 2, palette.rule)
     return page
 
 

@@ -20,7 +20,11 @@ from usdface.media.face.sculpted_normals import SculptedNormals
 from usdface.media.film.image_sequence import ImageSequence, open_video
 from usdface.media.film.video import VideoReader
 from usdface.media.picture.image import read_picture, write_image
-from usdface.media.picture.reference_sheet import ReferenceRow, compose_reference_sheet
+from usdface.media.picture.reference_sheet import (
+    PAGE_PAIRS,
+    ReferenceRow,
+    compose_reference_sheet,
+)
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
@@ -31,9 +35,6 @@ from usdface.steps.inputs.tuned_pairs import read_set_references
 from usdface.usdio.references.read import read_pair_notes
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
-
-_YAW_DEGREES = 12.0
-"""A little from the side, where lips and lids show their depth."""
 
 _LEAST_SHOWN_WEIGHT = 0.05
 """Weights below are not worth naming."""
@@ -52,37 +53,44 @@ def run(
         references.shape_names, source=spec.references, remedy="select again for this rig"
     )
     pairs = _pairs(spec, references)
-    rows = []
+    undrawn, blind, written = rig.undrawn_notes(), 0, []
     with ExitStack() as open_files:
         pictures = _PairPictures(spec, references, rig, open_files)
-        for number, pair in enumerate(pairs):
-            progress(0.2 + 0.7 * number / len(pairs), f"drawing pair {pair + 1}")
-            rows.append(pictures.row(pair))
-    progress(0.95, f"writing {spec.out.name}")
-    facts = [
-        rig.file.name,
-        f"{len(pairs)} of {len(references.frames)} pairs",
-        f"{int(references.tuned.sum())} tuned",
-    ]
-    if pictures.stand_in_eyes:
-        facts.append("the rig has no eyes: stand-ins are drawn")
-    undrawn = rig.undrawn_notes()
-    if undrawn:
-        facts.append("textures are not drawn")
-    page = compose_reference_sheet(
-        tuple(rows),
-        title=spec.references.stem,
-        facts=tuple(facts),
-        tile=spec.tile,
-        paper=spec.paper,
-    )
-    write_image(spec.out, page, metadata=provenance_metadata(provenance))
+        facts = [
+            rig.file.name,
+            f"{len(pairs)} of {len(references.frames)} pairs",
+            f"{int(references.tuned.sum())} tuned",
+        ]
+        if pictures.stand_in_eyes:
+            facts.append("the rig has no eyes: stand-ins are drawn")
+        if undrawn:
+            facts.append("textures are not drawn")
+        pages = -(-len(pairs) // PAGE_PAIRS)
+        for number in range(pages):
+            rows = []
+            for pair in pairs[number * PAGE_PAIRS : (number + 1) * PAGE_PAIRS]:
+                progress(0.2 + 0.75 * number / pages, f"drawing pair {pair + 1}")
+                rows.append(pictures.row(pair))
+            blind += sum(row.video is None for row in rows)
+            page = compose_reference_sheet(
+                tuple(rows),
+                title=spec.references.stem
+                + (f", page {number + 1} of {pages}" if pages > 1 else ""),
+                facts=tuple(facts),
+                tile=spec.tile,
+                paper=spec.paper,
+            )
+            file = spec.out
+            if number:
+                file = spec.out.with_name(f"{spec.out.stem}.{number + 1}{spec.out.suffix}")
+            write_image(file, page, metadata=provenance_metadata(provenance))
+            written.append(file)
     progress(1.0, "done")
-    blind = sum(row.video is None for row in rows)
     notes = (*((f"no video frame for {pluralize(blind, 'pair')}",) if blind else ()), *undrawn)
+    tuned = int(references.tuned[pairs].sum())
     return StepResult(
-        (spec.out,),
-        f"{pluralize(len(rows), 'pair')} drawn, {int(references.tuned[pairs].sum())} of them tuned",
+        tuple(written),
+        f"{pluralize(len(pairs), 'pair')} drawn, {tuned} of them tuned",
         notes,
         {"pairs": [pair + 1 for pair in pairs], "width": page.shape[1], "height": page.shape[0]},
     )
@@ -100,7 +108,7 @@ class _PairPictures:
         self._images = read_pair_notes(spec.references)
         self._deformer, self._renderer = Deformer(rig), FaceRenderer(rig.meshes)
         self._normals = SculptedNormals(rig, self._deformer)
-        self._camera = frame_rig(rig.meshes, yaw_degrees=_YAW_DEGREES)
+        self._camera = frame_rig(rig.meshes, hair=True)
         self._cloud = frame_markers(references.markers)
         columns = [rig.shapes.index(name) for name in references.shape_names]
         self._weights = np.zeros((len(references.weights), len(rig.shapes)))
