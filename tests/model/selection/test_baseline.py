@@ -100,3 +100,13 @@ def test_errors_there_and_back_are_measured_where_shapes_bend() -> None:
     apart = np.linalg.norm(deformer.points(first) - deformer.points(second), axis=2)
     found = SurfaceMeter(rig).mean_vertex_mm(first, second)
     np.testing.assert_allclose(found, apart.mean(axis=1), atol=1e-12)
+
+
+def test_a_marker_without_a_place_has_no_residual() -> None:
+    equation, shapes = bent_equation()
+    weights = np.random.default_rng(1).random((20, 3))
+    shown = equation.neutral + shapes.offsets(weights)
+    shown[:, 4] += 30.0
+    assert equation.residual_mm(shown, weights).min() > 5.0
+    placed = replace(equation, left_out=(4,))
+    np.testing.assert_allclose(placed.residual_mm(shown, weights), 0.0, atol=1e-9)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pxr import Sdf, Vt
 
+from tests.model.placement.test_rig_orientation import transformed
 from tests.steps.small_shot import Shot
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
@@ -54,6 +55,14 @@ def test_a_shape_sculpted_again_since_training_is_noted_and_mapped(shot: Shot) -
     (note,) = [note for note in mapped(shot, rig="other.usdc").notes if "since training" in note]
     assert "1 of the mapping's" in note
     assert "jawOpen (moves" in note
+
+
+def test_a_rig_that_lies_is_refused(shot: Shot) -> None:
+    rig = demo_rig()
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    write_rig(shot / "lying.usdc", transformed(rig, turn))
+    with pytest.raises(InputError, match="the head lies"):
+        mapped(shot, rig="lying.usdc")
 
 
 def test_a_rig_with_other_points_is_refused(shot: Shot) -> None:

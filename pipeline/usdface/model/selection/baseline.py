@@ -153,6 +153,8 @@ class BlendshapeEquation:
     differ from what the shapes can do."""
     lids: LidEvidence | None = None
     """None where blinks are solved as any shape."""
+    left_out: tuple[int, ...] = ()
+    """Markers without a place on the character: they have no residual."""
 
     def solve_published(self, positions: Positions) -> FloatArray:
         """Return weights by plain least squares, limited to the ranges afterwards.
@@ -217,7 +219,7 @@ class BlendshapeEquation:
     def residual_mm(self, positions: Positions, weights: FloatArray) -> FloatArray:
         """Return the root mean square distance of markers and what weights explain: (frames,)."""
         motion = character_motion(self.virtual, positions, self.neutral)
-        away = motion - self._moved(weights)
+        away = np.delete(motion - self._moved(weights), list(self.left_out), axis=1)
         return np.asarray(np.sqrt((away**2).sum(axis=2).mean(axis=1)))
 
     def _moved(self, weights: FloatArray) -> FloatArray:

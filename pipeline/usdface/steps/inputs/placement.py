@@ -285,7 +285,7 @@ def placed_equation(
             labels=labels,
         )
     unplaced = [m for m, name in enumerate(labels) if name not in _bound(placement)]
-    return equation_at(
+    made = equation_at(
         rig,
         deformer,
         virtual_markers(placement, labels, neutral),
@@ -294,6 +294,7 @@ def placed_equation(
         visible=visible,
         rigid=tuple(sorted({*rigid, *unplaced})),
     )
+    return replace(made, left_out=tuple(unplaced))
 
 
 def stored_placement(references: References, rig: Rig) -> RigPlacement | None:
