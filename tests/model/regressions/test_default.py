@@ -193,3 +193,19 @@ def test_many_shapes_share_regions(monkeypatch) -> None:
     mapping = trained(skin=True)
     assert len(mapping.arrays["projection"]) <= 3
     assert rms(mapping, seed=3) < 2 * alone
+
+
+def test_a_pair_keyed_for_another_frame_is_named() -> None:
+    face = synthetic_face()
+    pairs = references_of(face, CHOSEN)
+    rng = np.random.default_rng(0)
+    keys = np.clip(pairs.weights * (1 + 0.05 * rng.normal(size=pairs.weights.shape)), 0, 1)
+    keys[7] = 1 - keys[7]
+    mapping = train_mapping(
+        replace(pairs, weights=keys),
+        ranges=face.ranges,
+        gram=face.gram,
+        skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)),
+        method="face_map",
+    )
+    assert str(mapping.settings["contradicted"]).startswith(f"take {CHOSEN[7]} (")

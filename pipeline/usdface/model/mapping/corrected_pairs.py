@@ -15,6 +15,9 @@ from usdface.numerics.regression.marker_prior import expect_marker_motion
 _KEY_ROUNDS = 2
 """Of correcting keys and fitting the forward model again. A third changes nothing to speak of."""
 
+_CONTRADICTION_CHI2 = 9.0
+"""Of the median over pairs: squared leave-one-out residual over the variance expected of it."""
+
 _PRIOR_CURVE = 0.3
 """Bend of weights under which markers are looked for on the skin; it hardly matters there."""
 
@@ -35,6 +38,9 @@ class CorrectedPairs:
         Of their error.
     key_error : float
         Of the keys as they came, as a share of them: `ForwardScales.tau`.
+    contradicted : dict of int to float
+        Pairs whose markers are far from where a model of the others puts them under the keys as
+        they came: root mean square distance [mm].
     """
 
     pairs: Pairs
@@ -42,6 +48,7 @@ class CorrectedPairs:
     given: FloatArray
     variance: FloatArray
     key_error: float
+    contradicted: dict[int, float]
 
     def known_to(self, method: Regression) -> Pairs:
         """Return the pairs that a method learns: methods of the literature, the keys as given."""
@@ -53,7 +60,7 @@ def correct_pairs(pairs: Pairs) -> CorrectedPairs:
     given, face = pairs.outputs, pairs.face
     forward = fit_pairs_forward(pairs)
     scales, keys = forward.scales, forward.targets
-    variance = np.zeros_like(given)
+    variance, contradicted = np.zeros_like(given), _find_contradicted(forward)
     low, span = face.ranges[:, 0], np.ptp(face.ranges, axis=1)
     for _ in range(_KEY_ROUNDS if scales.tau > 0 else 0):
         posterior = correct_keys(forward, keys, scales.tau)
@@ -62,7 +69,17 @@ def correct_pairs(pairs: Pairs) -> CorrectedPairs:
         pairs = replace(pairs, outputs=moved)
         left = posterior.variance.sum() / scales.key_variance(keys).sum()
         forward = fit_pairs_forward(pairs, replace(scales, tau=scales.tau * float(np.sqrt(left))))
-    return CorrectedPairs(replace(pairs, forward=forward), forward, given, variance, scales.tau)
+    return CorrectedPairs(
+        replace(pairs, forward=forward), forward, given, variance, scales.tau, contradicted
+    )
+
+
+def _find_contradicted(forward: ForwardModel) -> dict[int, float]:
+    squared = (forward.residuals**2).sum(axis=2)
+    chi2 = (squared * np.einsum("knn->nk", forward.inverse)).mean(axis=1)
+    far = np.flatnonzero(chi2 > _CONTRADICTION_CHI2 * np.median(chi2))
+    away = np.sqrt(squared.mean(axis=1))
+    return {int(n): float(away[n]) for n in far[np.argsort(-away[far])]}
 
 
 def fit_pairs_forward(pairs: Pairs, scales: ForwardScales | None = None) -> ForwardModel:

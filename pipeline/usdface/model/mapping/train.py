@@ -14,7 +14,7 @@ from usdface.model.mapping.candidates import (
 )
 from usdface.model.mapping.checks import check_dimensions, check_references, check_skin
 from usdface.model.mapping.coordinates import marker_coordinates
-from usdface.model.mapping.corrected_pairs import correct_pairs
+from usdface.model.mapping.corrected_pairs import CorrectedPairs, correct_pairs
 from usdface.model.mapping.motion_space import motion_arrays, motion_of_pairs
 from usdface.model.mapping.regions import (
     membership,
@@ -126,11 +126,20 @@ def train_mapping(
             "regions": ",".join(regions),
             "still_regions": ",".join(_still_regions(folds, regions, checked.shape_names)),
             "key_error": corrected.key_error,
+            "contradicted": _contradicted(corrected, checked),
             "unobservable_shapes": int((~compared.observable).sum()),
             "performer": checked.performer,
             "session": checked.session,
         },
         scores=compared.scores,
+    )
+
+
+def _contradicted(corrected: CorrectedPairs, references: References) -> str:
+    """Name the pairs whose markers contradict their keys: ``take frame (mm); ...``."""
+    return "; ".join(
+        f"{references.takes[n]} {references.frames[n]} ({away:.1f} mm)"
+        for n, away in corrected.contradicted.items()
     )
 
 

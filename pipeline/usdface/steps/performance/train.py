@@ -9,7 +9,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.model.mapping.regions import sample_skin, skin_points
 from usdface.model.mapping.rig_match import rig_summary
 from usdface.model.mapping.train import train_mapping
@@ -107,6 +107,12 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
         notes.append(
             f"the markers say that keys are off by about {off:.0%} of themselves; face_map moves "
             "them to where the markers put them, other methods take them as they are"
+        )
+    contradicted = str(mapping.settings.get("contradicted", ""))
+    if contradicted:
+        notes.append(
+            f"markers contradict the keys of {first_few(contradicted.split('; '))}: look at these "
+            "pairs again"
         )
     repeated = len(references.frames) - int(mapping.settings["pairs"])
     if repeated:
