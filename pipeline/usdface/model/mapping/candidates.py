@@ -42,37 +42,26 @@ class Candidate:
 
 @dataclass(frozen=True)
 class UnseenPairs:
-    """What a candidate makes of pairs that its fit has not seen.
-
-    Attributes
-    ----------
-    errors : (pairs, shapes) float array
-        Of weights.
-    start : (pairs, shapes) float array
-        Bent weights, before the frames are solved.
-    usual : (pairs, shapes) float array or None
-        The fits' own estimates of that start's error, normalised; None where it makes none.
-    """
+    """What a candidate makes of pairs that its fit has not seen."""
 
     errors: FloatArray
+    """(pairs, shapes): of weights."""
     start: FloatArray
+    """(pairs, shapes): bent weights, before the frames are solved."""
     usual: FloatArray | None
+    """(pairs, shapes): the fits' own estimates of that start's error, normalised; None where it
+    makes none."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Candidates by error, the best first.
-
-    Attributes
-    ----------
-    unseen : UnseenPairs or None
-        Of the best; None where pairs were too few to compare.
-    observable : (shapes,) bool array
-    """
+    """Candidates by error, the best first."""
 
     best: Candidate
     unseen: UnseenPairs | None
+    """Of the best; None where pairs were too few to compare."""
     observable: BoolArray
+    """(shapes,)"""
     scores: tuple[CandidateScore, ...]
 
 

@@ -15,19 +15,13 @@ NOISE_FLOOR_MM = 0.05
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Frames as coordinates of the motion space.
-
-    Attributes
-    ----------
-    values : (frames, dimensions) float array
-        [mm]
-    certainty : (frames,) float array
-        Share of the markers that are seen times the share of the face's motion that they
-        determine [0-1].
-    """
+    """Frames as coordinates of the motion space."""
 
     values: FloatArray
+    """(frames, dimensions) [mm]"""
     certainty: FloatArray
+    """(frames,): share of the markers that are seen times the share of the face's motion that they
+    determine [0-1]."""
 
 
 def noise_variance(motion: MotionSpace) -> float:

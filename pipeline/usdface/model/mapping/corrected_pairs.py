@@ -24,31 +24,21 @@ _PRIOR_CURVE = 0.3
 
 @dataclass(frozen=True)
 class CorrectedPairs:
-    """Pairs whose keys are where the markers put them, as far as keys err.
-
-    Attributes
-    ----------
-    pairs : Pairs
-        With the corrected keys.
-    forward : ForwardModel
-        Conditioned on them.
-    given : (pairs, shapes) float array
-        Keys as they came.
-    variance : (pairs, shapes) float array
-        Of their error.
-    key_error : float
-        Of the keys as they came, as a share of them: `ForwardScales.tau`.
-    contradicted : dict of int to float
-        Pairs whose markers are far from where a model of the others puts them under the keys as
-        they came: root mean square distance [mm].
-    """
+    """Pairs whose keys are where the markers put them, as far as keys err."""
 
     pairs: Pairs
+    """With the corrected keys."""
     forward: ForwardModel
+    """Conditioned on them."""
     given: FloatArray
+    """(pairs, shapes): keys as they came."""
     variance: FloatArray
+    """(pairs, shapes): of their error."""
     key_error: float
+    """Of the keys as they came, as a share of them: `ForwardScales.tau`."""
     contradicted: dict[int, float]
+    """Pairs whose markers are far from where a model of the others puts them under the keys as they
+    came: root mean square distance [mm]."""
 
     def known_to(self, method: Regression) -> Pairs:
         """Return the pairs that a method learns: methods of the literature, the keys as given."""

@@ -32,63 +32,42 @@ from usdface.numerics.measure.performance_error import (
 
 @dataclass(frozen=True)
 class RegionError:
-    """Errors of one part of the face.
-
-    Attributes
-    ----------
-    shape_count : int
-        Shapes whose name names it.
-    weight_rmse : float
-        Of those that count; NaN where none does.
-    surface : SurfaceError
-        Of the points that those shapes move most.
-    """
+    """Errors of one part of the face."""
 
     name: str
     shape_count: int
+    """Shapes whose name names it."""
     weight_rmse: float
+    """Of those that count; NaN where none does."""
     surface: SurfaceError
+    """Of the points that those shapes move most."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a performance's errors come to.
-
-    Attributes
-    ----------
-    frames : (frames,) int array
-        Frame numbers that were compared, ascending.
-    shape_names : tuple of str
-        Shapes that were compared.
-    observable : (shapes,) bool array
-        Those whose weights count.
-    weight_rmse : float
-        Over frames and the shapes that count.
-    surface : SurfaceError
-        Of the whole rig.
-    regions : tuple of RegionError
-        Empty where no shape's name names a part of the face.
-    shape_mm : (shapes,) float array
-        What each shape's error alone does to the surface, root mean square [mm].
-    lips : LipError or None
-        None where the rig has no mouth that a jaw opens.
-    blink_bias : float
-        Mean error of blinks at their peaks; NaN where there is none.
-    jitter : float
-        Roughness relative to the truth's; NaN where no four frames follow each other.
-    """
+    """What a performance's errors come to."""
 
     frames: IntArray
+    """(frames,): frame numbers that were compared, ascending."""
     shape_names: tuple[str, ...]
+    """Shapes that were compared."""
     observable: BoolArray
+    """(shapes,): those whose weights count."""
     weight_rmse: float
+    """Over frames and the shapes that count."""
     surface: SurfaceError
+    """Of the whole rig."""
     regions: tuple[RegionError, ...]
+    """Empty where no shape's name names a part of the face."""
     shapes: ShapeErrors
     shape_mm: FloatArray
+    """(shapes,): what each shape's error alone does to the surface, root mean square [mm]."""
     lips: LipError | None
+    """None where the rig has no mouth that a jaw opens."""
     blink_bias: float
+    """Mean error of blinks at their peaks; NaN where there is none."""
     jitter: float
+    """Roughness relative to the truth's; NaN where no four frames follow each other."""
 
 
 def evaluate_weights(

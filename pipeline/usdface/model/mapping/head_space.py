@@ -31,61 +31,42 @@ units differ by 2.5 or 10."""
 
 @dataclass(frozen=True)
 class MappedMarkers:
-    """A take's markers as a mapping reads them.
-
-    Attributes
-    ----------
-    positions : (frames, markers, 3) float32 array
-        In the mapping's marker order and head space [mm]; 0 where the take lacks the marker.
-    visible : (frames, markers) bool array
-        Where a position may be used: measured or repaired.
-    missing : tuple of str
-        Markers of the mapping that the take lacks.
-    extra : tuple of str
-        Markers of the take that the mapping does not know; ignored.
-    moved_mm : float
-        How far the take's head space was from the mapping's: root mean square over markers [mm].
-    """
+    """A take's markers as a mapping reads them."""
 
     positions: Float32Array
+    """(frames, markers, 3): in the mapping's marker order and head space [mm]; 0 where the take
+    lacks the marker."""
     visible: BoolArray
+    """(frames, markers): where a position may be used: measured or repaired."""
     missing: tuple[str, ...]
+    """Markers of the mapping that the take lacks."""
     extra: tuple[str, ...]
+    """Markers of the take that the mapping does not know; ignored."""
     moved_mm: float
+    """How far the take's head space was from the mapping's: root mean square over markers [mm]."""
 
 
 @dataclass(frozen=True)
 class HeadSpace:
-    """How a take's markers become a mapping's: found once, used for every chunk of the take.
-
-    Attributes
-    ----------
-    columns : (n,) int array
-        Columns of the take that the mapping reads.
-    slots : (n,) int array
-        Where they go in the mapping's order.
-    count : int
-        Number of the mapping's markers.
-    rotation : (3, 3) float array
-    shift : (3,) float array
-        [mm]
-    missing, extra : tuple of str
-        Markers that only the mapping, or only the take, has.
-    moved_mm : float
-        How far the take's head space was from the mapping's: root mean square over markers [mm].
-    neutral : TakeNeutral
-        Of the take, in the mapping's order and head space.
-    """
+    """How a take's markers become a mapping's: found once, used for every chunk of the take."""
 
     columns: IntArray
+    """(n,): columns of the take that the mapping reads."""
     slots: IntArray
+    """(n,): where they go in the mapping's order."""
     count: int
+    """Number of the mapping's markers."""
     rotation: FloatArray
+    """(3, 3)"""
     shift: FloatArray
+    """(3,) [mm]"""
     missing: tuple[str, ...]
     extra: tuple[str, ...]
+    """`missing`, `extra`: Markers that only the mapping, or only the take, has."""
     moved_mm: float
+    """How far the take's head space was from the mapping's: root mean square over markers [mm]."""
     neutral: TakeNeutral
+    """Of the take, in the mapping's order and head space."""
 
     def place(self, markers: Markers) -> MappedMarkers:
         """Bring frames of the take into the mapping's order, head space and neutral face."""

@@ -12,28 +12,22 @@ from usdface.model.mapping.motion_space import thinned_sample
 
 @dataclass(frozen=True)
 class PerformerFace:
-    """What takes of a performer are laid on: one head space, one neutral face.
-
-    Attributes
-    ----------
-    marker_names, rigid : tuple of str
-        Of all markers in their order, and of those that say where the head is.
-    neutral : (markers, 3) float array
-        The performer's neutral face [mm].
-    frames : (frames, markers, 3) float array
-        Expressions in that head space, to tell other ones of the face by [mm].
-    usable : (frames, markers) bool array
-    performer, session : str
-        As the take says that defines the space; empty where unknown.
-    """
+    """What takes of a performer are laid on: one head space, one neutral face."""
 
     marker_names: tuple[str, ...]
     rigid: tuple[str, ...]
+    """`marker_names`, `rigid`: Of all markers in their order, and of those that say where the head
+    is."""
     neutral: FloatArray
+    """(markers, 3): the performer's neutral face [mm]."""
     frames: FloatArray
+    """(frames, markers, 3): expressions in that head space, to tell other ones of the face by
+    [mm]."""
     usable: BoolArray
+    """(frames, markers)"""
     performer: str = ""
     session: str = ""
+    """`performer`, `session`: As the take says that defines the space; empty where unknown."""
 
 
 def face_of_mapping(mapping: TrainedMapping) -> PerformerFace:

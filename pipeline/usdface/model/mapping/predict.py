@@ -27,37 +27,27 @@ _SOLVED_FRAMES = 64
 
 @dataclass(frozen=True)
 class Prediction:
-    """A mapping's answer.
-
-    Attributes
-    ----------
-    weights : (frames, shapes) float array
-        Within the mapping's ranges.
-    uncertainty : (frames, regions) float array
-        Standard deviation of each region's surface around what an animator would key: in mm where
-        training knew the rig, else in weights. See `uncertainty`.
-    coverage : (frames, regions) float array
-        How far the references show what the frame does [0-1]; see `coverage`.
-    residual_mm : (frames, regions) float array
-        Root mean square distance of the markers seen from where the weights put them, less what is
-        left at the references themselves [mm]: large where markers are swapped or the face does
-        something that the weights do not follow. 0 where no marker of the region is seen.
-    regions : tuple of str
-        Parts of the face, the whole first.
-    left_mm : (frames, markers, 3) float32 array
-        Markers minus where the weights put them; 0 where unseen [mm].
-    few_markers : (frames,) bool array
-        True where fewer than `head_space.MINIMUM_SHARE` of the mapping's markers are
-        seen: the face is a guess there.
-    """
+    """A mapping's answer."""
 
     weights: FloatArray
+    """(frames, shapes): within the mapping's ranges."""
     uncertainty: FloatArray
+    """(frames, regions): standard deviation of each region's surface around what an animator would
+    key: in mm where training knew the rig, else in weights. See `uncertainty`."""
     coverage: FloatArray
+    """(frames, regions): how far the references show what the frame does [0-1]; see `coverage`."""
     residual_mm: FloatArray
+    """(frames, regions): root mean square distance of the markers seen from where the weights
+    put them, less what is left at the references themselves [mm]: large where markers are
+    swapped or the face does something that the weights do not follow. 0 where no marker of the
+    region is seen."""
     regions: tuple[str, ...]
+    """Parts of the face, the whole first."""
     left_mm: Float32Array
+    """(frames, markers, 3): markers minus where the weights put them; 0 where unseen [mm]."""
     few_markers: BoolArray
+    """(frames,): true where fewer than `head_space.MINIMUM_SHARE` of the mapping's markers are
+    seen: the face is a guess there."""
 
 
 class WeightPredictor:

@@ -49,29 +49,22 @@ _LISTED_MARKERS = 4
 
 @dataclass(frozen=True)
 class TakeNeutral:
-    """A take's neutral face, in its performer's marker order and head space.
-
-    Attributes
-    ----------
-    offset : (markers, 3) float array
-        The take's neutral face less the performer's: subtracted from the take [mm].
-    frame, stated_frame : int
-        The frame most like the performer's neutral face, and the one that the take states.
-    frame_mm, stated_mm : float
-        Distance of each from the neutral face after the offset, root mean square [mm]; NaN where
-        the stated frame was not looked at.
-    reapplied_share : float
-        Of neighbouring pairs, whose distances have nothing in common with the performer's; NaN
-        where that was not measured, as in a take of less than ten seconds.
-    """
+    """A take's neutral face, in its performer's marker order and head space."""
 
     marker_names: tuple[str, ...]
     offset: FloatArray
+    """(markers, 3): the take's neutral face less the performer's: subtracted from the take [mm]."""
     frame: int = 0
     stated_frame: int = 0
+    """`frame`, `stated_frame`: The frame most like the performer's neutral face, and the one that
+    the take states."""
     frame_mm: float = 0.0
     stated_mm: float = float("nan")
+    """`frame_mm`, `stated_mm`: Distance of each from the neutral face after the offset, root mean
+    square [mm]; NaN where the stated frame was not looked at."""
     reapplied_share: float = float("nan")
+    """Of neighbouring pairs, whose distances have nothing in common with the performer's; NaN where
+    that was not measured, as in a take of less than ten seconds."""
 
     @property
     def offset_mm(self) -> float:

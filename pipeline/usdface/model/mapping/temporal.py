@@ -48,25 +48,17 @@ Mode = Literal["none", "whole", "causal", "bands"]
 
 @dataclass(frozen=True)
 class TemporalSolve:
-    """How weights are smoothed.
-
-    Attributes
-    ----------
-    mode : {'none', 'whole', 'causal', 'bands'}
-        Not at all; every frame by those before and after it; by those before it and `lag` frames
-        after; or as published, by a filter bank that ignores uncertainty and is limited last.
-    cutoff_hz : float or None
-        None for `CUTOFF_HZ`, or `CUTOFF_SHARE` of the rate where that is less.
-    lag : int
-        Frames of latency of the causal mode.
-    bands : int
-        Finest octaves that the filter bank leaves out.
-    """
+    """How weights are smoothed."""
 
     mode: Mode = "none"
+    """Not at all; every frame by those before and after it; by those before it and `lag` frames
+    after; or as published, by a filter bank that ignores uncertainty and is limited last."""
     cutoff_hz: float | None = None
+    """None for `CUTOFF_HZ`, or `CUTOFF_SHARE` of the rate where that is less."""
     lag: int = LAG_FRAMES
+    """Frames of latency of the causal mode."""
     bands: int = BAND_COUNT
+    """Finest octaves that the filter bank leaves out."""
 
     def cutoff_at(self, rate: float) -> float:
         """Return the cut-off for frames of a rate [Hz]."""

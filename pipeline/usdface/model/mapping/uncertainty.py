@@ -48,18 +48,12 @@ _LEAST_MM2 = 1e-12
 
 @dataclass(frozen=True)
 class UncertaintyModel:
-    """What turns a solved frame into an uncertainty.
-
-    Attributes
-    ----------
-    grams : (regions, shapes, shapes) float array
-        Of normalised weights [mm^2].
-    calibration : (regions,) float array
-        ``c``.
-    """
+    """What turns a solved frame into an uncertainty."""
 
     grams: FloatArray
+    """(regions, shapes, shapes): of normalised weights [mm^2]."""
     calibration: FloatArray
+    """(regions,): ``c``."""
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> "UncertaintyModel":

@@ -32,47 +32,32 @@ _LEAST_VARIANCE_SHARE = 1e-6
 
 @dataclass(frozen=True)
 class RestPlaces:
-    """Where things are on the rig's neutral face.
-
-    Attributes
-    ----------
-    points : (points, 3) float array
-        Those of the skin whose displacements are known [mm].
-    markers : (markers, 3) float array or None
-        NaN where a marker's place is not known [mm].
-    """
+    """Where things are on the rig's neutral face."""
 
     points: FloatArray
+    """(points, 3): those of the skin whose displacements are known [mm]."""
     markers: FloatArray | None = None
+    """(markers, 3): NaN where a marker's place is not known [mm]."""
 
 
 @dataclass(frozen=True)
 class Face:
-    """What is known of the face beside the pairs, where markers are mapped.
-
-    Attributes
-    ----------
-    ranges : (shapes, 2) float array
-        Lowest and highest weight.
-    gram : (shapes, shapes) float array
-        Mean over the rig's points of the dot products of the shapes' displacements [mm^2]; the
-        identity when no rig is known.
-    motion : MotionSpace
-        With coordinates of frames that nobody tuned.
-    skin : (shapes, points, 3) float array or None
-        What each shape at 1 does to points spread over the rig's surface [mm].
-    rest : RestPlaces or None
-        Where those points, and markers, are on the rig's neutral.
-    neutral : (markers, 3) float array or None
-        The performer's neutral face [mm].
-    """
+    """What is known of the face beside the pairs, where markers are mapped."""
 
     ranges: FloatArray
+    """(shapes, 2): lowest and highest weight."""
     gram: FloatArray
+    """(shapes, shapes): mean over the rig's points of the dot products of the shapes' displacements
+    [mm^2]; the identity when no rig is known."""
     motion: MotionSpace
+    """With coordinates of frames that nobody tuned."""
     skin: FloatArray | None = None
+    """(shapes, points, 3): what each shape at 1 does to points spread over the rig's surface
+    [mm]."""
     rest: RestPlaces | None = None
+    """Where those points, and markers, are on the rig's neutral."""
     neutral: FloatArray | None = None
+    """(markers, 3): the performer's neutral face [mm]."""
 
     def normalise(self, weights: FloatArray) -> FloatArray:
         """Return weights as shares of their ranges, in [0-1]."""
@@ -82,28 +67,19 @@ class Face:
 
 @dataclass(frozen=True)
 class Pairs:
-    """What a regression learns from.
-
-    Attributes
-    ----------
-    inputs : (pairs, d) float array
-        Coordinates of the reference markers in the motion space [mm], or source weights as
-        differences from rest.
-    outputs : (pairs, k) float array
-        Weights that the animator set, or control vectors as differences from rest.
-    known_face : Face or None
-        None in retargeting.
-    markers : (pairs, markers, 3) float array or None
-        Of the references [mm]; None in retargeting.
-    forward : ForwardModel or None
-        Conditioned on these pairs; None in retargeting.
-    """
+    """What a regression learns from."""
 
     inputs: FloatArray
+    """(pairs, d): coordinates of the reference markers in the motion space [mm], or source weights
+    as differences from rest."""
     outputs: FloatArray
+    """(pairs, k): weights that the animator set, or control vectors as differences from rest."""
     known_face: Face | None = None
+    """None in retargeting."""
     markers: FloatArray | None = None
+    """(pairs, markers, 3): of the references [mm]; None in retargeting."""
     forward: "ForwardModel | None" = None
+    """Conditioned on these pairs; None in retargeting."""
 
     @property
     def face(self) -> Face:
@@ -125,54 +101,36 @@ class Pairs:
 
 @dataclass(frozen=True)
 class Fitted:
-    """What a fit learned: all that its prediction reads.
-
-    Attributes
-    ----------
-    arrays : dict of str to float array
-        float64, so that a mapping reopened from disk predicts the same to the last bit.
-    settings : dict
-        Hyper-parameters, given and chosen.
-    """
+    """What a fit learned: all that its prediction reads."""
 
     arrays: Arrays
+    """float64, so that a mapping reopened from disk predicts the same to the last bit."""
     settings: Settings
+    """Hyper-parameters, given and chosen."""
 
 
 @dataclass(frozen=True)
 class Regression:
-    """One way from inputs to outputs.
-
-    Attributes
-    ----------
-    name : str
-        In mappings and on the command line.
-    summary : str
-        One line for people who choose.
-    fit : callable
-        ``(pairs, settings) -> Fitted``
-    prepare : callable
-        ``(arrays, settings) -> Predictor``: what can be done once for many frames is done here.
-        Outputs are not yet limited to ranges.
-    mapping_candidates : callable or None
-        ``(pairs, dimensions or None) -> settings to try``; dimensions fixes that setting. None
-        where the regression does not serve mappings.
-    retarget_candidates : tuple of dict
-        Settings to try; none where the regression does not serve retargeting.
-    retarget_name : str
-        In retargetings, where it is another.
-    solves_frames : bool
-        What it predicts is where `frame_solve` starts from, not yet the answer.
-    """
+    """One way from inputs to outputs."""
 
     name: str
+    """In mappings and on the command line."""
     summary: str
+    """One line for people who choose."""
     fit: Callable[[Pairs, Settings], Fitted]
+    """``(pairs, settings) -> Fitted``"""
     prepare: Callable[[Arrays, Settings], Predictor]
+    """``(arrays, settings) -> Predictor``: what can be done once for many frames is done here.
+    Outputs are not yet limited to ranges."""
     mapping_candidates: Callable[[Pairs, int | None], tuple[Settings, ...]] | None = None
+    """``(pairs, dimensions or None) -> settings to try``; dimensions fixes that setting. None where
+    the regression does not serve mappings."""
     retarget_candidates: tuple[Settings, ...] = ()
+    """Settings to try; none where the regression does not serve retargeting."""
     retarget_name: str = ""
+    """In retargetings, where it is another."""
     solves_frames: bool = False
+    """What it predicts is where `frame_solve` starts from, not yet the answer."""
 
     def candidates(self, pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
         """Return the settings worth trying for a mapping."""

@@ -70,27 +70,18 @@ pairs squared."""
 
 @dataclass(frozen=True)
 class ForwardScales:
-    """Scales of the model's parts, shared by all markers; see the module.
-
-    Attributes
-    ----------
-    alpha : float
-        Difference of the performer's motion from the rig's, as a share of it.
-    floor : float
-        The same where the rig does not move [mm].
-    eta : float
-        Quadratic part at full weight, as a share of the motion.
-    tau : float
-        Error of keys, as a share of them.
-    curve : float
-        Bend of weights, for all shapes.
-    """
+    """Scales of the model's parts, shared by all markers; see the module."""
 
     alpha: float = 0.3
+    """Difference of the performer's motion from the rig's, as a share of it."""
     floor: float = 0.1
+    """The same where the rig does not move [mm]."""
     eta: float = 0.1
+    """Quadratic part at full weight, as a share of the motion."""
     tau: float = 0.0
+    """Error of keys, as a share of them."""
     curve: float = 0.3
+    """Bend of weights, for all shapes."""
 
     def key_variance(self, targets: FloatArray) -> FloatArray:
         """Return the variance of the keys' errors, of the shape of the bent keys given."""
@@ -99,39 +90,27 @@ class ForwardScales:
 
 @dataclass(frozen=True)
 class ForwardModel:
-    """The posterior of the model given references.
-
-    Attributes
-    ----------
-    shape_size2 : (shapes, markers) float array
-        ``|E_sk|^2`` [mm^2].
-    deviation2 : (shapes, markers) float array
-        Prior variance of D [mm^2].
-    quadratic : (markers,) float array
-        ``eta^2 / m_k`` [mm^-2].
-    targets : (pairs, shapes) float array
-        Bent keys.
-    dual : (pairs, markers, 3) float array
-    inverse : (markers, pairs, pairs) float array
-        Of the references' covariance, noise included [mm^-2].
-    noise : (markers,) float array
-        ``sigma_k^2`` [mm^2].
-    basis : (shapes, markers, 3) float array
-        ``E + D`` [mm].
-    offset : (markers, 3) float array
-        ``b`` [mm].
-    """
+    """The posterior of the model given references."""
 
     scales: ForwardScales
     shape_size2: FloatArray
+    """(shapes, markers): ``|E_sk|^2`` [mm^2]."""
     deviation2: FloatArray
+    """(shapes, markers): prior variance of D [mm^2]."""
     quadratic: FloatArray
+    """(markers,): ``eta^2 / m_k`` [mm^-2]."""
     targets: FloatArray
+    """(pairs, shapes): bent keys."""
     dual: FloatArray
+    """(pairs, markers, 3)"""
     inverse: FloatArray
+    """(markers, pairs, pairs): of the references' covariance, noise included [mm^-2]."""
     noise: FloatArray
+    """(markers,): ``sigma_k^2`` [mm^2]."""
     basis: FloatArray
+    """(shapes, markers, 3): ``E + D`` [mm]."""
     offset: FloatArray
+    """(markers, 3): ``b`` [mm]."""
 
     @property
     def residuals(self) -> FloatArray:

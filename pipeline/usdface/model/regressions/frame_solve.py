@@ -71,38 +71,25 @@ quadratic part is left out, and uncertainty comes from `usual_posteriors`."""
 
 @dataclass(frozen=True)
 class FrameSolution:
-    """Weights of frames, and how firmly they are held.
-
-    Attributes
-    ----------
-    targets : (frames, shapes) float array
-        Bent weights [0-1].
-    precision : (frames, shapes) float array
-        Of the prior: ``1 / sd^2``, as its tails leave it.
-    left : (frames, 3 markers) float array
-        Markers minus where the weights put them; 0 where unseen [mm].
-    hessian : (frames, shapes, shapes) float32 array or None
-        Of half the sum that is minimised; None on rigs of many shapes.
-    """
+    """Weights of frames, and how firmly they are held."""
 
     targets: FloatArray
+    """(frames, shapes): bent weights [0-1]."""
     precision: RealArray
+    """(frames, shapes): of the prior: ``1 / sd^2``, as its tails leave it."""
     left: RealArray
+    """(frames, 3 markers): markers minus where the weights put them; 0 where unseen [mm]."""
     hessian: RealArray | None
+    """(frames, shapes, shapes): of half the sum that is minimised; None on rigs of many shapes."""
 
 
 @dataclass(frozen=True)
 class FrameSolver:
-    """The forward model and the examples' errors, ready for many frames.
-
-    Attributes
-    ----------
-    error : (shapes,) float array
-        Usual error of t0: standard deviation.
-    """
+    """The forward model and the examples' errors, ready for many frames."""
 
     forward: ForwardModel
     error: FloatArray
+    """(shapes,): usual error of t0: standard deviation."""
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> "FrameSolver":
@@ -304,18 +291,12 @@ class _SharedSlope:
 
 @dataclass(frozen=True)
 class KeyPosterior:
-    """Keys of references, once their markers have been heard.
-
-    Attributes
-    ----------
-    targets : (pairs, shapes) float array
-        Most probable bent weights.
-    variance : (pairs, shapes) float array
-        Of the error that is left.
-    """
+    """Keys of references, once their markers have been heard."""
 
     targets: FloatArray
+    """(pairs, shapes): most probable bent weights."""
     variance: FloatArray
+    """(pairs, shapes): of the error that is left."""
 
 
 def correct_keys(forward: ForwardModel, keys: FloatArray, tau: float) -> KeyPosterior:

@@ -32,27 +32,18 @@ _MOST_LEVERAGE = 1 - 1e-6
 
 @dataclass(frozen=True)
 class ProcessSettings:
-    """One covariance to try.
-
-    Attributes
-    ----------
-    dimensions : int
-        Features used, the first ones.
-    power : float
-        How far features are whitened: 0 not, 1 wholly.
-    radial : float
-        Prior variance of the local part; 0 leaves the line alone.
-    width : float
-        Squared width of the local part in median squared distances.
-    line : float
-        Prior variance of the line.
-    """
+    """One covariance to try."""
 
     dimensions: int
+    """Features used, the first ones."""
     power: float
+    """How far features are whitened: 0 not, 1 wholly."""
     radial: float = 0.0
+    """Prior variance of the local part; 0 leaves the line alone."""
     width: float = 1.0
+    """Squared width of the local part in median squared distances."""
     line: float = LINE_VARIANCE
+    """Prior variance of the line."""
 
 
 @dataclass(frozen=True)
@@ -61,32 +52,24 @@ class GaussianProcess:
 
     With ``r = x[:d] * scale``, its mean is
     ``r @ slope + intercept + exp(exponent |r - centres|^2) @ dual``.
-
-    Attributes
-    ----------
-    scale : (d,) float array
-        Features are multiplied by it; d is the choice's dimensions.
-    centres : (n, d) float array
-        Scaled features of the pairs.
-    exponent : float
-        Of the local part: ``exp(exponent * squared distance)``.
-    slope : (d, s) float array
-    intercept : (s,) float array
-    dual : (n, s) float array
-        Coefficients of the local part, 0 where there is none.
-    residuals : (n, s) float array
-        Output minus its prediction by a fit that has not seen it.
-    noise : (s,) float array
     """
 
     scale: FloatArray
+    """(d,): features are multiplied by it; d is the choice's dimensions."""
     centres: FloatArray
+    """(n, d): scaled features of the pairs."""
     exponent: float
+    """Of the local part: ``exp(exponent * squared distance)``."""
     slope: FloatArray
+    """(d, s)"""
     intercept: FloatArray
+    """(s,)"""
     dual: FloatArray
+    """(n, s): coefficients of the local part, 0 where there is none."""
     residuals: FloatArray
+    """(n, s): output minus its prediction by a fit that has not seen it."""
     noise: FloatArray
+    """(s,)"""
 
 
 def usable_choices(choices: Sequence[ProcessSettings], *, most: int) -> tuple[ProcessSettings, ...]:

@@ -39,36 +39,24 @@ _LEAST_CORRELATION = 1e-6
 
 @dataclass(frozen=True)
 class KernelCCA:
-    """A fitted regression: ``F(x) = sum_j operator[j] exp(-|x - centres[j]|^2 / 2 width^2) + b``.
-
-    Attributes
-    ----------
-    centres : (n, d) float array
-        Sources of the pairs.
-    width : float
-        Of the source's kernel.
-    source_basis : (n, k) float array
-        The paper's H_s: coefficients of the reduced source over centred kernels.
-    correlations : (k,) float array
-        Between the reduced source and target, penalised; descending, in (0, 1).
-    across : (k, k) float array
-        The paper's M_s (eq. 6): reduced source to reduced target.
-    back : (k, s) float array
-        The paper's M_t (eq. 7): reduced target to target.
-    operator : (n, s) float array
-        The paper's M_kCCA: the product of the three.
-    intercept : (s,) float array
-        What the centring of kernel and target comes to.
-    """
+    """Fitted: ``F(x) = sum_j operator[j] exp(-|x - centres[j]|^2 / 2 width^2) + b``."""
 
     centres: FloatArray
+    """(n, d): sources of the pairs."""
     width: float
+    """Of the source's kernel."""
     source_basis: FloatArray
+    """(n, k): the paper's H_s: coefficients of the reduced source over centred kernels."""
     correlations: FloatArray
+    """(k,): between the reduced source and target, penalised; descending, in (0, 1)."""
     across: FloatArray
+    """(k, k): the paper's M_s (eq. 6): reduced source to reduced target."""
     back: FloatArray
+    """(k, s): the paper's M_t (eq. 7): reduced target to target."""
     operator: FloatArray
+    """(n, s): the paper's M_kCCA: the product of the three."""
     intercept: FloatArray
+    """(s,): what the centring of kernel and target comes to."""
 
 
 @dataclass(frozen=True)

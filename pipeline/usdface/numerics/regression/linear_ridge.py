@@ -15,24 +15,18 @@ _RIDGES = 10.0 ** np.arange(-8.0, 2.01, 0.25)
 
 @dataclass(frozen=True)
 class LinearRidge:
-    """``y = (x - mean) @ coefficients + intercept``.
-
-    Attributes
-    ----------
-    mean : (d,) float array
-    coefficients : (d, s) float array
-    intercept : (s,) float array
-    ridge : (s,) float array
-        As a share of the largest squared singular value.
-    loo_residuals : (n, s) float array
-        Output minus its prediction by a fit that has not seen it, at the chosen ridge.
-    """
+    """``y = (x - mean) @ coefficients + intercept``."""
 
     mean: FloatArray
+    """(d,)"""
     coefficients: FloatArray
+    """(d, s)"""
     intercept: FloatArray
+    """(s,)"""
     ridge: FloatArray
+    """(s,): as a share of the largest squared singular value."""
     loo_residuals: FloatArray
+    """(n, s): output minus its prediction by a fit that has not seen it, at the chosen ridge."""
 
 
 def fit_linear_ridge(

@@ -46,21 +46,14 @@ _LEAST_SCALE_MM = 3.0
 
 @dataclass(frozen=True)
 class MarkerPrior:
-    """Expected motion of markers.
-
-    Attributes
-    ----------
-    basis : (s, markers, 3) float array
-        What each shape at 1 does to each marker, in the markers' space [mm].
-    rotation : (3, 3) float array
-        From the rig's space to the markers'.
-    explained : float
-        Share of the markers' motion energy in the pairs that the best places explain.
-    """
+    """Expected motion of markers."""
 
     basis: FloatArray
+    """(s, markers, 3): what each shape at 1 does to each marker, in the markers' space [mm]."""
     rotation: FloatArray
+    """(3, 3): from the rig's space to the markers'."""
     explained: float
+    """Share of the markers' motion energy in the pairs that the best places explain."""
 
 
 @dataclass(frozen=True)

@@ -24,23 +24,16 @@ _LEAST_CONDITION = 1e-13
 
 @dataclass(frozen=True)
 class Multiquadric:
-    """``F(x) = sum_j coefficients[j] sqrt(|x - centres[j]|^2 + softness[j]^2)``.
-
-    Attributes
-    ----------
-    centres : (n, d) float array
-    softness : (n,) float array
-        The paper's s_j, in the unit of the centres.
-    coefficients : (n, s) float array
-        The paper's M_RBF.
-    ridge : (s,) float array
-        Penalty on squared coefficients; 0 where the pairs are met exactly.
-    """
+    """``F(x) = sum_j coefficients[j] sqrt(|x - centres[j]|^2 + softness[j]^2)``."""
 
     centres: FloatArray
+    """(n, d)"""
     softness: FloatArray
+    """(n,): the paper's s_j, in the unit of the centres."""
     coefficients: FloatArray
+    """(n, s): the paper's M_RBF."""
     ridge: FloatArray
+    """(s,): penalty on squared coefficients; 0 where the pairs are met exactly."""
 
 
 def nearest_softness(centres: FloatArray) -> FloatArray:

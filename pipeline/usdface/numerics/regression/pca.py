@@ -18,24 +18,17 @@ _BLOCK_ROWS = 8192
 
 @dataclass(frozen=True)
 class PCA:
-    """Directions of largest variance.
-
-    Attributes
-    ----------
-    mean : (d,) float array
-    components : (k, d) float array
-        Orthonormal rows, the largest variance first; the largest entry of each row is positive,
-        so that the same data give the same signs everywhere.
-    variances : (k,) float array
-        Of the data along each row (divisor n - 1).
-    total_variance : float
-        Along all d directions, kept or not.
-    """
+    """Directions of largest variance."""
 
     mean: FloatArray
+    """(d,)"""
     components: FloatArray
+    """(k, d): orthonormal rows, the largest variance first; the largest entry of each row is
+    positive, so that the same data give the same signs everywhere."""
     variances: FloatArray
+    """(k,): of the data along each row (divisor n - 1)."""
     total_variance: float
+    """Along all d directions, kept or not."""
 
 
 @dataclass(frozen=True)

@@ -21,24 +21,19 @@ and the lowest can lie at no ridge at all: an interpolation that swings wildly i
 
 @dataclass(frozen=True)
 class RBFRidge:
-    """A fitted network: ``F(x) = sum_k coefficients[k] exp(-|x - centres[k]|^2 / 2 widths[k]^2)``.
-
-    Attributes
-    ----------
-    centres : (n, d) float array
-    widths : (n,) float array
-        In the unit of the centres.
-    coefficients : (n, s) float array
-    ridge, freedom, score : (s,) float arrays
-        Of each output: the ridge, the effective degrees of freedom it leaves, its GCV score.
-    """
+    """Fitted: ``F(x) = sum_k coefficients[k] exp(-|x - centres[k]|^2 / 2 widths[k]^2)``."""
 
     centres: FloatArray
+    """(n, d)"""
     widths: FloatArray
+    """(n,): in the unit of the centres."""
     coefficients: FloatArray
+    """(n, s)"""
     ridge: FloatArray
     freedom: FloatArray
     score: FloatArray
+    """`ridge`, `freedom`, `score`: (s,): of each output: the ridge, the effective degrees of
+    freedom it leaves, its GCV score."""
 
 
 @dataclass(frozen=True)

@@ -22,18 +22,13 @@ _LEAST_LENGTH_SHARE = 1e-3
 
 @dataclass(frozen=True)
 class Design:
-    """Chosen frames, and how much each was worth when it was chosen.
-
-    Attributes
-    ----------
-    chosen : (count,) int array
-        Row indices in the order of choice; frames already there are not repeated.
-    gain : (count,) float array
-        Leverage, squared distance or variance of each frame at its turn; it never grows.
-    """
+    """Chosen frames, and how much each was worth when it was chosen."""
 
     chosen: IntArray
+    """(count,): row indices in the order of choice; frames already there are not repeated."""
     gain: FloatArray
+    """(count,): leverage, squared distance or variance of each frame at its turn; it never
+    grows."""
 
 
 def whiten(coordinates: FloatArray, variances: FloatArray, *, power: float = 0.5) -> FloatArray:

@@ -25,17 +25,13 @@ each time, which costs more than it saves."""
 
 @dataclass(frozen=True)
 class RegionalFeatures:
-    """Coordinates that measure distance over one region.
-
-    Attributes
-    ----------
-    projection : (D, D) float array
-        ``coordinates @ projection`` are uncorrelated over the sample, the largest variance first.
-    variances : (D,) float array
-    """
+    """Coordinates that measure distance over one region."""
 
     projection: FloatArray
+    """(D, D): ``coordinates @ projection`` are uncorrelated over the sample, the largest variance
+    first."""
     variances: FloatArray
+    """(D,)"""
 
 
 def marker_relevance(
@@ -156,22 +152,16 @@ class LocalSums:
 
 @dataclass(frozen=True)
 class _Kernels:
-    """Kernels of one precision.
-
-    Attributes
-    ----------
-    columns : (k * m,) int array
-        Which outputs they make.
-    projection : (k, D, d) float array
-    operand : (k, d + 2, n) float array
-    dual : (k, n, m) float array
-        Of the m outputs of each kernel.
-    """
+    """Kernels of one precision."""
 
     columns: IntArray
+    """(k * m,): which outputs they make."""
     projection: RealArray
+    """(k, D, d)"""
     operand: RealArray
+    """(k, d + 2, n)"""
     dual: RealArray
+    """(k, n, m): of the m outputs of each kernel."""
 
     def sums(self, points: FloatArray) -> RealArray:
         """Evaluate them: (f, D) points to (f, k * m) outputs."""
