@@ -47,42 +47,28 @@ _FACT_STYLE = TextStyle(size=16, color=SOFT)
 
 @dataclass(frozen=True)
 class ShiftMark:
-    """A shift that someone or something claims.
-
-    Attributes
-    ----------
-    label : str
-        Its source.
-    offset : float
-        Of the video [s].
-    chosen : bool
-        Whether this is the one that is written.
-    """
+    """A shift that someone or something claims."""
 
     label: str
+    """Its source."""
     offset: float
+    """Of the video [s]."""
     chosen: bool = False
+    """Whether this is the one that is written."""
 
 
 @dataclass(frozen=True)
 class AlignmentPage:
-    """What the picture shows.
-
-    Attributes
-    ----------
-    verdict : str
-        The result, or why there is none.
-    facts : tuple of str
-        Lines below the verdict.
-    sound : SoundAlignment or None
-        Evidence of the sound, if there was any to hear.
-    """
+    """What the picture shows."""
 
     title: str
     verdict: str
+    """The result, or why there is none."""
     accepted: bool
     facts: tuple[str, ...] = ()
+    """Lines below the verdict."""
     sound: SoundAlignment | None = None
+    """Evidence of the sound, if there was any to hear."""
     marks: tuple[ShiftMark, ...] = ()
 
 

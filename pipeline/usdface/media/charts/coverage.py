@@ -52,54 +52,36 @@ _DIM_STYLE = TextStyle(size=16, color=DIM)
 
 @dataclass(frozen=True)
 class NextFrame:
-    """A frame to tune: the one that the references determine least.
-
-    Attributes
-    ----------
-    take : str
-        Its name.
-    frame : int
-        On the take's clock.
-    covered : float
-        Share of its motion that the references determine [0-1].
-    share : float
-        Coverage of the takes once it and those before it are tuned [0-1].
-    """
+    """A frame to tune: the one that the references determine least."""
 
     take: str
+    """Its name."""
     frame: int
+    """On the take's clock."""
     covered: float
+    """Share of its motion that the references determine [0-1]."""
     share: float
+    """Coverage of the takes once it and those before it are tuned [0-1]."""
 
 
 @dataclass(frozen=True)
 class CoveragePage:
-    """What the picture shows.
-
-    Attributes
-    ----------
-    lanes : tuple of ErrorCurve
-        What is not covered, frame by frame over all takes, of the face and its parts [%].
-    takes : tuple of (str, int)
-        Name and number of frames of each take, in order.
-    first_frame : int
-        Frame number of the first frame, where there is one take.
-    marks : tuple of int
-        Where among the frames of all takes the references are.
-    growth : (pairs + 1,) float array
-        Coverage with 0, 1, 2 ... pairs [0-1].
-    next_frames : tuple of NextFrame
-        Each the least covered once those before are tuned.
-    """
+    """What the picture shows."""
 
     title: str
     facts: tuple[str, ...]
     lanes: tuple[ErrorCurve, ...]
+    """What is not covered, frame by frame over all takes, of the face and its parts [%]."""
     takes: tuple[tuple[str, int], ...]
+    """Name and number of frames of each take, in order."""
     first_frame: int
+    """Frame number of the first frame, where there is one take."""
     marks: tuple[int, ...]
+    """Where among the frames of all takes the references are."""
     growth: FloatArray
+    """(pairs + 1,): coverage with 0, 1, 2 ... pairs [0-1]."""
     next_frames: tuple[NextFrame, ...] = ()
+    """Each the least covered once those before are tuned."""
 
 
 def draw_coverage(page: CoveragePage) -> ByteImage:

@@ -59,50 +59,35 @@ _NOTE_STYLE = TextStyle(size=16, color=DIM)
 
 @dataclass(frozen=True)
 class ShapeBar:
-    """One shape's error.
-
-    Attributes
-    ----------
-    name : str
-        As on the rig.
-    rmse, bias : float
-        Root mean square and mean error of its weight.
-    surface_mm : float
-        What that error alone does to the surface, root mean square [mm].
-    """
+    """One shape's error."""
 
     name: str
+    """As on the rig."""
     rmse: float
     bias: float
+    """`rmse`, `bias`: Root mean square and mean error of its weight."""
     surface_mm: float
+    """What that error alone does to the surface, root mean square [mm]."""
 
 
 @dataclass(frozen=True)
 class EvaluationPage:
-    """What the picture shows.
-
-    Attributes
-    ----------
-    curves : tuple of ErrorCurve
-        The whole face first, then its regions [mm].
-    first_frame : int
-        Frame number of each curve's first value.
-    worst : tuple of int
-        Frames to mark.
-    lips_keys, lips_solve : (frames,) float array or None
-        The distance between the lips [mm]; NaN at frames that were not compared.
-    shapes : tuple of ShapeBar
-        In the order to show.
-    """
+    """What the picture shows."""
 
     title: str
     facts: tuple[str, ...]
     curves: tuple[ErrorCurve, ...]
+    """The whole face first, then its regions [mm]."""
     first_frame: int
+    """Frame number of each curve's first value."""
     worst: tuple[int, ...] = ()
+    """Frames to mark."""
     lips_keys: FloatArray | None = None
     lips_solve: FloatArray | None = None
+    """`lips_keys`, `lips_solve`: (frames,): the distance between the lips [mm]; NaN at frames that
+    were not compared."""
     shapes: tuple[ShapeBar, ...] = ()
+    """In the order to show."""
 
 
 def draw_evaluation(page: EvaluationPage) -> ByteImage:

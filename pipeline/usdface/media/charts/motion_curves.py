@@ -44,55 +44,36 @@ _LABEL_STYLE = TextStyle(size=16)
 
 @dataclass(frozen=True)
 class FrameSpan:
-    """An interval to shade: a sequence that was put in.
-
-    Attributes
-    ----------
-    first_frame, last_frame : int
-        Both inside.
-    label : str
-        Of the sequence.
-    """
+    """An interval to shade: a sequence that was put in."""
 
     first_frame: int
     last_frame: int
+    """`first_frame`, `last_frame`: Both inside."""
     label: str
+    """Of the sequence."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One line of a panel.
-
-    Attributes
-    ----------
-    label : str
-        Written at its end.
-    values : (frames,) float array
-        NaN where there is none.
-    color : tuple of int
-        sRGB bytes.
-    """
+    """One line of a panel."""
 
     label: str
+    """Written at its end."""
     values: FloatArray
+    """(frames,): NaN where there is none."""
     color: Color
+    """sRGB bytes."""
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One plot: curves over the same frames.
-
-    Attributes
-    ----------
-    caption, unit : str
-        Written above it.
-    curves : tuple of Curve
-        The last is drawn on top.
-    """
+    """One plot: curves over the same frames."""
 
     caption: str
     unit: str
+    """`caption`, `unit`: Written above it."""
     curves: tuple[Curve, ...]
+    """The last is drawn on top."""
 
 
 def before_and_after(

@@ -29,20 +29,14 @@ _NOTE_STYLE = TextStyle(size=16, color=DIM)
 
 @dataclass(frozen=True)
 class RepairKind:
-    """One kind of repair.
-
-    Attributes
-    ----------
-    label : str
-        In the key.
-    color : tuple of int
-        sRGB bytes.
-    where : (frames, markers) bool array
-    """
+    """One kind of repair."""
 
     label: str
+    """In the key."""
     color: Color
+    """sRGB bytes."""
     where: BoolArray
+    """(frames, markers)"""
 
 
 def draw_repairs(

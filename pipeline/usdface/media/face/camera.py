@@ -23,28 +23,19 @@ _HAIR_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Camera:
-    """Where a picture is taken from; rows run down, columns to the right.
-
-    Attributes
-    ----------
-    eye, target : tuple of three floats
-        [mm]
-    fov_degrees : float
-        Vertical field of view [degrees].
-    up : tuple of three floats
-        Direction that is up in the picture.
-    shift : tuple of two floats
-        Where the picture's middle lies off the axis, right and up [half heights]; a lens shift.
-    span_mm : float or None
-        Height of what an orthographic camera sees [mm]; None for perspective.
-    """
+    """Where a picture is taken from; rows run down, columns to the right."""
 
     eye: tuple[float, float, float]
     target: tuple[float, float, float]
+    """`eye`, `target`: [mm]"""
     fov_degrees: float = 16.0
+    """Vertical field of view [degrees]."""
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    """Direction that is up in the picture."""
     shift: tuple[float, float] = (0.0, 0.0)
+    """Where the picture's middle lies off the axis, right and up [half heights]; a lens shift."""
     span_mm: float | None = None
+    """Height of what an orthographic camera sees [mm]; None for perspective."""
 
     def axes(self) -> FloatArray:
         """Return the rows right, up and backward (from the target to the eye), orthonormal."""

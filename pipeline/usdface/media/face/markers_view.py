@@ -17,21 +17,14 @@ _UNSEEN = (214, 122, 84)
 
 @dataclass(frozen=True)
 class MarkersFrame:
-    """What part of the head's space a tile shows: one for a whole sheet, so that tiles compare.
-
-    Attributes
-    ----------
-    center : (3,) float array
-        [mm]
-    height : float
-        From the tile's lower to its upper edge [mm].
-    depth : float
-        From the furthest to the nearest marker [mm].
-    """
+    """What part of the head's space a tile shows: one for a whole sheet, so that tiles compare."""
 
     center: FloatArray
+    """(3,) [mm]"""
     height: float
+    """From the tile's lower to its upper edge [mm]."""
     depth: float
+    """From the furthest to the nearest marker [mm]."""
 
 
 def frame_markers(

@@ -29,37 +29,24 @@ class FacePart(IntEnum):
 
 @dataclass(frozen=True)
 class Eyeball:
-    """The sphere that fits an eye at rest.
-
-    Attributes
-    ----------
-    center : (3,) float array
-        [mm]
-    radius : float
-        [mm]
-    """
+    """The sphere that fits an eye at rest."""
 
     center: FloatArray
+    """(3,) [mm]"""
     radius: float
+    """[mm]"""
 
 
 @dataclass(frozen=True)
 class Pieces:
-    """The connected pieces of the visible meshes, and what each is.
-
-    Attributes
-    ----------
-    of_point : (points,) int array
-        Piece of every point, of all meshes in a row.
-    parts : (pieces,) int array
-        A `FacePart` for each piece.
-    eyeballs : dict of int to Eyeball
-        By piece.
-    """
+    """The connected pieces of the visible meshes, and what each is."""
 
     of_point: IntArray
+    """(points,): piece of every point, of all meshes in a row."""
     parts: IntArray
+    """(pieces,): a `FacePart` for each piece."""
     eyeballs: dict[int, Eyeball]
+    """By piece."""
 
 
 # Whole words and word starts in a prim's name; the first that fits decides.

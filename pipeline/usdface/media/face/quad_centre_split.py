@@ -20,23 +20,17 @@ LEAST_ANGLE = np.radians(0.5)
 
 @dataclass(frozen=True)
 class Cut:
-    """Polygons as triangles.
-
-    Attributes
-    ----------
-    middles : (new points, points) sparse array
-        New points = middles @ points; they are counted on from the last point.
-    corners : (new points, 4) int array
-        The points whose mean each is.
-    triangles : (triangles, 3) int array
-    faces : (triangles,) int array
-        The polygon each triangle comes from.
-    """
+    """Polygons as triangles."""
 
     middles: Sparse
+    """(new points, points): new points = middles @ points; they are counted on from the last
+    point."""
     corners: IntArray
+    """(new points, 4): the points whose mean each is."""
     triangles: IntArray
+    """(triangles, 3)"""
     faces: IntArray
+    """(triangles,): the polygon each triangle comes from."""
 
 
 def cut_polygons(

@@ -44,29 +44,21 @@ _HOLE_LIGHT = 0.006  # seen through an eye hole that has no eye behind it
 
 @dataclass(frozen=True)
 class View:
-    """All that one picture is drawn from.
-
-    Attributes
-    ----------
-    width, height : int
-        [pixels]
-    tracer : Tracer
-        Of the posed points.
-    normals, colors : (drawn points, 3) float32 arrays
-        Unit normals; linear colours.
-    heat : bool
-        True where the colours are values to be read, not skin.
-    """
+    """All that one picture is drawn from."""
 
     surface: Surface
     camera: Camera
     width: int
     height: int
+    """`width`, `height`: [pixels]"""
     effort: Effort
     tracer: Tracer
+    """Of the posed points."""
     normals: Float32Array
     colors: Float32Array
+    """`normals`, `colors`: (drawn points, 3): unit normals; linear colours."""
     heat: bool
+    """True where the colours are values to be read, not skin."""
 
     @property
     def tolerance(self) -> float:

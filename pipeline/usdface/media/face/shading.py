@@ -49,28 +49,20 @@ _SKIN_BOUNCE = np.array([0.80, 1.08, 1.18], np.float32)
 
 @dataclass(frozen=True)
 class Hits:
-    """What a bundle of rays met.
-
-    Attributes
-    ----------
-    normals : (n, 3) float32 array
-        Unit, towards the camera, in its axes.
-    views : (n, 3) float32 array
-        Unit, from the surface to the camera, in its axes.
-    albedo : (n, 3) float32 array
-    parts : (n,) int array
-    openness : (n,) float32 array
-        How much of the sky is seen [0-1].
-    lit : (n,) float32 array
-        How much of the key light is seen [0-1].
-    """
+    """What a bundle of rays met."""
 
     normals: Float32Array
+    """(n, 3): unit, towards the camera, in its axes."""
     views: Float32Array
+    """(n, 3): unit, from the surface to the camera, in its axes."""
     albedo: Float32Array
+    """(n, 3)"""
     parts: IntArray
+    """(n,)"""
     openness: Float32Array
+    """(n,): how much of the sky is seen [0-1]."""
     lit: Float32Array
+    """(n,): how much of the key light is seen [0-1]."""
 
 
 # Specular strength and Blinn exponent of each part, in the order of `FacePart`.

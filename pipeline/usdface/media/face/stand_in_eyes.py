@@ -26,18 +26,13 @@ _ROWS, _COLUMNS = 24, 48
 
 @dataclass(frozen=True)
 class StandIns:
-    """Eyeballs and how they hang on a rig's points.
-
-    Attributes
-    ----------
-    meshes : tuple of RigMesh
-        Named as eyes, at rest.
-    matrix : (ball points, points) sparse array
-        Ball points = matrix @ points, exact under any rigid motion of the head.
-    """
+    """Eyeballs and how they hang on a rig's points."""
 
     meshes: tuple[RigMesh, ...]
+    """Named as eyes, at rest."""
     matrix: Sparse
+    """(ball points, points): ball points = matrix @ points, exact under any rigid motion of the
+    head."""
 
 
 def fit_stand_in_eyes(meshes: Sequence[RigMesh]) -> StandIns | None:

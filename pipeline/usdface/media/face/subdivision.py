@@ -14,23 +14,17 @@ from usdface.media.face.mesh_topology import Sparse
 
 @dataclass(frozen=True)
 class Subdivision:
-    """A finer mesh over the same surface.
-
-    Attributes
-    ----------
-    matrix : (fine points, points) sparse array
-        Fine points = matrix @ points. The first rows belong to the cage's own points.
-    face_counts : (fine faces,) int array
-        All 4.
-    face_indices : (4 * fine faces,) int array
-    parents : (fine faces,) int array
-        The cage polygon each fine one lies in.
-    """
+    """A finer mesh over the same surface."""
 
     matrix: Sparse
+    """(fine points, points): fine points = matrix @ points. The first rows belong to the cage's own
+    points."""
     face_counts: IntArray
+    """(fine faces,): all 4."""
     face_indices: IntArray
+    """(4 * fine faces,)"""
     parents: IntArray
+    """(fine faces,): the cage polygon each fine one lies in."""
 
 
 def catmull_clark(

@@ -36,62 +36,45 @@ LONG_EDGE = 0.02
 
 @dataclass(frozen=True)
 class Middles:
-    """Drawn points in the middle of four others, lit as the mean of them.
-
-    Attributes
-    ----------
-    points : (n,) int array
-    corners : (n, 4) int array
-    """
+    """Drawn points in the middle of four others, lit as the mean of them."""
 
     points: IntArray
+    """(n,)"""
     corners: IntArray
+    """(n, 4)"""
 
 
 @dataclass(frozen=True)
 class Surface:
-    """The drawn triangles of a rig and all about them that no pose changes.
-
-    Attributes
-    ----------
-    matrix : (drawn points, points) sparse array
-        Drawn points = matrix @ points; points are those of all meshes in a row.
-    triangles : (triangles, 3) int array
-    normals : (drawn points, triangles) sparse array
-        Adds triangle normals at their corners.
-    parts : (triangles,) int array
-        A `FacePart` each.
-    albedo : (drawn points, 3) float32 array
-        Linear.
-    painted : (triangles, 3) float32 array
-        The colour that a material gives this very triangle; NaN where `albedo` holds.
-    rest : (drawn points, 3) float32 array
-        [mm]
-    eyes : (triangles,) int array
-        Row of `eye_centers` on eyes without colours of their own, else -1.
-    eye_centers : (eyes, 3) float32 array
-        [mm]
-    size : float
-        Height of the drawn surface at rest [mm]; scales distances of light.
-    outward : float
-        +1 if normals point out of the head, -1 if the mesh is wound the other way.
-    eyes_put_in : bool
-        True where the rig has no eyes and balls stand in for them.
-    """
+    """The drawn triangles of a rig and all about them that no pose changes."""
 
     matrix: Sparse
+    """(drawn points, points): drawn points = matrix @ points; points are those of all meshes in a
+    row."""
     triangles: IntArray
+    """(triangles, 3)"""
     normals: Sparse
+    """(drawn points, triangles): adds triangle normals at their corners."""
     middles: Middles
     parts: IntArray
+    """(triangles,): a `FacePart` each."""
     albedo: Float32Array
+    """(drawn points, 3): linear."""
     painted: Float32Array
+    """(triangles, 3): the colour that a material gives this very triangle; NaN where `albedo`
+    holds."""
     rest: Float32Array
+    """(drawn points, 3) [mm]"""
     eyes: IntArray
+    """(triangles,): row of `eye_centers` on eyes without colours of their own, else -1."""
     eye_centers: Float32Array
+    """(eyes, 3) [mm]"""
     size: float
+    """Height of the drawn surface at rest [mm]; scales distances of light."""
     outward: float
+    """+1 if normals point out of the head, -1 if the mesh is wound the other way."""
     eyes_put_in: bool
+    """True where the rig has no eyes and balls stand in for them."""
 
     def normals_at(self, fine: FloatArray) -> FloatArray:
         """Return unit normals of the drawn points in a pose; zero where no triangle is.

@@ -18,23 +18,16 @@ PATTERN_COUNT = 16
 
 @dataclass(frozen=True)
 class RayHits:
-    """The first triangle that each ray met; rays that met none are left out.
-
-    Attributes
-    ----------
-    rays : (n,) int array
-        Which rays these are.
-    triangles : (n,) int array
-    barycentric : (n, 3) float32 array
-        Share of each corner.
-    positions : (n, 3) float32 array
-        [mm]
-    """
+    """The first triangle that each ray met; rays that met none are left out."""
 
     rays: IntArray
+    """(n,): which rays these are."""
     triangles: IntArray
+    """(n,)"""
     barycentric: Float32Array
+    """(n, 3): share of each corner."""
     positions: Float32Array
+    """(n, 3) [mm]"""
 
 
 class Tracer:

@@ -27,18 +27,12 @@ _PANEL_GAP = 2
 
 @dataclass(frozen=True)
 class MoviePanel:
-    """One of the pictures that stand side by side.
-
-    Attributes
-    ----------
-    width : int
-        Its place in every picture of the movie [pixels].
-    pixels : (h, w, 3) uint8 array or None
-        Of any size; None where there is nothing, and `missing` says why.
-    """
+    """One of the pictures that stand side by side."""
 
     width: int
+    """Its place in every picture of the movie [pixels]."""
     pixels: ByteImage | None
+    """(h, w, 3): of any size; None where there is nothing, and `missing` says why."""
     label: str
     missing: str = ""
 

@@ -55,18 +55,12 @@ _LINKS = re.compile(r"^(import .*? from \"\./.*?\"|export \{.*?\});\n", re.MULTI
 
 @dataclass(frozen=True)
 class FacePayload:
-    """What a page needs to show a rig in any pose.
-
-    Attributes
-    ----------
-    header : dict
-        Ready for JSON: counts, shapes, tracks, camera, and where each array lies in `data`.
-    data : bytes
-        All arrays, deflated (zlib).
-    """
+    """What a page needs to show a rig in any pose."""
 
     header: dict[str, Any]
+    """Ready for JSON: counts, shapes, tracks, camera, and where each array lies in `data`."""
     data: bytes
+    """All arrays, deflated (zlib)."""
 
     def header_json(self) -> str:
         """Return the header as JSON that may stand inside a ``<script>`` element."""
@@ -159,20 +153,14 @@ def _middles(surface: Surface, used: IntArray) -> IntArray:
 
 @dataclass(frozen=True)
 class _Keys:
-    """What every key moves, one after the other.
-
-    Attributes
-    ----------
-    points : (n,) int32 array
-        Differenced within each key.
-    narrow, wide : (m,) int16 and int32 arrays
-        Offsets [µm], each key's x, then y, then z, differenced; keys that move something more
-        than 32 mm are wide.
-    """
+    """What every key moves, one after the other."""
 
     points: NDArray[np.int32]
+    """(n,): differenced within each key."""
     narrow: NDArray[np.int16]
     wide: NDArray[np.int32]
+    """`narrow`, `wide`: (m,) int16 and int32 arrays: offsets [µm], each key's x, then y, then z,
+    differenced; keys that move something more than 32 mm are wide."""
     counts: list[int]
     is_wide: list[bool]
 

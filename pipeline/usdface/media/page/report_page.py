@@ -34,18 +34,12 @@ _HEAD_CHARACTERS = 1 << 20
 
 @dataclass(frozen=True)
 class WeightCurves:
-    """One set of weights over the page's pictures.
-
-    Attributes
-    ----------
-    name : str
-        ``'solve'``, ``'edited'``, ``'baseline'``, ``'keys'`` …
-    values : (pictures, shapes) float array
-        NaN where there is nothing.
-    """
+    """One set of weights over the page's pictures."""
 
     name: str
+    """``'solve'``, ``'edited'``, ``'baseline'``, ``'keys'`` …"""
     values: FloatArray
+    """(pictures, shapes): NaN where there is nothing."""
 
 
 @dataclass(frozen=True)
@@ -71,76 +65,52 @@ class Listing:
 
 @dataclass(frozen=True)
 class PagePicture:
-    """A picture below the player.
-
-    Attributes
-    ----------
-    alt : str
-        What it shows, for those who do not see it.
-    kind : str
-        Such as ``'image/png'``.
-    """
+    """A picture below the player."""
 
     title: str
     alt: str
+    """What it shows, for those who do not see it."""
     data: bytes
     kind: str
+    """Such as ``'image/png'``."""
 
 
 @dataclass(frozen=True)
 class ReviewPage:
-    """All that is in a page.
-
-    Attributes
-    ----------
-    verdict : tuple of str
-        ``'good'``, ``'check'`` or ``'bad'``; why; and what to do, or nothing.
-    rate : float
-        Pictures per second: those of the take. The movie may have fewer.
-    frames : sequence of int
-        Frame number of each picture.
-    timecodes : sequence of str
-        As many, or none.
-    shapes : tuple of str
-        Names of the columns of all curves.
-    regions : tuple of str
-        Region of each shape.
-    curves : tuple of WeightCurves
-        The first poses the face.
-    worst : tuple of (picture, region, reason)
-        Moments to review first, the worst first.
-    face : FacePayload
-        Its shapes are matched by name.
-    movie : bytes
-        Video on the clock of the pictures; empty without.
-    movie_type : str
-        Such as ``'video/mp4'``.
-    pictures : tuple of PagePicture
-        Such as a contact sheet.
-    said : sequence of str
-        What is said in each picture; or none.
-    origin : mapping, optional
-        What made it, for those who make it again.
-    """
+    """All that is in a page."""
 
     title: str
     verdict: tuple[str, str, str]
+    """``'good'``, ``'check'`` or ``'bad'``; why; and what to do, or nothing."""
     facts: tuple[str, ...]
     rate: float
+    """Pictures per second: those of the take. The movie may have fewer."""
     frames: Sequence[int]
+    """Frame number of each picture."""
     timecodes: Sequence[str]
+    """As many, or none."""
     shapes: tuple[str, ...]
+    """Names of the columns of all curves."""
     regions: tuple[str, ...]
+    """Region of each shape."""
     curves: tuple[WeightCurves, ...]
+    """The first poses the face."""
     strips: tuple[Strip, ...]
     worst: tuple[tuple[int, str, str], ...]
+    """tuple of (picture, region, reason): moments to review first, the worst first."""
     listings: tuple[Listing, ...]
     face: FacePayload
+    """Its shapes are matched by name."""
     movie: bytes = b""
+    """Video on the clock of the pictures; empty without."""
     movie_type: str = "video/mp4"
+    """Such as ``'video/mp4'``."""
     pictures: tuple[PagePicture, ...] = ()
+    """Such as a contact sheet."""
     said: Sequence[str] = ()
+    """What is said in each picture; or none."""
     origin: Mapping[str, object] | None = None
+    """What made it, for those who make it again."""
 
 
 def read_page_origin(path: Path) -> str:

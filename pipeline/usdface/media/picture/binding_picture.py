@@ -49,25 +49,18 @@ _SIDE_DEGREES = 62.0
 
 @dataclass(frozen=True)
 class BoundMarkers:
-    """What the picture shows of a binding.
-
-    Attributes
-    ----------
-    positions : (markers, 3) float array
-        On the surface [mm].
-    doubts : tuple of str
-        Why somebody should look at a marker, in a word or two; empty where there is no reason.
-    placed : (markers,) bool array
-        True where a person placed the marker.
-    wanted : dict of int to (3,) float array
-        Where a marker in doubt was expected [mm]: a ring is drawn there.
-    """
+    """What the picture shows of a binding."""
 
     names: tuple[str, ...]
     positions: FloatArray
+    """(markers, 3): on the surface [mm]."""
     doubts: tuple[str, ...]
+    """Why somebody should look at a marker, in a word or two; empty where there is no reason."""
     placed: BoolArray
+    """(markers,): true where a person placed the marker."""
     wanted: dict[int, FloatArray] = field(default_factory=dict)
+    """dict of int to (3,) float array: where a marker in doubt was expected [mm]: a ring is drawn
+    there."""
 
 
 def draw_binding(
@@ -143,21 +136,16 @@ def _near_markers(points: FloatArray, at: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class _View:
-    """One view of the page.
-
-    Attributes
-    ----------
-    columns : tuple of bool
-        Whether names stand to its left, and to its right.
-    seen, named : (markers,) bool arrays
-        Which markers the surface does not hide, and which of all are named here.
-    """
+    """One view of the page."""
 
     camera: Camera
     width: int
     columns: tuple[bool, bool]
+    """Whether names stand to its left, and to its right."""
     seen: BoolArray
     named: BoolArray
+    """`seen`, `named`: (markers,): which markers the surface does not hide, and which of all are
+    named here."""
 
 
 def _view(

@@ -36,30 +36,20 @@ class ErrorCurve:
 
 @dataclass(frozen=True)
 class ErrorStrip:
-    """One lane a curve, above a frame axis.
-
-    Attributes
-    ----------
-    curves : tuple of ErrorCurve
-        From the top.
-    first_frame : int
-        Frame number of each curve's first value.
-    high : float
-        Error at the top of a lane, in the ramp's last colour.
-    marks : tuple of (frame, label)
-        Frames to mark.
-    unit : str
-        Of all curves that name none.
-    scale : float
-        Of labels and lanes.
-    """
+    """One lane a curve, above a frame axis."""
 
     curves: tuple[ErrorCurve, ...]
+    """From the top."""
     first_frame: int
+    """Frame number of each curve's first value."""
     high: float
+    """Error at the top of a lane, in the ramp's last colour."""
     marks: tuple[tuple[int, str], ...] = ()
+    """tuple of (frame, label): frames to mark."""
     unit: str = "mm"
+    """Of all curves that name none."""
     scale: float = 1.0
+    """Of labels and lanes."""
 
 
 def strip_height(curve_count: int, scale: float = 1.0) -> int:

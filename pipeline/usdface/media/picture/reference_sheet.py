@@ -46,37 +46,26 @@ WALL_TOLERANCE = 6
 
 @dataclass(frozen=True)
 class ReferenceRow:
-    """One pair.
-
-    Attributes
-    ----------
-    number : int
-        Its time code in the asset, from 1.
-    place : str
-        Take, frame and timecode.
-    said : str
-        Viseme and emotion; empty where unknown.
-    video : (h, w, 3) uint8 array or None
-    missing : str
-        Why there is no video.
-    markers, face : (h, w, 3) uint8 arrays
-        As they are drawn on dark ground.
-    weights : tuple of (str, float)
-        The strongest shapes, strongest first.
-    residual_mm : float
-        Distance of the markers from the rig under these weights [mm].
-    """
+    """One pair."""
 
     number: int
+    """Its time code in the asset, from 1."""
     place: str
+    """Take, frame and timecode."""
     said: str
+    """Viseme and emotion; empty where unknown."""
     tuned: bool
     video: ByteImage | None
+    """(h, w, 3)"""
     missing: str
+    """Why there is no video."""
     markers: ByteImage
     face: ByteImage
+    """`markers`, `face`: (h, w, 3): as they are drawn on dark ground."""
     weights: tuple[tuple[str, float], ...]
+    """The strongest shapes, strongest first."""
     residual_mm: float
+    """Distance of the markers from the rig under these weights [mm]."""
 
 
 @dataclass(frozen=True)

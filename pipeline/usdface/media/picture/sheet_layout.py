@@ -40,93 +40,62 @@ FACTS_HEIGHT = 34
 
 @dataclass(frozen=True)
 class Tile:
-    """One picture of a row.
-
-    Attributes
-    ----------
-    pixels : (h, w, 3) uint8 array or None
-        sRGB, of any size. None leaves the tile empty, with `caption` in it as the reason.
-    caption : str
-        Written below it.
-    value : float or None
-        Its error, in the sheet's unit; written below it beside its colour on the ramp.
-    """
+    """One picture of a row."""
 
     pixels: ByteImage | None
+    """(h, w, 3): sRGB, of any size. None leaves the tile empty, with `caption` in it as the
+    reason."""
     caption: str = ""
+    """Written below it."""
     value: float | None = None
+    """Its error, in the sheet's unit; written below it beside its colour on the ramp."""
 
 
 @dataclass(frozen=True)
 class SheetRow:
-    """One frame of the take.
-
-    Attributes
-    ----------
-    timecode : str
-        Empty when unknown.
-    tiles : tuple of Tile
-        One for each column.
-    note : str
-        Why this frame is shown, if there is a reason.
-    said : str
-        What is said there: phone, viseme, emotion; empty when unknown.
-    """
+    """One frame of the take."""
 
     frame: int
     timecode: str
+    """Empty when unknown."""
     tiles: tuple[Tile, ...]
+    """One for each column."""
     note: str = ""
+    """Why this frame is shown, if there is a reason."""
     said: str = ""
+    """What is said there: phone, viseme, emotion; empty when unknown."""
 
 
 @dataclass(frozen=True)
 class SheetPage:
-    """All that is on a sheet.
-
-    Attributes
-    ----------
-    title : str
-        The shot or the performance.
-    verdict : tuple of str
-        ``'good'``, ``'check'`` or ``'bad'``, and lines that say why and what to do; or none.
-    facts : tuple of str
-        Take, performer, mapping … one line, set apart by dots.
-    columns : tuple of str
-        Heads of the columns.
-    rows : tuple of SheetRow
-        In the order to read them.
-    curves : tuple of ErrorCurve
-        Errors over the whole take; none leaves the strip out.
-    first_frame : int
-        Frame number of each curve's first value.
-    notes : tuple of str
-        Legend: what marks and colours mean, where the numbers come from.
-    unit : str
-        Of all errors.
-    high : float or None
-        Error in the ramp's last colour; chosen from the curves and rows when None.
-    tile_height : int
-        [pixels]
-    comparable : bool
-        Whether values of a row measure one thing, so that the smallest is the best.
-    groups : int or None
-        How many blocks of rows stand side by side; None lets the sheet's shape decide.
-    """
+    """All that is on a sheet."""
 
     title: str
+    """The shot or the performance."""
     columns: tuple[str, ...]
+    """Heads of the columns."""
     rows: tuple[SheetRow, ...]
+    """In the order to read them."""
     verdict: tuple[str, ...] = ()
+    """``'good'``, ``'check'`` or ``'bad'``, and lines that say why and what to do; or none."""
     facts: tuple[str, ...] = ()
+    """Take, performer, mapping … one line, set apart by dots."""
     curves: tuple[ErrorCurve, ...] = ()
+    """Errors over the whole take; none leaves the strip out."""
     first_frame: int = 0
+    """Frame number of each curve's first value."""
     notes: tuple[str, ...] = ()
+    """Legend: what marks and colours mean, where the numbers come from."""
     unit: str = "mm"
+    """Of all errors."""
     high: float | None = None
+    """Error in the ramp's last colour; chosen from the curves and rows when None."""
     tile_height: int = 320
+    """[pixels]"""
     comparable: bool = True
+    """Whether values of a row measure one thing, so that the smallest is the best."""
     groups: int | None = None
+    """How many blocks of rows stand side by side; None lets the sheet's shape decide."""
 
 
 @dataclass(frozen=True)

@@ -18,20 +18,14 @@ from usdface.media.picture.sheet import SheetRow, Tile
 
 @dataclass(frozen=True)
 class ComparedFrame:
-    """One row of the comparison.
-
-    Attributes
-    ----------
-    surfaces : tuple of (points, 3) float arrays
-        The mesh as each way moves it [mm].
-    uncertainty_mm : (points,) float array or None
-        Of the last of them: standard deviation of each point [mm].
-    """
+    """One row of the comparison."""
 
     frame: int
     timecode: str
     surfaces: tuple[FloatArray, ...]
+    """tuple of (points, 3) float arrays: the mesh as each way moves it [mm]."""
     uncertainty_mm: FloatArray | None = None
+    """(points,): of the last of them: standard deviation of each point [mm]."""
     note: str = ""
 
 

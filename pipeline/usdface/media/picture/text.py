@@ -41,21 +41,14 @@ _EM_SHARE = 0.88
 
 @dataclass(frozen=True)
 class TextStyle:
-    """How a label looks.
-
-    Attributes
-    ----------
-    size : int
-        Height of the letters' body [pixels].
-    color : tuple of int
-        sRGB bytes.
-    weight : {'regular', 'bold', 'mono'}
-        ``mono`` for numbers that stand below each other.
-    """
+    """How a label looks."""
 
     size: int = 16
+    """Height of the letters' body [pixels]."""
     color: Color = (222, 224, 228)
+    """sRGB bytes."""
     weight: Weight = "regular"
+    """``mono`` for numbers that stand below each other."""
 
     def scaled(self, scale: float) -> "TextStyle":
         """Return it in another size."""

@@ -54,42 +54,28 @@ _MIDDLE_REGIONS_MM = {
 
 @dataclass(frozen=True)
 class FaceTemplate:
-    """Where markers would be on an adult's face, by their labels.
-
-    Attributes
-    ----------
-    columns : (n,) int array
-        Markers whose labels name a place.
-    places : (n, 3) float array
-        From the sellion, X to the performer's left, Z forward [mm].
-    weights : (n,) float array
-        Inverse variance of each place, of sum 1.
-    """
+    """Where markers would be on an adult's face, by their labels."""
 
     columns: np.ndarray
+    """(n,): markers whose labels name a place."""
     places: FloatArray
+    """(n, 3): from the sellion, X to the performer's left, Z forward [mm]."""
     weights: FloatArray
+    """(n,): inverse variance of each place, of sum 1."""
 
 
 @dataclass(frozen=True)
 class FaceFit:
-    """A frame's markers fitted by the template, turned, scaled and moved.
-
-    Attributes
-    ----------
-    size : float
-        Of the face, in those of an adult's.
-    up : (3,) float array
-        The head's own, of length 1.
-    explained, explained_mirrored : float
-        Share of the markers' spread about their centre [0-1], by the template and by its mirror
-        image.
-    """
+    """A frame's markers fitted by the template, turned, scaled and moved."""
 
     size: float
+    """Of the face, in those of an adult's."""
     up: FloatArray
+    """(3,): the head's own, of length 1."""
     explained: float
     explained_mirrored: float
+    """`explained`, `explained_mirrored`: Share of the markers' spread about their centre [0-1], by
+    the template and by its mirror image."""
     marker_count: int
 
 

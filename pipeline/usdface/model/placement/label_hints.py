@@ -26,25 +26,17 @@ _NOT_A_SIDE = re.compile(r"^(lip|lid|low|lower|root|ridge|rim)", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class LabelHint:
-    """What one label says.
-
-    Attributes
-    ----------
-    side : str
-        ``'L'``, ``'R'`` or empty: the performer's.
-    region : str
-        forehead, brow, bridge, nose, lid, eye corner, eye, mouth, chin, jaw, cheek, skull; empty
-        if the label says nothing.
-    landmarks : tuple of str
-        Landmarks of `rig_landmarks` whose mean is meant; empty where only the region is known.
-    spread_mm : float
-        Standard deviation with which people put such a marker, on an adult's face.
-    """
+    """What one label says."""
 
     side: Side = ""
+    """``'L'``, ``'R'`` or empty: the performer's."""
     region: str = ""
+    """forehead, brow, bridge, nose, lid, eye corner, eye, mouth, chin, jaw, cheek, skull; empty if
+    the label says nothing."""
     landmarks: tuple[str, ...] = ()
+    """Landmarks of `rig_landmarks` whose mean is meant; empty where only the region is known."""
     spread_mm: float = 0.0
+    """Standard deviation with which people put such a marker, on an adult's face."""
 
 
 def side_of_label(label: str) -> Side:

@@ -26,22 +26,16 @@ _MIDDLE_REGIONS = ("forehead", "brow", "bridge", "nose", "mouth", "chin")
 
 @dataclass(frozen=True)
 class MarkerCloud:
-    """What is known of a performer's markers before they are placed.
-
-    Attributes
-    ----------
-    neutral : (markers, 3) float array
-        At rest, Y roughly up, looking anywhere [mm].
-    motion : (frames, markers, 3) float array or None
-        Displacements from `neutral`, of frames that differ [mm].
-    still : (markers,) bool array
-        Markers whose motion says nothing about their place: of the skull, or without any.
-    """
+    """What is known of a performer's markers before they are placed."""
 
     labels: tuple[str, ...]
     neutral: FloatArray
+    """(markers, 3): at rest, Y roughly up, looking anywhere [mm]."""
     motion: FloatArray | None
+    """(frames, markers, 3): displacements from `neutral`, of frames that differ [mm]."""
     still: BoolArray
+    """(markers,): markers whose motion says nothing about their place: of the skull, or without
+    any."""
 
     def levelled(self) -> tuple[FloatArray, FloatArray]:
         """Return the rotation that levels the cloud, and the cloud with its plane at x = 0.

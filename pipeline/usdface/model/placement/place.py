@@ -66,27 +66,19 @@ _OTHER_UNIT = 2.2
 
 @dataclass(frozen=True)
 class MarkerPlacement:
-    """Markers on a rig's skin.
-
-    Attributes
-    ----------
-    samples : (markers,) int array
-        Of the skin.
-    virtual : VirtualMarkers
-        The same as points of the rig, with the map from the performer's motion to the rig's.
-    explained : float
-        Share of the markers' motion that the shapes explain there [0-1]; NaN without motion.
-    landmark_mm : dict of str to (str, float)
-        For markers whose label names a landmark of the rig: which, and how far it is [mm].
-    by_labels : bool
-        Whether labels and landmarks placed the cloud, or motion alone.
-    """
+    """Markers on a rig's skin."""
 
     samples: IntArray
+    """(markers,): of the skin."""
     virtual: VirtualMarkers
+    """The same as points of the rig, with the map from the performer's motion to the rig's."""
     explained: float
+    """Share of the markers' motion that the shapes explain there [0-1]; NaN without motion."""
     landmark_mm: dict[str, tuple[str, float]]
+    """dict of str to (str, float): for markers whose label names a landmark of the rig: which, and
+    how far it is [mm]."""
     by_labels: bool
+    """Whether labels and landmarks placed the cloud, or motion alone."""
 
 
 def place_markers(

@@ -88,20 +88,14 @@ _NEAR_SLIP = 1.6
 
 @dataclass(frozen=True)
 class PlausibilityFinding:
-    """What is odd about a take.
-
-    Attributes
-    ----------
-    impossible : bool
-        Whether no human face can be so; otherwise it is a doubt.
-    remedy : str
-        What to do about it, with the option of `ingest`.
-    """
+    """What is odd about a take."""
 
     aspect: Aspect
     impossible: bool
+    """Whether no human face can be so; otherwise it is a doubt."""
     message: str
     remedy: str
+    """What to do about it, with the option of `ingest`."""
 
 
 def judge_markers(

@@ -21,26 +21,18 @@ _SPEED_SECONDS = 1 / 60
 
 @dataclass(frozen=True)
 class SkinMotion:
-    """What markers do over the skull, at frames spread over a take.
-
-    Attributes
-    ----------
-    speeds : (n,) float array
-        Of all markers and frames [mm/s].
-    rotations : (frames, 3, 3) float array
-        Of the head, from the pose of the reference frame.
-    depth, main : (3,) float arrays
-        In that pose: the direction in which the cloud is flattest, and that of most motion; zero
-        where there is none that stands out.
-    articulated : bool
-        Whether the cloud is not one head with its face.
-    """
+    """What markers do over the skull, at frames spread over a take."""
 
     speeds: FloatArray
+    """(n,): of all markers and frames [mm/s]."""
     rotations: FloatArray
+    """(frames, 3, 3): of the head, from the pose of the reference frame."""
     depth: FloatArray
     main: FloatArray
+    """`depth`, `main`: (3,): in that pose: the direction in which the cloud is flattest, and that
+    of most motion; zero where there is none that stands out."""
     articulated: bool
+    """Whether the cloud is not one head with its face."""
 
     @classmethod
     def of(

@@ -50,33 +50,23 @@ _PLURALS = {"brow": "brows", "lid": "lids", "cheek": "cheeks", "eye": "eyes"}
 
 @dataclass(frozen=True)
 class PlacementVerdict:
-    """Whether a placement looks right.
-
-    Attributes
-    ----------
-    level : str
-        ``'good'``, ``'check'`` or ``'bad'``.
-    sentence : str
-        The verdict and its reasons.
-    facts : tuple of str
-        What it rests on.
-    explained : float
-        Share of the markers' motion that the shapes explain [0-1]; NaN without motion.
-    roll_degrees : float
-        Of the markers' plane of symmetry against the rig's; NaN without symmetry.
-    doubts : dict of str to str
-        For markers that should be seen to, why.
-    wanted : dict of str to (3,) float array
-        The landmark of a marker that lies far from it, in the rig's space [mm].
-    """
+    """Whether a placement looks right."""
 
     level: str
+    """``'good'``, ``'check'`` or ``'bad'``."""
     sentence: str
+    """The verdict and its reasons."""
     facts: tuple[str, ...]
+    """What it rests on."""
     explained: float
+    """Share of the markers' motion that the shapes explain [0-1]; NaN without motion."""
     roll_degrees: float
+    """Of the markers' plane of symmetry against the rig's; NaN without symmetry."""
     doubts: dict[str, str]
+    """For markers that should be seen to, why."""
     wanted: dict[str, FloatArray]
+    """dict of str to (3,) float array: the landmark of a marker that lies far from it, in the rig's
+    space [mm]."""
 
 
 def judge_placement(

@@ -32,23 +32,16 @@ class Alignment:
     """Where the performer's face lies on the character's.
 
     ``aligned = scale * (cloud @ rotation.T) + translation``
-
-    Attributes
-    ----------
-    scale : (3,) float array
-        Along the character's axes.
-    rotation : (3, 3) float array
-        Proper: left stays left.
-    translation : (3,) float array
-        [mm]
-    residual_mm : float
-        Trimmed root mean square distance between the cloud and the skin.
     """
 
     scale: FloatArray
+    """(3,): along the character's axes."""
     rotation: FloatArray
+    """(3, 3): proper: left stays left."""
     translation: FloatArray
+    """(3,) [mm]"""
     residual_mm: float
+    """Trimmed root mean square distance between the cloud and the skin."""
 
     def apply(self, cloud: ArrayLike) -> FloatArray:
         """Return the cloud in the character's space."""

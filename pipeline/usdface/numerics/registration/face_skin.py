@@ -22,37 +22,25 @@ _TRIMMED_SHARE = 0.8
 
 @dataclass(frozen=True)
 class FaceSkin:
-    """Samples of the outer skin, with what every shape does to them.
-
-    Attributes
-    ----------
-    corners : (samples, 3) int array
-        Points of the rig that carry each sample.
-    shares : (samples, 3) float array
-        Their barycentric weights.
-    frame : (3, 3) float array
-        Rows are the character's left, up and forward; ``own = points @ frame.T``.
-    positions, normals : (samples, 3) float arrays
-        At rest, in the face's frame [mm].
-    areas : (samples,) float array
-        What each sample stands for [mm^2].
-    deltas : (shapes, samples, 3) float array
-        What each shape at 1 does, in the face's frame [mm].
-    sagittal_x : float
-        Where the plane of symmetry lies: its normal is the X axis [mm].
-    size_mm : float
-        Root mean square radius of what moves; 55 on an adult's face.
-    """
+    """Samples of the outer skin, with what every shape does to them."""
 
     corners: IntArray
+    """(samples, 3): points of the rig that carry each sample."""
     shares: FloatArray
+    """(samples, 3): their barycentric weights."""
     frame: FloatArray
+    """(3, 3): rows are the character's left, up and forward; ``own = points @ frame.T``."""
     positions: FloatArray
     normals: FloatArray
+    """`positions`, `normals`: (samples, 3): at rest, in the face's frame [mm]."""
     areas: FloatArray
+    """(samples,): what each sample stands for [mm^2]."""
     deltas: FloatArray
+    """(shapes, samples, 3): what each shape at 1 does, in the face's frame [mm]."""
     sagittal_x: float
+    """Where the plane of symmetry lies: its normal is the X axis [mm]."""
     size_mm: float
+    """Root mean square radius of what moves; 55 on an adult's face."""
 
     def activity(self) -> FloatArray:
         """Return how far the shapes move each sample, root of summed squares: (samples,) [mm]."""

@@ -30,46 +30,32 @@ proportions leave, in the end."""
 
 @dataclass(frozen=True)
 class FaceLandmarks:
-    """Landmarks at which people put markers.
-
-    Attributes
-    ----------
-    names : tuple of str
-        As `model.placement.rig_landmarks` has them.
-    places : (landmarks, 3) float array
-        In the face's frame [mm].
-    spreads : (landmarks,) float array
-        Standard deviation of markers about them [mm].
-    area : float
-        Of the part of the skin that moves [mm^2].
-    unit : float
-        Size of the face, in an adult's.
-    """
+    """Landmarks at which people put markers."""
 
     names: tuple[str, ...]
+    """As `model.placement.rig_landmarks` has them."""
     places: FloatArray
+    """(landmarks, 3): in the face's frame [mm]."""
     spreads: FloatArray
+    """(landmarks,): standard deviation of markers about them [mm]."""
     area: float
+    """Of the part of the skin that moves [mm^2]."""
     unit: float
+    """Size of the face, in an adult's."""
 
 
 @dataclass(frozen=True)
 class LandmarkMatch:
-    """Pairs of a marker and a landmark, each in one pair at most.
-
-    Attributes
-    ----------
-    markers, landmarks : (pairs,) int arrays
-    probability : (pairs,) float array
-        That the marker was put there, and is not any other [0-1].
-    score : float
-        Mean over all landmarks of the log likelihood ratio of a marker that was put there to none.
-    """
+    """Pairs of a marker and a landmark, each in one pair at most."""
 
     markers: IntArray
     landmarks: IntArray
+    """`markers`, `landmarks`: (pairs,)"""
     probability: FloatArray
+    """(pairs,): that the marker was put there, and is not any other [0-1]."""
     score: float
+    """Mean over all landmarks of the log likelihood ratio of a marker that was put there to
+    none."""
 
 
 def match_landmarks(

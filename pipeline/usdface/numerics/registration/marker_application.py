@@ -143,21 +143,14 @@ def _squared_distances(
 
 @dataclass(frozen=True)
 class ParallelRanges:
-    """Distances of neighbouring markers over two recordings.
-
-    Attributes
-    ----------
-    compared : int
-        Number of neighbouring pairs.
-    disjoint : (pairs, 2) int array
-        Pairs whose distances in one recording are all larger than in the other.
-    gap_mm : (pairs,) float array
-        Between those ranges [mm].
-    """
+    """Distances of neighbouring markers over two recordings."""
 
     compared: int
+    """Number of neighbouring pairs."""
     disjoint: IntArray
+    """(pairs, 2): pairs whose distances in one recording are all larger than in the other."""
     gap_mm: FloatArray
+    """(pairs,): between those ranges [mm]."""
 
 
 def compare_neighbours(
@@ -201,24 +194,16 @@ def _ranges(
 
 @dataclass(frozen=True)
 class CloudStretch:
-    """How one face is stretched against another.
-
-    Attributes
-    ----------
-    size : float
-        Ratio of the clouds' sizes.
-    stretch : (3,) float array
-        Along the principal axes of the stretch; 1 where the faces are alike.
-    error : (3,) float array
-        Standard error of each, from what the stretch leaves unexplained.
-    left_mm : float
-        Root mean square distance of markers that the stretch leaves [mm].
-    """
+    """How one face is stretched against another."""
 
     size: float
+    """Ratio of the clouds' sizes."""
     stretch: FloatArray
+    """(3,): along the principal axes of the stretch; 1 where the faces are alike."""
     error: FloatArray
+    """(3,): standard error of each, from what the stretch leaves unexplained."""
     left_mm: float
+    """Root mean square distance of markers that the stretch leaves [mm]."""
 
 
 def measure_stretch(cloud: FloatArray, other: FloatArray) -> CloudStretch:

@@ -25,46 +25,30 @@ _CORRELATION_LENGTH_MM = 60.0  # over which neighbouring markers move alike
 
 @dataclass(frozen=True)
 class MarkerBinding:
-    """Where a performer's markers sit on a mesh.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Of the markers.
-    places : SurfacePlaces
-        Marker by marker.
-    confidence : (markers,) float array
-        [0-1]; 1 where a person set the place.
-    distance_mm : (markers,) float array
-        Between where the performer's proportions put the marker and its place [mm].
-    sources : tuple of str
-        ``'proposed'``, ``'landmark'`` or ``'corrected'``.
-    """
+    """Where a performer's markers sit on a mesh."""
 
     names: tuple[str, ...]
+    """Of the markers."""
     places: SurfacePlaces
+    """Marker by marker."""
     confidence: FloatArray
+    """(markers,) [0-1]; 1 where a person set the place."""
     distance_mm: FloatArray
+    """(markers,): between where the performer's proportions put the marker and its place [mm]."""
     sources: tuple[str, ...]
+    """``'proposed'``, ``'landmark'`` or ``'corrected'``."""
 
 
 @dataclass(frozen=True)
 class Proportions:
-    """``aligned = cloud @ linear.T + shift``: a performer's face on a character's.
-
-    Attributes
-    ----------
-    linear : (3, 3) float array
-        Displacements follow it alone.
-    shift : (3,) float array
-        [mm]
-    away_mm : (markers,) float array
-        What the map leaves between each marker and its place [mm].
-    """
+    """``aligned = cloud @ linear.T + shift``: a performer's face on a character's."""
 
     linear: FloatArray
+    """(3, 3): displacements follow it alone."""
     shift: FloatArray
+    """(3,) [mm]"""
     away_mm: FloatArray
+    """(markers,): what the map leaves between each marker and its place [mm]."""
 
 
 def fit_proportions(cloud: FloatArray, places: FloatArray, *, weight: FloatArray) -> Proportions:

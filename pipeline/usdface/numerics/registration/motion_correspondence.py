@@ -41,24 +41,17 @@ _WEIGHT_RIDGE = 25.0
 
 @dataclass(frozen=True)
 class Placement:
-    """Where markers were placed.
-
-    Attributes
-    ----------
-    chosen : (markers,) int array
-        Index of the skin sample.
-    warped : (markers, 3) float array
-        Where shape alone puts each marker, after the smooth warp.
-    agreement : (markers,) float array
-        Share of the path's energy that the shapes explain there [0-1]; NaN without motion.
-    alignment : Alignment
-        Refitted to the placement.
-    """
+    """Where markers were placed."""
 
     chosen: IntArray
+    """(markers,): index of the skin sample."""
     warped: FloatArray
+    """(markers, 3): where shape alone puts each marker, after the smooth warp."""
     agreement: FloatArray
+    """(markers,): share of the path's energy that the shapes explain there [0-1]; NaN without
+    motion."""
     alignment: Alignment
+    """Refitted to the placement."""
 
 
 def place_by_motion(

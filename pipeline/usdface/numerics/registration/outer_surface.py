@@ -22,24 +22,16 @@ _SKIN_SHARE = 0.2  # of the largest visible piece: eyeballs, teeth and lashes ar
 
 @dataclass(frozen=True)
 class SurfaceSamples:
-    """Points spread over the skin, densest where it moves.
-
-    Attributes
-    ----------
-    corners : (samples, 3) int array
-        The triangle's points.
-    weights : (samples, 3) float array
-        Barycentric, sum 1.
-    positions : (samples, 3) float array
-        [mm]
-    areas : (samples,) float array
-        What each stands for [mm^2]; smaller where the face moves much.
-    """
+    """Points spread over the skin, densest where it moves."""
 
     corners: IntArray
+    """(samples, 3): the triangle's points."""
     weights: FloatArray
+    """(samples, 3): barycentric, sum 1."""
     positions: FloatArray
+    """(samples, 3) [mm]"""
     areas: FloatArray
+    """(samples,): what each stands for [mm^2]; smaller where the face moves much."""
 
 
 def facing_direction(points: ArrayLike, triangles: ArrayLike, activity: ArrayLike) -> FloatArray:

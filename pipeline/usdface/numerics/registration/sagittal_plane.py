@@ -26,21 +26,15 @@ _MIDDLE_WEIGHT = 0.5
 
 @dataclass(frozen=True)
 class SagittalPlane:
-    """Points x of the plane satisfy ``normal @ x == offset``.
-
-    Attributes
-    ----------
-    normal : (3,) float array
-        Unit vector. Towards the performer's left where labels name sides, else to either side.
-    offset : float
-        [mm]
-    deviation_mm : float
-        Median distance between a marker and its mirrored partner.
-    """
+    """Points x of the plane satisfy ``normal @ x == offset``."""
 
     normal: FloatArray
+    """(3,): unit vector. Towards the performer's left where labels name sides, else to either
+    side."""
     offset: float
+    """[mm]"""
     deviation_mm: float
+    """Median distance between a marker and its mirrored partner."""
 
     def mirrored(self, points: FloatArray) -> FloatArray:
         """Return points reflected in the plane."""

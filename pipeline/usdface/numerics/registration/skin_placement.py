@@ -69,21 +69,14 @@ _AXES_HELD = 0.35
 
 @dataclass(frozen=True)
 class PlaneFit:
-    """``aligned = scale * (levelled @ rotation.T) + shift``.
-
-    Attributes
-    ----------
-    rotation : (3, 3) float array
-        Pitch alone: about the X axis.
-    scale : (3,) float array
-        Character over performer, along the face's axes.
-    shift : (3,) float array
-        [mm]
-    """
+    """``aligned = scale * (levelled @ rotation.T) + shift``."""
 
     rotation: FloatArray
+    """(3, 3): pitch alone: about the X axis."""
     scale: FloatArray
+    """(3,): character over performer, along the face's axes."""
     shift: FloatArray
+    """(3,) [mm]"""
 
     def apply(self, levelled: FloatArray) -> FloatArray:
         """Return points in the face's frame of the character."""
@@ -92,24 +85,17 @@ class PlaneFit:
 
 @dataclass(frozen=True)
 class SkinPlacement:
-    """Where each marker was put.
-
-    Attributes
-    ----------
-    samples : (markers,) int array
-        Of the skin.
-    warped : (markers, 3) float array
-        Before a sample was chosen [mm].
-    agreement : (markers,) float array
-        Share of the marker's path that the shapes explain at its sample; NaN without motion.
-    fit : PlaneFit
-        What the warp started from.
-    """
+    """Where each marker was put."""
 
     samples: IntArray
+    """(markers,): of the skin."""
     warped: FloatArray
+    """(markers, 3): before a sample was chosen [mm]."""
     agreement: FloatArray
+    """(markers,): share of the marker's path that the shapes explain at its sample; NaN without
+    motion."""
     fit: PlaneFit
+    """What the warp started from."""
 
 
 def fit_in_plane(

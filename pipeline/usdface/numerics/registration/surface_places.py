@@ -15,21 +15,14 @@ from usdface.numerics.surface.triangulation import triangulate
 
 @dataclass(frozen=True)
 class SurfacePlaces:
-    """Points on a mesh that stay on it however it deforms.
-
-    Attributes
-    ----------
-    faces : (places,) int array
-        Polygon of each place.
-    corners : (places, 3) int array
-        The three points of the polygon that carry it.
-    weights : (places, 3) float array
-        Barycentric, sum 1.
-    """
+    """Points on a mesh that stay on it however it deforms."""
 
     faces: IntArray
+    """(places,): polygon of each place."""
     corners: IntArray
+    """(places, 3): the three points of the polygon that carry it."""
     weights: FloatArray
+    """(places, 3): barycentric, sum 1."""
 
     def positions(self, points: FloatArray) -> FloatArray:
         """Return where the places are: (places, 3) float array, in the points' unit."""

@@ -20,32 +20,23 @@ class VirtualMarkers:
 
     ``motion_scale * (moved @ rotation.T)`` brings the performer's displacements onto the
     character.
-
-    Attributes
-    ----------
-    points : (markers, 3) int array
-        The three points of the surface that carry each marker.
-    weights : (markers, 3) float array
-        Their shares, sum 1.
-    motion_scale : float
-        How far the character's skin goes over how far the performer's goes. One number: how deep a
-        face is, compared with its width, is no guide to how far its skin moves.
-    rotation : (3, 3) float array
-        From the performer's space to the character's; proper, so left stays left.
-    distance_mm : (markers,) float array
-        Between the aligned marker and the place found for it: differing proportions, or a
-        marker that is not on the face.
-    agreement : (markers,) float array
-        Share of the marker's motion that the shapes explain at that place [0-1]; NaN when no
-        motion was given. Near 0 for markers that hardly move.
     """
 
     points: IntArray
+    """(markers, 3): the three points of the surface that carry each marker."""
     weights: FloatArray
+    """(markers, 3): their shares, sum 1."""
     motion_scale: float
+    """How far the character's skin goes over how far the performer's goes. One number: how deep a
+    face is, compared with its width, is no guide to how far its skin moves."""
     rotation: FloatArray
+    """(3, 3): from the performer's space to the character's; proper, so left stays left."""
     distance_mm: FloatArray
+    """(markers,): between the aligned marker and the place found for it: differing proportions, or
+    a marker that is not on the face."""
     agreement: FloatArray
+    """(markers,): share of the marker's motion that the shapes explain at that place [0-1]; NaN
+    when no motion was given. Near 0 for markers that hardly move."""
 
     def places(self, surface: FloatArray) -> FloatArray:
         """Return where the markers are on a surface's points: (markers, 3)."""

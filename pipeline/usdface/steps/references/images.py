@@ -16,18 +16,12 @@ from usdface.specs.references import SelectSpec
 
 @dataclass(frozen=True)
 class PairImages:
-    """Pictures of pairs.
-
-    Attributes
-    ----------
-    files : tuple of Path or None
-        One a pair; None where there is none.
-    notes : tuple of str
-        Why there is none, once for each take.
-    """
+    """Pictures of pairs."""
 
     files: tuple[Path | None, ...]
+    """One a pair; None where there is none."""
     notes: tuple[str, ...]
+    """Why there is none, once for each take."""
 
 
 def write_pair_images(

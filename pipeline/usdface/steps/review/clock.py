@@ -18,22 +18,15 @@ HIGHEST_RATE = 60
 
 @dataclass(frozen=True)
 class MovieClock:
-    """The pictures of a movie beside the frames of its take.
-
-    Attributes
-    ----------
-    rate, take_rate : Fraction
-        Pictures, and frames, per second.
-    first_frame : int
-        Frame number that the first picture shows.
-    frame_count : int
-        Frames that the movie spans.
-    """
+    """The pictures of a movie beside the frames of its take."""
 
     rate: Fraction
     take_rate: Fraction
+    """`rate`, `take_rate`: Pictures, and frames, per second."""
     first_frame: int
+    """Frame number that the first picture shows."""
     frame_count: int
+    """Frames that the movie spans."""
 
     @property
     def picture_count(self) -> int:

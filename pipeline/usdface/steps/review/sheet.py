@@ -54,32 +54,22 @@ FIGURE_KEYS = {"solve": "usdface", "baseline": "equation"}
 
 @dataclass(frozen=True)
 class _Comparison:
-    """What a sheet shows: shots, their weights with errors, and the frames chosen.
-
-    Attributes
-    ----------
-    shots : list of Shot
-        The performance first, then those beside it.
-    ruler : ShotRuler
-        Of the first.
-    signals : ReviewSignals
-        Of the first.
-    truth : (frames, shapes) float array or None
-        The keys; NaN at frames that have none.
-    chosen : list of ChosenFrame
-        Rows of the sheet.
-    labels : tuple of str
-        Phone and viseme of each chosen frame; empty where unknown.
-    """
+    """What a sheet shows: shots, their weights with errors, and the frames chosen."""
 
     shots: list[Shot]
+    """The performance first, then those beside it."""
     ruler: ShotRuler
+    """Of the first."""
     signals: ReviewSignals
+    """Of the first."""
     equation: BlendshapeEquation
     truth: FloatArray | None
+    """(frames, shapes): the keys; NaN at frames that have none."""
     scores: list[Score]
     chosen: list[ChosenFrame]
+    """Rows of the sheet."""
     labels: tuple[str, ...]
+    """Phone and viseme of each chosen frame; empty where unknown."""
 
 
 @dataclass(frozen=True)

@@ -123,15 +123,7 @@ def _triple(vector: FloatArray) -> tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class Shot:
-    """A performance, the take it came from and the face that acts it, over shared frames.
-
-    Attributes
-    ----------
-    frames : (frames,) int array
-        Frame numbers.
-    weights : (frames, shapes) float array
-        In the rig's order.
-    """
+    """A performance, the take it came from and the face that acts it, over shared frames."""
 
     performance_file: Path
     take: Take
@@ -139,7 +131,9 @@ class Shot:
     rig: Rig
     deformer: Deformer
     frames: IntArray
+    """(frames,): frame numbers."""
     weights: FloatArray
+    """(frames, shapes): in the rig's order."""
 
     def camera(self, name: str = AUTO_CAMERA, stage: Path | None = None) -> ShotCamera:
         """Return where its pictures are taken from; see `ShotCamera`."""
