@@ -89,6 +89,17 @@ def test_a_marker_that_jumps_shows_in_its_own_part() -> None:
     assert grown[1] > 2 * grown[2:].max()
 
 
+def test_skin_that_the_solve_leaves_behind_is_an_error() -> None:
+    face = face_in_parts(noise=0.05)
+    mapping = trained(face)
+    moved = face.positions[:50].copy()
+    aside = np.random.default_rng(0).normal(size=(6, 3))  # what no shape does
+    moved[:, RIGID : RIGID + 6] += 5.0 * aside / np.linalg.norm(aside, axis=1, keepdims=True)
+    found = predict_weights(mapping, moved)
+    assert (found.uncertainty[:, 1] > 1.5).all()
+    assert np.median(found.uncertainty[:, 3]) < 0.5
+
+
 def test_a_shape_that_no_reference_moves_is_uncertain_where_it_moves() -> None:
     face = face_in_parts(noise=0.05)
     still = face.weights[CHOSEN].copy()

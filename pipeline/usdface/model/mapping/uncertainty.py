@@ -9,9 +9,10 @@ over its points), is off by ``tr(G_g D C D)`` squared on average, D being the sl
 That knows how well the markers seen determine each shape, how far the frame is from the references
 (P, R), and what only the rig says. It does not know what no weights explain: markers left over at
 the solve, in variances that were expected of them, averaged over the markers that the region's
-shapes move, are ``chi2_g``. The standard deviation of the region's surface is
+shapes move, are ``chi2_g``, and ``d_g^2`` is their mean square beyond what was expected: skin that
+the solve leaves behind. The standard deviation of the region's surface is
 
-    sigma_g = c_g sqrt(tr(G_g D C D) (1 + chi2_g))
+    sigma_g = c_g sqrt(tr(G_g D C D) (1 + chi2_g) + d_g^2)
 
 ``c_g`` is calibrated on errors of references predicted by folds that have not seen them, of other
 times or takes: nine in ten are to be within 1.645 sigma, as of a normal distribution. A region with
@@ -86,7 +87,8 @@ class UncertaintyModel:
             covariance *= unbent.astype(np.float32)[:, :, None] * unbent.astype(np.float32)[:, None]
             packed = self.grams.reshape(len(self.grams), -1).astype(np.float32)
             squared = covariance.reshape(len(visible), -1) @ packed.T
-        squared = squared * (1 + self._unexplained(solver, solution.left, visible))
+        chi2, excess2 = self._unexplained(solver, solution.left, visible)
+        squared = squared * (1 + chi2) + excess2
         return np.asarray(np.sqrt(np.maximum(squared, 0.0)) * self.calibration)
 
     def _shared_squared(self, solver: FrameSolver, solution: FrameSolution) -> FloatArray:
@@ -105,12 +107,19 @@ class UncertaintyModel:
         share = (now - priors[0]) / np.maximum(priors[1] - priors[0], _LEAST_MM2)
         return np.asarray(np.exp(posteriors[0] + share * (posteriors[1] - posteriors[0])))
 
-    def _unexplained(self, solver: FrameSolver, left: RealArray, visible: BoolArray) -> FloatArray:
-        """Return ``chi2_g``: (frames, regions)."""
-        squared = (left.reshape(len(left), -1, 3) ** 2).sum(axis=2) / 3 / solver.residual2
+    def _unexplained(
+        self, solver: FrameSolver, left: RealArray, visible: BoolArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return ``chi2_g`` and ``d_g^2`` [mm^2]: (frames, regions) each."""
+        squared = (left.reshape(len(left), -1, 3) ** 2).sum(axis=2)
+        expected = 3 * solver.residual2
         weight = np.einsum("rss->rs", self.grams) @ solver.marker_share
-        seen = np.maximum(visible @ weight.T, 1e-12)
-        return np.asarray((squared @ weight.T) / seen)
+        share = weight / np.maximum(visible @ weight.T, 1e-12)[:, :, None]
+        chi2, excess2 = (
+            np.einsum("frk,fk->fr", share, each * visible, optimize=True)
+            for each in (squared / expected, squared - expected)
+        )
+        return chi2, np.maximum(excess2, 0.0)
 
 
 def calibrate_uncertainty(
