@@ -100,6 +100,7 @@ def _page(origin: dict[str, object] | None) -> str:
     return build_page(
         ReviewPage(
             title="a",
+            verdict=("check", "Check: nothing is known", ""),
             facts=(),
             rate=24.0,
             frames=[1],
