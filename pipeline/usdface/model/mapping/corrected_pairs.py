@@ -50,15 +50,17 @@ def correct_pairs(pairs: Pairs) -> CorrectedPairs:
     given, face = pairs.outputs, pairs.face
     forward = fit_pairs_forward(pairs)
     scales, keys = forward.scales, forward.targets
-    variance, contradicted = np.zeros_like(given), _find_contradicted(forward)
+    contradicted = _find_contradicted(forward)
     low, span = face.ranges[:, 0], np.ptp(face.ranges, axis=1)
     for _ in range(_KEY_ROUNDS if scales.tau > 0 else 0):
         posterior = correct_keys(forward, keys, scales.tau)
+        if posterior.targets is forward.targets:
+            break
         moved = low + span * unbend(posterior.targets, scales.curve)
-        variance = span**2 * scales.key_variance(keys)
         pairs = replace(pairs, outputs=moved)
         left = posterior.variance.sum() / scales.key_variance(keys).sum()
         forward = fit_pairs_forward(pairs, replace(scales, tau=scales.tau * float(np.sqrt(left))))
+    variance = span**2 * scales.key_variance(keys)
     return CorrectedPairs(
         replace(pairs, forward=forward), forward, given, variance, scales.tau, contradicted
     )

@@ -138,10 +138,12 @@ class FrameSolver:
         gradient, diagonal = data.gradient(left), data.diagonal
         t: RealArray = t0
         for _ in range(_TAIL_ROUNDS):
-            held = precision / np.maximum(np.abs(t - t0) * np.sqrt(precision) / _TAIL_DEVIATIONS, 1)
+            prior = precision / np.maximum(
+                np.abs(t - t0) * np.sqrt(precision) / _TAIL_DEVIATIONS, 1
+            )
             t = t0 + descend_in_boxes(
-                data.product(held),
-                diagonal + held,
+                data.product(prior),
+                diagonal + prior,
                 gradient,
                 lower=-t0,
                 upper=1 - t0,
@@ -150,7 +152,7 @@ class FrameSolver:
             )
         left = np.where(seen, left - data.moved(t - t0), 0)
         targets = np.clip(t, 0.0, 1.0).astype(np.float64)
-        return FrameSolution(targets, held, left, data.hessian(held))
+        return FrameSolution(targets, prior, left, data.hessian(prior))
 
     def linearise(self, targets: RealArray) -> tuple[Float32Array, Float32Array | None]:
         """Return where weights put the markers, and the derivatives.
@@ -291,7 +293,7 @@ class _SharedSlope:
 
 @dataclass(frozen=True)
 class KeyPosterior:
-    """Keys of references, once their markers have been heard."""
+    """Keys of references, given their markers."""
 
     targets: FloatArray
     """(pairs, shapes): most probable bent weights."""
@@ -319,7 +321,9 @@ def correct_keys(forward: ForwardModel, keys: FloatArray, tau: float) -> KeyPost
     """
     solver, now = FrameSolver(forward, np.full(keys.shape[1], tau)), forward.targets
     _, slope = solver.linearise(now)
-    if slope is None or tau == 0:
+    if slope is None:  # of rigs of very many shapes keys stay as they are
+        return KeyPosterior(now, replace(forward.scales, tau=tau).key_variance(keys))
+    if tau == 0:
         return KeyPosterior(now, np.zeros_like(now))
     weighted = slope / np.repeat(_COMMON_ERROR * forward.unseen_variance, 3, axis=1)[:, None]
     prior = replace(forward.scales, tau=tau).key_variance(keys)[:, None] * np.eye(keys.shape[1])
