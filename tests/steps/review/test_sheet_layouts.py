@@ -43,7 +43,7 @@ def columns_of(shot: Shot, monkeypatch: pytest.MonkeyPatch, **options: object) -
 
 def test_a_comparison_shows_how_far_the_result_is_from_the_truth(shot, monkeypatch) -> None:
     columns = columns_of(shot, monkeypatch, against=shot / "keys.csv")
-    assert columns == ("markers", "baseline", "solve", "error vs. keys")
+    assert columns == ("markers", "baseline", "solve", "error")
 
 
 def test_worst_frames_come_with_their_reason(shot: Shot, monkeypatch) -> None:

@@ -354,7 +354,7 @@ def sheet_columns(
         columns.append(Column(each.label, _face(face, each)))
     if spec.difference and spec.layout in ("comparison", "worst"):
         if comparison.truth is not None:
-            columns.append(Column("error vs. keys", _errors(drawn, comparison)))
+            columns.append(Column("error", _errors(drawn, comparison)))
         elif comparison.signals.evidence.uncertainty_mm is not None:
             columns.append(Column("uncertainty", _uncertainties(drawn, comparison)))
     return columns
