@@ -26,7 +26,8 @@ PAIRS = 50
 METHOD = "face_map"
 """What `auto` takes on every set-up measured so far; named, so that training is short."""
 LEARNED_FRAMES = 1_500
-WANTED = 1.8
+WANTED = 4
+"""Times the bare write, of mapping and writing; the whole way has no target."""
 NOISE_MM = 0.1
 MARKERS = 102
 BARE_MARKERS = f"bare write of {MARKERS} markers, once"
@@ -83,7 +84,7 @@ def _table(stages: dict[str, Cost]) -> None:
             ("ingest", stages["ingest"], ""),
             ("clean", stages["clean"], ""),
             (names[2], stages[names[2]], f"≤ {WANTED}"),
-            (f"the whole way, {shapes} shapes", Cost(whole, elapsed), f"≤ {WANTED}"),
+            (f"the whole way, {shapes} shapes", Cost(whole, elapsed), ""),
         ):
             print(
                 f"| {label} | {cost.seconds:.1f} | {_elapsed(cost)} | "
