@@ -11,7 +11,7 @@ from tests.model.synthetic import RIGID, SyntheticFace, references_of, synthetic
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model import predict_weights, sample_skin, train_mapping
-from usdface.model.regressions import face_map, frame_solve
+from usdface.model.regressions import RestPlaces, face_map, frame_solve
 from usdface.model.regressions.target_curve import bend, unbend
 
 CHOSEN = np.arange(0, 1200, 30)
@@ -209,3 +209,19 @@ def test_a_pair_keyed_for_another_frame_is_named() -> None:
         method="face_map",
     )
     assert str(mapping.settings["contradicted"]).startswith(f"take {CHOSEN[7]} (")
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_very_few_pairs_give_what_geometry_can(count: int) -> None:
+    face = synthetic_face()
+    mapping = train_mapping(
+        references_of(face, np.arange(0, 1200, 1200 // count)[:count]),
+        ranges=face.ranges,
+        gram=face.gram,
+        skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)),
+        rest=RestPlaces(face.neutral[RIGID:]),
+        method="face_map",
+    )
+    found = predict_weights(mapping, face.positions[:50])
+    assert np.isfinite(found.weights).all()
+    assert np.isfinite(found.uncertainty).all()

@@ -189,7 +189,8 @@ def _lay_on_rig(
     """
     target = share @ rest
     spread2 = np.maximum(share @ (rest**2).sum(axis=1) - (target**2).sum(axis=1), 0.0)
-    trust = energy / (energy + np.median(energy) + 1e-12) / (1 + spread2 / _SPREAD_MM**2)
+    moving = energy if energy.any() else np.ones_like(energy)  # one pair alone shows no motion
+    trust = moving / (moving + np.median(moving) + 1e-12) / (1 + spread2 / _SPREAD_MM**2)
     weight = trust
     for _ in range(_SIMILARITY_ROUNDS):
         middle = weight @ markers / weight.sum(), weight @ target / weight.sum()
@@ -200,7 +201,8 @@ def _lay_on_rig(
         held = _ISOTROPIC_SHARE * across.sum()
         laid = centred * (along + held * common) / (across + held) + middle[1]
         distance = np.linalg.norm(laid - target, axis=1)
-        usual = float(np.median(distance[trust > np.median(trust)]))
+        known = trust > np.median(trust)
+        usual = float(np.median(distance[known] if known.any() else distance))
         weight = trust / (1 + (distance / max(usual, _LEAST_SCALE_MM)) ** 2)
     return laid, common, usual
 
