@@ -55,8 +55,8 @@ def listings(
 def _figures(evaluation: Evaluation) -> Listing:
     figures = evaluation_figures(evaluation)
     names = {
-        "vertex_rms_mm": ("surface error, RMS", "mm"),
-        "vertex_p95_mm": ("surface error, 95th percentile", "mm"),
+        "vertex_rms_mm": ("surface error, gaze included, RMS", "mm"),
+        "vertex_p95_mm": ("surface error, gaze included, 95th percentile", "mm"),
         "weight_rmse": ("weight error, RMS", ""),
         "lip_error_mm": ("lip opening error, RMS", "mm"),
         "blink_bias": ("blink bias", ""),
