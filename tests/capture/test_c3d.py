@@ -8,6 +8,7 @@ import ezc3d
 import numpy as np
 import pytest
 
+from usdface.capture.axes import mm_per_unit
 from usdface.capture.c3d import open_c3d, read_c3d_take
 from usdface.capture.c3d_parameters import Parameters
 from usdface.capture.c3d_write import write_c3d
@@ -315,3 +316,64 @@ def test_numbers_go_on_in_further_parameters_as_labels_do():
     np.testing.assert_array_equal(parameters.numbers("EVENT:TIMES"), times)
     assert parameters.number("EVENT:USED") == 300
     assert parameters.numbers("EVENT:LABELS").size == 0
+
+
+def analog_take(path: Path, positions: np.ndarray, labels: list[str]) -> bytearray:
+    """Write points with 16 analog channels of 7 samples a frame; return the file's bytes."""
+    analog = np.random.default_rng(2).normal(size=(len(positions) * 7, 16)).astype(np.float32)
+    names = [f"ch{i}" for i in range(16)]
+    seen = np.ones(positions.shape[:2], bool)
+    write_c3d(path, positions, seen, labels, rate=140, analog=analog, analog_labels=names)
+    return bytearray(path.read_bytes())
+
+
+@pytest.mark.parametrize("third", [16, 7, 0, 112])
+def test_the_files_size_settles_how_many_analog_samples_a_frame_has(take, tmp_path, third):
+    """As MotionMonitor writes it: channels in the third word, samples of each in the tenth."""
+    positions, _, labels = take
+    path = tmp_path / "analog.c3d"
+    content = analog_take(path, positions, labels)
+    whole = open_c3d(path).read_analog()
+    struct.pack_into("<H", content, 4, third)
+    struct.pack_into("<H", content, 18, 7)
+    path.write_bytes(content)
+    file = open_c3d(path)
+    np.testing.assert_array_equal(file.read_points().positions, positions)
+    np.testing.assert_array_equal(file.read_analog(), whole)
+    assert any("by the file's size" in note for note in file.layout.notes) == (third != 112)
+
+
+@pytest.mark.parametrize("wrong", ["header", "parameters"])
+def test_the_files_size_settles_how_many_points_a_frame_has(take, tmp_path, wrong):
+    positions, _, labels = take
+    path = tmp_path / "points.c3d"
+    content = analog_take(path, positions, labels)
+    at = 2 if wrong == "header" else content.index(b"USED") + 4 + 4
+    assert struct.unpack_from("<H", content, at) == (5,)
+    struct.pack_into("<H", content, at, 4)
+    path.write_bytes(content)
+    file = open_c3d(path)
+    np.testing.assert_array_equal(file.read_points().positions, positions)
+    assert "5 used by the file's size" in " ".join(file.layout.notes)
+
+
+def test_points_whose_fourth_word_is_no_residual_are_seen_where_they_are(take, tmp_path):
+    positions, _, labels = take
+    path = tmp_path / "odd.c3d"
+    write_c3d(path, positions, np.ones(positions.shape[:2], bool), labels, rate=60)
+    content = bytearray(path.read_bytes())
+    start = open_c3d(path).layout.data_start
+    for at in range(start, start + positions.shape[0] * 80, 16):
+        struct.pack_into("<f", content, at + 12, 1.708e38)
+        if at < start + 16:
+            content[at : at + 12] = bytes(12)
+    path.write_bytes(content)
+    capture = read_c3d_take(path, CaptureOptions(units="mm", up="y"))
+    assert capture.take.markers.visible.sum() == positions.shape[0] * 5 - 1
+    assert any("residual that the format knows" in note for note in capture.notes)
+
+
+@pytest.mark.parametrize("unit", ["mete", "METERS", "cent", "mill"])
+def test_a_unit_cut_to_the_writers_width_is_known(unit):
+    expected = {"m": 1000.0, "c": 10.0}["c" if unit == "cent" else "m"]
+    assert mm_per_unit(unit, where="x") == (1.0 if unit == "mill" else expected)

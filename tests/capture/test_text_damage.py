@@ -58,8 +58,11 @@ FAULTS = {
     "trc: rate of zero": ("trc", TRC.replace("100.00", "0"), "line 3 DataRate: frame rate 0"),
     "trc: no rate": ("trc", TRC.replace("DataRate", "Fast"), "line 3: DataRate is ''; it must"),
     "trc: unknown unit": ("trc", samples.trc(units="furlong"), "unit 'furlong'"),
-    "trc: a label twice": ("trc", TRC.replace("brow_R", "brow_L"), r"line 4: 1 label .*brow_L"),
-    "trc: an empty label": ("trc", TRC.replace("brow_R", ""), "line 4: 1 marker with an empty"),
+    "trc: a name of two subjects": (
+        "trc", TRC.replace("brow_R", "Kim:brow").replace("brow_L", "Lee:brow"),
+        r"line 4: 1 label given more than once \(brow\); the file holds the subjects Lee, Kim"),
+    "trc: a decimal comma between commas": (
+        "trc", samples.trc(",").replace(".", "_", 2).replace("0.0", "0,0"), "cells, 14 expected"),
     "trc: no rows": ("trc", "\n".join(TRC.splitlines()[:5]), "no data rows"),
     "trc: no axes": ("trc", without_line(TRC, 5, 2), "line 5: begins .*must hold X1, Y1, Z1"),
     "trc: cut in the header": ("trc", TRC[:60], "ends before its header does"),
@@ -71,7 +74,6 @@ FAULTS = {
     "vicon: only devices": ("vicon-csv", VICON[: VICON.index("\nTraj")], r"no block .*Devices"),
     "vicon: two units": ("vicon-csv", VICON.replace("mm,mm,mm", "m,mm,mm", 1), "several units"),
     "vicon: no rate": ("vicon-csv", VICON.replace("\n120\n", "\nfast\n"), "'fast' where the rate"),
-    "vicon: a label twice": ("vicon-csv", VICON.replace("brow_R", "brow_L"), "brow_L"),
     "vicon: a word for a number": (
         "vicon-csv", replaced(VICON, 18, 3, "x"), r"line 18, column 3 \(Kim:brow_L X\): 'x'"),
     "motive: no markers": (

@@ -139,6 +139,25 @@ def test_a_count_of_trc_is_a_number_however_it_is_written(put, count, doubted):
     assert noted(read_capture(put(text)), "may be cut off") == bool(doubted)
 
 
+def test_markers_of_trc_without_a_name_are_left_out_and_counted(put):
+    lines = samples.trc().splitlines()
+    wide = [line + "\t9\t9\t9" * (1 + i % 2) for i, line in enumerate(lines[6:])]
+    capture = read_capture(put("\n".join([*lines[:6], *wide]) + "\n"))
+    np.testing.assert_array_equal(
+        capture.take.markers.positions, read_capture(put(samples.trc())).take.markers.positions
+    )
+    assert "up to 2 markers a row without a name, left out" in capture.notes
+
+
+def test_doubled_tabs_of_a_trc_header_are_one(put):
+    lines = samples.trc().splitlines()
+    lines[2] = lines[2].replace("\t", "\t\t")
+    lines[3] = "Frame#\tTime\t\t" + "\t\t".join(samples.NAMES)
+    capture = read_capture(put("\n".join(lines) + "\n"))
+    assert capture.take.markers.names == samples.NAMES
+    np.testing.assert_allclose(capture.take.markers.positions, samples.positions(), atol=1e-3)
+
+
 def test_times_in_milliseconds_are_no_seconds(put):
     text = samples.marker_csv()
     slow = re.sub(r"(?m)^(\d+),([\d.]+)", lambda row: f"{row[1]},{1000 * float(row[2]):.2f}", text)

@@ -24,6 +24,8 @@ _MM_PER_UNIT = {
     "ft": 304.8,
     "feet": 304.8,
 }
+_CUT_LENGTH = 4
+"""C3D texts are as wide as the writer made the parameter; some made room for four letters."""
 _AXES = {"X": 0, "Y": 1, "Z": 2}
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """Rotation that stands a Z-up capture upright."""
@@ -48,6 +50,9 @@ def mm_per_unit(units: str, *, where: str) -> float:
     """
     key = units.strip().lower()
     scale = _MM_PER_UNIT.get(key, _MM_PER_UNIT.get(key.removesuffix("s")))
+    if scale is None and len(key) == _CUT_LENGTH:  # "mete", "mill", "cent" and so on
+        cut = {mm for name, mm in _MM_PER_UNIT.items() if name.startswith(key)}
+        scale = cut.pop() if len(cut) == 1 else None
     if scale is None:
         raise InputError(
             f"{where}: unit {units!r}; it must be one of mm, cm, dm, m, in or ft; "

@@ -29,7 +29,6 @@ from usdface.core.arrays import Float32Array
 from usdface.core.assets import Event
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
-from usdface.core.text import first_few
 
 _EVENT_MARK = 12345
 _HEADER_EVENT_LIMIT = 18
@@ -44,7 +43,7 @@ class C3dPoints:
     """(frames, points, 3): as stored, also where a point was not seen."""
     residuals: Float32Array
     """(frames, points): reconstruction residual in the file's units; negative where the point was
-    not seen."""
+    not seen, NaN where the number stored is no residual."""
 
 
 @dataclass(frozen=True)
@@ -222,13 +221,15 @@ def open_c3d(path: Path) -> C3dFile:
 def _residuals(words: NDArray[np.generic], scale: float) -> Float32Array:
     """Decode the fourth number of a point: cameras in the high byte, the residual in the low one.
 
-    Negative, or not a number: the point was not seen.
+    Negative, also as an unsigned word: the point was not seen. What 16 bits cannot hold: NaN.
     """
     values = words.astype(np.float32)
     with np.errstate(invalid="ignore"):
         seen = (values >= 0) & (values < 0x8000)
+        not_residual = ~(np.abs(values) <= 0xFFFF)
     packed = np.where(seen, values, 0).astype(np.int32)
-    return np.where(seen, (packed & 0xFF) * np.float32(scale), np.float32(-1))
+    unseen = np.where(not_residual, np.float32(np.nan), np.float32(-1))
+    return np.where(seen, (packed & 0xFF) * np.float32(scale), unseen)
 
 
 def _unsigned_analog(items: NDArray[np.int16], layout: C3dLayout) -> NDArray[np.int32]:
@@ -253,28 +254,19 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
     Raises
     ------
     InputError
-        If the file is damaged or ends early, its units or axes are unknown, labels are empty or
-        doubled, or nothing is left to use.
+        If the file is damaged or ends early, its units or axes are unknown, or nothing is left to
+        use.
     """
     file = open_c3d(path)
     notes = list(file.layout.notes)
-    missing = file.layout.point_count - len(file.point_labels)
-    if missing:
-        notes.append(
-            f"the last {missing} of {file.layout.point_count} points have no label, left out"
-        )
-    if not file.point_labels:
-        raise InputError(
-            f"{path}: POINT:LABELS is empty for {file.layout.point_count} points; "
-            "export labelled markers"
-        )
-    labels = settle_labels(file.point_labels, where=f"{path} POINT:LABELS")
-    if labels.dropped:
-        notes.append(
-            f"{len(labels.dropped)} unlabelled points were left out: {first_few(labels.dropped)}"
-        )
-    if labels.subjects:
-        notes.append(f"subject prefixes taken off: {first_few(labels.subjects)}")
+    point_count = file.layout.point_count
+    if not point_count:
+        raise InputError(f"{path}: holds no points, only analog channels; export the markers")
+    written = file.point_labels or ("",) * point_count
+    if missing := point_count - len(written):
+        notes.append(f"the last {missing} of {point_count} points have no label, left out")
+    labels = settle_labels(written, where=f"{path} POINT:LABELS")
+    notes += labels.notes()
     scale = settle_units(file.units, options, notes, where=str(path), field="POINT:UNITS")
     to_mm = scale * _rotation(file, options, notes)
     rotation = to_mm.astype(np.float32)
@@ -282,6 +274,7 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
 
     positions = np.empty((file.frame_count, len(columns), 3), np.float32)
     visible = np.empty((file.frame_count, len(columns)), bool)
+    odd = np.empty_like(visible)
     for start in range(0, file.frame_count, _CHUNK_FRAMES):
         rows = slice(start, min(start + _CHUNK_FRAMES, file.frame_count))
         points = file.read_points(rows.start, rows.stop)
@@ -290,6 +283,14 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
             turned = points.positions[:, columns].reshape(-1, 3) @ rotation.T
             positions[rows] = turned.reshape(-1, len(columns), 3)
         visible[rows] = points.residuals[:, columns] >= 0
+        odd[rows] = np.isnan(points.residuals[:, columns])
+    if odd.any() and not visible.any():
+        # Some writers store something else there, in every sample: then the position must tell.
+        visible = odd
+        notes.append(
+            "no sample has a residual that the format knows; points were taken as seen where they "
+            "are not at the origin"
+        )
     capture = build_marker_take(
         CaptureHeader(
             path,

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -99,7 +100,6 @@ def _settle_layout(
     header_floats = processor.floats(header[:24])
     notes = list(parameters.notes)
 
-    points = _settle(notes, "points per frame", parameters.unsigned("POINT:USED"), words[1])
     scale = _finite(parameters.number("POINT:SCALE")) or _finite(float(header_floats[3]))
     rate = _finite(parameters.number("POINT:RATE")) or _finite(float(header_floats[5]))
     if scale is None or rate is None or rate <= 0:
@@ -108,14 +108,13 @@ def _settle_layout(
             f"POINT:RATE {parameters.number('POINT:RATE')}: both must be numbers other than 0 and "
             f"the rate above 0; {_REPAIR}"
         )
-    channels, per_frame = _settle_analog(notes, parameters, words[2], words[9], rate)
     block = words[8] or parameters.unsigned("POINT:DATA_START") or 0
     data_start = (block - 1) * BLOCK_BYTES
-    items = points * 4 + channels * per_frame
-    scale = _settle_scale(
-        notes, scale, float(header_floats[3]), size - data_start, items * (words[4] - words[3] + 1)
+    frame = _settle_frame(
+        notes, parameters, words, size - data_start, scale, float(header_floats[3])
     )
-    stride = items * (4 if scale < 0 else 2)
+    points, channels, per_frame, scale = frame
+    stride = _stride(frame)
     if data_start < BLOCK_BYTES or data_start > size or stride == 0:
         raise InputError(
             f"{path}: data at block {block} of {size // BLOCK_BYTES}, {points} points and "
@@ -152,55 +151,131 @@ def _finite(number: float | None) -> float | None:
     return number if number is not None and math.isfinite(number) and number != 0 else None
 
 
-def _settle(notes: list[str], what: str, parameter: int | None, header: int) -> int:
-    if parameter is None:
-        return header
-    if parameter != header:
-        notes.append(
-            f"{what}: the parameters say {parameter}, the header {header}; {parameter} used"
-        )
-    return parameter
+class _Frame(NamedTuple):
+    """How one frame may be stored, by header or parameters."""
+
+    points: int
+    channels: int
+    per_frame: int
+    """Analog samples of each channel."""
+    scale: float
+    """Negative for floats."""
 
 
-def _settle_scale(notes: list[str], scale: float, header: float, room: int, items: int) -> float:
-    """Return the scale with the sign that the samples have: negative where they are floats.
+def _stride(frame: _Frame) -> int:
+    """Return the bytes of one frame."""
+    items = frame.points * 4 + frame.channels * frame.per_frame
+    return items * (4 if frame.scale < 0 else 2)
 
-    Where parameters and header differ in it, the room that the file has for its `items` tells.
+
+def _settle_frame(
+    notes: list[str],
+    parameters: Parameters,
+    words: list[int],
+    room: int,
+    scale: float,
+    header_scale: float,
+) -> _Frame:
+    """Return how frames are stored.
+
+    Header and parameters say so twice, and programs write either wrong. Where the samples of what
+    is usually right do not end in the file's last block, those of another reading may; `room` is
+    the bytes that the file has for them.
     """
-    if not math.isfinite(header) or header * scale >= 0 or items <= 0:
-        return scale
-    floats = room >= 4 * items
-    notes.append(
-        f"POINT:SCALE {scale:g} and the header's {header:g} differ in sign; the samples take the "
-        f"room of {'floats' if floats else 'integers'} and are read as such"
+    point_counts = [words[1]]
+    if (used := parameters.unsigned("POINT:USED")) is not None:
+        point_counts = list(dict.fromkeys([used, words[1]]))
+    scales = [scale]
+    if math.isfinite(header_scale) and header_scale * scale < 0:
+        scales = [min(scale, header_scale), max(scale, header_scale)]
+    stated = _analog_stated(parameters)
+    analog = _analog_readings(stated, parameters, words[2], words[9])
+    readings = [
+        _Frame(points, channels, per_frame, each)
+        for points in point_counts
+        for channels, per_frame in analog
+        for each in scales
+    ]
+    counts = _frame_counts(parameters, words)
+    fitting = [
+        each
+        for each in readings
+        if any(0 <= room - count * _stride(each) < BLOCK_BYTES for count in counts)
+    ]
+    # Where nothing fits, the sign is told by whether there is room for floats: twice as much.
+    roomy = [each for each in readings if counts and counts[0] * _stride(each) <= room]
+    chosen = (fitting or (roomy if len(scales) > 1 else []) or readings)[0]
+    by_size = " by the file's size" if fitting else ""
+    if len(point_counts) > 1:
+        parameter, header = point_counts
+        notes.append(
+            f"points per frame: the parameters say {parameter}, the header {header}; "
+            f"{chosen.points} used{by_size}"
+        )
+    read = (chosen.channels, chosen.per_frame)
+    if (stated is not None and stated != analog[0]) or read != analog[0]:
+        notes.append(
+            f"analog samples: the header says {_analog_text(analog[0])}, the parameters "
+            f"{_analog_text(stated or (0, 0))}; {_analog_text(read)} used{by_size}"
+        )
+    if len(scales) > 1:
+        notes.append(
+            f"POINT:SCALE {scale:g} and the header's {header_scale:g} differ in sign; the samples "
+            f"take the room of {'floats' if chosen.scale < 0 else 'integers'} and are read as such"
+        )
+    return chosen
+
+
+def _analog_text(reading: tuple[int, int]) -> str:
+    return f"{reading[0]} channels x {reading[1]} a frame"
+
+
+def _frame_counts(parameters: Parameters, words: list[int]) -> list[int]:
+    """Return how many frames there may be, by all that counts them; the header's first."""
+    first = parameters.long("TRIAL:ACTUAL_START_FIELD")
+    last = parameters.long("TRIAL:ACTUAL_END_FIELD")
+    counts = (
+        words[4] - words[3] + 1,
+        parameters.unsigned("POINT:FRAMES") or 0,
+        int(_finite(parameters.number("POINT:LONG_FRAMES")) or 0),
+        0 if first is None or last is None else last - first + 1,
     )
-    return min(scale, header) if floats else max(scale, header)
+    return [count for count in counts if count > 0]
 
 
-def _settle_analog(
-    notes: list[str], parameters: Parameters, per_frame_total: int, per_frame: int, rate: float
-) -> tuple[int, int]:
-    """Return analog channels and samples per frame; the header has their product."""
-    if per_frame_total == 0:
-        return 0, 0
+def _analog_stated(parameters: Parameters) -> tuple[int, int] | None:
+    """Return channels and samples per frame by the parameters, as far as they say."""
     channels = parameters.unsigned("ANALOG:USED") or 0
-    if channels and per_frame_total % channels == 0:
-        analog_rate = _finite(parameters.number("ANALOG:RATE"))
-        if analog_rate and round(analog_rate / rate) != per_frame_total // channels:
-            notes.append(
-                f"analog rate {analog_rate:g} does not fit {per_frame_total} samples per frame "
-                f"over {channels} channels; the samples were believed"
-            )
-        return channels, per_frame_total // channels
-    if per_frame and per_frame_total % per_frame == 0:
-        channels_from_header = per_frame_total // per_frame
+    point_rate = _finite(parameters.number("POINT:RATE"))
+    analog_rate = _finite(parameters.number("ANALOG:RATE"))
+    if not channels or not point_rate or not analog_rate:
+        return None
+    ratio = round(analog_rate / point_rate)
+    return (channels, ratio) if ratio > 0 else None
+
+
+def _analog_readings(
+    stated: tuple[int, int] | None, parameters: Parameters, total: int, per_frame: int
+) -> list[tuple[int, int]]:
+    """Return channels and samples per frame as they may be, the header's reading first.
+
+    By the format the header's third word, `total`, is the product of both; some programs write the
+    channels alone there.
+    """
+    channels = parameters.unsigned("ANALOG:USED") or 0
+    if total == 0:
+        readings = [(0, 0)]
+    elif channels and total % channels == 0:
+        readings = [(channels, total // channels)]
+    elif per_frame and total % per_frame == 0:
+        readings = [(total // per_frame, per_frame)]
     else:
-        channels_from_header, per_frame = per_frame_total, 1
-    notes.append(
-        f"analog channels: the parameters say {channels}, the header {channels_from_header}; "
-        f"{channels_from_header} used"
-    )
-    return channels_from_header, per_frame
+        readings = [(total, 1)]
+    if stated is not None:
+        readings.append(stated)
+    if total and per_frame:
+        readings.append((total, per_frame))
+    return list(dict.fromkeys(readings))
 
 
 def _settle_frames(

@@ -25,9 +25,13 @@ class MarkerLabels:
     """Labels of points that no one has labelled."""
     subjects: tuple[str, ...]
     """Prefixes that were taken off."""
+    empty: tuple[str, ...]
+    """Names given to markers whose label is empty: `marker_` and the column, from 1."""
+    numbered: tuple[str, ...]
+    """Names given to markers whose label stands more than once: numbered in the file's order."""
 
     def notes(self) -> list[str]:
-        """Say what was left out and taken off, if anything."""
+        """Say what was left out, taken off and named anew, if anything."""
         found = []
         if self.dropped:
             found.append(
@@ -35,55 +39,83 @@ class MarkerLabels:
             )
         if self.subjects:
             found.append(f"subject prefixes taken off: {first_few(self.subjects)}")
+        if self.empty:
+            found.append(
+                f"{pluralize(len(self.empty), 'marker')} with an empty label, named by column: "
+                f"{first_few(self.empty)}"
+            )
+        if self.numbered:
+            found.append(
+                f"{len(self.numbered)} markers share their labels with others and were numbered "
+                f"in the file's order: {first_few(self.numbered)}; check which is which"
+            )
         return found
 
 
 def settle_labels(labels: Sequence[str], *, where: str) -> MarkerLabels:
-    """Take subject prefixes off and leave unlabelled points out.
+    """Take subject prefixes off, leave unlabelled points out, and make every name unique.
 
     Raises
     ------
     InputError
-        If a label is empty or appears twice, or if none is left.
+        If two subjects have a marker of the same name, or if no label is left.
     """
-    names: list[str] = []
-    columns: list[int] = []
+    found: list[tuple[str, int]] = []
     dropped: list[str] = []
     subjects: dict[str, None] = {}
-    empty: list[int] = []
     for column, label in enumerate(labels):
         prefix, _, name = label.strip().rpartition(":")
-        if not name:
-            empty.append(column + 1)
-        elif _UNLABELLED.fullmatch(name) or _UNLABELLED.fullmatch(label.strip()):
+        if name and (_UNLABELLED.fullmatch(name) or _UNLABELLED.fullmatch(label.strip())):
             dropped.append(label)
-        else:
-            names.append(name)
-            columns.append(column)
-            if prefix:
-                subjects[prefix] = None
-    doubled = [name for name, count in Counter(names).items() if count > 1]
-    faults = []
-    if empty:
-        faults.append(f"{pluralize(len(empty), 'marker')} with an empty label ({first_few(empty)})")
-    if doubled:
-        faults.append(
-            f"{pluralize(len(doubled), 'label')} given more than once ({first_few(doubled)})"
-        )
-    if faults:
-        several = (
-            f"; the file holds the subjects {first_few(subjects)}" if len(subjects) > 1 else ""
-        )
-        raise InputError(
-            f"{where}: {' and '.join(faults)}{several}; give every marker its own label in the "
-            "capture software, or export one subject alone"
-        )
-    if not names:
+            continue
+        found.append((name, column))
+        if name and prefix:
+            subjects[prefix] = None
+    if not found:
         raise InputError(
             f"{where}: no labelled marker among {len(labels)} ({first_few(dropped)}); "
             "label the markers in the capture software, then export again"
         )
-    return MarkerLabels(tuple(names), tuple(columns), tuple(dropped), tuple(subjects))
+    counts = Counter(name for name, _ in found if name)
+    of_several = {
+        name
+        for name, whole in {(name, labels[column].strip()) for name, column in found}
+        if counts[name] > 1 and whole != name
+    }
+    if len(subjects) > 1 and of_several:
+        raise InputError(
+            f"{where}: {pluralize(len(of_several), 'label')} given more than once "
+            f"({first_few(sorted(of_several))}); the file holds the subjects "
+            f"{first_few(subjects)}; export one subject alone"
+        )
+    used, names = set(counts), list[str]()
+    empty, numbered = list[str](), list[str]()
+    for name, column in found:
+        if not name:
+            name = _unused(f"marker_{column + 1}", used)
+            empty.append(name)
+        elif counts[name] > 1:
+            name = _unused(f"{name}_1", used)
+            numbered.append(name)
+        names.append(name)
+    return MarkerLabels(
+        tuple(names),
+        tuple(column for _, column in found),
+        tuple(dropped),
+        tuple(subjects),
+        tuple(empty),
+        tuple(numbered),
+    )
+
+
+def _unused(name: str, used: set[str]) -> str:
+    """Return a name that ends in a number, counted on until it is unused; it is used then."""
+    stem, _, number = name.rpartition("_")
+    count = int(number)
+    while f"{stem}_{count}" in used:
+        count += 1
+    used.add(f"{stem}_{count}")
+    return f"{stem}_{count}"
 
 
 def match_labels(

@@ -29,6 +29,7 @@ from usdface.capture.text_table import (
 )
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
+from usdface.core.text import pluralize
 
 _AXIS = re.compile(r"[XYZ]\d*", re.IGNORECASE)
 
@@ -52,14 +53,17 @@ def read_trc(path: Path, options: CaptureOptions) -> Capture:
     keys = _next(lines, path, "names of the header values, DataRate first")
     delimiter = sniff_delimiter(keys.text)
     stated = _next(lines, path, "values of the header")
-    header = dict(zip(split_cells(keys, delimiter), split_cells(stated, delimiter), strict=False))
+    header = _header(split_cells(keys, delimiter), split_cells(stated, delimiter))
     titles = _next(lines, path, "marker names")
     axes = _next(lines, path, "X1 Y1 Z1 and so on")
     labels = _labels(titles, axes, delimiter)
     columns = ["Frame#", "Time"] + [f"{label}.{axis}" for label in labels for axis in "XYZ"]
-    table = read_number_table(lines, columns, path=path, delimiter=delimiter, gaps=True)
+    unnamed = _UnnamedMarkers(len(columns), delimiter)
+    table = read_number_table(
+        unnamed.left_out(lines), columns, path=path, delimiter=delimiter, gaps=True
+    )
 
-    notes = _check_counts(header, len(labels), len(table.values))
+    notes = _check_counts(header, len(labels), unnamed.most, len(table.values))
     first_frame, frames = settle_frame_numbers(table.values[:, 0], table.lines, where=str(path))
     rate = _data_rate(header, stated)
     if options.rate is None:
@@ -98,6 +102,8 @@ def _labels(titles: TableLine, axes: TableLine, delimiter: str | None) -> list[s
             "Frame# and Time: export the take again"
         )
     labels = names[2:] if delimiter is None else names[2::3]
+    if any(names[at] for at in range(2, len(names)) if (at - 2) % 3) and delimiter is not None:
+        labels = [name for name in names[2:] if name]  # doubled delimiters: by order alone
     if len(without_empty_tail(labels)) > count:
         raise InputError(
             f"{titles.where}: {len(without_empty_tail(labels))} marker names over {count} markers; "
@@ -106,12 +112,58 @@ def _labels(titles: TableLine, axes: TableLine, delimiter: str | None) -> list[s
     return [*labels, *[""] * count][:count]
 
 
-def _check_counts(header: dict[str, str], markers: int, rows: int) -> list[str]:
-    return [
-        f"{key} says {header[key]}, {found} found: the file may be cut off"
-        for key, found in (("NumMarkers", markers), ("NumFrames", rows))
-        if not _states_count(header.get(key, ""), found)
-    ]
+class _UnnamedMarkers:
+    """Takes the columns of markers without a name off the rows.
+
+    Cortex and EVaRT write them behind the named ones, in each row as many as were seen. They are
+    told from a damaged row by coming in threes. Between commas they are not: there each number with
+    a decimal comma adds a column.
+    """
+
+    def __init__(self, columns: int, delimiter: str | None) -> None:
+        self._columns, self._delimiter = columns, delimiter
+        self.most = 0
+        """The largest number of them in a row."""
+
+    def left_out(self, lines: Iterator[TableLine]) -> Iterator[TableLine]:
+        """Yield the lines without them."""
+        if self._delimiter in (None, ","):
+            yield from lines
+            return
+        assert self._delimiter is not None
+        for line in lines:
+            # counting is quick; only a line that may be longer is split
+            if line.text.count(self._delimiter) >= self._columns:
+                cells = without_empty_tail(split_cells(line, self._delimiter))
+                count, rest = divmod(len(cells) - self._columns, 3)
+                if count > 0 and rest == 0:
+                    self.most = max(self.most, count)
+                    text = self._delimiter.join(cells[: self._columns])
+                    line = TableLine(line.path, line.number, text)
+            yield line
+
+
+def _header(keys: list[str], values: list[str]) -> dict[str, str]:
+    """Return the header's values by name; doubled delimiters are one where the counts say so."""
+    keys, values = without_empty_tail(keys), without_empty_tail(values)
+    stated = [value for value in values if value]
+    if len(values) != len(keys) or not all(keys):
+        keys = [key for key in keys if key]
+        values = stated if len(stated) == len(keys) else values
+    return dict(zip(keys, values, strict=False))
+
+
+def _check_counts(header: dict[str, str], markers: int, unnamed: int, rows: int) -> list[str]:
+    notes = []
+    if unnamed:
+        notes.append(f"up to {pluralize(unnamed, 'marker')} a row without a name, left out")
+    elif not _states_count(header.get("NumMarkers", ""), markers):
+        notes.append(
+            f"NumMarkers says {header['NumMarkers']}, {markers} found: the file may be cut off"
+        )
+    if not _states_count(header.get("NumFrames", ""), rows):
+        notes.append(f"NumFrames says {header['NumFrames']}, {rows} found: the file may be cut off")
+    return notes
 
 
 def _states_count(text: str, count: int) -> bool:

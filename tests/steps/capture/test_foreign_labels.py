@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, Vt
 
-from usdface.core.errors import InputError
 from usdface.runner.execute import execute
 from usdface.specs.capture import IngestSpec
 from usdface.usdio.take.read import read_take
@@ -39,14 +38,18 @@ def test_prefixes_are_taken_off_and_unlabelled_points_left_out(tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("names", "message"),
+    ("names", "named", "note"),
     [
-        (["a", "a", "b", "c"], "1 label given more than once .a."),
-        (["a", "", "b", "c"], "1 marker with an empty label .2."),
+        (["a", "a", "a_1", "c"], ("a_2", "a_3", "a_1", "c"), "2 markers share their labels"),
+        (["a", "", "b", ""], ("a", "marker_2", "b", "marker_4"), "2 markers with an empty label"),
     ],
 )
-def test_doubled_and_empty_labels_are_refused(
-    tmp_path: Path, names: list[str], message: str
+def test_doubled_and_empty_labels_are_numbered_in_the_files_order(
+    tmp_path: Path, names: list[str], named: tuple[str, ...], note: str
 ) -> None:
-    with pytest.raises(InputError, match=message):
-        ingest(tmp_path, names)
+    out, notes = ingest(tmp_path, names)
+    markers = read_take(out).markers
+    assert markers is not None
+    assert markers.names == named
+    np.testing.assert_allclose(markers.positions, POSITIONS, rtol=1e-6)
+    assert sum(note in each for each in notes) == 1
