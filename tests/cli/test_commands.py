@@ -164,6 +164,17 @@ def test_a_command_makes_no_other(monkeypatch, capsys) -> None:
     assert made == ["pairs", "import"]
     assert run("pairs", "imprt") == 2
     assert "Did you mean 'import'?" in capsys.readouterr().err
+    made.clear()
+    assert run("--help") == 0
+    assert made == []
+
+
+def test_a_list_of_commands_says_what_each_says_of_itself(capsys) -> None:
+    """It is written from specs, before there are commands."""
+    assert run("--help") == 0
+    listed = " ".join(capsys.readouterr().out.split())
+    for name, command in get_command(app).commands.items():
+        assert f"{name} {command.get_short_help_str(500)}" in listed
 
 
 def test_the_list_of_commands_says_whole_sentences(capsys) -> None:

@@ -4,14 +4,13 @@ import inspect
 import os
 import sys
 import traceback
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from usdface.cli.command_list import EPILOG, commands_on_demand
+from usdface.cli.command_list import EPILOG, CommandMaker, commands_on_demand
 from usdface.cli.console import (
     ProgressStyle,
     echo,
@@ -23,14 +22,14 @@ from usdface.cli.console import (
     show_json,
     show_result,
 )
-from usdface.cli.spec_options import build_spec, command_of
+from usdface.cli.spec_options import build_spec, command_of, help_of
 from usdface.cli.tune import tune_command
 from usdface.core.errors import InputError, UsdfaceError
 from usdface.core.text import first_few, pluralize
 from usdface.core.version import __version__
 from usdface.specs.base import Spec
 from usdface.specs.capture import IngestSpec
-from usdface.specs.commands import SubmitSpec
+from usdface.specs.commands import SubmitSpec, TuneSpec
 from usdface.specs.job import COMMAND_SPECS, JobSpec
 from usdface.specs.paths import ROOT_VARIABLE, check_confined, read_path_rules
 from usdface.specs.reading import read_job, spec_text
@@ -173,10 +172,15 @@ _GROUPS = {
 """Groups of commands: the workflow each is listed under, and its summary."""
 
 
+def _step_maker(spec: type[Spec]) -> CommandMaker:
+    make = partial(command_of, spec, _run_step, COMMON)
+    return CommandMaker(make, help_of(spec), spec.workflow())
+
+
 def _make_group(group: str) -> typer.Typer:
     """Return a group with the commands of the steps whose names begin with its own."""
     makers = {
-        spec.step_name().removeprefix(f"{group}-"): partial(command_of, spec, _run_step, COMMON)
+        spec.step_name().removeprefix(f"{group}-"): _step_maker(spec)
         for spec in COMMAND_SPECS
         if spec.step_name().startswith(f"{group}-")
     }
@@ -188,19 +192,26 @@ def _make_group(group: str) -> typer.Typer:
     return made
 
 
-def _top_commands() -> dict[str, Callable[[], Any]]:
+def _top_commands() -> dict[str, CommandMaker]:
     """Return what makes each command of the top; a group stands where its first command would."""
-    makers: dict[str, Callable[[], Any]] = {}
+    makers: dict[str, CommandMaker] = {}
     for spec in COMMAND_SPECS:
         group = spec.step_name().partition("-")[0]
         if group in _GROUPS:
-            makers[group] = partial(_groups.__getitem__, group)
+            workflow, summary = _GROUPS[group]
+            makers[group] = CommandMaker(partial(_groups.__getitem__, group), summary, workflow)
         else:
-            makers[spec.step_name()] = partial(command_of, spec, _run_step, COMMON)
+            makers[spec.step_name()] = _step_maker(spec)
     shared = [each for each in COMMON if each.name in _SUBMIT_COMMON]
     return makers | {
-        "tune": partial(tune_command, COMMON[-1]),
-        "submit": partial(command_of, SubmitSpec, _submit, shared),
+        "tune": CommandMaker(
+            partial(tune_command, COMMON[-1]), help_of(TuneSpec), TuneSpec.workflow()
+        ),
+        "submit": CommandMaker(
+            partial(command_of, SubmitSpec, _submit, shared),
+            help_of(SubmitSpec),
+            SubmitSpec.workflow(),
+        ),
     }
 
 

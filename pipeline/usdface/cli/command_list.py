@@ -1,10 +1,11 @@
 """Command groups: commands built on demand, listed in sections, interrupted by Ctrl+C."""
 
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from usdface.cli.console import STOPPED
 from usdface.cli.spec_options import current_options
@@ -28,11 +29,27 @@ SUMMARY_LENGTH = 500
 """Largest length of a summary in characters; click would cut it to one line."""
 
 
+@dataclass(frozen=True)
+class CommandMaker:
+    """A command that is made when it is used, and what a list says of it before."""
+
+    make: Callable[[], Any]
+    """Returns the function of the command, or a Typer with the commands of a group."""
+    help: str
+    """Its first sentence is the summary."""
+    workflow: str | None
+    """Key of `HEADINGS`; None in a group without sections."""
+
+    def listed(self, name: str) -> Any:
+        """Return a command that can be listed, not run."""
+        return TyperCommand(name, help=self.help, rich_help_panel=self.workflow)
+
+
 # Types below are click's or, depending on Typer's version, those of its private copy of click.
 class CommandList(TyperGroup):
     """A group whose help lists commands by section, in the order of the workflow."""
 
-    on_demand: ClassVar[Mapping[str, Callable[[], Any]]] = {}
+    on_demand: ClassVar[Mapping[str, CommandMaker]] = {}
 
     def __init__(self, **settings: Any) -> None:
         commands = _MadeOnDemand(self.on_demand, settings.pop("commands", None) or {})
@@ -55,12 +72,17 @@ class CommandList(TyperGroup):
         except KeyboardInterrupt as interrupt:
             raise CancelledError(STOPPED) from interrupt
 
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of the commands; Typer's method would make each of them."""
+        return list(self.commands)
+
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write name and summary of every command, under headings if the group has any."""
         sections: dict[str, dict[str, str]] = {} if ctx.parent else {key: {} for key in HEADINGS}
         width = max(map(len, self.list_commands(ctx)), default=0)
         for name in self.list_commands(ctx):
-            command = self.get_command(ctx, name)
+            waiting = self.on_demand.get(name)
+            command = self.get_command(ctx, name) if waiting is None else waiting.listed(name)
             if command is not None and not command.hidden:
                 workflow = "" if ctx.parent else getattr(command, "rich_help_panel", "")
                 summary = command.get_short_help_str(SUMMARY_LENGTH)
@@ -74,13 +96,13 @@ class CommandList(TyperGroup):
 class _MadeOnDemand(MutableMapping[str, Any]):
     """Commands by name; each is made when it is used."""
 
-    def __init__(self, makers: Mapping[str, Callable[[], Any]], made: Mapping[str, Any]) -> None:
+    def __init__(self, makers: Mapping[str, CommandMaker], made: Mapping[str, Any]) -> None:
         self._makers = dict(makers)
         self._made = dict(made)
 
     def __getitem__(self, name: str) -> Any:
         if name not in self._made:
-            self._made[name] = self._makers[name]()
+            self._made[name] = _command(name, self._makers[name].make)
         return self._made[name]
 
     def __setitem__(self, name: str, command: Any) -> None:
@@ -96,23 +118,9 @@ class _MadeOnDemand(MutableMapping[str, Any]):
         return len(self._makers | self._made)
 
 
-def commands_on_demand(makers: Mapping[str, Callable[[], Any]]) -> Any:
-    """Return a group class whose commands are made on demand.
-
-    Making all of them takes 0.8 s of processor time; the rest of the start-up takes 0.5 s.
-
-    Parameters
-    ----------
-    makers : mapping of str to callable
-        Returns the function of each command, or a Typer with the commands of a group.
-    """
-
-    def maker(name: str) -> Callable[[], Any]:
-        return lambda: _command(name, makers[name])
-
-    return type(
-        "CommandList", (CommandList,), {"on_demand": {name: maker(name) for name in makers}}
-    )
+def commands_on_demand(makers: Mapping[str, CommandMaker]) -> Any:
+    """Return a group class whose commands are made on demand: all of them take twice as long."""
+    return type("CommandList", (CommandList,), {"on_demand": makers})
 
 
 def _command(name: str, make: Callable[[], Any]) -> Any:
