@@ -282,17 +282,15 @@ def _rest_exposure(meshes: Sequence[RigMesh], drawn: _Drawn, *, rays: int) -> _E
     pose shows is the inside of the mouth and of the sockets.
     """
     rest = np.concatenate([mesh.points for mesh in meshes])
+    posed = _Posed(rest, drawn)
     few = np.arange(len(rest))[:: max(len(rest) // _PROBE_COUNT, 1)]
-    out, into = (
-        _sky_over(rest, drawn, few, outward=side, rays=PATTERN_COUNT).mean() for side in (1.0, -1.0)
-    )
+    out, into = (posed.sky_over(few, outward=side, rays=PATTERN_COUNT).mean() for side in (1, -1))
     outward = 1.0 if out >= into else -1.0
-    every = np.arange(len(rest))
-    seen = _sky_over(rest, drawn, every, outward=outward, rays=rays)
+    seen = posed.sky_over(np.arange(len(rest)), outward=outward, rays=rays)
     blink = np.concatenate([_blinking(mesh) for mesh in meshes])
     folded = np.flatnonzero(np.any(blink != rest, axis=1))
     if len(folded):
-        shut = _sky_over(blink, drawn, folded, outward=outward, rays=rays)
+        shut = _Posed(blink, drawn).sky_over(folded, outward=outward, rays=rays)
         seen[folded] = np.maximum(seen[folded], shut)
     return _Exposure(seen=seen, outward=outward)
 
@@ -305,22 +303,27 @@ def _blinking(mesh: RigMesh) -> FloatArray:
     return posed
 
 
-def _sky_over(
-    cage: FloatArray, drawn: _Drawn, which: IntArray, *, outward: float, rays: int
-) -> FloatArray:
-    """Return how much sky some of the cage's points see in a pose of it [0-1]."""
-    fine = np.asarray(drawn.matrix @ cage)
-    operator = normal_operator(drawn.triangles, point_count=len(fine))
-    normals = vertex_normals(fine, drawn.triangles, operator)
-    rows = drawn.row_of_point[which]
-    aim = (outward * normals[rows]).astype(np.float32)
-    lift = np.float32(2e-3 * np.ptp(fine[:, 1]))
-    seen = sky_seen(
-        Tracer(fine.astype(np.float32), drawn.triangles),
-        fine[rows].astype(np.float32) + lift * aim,
-        aim,
-        patterns=which % PATTERN_COUNT,
-        ray_count=rays,
-        reach=1e6,
-    )
-    return seen.astype(np.float64)
+class _Posed:
+    """A pose of the cage, ready for rays."""
+
+    def __init__(self, cage: FloatArray, drawn: _Drawn) -> None:
+        fine = np.asarray(drawn.matrix @ cage)
+        operator = normal_operator(drawn.triangles, point_count=len(fine))
+        normals = vertex_normals(fine, drawn.triangles, operator)
+        self._aim = normals[drawn.row_of_point].astype(np.float32)
+        self._points = fine[drawn.row_of_point].astype(np.float32)
+        self._lift = np.float32(2e-3 * np.ptp(fine[:, 1]))
+        self._tracer = Tracer(fine.astype(np.float32), drawn.triangles)
+
+    def sky_over(self, which: IntArray, *, outward: float, rays: int) -> FloatArray:
+        """Return how much sky some of the cage's points see [0-1]."""
+        aim = np.float32(outward) * self._aim[which]
+        seen = sky_seen(
+            self._tracer,
+            self._points[which] + self._lift * aim,
+            aim,
+            patterns=which % PATTERN_COUNT,
+            ray_count=rays,
+            reach=1e6,
+        )
+        return seen.astype(np.float64)

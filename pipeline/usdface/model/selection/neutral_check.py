@@ -1,6 +1,6 @@
 """Whether a take's neutral frame is neutral, by what a rig's shapes can do."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -51,13 +51,12 @@ def find_better_neutral(
     solved = positions[rows[sample_frames(len(rows), _SOLVED_FRAMES)]].astype(np.float64)
     candidates = _spread(positions[searched].astype(np.float64), equation.neutral)
 
-    def residual_mm(neutral: FloatArray) -> float:
-        tried = replace(equation, neutral=neutral)
-        away = tried.residual_mm(solved, tried.propose(solved))
-        return float(np.sqrt((away**2).mean()))
-
-    stated = residual_mm(equation.neutral)
-    found = [residual_mm(positions[row].astype(np.float64)) for row in searched[candidates]]
+    neutrals = np.stack([equation.neutral, *positions[searched[candidates]].astype(np.float64)])
+    # Only displacements count: those from every candidate, as positions about the stated neutral.
+    shown = (equation.neutral - neutrals)[:, None] + solved
+    shown = shown.reshape(-1, *equation.neutral.shape)
+    away = equation.residual_mm(shown, equation.propose(shown))
+    stated, *found = np.sqrt((away.reshape(len(neutrals), -1) ** 2).mean(axis=1)).tolist()
     best = int(np.argmin(found))
     if not found[best] < BETTER_SHARE * stated:
         return None

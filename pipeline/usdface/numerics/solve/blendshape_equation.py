@@ -7,7 +7,7 @@ its markers move, it is a starting pose for an animator.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -21,6 +21,8 @@ _Method = Literal["lstsq", "bounded"]
 _MOST_RELINEARISATIONS = 8
 _SMALL_STEP = 1e-6
 """Of a weight, for forward differences: exact, as in-betweens are linear in pieces."""
+_SLOPE_DECIMALS = 4
+"""What differs by less is rounding of the differences."""
 _DEPENDENT_RIDGE = 0.01
 """[of a shape's mean energy] Chooses a small one of many solutions where shapes are dependent."""
 
@@ -231,26 +233,38 @@ def _relinearise(
     prior: _Prior,
     variables: _Variables,
 ) -> FloatArray:
-    """Solve again with each shape's slope at the last solution, keeping what is better."""
+    """Solve again with each shape's slope at the last solution, keeping what is better.
+
+    A frame whose slopes are those it was solved with is done: in-betweens are linear in pieces, so
+    its equation would be the same. Of a rig without in-betweens, that is every frame.
+    """
     channels = np.asarray(keys.channels, np.int64)
-    member = np.zeros((len(channels), problem.shape_count))
-    member[np.arange(len(channels)), channels] = 1
-    best = weights.copy()
+    best, now = weights.copy(), weights.copy()
     objective = _objective(problem, keys, weights, prior)
+    solved_with = np.repeat(keys.key_weights(np.ones((1, problem.shape_count))), len(weights), 0)
+    rows = np.arange(len(weights))
     for _ in range(_MOST_RELINEARISATIONS):
-        here = keys.key_weights(weights)
+        here = keys.key_weights(now[rows])
         # each key belongs to one shape, so one step of all shapes gives every slope
-        slopes = (keys.key_weights(weights + _SMALL_STEP) - here) / _SMALL_STEP
-        offset = here - slopes * weights[:, channels]
-        rest = problem.motion - np.einsum("fk,kmc->fmc", offset, keys.deltas, optimize=True)
-        following = np.empty_like(weights)
-        for rows in _equal_rows(slopes.round(4)):
-            D = np.einsum("ks,k,kmc->smc", member, slopes[rows[0]], keys.deltas)
-            following[rows] = _solve_bounded(problem, prior, variables, D, rest, rows)
-        weights = following
-        after = _objective(problem, keys, weights, prior)
-        better = after < objective
-        best[better], objective = weights[better], np.minimum(objective, after)
+        slopes = (keys.key_weights(now[rows] + _SMALL_STEP) - here) / _SMALL_STEP
+        slopes = slopes.round(_SLOPE_DECIMALS)
+        changed = (slopes != solved_with[rows].round(_SLOPE_DECIMALS)).any(axis=1)
+        rows, here, slopes = rows[changed], here[changed], slopes[changed]
+        if not len(rows):
+            break
+        solved_with[rows] = slopes
+        offset = here - slopes * now[rows][:, channels]
+        part = problem.take(rows)
+        rest = part.motion - _predict_keys(keys, offset)
+        costs = _Prior(prior.ridge, prior.cost[rows])
+        for group in _equal_rows(slopes):
+            bent = np.zeros_like(problem.deltas)
+            np.add.at(bent, channels, slopes[group[0], :, None, None] * keys.deltas)
+            now[rows[group]] = _solve_bounded(part, costs, variables, bent, rest, group)
+        after = _objective(part, keys, now[rows], costs)
+        better = after < objective[rows]
+        best[rows[better]] = now[rows[better]]
+        objective[rows] = np.minimum(objective[rows], after)
         if not better.any():
             break
     return best
@@ -259,9 +273,11 @@ def _relinearise(
 def _predict(deltas: FloatArray, keys: MarkerKeys | None, weights: FloatArray) -> FloatArray:
     if keys is None:
         return np.asarray(np.einsum("fs,smc->fmc", weights, deltas, optimize=True))
-    return np.asarray(
-        np.einsum("fk,kmc->fmc", keys.key_weights(weights), keys.deltas, optimize=True)
-    )
+    return _predict_keys(keys, keys.key_weights(weights))
+
+
+def _predict_keys(keys: MarkerKeys, key_weights: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("fk,kmc->fmc", key_weights, keys.deltas, optimize=True))
 
 
 def _objective(
@@ -301,6 +317,12 @@ class _Problem:
     @property
     def shape_count(self) -> int:
         return len(self.deltas)
+
+    def take(self, rows: IntArray) -> "_Problem":
+        """Return some of the frames."""
+        return replace(
+            self, motion=self.motion[rows], visible=self.visible[rows], trust=self.trust[rows]
+        )
 
     def rank(self) -> int:
         """Return the rank of the equation, all trusted markers seen."""

@@ -54,6 +54,7 @@ class BlendShapes:
         self.point_count = point_count
         self.channel_count = channel_count
         self._knots: list[tuple[int, list[tuple[float, int]]]] = []
+        """Channel of each track, and weight and row of each of its keys."""
         keys: list[Key] = []
         for track in tracks:
             ordered = sorted(track.keys, key=lambda key: key.weight)
@@ -64,6 +65,9 @@ class BlendShapes:
             knots = [(key.weight, len(keys) + row) for row, key in enumerate(ordered)]
             self._knots.append((track.channel, knots))
             keys.extend(ordered)
+        single = [(channel, *knots[0]) for channel, knots in self._knots if len(knots) == 1]
+        channels, at, rows = np.array(single, np.float64).reshape(-1, 3).T
+        self._single_keys = (rows.astype(np.int64), channels.astype(np.int64), at)
         columns = [(3 * key.points[:, None] + np.arange(3)).ravel() for key in keys]
         row_starts = np.concatenate([[0], np.cumsum([len(column) for column in columns])])
         self.key_offsets: sparse.csr_array = sparse.csr_array(
@@ -101,8 +105,11 @@ class BlendShapes:
         if weights.shape[1] != self.channel_count:
             raise ValueError(f"{weights.shape[1]} weights for {self.channel_count} channels")
         shares = np.zeros((len(weights), self.key_offsets.shape[0]))
+        rows, channels, at = self._single_keys
+        shares[:, rows] = weights[:, channels] / at
         for channel, knots in self._knots:
-            _share_between(weights[:, channel], knots, shares)
+            if len(knots) > 1:
+                _share_between(weights[:, channel], knots, shares)
         return shares
 
     def offsets(self, weights: ArrayLike) -> FloatArray:
