@@ -63,12 +63,13 @@ def _store(file: Path, value: object) -> None:
 def _remembered(run_folder: Path) -> Iterator[None]:
     """Compute once in a run what most steps ask of the same shot and character.
 
-    That is where its markers are placed, and how much light falls on each of the face's points.
-    Tests of either call it under its own name.
+    That is where its markers are placed, the picture of it, and how much light falls on each of
+    the face's points. What is remembered goes by the content of all arguments. Tests of one of
+    these call it under its own name.
     """
     from usdface.media.face import surface
     from usdface.model.selection import baseline
-    from usdface.steps.inputs import placement
+    from usdface.steps.inputs import coverage_report, placement
 
     folder = run_folder / "remembered"
     folder.mkdir(exist_ok=True)
@@ -76,6 +77,9 @@ def _remembered(run_folder: Path) -> Iterator[None]:
         for module, name in (
             (baseline, "place_markers"),
             (placement, "place_markers"),
+            (placement, "bind_at"),
+            (placement, "draw_binding"),
+            (coverage_report, "draw_coverage"),
             (surface, "_rest_exposure"),
         ):
             patch.setattr(module, name, _remember(getattr(module, name), folder))
