@@ -23,8 +23,7 @@ from usdface.model.mapping.regions import sample_skin
 from usdface.model.mapping.train import train_mapping
 from usdface.numerics.measure.face_regions import blinks
 from usdface.runner.execute import execute
-from usdface.specs.performance import TrainSpec
-from usdface.specs.references import ReferencesImportSpec, SelectSpec
+from usdface.specs.references import SelectSpec
 from usdface.steps.inputs.cleaned_takes import read_cleaned_takes
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
@@ -119,7 +118,7 @@ def _select(
     folder: Path, rig_file: Path, name: str, count: int, frames: str, method: str, **more: object
 ) -> Path:
     out = folder / f"{name}.references.usda"
-    given = {} if method in ("design", "active") else {"phones": (folder / "made.json",)}
+    given = {} if method == "design" else {"phones": (folder / "made.json",)}
     execute(
         SelectSpec(
             takes=(folder / "x.clean.take.usda",),
@@ -151,7 +150,6 @@ def _print_errors(stage: Stage) -> None:
             for half in HALVES
         ]
         _row(stage, f"{count} by `{method}`", rows)
-    _row(stage, "40 by `active`, from 20 designed", [_active(stage, half) for half in HALVES])
     print()
 
 
@@ -162,19 +160,6 @@ def _random_per_emotion(rng: np.random.Generator, half: int) -> np.ndarray:
     return np.concatenate(
         [rng.choice(np.arange(a, b), 25, replace=False) for a, b in pairwise(edges)]
     )
-
-
-def _active(stage: Stage, half: str) -> np.ndarray:
-    """Tune 20 designed pairs, train, and twice let the mapping say which 10 it needs."""
-    name = f"active{half}"
-    keys = stage.folder / "keys.csv"
-    mapping = stage.folder / f"{name}.mapping.usdc"
-    references = _select(stage.folder, stage.rig_file, name, 20, half, "design")
-    for count in (30, 40):
-        execute(ReferencesImportSpec(references=references, weights=keys), overwrite=True)
-        execute(TrainSpec(references=references, out=mapping, method=METHOD), overwrite=True)
-        _select(stage.folder, stage.rig_file, name, count, half, "active", mapping=mapping)
-    return read_references(references).frames - 1
 
 
 def _row(stage: Stage, label: str, rows: list[np.ndarray]) -> None:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from usdface.core.sidecars import placement_path, proposed_path, tuned_path
 from usdface.specs.base import Name, Positional, Sidecar, Spec
@@ -75,10 +75,10 @@ class SelectSpec(Spec):
     """The references asset to write: pair i at time code i."""
     count: Annotated[int, Field(ge=2, le=10_000)] = 100
     """Number of pairs."""
-    method: Literal["viseme", "design", "both", "active"] = "both"
+    method: Literal["viseme", "design", "both"] = "both"
     """How frames are chosen: `viseme`, one per viseme and emotion, plus extremes; `design`, few
-    frames that span the motion; `both`, visemes if phones are given, then design; `active`, the
-    frames that reduce the uncertainty of a mapping most, given the pairs tuned so far."""
+    frames that span the motion; `both`, visemes if phones are given, then design. Pairs tuned so
+    far stay, and count for what they span."""
     phones: Annotated[tuple[Path, ...], Reads()] = ()
     """Phone labels of the takes (`usdface phones`, or a TextGrid of another aligner), on the takes'
     clock: one file per take, in the same order."""
@@ -87,7 +87,8 @@ class SelectSpec(Spec):
     extremes: Annotated[int, Field(ge=0, le=1000)] = 10
     """With visemes: number of extreme frames added per emotion."""
     mapping: ReadPath | None = None
-    """With `active`: mapping trained on the pairs tuned so far. It also proposes the weights."""
+    """Mapping trained on the pairs tuned so far: it proposes the weights of the others, nearer to
+    what an animator keys than the rig's geometry."""
     placement: ReadPath | None = None
     """Placement of the markers on the rig, from `usdface place`. Default: the markers are placed,
     and the placement is written next to the references, as NAME.placement.usda; its corrections
@@ -104,6 +105,16 @@ class SelectSpec(Spec):
     prim: PrimPath | None = None
     """Face in the rig's file, if it holds several."""
 
+    @field_validator("method", mode="before")
+    @classmethod
+    def _active_is_gone(cls, method: object) -> object:
+        if method == "active":
+            raise ValueError(
+                "active is no method any more: it chose no better than design. Leave it out: a "
+                "higher --count keeps the tuned pairs, and --mapping proposes the others' weights"
+            )
+        return method
+
     @model_validator(mode="after")
     def _lists_go_with_takes(self) -> Self:
         for name in ("phones", "emotions"):
@@ -117,8 +128,6 @@ class SelectSpec(Spec):
                 "viseme needs --phones (made by `usdface phones AUDIO --transcript TEXT`); or "
                 "choose --method design"
             )
-        if self.method == "active" and self.mapping is None:
-            raise ValueError("active needs --mapping, trained on the pairs tuned so far")
         if self.landmarks is not None and self.placement is not None:
             raise ValueError(
                 "--landmarks cannot be used with --placement, which holds its own; give them to "

@@ -11,7 +11,6 @@ from usdface.numerics.regression.reference_design import (
     design_d_optimal,
     design_gp_variance,
     design_k_centre,
-    design_total_variance,
     most_different_rows,
     whiten,
 )
@@ -136,40 +135,6 @@ def rows(count: int = 60) -> np.ndarray:
     return np.random.default_rng(0).normal(size=(count, 3))
 
 
-def dense_left(kernel: DesignKernel, known: np.ndarray, all_rows: np.ndarray) -> np.ndarray:
-    within = np.linalg.inv(kernel(known, known) + 1e-2 * np.eye(len(known)))
-    shared = kernel(known, all_rows)
-    return kernel.diagonal(all_rows) - np.einsum("ij,ik,kj->j", shared, within, shared)
-
-
-def test_each_pick_is_what_brute_force_would_pick() -> None:
-    cloud = rows()
-    kernel = DesignKernel.for_rows(cloud)
-    importance = np.random.default_rng(1).random(len(cloud))
-    known = cloud[:2]
-    design = design_total_variance(cloud, 5, kernel=kernel, known=known, importance=importance)
-    for turn, pick in enumerate(design.chosen):
-        before = np.concatenate([known, cloud[design.chosen[:turn]]])
-        total = [
-            importance @ dense_left(kernel, np.concatenate([before, cloud[i : i + 1]]), cloud)
-            if i not in design.chosen[:turn]
-            else np.inf
-            for i in range(len(cloud))
-        ]
-        assert pick == int(np.argmin(total))
-
-
-def test_gains_add_up_to_the_variance_that_went() -> None:
-    cloud = rows()
-    kernel = DesignKernel.for_rows(cloud)
-    known = cloud[:3]
-    design = design_total_variance(cloud, 8, kernel=kernel, known=known)
-    start = dense_left(kernel, known, cloud).sum()
-    end = dense_left(kernel, np.concatenate([known, cloud[design.chosen]]), cloud).sum()
-    assert design.gain.sum() == pytest.approx(1 - end / start, rel=1e-9)
-    assert len(set(design.chosen.tolist())) == 8
-
-
 def test_nothing_known_leaves_all_over_and_knowing_a_frame_leaves_its_noise() -> None:
     cloud = rows()
     kernel = DesignKernel.for_rows(cloud)
@@ -196,15 +161,6 @@ def test_prediction_agrees_with_scikit_learn() -> None:
         theirs.predict(cloud) + values.mean(axis=0),
         atol=1e-8,
     )
-
-
-def test_impossible_requests_for_total_variance_say_why() -> None:
-    cloud = rows(10)
-    kernel = DesignKernel.for_rows(cloud)
-    with pytest.raises(ValueError, match="cannot choose 11 of 10"):
-        design_total_variance(cloud, 11, kernel=kernel, known=cloud[:0])
-    with pytest.raises(ValueError, match="finite entry of at least 0"):
-        design_total_variance(cloud, 1, kernel=kernel, known=cloud[:0], importance=-np.ones(10))
 
 
 def test_the_chosen_rows_are_those_of_a_pivoted_qr() -> None:

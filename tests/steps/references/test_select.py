@@ -98,11 +98,11 @@ def test_coverage_is_told_and_drawn_beside(shot: Shot) -> None:
     assert more.figures["coverage"] > report.figures["coverage"]
 
 
-def test_active_keeps_what_is_tuned_and_starts_from_the_mapping(shot: Shot) -> None:
+def test_more_pairs_keep_what_is_tuned_and_start_from_the_mapping(shot: Shot) -> None:
     out = shot / "hero.references.usda"
     before = read_references(out)
     report = execute(
-        spec(shot, out=out, count=PAIRS + 6, method="active", mapping=shot / "hero.mapping.usdc"),
+        spec(shot, out=out, count=PAIRS + 6, mapping=shot / "hero.mapping.usdc"),
         overwrite=True,
     )
     after = read_references(out)
@@ -131,13 +131,6 @@ def test_proposals_of_a_mapping_are_nearer_the_truth_than_the_geometrys(shot: Sh
     assert error[1] < 0.7 * error[0]
 
 
-def test_active_without_tuning_or_mapping_says_so(shot: Shot) -> None:
-    with pytest.raises(ValidationError, match="active needs --mapping"):
-        spec(shot, method="active")
-    with pytest.raises(InputError, match="0 pairs are tuned, and active needs at least 2"):
-        execute(spec(shot, method="active", mapping=shot / "hero.mapping.usdc"))
-
-
 def test_phones_and_emotions_go_with_takes(shot: Shot) -> None:
     said = make_phones(shot)
     with pytest.raises(ValidationError, match="2 phones for 1 takes"):
@@ -146,6 +139,8 @@ def test_phones_and_emotions_go_with_takes(shot: Shot) -> None:
         spec(shot, emotions=("joy", "anger", "fear"))
     with pytest.raises(ValidationError, match="viseme needs --phones"):
         spec(shot, method="viseme")
+    with pytest.raises(ValidationError, match="active is no method any more"):
+        spec(shot, method="active")
 
 
 def test_unmarked_emotions_are_said_and_a_takes_own_emotion_counts(shot: Shot) -> None:

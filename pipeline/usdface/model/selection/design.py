@@ -25,7 +25,6 @@ from usdface.numerics.regression.reference_design import (
     design_d_optimal,
     design_gp_variance,
     design_k_centre,
-    design_total_variance,
     whiten,
 )
 from usdface.numerics.regression.regional_process import marker_relevance, regional_features
@@ -198,9 +197,6 @@ DESIGNS: dict[str, Callable[..., Design]] = {
 POOL_FRAMES = 24_000
 """Frames that are looked at: of a longer recording the most extreme of each short stretch."""
 
-NEXT_FRAMES = 2500
-"""Frames among which the next ones to tune are found: memory is quadratic in them."""
-
 
 @dataclass(frozen=True)
 class CandidateMarkers:
@@ -319,40 +315,6 @@ def choose_visemes(
         visemes={int(r): visemes[int(r)] for r in ordered if int(r) in visemes},
         missing=missing,
     )
-
-
-def choose_next(
-    features: Features,
-    count: int,
-    *,
-    already: IntArray,
-    candidates: BoolArray,
-    expected_error: Callable[[IntArray], FloatArray],
-) -> ReferenceChoice:
-    """Choose the frames whose tuning would help most, where the mapping errs and faces are many.
-
-    Parameters
-    ----------
-    features, count, already, candidates
-        As for `choose_by_design`.
-    expected_error : callable
-        Of some rows, how far the mapping is from being right there [mm].
-    """
-    free = candidates.copy()
-    free[already] = False
-    rows = pool_of(features, free, limit=max(NEXT_FRAMES, count))
-    rows_features = features_at(features, rows)
-    kernel = DesignKernel.for_rows(rows_features)
-    squared = expected_error(rows) ** 2
-    importance = squared / max(float(squared.mean()), 1e-300)
-    design = design_total_variance(
-        rows_features,
-        count,
-        kernel=kernel,
-        known=features_at(features, already),
-        importance=importance,
-    )
-    return ReferenceChoice(rows[design.chosen])
 
 
 def stand_in_error_mm(features: Features, rows: IntArray, stand_ins: CandidateMarkers) -> float:

@@ -2,13 +2,13 @@
 
 Every design is greedy and deterministic: one frame after another, never the same twice, ties to
 the earlier frame. Frames already tuned stay in the design and count for what they cover. Memory is
-linear in the number of frames, but for `design_total_variance`.
+linear in the number of frames.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import solve_triangular
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.numerics.regression.design_kernel import DesignKernel
@@ -185,76 +185,6 @@ def design_gp_variance(
         factor[turn, :turn] = row
         factor[turn, turn] = np.sqrt(max(variance - float(row @ row), noise))
     return _design(chosen, gain)
-
-
-def design_total_variance(
-    rows: FloatArray,
-    count: int,
-    *,
-    kernel: DesignKernel,
-    known: FloatArray,
-    importance: FloatArray | None = None,
-    candidates: BoolArray | None = None,
-    noise: float = 1e-2,
-) -> Design:
-    """Choose frames one by one so that the variance summed over all frames falls most.
-
-    `design_gp_variance` seeks the rarest face; this seeks the face that most of the take learns
-    from, where the mapping errs. Tuning frame i lowers the variance of frame j by
-    ``cov(i, j)^2 / (var(i) + noise)``.
-
-    Parameters
-    ----------
-    rows : (frames, d) float array
-        Features of the frames that count, some thousands at most: memory is quadratic.
-    known : (n, d) float array
-        Features of the frames already tuned.
-    importance : (frames,) float array, optional
-        How much the variance of each frame counts, at least 0: the squared error to expect.
-    candidates : (frames,) bool array, optional
-        Rows that may be chosen; by default all.
-    noise : float
-        Variance of a tuned weight around the truth.
-
-    Returns
-    -------
-    Design
-        `gain` is the share of the weighted variance at the start that each frame removes.
-
-    Raises
-    ------
-    ValueError
-        If fewer rows than `count` may be chosen, or `importance` is negative.
-
-    References
-    ----------
-    Cohn, Ghahramani and Jordan (1996), JAIR 4, 129-145; the I-optimal design.
-    """
-    free = np.ones(len(rows), dtype=bool) if candidates is None else candidates.copy()
-    weight = np.ones(len(rows)) if importance is None else importance
-    if not 0 <= count <= int(free.sum()):
-        raise ValueError(f"cannot choose {count} of {int(free.sum())} frames that are free")
-    if weight.shape != (len(rows),) or (weight < 0).any() or not np.isfinite(weight).all():
-        raise ValueError("importance must have one finite entry of at least 0 per frame")
-    covariance = kernel(rows, rows)
-    if len(known):
-        factor = cho_factor(kernel(known, known) + noise * np.eye(len(known)), lower=True)
-        shared = kernel(known, rows)
-        covariance -= shared.T @ cho_solve(factor, shared)
-    total = max(float(weight @ np.maximum(np.diag(covariance), 0.0)), 1e-300)
-    removed = weight @ covariance**2
-    chosen, gain = [], []
-    for _ in range(count):
-        observed = np.maximum(np.diag(covariance), 0.0) + noise
-        score = np.where(free, removed / observed, -np.inf)
-        pick = int(score.argmax())
-        chosen.append(pick)
-        gain.append(float(max(score[pick], 0.0)) / total)
-        free[pick] = False
-        column = covariance[:, pick] / np.sqrt(observed[pick])
-        covariance -= np.outer(column, column)
-        removed = weight @ covariance**2
-    return Design(np.array(chosen, dtype=np.int64), np.array(gain, dtype=np.float64))
 
 
 def most_different_rows(rows: FloatArray, count: int) -> IntArray:

@@ -16,13 +16,11 @@ from usdface.media.picture.image import write_image
 from usdface.model.selection.design import (
     ReferenceChoice,
     choose_by_design,
-    choose_next,
     choose_visemes,
     in_order_of_worth,
 )
 from usdface.model.selection.lip_contact import find_lips, keep_lip_contact
 from usdface.model.selection.neutral_check import find_better_neutral
-from usdface.numerics.regression.linear_ridge import fit_linear_ridge
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.references import SelectSpec
@@ -63,9 +61,6 @@ from usdface.usdio.references.write import write_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.surface.placement import RigPlacement, write_placement
 
-FEWEST_TUNED = 2
-"""Tuned pairs from which one can learn where a mapping errs."""
-
 
 @dataclass(frozen=True)
 class _Selection:
@@ -103,7 +98,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     selection = _set_up(spec, takes, rig, placed.placement, spoken, kept, progress)
     progress(0.5, "choosing frames")
     mapped = None if mapping is None else takes_prediction(mapping, takes)
-    choice = _choose(selection, mapped)
+    choice = _choose(selection)
     rows = np.array(rows_in_place(spec.count, kept, choice.rows), dtype=np.int64)
     progress(0.7, "proposing weights")
     weights = _propose(selection, mapped, rows)
@@ -254,11 +249,9 @@ def _set_up(
     return _Selection(spec, scene, spoken, kept, candidates)
 
 
-def _choose(selection: _Selection, mapped: TakesPrediction | None) -> ReferenceChoice:
+def _choose(selection: _Selection) -> ReferenceChoice:
     """Choose the frames that are to be found, by the method asked for."""
     spec = selection.spec
-    if spec.method == "active":
-        return _choose_next(selection, mapped)
     spoken = ReferenceChoice(np.zeros(0, dtype=np.int64))
     if selection.spoken.segments and spec.method in ("viseme", "both"):
         spoken = choose_visemes(
@@ -287,36 +280,6 @@ def _choose(selection: _Selection, mapped: TakesPrediction | None) -> ReferenceC
         rows=in_order_of_worth(selection.scene.features, together, selection.already),
         visemes=spoken.visemes,
         missing=spoken.missing,
-    )
-
-
-def _choose_next(selection: _Selection, mapped: TakesPrediction | None) -> ReferenceChoice:
-    if mapped is None or len(selection.kept) < FEWEST_TUNED:
-        raise InputError(
-            f"{tuned_path(selection.spec.out)}: {len(selection.kept)} pairs are tuned, and active "
-            "needs "
-            f"at least {FEWEST_TUNED} to see what would help next; tune some, or choose --method "
-            "design"
-        )
-    shapes = mapped.shape_names
-    tuned = np.array([[each.tuned.weights.get(s, 0.0) for s in shapes] for each in selection.kept])
-    line = fit_linear_ridge(selection.scene.coordinates(selection.already), tuned)
-    columns = [selection.scene.rig.shapes.index(name) for name in shapes]
-    gram = selection.scene.stand_ins.gram[np.ix_(columns, columns)]
-
-    def disagreement_mm(rows: IntArray) -> FloatArray:
-        """Return how far the mapping is from a straight line through the same pairs."""
-        coordinates = selection.scene.coordinates(rows)
-        straight = (coordinates - line.mean) @ line.coefficients + line.intercept
-        error = mapped.weights(rows) - straight
-        return np.asarray(np.sqrt(np.maximum(np.einsum("fs,st,ft->f", error, gram, error), 0.0)))
-
-    return choose_next(
-        selection.scene.features,
-        selection.wanted,
-        already=selection.already,
-        candidates=selection.candidates,
-        expected_error=disagreement_mm,
     )
 
 
