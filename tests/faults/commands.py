@@ -19,6 +19,7 @@ MAP = f"map {TAKE} --mapping hero.mapping.usdc --rig {RIG}"
 
 COMMANDS = {
     "ingest": "ingest shot.c3d --out shot.take.usda --neutral 31",
+    "track": "track face.mp4 --out face.take.usda --model face_landmarker.task --frames 1-12",
     "align": "align kitchen.take.usda --by sound --picture kitchen.sync.png",
     "clean": f"clean shot.take.usda --out {TAKE}",
     "phones": "phones voice.wav --transcript voice.txt --out voice.TextGrid",

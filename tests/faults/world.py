@@ -3,6 +3,7 @@
 import shutil
 import wave
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,8 @@ from usdface.usdio.take.write import write_take
 SPOKEN_SECONDS, SPOKEN_WORDS = 4, 9
 """So much of a recording; four seconds hold these words."""
 RECORDING = SHARED_DATA / "speech_mfa"
+MODEL = SHARED_DATA / "models" / "face_landmarker.task"
+FACE = SHARED_DATA / "video_pyfeat" / "single_face.mp4"
 
 
 @dataclass(frozen=True)
@@ -39,8 +42,14 @@ class World:
 
 
 def steps_here() -> tuple[str, ...]:
-    """Every step that can be run here: phones need a recording of somebody who speaks."""
-    return tuple(step for step in ALL_STEPS if step != "phones" or RECORDING.is_dir())
+    """Every step that can be run here.
+
+    Phones need a recording of somebody who speaks, tracking a face, its model and the extra.
+    """
+    missing = set() if RECORDING.is_dir() else {"phones"}
+    if not (MODEL.is_file() and FACE.is_file() and find_spec("mediapipe")):
+        missing.add("track")
+    return tuple(step for step in ALL_STEPS if step not in missing)
 
 
 def build_world(folder: Path) -> World:
@@ -53,6 +62,9 @@ def build_world(folder: Path) -> World:
     write_take(folder / "talk.take.usda", small_scan_take(scan))
     write_scan(folder / "scan.usdc", scan, z_up=True)
     _write_sounds(folder)
+    if "track" in steps_here():
+        shutil.copy(MODEL, folder / MODEL.name)
+        shutil.copy(FACE, folder / "face.mp4")
     made: dict[str, frozenset[str]] = {}
     for step in steps_here():
         for words in BEFORE.get(step, ()):

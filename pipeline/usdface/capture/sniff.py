@@ -17,12 +17,15 @@ from usdface.capture.vicon_csv import is_vicon_csv, read_vicon_csv
 from usdface.core.errors import InputError
 
 _HEAD_BYTES = 64 << 10
-_SCENE = "export the markers from the scene as USD (points or locators) or C3D, and ingest that"
-_MOVIE = (
-    "a movie holds no markers: track it with OpenFace, and ingest its CSV with the movie as --video"
-)
-_EXPORTS = dict.fromkeys((".ma", ".mb", ".fbx", ".bvh", ".blend"), _SCENE) | dict.fromkeys(
-    (".mp4", ".mov", ".mxf", ".avi", ".mkv", ".webm", ".m4v"), _MOVIE
+VIDEO_SUFFIXES = (".mov", ".mp4", ".mxf", ".mkv", ".avi", ".webm", ".m4v")
+_EXPORTS = dict.fromkeys(
+    (".ma", ".mb", ".fbx", ".bvh", ".blend", ".abc"),
+    "is a scene, which is not read: export the markers from it as USD (points, locators or joints) "
+    "or C3D, and ingest that",
+) | dict.fromkeys(
+    VIDEO_SUFFIXES,
+    "is a movie, which holds no markers: track the face in it with `usdface track {name} --out "
+    "{stem}.take.usda`, or ingest the capture that it was filmed with, and the movie as --video",
 )
 """What to do with files that are often tried."""
 
@@ -109,6 +112,9 @@ def recognise_format(path: Path) -> CaptureFormat:
     """
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
+    advice = _EXPORTS.get(path.suffix.lower())
+    if advice is not None:
+        raise InputError(f"{path} {advice.format(name=path.name, stem=path.stem)}")
     if not head:
         raise InputError(f"{path}: the file is empty (0 bytes); copy or export the capture again")
     for candidate in FORMATS:
@@ -116,8 +122,7 @@ def recognise_format(path: Path) -> CaptureFormat:
             return candidate
     raise InputError(
         f"{path}: not a capture file we know (it begins with {_readable(head)}); known are "
-        f"{_known_formats()}, and USD; "
-        f"{_EXPORTS.get(path.suffix.lower(), 'export one of these, or name it with --format')}"
+        f"{_known_formats()}; export one of these, or name it with --format"
     )
 
 
@@ -135,4 +140,5 @@ def _named_format(name: str) -> CaptureFormat:
 
 
 def _known_formats() -> str:
-    return ", ".join(f"{candidate.name} ({candidate.description})" for candidate in FORMATS)
+    named = (f"{candidate.name} ({candidate.description})" for candidate in FORMATS)
+    return ", ".join((*named, "and USD (.usd, .usda, .usdc, .usdz)"))

@@ -1,4 +1,4 @@
-"""Specs of capture: ingest, align, clean, phones."""
+"""Specs of capture: ingest, track, align, clean, phones."""
 
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
@@ -37,7 +37,7 @@ class IngestSpec(Spec):
     sidecar: ClassVar[Sidecar | None] = take_samples_path
 
     step: Literal["ingest"] = "ingest"
-    sources: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
+    sources: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()] = ()
     """Capture files of one take, or a folder of takes."""
     out: LayerOut
     """Take to write. The samples of a .usda take are stored in a .usdc next to it."""
@@ -95,6 +95,18 @@ class IngestSpec(Spec):
     """SMPTE timecode of the first frame. Default: that of the file."""
 
     @model_validator(mode="after")
+    def _sources_are_named(self) -> Self:
+        if not self.sources:
+            way = "name the capture file of the take, as in `usdface ingest kitchen.c3d`"
+            if self.video is not None:
+                way = (
+                    "a video alone holds no markers: track the face in it with `usdface track "
+                    f"{self.video} --out {self.out}`, or name the capture that it was filmed with"
+                )
+            raise ValueError(f"no sources are given: {way}")
+        return self
+
+    @model_validator(mode="after")
     def _offset_needs_video(self) -> Self:
         if self.video is None and (self.video_offset or self.video_rate is not None):
             raise ValueError("video_offset or video_rate is given without a video")
@@ -106,6 +118,59 @@ class IngestSpec(Spec):
                 "the same start and ingest the take in one piece, or leave out one of them"
             )
         return self
+
+
+class TrackSpec(Spec):
+    """Track a face in a video; the landmarks become the markers of a take.
+
+    Needs the extra `usdface[track]` and MediaPipe's model face_landmarker.task, which is never
+    fetched. Each picture is looked at alone, with its exact time. Landmarks are brought into space:
+    perspective is undone, and the distance between the eyes sets the scale. Pictures without a
+    face are gaps. The model's own scores of ARKit's shapes are kept as weights of the take. Clean
+    the take next, as one of optical markers.
+    """
+
+    example: ClassVar[str] = (
+        "usdface track kitchen.mp4 --out kitchen.take.usda --model face_landmarker.task"
+    )
+    module: ClassVar[str] = "capture.track"
+    sidecar: ClassVar[Sidecar | None] = take_samples_path
+
+    step: Literal["track"] = "track"
+    video: Annotated[FilePath, Reads(), Positional()]
+    """Movie, or one image of a numbered sequence. The take refers to it, and to its sound."""
+    out: LayerOut
+    """Take to write. The samples of a .usda take are stored in a .usdc next to it."""
+    model: ReadPath | None = None
+    """MediaPipe's model, face_landmarker.task (3.8 MB, Apache 2.0). Default: the file that the
+    environment variable USDFACE_FACE_MODEL names."""
+    frames: Frames | None = None
+    """Frames of the video to track, first and last, counted from 1 at the take's rate."""
+    face: Literal["largest", "left", "right"] | None = None
+    """Which face to follow where a picture shows several, left and right as one sees them. Default:
+    several faces are refused."""
+    quality: Literal["draft", "final"] = "final"
+    """`final` looks at each picture twice, once in the mirror, which halves the speed: less noise,
+    and where both differ, less confidence."""
+    focal_length: Annotated[float, Field(ge=8, le=2000)] | None = None
+    """Focal length of the lens in mm of a 35 mm camera, as phones state it (26 for the main camera
+    of most). Default: what the file states, else 28."""
+    eye_distance: Annotated[float, Field(ge=30, le=90)] = 63.0
+    """Distance between the performer's pupils in mm, which sets the scale. The default is an
+    adult's mean; nine of ten adults have 57 to 70."""
+    video_rate: Annotated[float, Field(gt=0, le=100_000)] | None = None
+    """Frames per second of an image sequence; of a movie of variable rate, the rate of the take."""
+    neutral: int | None = None
+    """Frame number of the neutral face. Default: the frame in which the model's scores see the
+    least expression."""
+    take: Name | None = None
+    """Name of the take. Default: the name of the file."""
+    performer: str = ""
+    """Name of the performer."""
+    session: str = ""
+    """Name of the recording session, such as a date."""
+    emotion: str = ""
+    """Emotion of the whole take, if it has one."""
 
 
 LONGEST_SHIFT = 86400.0

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Self, get_args
 from pydantic import ConfigDict, Field, model_validator
 
 from usdface.specs.base import Name, Spec
-from usdface.specs.capture import AlignSpec, CleanSpec, IngestSpec, PhonesSpec
+from usdface.specs.capture import AlignSpec, CleanSpec, IngestSpec, PhonesSpec, TrackSpec
 from usdface.specs.edits import BakeSpec, EditsImportSpec, EditSpec, PackageSpec
 from usdface.specs.paths import Reads, Writes
 from usdface.specs.performance import JoinSpec, MapSpec, TrainSpec
@@ -42,6 +42,7 @@ from usdface.specs.takes import FOR_EACH_SCHEMA, TAKES_SCHEMA, write_out
 
 AnyStep = Annotated[
     IngestSpec
+    | TrackSpec
     | AlignSpec
     | CleanSpec
     | PhonesSpec

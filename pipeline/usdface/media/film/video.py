@@ -59,6 +59,8 @@ class VideoReader:
         As shown: rotated, with square pixels [pixels].
     timecode : str
         The SMPTE start time the file carries; empty without one.
+    focal_length : float or None
+        Of the lens, as phones state it [mm of a 35 mm camera].
 
     Raises
     ------
@@ -105,6 +107,7 @@ class VideoReader:
         self.duration = float(self.times[-1] + self._index.last_duration * float(base))
         self.rate = _even_rate(self._index.stamps, base, stream.average_rate)
         self.timecode = _timecode(self._container)
+        self.focal_length = _focal_length(self._container)
         self._decoded: Iterator[Any] | None = None
         self._position: int | None = None
         self._shown: tuple[int, ByteImage] | None = None
@@ -284,3 +287,21 @@ def _timecode(container: Any) -> str:
         if said:
             return said
     return ""
+
+
+_FOCAL_LENGTHS = (8.0, 2000.0)
+"""[mm] Of lenses, from fisheye to the longest."""
+
+
+def _focal_length(container: Any) -> float | None:
+    """Return what phones write of their lens, in whichever of their manners."""
+    for holder in (container, *container.streams):
+        for key, value in words_of(holder).items():
+            if "focal_length" in key and "35mm" in key:
+                try:
+                    stated = float(value)
+                except ValueError:
+                    continue
+                if _FOCAL_LENGTHS[0] <= stated <= _FOCAL_LENGTHS[1]:
+                    return stated
+    return None

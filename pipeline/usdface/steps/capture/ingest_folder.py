@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
 
-from usdface.capture.sniff import recognise_format
+from usdface.capture.sniff import VIDEO_SUFFIXES, recognise_format
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.sidecars import LAYER_SUFFIXES
@@ -14,7 +14,6 @@ from usdface.runner.execute import execute
 from usdface.runner.result import StepResult
 from usdface.specs.capture import IngestSpec
 
-VIDEO_SUFFIXES = (".mov", ".mp4", ".mxf", ".mkv", ".avi", ".webm", ".m4v")
 CAPTURE_SUFFIXES = (".c3d", ".trc")
 """Whatever such a file holds, it was meant as a capture: a damaged one must not go unseen."""
 AUDIO_SUFFIXES = (".wav", ".flac", ".aif", ".aiff", ".mp3", ".m4a")
@@ -153,6 +152,13 @@ def _bundles(folder: Path, only: str | None) -> list[Bundle]:
             f"{folder}: no capture has a name that --only {only} fits; leave it out, or name the "
             "end of the names, such as c3d"
         )
+    movies = [each.name for each in sorted(folder.iterdir()) if _is_movie(each)]
+    if movies:
+        raise InputError(
+            f"{folder}: holds {pluralize(len(movies), 'movie')} and no capture: track the face in "
+            f"each, as with `usdface track {folder / movies[0]} --out "
+            f"{Path(movies[0]).stem}.take.usda` ({first_few(movies)})"
+        )
     raise InputError(
         f"{folder}: holds no capture file that is known; name the folder that holds the "
         "captures, or a file with --format"
@@ -188,6 +194,10 @@ def _left_out(folder: Path, bundles: list[Bundle]) -> tuple[str, ...]:
         f"in no take, as no capture is known by their content, or --only leaves them out: "
         f"{first_few(others)}",
     )
+
+
+def _is_movie(path: Path) -> bool:
+    return path.suffix.lower() in VIDEO_SUFFIXES and not path.name.startswith(".")
 
 
 def _is_capture(path: Path) -> bool:

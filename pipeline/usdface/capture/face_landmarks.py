@@ -1,0 +1,162 @@
+"""The landmarks of MediaPipe's face mesh that a take keeps as markers, and what they are called.
+
+The mesh numbers 468 points of the face and 10 of the irises. The markers lie on what moves (lips,
+lids, brows, cheeks, jaw) and on what shows the head's pose; the rest lie between them, and the
+model has no detail there.
+
+References
+----------
+Kartynnik, Ablavatski, Grishchenko and Grundmann (2019), Real-time facial surface geometry from
+monocular video on mobile GPUs, CVPR workshop on computer vision for AR/VR.
+Ablavatski et al. (2020), Real-time pupil tracking from monocular video for digital puppetry.
+"""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.core.arrays import IntArray
+
+LANDMARK_COUNT = 478
+"""Of one face: 468 of the mesh, then 5 of each iris."""
+
+_MIDDLE = {
+    "forehead": (10, 151, 9),
+    "brow_centre": (8,),
+    "nose_bridge": (168, 6, 197, 195),
+    "nose": (5, 4, 19, 94, 2),
+    "nose_tip": (1,),
+    "lip_upper": (0, 11, 12, 13),
+    "lip_lower": (14, 15, 16, 17),
+    "lip_below": (18,),
+    "chin": (200, 199, 175, 152),
+}
+_RIGHT_LEFT = {
+    "forehead": ((109, 338), (67, 297), (103, 332), (108, 337), (69, 299), (104, 333)),
+    "forehead_outer": ((54, 284), (68, 298), (21, 251), (71, 301)),
+    "brow_inner": ((107, 336), (55, 285)),
+    "brow_middle": ((66, 296), (105, 334), (65, 295), (52, 282)),
+    "brow_outer": ((63, 293), (70, 300), (53, 283), (46, 276)),
+    "eye_inner": ((133, 362),),
+    "eye_outer": ((33, 263),),
+    "lid_upper": (
+        (246, 466),
+        (161, 388),
+        (160, 387),
+        (159, 386),
+        (158, 385),
+        (157, 384),
+        (173, 398),
+    ),
+    "lid_lower": (
+        (7, 249),
+        (163, 390),
+        (144, 373),
+        (145, 374),
+        (153, 380),
+        (154, 381),
+        (155, 382),
+    ),
+    "iris": ((468, 473), (469, 476), (470, 475), (471, 474), (472, 477)),
+    "nose_side": ((122, 351), (196, 419), (198, 420), (49, 279)),
+    "nose_wing": ((129, 358), (64, 294), (98, 327)),
+    "mouth_corner": ((61, 291), (78, 308)),
+    "lip_upper": (
+        (185, 409),
+        (40, 270),
+        (39, 269),
+        (37, 267),
+        (191, 415),
+        (80, 310),
+        (81, 311),
+        (82, 312),
+    ),
+    "lip_lower": (
+        (146, 375),
+        (91, 321),
+        (181, 405),
+        (84, 314),
+        (95, 324),
+        (88, 318),
+        (178, 402),
+        (87, 317),
+    ),
+    "lip_above": ((165, 391),),
+    "cheek": (
+        (50, 280),
+        (101, 330),
+        (36, 266),
+        (205, 425),
+        (206, 426),
+        (203, 423),
+        (118, 347),
+        (117, 346),
+        (187, 411),
+        (192, 416),
+        (212, 432),
+        (210, 430),
+    ),
+    "temple": ((127, 356), (234, 454)),
+    "jaw": (
+        (93, 323),
+        (132, 361),
+        (58, 288),
+        (172, 397),
+        (136, 365),
+        (150, 379),
+        (149, 378),
+        (148, 377),
+    ),
+}
+"""Right and left are the performer's."""
+
+RIGID_PARTS = ("nose_bridge", "eye_inner", "eye_outer", "temple")
+"""Where skin hardly moves over the skull: the root of the nose and the corners of the eyes lie on
+bone, the temples beside what chews."""
+
+
+@dataclass(frozen=True)
+class LandmarkSet:
+    """The landmarks of the mesh that are markers, in the order of a take."""
+
+    names: tuple[str, ...]
+    """Part of the face, side, and a number within the part, the same on both sides:
+    ``lip_upper_L4``; without a side in the middle, ``nose_bridge_1``."""
+    indices: IntArray
+    """(markers,): numbers in the mesh."""
+    mirror: IntArray
+    """(markers,): position in this set of the landmark at the same place of the other side."""
+
+    def columns(self, *parts: str) -> IntArray:
+        """Return the positions in this set of the landmarks of some parts, both sides."""
+        part_of = [re.sub(r"_[LR]?\d+$", "", name) for name in self.names]
+        return np.array([at for at, part in enumerate(part_of) if part in parts], np.int64)
+
+    def column(self, index: int) -> int:
+        """Return the position in this set of a landmark of the mesh."""
+        return int(np.flatnonzero(self.indices == index)[0])
+
+    @property
+    def rigid(self) -> tuple[str, ...]:
+        """Names of the markers that move with the skull."""
+        return tuple(self.names[column] for column in self.columns(*RIGID_PARTS))
+
+
+def _landmark_set() -> LandmarkSet:
+    names, indices, partners = list[str](), list[int](), list[int]()
+    for part, middle in _MIDDLE.items():
+        names += [f"{part}_{number}" for number in range(1, len(middle) + 1)]
+        indices += middle
+        partners += middle
+    for part, pairs in _RIGHT_LEFT.items():
+        for number, (right, left) in enumerate(pairs, start=1):
+            names += [f"{part}_R{number}", f"{part}_L{number}"]
+            indices += [right, left]
+            partners += [left, right]
+    place = {index: column for column, index in enumerate(indices)}
+    mirror = [place[index] for index in partners]
+    return LandmarkSet(tuple(names), np.array(indices), np.array(mirror))
+
+
+LANDMARKS = _landmark_set()

@@ -1,0 +1,170 @@
+"""One face followed through pictures, chosen where there are several; each is measured twice."""
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+
+from usdface.capture.face_landmarker import FaceFinding
+from usdface.capture.face_landmarks import LANDMARKS
+from usdface.core.arrays import BoolArray, ByteImage, Float32Array, FloatArray
+from usdface.core.errors import InputError
+
+FaceChoice = Literal["largest", "left", "right"]
+
+_SAME_FACE = 0.5
+"""Of a face's breadth: two findings whose middles lie further apart are of two faces."""
+_DOUBTED_RATIO = 3.0
+"""Times the median over the take: 1 in 500 differences of two Gaussian measurements in a plane
+(Rayleigh) is larger."""
+_LEAST_CONFIDENCE = 0.1
+
+
+class FaceFinder(Protocol):
+    """What finds faces in a picture, as `FaceLandmarker` does."""
+
+    @property
+    def score_names(self) -> tuple[str, ...]:
+        """Names of the scores of each face."""
+
+    def find_faces(self, picture: ByteImage) -> list[FaceFinding]:
+        """Return the faces in a picture."""
+
+
+@dataclass(frozen=True)
+class FaceTrack:
+    """The landmarks of `LANDMARKS` over pictures."""
+
+    positions: Float32Array
+    """(pictures, markers, 3): x to the right, y down, z away from the camera [pixels]; NaN without
+    a face."""
+    difference: Float32Array
+    """(pictures, markers): between the picture and its mirror image, across the line of sight
+    [pixels]; NaN where the mirror image shows no face."""
+    scores: Float32Array
+    """(pictures, scores): the model's own weights; NaN without a face."""
+
+    @property
+    def seen(self) -> BoolArray:
+        """(pictures,): where there is a face."""
+        return np.isfinite(self.positions[:, 0, 0])
+
+    def confidence(self) -> Float32Array:
+        """Return how far each sample can be trusted: (pictures, markers) [0-1].
+
+        1 where the two measurements differ as they usually do at this landmark, falling with the
+        square of the difference beyond: a hand before the mouth, hair, a blurred picture.
+        """
+        difference = self.difference.astype(np.float64)
+        found = np.isfinite(difference).all(axis=1)
+        trust = np.where(self.seen, _LEAST_CONFIDENCE, 0.0)[:, None].repeat(
+            difference.shape[1], axis=1
+        )
+        if found.any():
+            usual = np.maximum(np.median(difference[found], axis=0), 1e-3)
+            ratio = np.maximum(difference[found] / (_DOUBTED_RATIO * usual), 1.0)
+            trust[found] = np.maximum(ratio**-2, _LEAST_CONFIDENCE)
+        return trust.astype(np.float32)
+
+
+class FaceFollower:
+    """Measures one face in picture after picture.
+
+    Parameters
+    ----------
+    choice : FaceChoice or None
+        Which face to begin with where there are several, left and right in the picture; None
+        refuses them.
+    mirrored : bool
+        Whether each picture is looked at a second time in the mirror: the mean of both has less
+        noise, and what differs is doubtful.
+    """
+
+    def __init__(self, finder: FaceFinder, choice: FaceChoice | None, *, mirrored: bool) -> None:
+        self._finder = finder
+        self._choice = choice
+        self._mirrored = mirrored
+        self._last: FloatArray | None = None
+        self._rows: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+
+    def look(self, picture: ByteImage, *, where: str) -> bool:
+        """Measure the face in the next picture; return whether there is one.
+
+        Raises
+        ------
+        InputError
+            If there are several faces and none was chosen.
+        """
+        faces = _distinct(self._finder.find_faces(picture))
+        marker_count = len(LANDMARKS.names)
+        if not faces:
+            nothing = np.full((marker_count, 3), np.nan)
+            self._rows.append((nothing, nothing[:, 0], np.array([np.nan])))
+            return False
+        if len(faces) > 1 and self._choice is None:
+            raise InputError(
+                f"{where}: {len(faces)} faces in the picture; choose one with --face largest, left "
+                "or right (it is then followed), or crop the video"
+            )
+        face = self._pick(faces)
+        self._last = face.landmarks
+        positions = face.landmarks[LANDMARKS.indices]
+        difference = np.zeros(marker_count)
+        scores = face.scores
+        if self._mirrored:
+            other = self._in_mirror(picture, face.landmarks)
+            if other is None:
+                difference[:] = np.nan
+            else:
+                again = other.landmarks[LANDMARKS.indices][LANDMARKS.mirror]
+                difference = np.linalg.norm((positions - again)[:, :2], axis=1)
+                positions = (positions + again) / 2
+        self._rows.append((positions, difference, scores))
+        return True
+
+    def track(self) -> FaceTrack:
+        """Return what was measured so far."""
+        count = max((len(scores) for *_, scores in self._rows), default=0)
+        return FaceTrack(
+            np.array([row[0] for row in self._rows], np.float32),
+            np.array([row[1] for row in self._rows], np.float32),
+            np.array([np.broadcast_to(row[2], count) for row in self._rows], np.float32),
+        )
+
+    def _pick(self, faces: list[FaceFinding]) -> FaceFinding:
+        if self._last is not None:
+            return min(faces, key=lambda face: _distance(face.landmarks, self._last))
+        if self._choice == "largest" or self._choice is None:
+            return max(faces, key=lambda face: _breadth(face.landmarks))
+        side = 1 if self._choice == "left" else -1
+        return min(faces, key=lambda face: side * float(face.landmarks[:, 0].mean()))
+
+    def _in_mirror(self, picture: ByteImage, landmarks: FloatArray) -> FaceFinding | None:
+        """Return the same face as the mirror image shows it, back in the picture's place."""
+        found = None
+        for face in self._finder.find_faces(picture[:, ::-1]):
+            back = face.landmarks * (-1, 1, 1) + (picture.shape[1], 0, 0)
+            if _distance(back, landmarks) < _SAME_FACE * _breadth(landmarks):
+                found = FaceFinding(back, face.scores)
+        return found
+
+
+def _distinct(faces: list[FaceFinding]) -> list[FaceFinding]:
+    """Leave out findings that lie on another: the detector finds some faces twice."""
+    distinct: list[FaceFinding] = []
+    for face in faces:
+        reach = _SAME_FACE * _breadth(face.landmarks)
+        if all(_distance(face.landmarks, other.landmarks) > reach for other in distinct):
+            distinct.append(face)
+    return distinct
+
+
+def _breadth(landmarks: FloatArray) -> float:
+    return float(np.ptp(landmarks[:, 0]))
+
+
+def _distance(one: FloatArray, other: FloatArray | None) -> float:
+    """Return how far apart two faces lie in the picture [pixels]."""
+    if other is None:
+        return 0.0
+    return float(np.linalg.norm(one[:, :2].mean(axis=0) - other[:, :2].mean(axis=0)))

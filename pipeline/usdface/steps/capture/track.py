@@ -1,0 +1,372 @@
+"""A video in, a take of the face's landmarks out."""
+
+import os
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from usdface.capture.channel_take import fill_frames
+from usdface.capture.face_landmarker import (
+    KNOWN_MODELS,
+    MODEL_VARIABLE,
+    FaceLandmarker,
+    check_model,
+)
+from usdface.capture.face_landmarks import LANDMARKS
+from usdface.capture.face_tracking import FaceFollower, FaceTrack
+from usdface.capture.marker_take import CaptureHeader, CaptureOptions, build_marker_take
+from usdface.capture.sample_times import DEVICE_RATES
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.assets import Take, Video, WeightsClip
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, part, silent
+from usdface.core.provenance import Provenance
+from usdface.core.rates import exact_rate, frames_of
+from usdface.core.sidecars import take_samples_path
+from usdface.core.text import first_few, pluralize
+from usdface.media.film.image_sequence import ImageSequence, open_video
+from usdface.media.film.video import VideoReader
+from usdface.model.placement.plausibility import judge_markers, settle_findings
+from usdface.numerics.rigid.perspective import PinholeCamera, unproject_head
+from usdface.runner.result import StepResult
+from usdface.specs.capture import TrackSpec
+from usdface.specs.paths import frame_range
+from usdface.usdio.take.write import write_take
+
+_FIRST_VIDEO_FRAME = 1
+
+DEFAULT_FOCAL_LENGTH = 28.0
+"""[mm] of a 35 mm camera: phones film with 23 to 31 mm, more with the picture stabilised."""
+_FILM_DIAGONAL = float(np.hypot(36.0, 24.0))
+"""[mm]"""
+
+_SMALLEST_EYE_PIXELS = 30.0
+"""Between the eyes: the model sees the face at 192 or 256 pixels, where it is some 70."""
+_LONGEST_BRIDGED = 2.5
+"""[frames] Between two pictures that are interpolated: one may be missing."""
+_CUT_BREADTHS = 1.0
+"""Of a face's breadth, from one picture to the next: heads move by a tenth."""
+_LYING_DEGREES = 60.0
+_PROFILE_SINE = 0.17
+"""Sine of 10 degrees: skin turned further away than that beyond the silhouette is not seen."""
+
+
+def run(spec: TrackSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+    """Track the face in a video and write a take."""
+    named = spec.model or os.environ.get(MODEL_VARIABLE)
+    model = None if named is None else Path(named)
+    digest = check_model(model)
+    assert model is not None
+    rate = None if spec.video_rate is None else exact_rate(spec.video_rate, where="--video-rate")
+    with open_video(spec.video, rate) as video, FaceLandmarker(model) as landmarker:
+        timing = _settle_timing(spec, video, rate)
+        follower = FaceFollower(landmarker, spec.face, mirrored=spec.quality == "final")
+        _look_at_pictures(spec, video, timing, follower, part(progress, 0.0, 0.95))
+        track = follower.track()
+        camera, focal_note = _camera(spec, video)
+        score_names = landmarker.score_names
+        timecode = video.timecode
+    _check_faces(spec, track)
+    notes = [*timing.notes, focal_note, *_track_notes(track, timing)]
+    if digest not in KNOWN_MODELS:
+        notes.append(f"{model.name} is not the version that was measured (SHA-256 {digest[:16]}…)")
+    take, built = _build_take(spec, track, timing, camera, score_names)
+    doubts = settle_findings(
+        judge_markers(take.markers, float(timing.rate)) if take.markers else (),
+        stated=("rate",),
+        where=spec.video,
+    )
+    take = replace(take, doubts=doubts, timecode_start=_timecode(timecode, timing))
+    progress(0.95, f"writing {spec.out.name}")
+    write_take(spec.out, take, provenance=provenance)
+    progress(1.0, f"wrote {spec.out.name}")
+    outputs = tuple(dict.fromkeys((spec.out, take_samples_path(spec.out))))
+    figures = _figures(take, track, camera) | {"model_sha256": digest}
+    summary = (
+        f"{take.name}: {pluralize(take.frame_count, 'frame')} at {float(take.rate):g} per second, "
+        f"{pluralize(len(LANDMARKS.names), 'landmark')}, face in {100 * track.seen.mean():.1f} % "
+        "of the pictures"
+    )
+    return StepResult(outputs, summary, (*notes, *built, *doubts), figures)
+
+
+@dataclass(frozen=True)
+class _Timing:
+    """Which pictures are looked at, and where each lies on the take's even frames."""
+
+    rate: Fraction
+    """Frames per second of the take."""
+    pictures: IntArray
+    """(pictures,): index in the video."""
+    frames: FloatArray
+    """(pictures,): frame of each picture from `first_frame`, whole where pictures are even."""
+    first_frame: int
+    start_seconds: float
+    """Time of the frame `first_frame` on the video's clock [s]."""
+    notes: tuple[str, ...]
+
+
+def _settle_timing(
+    spec: TrackSpec, video: VideoReader | ImageSequence, wanted: Fraction | None
+) -> _Timing:
+    """Lay pictures on even frames by their own times, never by counting."""
+    notes = []
+    times = video.times
+    rate = wanted or video.rate
+    if rate is None:
+        step = float(np.median(np.diff(times)))
+        nearest = min(DEVICE_RATES, key=lambda each: abs(each * step - 1))
+        rate = Fraction(nearest)
+        notes.append(
+            f"pictures come unevenly, {1 / step:.3g} per second at the median: brought to "
+            f"{nearest} frames per second by their times; another with --video-rate"
+        )
+    frames = (times - times[0]) * float(rate)
+    whole = np.rint(frames)
+    if np.abs(frames - whole).max() < 0.1:  # a tenth of a frame: times are rounded
+        frames = whole
+    limits = frame_range(spec.frames)
+    pictures = np.arange(len(times))
+    if limits is not None:
+        inside = (frames + _FIRST_VIDEO_FRAME >= limits[0]) & (
+            frames + _FIRST_VIDEO_FRAME <= limits[1]
+        )
+        pictures = pictures[inside]
+        if not len(pictures):
+            last = _FIRST_VIDEO_FRAME + int(frames[-1])
+            raise InputError(
+                f"{spec.video}: --frames {spec.frames} holds none of its frames, "
+                f"{_FIRST_VIDEO_FRAME} to {last}"
+            )
+    first = int(np.ceil(frames[pictures[0]]))
+    return _Timing(
+        rate=rate,
+        pictures=pictures,
+        frames=frames[pictures] - first,
+        first_frame=_FIRST_VIDEO_FRAME + first,
+        start_seconds=float(times[0] + first / float(rate)),
+        notes=tuple(notes),
+    )
+
+
+def _look_at_pictures(
+    spec: TrackSpec,
+    video: VideoReader | ImageSequence,
+    timing: _Timing,
+    follower: FaceFollower,
+    progress: Progress,
+) -> None:
+    for number, index in enumerate(timing.pictures.tolist()):
+        seconds = float(video.times[index])
+        picture = video.frame_at(seconds)
+        if picture is None:  # times come from the video itself
+            raise InputError(f"{spec.video}: no picture at {seconds:.3f} s; export it again")
+        follower.look(picture, where=f"{spec.video} at {seconds:.2f} s")
+        if number % 8 == 0:
+            progress(number / len(timing.pictures), f"tracking {spec.video.name}")
+
+
+def _camera(spec: TrackSpec, video: VideoReader | ImageSequence) -> tuple[PinholeCamera, str]:
+    """Return the camera, and where its focal length comes from."""
+    picture = video.frame_at(float(video.times[0]))
+    assert picture is not None
+    height, width = picture.shape[:2]
+    focal, note = spec.focal_length, ""
+    if focal is None and isinstance(video, VideoReader):
+        focal = video.focal_length
+    if focal is None:
+        focal = DEFAULT_FOCAL_LENGTH
+        note = (
+            f"the file states no focal length; {focal:g} mm of a 35 mm camera assumed: name the "
+            "lens with --focal-length, as perspective is undone by it"
+        )
+    else:
+        note = f"perspective undone for a focal length of {focal:g} mm of a 35 mm camera"
+    pixels = focal / _FILM_DIAGONAL * float(np.hypot(width, height))
+    return PinholeCamera(pixels, (width / 2, height / 2)), note
+
+
+def _check_faces(spec: TrackSpec, track: FaceTrack) -> None:
+    """Refuse a video without a face, or one that lies on its side."""
+    if not track.seen.any():
+        raise InputError(
+            f"{spec.video}: no face in any of {len(track.seen)} pictures; film it from the front, "
+            "lit, and larger than a fifth of the picture's height; a video that lies on its side "
+            "has to be turned first (ffmpeg -display_rotation 90 -i IN -c copy OUT)"
+        )
+    right, left = _eye_columns()
+    across = track.positions[track.seen][:, left].mean(axis=1)
+    across = across - track.positions[track.seen][:, right].mean(axis=1)
+    # Of a face upright in the picture, the performer's left eye is on the right.
+    roll = np.degrees(np.arctan2(np.median(across[:, 1]), np.median(across[:, 0])))
+    if abs(roll) > _LYING_DEGREES:
+        raise InputError(
+            f"{spec.video}: the face lies by {roll:.0f} degrees in the picture; turn the video "
+            "first (ffmpeg -display_rotation 90 -i IN -c copy OUT, or -90)"
+        )
+
+
+def _eye_columns() -> tuple[IntArray, IntArray]:
+    """Return the corners of the right and of the left eye, whose mean is the eye's centre."""
+    corners = LANDMARKS.columns("eye_inner", "eye_outer")
+    right = np.array(["_R" in LANDMARKS.names[column] for column in corners])
+    return corners[right], corners[~right]
+
+
+def _track_notes(track: FaceTrack, timing: _Timing) -> list[str]:
+    """Say what is doubtful about a track: cuts, small faces, pictures without one."""
+    notes = []
+    seen = track.seen
+    frames = np.rint(timing.frames).astype(np.int64) + timing.first_frame
+    if not seen.all():
+        notes.append(f"no face in {pluralize(int((~seen).sum()), 'picture')}, which are gaps")
+    unsure = seen & ~np.isfinite(track.difference[:, 0])
+    if unsure.any():
+        notes.append(
+            f"the mirror image shows no face in {pluralize(int(unsure.sum()), 'picture')}: low "
+            f"confidence ({first_few(frames[unsure].tolist())})"
+        )
+    positions = track.positions[seen][..., :2]
+    breadth = np.median(np.ptp(positions[..., 0], axis=1))
+    step = np.linalg.norm(np.diff(positions.mean(axis=1), axis=0), axis=1)
+    together = np.diff(np.flatnonzero(seen)) == 1
+    cuts = frames[seen][1:][together & (step > _CUT_BREADTHS * breadth)]
+    if len(cuts):
+        notes.append(
+            f"the face jumps at frame {first_few(cuts.tolist())}: a cut? Track each shot by itself "
+            "with --frames"
+        )
+    right, left = _eye_columns()
+    between = positions[:, left].mean(axis=1) - positions[:, right].mean(axis=1)
+    eyes = float(np.median(np.linalg.norm(between, axis=1)))
+    if eyes < _SMALLEST_EYE_PIXELS:
+        notes.append(
+            f"the eyes are {eyes:.0f} pixels apart; lips and lids of faces below "
+            f"{_SMALLEST_EYE_PIXELS:g} are coarse: film closer or with more pixels"
+        )
+    return notes
+
+
+def _build_take(
+    spec: TrackSpec,
+    track: FaceTrack,
+    timing: _Timing,
+    camera: PinholeCamera,
+    score_names: tuple[str, ...],
+) -> tuple[Take, tuple[str, ...]]:
+    """Bring landmarks into space and onto even frames; return the take and notes."""
+    seen = track.seen
+    space = unproject_head(
+        track.positions.astype(np.float64),
+        seen,
+        rigid=np.array([LANDMARKS.names.index(name) for name in LANDMARKS.rigid]),
+        eyes=_eye_columns(),
+        eye_distance_mm=spec.eye_distance,
+        camera=camera,
+    )
+    rows, present = _even_rows(timing.frames, seen)
+    positions = _on_frames(space.reshape(len(space), -1)[seen], timing.frames[seen], rows)
+    confidence = _on_frames(track.confidence().astype(np.float64)[seen], timing.frames[seen], rows)
+    scores = _on_frames(track.scores.astype(np.float64)[seen], timing.frames[seen], rows)
+    positions = positions.reshape(len(rows), -1, 3)
+    visible = np.repeat(present[:, None], positions.shape[1], axis=1)
+    visible &= ~_turned_away(positions)
+    neutral = spec.neutral
+    notes = []
+    if neutral is None:
+        neutral = _least_expression(scores, present, score_names) + timing.first_frame
+        notes.append(f"frame {neutral} shows the least expression, and is taken as neutral")
+    header = CaptureHeader(spec.video, "track", timing.rate, timing.first_frame)
+    built = build_marker_take(
+        header,
+        LANDMARKS.names,
+        positions,
+        visible,
+        CaptureOptions(rigid=LANDMARKS.rigid, neutral=neutral),
+    )
+    markers = built.take.markers
+    assert markers is not None
+    confidence = np.where(markers.visible, confidence, 0).astype(np.float32)
+    take = replace(
+        built.take,
+        name=spec.take or spec.video.stem,
+        markers=replace(markers, confidence=confidence),
+        source=WeightsClip(score_names, scores, timing.first_frame, timing.rate),
+        video=Video(spec.video, timing.rate, offset=-timing.start_seconds),
+        performer=spec.performer,
+        session=spec.session,
+        emotion=spec.emotion,
+    )
+    return take, (*notes, *built.notes)
+
+
+def _even_rows(frames: FloatArray, seen: BoolArray) -> tuple[IntArray, BoolArray]:
+    """Return the take's frames from 0, and in which a face is seen in pictures nearby."""
+    rows = np.arange(int(np.floor(frames[-1])) + 1)
+    before = np.clip(np.searchsorted(frames, rows + 1e-6) - 1, 0, len(frames) - 1)
+    after = np.where(frames[before] >= rows - 1e-6, before, np.minimum(before + 1, len(frames) - 1))
+    near = frames[after] - frames[before] <= _LONGEST_BRIDGED
+    return rows, seen[before] & seen[after] & near
+
+
+def _on_frames(values: FloatArray, frames: FloatArray, rows: IntArray) -> Float32Array:
+    """Return (frames, channels): linear between pictures, held at the ends."""
+    ends = [np.minimum(frames[:1], 0.0), np.maximum(frames[-1:], rows[-1])]
+    held = np.concatenate([values[:1], values, values[-1:]])
+    times = np.concatenate([ends[0] - 1e-9, frames, ends[1] + 1e-9])
+    return fill_frames(held, times)
+
+
+def _turned_away(positions: Float32Array) -> BoolArray:
+    """Return which landmarks lie behind the silhouette: (frames, landmarks).
+
+    The head is taken for an upright cylinder about an axis between the ears; a landmark that lies
+    beyond its edge as the camera sees it is a guess of the model.
+    """
+    ears = positions[:, [LANDMARKS.column(234), LANDMARKS.column(454)]].astype(np.float64)
+    axis = ears.mean(axis=1)
+    outward = positions - axis[:, None]
+    up = positions[:, LANDMARKS.column(10)] - positions[:, LANDMARKS.column(152)]
+    up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
+    outward = outward - (outward * up[:, None]).sum(axis=2, keepdims=True) * up[:, None]
+    length = np.linalg.norm(outward, axis=2)
+    sight = -axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
+    sine = (outward * sight[:, None]).sum(axis=2) / np.maximum(length, 1e-9)
+    return np.asarray(sine < -_PROFILE_SINE)
+
+
+def _least_expression(scores: Float32Array, present: BoolArray, names: tuple[str, ...]) -> int:
+    """Return the row whose face is nearest to rest by the model's scores, the gaze apart."""
+    counted = [at for at, name in enumerate(names) if not name.startswith(("eyeLook", "_"))]
+    expression = scores[:, counted].sum(axis=1)
+    return int(np.argmin(np.where(present, expression, np.inf)))
+
+
+def _timecode(start: str, timing: _Timing) -> str:
+    """Return the timecode of the first tracked frame; empty where the video's is none."""
+    if not start or timing.first_frame != _FIRST_VIDEO_FRAME:
+        return ""
+    try:
+        frames_of(start, timing.rate)
+    except InputError:
+        return ""
+    return start
+
+
+def _figures(take: Take, track: FaceTrack, camera: PinholeCamera) -> dict[str, object]:
+    markers = take.markers
+    assert markers is not None
+    return {
+        "frames": take.frame_count,
+        "rate": float(take.rate),
+        "first_frame": take.first_frame,
+        "markers": len(markers.names),
+        "rigid": list(markers.rigid),
+        "neutral_frame": markers.neutral_frame,
+        "face_share": float(track.seen.mean()),
+        "gap_share": float(1 - markers.visible.mean()),
+        "low_confidence_share": float((markers.confidence[markers.visible] < 0.5).mean()),
+        "focal_pixels": camera.focal_pixels,
+    }

@@ -1,0 +1,131 @@
+"""Landmarks' names, which face is followed, how far samples are trusted, models that are none."""
+
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.capture.simulated_faces import SimulatedFinder, turning_head
+from usdface.capture.face_landmarker import FaceLandmarker, check_model
+from usdface.capture.face_landmarks import LANDMARK_COUNT, LANDMARKS
+from usdface.capture.face_tracking import FaceFollower
+from usdface.core.errors import InputError
+from usdface.model.placement.label_hints import label_hint, mirrored_label
+
+PICTURE = np.zeros((480, 640, 3), np.uint8)
+
+
+def follow(finder: SimulatedFinder, count: int, choice=None, *, mirrored: bool = False):
+    follower = FaceFollower(finder, choice, mirrored=mirrored)
+    for number in range(count):
+        follower.look(PICTURE, where=f"clip.mp4 picture {number}")
+    return follower.track()
+
+
+def test_names_say_part_and_side_and_mirror_each_other() -> None:
+    assert len(set(LANDMARKS.names)) == len(set(LANDMARKS.indices.tolist())) == 205
+    assert LANDMARKS.indices.max() == LANDMARK_COUNT - 1
+    for column, name in enumerate(LANDMARKS.names):
+        hint = label_hint(name)
+        assert hint.region or name.startswith("iris"), name
+        partner = LANDMARKS.names[LANDMARKS.mirror[column]]
+        assert partner in mirrored_label(name) if hint.side else partner == name
+
+
+def test_several_faces_are_refused_or_one_is_followed() -> None:
+    def two(number: int):
+        near, far = turning_head(number, at=(90, 0, -600)), turning_head(number, at=(-150, 0, -800))
+        if number == 3:  # one is lost for a moment; the other is not taken for it
+            return [np.add(far, [1, 0, 0]), near]
+        return [near, far] if number % 2 else [far, near]
+
+    with pytest.raises(InputError, match=r"picture 0: 2 faces .* --face largest, left or right"):
+        follow(SimulatedFinder(two, focal_pixels=600), 1)
+    middle = {}
+    for choice in ("largest", "left", "right"):
+        track = follow(SimulatedFinder(two, focal_pixels=600), 6, choice)
+        middle[choice] = track.positions[..., 0].mean(axis=1)
+        assert np.ptp(middle[choice]) < 20  # it never jumps to the other
+    assert middle["left"].mean() < 320 < middle["right"].mean()
+    np.testing.assert_array_equal(middle["largest"], middle["right"])
+
+
+def test_one_face_that_is_found_twice_is_one() -> None:
+    finder = SimulatedFinder(lambda n: [turning_head(n), turning_head(n) + 2.0], focal_pixels=600)
+    assert follow(finder, 2).seen.all()
+
+
+def test_the_mirror_image_takes_out_what_leans_to_one_side() -> None:
+    """A model that puts all points too far to the right does so in the mirror as well."""
+    plain = follow(SimulatedFinder(lambda n: [turning_head(n)], focal_pixels=600), 5)
+    leaning = SimulatedFinder(lambda n: [turning_head(n)], focal_pixels=600, looks=2, bias=3.0)
+    track = follow(leaning, 5, mirrored=True)
+    np.testing.assert_allclose(track.difference, 6.0, atol=0.01)
+    np.testing.assert_allclose(track.positions, plain.positions, atol=0.01)
+
+
+def test_samples_that_differ_in_the_mirror_are_not_trusted() -> None:
+    rng = np.random.default_rng(0)
+    lips = LANDMARKS.columns("lip_upper", "lip_lower")
+
+    def covered(number: int):
+        points = turning_head(number) + rng.normal(size=(LANDMARK_COUNT, 3)) * (0.2, 0.2, 0)
+        if 20 <= number < 24:  # a hand before the mouth
+            points[LANDMARKS.indices[lips]] += rng.normal(size=(len(lips), 3)) * (6, 6, 0)
+        return [points] if number != 30 else []
+
+    track = follow(SimulatedFinder(covered, focal_pixels=600, looks=2), 40, mirrored=True)
+    trust = track.confidence()
+    assert (trust[30] == 0).all()
+    usual = np.delete(np.arange(40), [20, 21, 22, 23, 30])
+    assert (trust[usual] == 1).mean() > 0.98
+    others = np.setdiff1d(np.arange(len(LANDMARKS.names)), lips)
+    assert np.median(trust[20:24][:, lips]) < 0.5
+    assert np.median(trust[20:24][:, others]) == 1
+
+
+def bundle(path: Path, *members: str) -> Path:
+    with zipfile.ZipFile(path, "w") as file:
+        for member in members:
+            file.writestr(member, b"x" * 2000)
+    return path
+
+
+def test_a_model_that_is_none_is_refused_with_what_it_must_be(tmp_path: Path) -> None:
+    parts = ("face_detector.tflite", "face_landmarks_detector.tflite", "face_blendshapes.tflite")
+    whole = bundle(tmp_path / "whole.task", *parts)
+    assert len(check_model(whole)) == 64
+    cut = tmp_path / "cut.task"
+    cut.write_bytes(whole.read_bytes()[:3000])
+    damaged = tmp_path / "damaged.task"
+    damaged.write_bytes(whole.read_bytes().replace(b"x" * 2000, b"x" * 1999 + b"y", 1))
+    other = bundle(tmp_path / "hand.task", "hand_detector.tflite")
+    for path, message in (
+        (
+            None,
+            r"no model is named: .*face_landmarker\.task \(3\.8 MB, Apache 2\.0.*USDFACE_FACE_M",
+        ),
+        (tmp_path / "none.task", r"none\.task: no such file; .* --model"),
+        (cut, r"cut\.task: is no model bundle, or is cut short \(3000 bytes"),
+        (damaged, r"face_detector\.tflite in it is damaged"),
+        (other, r"another task: it holds hand_detector\.tflite, and no face_detector"),
+    ):
+        with pytest.raises(InputError, match=message):
+            check_model(path)
+
+
+def test_without_the_extra_its_name_and_size_are_said(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "mediapipe", None)
+    with pytest.raises(InputError, match=r"usdface\[track\] \(340 MB on disk, Apache 2\.0\)"):
+        FaceLandmarker(tmp_path / "any.task")
+
+
+def test_nothing_of_the_extra_is_loaded_before_it_is_needed() -> None:
+    code = (
+        "import sys, usdface.cli.app, usdface.steps.capture.track; "
+        "sys.exit(bool({'cv2', 'mediapipe'} & set(sys.modules)))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,166 @@
+"""A video becomes a take: frames by their times, heads in space, gaps where no face is."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import usdface.steps.capture.track as step
+from tests.capture.simulated_faces import SCORES, SimulatedFinder, head_points, turning_head
+from tests.media.bar_code import HEIGHT, WIDTH, write_numbered
+from usdface.capture.face_landmarks import LANDMARKS
+from usdface.core.errors import InputError
+from usdface.media.film.movie import write_movie
+from usdface.media.picture.image import write_image
+from usdface.numerics.rigid.rigid_alignment import align_rigid
+from usdface.runner.execute import execute
+from usdface.specs.capture import CleanSpec, TrackSpec
+from usdface.usdio.take.read import read_take
+
+FOCAL = 28.0
+FOCAL_PIXELS = FOCAL / np.hypot(36, 24) * np.hypot(WIDTH, HEIGHT)
+
+
+@pytest.fixture
+def tracked(tmp_path: Path, monkeypatch):
+    """Track a clip with a simulated model; the picture's number says what it shows."""
+    monkeypatch.setattr(step, "check_model", lambda path: "0" * 64)
+    model = tmp_path / "face_landmarker.task"
+    model.write_bytes(b"")
+
+    def run(video: Path, faces, **options):
+        finder = SimulatedFinder(faces, focal_pixels=FOCAL_PIXELS, looks=1)
+        monkeypatch.setattr(step, "FaceLandmarker", lambda path: finder)
+        out = tmp_path / "x.take.usda"
+        asked = {"model": model, "quality": "draft", "focal_length": FOCAL} | options
+        result = execute(TrackSpec(video=video, out=out, **asked), overwrite=True)
+        return result, read_take(out)
+
+    return run
+
+
+def one_head(number: int):
+    return [turning_head(number)]
+
+
+def clip(path: Path, count: int = 24, rate: int = 24) -> Path:
+    write_movie(path, [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * count, rate=rate)
+    return path
+
+
+def test_a_head_is_where_it_was_and_cleaning_takes_its_motion_out(tracked, tmp_path) -> None:
+    result, take = tracked(clip(tmp_path / "a.mp4", 40), one_head, performer="Kim")
+    assert (take.rate, take.first_frame, take.frame_count) == (24, 1, 40)
+    assert (take.video.file, take.video.offset) == (tmp_path / "a.mp4", 0)
+    assert (take.performer, take.name, take.markers.names) == ("Kim", "a", LANDMARKS.names)
+    points = np.stack([turning_head(n) for n in range(40)])[:, LANDMARKS.indices]
+    right, left = step._eye_columns()
+    size = np.linalg.norm(points[0, left].mean(axis=0) - points[0, right].mean(axis=0)) / 63.0
+    rest = head_points()[LANDMARKS.indices] / size
+    pose = align_rigid(take.markers.positions, rest)
+    placed = rest @ pose.rotations.transpose(0, 2, 1) + pose.translations[:, None]
+    assert np.abs(take.markers.positions - placed).max() < 0.01
+    truth = align_rigid(points, head_points()[LANDMARKS.indices])
+    np.testing.assert_allclose(pose.rotations, truth.rotations, atol=1e-4)
+    # the least of the scores that are no gaze is at the first picture
+    assert take.markers.neutral_frame == 1
+    assert take.source.names == SCORES
+    assert take.source.values[20, 2] == pytest.approx(0.7)
+    clean = tmp_path / "x.clean.take.usda"
+    execute(CleanSpec(take=tmp_path / "x.take.usda", out=clean, relabel=False, smooth=False))
+    still = read_take(clean)
+    assert np.ptp(still.markers.positions, axis=0).max() < 0.1
+    assert still.head_motion is not None
+    assert result.figures["face_share"] == 1.0
+
+
+def test_uneven_pictures_lie_at_their_times(tracked, tmp_path) -> None:
+    stamps = [0, 33, 67, 100, 167, 200, 240, 267, 300, 500, 533, 567]  # a phone: a jump, a hole
+    video = tmp_path / "phone.mp4"
+    write_numbered(video, stamps, base=Fraction(1, 1000), rate=Fraction(30))
+
+    def nodding(number: int):
+        return [turning_head(0) + np.array([0.05 * stamps[number], 0, 0])]
+
+    result, take = tracked(video, nodding)
+    assert (take.rate, take.frame_count) == (30, 18)
+    assert any("come unevenly" in note for note in result.notes)
+    seen = take.markers.visible.any(axis=1)
+    np.testing.assert_array_equal(np.flatnonzero(~seen), np.arange(10, 15))
+    nose = take.markers.positions[:, take.markers.names.index("nose_tip_1")]
+    moved = (nose[:, 0] - nose[0, 0])[seen]
+    # 50 mm a second of the simulated head, and its scale
+    expected = np.arange(18)[seen] / 30 * 50 * np.ptp(moved) / (0.05 * 567)
+    np.testing.assert_allclose(moved, expected, atol=0.15)
+
+
+def test_frames_without_a_face_are_gaps_and_frames_are_chosen(tracked, tmp_path) -> None:
+    video = clip(tmp_path / "b.mp4", 30)
+    result, take = tracked(video, lambda n: [] if 5 <= n < 9 else one_head(n), frames="11-30")
+    assert (take.first_frame, take.frame_count) == (11, 20)
+    assert take.video.video_time(0.0) == pytest.approx(10 / 24)
+    assert (np.flatnonzero(~take.markers.visible.all(axis=1)) == np.arange(5, 9)).all()
+    assert (take.markers.confidence[5:9] == 0).all()
+    assert any("no face in 4 pictures" in note for note in result.notes)
+    with pytest.raises(InputError, match=r"--frames 90-99 holds none of its frames, 1 to 30"):
+        tracked(video, one_head, frames="90-99")
+    with pytest.raises(InputError, match=r"no face in any of 30 pictures; .*ffmpeg"):
+        tracked(video, lambda n: [])
+
+
+def test_a_lying_video_and_a_cut_are_said(tracked, tmp_path) -> None:
+    video = clip(tmp_path / "c.mp4", 12)
+    lying = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    with pytest.raises(InputError, match=r"the face lies by -?90 degrees in the picture; turn"):
+        tracked(video, lambda n: [turning_head(n) @ lying.T])
+    result, _ = tracked(video, lambda n: [np.add(turning_head(n), [0 if n < 6 else 250, 0, 0])])
+    assert any("the face jumps at frame 7: a cut?" in note for note in result.notes)
+
+
+def test_of_a_profile_the_hidden_side_is_a_gap(tracked, tmp_path) -> None:
+    turn = Rotation.from_euler("y", -60, degrees=True).as_matrix()
+    faces = head_points() @ turn.T + (0, 0, -600)
+    _, take = tracked(
+        clip(tmp_path / "d.mp4", 8), lambda n: one_head(n) if n < 4 else [faces], neutral=1
+    )
+    names = take.markers.names
+    assert take.markers.visible[:4].all()
+    hidden = {name for name, seen in zip(names, take.markers.visible[7], strict=True) if not seen}
+    assert "temple_R1" not in hidden or "temple_L1" not in hidden
+    assert hidden & {"temple_R1", "temple_L1"}
+    assert not hidden & {"nose_tip_1", "lip_upper_1", "chin_1"}
+
+
+def test_pictures_are_a_video_too(tracked, tmp_path) -> None:
+    for number in (1001, 1002, 1004, 1005):
+        write_image(tmp_path / f"shot.{number}.png", np.zeros((HEIGHT, WIDTH, 3), np.uint8))
+    _, take = tracked(tmp_path / "shot.1001.png", one_head, video_rate=25)
+    assert (take.rate, take.frame_count) == (25, 5)
+    assert take.markers.visible.all()  # one missing picture is bridged
+
+
+@pytest.mark.fixtures("models", "video_pyfeat")
+def test_a_recorded_face_is_tracked_by_the_model_itself(shared_data: Path, tmp_path: Path) -> None:
+    pytest.importorskip("mediapipe", reason="the extra usdface[track] is not installed")
+    model = shared_data / "models" / "face_landmarker.task"
+    video = shared_data / "video_pyfeat" / "single_face.mp4"
+    result = execute(
+        TrackSpec(video=video, out=tmp_path / "x.take.usda", model=model, frames="20-34")
+    )
+    take = read_take(tmp_path / "x.take.usda")
+    markers = take.markers
+    assert (take.rate, take.first_frame, take.frame_count) == (30, 20, 15)
+    assert result.figures["face_share"] == 1.0
+    assert not take.doubts
+    assert len(take.source.names) == 52
+    place = dict(zip(markers.names, markers.positions.mean(axis=0), strict=True))
+    assert place["brow_middle_L1"][1] > place["eye_outer_L1"][1] > place["nose_tip_1"][1]
+    assert place["nose_tip_1"][1] > place["lip_upper_1"][1] > place["chin_4"][1]
+    assert place["mouth_corner_L1"][0] > place["lip_lower_4"][0] > place["mouth_corner_R1"][0]
+    assert place["nose_tip_1"][2] > place["mouth_corner_L1"][2] > place["temple_L1"][2]
+    skull = markers.positions[:, [markers.names.index(name) for name in markers.rigid]]
+    pose = align_rigid(skull, skull[0])
+    still = skull[0] @ pose.rotations.transpose(0, 2, 1) + pose.translations[:, None]
+    assert np.sqrt(((skull - still) ** 2).sum(axis=2).mean()) < 1.5
