@@ -73,6 +73,7 @@ def test_a_head_is_where_it_was_and_cleaning_takes_its_motion_out(tracked, tmp_p
     still = read_take(clean)
     assert np.ptp(still.markers.positions, axis=0).max() < 0.1
     assert still.head_motion is not None
+    np.testing.assert_array_equal(still.markers.confidence, take.markers.confidence)
     assert result.figures["face_share"] == 1.0
 
 

@@ -73,7 +73,10 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
         names=markers.names,
         positions=cleaned.positions,
         visible=cleaned.visible,
-        confidence=cleaned.confidence,
+        # A sample that the tracker doubts is no better for being smoothed; one that was filled is.
+        confidence=np.where(
+            markers.visible, np.minimum(cleaned.confidence, markers.confidence), cleaned.confidence
+        ),
         rigid=rigid,
         neutral_frame=neutral,
         anchor=markers.anchor,
