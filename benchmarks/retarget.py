@@ -19,7 +19,7 @@ from usdface.demo.rig import demo_rig
 from usdface.demo.sculpt import ACTOR
 from usdface.model.retarget.control_space import find_pair_conflicts
 from usdface.model.retarget.cyclic import evaluate_cyclic, spread_displacements
-from usdface.model.retarget.shape_names import match_names
+from usdface.model.retarget.name_matching import match_names
 from usdface.model.retarget.train import retarget, train_retargeting
 from usdface.usdio.rig.read import read_rig
 

@@ -6,7 +6,7 @@ import sys
 import traceback
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -324,6 +324,52 @@ def describe(
     from usdface.steps.performance.describe import describe_mapping
 
     show_result(describe_mapping(mapping), as_json=as_json)
+
+
+@app.command(epilog=EPILOG, rich_help_panel="retarget")
+def names(
+    rig: Annotated[Path, typer.Argument(help="The rig to drive.", show_default=False)],
+    source: Annotated[
+        Path | None,
+        typer.Argument(
+            help="A rig, a take, a performance, or a capture or table of weights. Default: the 52 "
+            "names of ARKit.",
+            show_default=False,
+        ),
+    ] = None,
+    table: Annotated[
+        Path | None,
+        typer.Option("--names", help="Table to follow instead: an edited one.", show_default=False),
+    ] = None,
+    match: Annotated[
+        Literal["both", "name", "deformation"],
+        typer.Option(help="Between rigs: match by name, by deformation, or by both."),
+    ] = "both",
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Write the table, .csv or .json, to be edited.", show_default=False),
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Print which shapes of a source drive which shapes of a rig, by what their names mean.
+
+    Names of ARKit, ICT, Character Creator, MetaHuman, FACS, Meta, MPFB, FACEGOOD and VRoid are
+    understood, with any prefix, suffix and side. What could be either of two is named, not guessed.
+    Write the table with --out, edit it, and give it to `retarget --names`, `pairs propose --names`
+    or `references import --names`.
+
+    Example:
+
+    usdface names hero.usd kitchen.take.usda --out kitchen.names.csv
+    """
+    from usdface.steps.retarget.names import list_names
+
+    report = list_names(rig, source, names=table, by=match, out=out, overwrite=overwrite)
+    if as_json:
+        show_json(report.as_data() | {"pairs": report.figures["pairs"]})
+    else:
+        show_result(report, as_json=False)
 
 
 @app.command(epilog=EPILOG, rich_help_panel="edits")

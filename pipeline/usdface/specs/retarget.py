@@ -22,7 +22,7 @@ from usdface.specs.paths import (
 class PairsProposeSpec(Spec):
     """Propose pairs of corresponding expressions of two characters.
 
-    Shapes are matched by name (ARKit, ICT, FACS action units and their usual spellings), the others
+    Shapes are matched by what their names mean (`usdface names` shows the pairs), the others
     by how they deform the face. Keyed pairs are kept, and existing pairs keep their time codes.
     """
 
@@ -42,6 +42,8 @@ class PairsProposeSpec(Spec):
     """The pairs asset to write: pair i at time code i."""
     match: Literal["both", "name", "deformation"] = "both"
     """Match by `name`, by `deformation`, or by name first and then by deformation (`both`)."""
+    names: ReadPath | None = None
+    """Table of pairs of shapes to follow instead, as `usdface names` writes it (.csv or .json)."""
     attributes: tuple[Name, ...] = ()
     """Float attributes of the target to key with the shapes, as PRIM.ATTRIBUTE from its top prim. *
     matches any characters."""
@@ -119,29 +121,33 @@ class TrainRetargetSpec(Spec):
 
 
 class RetargetSpec(Spec):
-    """Transfer a performance to one or more other characters.
+    """Transfer weights to one or more characters.
 
-    Each target gets its own performance of weights, joints and attributes over its rig, which is
-    referenced and never written. Give --retargeting and --out once per target.
+    With --retargeting, as trained on pairs: give it and --out once per target. Without it, straight
+    to the rigs of --rig, by what the names of the shapes mean: Live Link, MetaHuman, Character
+    Creator, FACS and others (`usdface names` shows the pairs). Each target gets its own performance
+    over its rig, which is referenced and never written. Given a folder, with a folder as --out,
+    every take or capture in it is retargeted.
     """
 
-    example: ClassVar[str] = (
-        "usdface retarget kitchen.take.usda --retargeting human_dog.retarget.usdc "
-        "--out kitchen.dog.usda"
-    )
+    example: ClassVar[str] = "usdface retarget kitchen.csv --rig hero.usd --out kitchen.hero.usda"
     module: ClassVar[str] = "retarget.retarget"
     makes: ClassVar[str] = "performance"
     sidecar: ClassVar[Sidecar | None] = weights_path
 
     step: Literal["retarget"] = "retarget"
     source: Annotated[FilePath, Reads(), Positional()]
-    """Source weights: a take that carries them (Live Link), or a performance."""
-    retargeting: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads()]
+    """Source weights: a take that carries them, a performance, or a capture file or table of
+    weights, such as the CSV of Live Link Face."""
+    retargeting: Annotated[tuple[FilePath, ...], Reads()] = ()
     """Files written by `usdface train-retarget`, one per target."""
     out: Annotated[tuple[LayerOut, ...], Field(min_length=1)]
     """The performances to write, one per target."""
     rig: Annotated[tuple[FilePath, ...], Reads()] = ()
-    """Rigs of the targets, if they have moved since training."""
+    """Rigs of the targets; with --retargeting, only if they have moved since training."""
+    names: ReadPath | None = None
+    """Table of pairs of shapes to follow instead of the names, as `usdface names` writes it (.csv
+    or .json)."""
     prim: PrimPath | None = None
     """Prim path of the rig in its performance. Default: the name of the rig's default prim."""
     alpha: ReadPath | None = None
@@ -157,10 +163,19 @@ class RetargetSpec(Spec):
 
     @model_validator(mode="after")
     def _one_of_each(self) -> Self:
-        if len(self.out) != len(self.retargeting) or len(self.rig) not in (0, len(self.out)):
+        if not self.retargeting and not self.rig:
+            raise ValueError(
+                "no target is given: name its rig with --rig, or what `usdface train-retarget` "
+                "wrote with --retargeting"
+            )
+        if not self.retargeting and self.alpha is not None:
+            raise ValueError("alpha blends the two parts of a trained hybrid; give --retargeting")
+        trained = len(self.retargeting) or len(self.out)
+        if len(self.out) != trained or len(self.rig) not in (0, len(self.out)):
             raise ValueError(
                 f"{len(self.retargeting)} retargetings, {len(self.out)} outputs and "
-                f"{len(self.rig)} rigs; give one of each for every target, or no rig at all"
+                f"{len(self.rig)} rigs; give one of each for every target; either the rigs or the "
+                "retargetings may be left out"
             )
         return self
 

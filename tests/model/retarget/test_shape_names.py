@@ -2,18 +2,9 @@
 
 import pytest
 
-from usdface.model.retarget.shape_names import match_names, motion_and_side
-
-ARKIT = """
-eyeBlinkLeft eyeLookDownLeft eyeLookInLeft eyeLookOutLeft eyeLookUpLeft eyeSquintLeft eyeWideLeft
-eyeBlinkRight eyeLookDownRight eyeLookInRight eyeLookOutRight eyeLookUpRight eyeSquintRight
-eyeWideRight jawForward jawLeft jawRight jawOpen mouthClose mouthFunnel mouthPucker mouthLeft
-mouthRight mouthSmileLeft mouthSmileRight mouthFrownLeft mouthFrownRight mouthDimpleLeft
-mouthDimpleRight mouthStretchLeft mouthStretchRight mouthRollLower mouthRollUpper mouthShrugLower
-mouthShrugUpper mouthPressLeft mouthPressRight mouthLowerDownLeft mouthLowerDownRight
-mouthUpperUpLeft mouthUpperUpRight browDownLeft browDownRight browInnerUp browOuterUpLeft
-browOuterUpRight cheekPuff cheekSquintLeft cheekSquintRight noseSneerLeft noseSneerRight tongueOut
-"""
+from usdface.model.retarget.name_matching import match_names
+from usdface.model.retarget.shape_names import motion_and_side
+from usdface.model.retarget.shape_vocabulary import ARKIT
 
 
 @pytest.mark.parametrize(
@@ -29,6 +20,13 @@ browOuterUpRight cheekPuff cheekSquintLeft cheekSquintRight noseSneerLeft noseSn
         ("lipCornerPuller_L", ("mouthsmile", "L")),
         ("AU_26", ("jawopen", "")),
         ("JAWOPEN", ("jawopen", "")),
+        ("ctrl_expressions_mouthcornerpulll", ("mouthsmile", "L")),
+        ("eyeBlink.L", ("eyeblink", "L")),
+        ("Eye_L_Look_R", ("eyelookin", "L")),
+        ("EYES_LOOK_LEFT_R", ("eyelookin", "R")),
+        ("mouth_stretch_c", ("jawopen", "")),
+        ("eyebrows-left-extern-up", ("browouterup", "L")),
+        ("Mouth_Roll_In_Upper_L", ("mouthrollupper", "L")),
         ("jawLeft", ("jawleft", "")),
         ("mouth_R", ("mouthright", "")),
         ("browInnerUp", ("browinnerup", "")),
@@ -63,7 +61,6 @@ def test_left_is_never_right() -> None:
 
 
 def test_every_arkit_shape_has_its_own_meaning() -> None:
-    names = ARKIT.split()
-    assert len(names) == 52
-    assert len({motion_and_side(name) for name in names}) == 52
-    assert all(match.source == match.target for match in match_names(names, names))
+    assert len(ARKIT) == 52
+    assert len({motion_and_side(name) for name in ARKIT}) == 52
+    assert all(match.source == match.target for match in match_names(ARKIT, ARKIT))

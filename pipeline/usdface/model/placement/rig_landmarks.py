@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from usdface.core.arrays import BoolArray, FloatArray
-from usdface.model.retarget.shape_names import motion_and_side
+from usdface.model.retarget.shape_names import read_meanings
 from usdface.numerics.registration.face_skin import FaceSkin
 
 _SIDES = (("L", 1.0), ("R", -1.0))
@@ -103,9 +103,11 @@ def find_landmarks(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArra
 
 def _displacements(skin: FaceSkin, shapes: Sequence[str]) -> dict[tuple[str, str], FloatArray]:
     found: dict[tuple[str, str], FloatArray] = {}
-    for index, name in enumerate(shapes):
+    meanings = read_meanings(shapes)
+    for index in sorted(range(len(shapes)), key=lambda each: meanings[shapes[each]].rank):
         if np.abs(skin.deltas[index]).max(initial=0.0) > _LEAST_MOTION_MM:
-            found.setdefault(motion_and_side(name), skin.deltas[index])
+            meant = meanings[shapes[index]]
+            found.setdefault((meant.motion, meant.side), skin.deltas[index])
     return found
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
-from usdface.model.retarget.shape_names import motion_and_side
+from usdface.model.retarget.shape_names import read_meanings
 
 LYING_RIG_DEGREES = 60.0
 """Between the head's own up and Y: a wrong up axis turns it by 90 or 180, and on the heads at hand
@@ -89,9 +89,11 @@ def _motions(
     moved: dict[tuple[str, str], FloatArray] = {}
     weighted: dict[tuple[str, str], FloatArray] = {}
     total: dict[tuple[str, str], float] = {}
+    meanings = read_meanings(rig.shapes)
     for mesh in rig.meshes:
         for shape in mesh.shapes:
-            key, full = motion_and_side(shape.name), shape.keys[-1]
+            meant, full = meanings[shape.name], shape.keys[-1]
+            key = meant.motion, meant.side
             size = np.linalg.norm(full.offsets, axis=1)
             moved[key] = moved.get(key, np.zeros(3)) + full.offsets.sum(axis=0)
             weighted[key] = weighted.get(key, np.zeros(3)) + size @ mesh.points[full.points]

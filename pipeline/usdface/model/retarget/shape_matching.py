@@ -16,10 +16,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
+from usdface.model.retarget.shape_names import mirrored, read_meanings
 from usdface.numerics.registration.cloud_alignment import align_cloud
 from usdface.numerics.registration.outer_surface import (
     SurfaceSamples,
@@ -101,6 +102,8 @@ def match_deformations(
 ) -> tuple[ShapeMatch, ...]:
     """Return the shapes that move the faces most alike, each in one match at most, best first.
 
+    Where names say which shapes mirror each other, both sides are matched alike, or neither.
+
     Raises
     ------
     InputError
@@ -112,12 +115,35 @@ def match_deformations(
     rows = [source.shapes.index(name) for name in source_shapes]
     columns = [target.shapes.index(name) for name in target_shapes]
     likeness = both.similarity()[np.ix_(rows, columns)]
-    found = []
-    for row, column in zip(*linear_sum_assignment(-likeness), strict=True):
-        if likeness[row, column] >= _LEAST_SIMILARITY:
-            cosine = float(likeness[row, column])
-            found.append(ShapeMatch(source_shapes[row], target_shapes[column], cosine))
-    return tuple(sorted(found, key=lambda each: -each.similarity))
+    partners = _mirror_partners(source_shapes), _mirror_partners(target_shapes)
+    both_ways = likeness[np.ix_(*partners)]
+    sided = (partners[0] != np.arange(len(rows)))[:, None] & (
+        partners[1] != np.arange(len(columns))
+    )
+    likeness = np.where(sided, (likeness + both_ways) / 2, likeness)
+    matched = {
+        (row, column)
+        for row, column in zip(
+            *map(np.ndarray.tolist, linear_sum_assignment(-likeness)), strict=True
+        )
+        if likeness[row, column] >= _LEAST_SIMILARITY
+    }
+    found = [
+        ShapeMatch(source_shapes[row], target_shapes[column], float(likeness[row, column]))
+        for row, column in matched
+        if not sided[row, column] or (partners[0][row], partners[1][column]) in matched
+    ]
+    return tuple(sorted(found, key=lambda each: (-each.similarity, each.source)))
+
+
+def _mirror_partners(names: tuple[str, ...]) -> IntArray:
+    """Return the place of each shape's other side; its own where there is none, or is not told."""
+    meanings = read_meanings(names)
+    place = {meanings[name].cells: index for index, name in enumerate(names)}
+    return np.array(
+        [place.get(mirrored(meanings[name].cells), index) for index, name in enumerate(names)],
+        np.int64,
+    )
 
 
 def match_positions(both: Correspondence, weights: FloatArray, *, ranges: FloatArray) -> FloatArray:

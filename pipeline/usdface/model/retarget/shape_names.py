@@ -1,167 +1,345 @@
-"""Shapes of two rigs matched by their names: ARKit, ICT, FACS and what tools make of them.
+"""What the name of a shape means: motions of the face, on one side or both, of one lip or both.
 
-A name is a motion and a side. ``EyeBlinkLeft``, ``eyeBlink_L``, ``L_eye_blink`` and
-``AU45_blink_left`` are the same; so is an ``browInnerUp`` without a side and its two halves.
+``EyeBlinkLeft``, ``hero_bs_eyeBlink.L``, ``l_eye_closure`` and ``AU45_blink_left`` mean the same. A
+list of names is read as a whole, since what all of them have in common says nothing. The words are
+tables, `usdface.model.retarget.shape_vocabulary`.
 """
 
+import functools
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
+from itertools import pairwise, product
 
-_SIDES = {"left": "L", "l": "L", "lf": "L", "lt": "L", "right": "R", "r": "R", "rt": "R", "rg": "R"}
+from usdface.model.retarget.shape_vocabulary import (
+    ACTION_UNITS,
+    CENTRES,
+    FILLERS,
+    METAHUMAN_MARKS,
+    ROWED,
+    ROWS,
+    SIDE_WORDS,
+    VOCABULARIES,
+    WEAKER_UNITS,
+    WORDS,
+)
 
-_SIDED_MOTIONS = ("jaw", "mouth", "tongue")
-"""Motions to a side (`jawLeft`) rather than of one: the side belongs to the motion."""
+Cell = tuple[str, str, str]
+"""A motion on one side, L or R, of one lip or lid, U or D."""
 
-_FILLERS = ("au", "bs", "blendshape", "shape", "face", "facs", "fac", "action", "unit")
+Phrase = frozenset[str] | tuple[str, ...]
 
-_FACS: dict[str, str] = {
-    "au1": "browinnerup",
-    "au2": "browouterup",
-    "au4": "browdown",
-    "au5": "eyewide",
-    "au6": "cheeksquint",
-    "au7": "eyesquint",
-    "au9": "nosesneer",
-    "au10": "mouthupperup",
-    "au12": "mouthsmile",
-    "au14": "mouthdimple",
-    "au15": "mouthfrown",
-    "au16": "mouthlowerdown",
-    "au17": "mouthshruglower",
-    "au18": "mouthpucker",
-    "au20": "mouthstretch",
-    "au22": "mouthfunnel",
-    "au24": "mouthpress",
-    "au26": "jawopen",
-    "au28": "mouthrolllower",
-    "au29": "jawforward",
-    "au33": "cheekpuff",
-    "au34": "cheekpuff",
-    "au43": "eyeblink",
-    "au45": "eyeblink",
-    "au61": "eyelookleft",
-    "au62": "eyelookright",
-    "au63": "eyelookup",
-    "au64": "eyelookdown",
-}
-"""Action units of Ekman and Friesen (1978) by the motion that ARKit names."""
-
-_SAME: dict[str, str] = {
-    "innerbrowraiser": "browinnerup",
-    "browraiserinner": "browinnerup",
-    "browinnerraise": "browinnerup",
-    "browraiseinner": "browinnerup",
-    "outerbrowraiser": "browouterup",
-    "browraiserouter": "browouterup",
-    "browouterraise": "browouterup",
-    "browraiseouter": "browouterup",
-    "browlowerer": "browdown",
-    "browlower": "browdown",
-    "upperlidraiser": "eyewide",
-    "eyewiden": "eyewide",
-    "cheekraiser": "cheeksquint",
-    "cheekraise": "cheeksquint",
-    "lidtightener": "eyesquint",
-    "blink": "eyeblink",
-    "eyeclose": "eyeblink",
-    "eyesclosed": "eyeblink",
-    "eyeclosed": "eyeblink",
-    "nosewrinkler": "nosesneer",
-    "nosewrinkle": "nosesneer",
-    "sneer": "nosesneer",
-    "upperlipraiser": "mouthupperup",
-    "lowerlipdepressor": "mouthlowerdown",
-    "lipcornerpuller": "mouthsmile",
-    "mouthcornerpull": "mouthsmile",
-    "smile": "mouthsmile",
-    "lipcornerdepressor": "mouthfrown",
-    "mouthcornerdepress": "mouthfrown",
-    "frown": "mouthfrown",
-    "dimpler": "mouthdimple",
-    "chinraiser": "mouthshruglower",
-    "lippucker": "mouthpucker",
-    "lippuckerer": "mouthpucker",
-    "pucker": "mouthpucker",
-    "lipstretcher": "mouthstretch",
-    "lipfunneler": "mouthfunnel",
-    "funnel": "mouthfunnel",
-    "lippressor": "mouthpress",
-    "lipsuck": "mouthrolllower",
-    "jawdrop": "jawopen",
-    "mouthopen": "jawopen",
-    "jawthrust": "jawforward",
-    "puff": "cheekpuff",
-    "cheekpuffer": "cheekpuff",
-}
+UNKNOWN_RANK = 9.0
+"""Of a name that no vocabulary has: it means what its own words say."""
 
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
+_GAZES = {"raise": "up", "down": "down", "in": "in", "inner": "in", "out": "out", "outer": "out"}
+_SHORTEST_GLUED = 5
+"""Letters of a word from which on it may be several without capitals between them."""
+
+_SHARED_BY = 3
+"""Names that must share what they begin with before it counts as no part of them."""
+
+_MOST_AFFIX_WORDS = 10
+_MOST_READ_NAMES = 80
+"""Names of a list on which its prefix and suffix are told."""
 
 
 @dataclass(frozen=True)
-class NameMatch:
-    """An expression that both rigs have by name."""
+class Meaning:
+    """What a name says."""
 
-    name: str
-    """For people."""
-    source: tuple[tuple[str, float], ...]
-    target: tuple[tuple[str, float], ...]
-    """`source`, `target`: Shapes and their weights."""
+    cells: frozenset[Cell]
+    rank: float
+    """Of two names that mean the same, the lower one counts."""
+    motion: str
+    """The motion without its side; ``browinnerup+browouterup`` for a shape of two."""
+    side: str
+    """L, R, or empty for both."""
+
+    @property
+    def understood(self) -> bool:
+        """Whether a vocabulary has it."""
+        return self.rank < UNKNOWN_RANK
+
+
+def read_meanings(names: Sequence[str]) -> dict[str, Meaning]:
+    """Return what each name of a rig, a take or a table means."""
+    words = {name: _words(name) for name in names}
+    corners = _corner_codes(words.values())
+    head, tail = _constant_affixes(list(words.values()), corners)
+    stripped = {
+        name: each[head : len(each) - tail] if len(each) > head + tail else each
+        for name, each in words.items()
+    }
+    starts = Counter(_unknown_start(each) for each in stripped.values())
+    found = {}
+    for name, each in stripped.items():
+        meaning = _read(each, corners)
+        start = _unknown_start(each)
+        if not meaning.understood and start and starts[start] >= _SHARED_BY:
+            later = _read(each[len(start) :], corners)
+            meaning = replace(later, rank=later.rank + 0.25) if later.understood else meaning
+        found[name] = meaning
+    return found
 
 
 def motion_and_side(name: str) -> tuple[str, str]:
     """Return what a shape does, in ARKit's words without capitals, and its side: L, R or none."""
-    words = [word.lower() for word in _WORD.findall(name.split(":")[-1].split(".")[-1])]
-    side = ""
-    for place in (len(words) - 1, 0):
-        if len(words) > 1 and words[place] in _SIDES:
-            side = _SIDES[words.pop(place)]
-            break
-    unit = _action_unit(words)
-    if unit in _FACS:
-        return _FACS[unit], side
-    stem = "".join(word for word in words if word not in _FILLERS and not word.isdigit())
-    stem = _SAME.get(stem, stem)
-    if side and stem in _SIDED_MOTIONS:
-        return stem + ("left" if side == "L" else "right"), ""
-    return stem, side
+    meaning = read_meanings([name])[name]
+    return meaning.motion, meaning.side
 
 
-def match_names(source: Sequence[str], target: Sequence[str]) -> tuple[NameMatch, ...]:
-    """Return the expressions that both rigs have, one pair for each source shape that matches.
-
-    A shape without sides drives both halves of the other rig; of two halves each drives half of a
-    shape without sides, so that together they drive it in full.
-    """
-    there = _by_motion(target)
-    found = []
-    for shape in source:
-        motion, side = motion_and_side(shape)
-        sides = there.get(motion, {})
-        if side in sides:
-            partners: tuple[tuple[str, float], ...] = ((sides[side], 1.0),)
-        elif not side and {"L", "R"} <= sides.keys():
-            partners = ((sides["L"], 1.0), (sides["R"], 1.0))
-        elif side and "" in sides:
-            partners = ((sides[""], 0.5),)
-        else:
-            continue
-        found.append(NameMatch(shape, ((shape, 1.0),), partners))
-    return tuple(found)
-
-
-def _by_motion(names: Iterable[str]) -> dict[str, dict[str, str]]:
-    found: dict[str, dict[str, str]] = {}
+def has_metahuman_controls(names: Sequence[str]) -> bool:
+    """Tell MetaHuman's raw controls, whatever stands before their names."""
+    found = set()
     for name in names:
-        motion, side = motion_and_side(name)
-        found.setdefault(motion, {}).setdefault(side, name)
+        words = frozenset(WORDS.get(each, each) for each in _words(name))
+        found |= {mark for mark in METAHUMAN_MARKS if mark <= words}
+    return len(found) >= 2
+
+
+def mirrored(cells: frozenset[Cell]) -> frozenset[Cell]:
+    """Return the same motion of the other side of the face."""
+    return frozenset((_other_way(motion), "LR"[side == "L"], row) for motion, side, row in cells)
+
+
+def _other_way(motion: str) -> str:
+    for one, other in (("left", "right"), ("right", "left")):
+        if motion.endswith(one):
+            return motion.removesuffix(one) + other
+    return motion
+
+
+def _words(name: str) -> list[str]:
+    own = re.split(r"[:|/]", name)[-1] or name
+    found: list[str] = []
+    for word in _WORD.findall(own):
+        found += _unglued(word.lower())
     return found
 
 
-def _action_unit(words: list[str]) -> str:
-    """Return ``au12`` for AU12, AU_12, AU012 and the like; empty when there is none."""
+@functools.cache
+def _phrases() -> dict[Phrase, tuple[str, float]]:
+    """Return motion and rank by phrase: a set of words, or a tuple of those as they are written."""
+    found: dict[Phrase, tuple[str, float]] = {}
+    for vocabulary in VOCABULARIES:
+        for line in vocabulary.phrases.strip().splitlines():
+            motion, _, phrases = line.strip().partition(": ")
+            for phrase in phrases.split(" | "):
+                words = phrase.split()
+                optional = [each.strip("[]") for each in words if each.startswith("[")]
+                needed = [each for each in words if not each.startswith("[")]
+                for extra in ([], optional) if optional else ([],):
+                    given = [*needed, *extra]
+                    as_set = frozenset(WORDS.get(each, each) for each in given)
+                    key: Phrase = tuple(given) if len(as_set) < len(given) else as_set
+                    found.setdefault(key, (motion, float(vocabulary.rank)))
+    return found
+
+
+@functools.cache
+def _lexicon() -> frozenset[str]:
+    """Return every word that a name may be made of."""
+    words = {word for key in _phrases() for word in key} | set(WORDS.values())
+    return frozenset(words | WORDS.keys() | ROWS.keys() | SIDE_WORDS.keys()) - {"a"}
+
+
+@functools.lru_cache(maxsize=4096)
+def _unglued(word: str) -> tuple[str, ...]:
+    """Return the words that one is made of, if it is made of known ones alone."""
+    if len(word) < _SHORTEST_GLUED or word in _lexicon() or word in FILLERS or word.isdigit():
+        return (word,)
+    best: list[tuple[str, ...] | None] = [(), *([None] * len(word))]
+    for end in range(1, len(word) + 1):
+        for start in range(end):
+            before, piece = best[start], word[start:end]
+            if before is None or piece not in _lexicon():
+                continue
+            if len(piece) < 2 and (end < len(word) - 1 or not before):
+                continue  # letters alone stand for sides and rows, at the end
+            current = best[end]
+            if current is None or len(before) + 1 < len(current):
+                best[end] = (*before, piece)
+    return best[len(word)] or (word,)
+
+
+def _corner_codes(lists: Iterable[Sequence[str]]) -> dict[str, tuple[str, str]]:
+    """Return side and row by what names of quarters of the lips end in: UL, DR; LB, RT.
+
+    RT and LT are sides as well: they are corners where LB or RB stand beside them.
+    """
+    codes = {row + side: (side.upper(), row.upper()) for row, side in product("ud", "lr")}
+    if any(word in ("lb", "rb") for words in lists for word in words):
+        codes |= {side + row: (side.upper(), ROWS[row]) for side, row in product("lr", "tb")}
+    return codes
+
+
+def _constant_affixes(
+    lists: list[list[str]], corners: dict[str, tuple[str, str]]
+) -> tuple[int, int]:
+    """Return how many words at the start and the end of all names are no part of them.
+
+    That is told by how many names are understood without them; a word that could be one of a
+    phrase stays where nothing is gained.
+    """
+    if len(lists) < _SHARED_BY:
+        return 0, 0
+    shortest = min(map(len, lists))
+    head = _common(lists, shortest)
+    tail = _common([each[::-1] for each in lists], shortest - head)
+    if not head + tail:
+        return 0, 0
+    sample = lists[:: max(len(lists) // _MOST_READ_NAMES, 1)]
+    best, chosen = (-1, 0, 0), (0, 0)
+    for first, last in product(range(head + 1), range(tail + 1)):
+        if first + last >= shortest:
+            continue
+        understood = sum(
+            _read(each[first : len(each) - last], corners).understood for each in sample
+        )
+        gone = [*lists[0][:first], *lists[0][len(lists[0]) - last :]]
+        known = sum(each in _lexicon() for each in gone)
+        score = (understood, -known, len(gone) - known)
+        if score > best:
+            best, chosen = score, (first, last)
+    return chosen
+
+
+def _common(lists: list[list[str]], most: int) -> int:
+    count = 0
+    while count < min(most, _MOST_AFFIX_WORDS) and len({each[count] for each in lists}) == 1:
+        count += 1
+    return count
+
+
+def _unknown_start(words: Sequence[str]) -> tuple[str, ...]:
+    """Return the words of no vocabulary that a name begins with, numbers apart."""
+    count = 0
+    while count < len(words) and words[count] not in _lexicon():
+        count += 1
+    return tuple("#" if each.isdigit() else each for each in words[:count]) if count else ()
+
+
+def _read(words: Sequence[str], corners: dict[str, tuple[str, str]]) -> Meaning:
+    unit = _action_unit(words)
+    letters = [each for each in words if each not in FILLERS and not each.isdigit()]
+    numbered = 0.5 if any(each.isdigit() for each in words[1:]) and not unit else 0.0
+    if unit:
+        motion, rank = unit
+        sides = {SIDE_WORDS[each] for each in letters if each in SIDE_WORDS}
+        side = sides.pop() if len(sides) == 1 else ""
+        if motion.startswith("look"):
+            return _gaze(motion.removeprefix("look"), side, rank)
+        return _meaning(motion, side, "", rank)
+    found = _read_gaze(letters) or _read_phrase(letters, corners)
+    if found is not None:
+        return replace(found, rank=found.rank + numbered)
+    at = [index for index, each in enumerate(words) if each in SIDE_WORDS]
+    side = SIDE_WORDS[words[at[0]]] if len(at) == 1 < len(words) else ""
+    rest = [WORDS.get(each, each) for each in words if not (side and each in SIDE_WORDS)]
+    row = ""
+    if not side and rest and rest[-1] in corners:
+        side, row = corners[rest.pop()]
+    own = "".join(dict.fromkeys(rest))
+    return _meaning(own, side, row, UNKNOWN_RANK)
+
+
+def _action_unit(words: Sequence[str]) -> tuple[str, float] | None:
+    """Return motion and rank of AU12, AU_12, AU012 and the like."""
     for word, number in pairwise(words):
         if word == "au" and number.isdigit():
-            return f"au{int(number)}"
-    return ""
+            unit = int(number)
+            if unit in ACTION_UNITS:
+                return ACTION_UNITS[unit], 1.0
+            if unit in WEAKER_UNITS:
+                return WEAKER_UNITS[unit], 2.0
+    return None
+
+
+def _read_gaze(words: list[str]) -> Meaning | None:
+    """Read where an eye looks: what stands after `look` is the direction, what is left the eye."""
+    plain = [WORDS.get(each, each) for each in words]
+    if "look" not in plain:
+        return None
+    at = plain.index("look")
+    order = [*range(at + 1, len(words)), *range(at)]
+    place = next((i for i in order if plain[i] in _GAZES or words[i] in SIDE_WORDS), None)
+    if place is None:
+        return None
+    rest = [
+        i for i in range(len(words)) if i not in (at, place) and plain[i] not in ("eye", "ball")
+    ]
+    sides = {SIDE_WORDS.get(words[i], "") for i in rest}
+    if "" in sides or len(sides) > 1:
+        return None
+    way = _GAZES.get(plain[place]) or {"L": "left", "R": "right"}[SIDE_WORDS[words[place]]]
+    return _gaze(way, sides.pop() if sides else "", 0.0)
+
+
+def _gaze(way: str, side: str, rank: float) -> Meaning:
+    cells: frozenset[Cell] = frozenset()
+    for each in side or "LR":
+        turn = way
+        if way in ("left", "right"):  # ARKit says of each eye whether it looks to the nose
+            turn = "out" if way[0].upper() == each else "in"
+        cells |= _meaning(f"eyelook{turn}", each, "", rank).cells
+    name = "+".join(sorted({cell[0] for cell in cells}))
+    return Meaning(cells, rank, name, side)
+
+
+def _read_phrase(words: list[str], corners: dict[str, tuple[str, str]]) -> Meaning | None:
+    side, row = "", ""
+    for index in range(len(words) - 1, 0, -1):
+        if words[index] in corners:
+            side, row = corners[words[index]]
+            words = [*words[:index], *words[index + 1 :]]
+            break
+    found = _sided(words, side, row)
+    if found is None and any(each in CENTRES for each in words) and len(words) > 1:
+        found = _sided([each for each in words if each not in CENTRES], side, row)
+    return found
+
+
+def _sided(words: list[str], side: str, row: str) -> Meaning | None:
+    """Look a phrase up as it is, then without one of its words for a side, the last one first."""
+    places = [index for index in range(len(words) - 1, -1, -1) if words[index] in SIDE_WORDS]
+    choices = [(words, side)]
+    if not side:
+        choices += [([*words[:i], *words[i + 1 :]], SIDE_WORDS[words[i]]) for i in places]
+    for rest, which in choices:
+        phrase = _look_up(rest)
+        if phrase is not None:
+            return _meaning(phrase[0], which, row, phrase[1])
+    for rest, which in choices if not row else ():
+        for index, word in enumerate(rest):
+            single = len(word) == 1 and index < len(rest) - 1
+            phrase = _look_up([*rest[:index], *rest[index + 1 :]]) if word in ROWS else None
+            if phrase is not None and not single and phrase[0].partition("/")[0] in ROWED:
+                return _meaning(phrase[0].partition("/")[0], which, ROWS[word], phrase[1])
+    return None
+
+
+def _look_up(words: list[str]) -> tuple[str, float] | None:
+    if not words:
+        return None
+    found = _phrases().get(tuple(words))
+    return found or _phrases().get(frozenset(_plain(each) for each in words))
+
+
+def _plain(word: str) -> str:
+    """Return a word as phrases write it; a side that is left in a phrase is its direction."""
+    return WORDS.get(word) or {"L": "left", "R": "right", "": word}[SIDE_WORDS.get(word, "")]
+
+
+def _meaning(motion: str, side: str, row: str, rank: float) -> Meaning:
+    cells: set[Cell] = set()
+    for each in motion.split("+"):
+        stem, _, own = each.partition("/")
+        rows = row or (ROWS[own] if own else "UD")
+        cells |= set(product([stem], side or "LR", rows))
+    stem, _, own = motion.partition("/")
+    if stem in ("mouthroll", "mouthshrug"):
+        stem += {"U": "upper", "D": "lower"}.get(row, own)
+    return Meaning(frozenset(cells), rank, stem, side)

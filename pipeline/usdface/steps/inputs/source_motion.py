@@ -1,20 +1,29 @@
-"""Source weights from a take or a performance, brought to the shapes that somebody asks for."""
+"""Source weights from a take, a performance or a capture, brought to shapes that are asked for."""
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, columns_by_name, index_of
+from usdface.capture.sniff import read_capture
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import Take
 from usdface.core.errors import InputError
+from usdface.core.rates import shift_timecode
+from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import first_few, pluralize
-from usdface.model.retarget.shape_names import match_names
+from usdface.steps.inputs.name_tables import Transfer, transfer_by_names, transfer_by_table
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.take.read import TakeReader, is_take
 
 MOVING_WEIGHT = 0.02
 """Weight beyond which a shape counts as used by a performance."""
+
+
+_ROTATION = re.compile(r"(Yaw|Pitch|Roll|Rotation[XYZ])$")
+"""Channels of recorders that are angles, not weights."""
 
 
 @dataclass(frozen=True)
@@ -36,89 +45,122 @@ class SourceMotion:
         """Frame number of the last row."""
         return self.first_frame + len(self.weights) - 1
 
+    @property
+    def moving(self) -> tuple[str, ...]:
+        """Shapes that are used; rotations of the head and the eyes are none."""
+        used = np.abs(self.weights).max(axis=0, initial=0.0) > MOVING_WEIGHT
+        named = zip(self.names, used, strict=True)
+        return tuple(name for name, each in named if each and not _ROTATION.search(name))
+
 
 def read_source_motion(path: Path, frames: tuple[int, int] | None = None) -> SourceMotion:
-    """Read the weights that a take carries, or those of a performance, edits included.
+    """Read the weights of a take, of a performance with its edits, or of a capture file.
 
     Raises
     ------
     InputError
         If there are none, or the frames are not all there.
     """
+    if path.suffix.lower() not in (*LAYER_SUFFIXES, ".usdz"):
+        take = read_capture(path).take
+        end = take.first_frame + take.frame_count - 1
+        first, last = _limits(path, frames, take.first_frame, end)
+        start = shift_timecode(take.timecode_start, first - take.first_frame, take.rate)
+        return _of_take(path, replace(take, timecode_start=start), first, last)
     if is_take(path):
-        return _from_take(TakeReader(path), frames)
-    reader = PerformanceReader(path)
-    first, last = _limits(path, frames, reader.first_frame, reader.last_frame)
+        reader = TakeReader(path)
+        first, last = _limits(path, frames, reader.first_frame, reader.last_frame)
+        return _of_take(path, reader.read(first, last), first, last)
+    performance = PerformanceReader(path)
+    first, last = _limits(path, frames, performance.first_frame, performance.last_frame)
     return SourceMotion(
-        names=reader.names,
-        weights=reader.edited(first, last).astype(np.float64),
+        names=performance.names,
+        weights=performance.edited(first, last).astype(np.float64),
         first_frame=first,
-        rate=reader.rate,
-        timecode_start=reader.timecode_at(first),
+        rate=performance.rate,
+        timecode_start=performance.timecode_at(first),
     )
 
 
-def source_columns(
-    path: Path, motion: SourceMotion, wanted: tuple[str, ...]
-) -> tuple[FloatArray, tuple[str, ...]]:
-    """Return a motion's weights in the order of other names, and what to tell of that.
+def source_transfer(
+    path: Path, motion: SourceMotion, wanted: tuple[str, ...], names: Path | None = None
+) -> tuple[Transfer, tuple[str, ...]]:
+    """Return how a motion's shapes drive others, and what to tell of that.
 
     Names that are the same go first; the rest is matched by what they mean, so that Live Link's
     ``EyeBlinkLeft`` drives a rig's ``eyeBlink_L``.
 
+    Parameters
+    ----------
+    names : Path, optional
+        Table of pairs to follow instead.
+
     Raises
     ------
     InputError
-        If no name matches.
+        If no name matches, or none of what moves.
     """
-    place, column = index_of(wanted), index_of(motion.names)
-    out = columns_by_name(motion.weights, motion.names, wanted)
-    same = [name for name in motion.names if name in place]
-    meant = match_names(
-        [name for name in motion.names if name not in place],
-        [name for name in wanted if name not in column],
-    )
-    for match in meant:
-        for name, share in match.target:
-            out[:, place[name]] += share * motion.weights[:, column[match.source[0][0]]]
-    if not same and not meant:
+    if names is None:
+        transfer = transfer_by_names(motion.names, wanted)
+    else:
+        transfer = transfer_by_table(names, motion.names, wanted)
+    matched, moving = set(transfer.matched), motion.moving
+    if not matched or (moving and not matched & set(moving)):
+        lost = moving if matched else motion.names
+        what = pluralize(len(lost), "moving shape" if matched else "shape")
         raise InputError(
-            f"{path}: none of its {len(motion.names)} shapes ({first_few(motion.names, most=3)}) "
-            f"is one of {first_few(wanted, most=3)}; are they of another character?"
+            f"{path}: none of its {what} ({first_few(lost, most=3)}) "
+            f"has a counterpart among {first_few(wanted, most=3)}, so nothing would move; are they "
+            "of another character? `usdface names RIG SOURCE --out FILE.csv` writes the table, and "
+            "--names takes it back edited"
         )
-    matched = {*same, *(match.source[0][0] for match in meant)}
-    moving = [
-        name
-        for name in motion.names
-        if name not in matched and np.abs(motion.weights[:, column[name]]).max() > MOVING_WEIGHT
-    ]
+    return transfer, _transfer_notes(path, transfer, motion)
+
+
+def source_columns(
+    path: Path, motion: SourceMotion, wanted: tuple[str, ...], names: Path | None = None
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return a motion's weights in the order of other names, as `source_transfer` matches them."""
+    transfer, notes = source_transfer(path, motion, wanted, names)
+    return motion.weights @ transfer.matrix, notes
+
+
+def unmatched_moving(transfer: Transfer, motion: SourceMotion) -> tuple[str, ...]:
+    """Return the shapes that move and drive nothing."""
+    matched = set(transfer.matched)
+    return tuple(name for name in motion.moving if name not in matched)
+
+
+def _transfer_notes(path: Path, transfer: Transfer, motion: SourceMotion) -> tuple[str, ...]:
     notes = []
+    meant = [row for row in transfer.rows() if row["by"] == "meaning"]
     if meant:
-        example = meant[0]
+        shapes = dict.fromkeys(row["source"] for row in meant)
         notes.append(
-            f"matched by the meaning of their names: {pluralize(len(meant), 'shape')}, such as "
-            f"{example.name} "
-            f"to {example.target[0][0]}"
+            f"matched by the meaning of their names: {pluralize(len(shapes), 'shape')}, such as "
+            f"{meant[0]['source']} to {meant[0]['target']}; `usdface names` lists them"
         )
-    if moving:
+    lost = unmatched_moving(transfer, motion)
+    if lost:
         notes.append(
-            f"{path.name}: no counterpart for {pluralize(len(moving), 'moving shape')}: "
-            f"{first_few(moving)}"
+            f"{path.name}: no counterpart for {pluralize(len(lost), 'moving shape')}: "
+            f"{first_few(lost)}; pair them with --names, or leave them out"
         )
-    return out, tuple(notes)
+    if transfer.ambiguous:
+        notes.append(f"not matched, as it is not clear: {first_few(transfer.ambiguous, most=3)}")
+    return tuple(notes)
 
 
-def _from_take(reader: TakeReader, frames: tuple[int, int] | None) -> SourceMotion:
-    first, last = _limits(reader.path, frames, reader.first_frame, reader.last_frame)
-    take = reader.read(first, last)
+def _of_take(path: Path, take: Take, first: int, last: int) -> SourceMotion:
     if take.source is None:
         raise InputError(
-            f"{reader.path}: the take carries no blendshape weights; retarget the performance that "
+            f"{path}: the take carries no blendshape weights; retarget the performance that "
             "`usdface map` made of it"
         )
+    start = first - take.source.first_frame
     return SourceMotion(
         names=take.source.names,
-        weights=take.source.values.astype(np.float64),
+        weights=take.source.values[start : start + last - first + 1].astype(np.float64),
         first_frame=first,
         rate=take.rate,
         timecode_start=take.timecode_start,

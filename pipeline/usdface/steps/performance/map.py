@@ -31,7 +31,7 @@ from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.inputs.weight_tables import read_alpha
 from usdface.usdio.mapping import read_mapping
-from usdface.usdio.performance.weights_layer import make_header
+from usdface.usdio.performance.weights_layer import every_shape, make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader
@@ -158,7 +158,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
         replace(
             make_header(
                 rig,
-                shape_names=mapping.shape_names,
+                shape_names=every_shape(mapping.shape_names, rig),
                 rate=take.rate,
                 first_frame=first,
                 last_frame=last,
@@ -170,7 +170,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
             basis=basis_of(mapping),
         ),
         rig,
-        part_frames=_part_frames(spec, last - first + 1, len(mapping.shape_names)),
+        part_frames=_part_frames(spec, last - first + 1, len(rig.shapes)),
         provenance=provenance,
     ) as writer:
         predictions = _predict(spec, mapping, take, space, windows)

@@ -1,1 +1,3 @@
 """From one face to another."""
+
+_commands = ("names",)

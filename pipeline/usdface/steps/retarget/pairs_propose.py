@@ -11,10 +11,11 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path
 from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.control_space import dead_controls
+from usdface.model.retarget.name_matching import NameMatch, NameMatching, name_matching
 from usdface.model.retarget.shape_matching import ShapeMatch, match_deformations
-from usdface.model.retarget.shape_names import NameMatch, match_names
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import PairsProposeSpec
+from usdface.steps.inputs.name_tables import Transfer, transfer_by_table
 from usdface.usdio.retarget.controls import rest_controls
 from usdface.usdio.retarget.pairs import keyed_above, merge_pairs, read_pairs, write_pairs
 from usdface.usdio.rig.read import read_rig
@@ -73,21 +74,53 @@ def run(
     )
 
 
-def _match(
-    spec: PairsProposeSpec, source: Rig, target: Rig, progress: Progress
-) -> tuple[list[NameMatch], list[str]]:
+def match_rigs(
+    source: Rig,
+    target: Rig,
+    *,
+    by: str = "both",
+    progress: Progress = silent,
+) -> tuple[NameMatching, list[str]]:
+    """Match shapes by what their names mean, and what is left by how it deforms the face.
+
+    Parameters
+    ----------
+    by : {'both', 'name', 'deformation'}
+
+    Returns
+    -------
+    NameMatching, list of str
+        The matches, and notes for people.
+    """
     progress(0.1, "matching names")
-    named = [] if spec.match == "deformation" else list(match_names(source.shapes, target.shapes))
-    notes = [f"matched {pluralize(len(named), 'shape')} by name"] if named else []
-    if spec.match != "name":
+    named = NameMatching(()) if by == "deformation" else name_matching(source.shapes, target.shapes)
+    matches, how = list(named.matches), dict(named.by)
+    notes = [f"matched {pluralize(len(matches), 'shape')} by name"] if matches else []
+    if by != "name":
         progress(0.2, "laying one face onto the other")
-        alike = _alike(spec, source, target, named, notes)
-        for each in alike:
-            named.append(NameMatch(each.source, ((each.source, 1.0),), ((each.target, 1.0),)))
+        for each in _alike(source, target, by, matches, notes):
+            matches.append(NameMatch(each.source, ((each.source, 1.0),), ((each.target, 1.0),)))
+            how[each.source] = "deformation"
             notes.append(
                 f"{each.source} and {each.target} move the faces alike ({each.similarity:.2f})"
             )
-    unmatched = [name for name in source.shapes if name not in {match.name for match in named}]
+    return NameMatching(tuple(matches), named.ambiguous, how), notes
+
+
+def _match(
+    spec: PairsProposeSpec, source: Rig, target: Rig, progress: Progress
+) -> tuple[list[NameMatch], list[str]]:
+    if spec.names is not None:
+        transfer = transfer_by_table(spec.names, source.shapes, target.shapes)
+        named, notes = _rows_as_matches(transfer), list(transfer.ambiguous)
+    else:
+        found, notes = match_rigs(source, target, by=spec.match, progress=progress)
+        named = list(found.matches)
+        if found.ambiguous:
+            doubts = first_few(found.ambiguous, most=3)
+            notes.append(f"not matched by name, as it is not clear: {doubts}")
+    used = {name for match in named for name, _ in match.source}
+    unmatched = [name for name in source.shapes if name not in used]
     if unmatched:
         notes.append(
             f"in no pair and without effect: {pluralize(len(unmatched), 'source shape')}, "
@@ -96,21 +129,34 @@ def _match(
     return named, notes
 
 
+def _rows_as_matches(transfer: Transfer) -> list[NameMatch]:
+    """Return a pair for each source shape of a table."""
+    return [
+        NameMatch(
+            name,
+            ((name, 1.0),),
+            tuple((transfer.target[j], float(row[j])) for j in np.flatnonzero(row).tolist()),
+        )
+        for name, row in zip(transfer.source, transfer.matrix, strict=True)
+        if row.any()
+    ]
+
+
 def _alike(
-    spec: PairsProposeSpec, source: Rig, target: Rig, named: list[NameMatch], notes: list[str]
+    source: Rig, target: Rig, by: str, named: list[NameMatch], notes: list[str]
 ) -> tuple[ShapeMatch, ...]:
     """Match by deformation what names left; where names sufficed, a face that fails is a note."""
-    spoken = {match.name for match in named}
+    used = {name for match in named for name, _ in match.source}
     driven = {name for match in named for name, _ in match.target}
     try:
         return match_deformations(
             source,
             target,
-            source_shapes=tuple(name for name in source.shapes if name not in spoken),
+            source_shapes=tuple(name for name in source.shapes if name not in used),
             target_shapes=tuple(name for name in target.shapes if name not in driven),
         )
     except InputError as error:
-        if spec.match == "deformation" or not named:
+        if by == "deformation" or not named:
             raise
         notes.append(f"what shapes do could not be compared: {error}")
         return ()

@@ -1,12 +1,13 @@
 """One performance in, a performance of every target out."""
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
-from usdface.core.controls import Retargeting
+from usdface.core.controls import Controls, Retargeting, bare_controls
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
@@ -17,14 +18,16 @@ from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.retarget import RetargetSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
+from usdface.steps.inputs.name_tables import Transfer
 from usdface.steps.inputs.source_motion import (
     MOVING_WEIGHT,
     SourceMotion,
     read_source_motion,
-    source_columns,
+    source_transfer,
+    unmatched_moving,
 )
 from usdface.steps.inputs.weight_tables import read_alpha
-from usdface.usdio.performance.weights_layer import make_header
+from usdface.usdio.performance.weights_layer import every_shape, make_header
 from usdface.usdio.retarget.control_performance import writing_control_performance
 from usdface.usdio.retarget.retargeting import read_retargeting
 from usdface.usdio.rig.read import read_rig
@@ -32,25 +35,46 @@ from usdface.usdio.rig.read import read_rig
 _CHUNK_FRAMES = 8192
 
 
+@dataclass(frozen=True)
+class _Target:
+    """A character, and what brings weights to it."""
+
+    rig: Rig
+    trained: Retargeting | None
+    """None where names alone do."""
+    transfer: Transfer
+    """From the source's shapes to those that were trained on, or to the rig's."""
+    notes: tuple[str, ...]
+
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        return self.rig.shapes if self.trained is None else self.trained.shapes
+
+    def controls(self, source: FloatArray, alpha: FloatArray | None) -> Controls:
+        """Return the controls for source weights, (frames, source shapes)."""
+        columns = source @ self.transfer.matrix
+        if self.trained is None:
+            return bare_controls(self.rig.shapes, columns)
+        return retarget(self.trained, columns, alpha=alpha)
+
+
 def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Retarget to each target in turn; all are read before the first is written."""
     motion = read_source_motion(spec.source, frame_range(spec.frames))
-    targets = [_target(spec, index) for index in range(len(spec.out))]
+    targets = [_target(spec, index, motion) for index in range(len(spec.out))]
     alpha = None
     if spec.alpha is not None:
         frames = np.arange(motion.first_frame, motion.last_frame + 1)
         alpha = read_alpha(spec.alpha, frames)
     notes: list[str] = []
     outputs: list[Path] = []
-    for index, (trained, rig) in enumerate(targets):
+    for index, target in enumerate(targets):
         out = spec.out[index]
         share = part(progress, index / len(targets), (index + 1) / len(targets))
-        notes += [
-            f"{out.name}: {note}"
-            for note in _write(spec, out, motion, trained, rig, alpha, share, provenance)
-        ]
+        _write(spec, out, motion, target, alpha, share, provenance)
+        notes += [f"{out.name}: {note}" for note in (*target.notes, *edit_notes(out))]
         outputs += [out, weights_path(out)]
-        if trained.joints or trained.attributes:
+        if target.trained and (target.trained.joints or target.trained.attributes):
             outputs.append(controls_path(out))
     count = len(motion.weights)
     return StepResult(
@@ -62,18 +86,24 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
             "targets": [
                 {
                     "out": str(out),
-                    "method": trained.method,
-                    "shapes": len(trained.shapes),
-                    "joints": len(trained.joints),
-                    "attributes": len(trained.attributes),
+                    "method": target.trained.method if target.trained else "names",
+                    "shapes": len(target.shapes),
+                    "joints": len(target.trained.joints) if target.trained else 0,
+                    "attributes": len(target.trained.attributes) if target.trained else 0,
+                    "pairs": target.transfer.rows(),
+                    "unmatched": list(unmatched_moving(target.transfer, motion)),
                 }
-                for out, (trained, _) in zip(spec.out, targets, strict=True)
+                for out, target in zip(spec.out, targets, strict=True)
             ],
         },
     )
 
 
-def _target(spec: RetargetSpec, index: int) -> tuple[Retargeting, Rig]:
+def _target(spec: RetargetSpec, index: int, motion: SourceMotion) -> _Target:
+    if not spec.retargeting:
+        rig = read_rig(spec.rig[index])
+        transfer, notes = source_transfer(spec.source, motion, rig.shapes, spec.names)
+        return _Target(rig, None, transfer, (*notes, *_beyond(rig, motion, transfer)))
     path = spec.retargeting[index]
     trained = read_retargeting(path)
     file = spec.rig[index] if spec.rig else trained.target_rig
@@ -86,49 +116,55 @@ def _target(spec: RetargetSpec, index: int) -> tuple[Retargeting, Rig]:
             f"{path}: alpha blends the two parts of a hybrid, and this retargeting is "
             f"{trained.method}; train with --method hybrid"
         )
-    return trained, rig
+    transfer, notes = source_transfer(spec.source, motion, trained.source_shapes, spec.names)
+    return _Target(rig, trained, transfer, (*notes, *_dead(spec, trained, motion, transfer)))
 
 
 def _write(
     spec: RetargetSpec,
     out: Path,
     motion: SourceMotion,
-    trained: Retargeting,
-    rig: Rig,
+    target: _Target,
     alpha: FloatArray | None,
     progress: Progress,
     provenance: Provenance,
-) -> list[str]:
-    source, said = source_columns(spec.source, motion, trained.source_shapes)
-    notes = [*said, *_dead(trained, source)]
+) -> None:
+    trained = target.trained
     with writing_control_performance(
         out,
-        make_header(
-            rig,
-            shape_names=trained.shapes,
-            rate=motion.rate,
-            first_frame=motion.first_frame,
-            last_frame=motion.last_frame,
-            place=spec.prim,
-            timecode_start=motion.timecode_start,
+        replace(
+            make_header(
+                target.rig,
+                shape_names=every_shape(target.shapes, target.rig),
+                rate=motion.rate,
+                first_frame=motion.first_frame,
+                last_frame=motion.last_frame,
+                place=spec.prim,
+                timecode_start=motion.timecode_start,
+            ),
+            unmatched=unmatched_moving(target.transfer, motion),
         ),
-        rig,
-        joints=trained.joints,
-        attributes=trained.attributes,
+        target.rig,
+        joints=trained.joints if trained else (),
+        attributes=trained.attributes if trained else (),
         provenance=provenance,
     ) as writer:
-        for start in range(0, len(source), _CHUNK_FRAMES):
+        count = len(motion.weights)
+        for start in range(0, count, _CHUNK_FRAMES):
             rows = slice(start, start + _CHUNK_FRAMES)
-            share = None if alpha is None else alpha[rows]
-            writer.append(retarget(trained, source[rows], alpha=share))
-            done = min(start + _CHUNK_FRAMES, len(source))
-            progress(done / len(source), f"{out.name}: frame {motion.first_frame + done - 1}")
-    return [*notes, *edit_notes(out)]
+            writer.append(
+                target.controls(motion.weights[rows], None if alpha is None else alpha[rows])
+            )
+            done = min(start + _CHUNK_FRAMES, count)
+            progress(done / count, f"{out.name}: frame {motion.first_frame + done - 1}")
 
 
-def _dead(trained: Retargeting, source: FloatArray) -> list[str]:
-    """Name source shapes that move here though no pair used them."""
-    moving = np.abs(source).max(axis=0) > MOVING_WEIGHT
+def _dead(
+    spec: RetargetSpec, trained: Retargeting, motion: SourceMotion, transfer: Transfer
+) -> list[str]:
+    """Name source shapes that move here though no pair used them; refuse where all are."""
+    columns = motion.weights @ transfer.matrix
+    moving = np.abs(columns).max(axis=0, initial=0.0) > MOVING_WEIGHT
     unused = trained.arrays.get("unused", np.zeros(len(trained.source_shapes))) > 0
     names = [
         name
@@ -137,7 +173,31 @@ def _dead(trained: Retargeting, source: FloatArray) -> list[str]:
     ]
     if not names:
         return []
+    if not (moving & ~unused).any():
+        raise InputError(
+            f"{spec.source}: moves {first_few(names, most=3)} alone, which no pair of the "
+            "retargeting uses, so nothing would move; key pairs for them and train again"
+        )
     return [
         f"{len(names)} source shapes move in this performance and no pair uses them, so the target "
         f"does not follow: {first_few(names)}"
+    ]
+
+
+def _beyond(rig: Rig, motion: SourceMotion, transfer: Transfer) -> list[str]:
+    """Name shapes that pass their range because several sources add up on them."""
+    several = (transfer.matrix != 0).sum(axis=0) > 1
+    if not several.any():
+        return []
+    largest = (motion.weights @ transfer.matrix).max(axis=0, initial=0.0)
+    names = [
+        f"{rig.shapes[i]} ({largest[i]:.2f})"
+        for i in np.flatnonzero(several & (largest > rig.ranges[:, 1] + MOVING_WEIGHT)).tolist()
+    ]
+    if not names:
+        return []
+    return [
+        f"several source shapes add up on {pluralize(len(names), 'shape')} and pass its range: "
+        f"{first_few(names, most=3)}; MetaHuman's rig limits its controls itself, for another rig "
+        "lower the weights with --names"
     ]

@@ -11,6 +11,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.text import first_few
 from usdface.usdio.checks.curves import pair_sides
 from usdface.usdio.checks.fault import Fault, is_recorded, is_solved
+from usdface.usdio.performance.weights_layer import UNMATCHED
 
 CLEAR_SHARE = 0.2
 """How one-sided a shape must be, of its whole movement, to count as that side's."""
@@ -26,6 +27,7 @@ def check_names(prim: Usd.Prim) -> Iterator[Fault]:
     if twice:
         message = f"{first_few(twice)}: named twice; name each shape once"
         yield Fault("error", path, message)
+    yield from _unmatched(prim)
     on_meshes, followed = _bound_shapes(prim)
     if not followed:
         message = (
@@ -41,6 +43,52 @@ def check_names(prim: Usd.Prim) -> Iterator[Fault]:
             f"{len(missing)} shapes are on no mesh: {first_few(missing)}; is it this rig's "
             "animation? Map again for the rig, or rename the shapes",
         )
+    skipped = _skipped_shapes(prim, set(names)) if is_solved(prim) and not missing else {}
+    if skipped:
+        mesh, shapes = next(iter(skipped.items()))
+        yield Fault(
+            "warning",
+            path,
+            f"{len(skipped)} of the meshes that it animates have shapes it does not "
+            f"name, such as {first_few(shapes, most=3)} of {mesh}: importers that pair by order "
+            "(Maya's) would put curves on wrong shapes. Map or retarget again, which writes all",
+        )
+
+
+def _unmatched(prim: Usd.Prim) -> Iterator[Fault]:
+    """Find what the source of a retargeting does that arrives nowhere."""
+    lost = list(map(str, prim.GetAttribute(UNMATCHED).Get() or ()))
+    if lost:
+        yield Fault(
+            "warning",
+            str(prim.GetPath()),
+            f"{len(lost)} shapes of the source move and have no counterpart here: "
+            f"{first_few(lost)}; pair them with `usdface names` and --names, and retarget again",
+        )
+    weights = UsdSkel.Animation(prim).GetBlendShapeWeightsAttr()
+    times = weights.GetTimeSamples() if weights and is_solved(prim) else []
+    if len(times) > 1 and not any(np.any(np.asarray(weights.Get(time))) for time in times):
+        yield Fault(
+            "error",
+            str(prim.GetPath()),
+            "no shape ever moves: every weight is 0 at every frame. Look at the source and at the "
+            "names that are matched (`usdface names`)",
+        )
+
+
+def _skipped_shapes(animation: Usd.Prim, names: set[str]) -> dict[str, list[str]]:
+    """Return by mesh the shapes that an animation leaves out of those it animates."""
+    found: dict[str, list[str]] = {}
+    for prim in animation.GetStage().Traverse():
+        binding = UsdSkel.BindingAPI(prim)
+        shapes = list(map(str, binding.GetBlendShapesAttr().Get() or []))
+        if not names.intersection(shapes) or names.issuperset(shapes):
+            continue
+        skeleton = binding.GetInheritedSkeleton()
+        source = UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource() if skeleton else None
+        if source and source.GetPath() == animation.GetPath():
+            found[prim.GetName()] = [each for each in shapes if each not in names]
+    return found
 
 
 def check_instances(stage: Usd.Stage) -> Iterator[Fault]:

@@ -20,6 +20,7 @@ from usdface.usdio.performance.weights_layer import (
     NEUTRAL_FRAME,
     PAIR_COUNTS,
     STILL_REGIONS,
+    UNMATCHED,
     WeightsHeader,
 )
 from usdface.usdio.rig.reference import place_of, rig_of
@@ -149,6 +150,7 @@ class PerformanceReader:
             name=path.name if path.GetParentPath() == Sdf.Path(place) else ANIMATION,
             neutral_frame=self.neutral_frame,
             basis=self.basis,
+            unmatched=tuple(map(str, self._get(UNMATCHED) or ())),
         )
 
     def rig(self) -> tuple[Path, str]:

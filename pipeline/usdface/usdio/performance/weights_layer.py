@@ -1,7 +1,7 @@
 """One layer of weights over time: a SkelAnimation, and overs that make a rig's skeletons follow."""
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -40,6 +40,7 @@ FIGURES = (SOLVE_UNCERTAINTY, COVERAGE, RESIDUAL)
 PAIR_COUNTS = "face:solve:references"
 STILL_REGIONS = "face:solve:stillRegions"
 NEUTRAL_FRAME = "face:solve:neutralFrame"
+UNMATCHED = "face:source:unmatched"
 
 COPY_FRAMES = 4096
 """Frames whose samples are in memory at once when they are copied."""
@@ -73,6 +74,8 @@ class WeightsHeader:
     """Frame of the take that shows the performer's neutral face."""
     basis: SolveBasis | None = None
     """What the mapping learnt from."""
+    unmatched: tuple[str, ...] = ()
+    """Shapes that move in the source of a retargeting and drive nothing."""
 
     @property
     def animation(self) -> Sdf.Path:
@@ -122,6 +125,7 @@ class WeightsWriter:
         Parameters
         ----------
         weights : (frames, shapes) float array
+            Of the first shapes of the header; the others are at 0.
         uncertainty_mm, coverage, residual_mm : (frames, regions) float array, optional
         keys : (keys,) int array, optional
             Rows whose weights are written; by default all are.
@@ -132,8 +136,10 @@ class WeightsWriter:
             wanted[keys] = True
         for start in range(0, len(weights), self._save_frames):
             part = slice(start, start + self._save_frames)
+            rows = np.zeros((len(weights[part]), self._shapes), dtype=np.float32)
+            rows[:, : weights.shape[1]] = weights[part]
             self._append_block(
-                np.ascontiguousarray(weights[part], dtype=np.float32),
+                rows,
                 [
                     (path, np.ascontiguousarray(values[part], dtype=np.float32))
                     for path, values in zip(
@@ -304,6 +310,15 @@ def make_header(
     )
 
 
+def every_shape(names: Iterable[str], rig: Rig) -> tuple[str, ...]:
+    """Return shapes, and behind them all others of the rig.
+
+    Importers that pair an animation's shapes with a mesh's by order (Maya's) shift all curves after
+    one that is left out.
+    """
+    return tuple(dict.fromkeys((*names, *rig.shapes)))
+
+
 def place_in(layer: Sdf.Layer) -> str:
     """Return where the rig stands that a weights layer moves; empty where it says nothing of it."""
     places: list[str] = []
@@ -336,6 +351,8 @@ def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.Prim
         counts = Vt.IntArray([header.basis.tuned, header.basis.pairs])
         author_uniform(prim, PAIR_COUNTS, Sdf.ValueTypeNames.IntArray, counts)
         author_uniform(prim, STILL_REGIONS, tokens, list(header.basis.still_regions))
+    if header.unmatched:
+        author_uniform(prim, UNMATCHED, tokens, list(header.unmatched))
     if header.timecode_start:
         text = Sdf.ValueTypeNames.String
         author_uniform(prim, "face:timecode:start", text, header.timecode_start)

@@ -1,0 +1,129 @@
+"""Names of shapes: published lists matched with ARKit's, as they are and as studios dress them up.
+
+Half of the sources were kept out of the making of the rules. No meshes are needed.
+"""
+
+import random
+import re
+from collections.abc import Sequence
+
+from benchmarks._published_names import PUBLISHED, Published
+from usdface.model.retarget.name_matching import name_matching, transfer_matrix
+from usdface.model.retarget.shape_vocabulary import ARKIT
+
+_DRAWS = 40
+"""Dressings of each list."""
+
+_LETTERS = "abcdefghijklmnopqrstuvwxyz"
+_SIDES = (
+    ("L", "R"),
+    ("l", "r"),
+    ("Left", "Right"),
+    ("left", "right"),
+    ("LEFT", "RIGHT"),
+    ("lf", "rt"),
+)
+_CENTRES = ("", "", "C", "c", "M", "mid")
+_JOINS = ("_", ".", "-", "__", "")
+
+
+def run() -> None:
+    """Print how many names find their counterpart, and how many find another one."""
+    rng = random.Random(0)
+    print("| source | held out | names with a counterpart | found | wrong | unlike sides |")
+    print("|---|---|---|---|---|---|")
+    for each in PUBLISHED:
+        _row(each.name, each.held_out, [_score(each.names(), each.pairs())])
+    for held_out in (False, True):
+        kept = [each for each in PUBLISHED if each.held_out == held_out]
+        plain = [_score(each.names(), each.pairs()) for each in kept]
+        _row("**all, as published**", held_out, plain)
+        dressed = [_score(*_dressed(each, rng)) for each in kept for _ in range(_DRAWS)]
+        _row("**all, with random prefixes and suffixes**", held_out, dressed)
+    styled = [_score(*_styled(rng)) for _ in range(10 * _DRAWS)]
+    _row("**ARKit, other sides, capitals and separators**", False, styled)
+    _round_trip()
+
+
+def _row(label: str, held_out: bool, scores: Sequence[tuple[int, int, int, int]]) -> None:
+    found, count, wrong, unlike = map(sum, zip(*scores, strict=True))
+    print(
+        f"| {label} | {'yes' if held_out else 'no'} | {count:,} | {found / count:.2%} | {wrong} | "
+        f"{unlike} |"
+    )
+
+
+def _score(names: Sequence[str], pairs: frozenset[tuple[str, str]]) -> tuple[int, int, int, int]:
+    """Return how many names are matched with all of their counterparts, of how many, and faults.
+
+    A pair that nobody published is wrong; sides are unlike where one of two mirrored pairs is
+    matched alone.
+    """
+    matches = name_matching(ARKIT, names).matches
+    matched = {(match.name, name) for match in matches for name, _ in match.target}
+    wanted = {theirs for _, theirs in pairs}
+    found = sum(
+        {pair for pair in matched if pair[1] == name} == {pair for pair in pairs if pair[1] == name}
+        for name in wanted
+    )
+    ours = {match.name for match in matches}
+    expected = {arkit for arkit, _ in pairs}
+    unlike = sum(
+        (name in ours) != (other in ours)
+        for name in expected
+        if name.endswith("Left") and (other := f"{name[:-4]}Right") in expected
+    )
+    return found, len(wanted), len(matched - pairs), unlike
+
+
+def _dressed(given: Published, rng: random.Random) -> tuple[list[str], frozenset[tuple[str, str]]]:
+    """Return a list with a prefix and a suffix that all names share."""
+    before = "".join(_word(rng) + rng.choice("_.:-") for _ in range(rng.randint(1, 3)))
+    after = rng.choice(("", "_" + _word(rng), "." + _word(rng)))
+    dressed = {name: before + name + after for name in given.names()}
+    pairs = frozenset((ours, dressed[theirs]) for ours, theirs in given.pairs())
+    return list(dressed.values()), pairs
+
+
+def _word(rng: random.Random) -> str:
+    word = "".join(rng.choices(_LETTERS, k=rng.randint(2, 8)))
+    digits = str(rng.randint(0, 99)) if rng.random() < 0.3 else ""
+    return rng.choice((word, word.upper(), word.title())) + digits
+
+
+def _styled(rng: random.Random) -> tuple[list[str], frozenset[tuple[str, str]]]:
+    """Return ARKit's names as another studio would write them."""
+    left, right = rng.choice(_SIDES)
+    centre, join, first = rng.choice(_CENTRES), rng.choice(_JOINS), rng.random() < 0.4
+    case = rng.choice((str.title, str.lower, str.upper, str))
+    prefix = rng.choice(("", "", _word(rng) + "_"))
+    found = []
+    for name in ARKIT:
+        words = re.findall(r"[A-Z]?[a-z]+", name)
+        one_sided = words[-1] in ("Left", "Right") and name not in _DIRECTIONS
+        side = {"Left": left, "Right": right}[words.pop()] if one_sided else centre
+        body = [case(word) for word in words]
+        if not join:
+            body = [word.title() for word in words]
+            side = side.title()
+        parts = ([side, *body] if first else [*body, side]) if side else body
+        found.append((name, prefix + join.join(parts)))
+    return [theirs for _, theirs in found], frozenset(found)
+
+
+_DIRECTIONS = ("jawLeft", "jawRight", "mouthLeft", "mouthRight")
+"""Whose side is where they go."""
+
+
+def _round_trip() -> None:
+    """Say what is left of every single shape after MetaHuman's names and back."""
+    print("\n| ARKit to these names and back | largest difference |")
+    print("|---|---|")
+    for given in PUBLISHED:
+        names = given.names()
+        there = name_matching(ARKIT, names).matches
+        back = name_matching(names, ARKIT).matches
+        whole = transfer_matrix(there, ARKIT, names) @ transfer_matrix(back, names, ARKIT)
+        known = [ARKIT.index(match.name) for match in there]
+        error = max(abs(float(whole[i, j]) - (i == j)) for i in known for j in range(len(ARKIT)))
+        print(f"| {given.name} | {error:.1e} |")

@@ -1,0 +1,87 @@
+"""Shapes of two rigs by what their names mean, one to one, both sides alike."""
+
+import random
+
+import numpy as np
+import pytest
+
+from benchmarks._published_names import PUBLISHED, Published
+from usdface.model.retarget.name_matching import match_names, name_matching, transfer_matrix
+from usdface.model.retarget.shape_names import read_meanings
+from usdface.model.retarget.shape_vocabulary import ARKIT
+
+METAHUMAN = next(each for each in PUBLISHED if each.name == "MetaHuman").names()
+
+
+def matched(names: list[str] | tuple[str, ...]) -> set[tuple[str, str]]:
+    return {(match.name, name) for match in match_names(ARKIT, names) for name, _ in match.target}
+
+
+@pytest.mark.parametrize("given", PUBLISHED, ids=lambda each: each.name)
+def test_published_names_find_their_counterparts_and_no_other(given: Published) -> None:
+    found, wanted = matched(given.names()), given.pairs()
+    assert found <= wanted
+    names = {theirs for _, theirs in wanted}
+    assert len(names & {theirs for _, theirs in found}) >= 0.96 * len(names)
+
+
+@pytest.mark.parametrize(
+    "prefix", ["hero_face_bs_", "CTRL_expressions_", "c_", "mouth_", "L_", "blendShape1.", "x7q_"]
+)
+def test_what_all_names_share_says_nothing(prefix: str) -> None:
+    dressed = [prefix + name for name in ARKIT]
+    assert matched(dressed) == set(zip(ARKIT, dressed, strict=True))
+
+
+def test_a_shared_word_that_is_part_of_the_names_stays() -> None:
+    """Of a rig of mouth shapes alone, `mouth` is no prefix; nor is a side that all are of."""
+    mouths = [name for name in ARKIT if name.startswith("mouth")]
+    assert matched(mouths) == {(name, name) for name in mouths}
+    left = ["eyeBlink_L", "browDown_L", "cheekSquint_L"]
+    assert {match.name[-4:] for match in match_names(ARKIT, left)} == {"Left"}
+
+
+def test_shapes_that_could_be_either_are_named_not_guessed() -> None:
+    found = name_matching(ARKIT, ["eye_blink1_l", "eye_blink2_l", "eyeBlinkRight", "jawOpen"])
+    assert {match.name for match in found.matches} == {"jawOpen"}
+    assert any(each.startswith("eye_blink1_l: ") for each in found.ambiguous)
+    assert any(each.startswith("eyeBlinkRight: its other side") for each in found.ambiguous)
+
+
+def test_the_better_known_name_wins_and_the_other_is_named() -> None:
+    found = name_matching(ARKIT, ["jawOpen", "mouth_open"])
+    assert [(match.name, match.target) for match in found.matches] == [
+        ("jawOpen", (("jawOpen", 1.0),))
+    ]
+    assert found.ambiguous == ("mouth_open: jawOpen of the target is taken for that motion",)
+
+
+def test_both_sides_are_matched_alike_whatever_is_missing() -> None:
+    rng = random.Random(0)
+    for _ in range(50):
+        given = rng.choice(PUBLISHED)
+        names = rng.sample(given.names(), len(given.names()) * 2 // 3)
+        meanings = read_meanings(names)
+        there = {each.cells for each in meanings.values()}
+        ours = {match.name for match in match_names(ARKIT, names)}
+        for name in ours:
+            if name.endswith("Left") and name[:-4] + "Right" not in ours:
+                cells = read_meanings(ARKIT)[name[:-4] + "Right"].cells
+                assert not any(each & cells for each in there), (given.name, name)
+
+
+def test_arkit_through_metahuman_controls_comes_back() -> None:
+    there = transfer_matrix(match_names(ARKIT, METAHUMAN), ARKIT, METAHUMAN)
+    back = transfer_matrix(match_names(METAHUMAN, ARKIT), METAHUMAN, ARKIT)
+    weights = np.random.default_rng(0).random((40, len(ARKIT)))
+    np.testing.assert_allclose(weights @ there @ back, weights, atol=1e-6)
+    pucker = dict(zip(METAHUMAN, there[ARKIT.index("mouthPucker")], strict=True))
+    assert pucker["CTRL_expressions_mouthLipsPurseUL"] == 1.0
+    assert pucker["CTRL_expressions_mouthFunnelDR"] == 0.752  # as Epic's pose asset has it
+
+
+def test_weights_of_one_to_one_pairs_pass_to_the_last_bit() -> None:
+    names = [f"rig_{name}" for name in reversed(ARKIT)]
+    matrix = transfer_matrix(match_names(ARKIT, names), ARKIT, names)
+    weights = np.random.default_rng(0).random((9, len(ARKIT)))
+    assert np.array_equal(weights @ matrix, weights[:, ::-1])

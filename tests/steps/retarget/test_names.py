@@ -1,0 +1,150 @@
+"""From a phone straight to a rig whose names are understood, and the table of names."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.usdio.small_rig import small_rig
+from usdface.cli.app import main
+from usdface.core.assets import MeshShape, Rig, RigMesh
+from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.rig.write import write_rig
+from usdface.usdio.validation import validate
+
+SHAPES = ("JawOpen", "EyeBlinkLeft", "EyeBlinkRight", "MouthSmileLeft", "CheekPuff", "HeadYaw")
+
+
+def usdface(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main([str(each) for each in arguments])
+    return int(stop.value.code or 0)
+
+
+def phone_csv(path: Path, weights: np.ndarray, shapes: tuple[str, ...] = SHAPES) -> Path:
+    lines = [",".join(("Timecode", "BlendShapeCount", *shapes))]
+    for frame, row in enumerate(weights):
+        timecode = f"10:00:{frame // 60:02}:{frame % 60:02}.000"
+        lines.append(",".join((timecode, str(len(shapes)), *(f"{each:.9g}" for each in row))))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def named_rig(path: Path, names: dict[str, str], extra: str = "") -> Rig:
+    """Write the small rig with other names, and a shape of its own before them."""
+    rig = small_rig()
+
+    def renamed(mesh: RigMesh) -> RigMesh:
+        shapes = [replace(shape, name=names[shape.name]) for shape in mesh.shapes]
+        first = [MeshShape(extra, mesh.shapes[0].keys)] if extra else []
+        return replace(mesh, shapes=(*first, *shapes))
+
+    order = (*([extra] if extra else []), *(names[each] for each in rig.shapes))
+    made = replace(
+        rig,
+        file=path,
+        shapes=order,
+        meshes=tuple(map(renamed, rig.meshes)),
+        ranges=np.tile([0.0, 1.0], (len(order), 1)),
+    )
+    write_rig(path, made)
+    return made
+
+
+@pytest.fixture
+def take(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+    """Weights of 40 frames in a phone's CSV, beside a rig with a prefix."""
+    monkeypatch.chdir(tmp_path)
+    weights = np.random.default_rng(0).random((40, len(SHAPES))).astype(np.float32)
+    phone_csv(Path("phone.csv"), weights)
+    names = {"jawOpen": "hero_bs_jawOpen", "eyeBlink": "hero_bs_eyeBlink", "smile": "hero_bs_smile"}
+    named_rig(Path("hero.usda"), names, extra="hero_bs_aCorrective")
+    return weights
+
+
+def test_a_phone_drives_a_rig_by_names_and_every_shape_is_written(take: np.ndarray, capsys) -> None:
+    assert usdface("retarget", "phone.csv", "--rig", "hero.usda", "--out", "shot.usda") == 0
+    reader = PerformanceReader(Path("shot.usda"))
+    solved = dict(zip(reader.names, reader.solved().T, strict=True))
+    assert reader.names == tuple(
+        f"hero_bs_{n}" for n in ("aCorrective", "jawOpen", "eyeBlink", "smile")
+    )
+    assert np.array_equal(solved["hero_bs_jawOpen"], take[:, 0])
+    np.testing.assert_allclose(solved["hero_bs_eyeBlink"], take[:, 1:3].mean(axis=1), atol=1e-7)
+    np.testing.assert_allclose(solved["hero_bs_smile"], take[:, 3] / 2, atol=1e-7)
+    assert not solved["hero_bs_aCorrective"].any()
+    assert "no counterpart for 1 moving shape: CheekPuff" in capsys.readouterr().out
+    found = [each.message for each in validate(Path("shot.usda")) if each.check == "usdface:Names"]
+    assert len(found) == 1
+    assert "CheekPuff" in found[0]
+
+
+def test_the_table_of_names_comes_back_edited(take: np.ndarray, capsys) -> None:
+    assert usdface("names", "hero.usda", "phone.csv", "--json") == 0
+    listed = json.loads(capsys.readouterr().out)
+    pairs = {(row["source"], row["target"], row["weight"]) for row in listed["pairs"]}
+    assert ("JawOpen", "hero_bs_jawOpen", 1.0) in pairs
+    rows = [row for row in listed["pairs"] if row["source"] != "JawOpen"]
+    rows.append({"source": "CheekPuff", "target": "hero_bs_jawOpen", "weight": 0.5})
+    Path("edited.json").write_text(json.dumps({"pairs": rows}))
+    line = "retarget phone.csv --rig hero.usda --names edited.json --out shot.usda"
+    assert usdface(*line.split()) == 0
+    reader = PerformanceReader(Path("shot.usda"))
+    column = reader.solved()[:, reader.names.index("hero_bs_jawOpen")]
+    np.testing.assert_allclose(column, 0.5 * take[:, 4], atol=1e-7)
+
+
+def test_a_table_that_was_written_says_the_same_as_the_names(take: np.ndarray) -> None:
+    for suffix in ("csv", "json"):
+        assert usdface("names", "hero.usda", "phone.csv", "--out", f"t.{suffix}") == 0
+        line = f"retarget phone.csv --rig hero.usda --names t.{suffix} --out {suffix}.usda"
+        assert usdface(*line.split()) == 0
+    assert usdface("retarget", "phone.csv", "--rig", "hero.usda", "--out", "plain.usda") == 0
+    one, other, plain = (
+        PerformanceReader(Path(f"{name}.usda")).solved() for name in ("csv", "json", "plain")
+    )
+    assert np.array_equal(one, plain)
+    assert np.array_equal(other, plain)
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (
+            "source,target,weight\nJawOpen,hero_bs_jawOpn,1\n",
+            "line 2: 'hero_bs_jawOpn' is no shape",
+        ),
+        ("source,target,weight\nJawOpen,hero_bs_jawOpen,half\n", "weight 'half' of JawOpen"),
+        ("source,target\nA,hero_bs_smile\nA,hero_bs_smile\n", "line 3: A and hero_bs_smile are"),
+        ("source,target\nSmirk,hero_bs_smile\n", "none of its 1 row is of a shape of the source"),
+        ("from,to\nA,B\n", "has no `source` column"),
+        ("source,target\n,hero_bs_smile\n", "line 2: a pair needs a source and a target"),
+    ],
+)
+def test_a_table_with_faults_is_refused(take: np.ndarray, capsys, rows: str, message: str) -> None:
+    Path("t.csv").write_text(rows)
+    line = "retarget phone.csv --rig hero.usda --names t.csv --out shot.usda"
+    assert usdface(*line.split()) == 2
+    assert message in capsys.readouterr().err
+    assert not Path("shot.usda").exists()
+
+
+def test_a_face_that_would_not_move_is_refused(tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    weights = np.zeros((30, 2))
+    weights[:, 1] = np.linspace(0, 1, 30)
+    phone_csv(Path("phone.csv"), weights, ("JawOpen", "CheekPuff"))
+    named_rig(Path("hero.usda"), {"jawOpen": "jawOpen", "eyeBlink": "blink", "smile": "smile"})
+    assert usdface("retarget", "phone.csv", "--rig", "hero.usda", "--out", "shot.usda") == 2
+    assert "none of its 1 moving shape (CheekPuff) has a counterpart" in capsys.readouterr().err
+    assert not Path("shot.usda").exists()
+
+
+def test_no_target_and_uneven_targets_are_refused(take: np.ndarray, capsys) -> None:
+    assert usdface("retarget", "phone.csv", "--out", "shot.usda") == 2
+    assert "no target is given" in capsys.readouterr().err
+    line = "retarget phone.csv --rig hero.usda --out a.usda --out b.usda"
+    assert usdface(*line.split()) == 2
+    assert "2 outputs and 1 rigs" in capsys.readouterr().err
