@@ -25,14 +25,17 @@ from usdface.cli.console import (
 from usdface.cli.spec_options import build_spec, command_of, help_of
 from usdface.cli.tune import tune_command
 from usdface.core.errors import InputError, UsdfaceError
+from usdface.core.progress import Progress
 from usdface.core.text import first_few, pluralize
 from usdface.core.version import __version__
+from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
 from usdface.specs.capture import IngestSpec
 from usdface.specs.commands import SubmitSpec, TuneSpec
 from usdface.specs.job import COMMAND_SPECS, JobSpec
 from usdface.specs.paths import ROOT_VARIABLE, check_confined, read_path_rules
 from usdface.specs.reading import read_job, spec_text
+from usdface.specs.retarget import RetargetSpec
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for scripts.")]
 ShowProgress = Annotated[
@@ -92,19 +95,15 @@ def _run_step(
     progress: ProgressStyle,
     as_json: bool,
 ) -> None:
-    folder = _folder_to_ingest(spec_type, values)
+    folder = _folder_of_takes(spec_type, values)
     if folder is not None:
-        from usdface.steps.capture.ingest_folder import ingest_folder
-
         if save_spec is not None:
             raise InputError(
                 f"{folder}: --save-spec writes the spec of one take; name a take's files instead "
                 "of a folder, or leave it out"
             )
-        target = values.pop("out")
-        shared = build_spec(IngestSpec, values | {"out": target / "all.take.usda"})
         with progress_listener(progress) as listener:
-            report = ingest_folder(folder, target, shared, overwrite=overwrite, progress=listener)
+            report = _run_folder(spec_type, values, folder, overwrite, listener)
         show_result(report, as_json=as_json)
         return
     spec = build_spec(spec_type, values)
@@ -124,10 +123,37 @@ def _run_step(
     report.require_success()
 
 
-def _folder_to_ingest(spec_type: type[Spec], values: dict[str, Any]) -> Path | None:
-    """Return the folder that `ingest` is pointed at, if it is one."""
-    sources = values.get("sources") if spec_type is IngestSpec else None
-    return sources[0] if sources and len(sources) == 1 and sources[0].is_dir() else None
+def _folder_of_takes(spec_type: type[Spec], values: dict[str, Any]) -> Path | None:
+    """Return the folder that `ingest` or `retarget` is pointed at, if it is one."""
+    if spec_type not in (IngestSpec, RetargetSpec):
+        return None
+    given = values.get("sources" if spec_type is IngestSpec else "source")
+    sources = given if isinstance(given, list | tuple) else [given]
+    return sources[0] if len(sources) == 1 and sources[0] and sources[0].is_dir() else None
+
+
+def _run_folder(
+    spec_type: type[Spec],
+    values: dict[str, Any],
+    folder: Path,
+    overwrite: bool,
+    progress: Progress,
+) -> StepResult:
+    if spec_type is IngestSpec:
+        from usdface.steps.capture.ingest_folder import ingest_folder
+
+        target = values.pop("out")
+        ingest = build_spec(IngestSpec, values | {"out": target / "all.take.usda"})
+        return ingest_folder(folder, target, ingest, overwrite=overwrite, progress=progress)
+    from usdface.steps.retarget.retarget_folder import retarget_folder
+
+    outs = list(values.pop("out"))
+    if len(outs) != 1:
+        raise InputError(f"{folder}: is a folder, so one folder is written; give one --out")
+    count = max(len(values.get(name) or ()) for name in ("retargeting", "rig"))
+    names = tuple(outs[0] / f"all{index}.usda" for index in range(count))
+    shared = build_spec(RetargetSpec, values | {"out": names})
+    return retarget_folder(folder, outs[0], shared, overwrite=overwrite, progress=progress)
 
 
 def _unchunked_notes(names: list[str]) -> tuple[str, ...]:
@@ -147,7 +173,6 @@ def _submit(
     as_json: bool,
 ) -> None:
     from usdface.farm.submit import describe, submit
-    from usdface.runner.result import StepResult
 
     spec = build_spec(spec_type, values)
     done = submit(spec, overwrite=overwrite, quiet=as_json)

@@ -1,12 +1,15 @@
 """From a phone straight to a rig whose names are understood, and the table of names."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.regenerate import REPOSITORY
+from tests.test_docs import commands, run
 from tests.usdio.small_rig import small_rig
 from usdface.cli.app import main
 from usdface.core.assets import MeshShape, Rig, RigMesh
@@ -140,6 +143,38 @@ def test_a_face_that_would_not_move_is_refused(tmp_path: Path, monkeypatch, caps
     assert usdface("retarget", "phone.csv", "--rig", "hero.usda", "--out", "shot.usda") == 2
     assert "none of its 1 moving shape (CheekPuff) has a counterpart" in capsys.readouterr().err
     assert not Path("shot.usda").exists()
+
+
+def test_the_page_from_a_phone_to_a_rig_runs(tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    weights = np.random.default_rng(0).random((40, len(SHAPES)))
+    phone_csv(Path("phone.csv"), weights)
+    names = {"jawOpen": "mouth_open", "eyeBlink": "AU45", "smile": "happy_smile"}
+    named_rig(Path("hero.usdc"), names)
+    page = REPOSITORY / "docs" / "howto" / "live_link_to_my_rig.md"
+    Path("day1").mkdir()
+    for take in ("one", "two"):
+        phone_csv(Path(f"day1/{take}.csv"), weights)
+    folder = re.findall(r"`(usdface retarget day1 [^`]*)`", page.read_text("utf-8"))
+    for line in [*commands(page), *folder]:
+        assert run(line) == 0, f"{line}\n{capsys.readouterr()}"
+    plain = PerformanceReader(Path("phone.hero.usda")).solved()
+    for other in ("phone.hero2.usda", "phone.hero3.usda", "performances/two.hero.usda"):
+        assert np.array_equal(PerformanceReader(Path(other)).solved(), plain), other
+    assert sorted(path.name for path in Path("performances").glob("*.hero.usda")) == [
+        "one.hero.usda",
+        "two.hero.usda",
+    ]
+
+
+def test_a_take_of_a_folder_that_fails_does_not_stop_the_others(take: np.ndarray, capsys) -> None:
+    Path("day").mkdir()
+    phone_csv(Path("day/good.csv"), take)
+    phone_csv(Path("day/bad.csv"), take[:, 4:5], ("CheekPuff",))
+    assert usdface("retarget", "day", "--rig", "hero.usda", "--out", "made") == 1
+    assert "1 take of day retargeted, 1 could not be" in capsys.readouterr().err
+    assert Path("made/good.hero.usda").exists()
+    assert not Path("made/bad.hero.usda").exists()
 
 
 def test_no_target_and_uneven_targets_are_refused(take: np.ndarray, capsys) -> None:

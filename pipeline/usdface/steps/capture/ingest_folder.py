@@ -1,16 +1,15 @@
 """Every take in a folder: files of one stem belong together."""
 
-from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
 
 from usdface.capture.sniff import VIDEO_SUFFIXES, recognise_format
-from usdface.core.errors import CheckFailedError, InputError
-from usdface.core.progress import Progress, part, silent
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import first_few, pluralize
-from usdface.runner.execute import execute
+from usdface.runner.folder import execute_each
 from usdface.runner.result import StepResult
 from usdface.specs.capture import IngestSpec
 
@@ -103,11 +102,8 @@ def ingest_folder(
                 "it; leave it out"
             )
     bundles = _bundles(folder, shared.only)
-    made = _make_folder(out)
-    done: list[StepResult] = []
-    failed: list[str] = []
-    for index, bundle in enumerate(bundles):
-        spec = shared.model_copy(
+    specs = [
+        shared.model_copy(
             update={
                 "sources": bundle.captures,
                 "out": out / f"{bundle.name}.take.usda",
@@ -117,21 +113,16 @@ def ingest_folder(
                 "only": None,
             }
         )
-        own = part(progress, index / len(bundles), (index + 1) / len(bundles))
-        try:
-            done.append(execute(spec, overwrite=overwrite, progress=own))
-        except InputError as error:
-            failed.append(str(error))
-    if failed and not done:
-        for empty in made:
-            with suppress(OSError):  # whatever lies in it stays
-                empty.rmdir()
-    if failed:
-        reasons = "\n".join(f"  {message}" for message in failed)
-        raise CheckFailedError(
-            f"{pluralize(len(done), 'take')} of {folder} ingested, "
-            f"{len(failed)} could not be:\n{reasons}"
-        )
+        for bundle in bundles
+    ]
+    done = execute_each(
+        specs,
+        folder=folder,
+        out=out,
+        done_as="ingested",
+        overwrite=overwrite,
+        progress=progress,
+    )
     return StepResult(
         tuple(path for report in done for path in report.outputs),
         f"{pluralize(len(done), 'take')} of {folder}",
@@ -163,18 +154,6 @@ def _bundles(folder: Path, only: str | None) -> list[Bundle]:
         f"{folder}: holds no capture file that is known; name the folder that holds the "
         "captures, or a file with --format"
     )
-
-
-def _make_folder(folder: Path) -> list[Path]:
-    """Make a folder with those above it, and return the new ones, the innermost first."""
-    new = [path for path in (folder, *folder.parents) if not path.exists()]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{folder}: cannot be made: {error.strerror}; choose another --out"
-        ) from error
-    return new
 
 
 def _left_out(folder: Path, bundles: list[Bundle]) -> tuple[str, ...]:

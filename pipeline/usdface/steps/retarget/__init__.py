@@ -1,3 +1,3 @@
 """From one face to another."""
 
-_commands = ("names",)
+_commands = ("names", "retarget_folder")

@@ -1,0 +1,97 @@
+"""Every take of a folder onto the same characters."""
+
+from pathlib import Path
+
+from usdface.capture.sniff import recognise_format
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.text import pluralize
+from usdface.runner.folder import execute_each
+from usdface.runner.result import StepResult
+from usdface.specs.retarget import RetargetSpec
+
+TAKE_END = ".take.usda"
+
+
+def retarget_folder(
+    folder: Path,
+    out: Path,
+    shared: RetargetSpec,
+    *,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> StepResult:
+    """Retarget every take and every capture of a folder; one that fails does not stop the others.
+
+    Parameters
+    ----------
+    out : Path
+        Folder for the performances, ``TAKE.RIG.usda``; made if it is not there.
+    shared : RetargetSpec
+        Targets and options for every take; its source and outputs are not used.
+
+    Raises
+    ------
+    InputError
+        If the folder holds none, `shared` names frames, or `out` cannot be made.
+    CheckFailedError
+        If a take could not be retargeted; each is named with its reason.
+    """
+    for name in ("frames", "alpha"):
+        if getattr(shared, name):
+            raise InputError(f"{folder}: --{name} is of one take, and a folder holds several")
+    sources = _takes(folder)
+    if not sources:
+        raise InputError(
+            f"{folder}: holds no take ({TAKE_END}) and no capture that is known; name the folder "
+            "that holds them"
+        )
+    targets = [path.name.partition(".")[0] for path in shared.rig or shared.retargeting]
+    if len(set(targets)) < len(targets):
+        raise InputError(
+            f"{folder}: performances are named after their targets, and {', '.join(targets)} are "
+            "not different; retarget to one of them at a time"
+        )
+    specs = [
+        shared.model_copy(
+            update={
+                "source": source,
+                "out": tuple(out / f"{stem}.{target}.usda" for target in targets),
+            }
+        )
+        for stem, source in sources.items()
+    ]
+    done = execute_each(
+        specs,
+        folder=folder,
+        out=out,
+        done_as="retargeted",
+        overwrite=overwrite,
+        progress=progress,
+    )
+    return StepResult(
+        tuple(path for report in done for path in report.outputs),
+        f"{pluralize(len(done), 'take')} of {folder} on {pluralize(len(targets), 'target')}",
+        tuple(line for report in done for line in (report.summary, *report.notes)),
+        {"takes": [report.as_data() for report in done]},
+    )
+
+
+def _takes(folder: Path) -> dict[str, Path]:
+    """Return sources by stem; a take goes before the capture that it was made from."""
+    found: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.is_file() and path.name.endswith(TAKE_END) and not path.name.startswith("."):
+            found[path.name.removesuffix(TAKE_END)] = path
+    for path in sorted(folder.iterdir()):
+        if path.is_file() and not path.name.startswith(".") and _is_capture(path):
+            found.setdefault(path.stem, path)
+    return found
+
+
+def _is_capture(path: Path) -> bool:
+    try:
+        recognise_format(path)
+    except (InputError, OSError):
+        return False
+    return True
