@@ -1,5 +1,6 @@
 """Tell a capture's format by its content, and read it."""
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +28,26 @@ _EXPORTS = dict.fromkeys(
     "is a movie, which holds no markers: track the face in it with `usdface track {name} --out "
     "{stem}.take.usda`, or ingest the capture that it was filmed with, and the movie as --video",
 )
-"""What to do with files that are often tried."""
+"""What to do with files that are often tried, by how their names end."""
+
+_TRACK_IT = "track the face in the movie itself with `usdface track`"
+_LANDMARKS: tuple[tuple[re.Pattern[bytes], str], ...] = (
+    (
+        re.compile(rb'\s*[\[{].*"(?:face_?)?landmarks"', re.DOTALL | re.IGNORECASE),
+        "holds landmarks in JSON, in shares of a picture whose size it does not state: "
+        f"{_TRACK_IT}, or write them as a table in mm, marker-csv",
+    ),
+    (
+        re.compile(rb"[^\n]*\bx_?0\b[^\n]*\by_?67\b", re.IGNORECASE),
+        "holds 68 landmarks in the picture (dlib, iBUG), without depth: "
+        f"{_TRACK_IT}, or run OpenFace's FeatureExtraction with -3Dfp",
+    ),
+)
+"""Landmarks of other trackers that are not read, by their first bytes."""
+_FRAME_LOG = (
+    "is the frame log of Live Link Face, which holds no weights: ingest the CSV of weights beside "
+    f"it, with the MOV as --video; without such a CSV, {_TRACK_IT}"
+)
 
 
 @dataclass(frozen=True)
@@ -115,11 +135,16 @@ def recognise_format(path: Path) -> CaptureFormat:
     advice = _EXPORTS.get(path.suffix.lower())
     if advice is not None:
         raise InputError(f"{path} {advice.format(name=path.name, stem=path.stem)}")
+    if path.name.lower().endswith("frame_log.csv"):
+        raise InputError(f"{path} {_FRAME_LOG}")
     if not head:
         raise InputError(f"{path}: the file is empty (0 bytes); copy or export the capture again")
     for candidate in FORMATS:
         if candidate.recognise(head):
             return candidate
+    for pattern, advice in _LANDMARKS:
+        if pattern.match(head):
+            raise InputError(f"{path} {advice}")
     raise InputError(
         f"{path}: not a capture file we know (it begins with {_readable(head)}); known are "
         f"{_known_formats()}; export one of these, or name it with --format"

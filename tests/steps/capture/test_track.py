@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 import usdface.steps.capture.track as step
 from tests.capture.simulated_faces import SCORES, SimulatedFinder, head_points, turning_head
 from tests.media.bar_code import HEIGHT, WIDTH, write_numbered
+from usdface.capture.face_gaze import LOOK_SHAPES
 from usdface.capture.face_landmarks import LANDMARKS
 from usdface.core.errors import InputError
 from usdface.media.film.movie import write_movie
@@ -66,7 +67,7 @@ def test_a_head_is_where_it_was_and_cleaning_takes_its_motion_out(tracked, tmp_p
     np.testing.assert_allclose(pose.rotations, truth.rotations, atol=1e-4)
     # the least of the scores that are no gaze is at the first picture
     assert take.markers.neutral_frame == 1
-    assert take.source.names == SCORES
+    assert take.source.names == (*SCORES[:3], *LOOK_SHAPES)  # the model's own looks are left out
     assert take.source.values[20, 2] == pytest.approx(0.7)
     clean = tmp_path / "x.clean.take.usda"
     execute(CleanSpec(take=tmp_path / "x.take.usda", out=clean, relabel=False, smooth=False))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from usdface.capture.channel_take import fill_frames
+from usdface.capture.face_gaze import LOOK_SHAPES, GazeAngles, closed_eyes, gaze_angles
 from usdface.capture.face_landmarker import (
     KNOWN_MODELS,
     MODEL_VARIABLE,
@@ -273,11 +274,18 @@ def _build_take(
     positions = positions.reshape(len(rows), -1, 3)
     visible = np.repeat(present[:, None], positions.shape[1], axis=1)
     visible &= ~_turned_away(positions)
+    closed = closed_eyes(positions, present)
+    for side, sign in enumerate(("iris_R", "iris_L")):
+        visible[:, [name.startswith(sign) for name in LANDMARKS.names]] &= ~closed[
+            :, side : side + 1
+        ]
     neutral = spec.neutral
     notes = []
     if neutral is None:
         neutral = _least_expression(scores, present, score_names) + timing.first_frame
         notes.append(f"frame {neutral} shows the least expression, and is taken as neutral")
+    gaze = gaze_angles(positions, present, closed, neutral - timing.first_frame)
+    score_names, scores = _with_gaze(score_names, scores, gaze)
     header = CaptureHeader(spec.video, "track", timing.rate, timing.first_frame)
     built = build_marker_take(
         header,
@@ -300,6 +308,15 @@ def _build_take(
         emotion=spec.emotion,
     )
     return take, (*notes, *built.notes)
+
+
+def _with_gaze(
+    names: tuple[str, ...], scores: Float32Array, gaze: GazeAngles
+) -> tuple[tuple[str, ...], Float32Array]:
+    """Put the looks that the irises show in the place of those that the model scores."""
+    others = [at for at, name in enumerate(names) if name not in LOOK_SHAPES]
+    values = np.concatenate([scores[:, others], gaze.look_weights()], axis=1)
+    return (*(names[at] for at in others), *LOOK_SHAPES), values
 
 
 def _even_rows(frames: FloatArray, seen: BoolArray) -> tuple[IntArray, BoolArray]:

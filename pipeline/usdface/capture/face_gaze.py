@@ -1,0 +1,133 @@
+"""Where the eyes look, from the irises; a closed eye looks where it looked before.
+
+An iris turns about the eye's centre: its way across the skull is the sine of the angle. Behind a
+closed lid a landmark model guesses the iris, and guesses it low: such samples are gaps, so that a
+blink is never read as a look down.
+
+References
+----------
+Fry and Hill (1962), The center of rotation of the eye, American Journal of Optometry 39, 581-595:
+13.5 mm behind the cornea.
+Soukupová and Čech (2016), Real-time eye blink detection using facial landmarks, CVWW: aperture over
+width.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.capture.face_landmarks import LANDMARKS
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.numerics.rigid.rigid_alignment import align_rigid_robust
+
+IRIS_RADIUS_MM = 10.0
+"""From the eye's centre of rotation to the plane of the iris: 13.5 mm to the cornea, less 3.5 mm of
+anterior chamber and cornea."""
+FULL_LOOK_DEGREES = 30.0
+"""Of a weight of 1: how far eyes turn before the head follows (Stahl 1999, Experimental Brain
+Research 126: 20 to 35)."""
+LOOK_SHAPES = tuple(
+    f"eyeLook{way}{side}" for side in ("Right", "Left") for way in ("In", "Out", "Up", "Down")
+)
+"""ARKit's names, in the order of `GazeAngles.look_weights`."""
+
+_CLOSED_SHARE = 0.4
+"""Of the usual aperture: a look down leaves more than half of it, a lid on its way covers the iris
+below."""
+_NEUTRAL_REACH = 3
+"""Frames on either side of the neutral one whose mean is a look straight ahead."""
+
+
+def _eye(side: str) -> dict[str, IntArray]:
+    names = LANDMARKS.names
+    return {
+        part: np.array([at for at in LANDMARKS.columns(part) if f"_{side}" in names[at]], np.int64)
+        for part in ("iris", "lid_upper", "lid_lower", "eye_inner", "eye_outer")
+    }
+
+
+_EYES = (_eye("R"), _eye("L"))
+
+
+@dataclass(frozen=True)
+class GazeAngles:
+    """The directions of the right and the left eye, against the neutral frame."""
+
+    yaw: FloatArray
+    """(frames, 2): to the performer's left [degrees]"""
+    pitch: FloatArray
+    """(frames, 2): upwards [degrees]"""
+
+    def look_weights(self) -> Float32Array:
+        """Return weights of `LOOK_SHAPES`: (frames, 8), 1 at `FULL_LOOK_DEGREES`."""
+        inward = self.yaw * (1.0, -1.0)  # the right eye's nose is to its left
+        ways = np.stack([inward, -inward, self.pitch, -self.pitch], axis=2) / FULL_LOOK_DEGREES
+        return np.clip(ways, 0.0, 1.0).reshape(len(ways), -1).astype(np.float32)
+
+
+def closed_eyes(positions: FloatArray | Float32Array, seen: BoolArray) -> BoolArray:
+    """Return where the right and the left eye are closed, or nearly: (frames, 2).
+
+    Parameters
+    ----------
+    positions : (frames, markers, 3) float array
+        Of `LANDMARKS` [mm].
+    seen : (frames,) bool array
+    """
+    closed = np.zeros((len(positions), 2), bool)
+    for side, eye in enumerate(_EYES):
+        lids = positions[:, eye["lid_upper"]] - positions[:, eye["lid_lower"]]
+        width = (positions[:, eye["eye_outer"]] - positions[:, eye["eye_inner"]]).mean(axis=1)
+        aperture = np.linalg.norm(lids.mean(axis=1), axis=1) / np.linalg.norm(width, axis=1)
+        low = aperture < _CLOSED_SHARE * np.median(aperture[seen])
+        # a picture beside a closed one is blurred
+        closed[:, side] = low | np.append(low[1:], False) | np.insert(low[:-1], 0, False)
+    return closed
+
+
+def gaze_angles(
+    positions: FloatArray | Float32Array, seen: BoolArray, closed: BoolArray, neutral: int
+) -> GazeAngles:
+    """Return where the eyes look.
+
+    Parameters
+    ----------
+    positions : (frames, markers, 3) float array
+        Of `LANDMARKS`, in the camera's space or the head's [mm].
+    seen : (frames,) bool array
+    closed : (frames, 2) bool array
+        From `closed_eyes`; the angles are interpolated there.
+    neutral : int
+        Row in which the eyes look straight ahead.
+    """
+    skull = np.array([LANDMARKS.names.index(name) for name in LANDMARKS.rigid])
+    rest = positions[neutral].astype(np.float64)
+    pose = align_rigid_robust(
+        positions[:, skull], rest[skull], visible=np.repeat(seen[:, None], len(skull), axis=1)
+    )
+    frames = np.arange(len(positions))
+    near = np.abs(frames - neutral) <= _NEUTRAL_REACH
+    angles = np.zeros((2, len(positions), 2))
+    axes = _head_axes(rest)
+    for side, eye in enumerate(_EYES):
+        iris = positions[:, eye["iris"]].mean(axis=1) - pose.translations
+        still = np.einsum("fji,fj->fi", pose.rotations, iris)
+        usable = seen & pose.determined & ~closed[:, side]
+        if not usable.any():
+            continue
+        ahead = still[usable & near] if (usable & near).any() else still[usable]
+        moved = (still - ahead.mean(axis=0)) @ axes.T / IRIS_RADIUS_MM
+        for axis in range(2):
+            turned = np.degrees(np.arcsin(np.clip(moved[:, axis], -1.0, 1.0)))
+            angles[axis, :, side] = np.interp(frames, frames[usable], turned[usable])
+    return GazeAngles(angles[0], angles[1])
+
+
+def _head_axes(rest: FloatArray) -> FloatArray:
+    """Return the directions to the performer's left and up of a head: (2, 3)."""
+    corner = [np.concatenate([eye["eye_inner"], eye["eye_outer"]]) for eye in _EYES]
+    left = rest[corner[1]].mean(axis=0) - rest[corner[0]].mean(axis=0)
+    left /= np.linalg.norm(left)
+    up = rest[LANDMARKS.column(10)] - rest[LANDMARKS.column(152)]
+    up -= (up @ left) * left
+    return np.stack([left, up / np.linalg.norm(up)])
