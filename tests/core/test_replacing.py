@@ -3,6 +3,7 @@
 import errno
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -10,9 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from usdface.core import write_lock
 from usdface.core.errors import InputError
 from usdface.core.replacing import (
     check_not_written_since,
+    creating,
     not_written_since,
     replacing,
     replacing_together,
@@ -125,20 +128,119 @@ def test_long_names_that_begin_alike_have_a_lock_each(tmp_path: Path) -> None:
     assert sorted(tmp_path.iterdir()) == sorted(together)
 
 
-def test_where_there_are_no_locks_nothing_that_another_may_be_writing_is_cleared(
-    tmp_path: Path, monkeypatch
-) -> None:
-    def no_locks(*_: object) -> None:
-        raise OSError(errno.ENOLCK, "no locks available")
+@pytest.fixture(params=[errno.ENOLCK, errno.ENOSYS, errno.EINVAL], ids=errno.errorcode.get)
+def no_locks(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file system without file locks, as network mounts say it."""
 
+    def refused(*_: object) -> None:
+        raise OSError(request.param, "no file locks")
+
+    monkeypatch.setattr(write_lock.fcntl, "flock", refused)
+    write_lock._warn_of_no_locks.cache_clear()
+
+
+def test_without_file_locks_one_writer_holds_off_the_other_and_it_is_said(
+    tmp_path: Path, no_locks: None, caplog: pytest.LogCaptureFixture
+) -> None:
     target = tmp_path / "a.txt"
-    monkeypatch.setattr("usdface.core.replacing.fcntl.flock", no_locks)
     with replacing(target) as first:
         first.write_text("first")
-        with replacing(target) as second:
-            second.write_text("second")
-        assert first.read_text() == "first"
+        with pytest.raises(InputError, match="another process is writing it"), replacing(target):
+            pass
     assert target.read_text() == "first"
+    assert [each.name for each in tmp_path.iterdir()] == ["a.txt"]
+    assert [record.message.split(": ")[1][:35] for record in caplog.records] == [
+        "this file system has no file locks;"
+    ]
+
+
+def test_without_file_locks_a_killed_writer_holds_off_nobody_and_one_elsewhere_does(
+    tmp_path: Path, no_locks: None
+) -> None:
+    target, lock = tmp_path / "a.txt", tmp_path / ".a.txt.lock"
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    here = f"process {gone.pid} on {socket.gethostname()} {'a' * 32}, alone"
+    lock.write_text(here)
+    with replacing(target) as temporary:
+        temporary.write_text("new")
+    assert [each.name for each in tmp_path.iterdir()] == ["a.txt"]
+    for text in (here.replace(socket.gethostname(), "elsewhere"), ""):
+        lock.write_text(text)
+        with pytest.raises(InputError, match=r"remove \.a\.txt\.lock"), replacing(target):
+            pass
+        assert lock.read_text() == text
+
+
+def test_a_lock_by_its_file_alone_is_honoured_by_who_has_file_locks(tmp_path: Path) -> None:
+    (tmp_path / ".a.txt.lock").write_text(f"process 1 on elsewhere {'a' * 32}, alone")
+    with (
+        pytest.raises(InputError, match=r"process 1 on elsewhere\)"),
+        replacing(tmp_path / "a.txt"),
+    ):
+        pass
+
+
+def test_a_file_in_the_place_of_a_lock_is_never_written_to(tmp_path: Path) -> None:
+    mine = tmp_path / "precious.txt"
+    for text in ("my novel", ""):
+        mine.write_text(text)
+        (tmp_path / ".a.txt.lock").symlink_to(mine)
+        with pytest.raises(InputError, match="is a link where usdface keeps a file"):
+            with replacing(tmp_path / "a.txt"):
+                pass
+        (tmp_path / ".a.txt.lock").unlink()
+        assert mine.read_text() == text
+    mine.write_text("my novel")
+    mine.rename(tmp_path / ".a.txt.lock")
+    with (
+        pytest.raises(InputError, match="is no lock of usdface"),
+        replacing(tmp_path / "a.txt"),
+    ):
+        pass
+    assert (tmp_path / ".a.txt.lock").read_text() == "my novel"
+
+
+def test_a_lock_that_is_taken_away_stops_the_writing(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+
+    def write() -> None:
+        with replacing(target) as temporary:
+            temporary.write_text("new")
+            (tmp_path / ".a.txt.lock").unlink()
+
+    with pytest.raises(InputError, match=r"its lock .* was removed"):
+        write()
+    assert target.read_text() == "old"
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_what_is_made_anew_never_takes_the_place_of_anything(
+    tmp_path: Path, links: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise OSError(errno.EPERM, "no second names here")
+
+    if not links:
+        monkeypatch.setattr(os, "link", refused)
+    target = tmp_path / "a.yaml"
+    with creating(target) as temporary:
+        temporary.write_text("first")
+    (tmp_path / "b.yaml").symlink_to(tmp_path / "nothing")
+    for path in (target, tmp_path / "b.yaml"):
+        with pytest.raises(InputError, match="exists, and is not written over"), creating(path):
+            pass
+
+    def overtaken() -> None:
+        with creating(tmp_path / "c.yaml") as temporary:
+            temporary.write_text("late")
+            (tmp_path / "c.yaml").write_text("meanwhile")
+
+    with pytest.raises(InputError, match="exists, and is not written over"):
+        overtaken()
+    assert (tmp_path / "c.yaml").read_text() == "meanwhile"
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["a.yaml", "b.yaml", "c.yaml"]
 
 
 def test_leftovers_that_cannot_be_cleared_stop_nobody(tmp_path: Path, monkeypatch) -> None:

@@ -10,11 +10,11 @@ from pxr import Sdf
 
 from tests.usdio.small_rig import small_rig
 from usdface.cli import main
+from usdface.core.confinement import ROOT_VARIABLE, check_confined
 from usdface.core.errors import InputError
 from usdface.runner.execute import execute
 from usdface.runner.job import job_states, run_job
 from usdface.specs.edits import BakeSpec
-from usdface.specs.paths import ROOT_VARIABLE, check_confined
 from usdface.specs.reading import read_job
 from usdface.usdio.rig.write import write_rig
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from usdface.capture.c3d_parameters import PROCESSORS, Parameters, Processor, parse_parameters
+from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 
 BLOCK_BYTES = 512
@@ -60,6 +61,7 @@ def read_layout(path: Path) -> C3dLayout:
     InputError
         If the file is not a C3D file, is damaged, or ends before the samples it promises.
     """
+    check_may_open(path)
     size = path.stat().st_size
     with path.open("rb") as file:
         header = file.read(BLOCK_BYTES)

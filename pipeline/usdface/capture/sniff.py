@@ -15,6 +15,7 @@ from usdface.capture.motive_csv import is_motive_csv, read_motive_csv
 from usdface.capture.openface_csv import is_openface_csv, read_openface_csv
 from usdface.capture.trc import is_trc, read_trc
 from usdface.capture.vicon_csv import is_vicon_csv, read_vicon_csv
+from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 
 _HEAD_BYTES = 64 << 10
@@ -130,6 +131,7 @@ def recognise_format(path: Path) -> CaptureFormat:
     InputError
         If no format fits; the message lists the known ones.
     """
+    check_may_open(path)
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
     advice = _EXPORTS.get(path.suffix.lower())

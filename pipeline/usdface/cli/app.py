@@ -24,8 +24,10 @@ from usdface.cli.console import (
 )
 from usdface.cli.spec_options import build_spec, command_of, help_of
 from usdface.cli.tune import tune_command
+from usdface.core.confinement import ROOT_VARIABLE, check_confined
 from usdface.core.errors import InputError, UsdfaceError
 from usdface.core.progress import Progress
+from usdface.core.replacing import creating
 from usdface.core.text import first_few, pluralize
 from usdface.core.version import __version__
 from usdface.runner.result import StepResult
@@ -33,7 +35,7 @@ from usdface.specs.base import Spec
 from usdface.specs.capture import IngestSpec
 from usdface.specs.commands import SubmitSpec, TuneSpec
 from usdface.specs.job import COMMAND_SPECS, JobSpec
-from usdface.specs.paths import ROOT_VARIABLE, check_confined, read_path_rules
+from usdface.specs.paths import read_path_rules
 from usdface.specs.reading import read_job, spec_text
 from usdface.specs.retarget import RetargetSpec
 
@@ -51,7 +53,7 @@ Overwrite = Annotated[
 SaveSpec = Annotated[
     Path | None,
     typer.Option(
-        "--save-spec", help="Write the spec of this command to a file, without running it."
+        "--save-spec", help="Write the spec of this command to a new file, without running it."
     ),
 ]
 
@@ -108,11 +110,9 @@ def _run_step(
         return
     spec = build_spec(spec_type, values)
     if save_spec is not None:
-        try:
-            text = spec_text(spec.relative_to(save_spec.parent), save_spec)
-            save_spec.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"{save_spec}: cannot be written: {error.strerror}") from error
+        text = spec_text(spec.relative_to(save_spec.parent), save_spec)
+        with creating(save_spec) as temporary:
+            temporary.write_text(text, encoding="utf-8")
         echo(f"wrote {save_spec}")
         return
     from usdface.runner.execute import execute

@@ -12,12 +12,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from usdface.core.errors import InputError
+from usdface.core.side_files import open_side_file, side_stream
 
 STALE_SECONDS = 60.0
 """A lock that nobody has renewed for this long belongs to a machine that is gone."""
 
-_LONGEST_LOCK_CHARACTERS = 4096
-"""Characters of a lock file that are read: ours have some two hundred."""
+_LONGEST_LOCK_BYTES = 4096
+"""Bytes of a lock file that are read: ours have some two hundred."""
 
 _LARGEST_PROCESS_ID = 2**31 - 1
 """Numbers of processes are 32 bits, signed; 0 and below would mean whole groups of them."""
@@ -91,9 +92,9 @@ class TuningLock:
 
     def _create(self, text: str) -> None:
         """Make the lock file, whole or not at all: a full disk may not leave one that is empty."""
-        with self.path.open("x", encoding="utf-8") as stream:
+        with side_stream(self.path, "xb") as stream:
             try:
-                stream.write(text)
+                stream.write(text.encode("utf-8"))
                 stream.flush()
             except OSError:
                 self.path.unlink(missing_ok=True)
@@ -102,8 +103,8 @@ class TuningLock:
     def holder(self) -> Holder | None:
         """Return who holds the lock; None if nobody does, or the file says nothing."""
         try:
-            with self.path.open(encoding="utf-8") as stream:
-                return _parse_holder(json.loads(stream.read(_LONGEST_LOCK_CHARACTERS)))
+            with side_stream(self.path, "rb") as stream:
+                return _parse_holder(json.loads(stream.read(_LONGEST_LOCK_BYTES)))
         except (OSError, ValueError, RecursionError):
             return None
 
@@ -111,7 +112,7 @@ class TuningLock:
         """Say that we are still here."""
         if self.is_ours():
             with contextlib.suppress(OSError):
-                os.utime(self.path)
+                os.utime(self.path, follow_symlinks=False)
 
     def is_ours(self) -> bool:
         """Whether the lock is still ours: someone may have taken it over."""
@@ -142,15 +143,15 @@ class TuningLock:
         ):
             return True
         with contextlib.suppress(OSError):
-            return self._now() - self.path.stat().st_mtime > STALE_SECONDS
+            return self._now() - self.path.lstat().st_mtime > STALE_SECONDS
         return True
 
     def _now(self) -> float:
         """Return the time as the lock's own disk has it: a file server's clock may differ."""
         probe = self.path.with_name(f".{self.path.name}.{secrets.token_hex(4)}")
         try:
-            probe.touch()
-            return probe.stat().st_mtime
+            os.close(open_side_file(probe, os.O_WRONLY | os.O_CREAT | os.O_EXCL))
+            return probe.lstat().st_mtime
         except OSError:
             return time.time()
         finally:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from usdface.core.confinement import check_may_open
 from usdface.core.version import __version__
 
 READ_SIZE = 1 << 20
@@ -56,6 +57,7 @@ def hash_files(files: list[Path]) -> str:
     """
     digests = []
     for path in files:
+        check_may_open(path)
         single = hashlib.sha256()
         with path.open("rb") as stream:
             while block := stream.read(READ_SIZE):

@@ -9,26 +9,22 @@ import contextlib
 import errno
 import os
 import re
-import socket
 import uuid
-import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from types import MappingProxyType
 
 from usdface.core.errors import InputError
-
-try:
-    import fcntl
-except ImportError:  # Windows: files in use cannot be replaced there, which protects them as well
-    fcntl = None  # type: ignore[assignment]
-
-_LONGEST_STEM_BYTES = 80
-"""Bytes of a file's name that its temporary name repeats: names have an upper limit."""
-_LONGEST_LOCK_NAME_BYTES = 2 * _LONGEST_STEM_BYTES
-"""Bytes of it that its lock's name repeats."""
+from usdface.core.side_files import open_side_file
+from usdface.core.write_lock import (
+    LONGEST_STEM_BYTES,
+    name_digest,
+    not_writable_error,
+    shorten,
+    write_lock,
+)
 
 _WRITE_PERMISSIONS = 0o222
 
@@ -54,7 +50,20 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def replacing_together(paths: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
+def creating(path: Path) -> Iterator[Path]:
+    """Give a temporary name as `replacing` does; what is at `path` by then is never replaced.
+
+    Raises
+    ------
+    InputError
+        If there is something, a link included; else as `replacing` does.
+    """
+    with replacing_together([path], new=True) as (temporary,):
+        yield temporary
+
+
+@contextmanager
+def replacing_together(paths: Sequence[Path], *, new: bool = False) -> Iterator[tuple[Path, ...]]:
     """Give temporary names for files that belong together; all are whole before one is renamed.
 
     A disk that fills leaves every old file. The renames follow each other in the order given, so a
@@ -64,6 +73,8 @@ def replacing_together(paths: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
     ----------
     paths : sequence of Path
         The files to make or to replace; no two are the same.
+    new : bool
+        Make them, and replace none.
 
     Yields
     ------
@@ -75,16 +86,21 @@ def replacing_together(paths: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
     InputError
         As `replacing` does.
     """
+    if new and (there := [path for path in paths if os.path.lexists(path)]):
+        raise _exists_error(there[0])
     with contextlib.ExitStack() as stack:
-        temporaries = tuple(stack.enter_context(_temporary(path)) for path in paths)
-        yield temporaries
-        for path, temporary in zip(paths, temporaries, strict=True):
-            with _as_input_error(path), temporary.open("rb+") as written:
-                os.fsync(written.fileno())
-        for path, temporary in zip(paths, temporaries, strict=True):
+        made = [(path, *stack.enter_context(_temporary(path))) for path in paths]
+        yield tuple(temporary for _, temporary, _ in made)
+        for path, temporary, _ in made:
             with _as_input_error(path):
-                _copy_permissions(path, temporary)
-                temporary.replace(path)
+                _settle(path, temporary)
+        for path, temporary, check_lock in made:
+            with _as_input_error(path):
+                check_lock()
+                if new:
+                    _put_new(temporary, path)
+                else:
+                    temporary.replace(path)
 
 
 _Stamp = tuple[int, int] | None
@@ -143,29 +159,58 @@ def check_unprotected(path: Path) -> None:
             )
 
 
-def _copy_permissions(path: Path, temporary: Path) -> None:
-    """Let a file that is replaced stay open to those who could read and write it."""
-    with contextlib.suppress(OSError):  # there was none; or a file system knows no permissions
-        temporary.chmod(path.stat().st_mode & 0o777)
+def _settle(path: Path, temporary: Path) -> None:
+    """Bring a file to the disk, open to those who could read and write the one it replaces."""
+    handle = open_side_file(temporary, os.O_RDWR)
+    try:
+        # There may be none yet; or a file system knows no permissions, as Windows' do not.
+        with contextlib.suppress(OSError, AttributeError):
+            os.fchmod(handle, path.stat().st_mode & 0o777)
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+_NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EOPNOTSUPP)
+
+
+def _put_new(temporary: Path, path: Path) -> None:
+    """Give a file its name, if nothing has it."""
+    try:
+        try:
+            os.link(temporary, path, follow_symlinks=False)
+        except OSError as error:
+            if error.errno not in _NO_HARD_LINKS:
+                raise
+            os.close(open_side_file(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL))
+            temporary.replace(path)
+    except FileExistsError as error:
+        raise _exists_error(path) from error
+
+
+def _exists_error(path: Path) -> InputError:
+    return InputError(f"{path}: exists, and is not written over; give another name, or remove it")
 
 
 @contextmanager
-def _temporary(path: Path) -> Iterator[Path]:
-    """Give a temporary name for a file that nobody else may write; it is gone afterwards."""
+def _temporary(path: Path) -> Iterator[tuple[Path, Callable[[], None]]]:
+    """Give a temporary name for a file that nobody else may write; it is gone afterwards.
+
+    Yields what checks that the lock still holds, too.
+    """
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file to write")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist; make it first")
     check_unprotected(path)
-    with _locked(path) as is_locked:
-        if is_locked:
-            _clear_leftovers(path)
-        stem = _shorten(path.stem, _LONGEST_STEM_BYTES)
-        unique = f"{_name_digest(path)}{uuid.uuid4().hex[:8]}"
+    with write_lock(path) as check_lock:
+        _clear_leftovers(path)
+        stem = shorten(path.stem, LONGEST_STEM_BYTES)
+        unique = f"{name_digest(path)}{uuid.uuid4().hex[:8]}"
         temporary = path.with_name(f".{stem}.{unique}{path.suffix}")
         try:
             _touch(temporary, target=path)
-            yield temporary
+            yield temporary, check_lock
         finally:
             with contextlib.suppress(OSError):  # the folder may have gone meanwhile
                 temporary.unlink(missing_ok=True)
@@ -185,119 +230,20 @@ def _as_input_error(path: Path) -> Iterator[None]:
 def _touch(temporary: Path, *, target: Path) -> None:
     """Fail here, by name, rather than deep inside an encoder."""
     try:
-        temporary.touch()
+        os.close(open_side_file(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL))
     except OSError as error:
-        raise _not_writable_error(target, error) from error
-
-
-@contextmanager
-def _locked(path: Path) -> Iterator[bool]:
-    """Hold the lock of a file that is written until the block, or the process, ends.
-
-    Yields whether it is locked: some file systems have no locks.
-    """
-    name = path.name
-    short = _shorten(name, _LONGEST_LOCK_NAME_BYTES)
-    if short != name:  # names that begin alike are still of different files
-        name = f"{short}.{_name_digest(path)}"
-    lock = path.with_name(f".{name}.lock")
-    try:
-        handle, locked = _lock(lock)
-    except BlockingIOError as error:
-        raise InputError(
-            f"{path}: another process is writing it{_owner(lock)}; let that one finish, or write "
-            "elsewhere"
-        ) from error
-    except OSError as error:
-        raise _not_writable_error(path, error) from error
-    try:
-        yield locked
-    finally:
-        # Removed while still held: whoever waits for this very file then sees that it is gone.
-        with contextlib.suppress(OSError):
-            lock.unlink(missing_ok=True)
-        os.close(handle)
-
-
-def _lock(lock: Path) -> tuple[int, bool]:
-    """Return an open lock file, and whether the system keeps others from it."""
-    while True:
-        try:
-            handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-        except PermissionError:
-            if not lock.exists():  # it is the folder that may not be written to
-                raise
-            _remove_foreign(lock)
-            continue
-        try:
-            if fcntl is not None:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if os.fstat(handle).st_nlink:  # not removed by its last owner in between
-                os.ftruncate(handle, 0)
-                os.write(handle, f"process {os.getpid()} on {socket.gethostname()}".encode())
-                return handle, fcntl is not None
-        except OSError as error:
-            if error.errno in (errno.ENOLCK, errno.ENOTSUP):
-                # A file system without locks: work on, as before there were any.
-                return handle, False
-            os.close(handle)
-            raise
-        os.close(handle)
-
-
-def _remove_foreign(lock: Path) -> None:
-    """Remove the lock that a killed process of another user left; one that is held is an error.
-
-    Raises
-    ------
-    BlockingIOError
-        If that process lives.
-    OSError
-        If it may not be removed.
-    """
-    handle = os.open(lock, os.O_RDONLY | os.O_CLOEXEC)  # which is enough to ask for it
-    try:
-        if fcntl is not None:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if os.fstat(handle).st_nlink:  # its name is no other file's by now
-            lock.unlink()
-    finally:
-        os.close(handle)
-
-
-def _owner(lock: Path) -> str:
-    try:
-        return f" ({lock.read_text(encoding='utf-8')[:200]})"
-    except (OSError, UnicodeDecodeError):
-        return ""
-
-
-def _shorten(name: str, size: int) -> str:
-    """Return as much of a name as fits into so many bytes, whole characters alone."""
-    if len(name.encode(errors="surrogatepass")) <= size:
-        return name
-    return name.encode(errors="ignore")[:size].decode(errors="ignore")
-
-
-def _name_digest(path: Path) -> str:
-    """Tell a file's temporary names from those of files that differ only in how they end."""
-    return f"{zlib.crc32(path.name.encode(errors='surrogatepass')) & 0xFFFF:04x}"
+        raise not_writable_error(target, error) from error
 
 
 def _clear_leftovers(path: Path) -> None:
     """Remove what a killed process left; nobody else can be writing, as the lock is ours."""
-    if _shorten(path.stem, _LONGEST_STEM_BYTES) != path.stem:
+    if shorten(path.stem, LONGEST_STEM_BYTES) != path.stem:
         return  # another file's temporaries could have the same name
     # While USD saves, its own temporary file lies beside ours, with other letters at its end.
-    ours = re.compile(rf"\.{re.escape(path.stem)}\.{_name_digest(path)}[0-9a-f]{{8}}(\.\w+)*")
+    temporary = rf"\.{re.escape(path.stem)}\.{name_digest(path)}[0-9a-f]{{8}}(\.\w+)*"
+    lock = rf"\.{re.escape(path.name)}\.lock\.[0-9a-f]{{32}}"
+    ours = re.compile(f"{temporary}|{lock}")
     with contextlib.suppress(OSError):  # they are only in the way; what is wrong shows on writing
         for each in path.parent.iterdir():
             if ours.fullmatch(each.name):
                 each.unlink(missing_ok=True)
-
-
-def _not_writable_error(path: Path, error: OSError) -> InputError:
-    return InputError(
-        f"{path}: the folder {path.parent} cannot be written to ({error.strerror}); "
-        "write elsewhere or ask for the right to"
-    )

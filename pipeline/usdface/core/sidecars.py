@@ -1,5 +1,6 @@
 """What the files beside a file are called: one rule, for specs, steps and layers."""
 
+import hashlib
 from pathlib import Path
 
 LAYER_SUFFIXES = (".usda", ".usdc", ".usd")
@@ -68,6 +69,18 @@ def journal_path(references: Path) -> Path:
 def images_folder(references: Path) -> Path:
     """Return the folder with the pictures of a references asset."""
     return references.with_name(f"{references.stem}.images")
+
+
+def work_folder(out: Path, purpose: str) -> Path:
+    """Return the folder for what is made on the way to a file: no two files' are one, and hidden.
+
+    Parameters
+    ----------
+    purpose : str
+        What it ends in.
+    """
+    digest = hashlib.sha256(out.name.encode("utf-8", "surrogateescape")).hexdigest()[:8]
+    return out.with_name(f".{out.stem[:40]}.{digest}.{purpose}")
 
 
 def distances_path(output: Path, mesh_file: Path, surface_hash: str) -> Path:

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from pathlib import Path
 
+from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 
 
@@ -32,6 +33,7 @@ def read_text(path: Path, largest_bytes: int) -> str:
     InputError
         If it cannot be read or is too large.
     """
+    check_may_open(path)
     try:
         if path.stat().st_size > largest_bytes:
             raise InputError(f"{path}: {path.stat().st_size} bytes are too many for a text")

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from usdface.core.confinement import check_confined, confinement_root
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.core.replacing import replacing
 from usdface.core.sidecars import LAYER_SUFFIXES
@@ -33,7 +34,7 @@ from usdface.runner.outputs import missing_in_job
 from usdface.specs.base import Spec
 from usdface.specs.commands import SubmitSpec
 from usdface.specs.job import SPEC_BY_STEP, JobSpec
-from usdface.specs.paths import Reads, Writes, check_confined, confinement_root
+from usdface.specs.paths import Reads, Writes
 from usdface.specs.reading import read_job
 from usdface.usdio.referenced_files import frame_range_of, referenced_files
 

@@ -5,6 +5,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from usdface.core.confinement import check_confined, confinement_root
 from usdface.core.errors import InputError
 from usdface.core.replacing import check_unprotected
 from usdface.core.sidecars import LAYER_SUFFIXES
@@ -12,7 +13,7 @@ from usdface.core.text import first_few
 from usdface.runner.origin import REFUSED, provenance_of
 from usdface.specs.base import Spec
 from usdface.specs.job import SPEC_BY_STEP, JobSpec
-from usdface.specs.paths import Reads, Writes, check_confined, confinement_root
+from usdface.specs.paths import Reads, Writes
 from usdface.usdio.layers import is_layer_name
 from usdface.usdio.referenced_files import all_files, dependencies
 

@@ -1,9 +1,8 @@
-"""Paths and frames of specs: marks, checks, path mapping and confinement."""
+"""Paths and frames of specs: marks, checks and path mapping."""
 
 import json
-import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePath, PurePosixPath, PureWindowsPath
 from typing import Annotated, Any
@@ -217,43 +216,3 @@ def _rule(given: Any, where: str) -> PathRule:
             f"destination_path, got {given!r}"
         )
     return PathRule(kind(source), Path(destination))
-
-
-ROOT_VARIABLE = "USDFACE_ROOT"
-"""Environment variable: folder that confines every command and step, for a farm or a service that
-runs jobs of others."""
-
-
-def confinement_root() -> Path | None:
-    """Return the folder that the environment confines all work to; None if not set."""
-    folder = os.environ.get(ROOT_VARIABLE, "")
-    return Path(folder) if folder else None
-
-
-def check_confined(paths: Sequence[tuple[str, Path]], root: Path) -> None:
-    """Refuse paths outside a folder: absolute, by ``..`` or by a link.
-
-    Links are followed, those of folders on the way included: what counts is where the file is.
-
-    Parameters
-    ----------
-    paths : sequence of (str, Path)
-        Each with the name of what reads or writes it.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist, or naming every path that lies outside.
-    """
-    if not root.is_dir():
-        raise InputError(f"{root}: no such folder, so nothing can be confined to it")
-    top = root.resolve()
-    faults = []
-    for what, path in paths:
-        real = path.resolve()
-        if not real.is_relative_to(top):
-            plainly = Path(os.path.normpath(path.absolute()))  # a folder up is no link
-            by = " (by a link)" if plainly.is_relative_to(top) else ""
-            faults.append(f"{what}: {path}: lies outside {root}{by}, at {real}")
-    if faults:
-        raise InputError("\n".join(faults) + "\nmove the files below it, or ask for another root")

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from usdface.core.errors import InputError
+from usdface.core.side_files import side_stream
 
 
 @dataclass(frozen=True)
@@ -49,9 +50,11 @@ class Journal:
         InputError
             If a line before the last is no change: the file was edited, or is not a journal.
         """
-        if not self.path.is_file():
+        try:
+            with side_stream(self.path, "rb") as stream:
+                raw = stream.read()
+        except FileNotFoundError:
             return []
-        raw = self.path.read_bytes()
         whole = raw.rfind(b"\n") + 1
         changes = []
         for number, line in enumerate(raw[:whole].splitlines(), start=1):
@@ -66,7 +69,7 @@ class Journal:
                 )
             changes.append(change)
         if whole < len(raw):
-            with self.path.open("rb+") as stream:
+            with side_stream(self.path, "rb+") as stream:
                 stream.truncate(whole)
                 os.fsync(stream.fileno())
         return changes
@@ -82,7 +85,7 @@ class Journal:
         lines = [json.dumps(asdict(change), ensure_ascii=False) + "\n" for change in changes]
         is_new = not self.path.exists()
         try:
-            with self.path.open("ab") as stream:
+            with side_stream(self.path, "ab") as stream:
                 start = stream.tell()
                 try:
                     stream.write("".join(lines).encode("utf-8"))

@@ -24,9 +24,9 @@ from starlette.datastructures import MutableHeaders
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from usdface.core.confinement import check_confined, confinement_root
 from usdface.core.errors import CancelledError, InputError
 from usdface.specs.commands import TuneSpec
-from usdface.specs.paths import check_confined, confinement_root
 from usdface.tuning.application import Scene, build_application
 from usdface.tuning.pictures import PairPictures
 from usdface.tuning.session import TuningSession

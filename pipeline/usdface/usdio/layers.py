@@ -10,12 +10,14 @@ from typing import Any, ParamSpec, TypeVar
 
 from pxr import Sdf, Tf, Usd, UsdUtils, Vt
 
+from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing_together
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.usdio.crate import check_crate
 from usdface.usdio.plugin import SCHEMA_VERSION
+from usdface.usdio.reached import check_composed, check_reached
 
 FRAMES_IN_MEMORY = 1 << 15
 
@@ -80,6 +82,7 @@ def open_layer(path: Path) -> Sdf.Layer:
         raise InputError(
             f"{path}: not a USD file by its name; expected .usd, .usda, .usdc or .usdz"
         )
+    check_may_open(path)
     check_crate(path)
     with usd_errors_as_input_errors(path, "opening it"):
         layer = Sdf.Layer.FindOrOpen(str(path))
@@ -89,61 +92,6 @@ def open_layer(path: Path) -> Sdf.Layer:
     if layer is None:
         raise InputError(f"{path}: not a readable USD layer; is it complete, and really USD?")
     return layer
-
-
-def check_crates_below(layer: Sdf.Layer) -> None:
-    """Look at a layer, and at every binary one it is composed from before USD opens that.
-
-    Raises
-    ------
-    InputError
-        Naming the first that does not hold together.
-    """
-    waiting, seen = [layer], {layer.identifier}
-    while waiting:
-        above = waiting.pop()
-        _check_tree(above)
-        for asset in above.GetCompositionAssetDependencies():
-            identifier = above.ComputeAbsolutePath(asset)
-            if identifier in seen or not _is_file(identifier):
-                continue  # what lies elsewhere is for USD, and for its resolver
-            seen.add(identifier)
-            check_crate(Path(identifier))
-            below = None
-            with contextlib.suppress(Tf.ErrorException):  # USD says so again if it needs it
-                below = Sdf.Layer.FindOrOpen(identifier)
-            if below is not None:
-                waiting.append(below)
-
-
-def _is_file(identifier: str) -> bool:
-    try:
-        return Path(identifier).is_file()
-    except OSError:  # a name that is too long, a folder that may not be looked into
-        return False
-
-
-def _check_tree(layer: Sdf.Layer) -> None:
-    """Refuse a layer that lists prims or properties which it has not: USD ends the process there.
-
-    Text cannot say so; a binary layer whose list of specs is damaged can.
-    """
-    if layer.GetFileFormat().formatId == "usda":
-        return
-    listed: list[Sdf.Path] = []
-    layer.Traverse(Sdf.Path.absoluteRootPath, listed.append)
-    for path in listed:
-        if path.IsPrimPath():
-            there = bool(layer.GetPrimAtPath(path))
-        elif path.IsPrimPropertyPath():
-            there = bool(layer.GetPropertyAtPath(path))
-        else:
-            there = not path.isEmpty  # as it is where a name is none
-        if not there:
-            raise InputError(
-                f"{layer.identifier}: a damaged binary layer: <{path}> is listed and not there; "
-                "copy it again from where it came from, or write it again"
-            )
 
 
 def _check_schema(layer: Sdf.Layer, path: Path) -> None:
@@ -181,8 +129,9 @@ def open_stage(path: Path) -> Usd.Stage:
     """
     layer = open_layer(path)
     with usd_errors_as_input_errors(path, "composing it"):
-        check_crates_below(layer)
+        check_reached(layer)
         stage = Usd.Stage.Open(layer)
+        check_composed(stage)
         for used in stage.GetUsedLayers():
             if not used.anonymous:
                 used.Reload()

@@ -6,11 +6,8 @@ from pxr import UsdUtils
 
 from usdface.core.rates import check_frame_span
 from usdface.core.sidecars import edits_path
-from usdface.usdio.layers import (
-    check_crates_below,
-    open_layer,
-    usd_errors_as_input_errors,
-)
+from usdface.usdio.layers import open_layer, usd_errors_as_input_errors
+from usdface.usdio.reached import check_reached
 
 
 def referenced_files(path: Path) -> list[Path]:
@@ -41,9 +38,11 @@ def _dependencies(path: Path) -> tuple[list[Path], list[Path], list[Path]]:
     """Return the layers, the other files and the missing ones that a USD file refers to."""
     layer = open_layer(path)
     with usd_errors_as_input_errors(path, "finding what it refers to"):
-        check_crates_below(layer)
+        reached = check_reached(layer)
         layers, assets, missing = UsdUtils.ComputeAllDependencies(layer.identifier)
-    files = [Path(each.realPath) for each in layers if each.realPath]
+    # USD's own list evaluates expressions by the variables of each layer alone.
+    real = dict.fromkeys(each.realPath for each in (*layers, *reached) if each.realPath)
+    files = [Path(each) for each in real]
     return files, [Path(each) for each in assets if each], [Path(each) for each in missing if each]
 
 

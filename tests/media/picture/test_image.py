@@ -1,3 +1,4 @@
+import errno
 import io
 from fractions import Fraction
 from pathlib import Path
@@ -8,6 +9,7 @@ import pytest
 from PIL import Image
 
 from usdface.core.errors import InputError
+from usdface.media.picture import image
 from usdface.media.picture.image import (
     encode_image,
     pack_timecode,
@@ -40,7 +42,7 @@ def test_a_picture_that_the_disk_cut_short_takes_no_ones_place(tmp_path: Path, s
     whole = path.read_bytes()
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     try:
-        for size in (1, len(whole) // 2, len(whole) - 1):
+        for size in (1, len(whole) // 2, len(whole) * 9 // 10):
             resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
             with pytest.raises(InputError, match=r"sheet.*cannot be written"):
                 write_image(path, 255 - picture)
@@ -101,13 +103,35 @@ def test_picture_that_cannot_be_written_says_why(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("suffix", ["jpg", "png"])
+def test_any_failed_write_is_an_error_and_not_the_end_of_the_process(
+    tmp_path: Path, suffix: str
+) -> None:
+    link = tmp_path / f"full.{suffix}"
+    link.symlink_to("/dev/full")
+    with pytest.raises(InputError, match="cannot be written"):
+        image._write_encoded(link, link, image._encoded(link, PICTURE, "{}"))
+
+
+def test_more_metadata_than_jpeg_holds_is_refused_by_name(tmp_path: Path) -> None:
+    said = {"inputs": {f"take.{number}.usda": "ab" * 32 for number in range(1000)}}
+    with pytest.raises(InputError, match=r"sheet\.jpg: .* bytes, and JPEG holds 65000"):
+        write_image(tmp_path / "sheet.jpg", PICTURE, metadata=said)
+    write_image(tmp_path / "sheet.png", PICTURE, metadata=said)
+    assert read_image_metadata(tmp_path / "sheet.png") == said
+
+
+def no_room(*_: object) -> None:
+    raise OSError(errno.ENOSPC, "no room")
+
+
 def test_failing_write_leaves_the_old_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "sheet.png"
     write_image(path, PICTURE, metadata={"version": 1})
     before = path.read_bytes()
-    monkeypatch.setattr(oiio.ImageOutput, "create", lambda *_: None)
+    monkeypatch.setattr(Path, "write_bytes", no_room)
     with pytest.raises(InputError, match=r"sheet\.png"):
         write_image(path, PICTURE, metadata={"version": 2})
     assert path.read_bytes() == before

@@ -13,6 +13,7 @@ import pytest
 from tests.steps.small_shot import Shot
 from usdface.core.assets import Take, Video
 from usdface.core.errors import InputError
+from usdface.core.sidecars import work_folder
 from usdface.farm.plan import ChunkSizes, in_chunks
 from usdface.media.film.movie import read_movie_comment, write_movie
 from usdface.media.film.movie_frame import MoviePanel, compose_movie_frame, movie_size
@@ -270,6 +271,6 @@ def test_the_cores_used_are_those_this_process_may_use() -> None:
 
 def test_movies_of_like_names_share_no_stretches(tmp_path: Path) -> None:
     names = ["a.mp4", "a.webm", *(f"{'long' * 30}.{number:04}.mp4" for number in (1, 2))]
-    folders = {movie_step._stretches_folder(tmp_path / name) for name in names}
+    folders = {work_folder(tmp_path / name, "stretches") for name in names}
     assert len(folders) == 4
     assert all(len(each.name) < 100 for each in folders)

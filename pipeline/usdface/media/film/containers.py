@@ -6,6 +6,7 @@ from typing import Any
 import av
 import av.error
 
+from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 
 MAX_PIXELS = 8192 * 8192
@@ -32,6 +33,7 @@ def open_media(path: Path) -> Any:
     InputError
         If there is no such file, it is empty, or it is not a whole movie or sound file.
     """
+    check_may_open(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file; check the path")
     if path.stat().st_size == 0:

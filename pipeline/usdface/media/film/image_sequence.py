@@ -10,6 +10,7 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 
 from usdface.core.arrays import ByteImage, FloatArray
+from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 from usdface.media.film.video import VideoReader
 from usdface.media.picture.color import bytes_from_linear
@@ -84,6 +85,7 @@ class ImageSequence:
         return self._read(self._files[int(np.searchsorted(self.times, moment, side="right")) - 1])
 
     def _read(self, path: Path) -> ByteImage:
+        check_may_open(path)
         picture = oiio.ImageInput.open(str(path))
         if picture is None:
             raise InputError(f"{path}: no picture that can be read ({reason_of(oiio)})")

@@ -11,9 +11,10 @@ from typing import Any, Literal
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813  # the name all its users know it by
-from PIL import Image
+from PIL import Image, PngImagePlugin
 
 from usdface.core.arrays import ByteImage
+from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 from usdface.core.rates import LABEL
 from usdface.core.replacing import replacing
@@ -25,18 +26,17 @@ _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff")
 
 JPEG_QUALITY = 92
 """Of 100."""
-# What each format is written with: quality and a fast, lossless or nearly lossless packing.
-_COMPRESSION = {
-    ".jpg": f"jpeg:{JPEG_QUALITY}",
-    ".jpeg": f"jpeg:{JPEG_QUALITY}",
-    ".png": "zip:4",
-    ".exr": "dwaa:45",
-    ".tif": "zip",
-    ".tiff": "zip",
-}
-# How a whole file ends: libpng does not tell when a full disk cut it short.
-_ENDS = {".png": b"IEND\xaeB`\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
+_PNG_LEVEL = 4
+"""Of 9: fast, and nearly as small."""
+# Lossless or nearly lossless packing of what OpenImageIO writes.
+_COMPRESSION = {".exr": "dwaa:45", ".tif": "zip", ".tiff": "zip"}
+# Pillow encodes these in memory. OpenImageIO writes them by libraries that do not tell of a failed
+# write: libpng goes on, and libjpeg ends the process, which may be a DCC.
+_IN_MEMORY: dict[str, Literal["jpeg", "png"]] = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 _MAX_JPEG = 65500
+_MAX_JPEG_METADATA = 65000
+"""Bytes: a segment of JPEG has 65,533, its header and the name of the software included."""
+_EXIF_DESCRIPTION, _EXIF_SOFTWARE = 0x010E, 0x0131
 _MAX_METADATA = 16 << 20
 _LEAST_ROOM = 64 << 10
 
@@ -76,7 +76,7 @@ def write_image(
     """
     file = Path(path)
     suffix = file.suffix.lower()
-    if suffix not in _COMPRESSION:
+    if suffix not in _IMAGE_SUFFIXES:
         raise InputError(f"{file}: pictures end in {', '.join(_IMAGE_SUFFIXES)}; rename it")
     image = np.asarray(pixels)
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or not image.size:
@@ -88,11 +88,15 @@ def write_image(
         raise InputError(
             f"{file}: {width} × {height} pixels, JPEG ends at {_MAX_JPEG}; write .png or .exr"
         )
-    spec = _specification(suffix, width, height, metadata or {}, timecode, rate)
-    linear = suffix == ".exr"
-    data = linear_from_srgb(image / 255.0).astype(np.float32) if linear else image
+    description = _description(metadata or {}, timecode, rate)
     with replacing(file) as temporary:
-        _see_that_there_is_room(file, temporary, data.nbytes + len(spec["ImageDescription"]))
+        if suffix in _IN_MEMORY:
+            _write_encoded(file, temporary, _encoded(file, image, description))
+            return
+        spec = _specification(suffix, width, height, description, timecode, rate)
+        linear = suffix == ".exr"
+        data = linear_from_srgb(image / 255.0).astype(np.float32) if linear else image
+        _see_that_there_is_room(file, temporary, data.nbytes + len(description))
         _write(file, temporary, spec, np.ascontiguousarray(data))
 
 
@@ -110,6 +114,7 @@ def read_image_metadata(path: Path | str) -> dict[str, Any]:
         If there is no such picture or it cannot be read.
     """
     file = Path(path)
+    check_may_open(file)
     if not file.is_file():
         raise InputError(f"{file}: no such file; check the path")
     source = oiio.ImageInput.open(str(file.absolute()))
@@ -137,23 +142,60 @@ def read_image_metadata(path: Path | str) -> dict[str, Any]:
     return found
 
 
-def _specification(
-    suffix: str,
-    width: int,
-    height: int,
-    metadata: Mapping[str, Any],
-    timecode: str | None,
-    rate: Fraction | None,
-) -> Any:
-    spec = oiio.ImageSpec(width, height, 3, "half" if suffix == ".exr" else "uint8")
+_SOFTWARE = f"usdface {__version__}"
+
+
+def _description(metadata: Mapping[str, Any], timecode: str | None, rate: Fraction | None) -> str:
+    """Return what a picture says of itself, in ASCII: EXIF promises no more."""
     said = dict(metadata)
     if timecode is not None:
         said["timecode"] = timecode
     if rate is not None:
         said["rate"] = f"{rate.numerator}/{rate.denominator}"
-    # ASCII, because EXIF promises no more; JSON escapes the rest.
-    spec["ImageDescription"] = json.dumps(said, sort_keys=True, ensure_ascii=True)
-    spec["Software"] = f"usdface {__version__}"
+    return json.dumps(said, sort_keys=True, ensure_ascii=True)
+
+
+def _encoded(file: Path, pixels: ByteImage, description: str) -> bytes:
+    """Return a picture as the bytes of its file."""
+    stream = io.BytesIO()
+    image = Image.fromarray(np.ascontiguousarray(pixels))
+    if _IN_MEMORY[file.suffix.lower()] == "png":
+        said = PngImagePlugin.PngInfo()
+        said.add_text("Description", description)
+        said.add_text("Software", _SOFTWARE)
+        image.save(stream, "png", compress_level=_PNG_LEVEL, pnginfo=said)
+        return stream.getvalue()
+    if len(description) > _MAX_JPEG_METADATA:
+        raise InputError(
+            f"{file}: what it says of its making has {len(description)} bytes, and JPEG holds "
+            f"{_MAX_JPEG_METADATA}; write .png"
+        )
+    exif = Image.Exif()
+    exif[_EXIF_DESCRIPTION], exif[_EXIF_SOFTWARE] = description, _SOFTWARE
+    image.save(stream, "jpeg", quality=JPEG_QUALITY, exif=exif)
+    return stream.getvalue()
+
+
+def _write_encoded(file: Path, temporary: Path, data: bytes) -> None:
+    try:
+        temporary.write_bytes(data)
+    except OSError as error:
+        raise InputError(
+            f"{file}: cannot be written ({error.strerror}); free the disk, or write elsewhere"
+        ) from error
+
+
+def _specification(
+    suffix: str,
+    width: int,
+    height: int,
+    description: str,
+    timecode: str | None,
+    rate: Fraction | None,
+) -> Any:
+    spec = oiio.ImageSpec(width, height, 3, "half" if suffix == ".exr" else "uint8")
+    spec["ImageDescription"] = description
+    spec["Software"] = _SOFTWARE
     spec["oiio:ColorSpace"] = "lin_rec709" if suffix == ".exr" else "sRGB"
     spec["Compression"] = _COMPRESSION[suffix]
     if timecode is not None:
@@ -167,7 +209,7 @@ def _specification(
 
 
 def _see_that_there_is_room(file: Path, temporary: Path, raw_bytes: int) -> None:
-    """Refuse a full disk before a library meets it: libjpeg would end the process there."""
+    """Refuse a full disk before a library meets it, halfway through."""
     if not hasattr(os, "posix_fallocate"):
         return
     try:
@@ -190,14 +232,6 @@ def _write(file: Path, temporary: Path, spec: Any, data: np.ndarray) -> None:
     reason = output.geterror()
     if not output.close() or not written:
         raise InputError(f"{file}: cannot be written ({reason or output.geterror()})")
-    end = _ENDS.get(file.suffix.lower(), b"")
-    with temporary.open("rb") as stream:
-        stream.seek(-min(len(end), stream.seek(0, os.SEEK_END)), os.SEEK_END)
-        whole = stream.read() == end if end else True
-    if not whole:
-        raise InputError(
-            f"{file}: cannot be written whole; is the disk full? Free it, or write elsewhere"
-        )
 
 
 def encode_image(
@@ -233,6 +267,7 @@ def read_picture(path: Path) -> ByteImage:
     InputError
         If it cannot be read, is damaged, or is too large to be shown.
     """
+    check_may_open(path)
     buffer = oiio.ImageBuf(str(path))
     if buffer.has_error:
         raise InputError(f"{path}: cannot be read as a picture ({reason_of(buffer)})")

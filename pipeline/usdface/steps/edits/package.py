@@ -1,11 +1,10 @@
 """Pack a performance for review into one .usdz."""
 
-import tempfile
-from pathlib import Path
-
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing
+from usdface.core.side_files import emptied_side_folder
+from usdface.core.sidecars import work_folder
 from usdface.runner.result import StepResult
 from usdface.specs.edits import BakeSpec, PackageSpec
 from usdface.steps.edits import bake
@@ -16,8 +15,11 @@ from usdface.usdio.performance.write import write_package
 def run(spec: PackageSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Bake the edits in, and pack the result with the rig and all that it refers to."""
     reader = PerformanceReader(spec.performance, prim=spec.prim)
-    with replacing(spec.out) as temporary, tempfile.TemporaryDirectory() as name:
-        baked = Path(name) / "weights.usdc"
+    with (
+        replacing(spec.out) as temporary,
+        emptied_side_folder(work_folder(spec.out, "package")) as folder,
+    ):
+        baked = folder / "weights.usdc"
         report = bake.run(
             BakeSpec(performance=spec.performance, out=baked, prim=spec.prim),
             provenance=provenance,

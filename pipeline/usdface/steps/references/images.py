@@ -8,6 +8,7 @@ from pathlib import Path
 from usdface.core.assets import References, Take
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
+from usdface.core.side_files import check_side_folder, make_side_folder
 from usdface.core.sidecars import images_folder
 from usdface.media.film.image_sequence import open_video
 from usdface.media.picture.image import read_image_metadata, write_image
@@ -49,6 +50,7 @@ def write_pair_images(
     files: list[Path | None] = [None] * len(references.frames)
     notes = []
     folder = images_folder(path)
+    check_side_folder(folder)
     for number, take in enumerate(sources):
         progress(number / len(sources), f"pictures of {take.name}")
         pairs = [i for i, name in enumerate(references.takes) if name == take.name]
@@ -113,7 +115,7 @@ def _write_take(
             at = take.video.video_time(seconds)
             picture = video.frame_at(at)
             if picture is not None:
-                folder.mkdir(exist_ok=True)
+                make_side_folder(folder)
                 shown[pair] = folder / _file_name(take, frame)
                 write_image(shown[pair], picture, metadata=metadata)
     return shown
@@ -123,6 +125,7 @@ def remove_unused_images(path: Path, files: tuple[Path | None, ...]) -> None:
     """Remove the pictures of pairs that are gone, and nothing that somebody else put there."""
     used = {file.name for file in files if file is not None}
     folder = images_folder(path)
+    check_side_folder(folder)
     for file in folder.glob("*.jpg") if folder.is_dir() else ():
         if file.name not in used and _is_ours(file):
             file.unlink(missing_ok=True)

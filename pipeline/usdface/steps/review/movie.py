@@ -1,8 +1,8 @@
 """A review movie, drawn in parallel in stretches that a later run can take up again."""
 
+import contextlib
 import json
 import os
-import shutil
 import sys
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -17,6 +17,8 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance, canonical_json, hash_text
 from usdface.core.rates import exact_rate
+from usdface.core.side_files import clear_side_folder, make_side_folder
+from usdface.core.sidecars import work_folder
 from usdface.core.text import pluralize
 from usdface.media.film.movie import write_movie
 from usdface.media.film.movie_frame import MoviePanel, compose_movie_frame
@@ -31,6 +33,9 @@ from usdface.steps.review.shot import Shot, open_shot, solve_evidence
 
 STRETCH_PICTURES = 48
 """Drawn and encoded by one process at a time, and lost at most when a run is stopped."""
+
+_STRETCHES = r"\.?[0-9a-f]{16}\..*"
+"""Names in the folder of stretches, those of files that are being written included."""
 
 _SLATE_SECONDS = 3
 """From the performance's first frame: how long the verdict is written over the panels."""
@@ -70,9 +75,11 @@ def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress = silent)
         first_frame=int(shot.frames[0]),
         frame_count=len(shot.frames),
     )
-    folder = _stretches_folder(spec.out)
+    folder = work_folder(spec.out, "stretches")
     stretches = _stretches(spec, clock, folder, provenance)
-    _make_folder(folder, keep={stretch.file for stretch in stretches})
+    make_side_folder(folder)
+    # Those of another spec or of older inputs.
+    clear_side_folder(folder, _STRETCHES, keep=frozenset(each.file.name for each in stretches))
     waiting = [stretch for stretch in stretches if not stretch.file.is_file()]
     if len(waiting) < len(stretches):
         notes.append(f"{len(stretches) - len(waiting)} of {len(stretches)} stretches were there")
@@ -98,7 +105,9 @@ def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress = silent)
         timecode=clock.timecode(take.timecode_start, take.first_frame),
         comment=json.dumps(comment),
     )
-    shutil.rmtree(folder, ignore_errors=True)
+    clear_side_folder(folder, _STRETCHES)
+    with contextlib.suppress(OSError):  # somebody put something there
+        folder.rmdir()
     progress(1.0, "done")
     seconds = clock.picture_count / float(rate)
     return StepResult(
@@ -130,11 +139,6 @@ def _panels(spec: MovieSpec, take: Take, notes: list[str]) -> tuple[PanelKind, .
     return ("markers", "performance")
 
 
-def _stretches_folder(out: Path) -> Path:
-    """Return where a movie's stretches wait: no two movies of a folder, however alike, share it."""
-    return out.with_name(f".{out.stem[:40]}.{hash_text(out.name)[:8]}.stretches")
-
-
 def _stretches(
     spec: MovieSpec, clock: MovieClock, folder: Path, provenance: Provenance
 ) -> list[_Stretch]:
@@ -149,17 +153,6 @@ def _stretches(
         )
         for start in range(0, clock.picture_count, STRETCH_PICTURES)
     ]
-
-
-def _make_folder(folder: Path, *, keep: set[Path]) -> None:
-    """Make the folder of stretches; those of another spec or of older inputs are removed."""
-    try:
-        folder.mkdir(exist_ok=True)
-        for old in folder.iterdir():
-            if old not in keep:
-                old.unlink()
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written to ({error.strerror})") from error
 
 
 def _is_python() -> bool:

@@ -1,9 +1,7 @@
 """The report: one page with the face, the video, curves and what to know of a performance."""
 
-import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack
-from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +10,8 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing
+from usdface.core.side_files import emptied_side_folder
+from usdface.core.sidecars import work_folder
 from usdface.core.text import pluralize
 from usdface.media.film.image_sequence import open_video
 from usdface.media.film.movie import video_encoder, write_movie
@@ -201,8 +201,8 @@ def _movie(
         notes.append("the take has no video: the page shows the face alone")
         return b""
     sound = take_sound(take, clock, notes)
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / f"video{_movie_kind()[0]}"
+    with emptied_side_folder(work_folder(spec.out, "video")) as folder:
+        file = folder / f"video{_movie_kind()[0]}"
         write_movie(
             file,
             _camera_pictures(spec, shot, clock, progress),

@@ -13,6 +13,7 @@ from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import check_not_written_since
+from usdface.core.side_files import side_stream
 from usdface.core.sidecars import edits_path, weights_path
 from usdface.core.text import first_few
 from usdface.usdio.authoring import author_timing
@@ -22,6 +23,7 @@ from usdface.usdio.layers import (
     provenance_data,
     read_provenance,
     relative_path,
+    save_layer,
     usd_errors_as_input_errors,
 )
 from usdface.usdio.performance.clips import PartsWriter, clear_parts, writing_parts
@@ -84,7 +86,7 @@ def write_package(
         prim.specifier = Sdf.SpecifierDef
         prim.referenceList.prependedItems = [Sdf.Reference(str(rig_file), source)]
         carry_variants(top, reader.stage, str(place), rig_file, str(source))
-        top.Save()
+        save_layer(top, target)
         _, _, missing = UsdUtils.ComputeAllDependencies(str(top_file))
         if missing:
             raise InputError(
@@ -92,9 +94,21 @@ def write_package(
                 f"{first_few(missing)}; put them back, or package another rig"
             )
         made = UsdUtils.CreateNewUsdzPackage(str(top_file), str(target))
-    if not made:
-        raise InputError(f"{target}: USD could not write the package; is the disk full?")
+    if not made or not _is_whole(target):
+        raise InputError(
+            f"{target}: USD could not write the package whole; is the disk full? Free it, or write "
+            "elsewhere"
+        )
     _zero_times(target)
+
+
+def _is_whole(target: Path) -> bool:
+    """Read a package again: USD does not say that a write failed."""
+    try:
+        with zipfile.ZipFile(target) as package:
+            return package.testzip() is None
+    except (zipfile.BadZipFile, OSError, EOFError, ValueError):
+        return False
 
 
 _NO_TIME = struct.pack("<HH", 0, 0x0021)
@@ -106,7 +120,7 @@ def _zero_times(target: Path) -> None:
     with zipfile.ZipFile(target) as package:
         entries = package.infolist()
         directory = package.start_dir
-    with target.open("r+b") as stream:
+    with side_stream(target, "rb+") as stream:
         for entry in entries:
             stream.seek(entry.header_offset + 10)
             stream.write(_NO_TIME)
