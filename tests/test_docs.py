@@ -94,6 +94,7 @@ def test_every_command_of_the_readme_is_understood(tmp_path: Path, monkeypatch, 
         elif words[1] in ("run", "check"):
             assert run(f"{words[0]} {words[1]} --help") == 0
         else:
+            Path("spec.yaml").unlink(missing_ok=True)
             assert run(f"{line} --save-spec spec.yaml") == 0, line
             assert Path("spec.yaml").read_text(encoding="utf-8").startswith("step: ")
 
@@ -142,4 +143,5 @@ def test_every_command_of_the_references_page_is_understood(tmp_path: Path, monk
     lines = commands(REPOSITORY / "docs" / "references.md")
     assert len(lines) == 13
     for line in lines:
+        Path("spec.yaml").unlink(missing_ok=True)
         assert run(f"{line} --save-spec spec.yaml") == 0, line

@@ -196,6 +196,8 @@ def test_names_are_given_with_commas_or_one_by_one(tmp_path: Path, given: list[s
     saved = tmp_path / "movie.yaml"
     assert run(*line, *given, "--save-spec", str(saved)) == 0
     assert yaml.safe_load(saved.read_text())["panels"] == ["markers", "performance"]
+    assert run(*line, "--save-spec", str(saved)) == 2  # a file is never written over
+    saved.unlink()
     assert run(*line, "--save-spec", str(saved)) == 0
     assert "panels" not in yaml.safe_load(saved.read_text())
     assert run(*line, "--panels", "faces", "--save-spec", str(saved)) == 2
