@@ -170,7 +170,8 @@ def test_a_file_beyond_the_limits_is_refused(tmp_path, monkeypatch, limit, value
 )
 @given(spoil=damage())
 def test_whatever_is_broken_only_our_own_error_escapes(tmp_path: Path, name, spoil):
-    content = samples.c3d(tmp_path) if name == "c3d" else samples.TEXTS[name]().encode()
+    binary = {"c3d": samples.c3d, "weights-npy": samples.npy}
+    content = binary[name](tmp_path) if name in binary else samples.TEXTS[name]().encode()
     path = tmp_path / "kitchen.txt"
     path.write_bytes(spoil(content))
     for format_name in (name, None):

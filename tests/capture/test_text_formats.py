@@ -41,7 +41,7 @@ def noted(capture: Capture, words: str) -> bool:
 
 
 def test_every_text_format_has_a_sample():
-    assert {"c3d", *samples.TEXTS} == {known.name for known in FORMATS}
+    assert {"c3d", "weights-npy", *samples.TEXTS} == {known.name for known in FORMATS}
 
 
 @pytest.mark.parametrize("name", samples.TEXTS)

@@ -1,5 +1,6 @@
 """Small captures in every text format, written from the formats' public descriptions."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -146,6 +147,19 @@ def marker_csv() -> str:
     return "\n".join(lines) + "\n"
 
 
+def weights_csv() -> str:
+    """A plain table of weights."""
+    rows = [f"{n + 1};{n / 60:.6f};{row[0]:.4f};{row[1]:.4f}" for n, row in enumerate(weights())]
+    return "\n".join(["Frame;time_s;JawOpen;mouth_frown_L", *rows]) + "\n"
+
+
+def weights_json() -> str:
+    """Weights as Audio2Face writes them."""
+    matrix = weights().round(4).tolist()
+    names = [f"shape{number}" for number in range(len(matrix[0]))]
+    return json.dumps({"exportFps": 60.0, "facsNames": names, "weightMat": matrix}, indent=1)
+
+
 TEXTS = {
     "trc": trc,
     "motive-csv": motive_csv,
@@ -155,6 +169,8 @@ TEXTS = {
     "ifacialmocap": ifacialmocap,
     "openface-csv": openface_csv,
     "marker-csv": marker_csv,
+    "weights-csv": weights_csv,
+    "weights-json": weights_json,
 }
 
 
@@ -162,4 +178,13 @@ def c3d(folder: Path) -> bytes:
     """A C3D of the same markers."""
     path = folder / "sample.c3d"
     write_c3d(path, positions(), np.ones((FRAMES, len(NAMES)), bool), list(NAMES), rate=60)
+    return path.read_bytes()
+
+
+def npy(folder: Path) -> bytes:
+    """A matrix of weights, with its names beside it."""
+    path = folder / "sample.npy"
+    np.save(path, weights())
+    names = [f"shape{number}" for number in range(weights().shape[1])]
+    (folder / "kitchen.names.txt").write_text("\n".join(names))
     return path.read_bytes()

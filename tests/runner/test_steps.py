@@ -190,11 +190,35 @@ def test_decimal_commas_are_refused_and_not_read_as_columns(shot: Shot) -> None:
     one, two = before.frames[:2].tolist()
     table = shot / "comma.csv"
     table.write_text(f"frame,jawOpen,mouthClose\n{one},0,0\n{two},0,5,0,25\n")
-    with pytest.raises(InputError, match="line 3: has 5 values for 3 columns; write decimals"):
+    with pytest.raises(InputError, match="line 3: 5 cells, 3 expected"):
         run(ReferencesImportSpec(references=asset, weights=table))
     np.testing.assert_array_equal(read_references(asset).weights, before.weights)
     table.write_text(f"frame,jawOpen,mouthClose\n{one},0,0,,\n{two},0.5,0.25,,\n")
     assert run(ReferencesImportSpec(references=asset, weights=table)).figures["pairs"] == 2
+
+
+def test_keys_are_matched_by_meaning_take_and_unit(shot: Shot) -> None:
+    """Spellings, a semicolon, a take column and percent, as a spreadsheet of people has them."""
+    asset = shot / "hero.references.usda"
+    before = read_references(asset)
+    frame, other = before.frames[:2].tolist()
+    take = before.takes[0]
+    jaw = before.shape_names.index("jawOpen")
+    table = shot / "people.csv"
+    rows = f"Frame;Take;JawOpen;smirk\n{frame};{take};45;100\n{other};elsewhere;80;0\n"
+    table.write_text(rows)
+    with pytest.raises(InputError, match=r"smirk is 100.*--weight-unit percent"):
+        run(ReferencesImportSpec(references=asset, weights=table))
+    given = {"references": asset, "weights": table, "weight_unit": "percent"}
+    report = run(ReferencesImportSpec(**given))
+    assert report.figures["pairs"] == 1
+    assert any("left out 1 column, of no shape of the rig: smirk" in note for note in report.notes)
+    after = read_references(asset).weights
+    assert after[0, jaw] == pytest.approx(0.45)
+    assert after[1, jaw] == before.weights[1, jaw]
+    table.write_text(rows.replace(take, "nowhere"))
+    with pytest.raises(InputError, match=r"takes \(nowhere, elsewhere\) are none of the pairs'"):
+        run(ReferencesImportSpec(**given))
 
 
 def test_an_untuned_start_is_named_and_imports_count_all_that_is_tuned(shot: Shot) -> None:

@@ -24,6 +24,7 @@ def build_channel_take(
     notes: Sequence[str],
     format_name: str,
     timecode_start: str = "",
+    first_frame: int = _FIRST_FRAME,
 ) -> Capture:
     """Make a take of weights; frames that are missing are interpolated, and reported.
 
@@ -34,17 +35,17 @@ def build_channel_take(
     path : Path
         The capture; its stem names the take.
     """
-    found = [*notes, *_describe_times(times)]
+    found = [*notes, *_describe_times(times, first_frame)]
     clip = WeightsClip(
         names=tuple(names),
         values=fill_frames(values, times.frames),
-        first_frame=_FIRST_FRAME,
+        first_frame=first_frame,
         rate=times.rate,
     )
     take = Take(
         name=path.stem,
         rate=times.rate,
-        first_frame=_FIRST_FRAME,
+        first_frame=first_frame,
         source=clip,
         timecode_start=timecode_start,
     )
@@ -74,14 +75,14 @@ def fill_frames(values: FloatArray, frames: FloatArray) -> Float32Array:
     return filled
 
 
-def describe_missing(frames: FloatArray) -> list[str]:
+def describe_missing(frames: FloatArray, first_frame: int = _FIRST_FRAME) -> list[str]:
     """Say which frames are missing between samples at whole frames, if any."""
     skipped = (np.diff(frames) - 1).astype(np.int64)
     if not skipped.any():
         return []
     runs = []
     for before in np.flatnonzero(skipped):
-        first = _FIRST_FRAME + int(frames[before]) + 1
+        first = first_frame + int(frames[before]) + 1
         last = first + int(skipped[before]) - 1
         runs.append(f"{first}" if first == last else f"{first}-{last}")
     return [
@@ -90,12 +91,12 @@ def describe_missing(frames: FloatArray) -> list[str]:
     ]
 
 
-def _describe_times(times: SampleTimes) -> list[str]:
+def _describe_times(times: SampleTimes, first_frame: int) -> list[str]:
     """Say what was done to bring samples to whole frames."""
     rate = float(times.rate)
     if not times.even:
         return [f"samples came unevenly; resampled by their times to {rate:g} frames per second"]
-    notes = describe_missing(times.frames)
+    notes = describe_missing(times.frames, first_frame)
     drift = times.clock_error * float(times.frames[-1])
     if abs(drift) > 0.5:  # noticeable against a video
         notes.append(

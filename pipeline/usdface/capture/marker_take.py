@@ -37,6 +37,12 @@ class CaptureOptions:
     """Names of the markers that move with the skull alone."""
     neutral: int | None = None
     """Frame number of the neutral face."""
+    weight_unit: str | None = None
+    """Of weights: ``'one'`` or ``'percent'``."""
+    shapes: Path | None = None
+    """File with the names of a matrix's columns."""
+    take: str | None = None
+    """Which take of a table that holds several."""
 
 
 @dataclass(frozen=True)

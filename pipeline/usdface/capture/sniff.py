@@ -1,9 +1,10 @@
 """Tell a capture's format by its content, and read it."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from usdface.capture.c3d import is_c3d, read_c3d_take
 from usdface.capture.face_cap import is_face_cap, read_face_cap
@@ -15,6 +16,12 @@ from usdface.capture.motive_csv import is_motive_csv, read_motive_csv
 from usdface.capture.openface_csv import is_openface_csv, read_openface_csv
 from usdface.capture.trc import is_trc, read_trc
 from usdface.capture.vicon_csv import is_vicon_csv, read_vicon_csv
+from usdface.capture.weight_table import (
+    is_weight_csv,
+    is_weight_json,
+    is_weight_npy,
+    read_weight_take,
+)
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 
@@ -45,6 +52,7 @@ _LANDMARKS: tuple[tuple[re.Pattern[bytes], str], ...] = (
     ),
 )
 """Landmarks of other trackers that are not read, by their first bytes."""
+_SCORES = re.compile(rb'"(categoryName|category_name|(face_?)?blendshapes)"', re.IGNORECASE)
 _FRAME_LOG = (
     "is the frame log of Live Link Face, which holds no weights: ingest the CSV of weights beside "
     f"it, with the MOV as --video; without such a CSV, {_TRACK_IT}"
@@ -75,37 +83,27 @@ FORMATS: tuple[CaptureFormat, ...] = (
     CaptureFormat(
         "marker-csv", "CSV of frame, time_s, NAME.x, NAME.y, NAME.z", is_marker_csv, read_marker_csv
     ),
+    CaptureFormat("weights-npy", "NumPy matrix of weights", is_weight_npy, read_weight_take),
+    CaptureFormat("weights-json", "JSON of weights", is_weight_json, read_weight_take),
+    CaptureFormat(
+        "weights-csv",
+        "CSV of frame or time, then a column per shape",
+        is_weight_csv,
+        read_weight_take,
+    ),
 )
 """In the order they are tried: the surest marks first."""
 
 
-def read_capture(
-    path: Path,
-    *,
-    format: str | None = None,
-    units: str | None = None,
-    scale: float | None = None,
-    up: str | None = None,
-    rate: float | None = None,
-    rigid: Sequence[str] = (),
-    neutral: int | None = None,
-) -> Capture:
+def read_capture(path: Path, *, format: str | None = None, **stated: Any) -> Capture:
     """Read any capture file as a take in millimetres, Y up.
 
     Parameters
     ----------
     format : str, optional
         Name of one of `FORMATS`; told from the content when left out, whatever the extension.
-    units : str, optional
-        ``'mm'``, ``'cm'``, ``'m'``, …; overrules the file.
-    scale : float, optional
-        Factor on lengths, beyond the units.
-    up : {'y', 'z', 'x', '-x', '-y', '-z'}, optional
-        Overrules the file.
-    rate : float, optional
-        Frames per second of markers; overrules the file.
-    neutral : int, optional
-        Frame number of the neutral face; the first frame with the most markers seen by default.
+    **stated
+        What the user says about the capture: fields of `CaptureOptions`.
 
     Raises
     ------
@@ -113,7 +111,7 @@ def read_capture(
         If the file cannot be read, is of no known format, is damaged, or contradicts the options.
     """
     path = Path(path)
-    options = CaptureOptions(units, scale, up, rate, tuple(rigid), neutral)
+    options = CaptureOptions(**stated | {"rigid": tuple(stated.get("rigid", ()))})
     try:
         chosen = _named_format(format) if format is not None else recognise_format(path)
         return chosen.read(path, options)
@@ -141,12 +139,15 @@ def recognise_format(path: Path) -> CaptureFormat:
         raise InputError(f"{path} {_FRAME_LOG}")
     if not head:
         raise InputError(f"{path}: the file is empty (0 bytes); copy or export the capture again")
+    refused = next((advice for pattern, advice in _LANDMARKS if pattern.match(head)), None)
+    if _SCORES.search(head):
+        refused = None  # landmarks and weights: the weights are read
     for candidate in FORMATS:
-        if candidate.recognise(head):
+        table = candidate.name.startswith("weights-")
+        if not (table and refused) and candidate.recognise(head):
             return candidate
-    for pattern, advice in _LANDMARKS:
-        if pattern.match(head):
-            raise InputError(f"{path} {advice}")
+    if refused is not None:
+        raise InputError(f"{path} {refused}")
     raise InputError(
         f"{path}: not a capture file we know (it begins with {_readable(head)}); known are "
         f"{_known_formats()}; export one of these, or name it with --format"

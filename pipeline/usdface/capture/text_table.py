@@ -47,7 +47,8 @@ class NumberTable:
     """Rows of numbers under named columns."""
 
     values: FloatArray
-    """(rows, columns): NaN where a cell is empty or says so, and in columns kept as text."""
+    """(rows, columns): NaN where a cell is empty or says so; of columns kept as text no number
+    means anything."""
     lines: IntArray
     """(rows,): where each row is in its file."""
     texts: dict[int, list[str]] = field(default_factory=dict)
@@ -237,7 +238,7 @@ def read_number_table(
         for column, found in kept.items():
             if column < len(cells):
                 found.append(cells[column])
-                cells[column] = "nan"
+                cells[column] = "nan" if gaps else "0"
         values.extend(parse_cells(cells, columns, line, delimiter=delimiter, gaps=gaps))
         numbers.append(line.number)
     if not numbers:

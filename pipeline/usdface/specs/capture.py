@@ -24,7 +24,8 @@ class IngestSpec(Spec):
     """Convert capture files to a USD take.
 
     Formats are recognised by content: C3D, TRC, Vicon, Motive, Live Link Face, Face Cap,
-    iFacialMocap and OpenFace; or a USD file with markers as Points, Skeleton joints or Xforms and
+    iFacialMocap and OpenFace; tables of weights as CSV, JSON (Audio2Face, MediaPipe) or NumPy; or a
+    USD file with markers as Points, Skeleton joints or Xforms and
     weights as SkelAnimation. Several files of one take, such as markers and Live Link, are merged.
     Anything dropped or assumed is listed in the output. Given a folder, with a folder as --out,
     every take in it is ingested; files with the same stem belong together.
@@ -66,8 +67,14 @@ class IngestSpec(Spec):
     right, `axes` reflects the positions (exports with left-handed axes), `no` keeps the take as it
     is."""
     rate: Annotated[float, Field(gt=0, le=100_000)] | None = None
-    """Frames per second of the markers, if the file does not state it or states it wrongly. Tables
-    without a column of times need it."""
+    """Frames per second of markers or of a table of weights, if the file does not state it or
+    states it wrongly. Tables without a column of times need it."""
+    weight_unit: Literal["one", "percent"] | None = None
+    """Unit of a table of weights: `one`, where 1 is the full shape, or `percent`. Needed if weights
+    are too large to be told."""
+    shapes: ReadPath | None = None
+    """Names of the columns of a .npy matrix of weights: a text file with one per line, a JSON list
+    or .npy. Default: NAME.names.txt, .json or .npy beside it."""
     frames: Frames | None = None
     """Frames to keep, first and last, such as `800-1714`: leaves out the padding of a take.
     Timecode and video stay in time."""
@@ -83,7 +90,8 @@ class IngestSpec(Spec):
     prim: PrimPath | None = None
     """Prim that holds the markers, if a USD source has several marker sets."""
     take: Name | None = None
-    """Name of the take. Default: the name of the file."""
+    """Name of the take. Default: the name of the file. Of a table of several takes: which to
+    read."""
     performer: str = ""
     """Name of the performer."""
     session: str = ""
@@ -164,7 +172,8 @@ class TrackSpec(Spec):
     """Frame number of the neutral face. Default: the frame in which the model's scores see the
     least expression."""
     take: Name | None = None
-    """Name of the take. Default: the name of the file."""
+    """Name of the take. Default: the name of the file. Of a table of several takes: which to
+    read."""
     performer: str = ""
     """Name of the performer."""
     session: str = ""

@@ -148,9 +148,9 @@ class SelectSpec(Spec):
 class ReferencesImportSpec(Spec):
     """Import tuned weights into a references asset.
 
-    Weights are matched to the rig by shape name and to the pairs by frame. Shapes that are not in
-    the file keep their weights. Proposals are never changed, and tuned weights are replaced only at
-    frames that are in the file.
+    Weights are matched to the rig by what the shapes' names mean and to the pairs by frame. Shapes
+    that are not in the file keep their weights. Proposals are never changed, and tuned weights are
+    replaced only at frames that are in the file.
     """
 
     example: ClassVar[str] = "usdface references import hero.references.usda --weights tuned.csv"
@@ -161,8 +161,14 @@ class ReferencesImportSpec(Spec):
     references: Annotated[FilePath, Reads(alone=True), Positional()]
     """The references asset written by `usdface select`."""
     weights: ReadPath
-    """.csv or .json (a `frame` column, then one column per shape), or .usd with an animation, at
-    the takes' frames or at the pairs' time codes (--at pairs)."""
+    """Table of weights (.csv or .json: a `frame` column, then one column per shape; a `take` column
+    tells takes apart), or .usd with an animation, at the takes' frames or at the pairs' time codes
+    (--at pairs)."""
+    names: ReadPath | None = None
+    """Table of pairs of shapes, as `usdface names` writes it. Default: by what the names mean."""
+    weight_unit: Literal["one", "percent"] | None = None
+    """Unit of a table: `one`, where 1 is the full shape, or `percent`. Needed if weights are too
+    large to be told."""
     at: Literal["frames", "pairs"] = "frames"
     """Meaning of the frame numbers: `frames` of the takes, or time codes of the `pairs`."""
 

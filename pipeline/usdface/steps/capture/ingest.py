@@ -102,8 +102,12 @@ def _read_source(source: Path, spec: IngestSpec) -> Capture:
         rate=spec.rate,
         rigid=spec.rigid,
         neutral=spec.neutral,
+        weight_unit=spec.weight_unit,
+        shapes=spec.shapes,
+        take=spec.take,
     )
-    if spec.rate is not None and len(spec.sources) == 1 and capture.take.markers is None:
+    timed = capture.take.markers is None and capture.format != "weights"
+    if spec.rate is not None and len(spec.sources) == 1 and timed:
         raise InputError(
             f"{source}: --rate is of markers, and this capture has none; its samples keep the "
             "times that the recorder wrote: leave --rate out"

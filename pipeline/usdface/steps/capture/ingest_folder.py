@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
 
-from usdface.capture.sniff import VIDEO_SUFFIXES, recognise_format
+from usdface.capture.sniff import VIDEO_SUFFIXES, read_capture, recognise_format
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.sidecars import LAYER_SUFFIXES
@@ -186,7 +186,8 @@ def _is_capture(path: Path) -> bool:
     if suffix in (*LAYER_SUFFIXES, ".usdz"):
         return not path.name.endswith(_TAKES)
     try:
-        recognise_format(path)
+        if recognise_format(path).name.startswith("weights-"):
+            read_capture(path)  # keys and notes of people are tables as well
     except (InputError, OSError):
         return False
     return True

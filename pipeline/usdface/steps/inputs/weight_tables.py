@@ -1,21 +1,22 @@
 """Weights by frame from files of any tool: CSV, JSON or USD."""
 
 import csv
-import json
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
+from usdface.capture.weight_table import in_fractions, read_weight_samples
 from usdface.core.arrays import FloatArray, IntArray, columns_by_name
 from usdface.core.errors import InputError
 from usdface.core.rates import FARTHEST_FRAME
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import first_few, pluralize, read_text
+from usdface.steps.inputs.name_tables import Transfer
 from usdface.usdio.mapping import read_alpha_keys
 from usdface.usdio.performance.blender_export import (
     BlenderWeights,
@@ -44,6 +45,8 @@ class WeightTable:
     empty of other tools."""
     elsewhere: Mapping[str, Mapping[str, FloatArray]] = field(default_factory=dict)
     """By shape and mesh, the weights of the other meshes that have it."""
+    takes: tuple[str, ...] = ()
+    """Take of each row; empty of a file that does not say."""
 
     def columns(self, names: tuple[str, ...]) -> FloatArray:
         """Return the weights in another order of shapes; 0 for those the table lacks."""
@@ -73,6 +76,22 @@ class WeightTable:
             )
         return known
 
+    def renamed(self, transfer: Transfer) -> "WeightTable":
+        """Return the table by the shapes that its own drive.
+
+        Where no name changes, it stays as it is.
+        """
+        if all(name in transfer.target for name in self.names):
+            return self
+        columns = np.flatnonzero((transfer.matrix != 0).any(axis=0))
+        return replace(
+            self,
+            names=tuple(transfer.target[column] for column in columns.tolist()),
+            weights=self.weights @ transfer.matrix[:, columns],
+            meshes=(),
+            elsewhere={},
+        )
+
     def check_rate(self, rate: Fraction, *, file: Path, performance: Path) -> None:
         """Raise InputError if the file says another rate than the performance's."""
         if self.rate is not None and self.rate != rate:
@@ -82,20 +101,24 @@ class WeightTable:
             )
 
 
-def read_weight_table(path: Path, *, known: tuple[str, ...] = ()) -> WeightTable:
-    """Read weights from .csv or .json (a ``frame`` column, then one per shape), or from USD.
+def read_weight_table(
+    path: Path, *, known: tuple[str, ...] = (), unit: str | None = None
+) -> WeightTable:
+    """Read weights by frame from a table (.csv, .json, .npy) or from USD.
 
     Parameters
     ----------
     known : tuple of str
         Shapes that are expected: where a tool made identifiers of these names, they are undone.
+    unit : {'one', 'percent'}, optional
+        Of a table; told where left out, and refused where it cannot be.
 
     Raises
     ------
     InputError
         If the file is no such table; the line and the column are named.
     """
-    if path.suffix in (*LAYER_SUFFIXES, ".usdz"):
+    if path.suffix.lower() in (*LAYER_SUFFIXES, ".usdz"):
         exported = read_blender_weights(path)
         if exported is not None:
             return _blender_table(exported, known)
@@ -103,23 +126,39 @@ def read_weight_table(path: Path, *, known: tuple[str, ...] = ()) -> WeightTable
         weights = reader.edited().astype(np.float64)
         numbers = tuple(reader.frames.tolist())
         return WeightTable(reader.names, numbers, weights, reader.rate, reader.keyed_frames)
-    rows = _json_rows(path) if path.suffix == ".json" else csv_rows(path, ("frame",))
-    if not rows:
-        raise InputError(f"{path}: holds no rows of weights")
-    names = tuple(name for name in rows[0][1] if name != "frame")
-    frames: list[int] = []
-    weights = np.zeros((len(rows), len(names)))
-    for index, (where, row) in enumerate(rows):
-        frame = _number(path, where, "frame", row.get("frame"))
-        if abs(frame) >= FARTHEST_FRAME:
-            raise InputError(f"{path} {where}: {frame:g} is no frame; correct it")
-        frames.append(round(frame))
-        for column, name in enumerate(names):
-            weights[index, column] = _number(path, where, name, row.get(name))
-    twice, count = Counter(frames).most_common(1)[0]
+    return _table_of(path, unit)
+
+
+def _table_of(path: Path, unit: str | None) -> WeightTable:
+    try:
+        samples = read_weight_samples(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error
+    if samples.frames is None:
+        raise InputError(
+            f"{path} line 1: has no `frame` column; the first line must name the columns"
+        )
+    whole = np.isfinite(samples.frames) & (np.abs(samples.frames) < FARTHEST_FRAME)
+    if not whole.all():
+        row = int(np.argmin(whole))
+        raise InputError(
+            f"{path} line {samples.lines[row]}: {samples.frames[row]:g} is no frame; correct it"
+        )
+    frames = tuple(np.rint(samples.frames).astype(np.int64).tolist())
+    takes = samples.takes or ("",) * len(frames)
+    (take, twice), count = Counter(zip(takes, frames, strict=True)).most_common(1)[0]
     if count > 1:
-        raise InputError(f"{path}: frame {twice} is there {count} times; keep one row")
-    return WeightTable(names, tuple(frames), weights, keyed=frozenset(frames))
+        where = f" of take {take}" if take else ""
+        raise InputError(f"{path}: frame {twice}{where} is there {count} times; keep one row")
+    values = in_fractions(path, samples.values, unit, samples.names, [])
+    return WeightTable(
+        samples.names,
+        frames,
+        values,
+        samples.rate,
+        keyed=frozenset(frames),
+        takes=samples.takes,
+    )
 
 
 def _blender_table(exported: BlenderWeights, known: tuple[str, ...]) -> WeightTable:
@@ -171,19 +210,6 @@ def csv_rows(path: Path, columns: Sequence[str]) -> list[tuple[str, dict[str, ob
         return rows
     except csv.Error as error:
         raise InputError(f"{path} line {reader.line_num}: {error}") from error
-
-
-def _json_rows(path: Path) -> list[tuple[str, dict[str, object]]]:
-    text = read_text(path, LARGEST_TABLE_BYTES)
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is no valid JSON: {error}") from error
-    if not isinstance(data, list) or not all(isinstance(row, dict) for row in data):
-        raise InputError(f'{path}: must be a list of rows like {{"frame": 12, "jawOpen": 0.4}}')
-    names = list(dict.fromkeys(name for row in data for name in row))
-    filled = [{name: row.get(name, 0.0) for name in names} | row for row in data]
-    return [(f"row {index + 1}", row) for index, row in enumerate(filled)]
 
 
 def _number(path: Path, where: str, column: str, value: object) -> float:

@@ -11,6 +11,7 @@ from usdface.core.sidecars import tuned_path
 from usdface.core.text import first_few, pluralize
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesImportSpec
+from usdface.steps.inputs.name_tables import transfer_by_names, transfer_by_table
 from usdface.steps.inputs.tuned_pairs import tuned_conflicts
 from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table, weights_meant
 from usdface.usdio.references.read import TunedPair, read_references
@@ -25,7 +26,12 @@ def run(
 ) -> StepResult:
     """Match the file's rows to pairs and its columns to shapes, and write the tuned layer."""
     references = read_references(spec.references)
-    table = read_weight_table(spec.weights, known=references.shape_names)
+    given = read_weight_table(spec.weights, known=references.shape_names, unit=spec.weight_unit)
+    if spec.names is None:
+        transfer = transfer_by_names(given.names, references.shape_names)
+    else:
+        transfer = transfer_by_table(spec.names, given.names, references.shape_names)
+    table = given.renamed(transfer)
     known = table.shapes_among(references.shape_names, file=spec.weights, owner="on the rig")
     pairs = _pairs(spec, references, table, known)
     if not pairs:
@@ -39,7 +45,16 @@ def run(
     )
     progress(1.0, "imported")
     notes = []
-    unknown = [name for name in table.names if name not in references.shape_names]
+    meant = [row for row in transfer.rows() if row["by"] == "meaning"]
+    if meant:
+        notes.append(
+            f"matched by the meaning of their names: {pluralize(len(meant), 'pair')} of shapes, "
+            f"such as {meant[0]['source']} to {meant[0]['target']}; `usdface names` lists them"
+        )
+    if transfer.ambiguous:
+        notes.append(f"not matched, as it is not clear: {first_few(transfer.ambiguous, most=3)}")
+    matched = set(transfer.matched)
+    unknown = [name for name in given.names if name not in matched]
     if unknown:
         notes.append(
             f"left out {pluralize(len(unknown), 'column')}, of no shape of the rig: "
@@ -86,19 +101,30 @@ def _key(spec: ReferencesImportSpec, pair: TunedPair) -> int:
 def _pairs(
     spec: ReferencesImportSpec, references: References, table: WeightTable, known: list[str]
 ) -> list[TunedPair]:
-    row_of = index_of(table.frames)
+    by_take = bool(table.takes) and spec.at == "frames"
+    row_of: dict[object, int] = dict(
+        index_of(zip(table.takes, table.frames, strict=True)) if by_take else index_of(table.frames)
+    )
     keys = (
         references.frames
         if spec.at == "frames"
         else np.arange(1, len(references.frames) + 1, dtype=np.int64)
     )
-    if spec.at == "frames" and len(set(references.takes)) > 1:
+    if spec.at == "frames" and len(set(references.takes)) > 1 and not by_take:
         raise InputError(
             f"{spec.references}: its pairs are of {len(set(references.takes))} takes, so a frame "
-            "number alone does not tell which; number the rows by pair and use --at pairs"
+            "number alone does not tell which; add a `take` column, or number the rows by pair and "
+            "use --at pairs"
+        )
+    if by_take and not set(table.takes) & set(references.takes):
+        raise InputError(
+            f"{spec.weights}: its takes ({first_few(dict.fromkeys(table.takes), most=3)}) are none "
+            f"of the pairs' ({first_few(dict.fromkeys(references.takes), most=3)}); correct the "
+            "`take` column"
         )
     pairs = []
-    for pair, key in enumerate(keys.tolist()):
+    for pair, number in enumerate(keys.tolist()):
+        key = (references.takes[pair], number) if by_take else number
         if key not in row_of:
             continue
         if spec.at == "pairs" and key not in table.keyed:

@@ -12,6 +12,12 @@ from usdface.specs.retarget import RetargetSpec
 
 TAKE_END = ".take.usda"
 
+_OF_WEIGHTS = (
+    *("live-link-csv", "face-cap", "ifacialmocap", "openface-csv"),
+    *("weights-csv", "weights-json", "weights-npy"),
+)
+"""Formats whose captures carry weights."""
+
 
 def retarget_folder(
     folder: Path,
@@ -91,7 +97,6 @@ def _takes(folder: Path) -> dict[str, Path]:
 
 def _is_capture(path: Path) -> bool:
     try:
-        recognise_format(path)
+        return recognise_format(path).name in _OF_WEIGHTS
     except (InputError, OSError):
         return False
-    return True

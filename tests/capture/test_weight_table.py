@@ -1,0 +1,157 @@
+"""Tables of weights as tools write them, and what must not be believed of them."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from usdface.capture.sniff import read_capture, recognise_format
+from usdface.core.errors import InputError
+from usdface.steps.inputs.weight_tables import read_weight_table
+from usdface.usdio.take.write import write_take
+
+NAMES = ("jawOpen", "mouthSmileLeft", "browInnerUp")
+WEIGHTS = np.random.default_rng(0).random((25, 3)).astype(np.float32)
+
+
+def csv(index: str, rows: list[str], delimiter: str = ",") -> str:
+    head = delimiter.join([*index.split(), *NAMES])
+    lines = [
+        delimiter.join([row, *(repr(float(each)) for each in weights)])
+        for row, weights in zip(rows, WEIGHTS, strict=True)
+    ]
+    return "\n".join([head, *lines]) + "\n"
+
+
+def categories(row: np.ndarray) -> list[dict[str, object]]:
+    pairs = zip(("_neutral", *NAMES), (0.5, *row.tolist()), strict=True)
+    return [{"index": i, "score": s, "categoryName": n} for i, (n, s) in enumerate(pairs)]
+
+
+WRITTEN = {
+    "frames.csv": csv("Frame", [str(101 + n) for n in range(25)]),
+    "times.csv": csv("time_s", [f"{n / 30:.6f}" for n in range(25)], ";"),
+    "ms.csv": csv("timestamp_ms", [f"{n * 1000 / 30:.3f}" for n in range(25)], "\t"),
+    "rows.json": json.dumps(
+        [
+            dict(zip(("frame", *NAMES), (n + 1, *row), strict=True))
+            for n, row in enumerate(WEIGHTS.tolist())
+        ]
+    ),
+    "a2f.json": json.dumps(
+        {"exportFps": 30.0, "numFrames": 25, "facsNames": NAMES, "weightMat": WEIGHTS.tolist()}
+    ),
+    "ict.json": json.dumps(
+        {"fps": 30, "names": NAMES, "frames": [{"weights": row} for row in WEIGHTS.tolist()]}
+    ),
+    "mediapipe.json": json.dumps([categories(row) for row in WEIGHTS]),
+    "results.json": json.dumps(
+        [
+            {"timestamp_ms": 1000 * n / 30, "faceBlendshapes": [categories(row)]}
+            for n, row in enumerate(WEIGHTS)
+        ]
+    ),
+}
+NO_TIMES = ("frames.csv", "rows.json", "mediapipe.json")
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_a_table_becomes_a_take_to_the_last_bit(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_text(WRITTEN[name])
+    take = read_capture(path, rate=30.0 if name in NO_TIMES else None).take
+    assert take.source is not None
+    assert take.source.names == NAMES
+    assert np.array_equal(take.source.values, WEIGHTS)
+    assert take.rate == 30
+    assert take.first_frame == (101 if name == "frames.csv" else 1)
+    write_take(tmp_path / "x.take.usda", take)
+    back = read_weight_table(tmp_path / "x.take.usda")
+    assert np.array_equal(back.columns(NAMES).astype(np.float32), WEIGHTS)
+    assert back.frames[0] == take.first_frame
+
+
+def test_a_matrix_takes_its_names_from_beside_it(tmp_path: Path) -> None:
+    path = tmp_path / "face.npy"
+    np.save(path, WEIGHTS)
+    with pytest.raises(InputError, match=r"give a file with their names.*face\.names\.txt"):
+        read_capture(path, rate=25.0)
+    np.save(tmp_path / "face.names.npy", np.array(NAMES))
+    take = read_capture(path, rate=25.0).take
+    assert take.source is not None
+    assert np.array_equal(take.source.values, WEIGHTS)
+    (tmp_path / "short.txt").write_text("jawOpen\nsmile\n")
+    with pytest.raises(InputError, match="2 names for the 3 columns"):
+        read_capture(path, rate=25.0, shapes=tmp_path / "short.txt")
+    np.save(tmp_path / "objects.npy", np.array([{}, 1], object), allow_pickle=True)
+    with pytest.raises(InputError, match="without pickled objects"):
+        read_capture(tmp_path / "objects.npy", rate=25.0)
+
+
+def test_several_takes_in_one_table_are_told_apart(tmp_path: Path) -> None:
+    path = tmp_path / "day.csv"
+    rows = [f"{'kitchen' if n < 10 else 'stairs'},{n}" for n in range(25)]
+    path.write_text(csv("take frame", rows))
+    with pytest.raises(InputError, match=r"rows of 2 takes \(kitchen, stairs\).*--take"):
+        read_capture(path, rate=30.0)
+    take = read_capture(path, rate=30.0, take="stairs").take
+    assert (take.name, take.first_frame, take.frame_count) == ("stairs", 10, 15)
+    table = read_weight_table(path)
+    assert table.takes[9:11] == ("kitchen", "stairs")
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        ("frame,jawOpen,smile\n1,40,0\n2,90,3\n", {"rate": 30.0}, "jawOpen is 90.*--weight-unit"),
+        ("frame,jawOpen,smile\n1,half,0\n", {"rate": 30.0}, "line 2, column 2.*'half'"),
+        ("frame,jawOpen,smile\n1,0,0\n2,0,1\n", {}, "no column of times.*--rate"),
+        (
+            "frame,time_s,jawOpen,smile\n1,0,0,0\n2,.04,0,0\n3,.08,0,0\n",
+            {"rate": 60.0},
+            "two frame rates",
+        ),
+        ("frame,jawOpen,jawOpen\n1,0,0\n", {"rate": 30.0}, "'jawOpen' appears twice"),
+        ("frame,jawOpen,smile\n2,0,0\n1,0,0\n", {"rate": 30.0}, "must ascend"),
+        (
+            '[{"frame": 1, "jawOpen": "x"}]',
+            {"rate": 30.0},
+            "row 1, column 'jawOpen': 'x' is no number",
+        ),
+        ('{"fps": 30, "facsNames": ["a", "b"], "weightMat": [[1]]}', {}, "1 weights for 2 names"),
+        ('{"fps": 30, "facsNames": ["a", "a"], "weightMat": [[1, 0]]}', {}, "a is named twice"),
+    ],
+)
+def test_what_cannot_be_believed_is_refused(tmp_path: Path, text, options, message) -> None:
+    path = tmp_path / "table.txt"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_capture(path, **options)
+
+
+def test_percent_is_read_as_such_where_it_is_stated(tmp_path: Path) -> None:
+    path = tmp_path / "percent.csv"
+    path.write_text("time,jawOpen,smile\n0,40,0\n0.04,90,3\n0.08,1,100\n")
+    take = read_capture(path, weight_unit="percent").take
+    assert take.source is not None
+    np.testing.assert_allclose(take.source.values[1], [0.9, 0.03], rtol=1e-6)
+    as_written = read_capture(path, weight_unit="one").take
+    assert as_written.source is not None
+    assert as_written.source.values[1, 0] == 90
+    with pytest.raises(InputError, match="--weight-unit percent"):
+        read_weight_table_of(path)
+
+
+def read_weight_table_of(path: Path) -> None:
+    path.write_text(
+        path.read_text().replace("time,", "frame,").replace("0.04", "1").replace("0.08", "2")
+    )
+    read_weight_table(path)
+
+
+def test_lists_of_people_are_no_captures(tmp_path: Path) -> None:
+    for name, text in {"notes.csv": "shot,note\nkitchen,good\n", "a.json": '{"job": "x"}'}.items():
+        (tmp_path / name).write_text(text)
+        with pytest.raises(InputError, match="not a capture file we know"):
+            recognise_format(tmp_path / name)
