@@ -201,3 +201,40 @@ def test_names_are_given_with_commas_or_one_by_one(tmp_path: Path, given: list[s
     assert run(*line, "--save-spec", str(saved)) == 0
     assert "panels" not in yaml.safe_load(saved.read_text())
     assert run(*line, "--panels", "faces", "--save-spec", str(saved)) == 2
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a disk that is always full")
+@pytest.mark.parametrize("line", ["--version", "check job.yaml", "check job.yaml --json"])
+def test_output_that_nobody_can_keep_is_an_error_in_words(
+    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("job.yaml").write_text(JOB_OF_ONE)
+    Path("a.usda").write_text("#usda 1.0\n")
+    with Path("/dev/full").open("w") as full:
+        monkeypatch.setattr("sys.stdout", full)
+        assert run(*line.split()) == 2
+    said = capfd.readouterr().err
+    assert "standard output cannot be written (No space left on device)" in said
+
+
+JOB_OF_ONE = "step: bake\nperformance: a.usda\nout: b.usda\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("a\\b.usda", "cannot be part of a name"),
+        ("a\nb.usda", "cannot be part of a name"),
+        (f"{'x' * 250}.usda", "a name that is too long"),
+        (f"{'x' * 400}.usda", "a name that is too long"),
+    ],
+)
+def test_a_name_that_nothing_could_refer_to_is_refused(
+    name: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("a.csv").write_text("x")
+    assert run("ingest", "a.csv", "--out", name.replace(".usda", ".take.usda")) == 2
+    assert reason in capsys.readouterr().err
+    assert [each.name for each in tmp_path.iterdir()] == ["a.csv"]

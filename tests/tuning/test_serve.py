@@ -1,9 +1,14 @@
 """Where the page is served from."""
 
 import socket
+import threading
+from contextlib import ExitStack
+from http.client import HTTPConnection
 from pathlib import Path
 
 import pytest
+import uvicorn
+from starlette.responses import PlainTextResponse
 
 from tests.tuning.small_asset import change, write_asset
 from usdface.specs.commands import TuneSpec
@@ -46,3 +51,32 @@ def test_a_page_left_open_over_a_restart_is_told_to_read_again(
         serve.serve(spec, announce=print)
     assert len(set(shown)) == 3
     assert max(shown) < 2**53, "a browser's numbers"
+
+
+def test_requests_that_are_never_made_hold_nobody_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Any process of the machine may connect, and say nothing more."""
+    monkeypatch.setattr(serve, "REQUEST_SECONDS", 1.0)
+    app = PlainTextResponse("here")
+    config = uvicorn.Config(app, http=serve._PromptProtocol, lifespan="off", log_level="error")
+    server = uvicorn.Server(config)
+    with socket.create_server(("127.0.0.1", 0), backlog=128) as listener, ExitStack() as sockets:
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+        thread.start()
+        try:
+            address = listener.getsockname()
+            half_open = [
+                sockets.enter_context(socket.create_connection(address)) for _ in range(70)
+            ]
+            for each in half_open:
+                each.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n")
+            page = HTTPConnection(*address, timeout=10)
+            for _ in range(3):
+                page.request("GET", "/")
+                assert page.getresponse().read() == b"here"
+            page.close()
+            half_open[-1].settimeout(10)
+            assert half_open[-1].recv(1) == b""  # closed, as it said nothing more
+            assert not serve._PromptProtocol._unasked
+        finally:
+            server.should_exit = True
+            thread.join()

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import typer
 
-from usdface.core.errors import CancelledError, UsdfaceError
+from usdface.core.errors import CancelledError, InputError, UsdfaceError
 from usdface.core.progress import Progress as Listener
 from usdface.core.progress import silent
 from usdface.runner.result import StepResult
@@ -90,13 +90,12 @@ class _FarmProgress:
 def _say_to_farm(what: str, message: str) -> None:
     """Write one line; a line break in a file name must not start a second message."""
     line = "".join(each if each.isprintable() else " " for each in message)
-    sys.stdout.write(f"openjd_{what}: {line[:LONGEST_FARM_MESSAGE]}\n")
-    sys.stdout.flush()
+    _print(f"openjd_{what}: {line[:LONGEST_FARM_MESSAGE]}\n")
 
 
 def echo(line: str) -> None:
     """Print a line and flush it, on a terminal and in a pipe."""
-    typer.echo(line)
+    _print(f"{line}\n")
 
 
 def show_result(report: StepResult, *, as_json: bool) -> None:
@@ -115,7 +114,24 @@ def show_result(report: StepResult, *, as_json: bool) -> None:
 
 def show_json(data: Any) -> None:
     """Print one JSON document for a script."""
-    sys.stdout.write(json.dumps(data, indent=2, ensure_ascii=False, default=str) + "\n")
+    _print(json.dumps(data, indent=2, ensure_ascii=False, default=str) + "\n")
+
+
+def _print(text: str) -> None:
+    """Write to standard output, now: what cannot be written is an error with words, not a fault."""
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:  # nobody listens any more, which typer knows how to end by
+        raise
+    except OSError as error:
+        # Else Python would try again when it ends, and say so in words of its own.
+        with contextlib.suppress(OSError), open(os.devnull, "w") as nowhere:  # noqa: PTH123
+            os.dup2(nowhere.fileno(), sys.stdout.fileno())
+        raise InputError(
+            f"standard output cannot be written ({error.strerror}), so a report is lost; files "
+            "that were to be written are there. Send the output elsewhere"
+        ) from error
 
 
 def show_error(message: str) -> None:

@@ -1,8 +1,10 @@
 """Run the step that a spec describes."""
 
+import errno
 from collections.abc import Callable
 from importlib import import_module
 
+from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import not_written_since
@@ -41,8 +43,16 @@ def execute(
         If an input is missing or cannot be used, an output must not be replaced, or a path lies
         outside the folder that ``USDFACE_ROOT`` confines all work to.
     """
-    check_inputs(spec)
-    with not_written_since(() if overwrite else spec.paths(Writes)):
-        check_outputs(spec, overwrite=overwrite)
-        step = find_step(type(spec))
-        return step(spec, provenance=provenance or make_provenance(spec), progress=progress)
+    try:
+        check_inputs(spec)
+        with not_written_since(() if overwrite else spec.paths(Writes)):
+            check_outputs(spec, overwrite=overwrite)
+            step = find_step(type(spec))
+            return step(spec, provenance=provenance or make_provenance(spec), progress=progress)
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        raise InputError(
+            f"{error.filename}: a name that is too long for this file system, or that becomes so "
+            f"with what {spec.step} writes beside it; choose a shorter one"
+        ) from error

@@ -12,7 +12,7 @@ from usdface.specs.base import Spec
 from usdface.specs.paths import IMAGE_SUFFIXES, Reads, Writes
 from usdface.specs.review import MOVIE_SUFFIXES, PAGE_SUFFIXES
 from usdface.usdio.layers import is_layer_name, read_provenance
-from usdface.usdio.referenced_files import dependencies
+from usdface.usdio.referenced_files import dependencies, referenced_files
 
 LARGEST_FIGURES_BYTES = 64 << 20
 
@@ -57,10 +57,7 @@ def provenance_of(path: Path) -> Provenance | None:
 def make_provenance(spec: Spec) -> Provenance:
     """Hash a spec's inputs; paths are kept relative to the output, so that folders can move."""
     anchor = spec.outputs()[0].resolve().parent if spec.outputs() else Path.cwd()
-    alone = set(spec.read_alone())
-    inputs = {
-        _relative(path, anchor): hash_input(path, alone=path in alone) for path in spec.paths(Reads)
-    }
+    inputs = {_relative(path, anchor): hash_input(path, how) for path, how in spec.reads().items()}
     data = spec.model_dump(mode="json", exclude_defaults=True)
     for kind in (Reads, Writes):
         for name in type(spec).fields_marked(kind):
@@ -115,11 +112,14 @@ def _from_text(text: str) -> Provenance | None:
     return _from_metadata(made) if isinstance(made, dict) else None
 
 
-def hash_input(path: Path, *, alone: bool = False) -> str:
-    """Return a file's hash as provenance has it; of a layer, with all that it refers to."""
-    if alone or not is_layer_name(path):
+def hash_input(path: Path, how: Reads = Reads()) -> str:  # noqa: B008  # it is frozen
+    """Return a file's hash as provenance has it; of a layer, with the layers it is made of.
+
+    Where a step shows or packs what layers name, textures and movies are hashed as well.
+    """
+    if how.alone or not is_layer_name(path):
         return hash_files([path])
-    return hash_files(dependencies(path))
+    return hash_files(referenced_files(path) if how.assets else dependencies(path))
 
 
 def _relative(path: Path, anchor: Path) -> str:

@@ -14,7 +14,7 @@ from usdface.runner.origin import REFUSED, provenance_of
 from usdface.specs.base import Spec
 from usdface.specs.job import SPEC_BY_STEP, JobSpec
 from usdface.specs.paths import Reads, Writes
-from usdface.usdio.layers import is_layer_name
+from usdface.usdio.layers import check_asset_name, is_layer_name
 from usdface.usdio.referenced_files import all_files, dependencies
 
 
@@ -120,6 +120,7 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
                 f"{path}: is a layer of {whole}, which {spec.step} reads, and would be lost if it "
                 "were written; choose another --out"
             )
+        check_asset_name(path)
         folder = path.parent
         if not folder.is_dir():
             raise InputError(f"{path}: folder {folder} does not exist; create it first")

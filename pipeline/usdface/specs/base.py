@@ -186,14 +186,14 @@ class Spec(BaseModel):
                 paths.extend(value)
         return tuple(paths)
 
-    def read_alone(self) -> tuple[Path, ...]:
-        """Return the inputs that are read without the layers they refer to."""
-        marks = type(self).fields_marked(Reads)
-        return tuple(
-            path
-            for name, mark in marks.items()
-            if mark.alone and isinstance(path := getattr(self, name), Path)
-        )
+    def reads(self) -> Mapping[Path, Reads]:
+        """Return every path this spec reads, with how it is read."""
+        read = dict[Path, Reads]()
+        for name, mark in type(self).fields_marked(Reads).items():
+            value = getattr(self, name)
+            for path in (value,) if isinstance(value, Path) else value or ():
+                read[path] = mark
+        return read
 
     def outputs(self) -> tuple[Path, ...]:
         """Return the files this spec writes, whose state decides whether it is up to date."""

@@ -201,7 +201,7 @@ class AlignSpec(Spec):
     memory_mib: ClassVar[int] = 4096
 
     step: Literal["align"] = "align"
-    take: Annotated[FilePath, Reads(), Positional()]
+    take: Annotated[FilePath, Reads(assets=True), Positional()]
     """The take, with a video and the sound of the capture (`usdface ingest --video --audio`)."""
     offset: Annotated[float, Field(ge=-LONGEST_SHIFT, le=LONGEST_SHIFT)] | None = None
     """Set the offset by hand: take time at which the video starts, in seconds. Negative: before the

@@ -131,7 +131,7 @@ class PackageSpec(Spec):
     module: ClassVar[str] = "edits.package"
 
     step: Literal["package"] = "package"
-    performance: Annotated[FilePath, Reads(), Positional()]
+    performance: Annotated[FilePath, Reads(assets=True), Positional()]
     """The performance, with or without edits."""
     out: Annotated[WritePath, AfterValidator(file_ending((".usdz",), "a package"))]
     """The package to write."""

@@ -21,6 +21,8 @@ class Reads:
 
     alone: bool = False
     """Whether only the file itself is read, not the layers it refers to."""
+    assets: bool = False
+    """Whether the textures, movies, sounds and pictures that its layers name are read, too."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,7 @@ def _names_a_file(path: Path) -> Path:
 
 FilePath = Annotated[Path, AfterValidator(_names_a_file)]
 ReadPath = Annotated[FilePath, Reads()]
+ShownPath = Annotated[FilePath, Reads(assets=True)]
 WritePath = Annotated[FilePath, Writes()]
 
 

@@ -247,9 +247,9 @@ class ReferenceSheetSpec(Spec):
     module: ClassVar[str] = "references.sheet"
 
     step: Literal["references-sheet"] = "references-sheet"
-    references: Annotated[FilePath, Reads(), Positional()]
+    references: Annotated[FilePath, Reads(assets=True), Positional()]
     """The references asset."""
-    takes: Annotated[tuple[Path, ...], Reads()] = ()
+    takes: Annotated[tuple[Path, ...], Reads(assets=True)] = ()
     """Takes that the frames were selected from. Without them, video and timecode are not shown."""
     out: ImageOut
     """Picture to write: .jpg, .png or .exr. A page has six pairs; further pages are NAME.2.jpg and

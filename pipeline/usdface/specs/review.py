@@ -15,6 +15,7 @@ from usdface.specs.paths import (
     MeasuredOut,
     ReadPath,
     Reads,
+    ShownPath,
     WritePath,
     file_ending,
     prim_path,
@@ -58,7 +59,7 @@ class SheetSpec(Spec):
     step: Literal["sheet"] = "sheet"
     performance: Annotated[FilePath, Reads(), Positional()]
     """The performance to draw."""
-    take: ReadPath | None = None
+    take: ShownPath | None = None
     """The cleaned take it was mapped from. Default: the one its provenance names."""
     out: ImageOut
     """Picture to write: .jpg, .png or .exr. Further pages are NAME.2.jpg and so on."""
@@ -123,7 +124,7 @@ class MovieSpec(Spec):
     step: Literal["movie"] = "movie"
     performance: Annotated[FilePath, Reads(), Positional()]
     """The performance to draw."""
-    take: ReadPath | None = None
+    take: ShownPath | None = None
     """The cleaned take it was mapped from. Default: the one its provenance names."""
     out: MovieOut
     """Movie to write: .mp4, .mov, .mkv or .webm."""
@@ -165,7 +166,7 @@ class MovieJoinSpec(Spec):
     step: Literal["movie-join"] = "movie-join"
     parts: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads(), Positional()]
     """Movie parts, in order."""
-    take: ReadPath | None = None
+    take: ShownPath | None = None
     """Take whose sound is included. Without it the movie is silent."""
     out: MovieOut
     """Movie to write, in the same container format as the parts."""
@@ -189,7 +190,7 @@ class ReportSpec(Spec):
     step: Literal["report"] = "report"
     performance: Annotated[FilePath, Reads(), Positional()]
     """The performance to show."""
-    take: ReadPath | None = None
+    take: ShownPath | None = None
     """The cleaned take it was mapped from. Default: the one its provenance names."""
     out: Annotated[WritePath, AfterValidator(file_ending(PAGE_SUFFIXES, "a page"))]
     """Report to write: .html."""

@@ -17,12 +17,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
+from typing import ClassVar
 from urllib.parse import parse_qs
 
 import uvicorn
 from starlette.datastructures import MutableHeaders
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from usdface.core.confinement import check_confined, confinement_root
 from usdface.core.errors import CancelledError, InputError
@@ -196,6 +198,41 @@ def _limited(receive: Receive) -> Receive:
 
 log = logging.getLogger(__name__)
 
+REQUEST_SECONDS = 5.0
+"""From a connection to the end of its first request's header; a page sends it at once."""
+MOST_UNASKED = 32
+"""Connections that may stand open without a request."""
+
+
+class _PromptProtocol(H11Protocol):
+    """Closes connections on which no request is made: any process may open them, without cookie."""
+
+    _unasked: ClassVar[dict["_PromptProtocol", asyncio.TimerHandle]] = {}
+    """Oldest first."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self._unasked[self] = self.loop.call_later(REQUEST_SECONDS, transport.close)
+        if len(self._unasked) > MOST_UNASKED:
+            oldest = next(iter(self._unasked))
+            oldest.transport.close()
+            oldest._settle()
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        if self.cycle is not None:
+            self._settle()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        self._settle()
+
+    def _settle(self) -> None:
+        timer = self._unasked.pop(self, None)
+        if timer is not None:
+            timer.cancel()
+
+
 IDLE_SECONDS = 0.5
 """Without a change for this long, the layer is written."""
 
@@ -265,7 +302,7 @@ def _run(
         log_level="warning",
         access_log=False,
         server_header=False,
-        limit_concurrency=64,
+        http=_PromptProtocol,
         timeout_graceful_shutdown=2,
         lifespan="off",
     )

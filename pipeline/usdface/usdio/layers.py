@@ -4,6 +4,7 @@ import contextlib
 import functools
 import math
 import os
+import unicodedata
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -256,6 +257,23 @@ def read_provenance(path: Path) -> Provenance | None:
         )
 
 
+def check_asset_name(path: Path) -> None:
+    """Refuse a file name by which no layer could refer to the file, or to one beside it.
+
+    Raises
+    ------
+    InputError
+        If it has control characters, which USD takes in no path, or a backslash, which it takes for
+        a folder's end on every system.
+    """
+    wrong = [each for each in path.name if each == "\\" or unicodedata.category(each) == "Cc"]
+    if wrong:
+        raise InputError(
+            f"{str(path)!r}: {wrong[0]!r} cannot be part of a name that a USD layer refers to; "
+            "choose another"
+        )
+
+
 def relative_path(target: Path, layer_path: Path) -> str:
     """Return `target` as a layer beside it should name it: relative, so that folders can move.
 
@@ -269,6 +287,7 @@ def relative_path(target: Path, layer_path: Path) -> str:
         return Path(os.path.normpath(folder / way)).resolve() == target.resolve()
 
     sound = [way for way in ways if leads(way, named)]
+    check_asset_name(target)
     relative = next((way for way in sound if leads(way, real)), (sound or ways)[0])
     relative = relative.replace(os.sep, "/")
     return relative if relative.startswith(".") else f"./{relative}"

@@ -32,6 +32,7 @@ from usdface.steps.references.from_edits import (
     LEAST_CHANGE,
     meant_frames,
 )
+from usdface.usdio.performance import write
 from usdface.usdio.performance.read import PerformanceReader, read_performance, read_weights
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
@@ -608,6 +609,63 @@ def test_a_package_needs_nothing_beside_it(shot: Shot, tmp_path: Path) -> None:
     stage = Usd.Stage.Open(str(alone))
     assert [each for each in stage.Traverse() if each.IsA(UsdSkel.Root)]
     assert not [f for f in validate(alone) if f.severity == "error"]
+
+
+def test_a_texture_that_changes_makes_a_package_out_of_date_and_no_solve(shot: Shot) -> None:
+    skin = shot / "skin.png"
+    skin.write_bytes(b"pink")
+    rig = Sdf.Layer.FindOrOpen(str(shot / "hero.usdc"))
+    prim = Sdf.CreatePrimInLayer(rig, "/character/skin")
+    attribute = Sdf.AttributeSpec(prim, "inputs:file", Sdf.ValueTypeNames.Asset)
+    attribute.default = Sdf.AssetPath("./skin.png")
+    rig.Save()
+    del prim, attribute, rig
+    package = PackageSpec(performance=shot / "shot.hero.usda", out=shot / "review.usdz")
+    bake = BakeSpec(performance=shot / "shot.hero.usda", out=shot / "baked.usdc")
+    before = [make_provenance(spec).inputs for spec in (package, bake)]
+    skin.write_bytes(b"blue")
+    after = [make_provenance(spec).inputs for spec in (package, bake)]
+    assert [old == new for old, new in zip(before, after, strict=True)] == [False, True]
+
+
+def test_a_layer_that_an_expression_of_another_layer_reaches_is_hashed(tmp_path: Path) -> None:
+    top = '#usda 1.0\n(\n    expressionVariables = {{\n        string X = "{}"\n    }}\n)\n{}'
+    (tmp_path / "sub.usda").write_text(
+        top.format("./none.usda", 'def "A" (\n    references = @`"${X}"`@</A>\n)\n{\n}\n')
+    )
+    (tmp_path / "top.usda").write_text(
+        top.format("./inner.usda", 'def "A" (\n    references = @sub.usda@</A>\n)\n{\n}\n')
+    )
+    spec = BakeSpec(performance=tmp_path / "top.usda", out=tmp_path / "b.usdc")
+    inputs = []
+    for value in (1, 2):
+        (tmp_path / "inner.usda").write_text(f'#usda 1.0\ndef "A" {{\n    double x = {value}\n}}\n')
+        inputs.append(make_provenance(spec).inputs)
+    assert inputs[0] != inputs[1]
+
+
+@pytest.mark.parametrize("harm", ["cut", "flip", "empty"])
+def test_a_package_that_was_not_written_whole_is_refused_and_the_old_one_stays(
+    shot: Shot, harm: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spec = PackageSpec(performance=shot / "shot.hero.usda", out=shot / "review.usdz")
+    run(spec)
+    old = spec.out.read_bytes()
+    pack = write.UsdUtils.CreateNewUsdzPackage
+
+    def fail(source: str, target: str) -> bool:
+        assert pack(source, target)
+        data = Path(target).read_bytes()
+        middle = len(data) // 2
+        flipped = data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
+        Path(target).write_bytes({"cut": data[:middle], "flip": flipped, "empty": b""}[harm])
+        return True  # as USD says where a write failed
+
+    monkeypatch.setattr(write.UsdUtils, "CreateNewUsdzPackage", fail)
+    with pytest.raises(InputError, match="could not write the package whole"):
+        run(spec)
+    assert spec.out.read_bytes() == old
+    assert not list(shot.folder.glob(".*"))
 
 
 @pytest.mark.parametrize(
