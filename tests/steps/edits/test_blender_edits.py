@@ -19,9 +19,9 @@ from usdface.runner.result import StepResult
 from usdface.specs.edits import EditsImportSpec, EditSpec
 from usdface.specs.references import ReferencesImportSpec
 from usdface.steps.inputs.weight_tables import read_weight_table
-from usdface.usdio.performance.blender_export import blender_names
+from usdface.usdio.performance.exported_weights import blender_names
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.performance.weights_layer import make_header
+from usdface.usdio.performance.weights_layer import every_shape, make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
@@ -39,14 +39,14 @@ def perform(folder: Path, names: tuple[str, ...] = SKIN) -> Path:
         path,
         make_header(
             read_rig(folder / "rig.usda"),
-            shape_names=names,
+            shape_names=every_shape(names, read_rig(folder / "rig.usda")),
             rate=Fraction(24),
             first_frame=FIRST,
             last_frame=LAST,
         ),
         read_rig(folder / "rig.usda"),
     ) as writer:
-        writer.append(SOLVED)
+        writer.append(SOLVED[:, : len(names)])
     return path
 
 
@@ -57,8 +57,12 @@ def exported(
     armature: bool = True,
     faces: str = "Hero",
     documentation: str = "Blender v5.0.1",
+    channel: str = "",
 ) -> Path:
-    """A file as Blender writes it: curves by the shape key's name, by mesh."""
+    """A file as Blender writes it: curves by the shape key's name, by mesh.
+
+    As Maya writes it with `channel`: ``_{mesh}_Deformer_{shape}``.
+    """
 
     def made_of(key: str) -> str:
         return blender_names(key)[documentation < "Blender v5"]
@@ -81,6 +85,8 @@ def exported(
             shape = UsdSkel.BlendShape.Define(stage, f"{prim.GetPath()}/{made_of(key)}")
             binding.CreateBlendShapeTargetsRel().AddTarget(shape.GetPath())
             name, number = made_of(key), 1
+            if channel:
+                name = channel.format(mesh=mesh, shape=name)
             while armature and name in used:
                 number += 1
                 name = f"{made_of(key)}{number}"
@@ -222,3 +228,43 @@ def test_faces_beside_each_other_are_refused(tmp_path: Path) -> None:
 def test_channels_of_other_tools_keep_their_names(tmp_path: Path) -> None:
     changed = exported(tmp_path, curves_of(), documentation="")
     assert read_weight_table(changed).names == ("jawOpen", "jawOpen2", "eyeBlink", "smile")
+
+
+MAYA = {"documentation": "", "channel": "_{mesh}_Deformer_{shape}"}
+
+
+def test_channels_that_maya_named_come_back_by_the_shapes_they_drive(tmp_path: Path) -> None:
+    path = perform(tmp_path)
+    curves = curves_of()
+    for mesh in curves.values():
+        mesh["jawOpen"][3] = 1.25  # Maya cuts nothing
+    report = bring_back(path, exported(tmp_path, curves, **MAYA))
+    assert report.figures == {"frames": 1, "shapes": ["jawOpen"]}
+    reader = PerformanceReader(path)
+    expected = SOLVED.copy()
+    expected[3, 0] = 1.25
+    np.testing.assert_allclose(reader.edited(), expected, atol=1e-6)
+
+
+def maya_reads(animation: Usd.Prim, mesh: Usd.Prim) -> dict[str, np.ndarray]:
+    """What maya-usd's translatorBlendShape does: shapes that it has, paired by order."""
+    skel = UsdSkel.Animation(animation)
+    names = list(map(str, skel.GetBlendShapesAttr().Get()))
+    shapes = list(map(str, UsdSkel.BindingAPI(mesh).GetBlendShapesAttr().Get()))
+    columns = [names.index(each) for each in shapes if each in names]
+    frames = skel.GetBlendShapeWeightsAttr().GetTimeSamples()
+    rows = np.array([skel.GetBlendShapeWeightsAttr().Get(frame) for frame in frames])
+    return {shapes[place]: rows[:, column] for place, column in enumerate(columns)}
+
+
+def test_an_importer_that_pairs_by_order_gets_every_shape_right(tmp_path: Path) -> None:
+    """A mapping of two of the rig's three shapes: the first of the mesh is not among them."""
+    path = perform(tmp_path, ("eyeBlink", "smile"))
+    stage = Usd.Stage.Open(str(path))
+    skin = stage.GetPrimAtPath("/Hero/geo/skin")
+    reader = PerformanceReader(path)
+    found = maya_reads(reader.animation, skin)
+    assert set(found) == set(SKIN)
+    np.testing.assert_allclose(found["eyeBlink"], SOLVED[:, 0])
+    np.testing.assert_allclose(found["smile"], SOLVED[:, 1])
+    assert not found["jawOpen"].any()

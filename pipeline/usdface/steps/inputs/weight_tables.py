@@ -18,10 +18,11 @@ from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import first_few, pluralize, read_text
 from usdface.steps.inputs.name_tables import Transfer
 from usdface.usdio.mapping import read_alpha_keys
-from usdface.usdio.performance.blender_export import (
-    BlenderWeights,
+from usdface.usdio.performance.exported_weights import (
+    ExportedWeights,
     blender_names,
-    read_blender_weights,
+    is_of_blender,
+    read_exported_weights,
 )
 from usdface.usdio.performance.read import PerformanceReader
 
@@ -47,6 +48,8 @@ class WeightTable:
     """By shape and mesh, the weights of the other meshes that have it."""
     takes: tuple[str, ...] = ()
     """Take of each row; empty of a file that does not say."""
+    cut: bool = False
+    """Whether weights beyond `CUT_TO` come back as its ends."""
 
     def columns(self, names: tuple[str, ...]) -> FloatArray:
         """Return the weights in another order of shapes; 0 for those the table lacks."""
@@ -119,9 +122,10 @@ def read_weight_table(
         If the file is no such table; the line and the column are named.
     """
     if path.suffix.lower() in (*LAYER_SUFFIXES, ".usdz"):
-        exported = read_blender_weights(path)
+        blender = is_of_blender(path)
+        exported = read_exported_weights(path) if blender else _renamed_by_a_tool(path, known)
         if exported is not None:
-            return _blender_table(exported, known)
+            return _exported_table(exported, known, cut=blender)
         reader = PerformanceReader(path)
         weights = reader.edited().astype(np.float64)
         numbers = tuple(reader.frames.tolist())
@@ -161,7 +165,19 @@ def _table_of(path: Path, unit: str | None) -> WeightTable:
     )
 
 
-def _blender_table(exported: BlenderWeights, known: tuple[str, ...]) -> WeightTable:
+def _renamed_by_a_tool(path: Path, known: tuple[str, ...]) -> ExportedWeights | None:
+    """Return weights by what their channels drive, where these have names that nobody expects."""
+    reader = PerformanceReader(path)
+    if not known or set(reader.names) & set(known):
+        return None
+    exported = read_exported_weights(path)
+    if exported is None:
+        return None
+    expected = {each for name in known for each in (name, *blender_names(name))}
+    return exported if expected & set(exported.names) else None
+
+
+def _exported_table(exported: ExportedWeights, known: tuple[str, ...], *, cut: bool) -> WeightTable:
     made = Counter(each for name in known for each in set(blender_names(name)))
     real = {each: name for name in known for each in blender_names(name) if made[each] == 1}
     names = tuple(real.get(name, name) for name in exported.names)
@@ -176,6 +192,7 @@ def _blender_table(exported: BlenderWeights, known: tuple[str, ...]) -> WeightTa
             name: {curve.mesh: curve.values for curve in curves[1:]}
             for name, curves in zip(names, exported.curves, strict=True)
         },
+        cut=cut,
     )
 
 
@@ -238,7 +255,7 @@ def weights_meant(table: WeightTable, name: str, rows: IntArray, shown: FloatArr
         it was cut and not changed.
     """
     weights: FloatArray = table.weights[rows, table.names.index(name)]
-    if not table.meshes:
+    if not table.cut:
         return weights
     end = np.clip(shown, *CUT_TO)
     return np.where((end != shown) & (np.abs(weights - end) < CUT_WITHIN), shown, weights)

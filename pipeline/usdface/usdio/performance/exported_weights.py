@@ -1,8 +1,9 @@
-"""Weights as Blender exports them: a shape once per mesh, by names that Blender makes up.
+"""Weights as Blender and Maya export them: a shape once per mesh, by names that they make up.
 
 Shape keys belong to a mesh there. Its exporter gives the second mesh's ``jawOpen`` a channel
 ``jawOpen2``, makes identifiers of all names, and writes an animation per mesh where no armature
-holds them together.
+holds them together. Maya's names a channel after mesh, deformer and shape:
+``_skin_Deformer_jawOpen``. Both keep the shapes' names on the BlendShape prims.
 """
 
 import re
@@ -33,11 +34,11 @@ class MeshCurve:
 
 
 @dataclass(frozen=True)
-class BlenderWeights:
+class ExportedWeights:
     """Weights of shapes as every mesh that has them shows them."""
 
     names: tuple[str, ...]
-    """Of the shape keys, made identifiers (`blender_names`)."""
+    """Of the BlendShape prims: identifiers (`blender_names`)."""
     curves: tuple[tuple[MeshCurve, ...], ...]
     """By shape; that of the mesh with the most shapes first."""
     frames: tuple[int, ...]
@@ -51,9 +52,14 @@ def blender_names(name: str) -> tuple[str, str]:
     return _identifier(name), _identifier(as_ascii)
 
 
+def is_of_blender(path: Path) -> bool:
+    """Whether Blender wrote a file."""
+    return bool(open_stage(path).GetRootLayer().documentation.startswith(MAKER))
+
+
 @refusing_wrong_types
-def read_blender_weights(path: Path) -> BlenderWeights | None:
-    """Read the weights of a face that Blender exported; None of a file of another tool.
+def read_exported_weights(path: Path) -> ExportedWeights | None:
+    """Read weights by the shapes that channels drive; None where no mesh tells.
 
     Raises
     ------
@@ -61,8 +67,6 @@ def read_blender_weights(path: Path) -> BlenderWeights | None:
         If there is no animation, or more than one face.
     """
     stage = open_stage(path)
-    if not stage.GetRootLayer().documentation.startswith(MAKER):
-        return None
     readers = [PerformanceReader(path, animation=each) for each in _animations(stage, path)]
     first = readers[0]
     found: list[tuple[int, str, dict[str, FloatArray]]] = []
@@ -84,8 +88,8 @@ def read_blender_weights(path: Path) -> BlenderWeights | None:
         for shape, column in own.items():
             curves.setdefault(shape, []).append(MeshCurve(mesh_name, column))
     if not curves:
-        return None  # without a mesh nobody can tell what its channels drive
-    return BlenderWeights(
+        return None
+    return ExportedWeights(
         tuple(curves),
         tuple(map(tuple, curves.values())),
         tuple(first.frames.tolist()),
