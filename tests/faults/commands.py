@@ -33,6 +33,7 @@ COMMANDS = {
     "join": "join one.hero.usda two.hero.usda --out joined.hero.usda",
     "bake": f"bake {HERO} --out shot.baked.usdc",
     "package": f"package {HERO} --out shot.usdz",
+    "combine": f"combine {HERO} --out hero.takes.usda",
     "references-from-edits": "references from-edits edited.hero.usda "
     "--references hero.references.usda --count 3 --out second.references.usda",
     "sheet": f"sheet {HERO} --take {TAKE} --out shot.sheet.jpg --tile 64 --rows 2 --quality draft",

@@ -120,6 +120,31 @@ class BakeSpec(Spec):
     """Face to bake, if the layer holds several: its prim, or an ancestor of that face only."""
 
 
+class CombineSpec(Spec):
+    """Combine several takes of one character in one asset, a variant per take.
+
+    The variant set `take` of the character's prim chooses what it plays; each variant references
+    its performance, whose later changes arrive by themselves. The performances must be of one rig,
+    at the same place and rate.
+    """
+
+    example: ClassVar[str] = (
+        "usdface combine kitchen.hero.usda stairs.hero.usda --out hero.takes.usda"
+    )
+    module: ClassVar[str] = "edits.combine"
+
+    step: Literal["combine"] = "combine"
+    performances: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads(), Positional()]
+    """The performances, with or without edits."""
+    out: LayerOut
+    """The asset to write."""
+    takes: tuple[Name, ...] = ()
+    """Names of the variants, one per performance. Default: the files' names without what all have
+    in common."""
+    shown: Name | None = None
+    """The take that is shown unless another is selected. Default: the first."""
+
+
 class PackageSpec(Spec):
     """Pack rig, textures and edited weights of a performance into one .usdz for review.
 

@@ -8,7 +8,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from usdface.specs.base import Name, Spec
 from usdface.specs.capture import AlignSpec, CleanSpec, IngestSpec, PhonesSpec, TrackSpec
-from usdface.specs.edits import BakeSpec, EditsImportSpec, EditSpec, PackageSpec
+from usdface.specs.edits import BakeSpec, CombineSpec, EditsImportSpec, EditSpec, PackageSpec
 from usdface.specs.paths import Reads, Writes
 from usdface.specs.performance import JoinSpec, MapSpec, TrainSpec
 from usdface.specs.references import (
@@ -55,6 +55,7 @@ AnyStep = Annotated[
     | MapSpec
     | JoinSpec
     | BakeSpec
+    | CombineSpec
     | PackageSpec
     | ReferencesFromEditsSpec
     | SheetSpec

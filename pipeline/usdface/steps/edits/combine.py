@@ -1,0 +1,92 @@
+"""Performances of one character in, one asset with a variant per take out."""
+
+import re
+from collections.abc import Sequence
+
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.text import first_few, pluralize
+from usdface.runner.result import StepResult
+from usdface.specs.edits import CombineSpec
+from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.performance.takes import VARIANT_SET, write_takes
+
+
+def run(spec: CombineSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+    """Check that the performances are of one rig at one rate, and write the asset over them."""
+    names = _names(spec)
+    readers = [PerformanceReader(path) for path in spec.performances]
+    _check_alike(spec, readers)
+    shown = spec.shown or names[0]
+    if shown not in names:
+        raise InputError(f"--shown {shown}: is none of the takes, {first_few(names)}")
+    progress(0.5, f"writing {spec.out.name}")
+    write_takes(
+        spec.out,
+        dict(zip(names, readers, strict=True)),
+        shown=shown,
+        provenance=provenance,
+    )
+    progress(1.0, "written")
+    edited = [name for name, each in zip(names, readers, strict=True) if each.edits]
+    notes = (
+        (f"edits of {first_few(edited)} show in usdface; other tools play them once baked",)
+        if edited
+        else ()
+    )
+    return StepResult(
+        (spec.out,),
+        f"{pluralize(len(names), 'take')} of one character, variants `{VARIANT_SET}`: "
+        f"{first_few(names)}; {shown} is shown",
+        notes,
+        {
+            "takes": {
+                name: [each.first_frame, each.last_frame]
+                for name, each in zip(names, readers, strict=True)
+            },
+            "shown": shown,
+        },
+    )
+
+
+def _names(spec: CombineSpec) -> list[str]:
+    """Return a variant's name for each performance: its file's without what all have in common."""
+    given = list(spec.takes)
+    if given and len(given) != len(spec.performances):
+        raise InputError(
+            f"--takes names {len(given)} takes for {len(spec.performances)} performances; give "
+            "one name each"
+        )
+    stems = [path.name.split(".") for path in spec.performances]
+    common = 0
+    while min(map(len, stems)) - common > 1 and len({s[-1 - common] for s in stems}) == 1:
+        common += 1
+    names = given or [".".join(stem[: len(stem) - common]) for stem in stems]
+    names = [re.sub(r"[^A-Za-z0-9_|-]", "_", name) for name in names]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(f"two performances would be the take {twice[0]}; name them with --takes")
+    return names
+
+
+def _check_alike(spec: CombineSpec, readers: Sequence[PerformanceReader]) -> None:
+    first, path = readers[0], spec.performances[0]
+    rig, prim = first.rig()
+    for reader, other in zip(readers[1:], spec.performances[1:], strict=True):
+        file, place = reader.rig()
+        if (file.resolve(), place) != (rig.resolve(), prim):
+            raise InputError(
+                f"{other}: is of {file} <{place}>, and {path} of {rig} <{prim}>; combine takes of "
+                "one character"
+            )
+        if reader.rate != first.rate:
+            raise InputError(
+                f"{other}: runs at {float(reader.rate):g} frames per second, and {path} at "
+                f"{float(first.rate):g}; one asset has one rate, so combine takes of the same"
+            )
+        if reader.header.place != first.header.place:
+            raise InputError(
+                f"{other}: has the rig at <{reader.header.place}>, and {path} at "
+                f"<{first.header.place}>; map or retarget it again with --prim {first.header.place}"
+            )

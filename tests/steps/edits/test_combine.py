@@ -1,0 +1,89 @@
+"""Several takes on one character: a variant for each."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdSkel
+
+from tests.usdio.small_rig import small_rig
+from usdface.core.errors import InputError
+from usdface.runner.execute import execute
+from usdface.specs.edits import CombineSpec
+from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.performance.weights_layer import make_header
+from usdface.usdio.performance.write import writing_performance
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.write import write_rig
+from usdface.usdio.validation import validate
+
+SHAPES = ("jawOpen", "eyeBlink", "smile")
+
+
+def perform(path: Path, weights: np.ndarray, *, rate: int = 24, first: int = 1, place=None) -> Path:
+    rig = read_rig(path.with_name("rig.usda"))
+    header = make_header(
+        rig,
+        shape_names=SHAPES,
+        rate=Fraction(rate),
+        first_frame=first,
+        last_frame=first + len(weights) - 1,
+        place=place,
+    )
+    with writing_performance(path, header, rig) as writer:
+        writer.append(weights)
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_rig(tmp_path / "rig.usda", small_rig())
+    return tmp_path
+
+
+def test_every_take_plays_on_the_character_by_its_variant(folder: Path) -> None:
+    weights = np.random.default_rng(0).random((2, 6, 3)).astype(np.float32)
+    paths = (
+        perform(folder / "kitchen.hero.usda", weights[0], first=101),
+        perform(folder / "stairs.hero.usda", weights[1]),
+    )
+    out = folder / "hero.takes.usda"
+    report = execute(CombineSpec(performances=paths, out=out))
+    assert report.figures["takes"] == {"kitchen": [101, 106], "stairs": [1, 6]}
+    stage = Usd.Stage.Open(str(out))
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (1, 106)
+    chosen = stage.GetDefaultPrim().GetVariantSet("take")
+    assert chosen.GetVariantSelection() == "kitchen"
+    for name, first, expected in (("kitchen", 101, weights[0]), ("stairs", 1, weights[1])):
+        assert chosen.SetVariantSelection(name)
+        meshes = [each for each in stage.Traverse() if each.IsA(UsdSkel.Skeleton)]
+        source = UsdSkel.BindingAPI(meshes[0]).GetInheritedAnimationSource()
+        attribute = UsdSkel.Animation(source).GetBlendShapeWeightsAttr()
+        found = np.array([attribute.Get(first + frame) for frame in range(6)])
+        np.testing.assert_array_equal(found, expected)
+    assert np.array_equal(PerformanceReader(out).edited(), weights[0])
+    assert [each.message for each in validate(out) if each.severity == "error"] == []
+
+
+def test_what_does_not_belong_together_is_refused(folder: Path) -> None:
+    weights = np.random.default_rng(0).random((4, 3))
+    one = perform(folder / "a.usda", weights)
+    slow = perform(folder / "b.usda", weights, rate=25)
+    away = perform(folder / "c.usda", weights, place="/shot/Hero")
+    (folder / "other").mkdir()
+    write_rig(folder / "other" / "rig.usda", small_rig())
+    other = perform(folder / "other" / "a.usda", weights)
+    out = folder / "takes.usda"
+    for second, message in (
+        (slow, "runs at 25 frames per second, and .* at 24"),
+        (away, "has the rig at </shot/Hero>"),
+        (folder / "other" / "a.usda", "two performances would be the take a"),
+    ):
+        with pytest.raises(InputError, match=message):
+            execute(CombineSpec(performances=(one, second), out=out))
+    with pytest.raises(InputError, match=r"is of .*other.*rig\.usda"):
+        execute(CombineSpec(performances=(one, other), out=out, takes=("a", "b")))
+    with pytest.raises(InputError, match="--shown x: is none of the takes"):
+        execute(CombineSpec(performances=(one,), out=out, shown="x"))
+    assert not out.exists()
