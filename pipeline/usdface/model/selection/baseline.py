@@ -119,7 +119,7 @@ def find_lid_evidence(
 
 Positions = Float32Array | FloatArray
 
-_MOTION_FRAMES = 2000
+MOTION_FRAMES = 2000
 """Frames spread over a take that placement may look at."""
 
 _NOISE_FRAMES = 500
@@ -156,23 +156,19 @@ class BlendshapeEquation:
     left_out: tuple[int, ...] = ()
     """Markers without a place on the character: they have no residual."""
 
-    def solve_published(self, positions: Positions) -> FloatArray:
-        """Return weights by plain least squares, limited to the ranges afterwards.
+    def solve_published(
+        self, positions: Positions, *, visible: BoolArray | None = None
+    ) -> FloatArray:
+        """Return weights by plain least squares over all markers, beyond the ranges as well.
 
-        Deng et al. 2006, section 7: the comparison of the paper.
-
-        Parameters
-        ----------
-        positions : (frames, markers, 3) float array
-            Stabilised [mm].
-
-        Returns
-        -------
-        (frames, shapes) float array
+        Deng et al. 2006, eq. 7: the comparison of the paper. Parameters are those of `propose`.
         """
         motion = character_motion(self.virtual, positions, self.neutral)
-        solved = solve_weights(self.deltas, motion, method="lstsq")
-        return np.clip(solved.weights, self.ranges[:, 0], self.ranges[:, 1])
+        placed = np.ones(len(self.neutral))
+        placed[list(self.left_out)] = 0.0
+        return solve_weights(
+            self.deltas, motion, method="lstsq", visible=visible, marker_trust=placed
+        ).weights
 
     def propose(self, positions: Positions, *, visible: BoolArray | None = None) -> FloatArray:
         """Return weights for an animator to start from.
@@ -329,4 +325,4 @@ def _noise_mm(equation: BlendshapeEquation, positions: Positions, visible: BoolA
 
 
 def _picks(count: int) -> IntArray:
-    return np.unique(np.linspace(0, count - 1, _MOTION_FRAMES).astype(np.int64))
+    return np.unique(np.linspace(0, count - 1, MOTION_FRAMES).astype(np.int64))

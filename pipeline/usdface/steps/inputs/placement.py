@@ -190,19 +190,33 @@ def judge_stored(path: Path, takes: CleanedTakes, rig: Rig) -> PlacedTakes:
     InputError
         If it is of another rig or another marker set.
     """
+    placement = read_placement_of(path, rig, takes.marker_names, takes.neutral)
+    return PlacementScene(takes, rig).judge(placement)
+
+
+def read_placement_of(
+    path: Path, rig: Rig, names: tuple[str, ...], neutral: FloatArray
+) -> RigPlacement:
+    """Read a placement that is given for a performer's markers on a rig.
+
+    Raises
+    ------
+    InputError
+        If it is of another rig, marker set or face.
+    """
     placement = read_placement(path, rig)
-    missing = _missing(placement, takes.marker_names)
+    missing = _missing(placement, names)
     if missing:
         raise InputError(
-            f"{path}: places {len(takes.marker_names) - len(missing)} of the takes' "
-            f"{len(takes.marker_names)} markers, and not {first_few(missing)}; run `usdface place` "
+            f"{path}: places {len(names) - len(missing)} of the takes' "
+            f"{len(names)} markers, and not {first_few(missing)}; run `usdface place` "
             "with these takes"
         )
-    if not _knows(placement, takes.marker_names, takes.neutral):
+    if not _knows(placement, names, neutral):
         raise InputError(
             f"{path}: places the markers of another face; run `usdface place` with these takes"
         )
-    return PlacementScene(takes, rig).judge(placement)
+    return placement
 
 
 def _missing(placement: RigPlacement, names: tuple[str, ...]) -> list[str]:
@@ -330,15 +344,17 @@ def registered_places(references: References, rig: Rig) -> FloatArray | None:
 def placement_of_performance(performance: Path, rig: Rig) -> RigPlacement | None:
     """Return the placement of the references that a performance was mapped from, if it is there.
 
-    It is found by provenance: performance, mapping, references. Where a file is gone or was made
-    for another rig, markers are placed anew: a picture needs none of them.
+    It is found by provenance: performance, mapping, references; of a baseline, the placement it
+    was given. Where a file is gone or was made for another rig, markers are placed anew: a picture
+    needs none of them.
     """
     mapping = path_made_from(performance, "mapping")
     references = None if mapping is None else path_made_from(mapping, "references")
-    if references is None:
-        return None
+    given = path_made_from(performance, "placement")
     try:
-        return stored_placement(read_references(references), rig)
+        if given is not None:
+            return read_placement(given, rig)
+        return None if references is None else stored_placement(read_references(references), rig)
     except InputError:
         return None
 

@@ -30,6 +30,7 @@ from usdface.specs.performance import MapSpec
 from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.inputs.weight_tables import read_alpha
+from usdface.steps.performance.baseline import write_baseline
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance.weights_layer import every_shape, make_header
 from usdface.usdio.performance.write import writing_performance
@@ -139,14 +140,15 @@ class _Written:
 
 def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Map every frame of a take and write the performance as it goes."""
+    if spec.mapping is None:
+        return _run_baseline(spec, provenance, progress)
     mapping = read_mapping(spec.mapping)
     rig = read_rig(spec.rig, prim=spec.rig_prim)
     notes = list(_check_rig(spec, mapping, rig))
     if spec.alpha is not None:
         check_blend(spec.mapping, mapping)
     take = TakeReader(spec.take)
-    first, last = frame_range(spec.frames) or (take.first_frame, take.last_frame)
-    _check_frames(spec, take, first, last)
+    first, last = _frames(spec, take)
     space = take_head_space(take, mapping)
     temporal = TemporalSolve(spec.temporal, spec.cutoff, spec.lag, spec.bands)
     margin = temporal.margin_at(float(take.rate))
@@ -217,12 +219,30 @@ def _predict(
     return predict_with_keyed_blend(mapping, placed, spec.alpha, windows)
 
 
-def _check_frames(spec: MapSpec, take: TakeReader, first: int, last: int) -> None:
+def _run_baseline(spec: MapSpec, provenance: Provenance, progress: Progress) -> StepResult:
+    rig, take = read_rig(spec.rig, prim=spec.rig_prim), TakeReader(spec.take)
+    first, last = _frames(spec, take)
+    return write_baseline(
+        spec,
+        take,
+        rig,
+        list(_blocks(take, first, last)),
+        frames=(first, last),
+        part_frames=_part_frames(spec, last - first + 1, len(rig.shapes)),
+        provenance=provenance,
+        progress=progress,
+    )
+
+
+def _frames(spec: MapSpec, take: TakeReader) -> tuple[int, int]:
+    """Return the first and the last frame that are asked for."""
+    first, last = frame_range(spec.frames) or (take.first_frame, take.last_frame)
     if first < take.first_frame or last > take.last_frame:
         raise InputError(
             f"{spec.take}: frames {first}-{last} are not all in the take, which has "
             f"{take.first_frame}-{take.last_frame}"
         )
+    return first, last
 
 
 def _blocks(take: TakeReader, first: int, last: int) -> Iterator[range]:

@@ -1,0 +1,136 @@
+"""The blendshape equation as a performance: a cleaned take and a rig in, weights out."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.assets import Markers, Rig
+from usdface.core.deformer import Deformer
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress
+from usdface.core.provenance import Provenance
+from usdface.core.sidecars import weights_path
+from usdface.core.text import pluralize
+from usdface.model.placement.rig_orientation import check_rig_stands
+from usdface.model.selection.baseline import MOTION_FRAMES, BlendshapeEquation
+from usdface.runner.result import StepResult
+from usdface.specs.performance import MapSpec
+from usdface.steps.inputs.cleaned_takes import read_markers
+from usdface.steps.inputs.edit_ranges import edit_notes
+from usdface.steps.inputs.placement import placed_equation, read_placement_of
+from usdface.usdio.performance.weights_layer import make_header
+from usdface.usdio.performance.write import writing_performance
+from usdface.usdio.take.read import TakeReader
+
+
+def write_baseline(
+    spec: MapSpec,
+    take: TakeReader,
+    rig: Rig,
+    blocks: list[range],
+    *,
+    frames: tuple[int, int],
+    part_frames: int | None,
+    provenance: Provenance,
+    progress: Progress,
+) -> StepResult:
+    """Solve every frame by the rig's shapes and write the performance as it goes.
+
+    Parameters
+    ----------
+    blocks : list of range
+        Frames that are solved together.
+    frames : (first, last)
+        Those of them that are written.
+    part_frames : int or None
+        Frames of each weights file; None for one file.
+    """
+    first, last = frames
+    progress(0.0, "placing the markers on the rig")
+    equation = _equation(spec, take, rig)
+    header = make_header(
+        rig,
+        shape_names=rig.shapes,
+        rate=take.rate,
+        first_frame=first,
+        last_frame=last,
+        place=spec.prim,
+        timecode_start=take.timecode_at(first),
+    )
+    squares, outside = [], 0
+    with writing_performance(
+        spec.out,
+        replace(header, neutral_frame=take.neutral_frame),
+        rig,
+        part_frames=part_frames,
+        provenance=provenance,
+    ) as writer:
+        for block in blocks:
+            rows = range(max(first, block.start), min(last + 1, block.stop))
+            markers = read_markers(take, rows.start, rows.stop - 1)
+            weights = _solve(equation, markers, unlimited=spec.unlimited)
+            writer.append(weights)
+            squares.append(equation.residual_mm(markers.positions, weights) ** 2)
+            low, high = rig.ranges.T
+            outside += int(np.count_nonzero((weights < low) | (weights > high)))
+            progress((rows.stop - first) / (last - first + 1), f"solved to frame {rows.stop - 1}")
+    residual = float(np.sqrt(np.concatenate(squares).mean()))
+    count = last - first + 1
+    share = outside / (count * len(rig.shapes))
+    return StepResult(
+        (spec.out, weights_path(spec.out)),
+        f"{pluralize(count, 'frame')} by the blendshape equation; the markers are "
+        f"{residual:.2f} mm from where the weights put them",
+        (*check_rig_stands(rig), *_notes(spec, equation, rig, share), *edit_notes(spec.out)),
+        {"frames": count, "residual_mm": residual, "outside_ranges": share},
+    )
+
+
+def _equation(spec: MapSpec, take: TakeReader, rig: Rig) -> BlendshapeEquation:
+    """Set the equation up by the frames that a whole take is sampled at, and no others in memory.
+
+    Chunks of a take are then solved alike, and as sheets solve it.
+    """
+    count = take.last_frame - take.first_frame + 1
+    picks = np.unique(np.linspace(0, count - 1, MOTION_FRAMES).astype(np.int64))
+    sample = take.read_markers_at((take.first_frame + picks).tolist())
+    if sample is None:
+        raise InputError(f"{take.path}: has no markers; ingest a capture that has")
+    if sample.space != "stabilized":
+        raise InputError(f"{take.path}: still holds head motion; clean it first")
+    at = min(max(take.neutral_frame, take.first_frame), take.last_frame)
+    neutral = read_markers(take, at, at).positions[0].astype(np.float64)
+    placement = None
+    if spec.placement is not None:
+        placement = read_placement_of(spec.placement, rig, sample.names, neutral)
+    return placed_equation(
+        placement,
+        rig,
+        Deformer(rig),
+        neutral=neutral,
+        positions=sample.positions,
+        visible=_usable(sample),
+        rigid=tuple(sample.names.index(name) for name in sample.rigid),
+        labels=sample.names,
+    )
+
+
+def _usable(markers: Markers) -> BoolArray:
+    return np.asarray(markers.visible | (markers.confidence > 0))
+
+
+def _solve(equation: BlendshapeEquation, markers: Markers, *, unlimited: bool) -> FloatArray:
+    solve = equation.solve_published if unlimited else equation.propose
+    return solve(markers.positions, visible=_usable(markers))
+
+
+def _notes(spec: MapSpec, equation: BlendshapeEquation, rig: Rig, outside: float) -> list[str]:
+    if spec.unlimited:
+        return [
+            f"{outside:.0%} of the weights are outside the rig's ranges, as the equation has them; "
+            "without --unlimited it is solved within the ranges, which errs less than limiting "
+            "these weights"
+        ]
+    note = "" if equation.lids is None else equation.lids.note(rig.shapes)
+    return [note] if note else []
