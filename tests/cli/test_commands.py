@@ -112,7 +112,7 @@ def test_the_demo_refuses_a_folder_that_holds_something_else(tmp_path: Path, cap
 def test_a_bug_is_reported_as_one_and_not_as_the_users_fault(monkeypatch, capsys) -> None:
     from usdface.steps.performance import describe
 
-    def broken(path: Path) -> None:
+    def broken(path: Path, **options: object) -> None:
         raise ZeroDivisionError("oops")
 
     monkeypatch.setattr(describe, "describe_mapping", broken)

@@ -120,7 +120,7 @@ def _option_name(name: str, field: FieldInfo) -> str:
 def _default(field: FieldInfo, kind: Any) -> Any:
     value = field.get_default(call_default_factory=True)
     if isinstance(value, tuple) and value and _is_list_of_names(field.annotation):
-        return list(value)
+        return [str(each) for each in value]
     return None if value == () or (value == "" and kind is not bool) else value
 
 

@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, field_validator, model_validator
 
 from usdface.core.sidecars import weights_path
 from usdface.specs.base import Name, Positional, Sidecar, Spec
-from usdface.specs.paths import FilePath, Frames, LayerOut, PrimPath, ReadPath, Reads
+from usdface.specs.paths import FilePath, Frames, ImageOut, LayerOut, PrimPath, ReadPath, Reads
 
 
 class TrainSpec(Spec):
@@ -31,8 +31,22 @@ class TrainSpec(Spec):
     method: Name = "auto"
     """Regression method: `auto`, `face_map`, `d06`, `ridge`, `rbf`, `multiquadric`, `kernel_cca`
     or `hybrid`."""
-    dimensions: Annotated[int, Field(ge=1, le=1000)] | None = None
-    """Number of principal components. Default: chosen by cross-validation."""
+    dimensions: tuple[Annotated[int, Field(ge=1, le=1000)], ...] = ()
+    """Numbers of principal components, of which cross-validation chooses. Default: by method;
+    `d06` has the 4 of the paper, `face_map` all that move, others compare 8 to 40."""
+    widths: tuple[Annotated[float, Field(gt=0.0, le=1000.0)], ...] = ()
+    """Widths of Gaussian kernels, of which cross-validation chooses: multiples of the distance to
+    the nearest reference (`d06`, `rbf`) or of the median distance (`kernel_cca`, `hybrid`).
+    Default: by method; `d06` has 2, where the paper gives none."""
+    picture: ImageOut | None = None
+    """Picture to write of the eigen-space: the takes and the references along the first three
+    principal components, and the share of variance of each component (.jpg, .png or .exr)."""
+
+    @field_validator("dimensions", "widths", mode="before")
+    @classmethod
+    def _one_or_several(cls, given: Any) -> Any:
+        return (given,) if isinstance(given, int | float) else given or ()
+
     tuned_only: bool = False
     """Train on tuned pairs only. By default, proposed pairs are used as well."""
 
@@ -42,6 +56,9 @@ class MapSpec(Spec):
 
     Writes the performance NAME.usda, to be opened, and NAME.weights.usdc, which holds only the
     animation and the overs that bind the rig to it. The rig is referenced and never written.
+
+    With --baseline the blendshape equation is solved instead (Deng et al. 2006, eq. 7): from the
+    rig and the take alone, without references or a mapping.
     """
 
     example: ClassVar[str] = (
@@ -58,12 +75,21 @@ class MapSpec(Spec):
     step: Literal["map"] = "map"
     take: Annotated[FilePath, Reads(), Positional()]
     """The cleaned take."""
-    mapping: ReadPath
-    """The trained mapping."""
+    mapping: ReadPath | None = None
+    """The trained mapping; needed unless --baseline is given."""
     rig: ReadPath
     """The rig of the character."""
     out: LayerOut
     """The performance to write."""
+    baseline: bool = False
+    """Solve by least squares on the rig's shapes at the markers' places, within the rig's ranges:
+    the baseline of sheets and reports."""
+    unlimited: bool = False
+    """With --baseline: plain least squares over all markers, as printed in the paper. Weights leave
+    the rig's ranges."""
+    placement: ReadPath | None = None
+    """With --baseline: where the markers are on the rig, from `usdface place`. Default: placed
+    anew."""
     prim: PrimPath | None = None
     """Prim path of the rig in the performance. Default: the name of the rig's default prim."""
     rig_prim: PrimPath | None = None
@@ -90,6 +116,16 @@ class MapSpec(Spec):
     bands: Annotated[int, Field(ge=1, le=4)] = 1
     """Octaves that --temporal bands removes, from half the take's rate downwards. At 60 frames per
     second a second octave weakens blinks."""
+
+    @model_validator(mode="after")
+    def _mapping_or_baseline(self) -> Self:
+        if self.baseline == (self.mapping is not None):
+            raise ValueError("give --mapping, or --baseline for the blendshape equation; not both")
+        if not self.baseline and (self.unlimited or self.placement is not None):
+            raise ValueError("--unlimited and --placement are options of --baseline; give it too")
+        if self.baseline and (self.alpha is not None or self.temporal != "none"):
+            raise ValueError("--alpha and --temporal are for mappings; leave them out")
+        return self
 
 
 class JoinSpec(Spec):

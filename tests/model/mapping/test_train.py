@@ -9,7 +9,7 @@ from usdface.core.errors import InputError
 from usdface.model import predict_weights, train_mapping
 from usdface.model.mapping.candidates import observable_shapes
 from usdface.model.mapping.checks import check_references
-from usdface.model.regressions import MAPPING_METHODS
+from usdface.model.regressions import MAPPING_METHODS, Choices
 
 CHOSEN = np.arange(0, 1200, 30)
 each_method = pytest.mark.parametrize("method", sorted(MAPPING_METHODS))
@@ -73,9 +73,25 @@ def test_a_mapping_holds_only_float64_arrays_and_plain_settings(method: str) -> 
 def test_asked_dimensions_are_used(method: str) -> None:
     face = synthetic_face()
     mapping = train_mapping(
-        references(), ranges=face.ranges, gram=face.gram, method=method, dimensions=7
+        references(), ranges=face.ranges, gram=face.gram, method=method, choices=Choices((7,))
     )
     assert mapping.settings["dimensions"] == 7
+
+
+def test_the_published_method_takes_dimensions_and_widths_by_cross_validation() -> None:
+    face = synthetic_face()
+    asked = Choices((2, 4, 8), (2.0, 16.0))
+    mapping = train_mapping(
+        references(), ranges=face.ranges, gram=face.gram, method="d06", choices=asked
+    )
+    assert len(mapping.scores) == 12  # two ways to the ridge
+    assert len({score.settings for score in mapping.scores}) == 12
+    error = {score.settings: score.vertex_rms_mm for score in mapping.scores}
+    chosen = {name: mapping.settings[name] for name in ("dimensions", "width", "ridge")}
+    best = "dimensions={dimensions} width={width:g} ridge={ridge}".format(**chosen)
+    assert error[best] == min(error.values())
+    with pytest.raises(InputError, match="ridge has no width to choose"):
+        train_mapping(references(), ranges=face.ranges, gram=None, method="ridge", choices=asked)
 
 
 @each_method
@@ -223,11 +239,11 @@ def test_more_dimensions_than_pairs_or_motion_are_refused() -> None:
     face = synthetic_face()
     few = references_of(face, CHOSEN[:10])
     with pytest.raises(InputError, match="12 dimensions need at least 13 references, got 10"):
-        train_mapping(few, ranges=face.ranges, gram=None, dimensions=12)
+        train_mapping(few, ranges=face.ranges, gram=None, choices=Choices((12,)))
     with pytest.raises(InputError, match=r"30 dimensions asked for but .* has 20"):
-        train_mapping(references(), ranges=face.ranges, gram=None, dimensions=30)
+        train_mapping(references(), ranges=face.ranges, gram=None, choices=Choices((30,)))
     with pytest.raises(InputError, match="at least 1, got 0"):
-        train_mapping(references(), ranges=face.ranges, gram=None, dimensions=0)
+        train_mapping(references(), ranges=face.ranges, gram=None, choices=Choices((0,)))
 
 
 def test_shapes_that_do_not_fit_are_all_listed() -> None:

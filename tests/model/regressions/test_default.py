@@ -11,7 +11,7 @@ from tests.model.synthetic import RIGID, SyntheticFace, references_of, synthetic
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model import predict_weights, sample_skin, train_mapping
-from usdface.model.regressions import RestPlaces, face_map, frame_solve
+from usdface.model.regressions import Choices, RestPlaces, face_map, frame_solve
 from usdface.model.regressions.target_curve import bend, unbend
 
 CHOSEN = np.arange(0, 1200, 30)
@@ -54,7 +54,7 @@ def test_more_dimensions_than_the_take_moves_in_do_no_harm(skin: bool) -> None:
         gram=face.gram,
         skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)) if skin else None,
         method="face_map",
-        dimensions=20,
+        choices=Choices((20,)),
     )
     error = predict_weights(mapping, face.positions).weights - face.weights
     assert np.sqrt((error**2).mean()) < 0.02

@@ -5,7 +5,7 @@ import pytest
 
 from tests.model.synthetic import references_of, synthetic_face
 from usdface.model import predict_weights, train_mapping
-from usdface.model.regressions import MAPPING_METHODS, RETARGET_METHODS, Face, Pairs
+from usdface.model.regressions import MAPPING_METHODS, RETARGET_METHODS, Choices, Face, Pairs
 from usdface.model.regressions.gaussian_rbf import PUBLISHED
 from usdface.numerics.regression.rbf_ridge import (
     centre_widths,
@@ -39,7 +39,7 @@ def test_one_registry_serves_mappings_and_retargetings() -> None:
 
 def test_the_paper_s_own_iteration_can_choose_the_ridge() -> None:
     pairs = pairs_of_a_face()
-    iterated = [each for each in PUBLISHED.candidates(pairs, None) if each["ridge"] == "iterated"]
+    iterated = [each for each in PUBLISHED.candidates(pairs) if each["ridge"] == "iterated"]
     fitted = PUBLISHED.fit(pairs, iterated[0])
     centres = pairs.inputs[:, :4]
     widths = centre_widths(centres, multiple=2.0)
@@ -49,7 +49,8 @@ def test_the_paper_s_own_iteration_can_choose_the_ridge() -> None:
 
 def test_each_centre_may_have_a_width_of_its_own() -> None:
     pairs, method = pairs_of_a_face(), MAPPING_METHODS["rbf"]
-    choices = [each for each in method.candidates(pairs, 8) if each["widths"] == "per centre"]
+    tried = method.candidates(pairs, Choices((8,)))
+    choices = [each for each in tried if each["widths"] == "per centre"]
     fitted = method.fit(pairs, choices[0])
     assert len(np.unique(fitted.arrays["widths"])) > 10
 
@@ -63,7 +64,7 @@ def test_a_head_placed_a_hair_aside_has_the_same_face(name: str) -> None:
         ranges=face.ranges,
         gram=face.gram,
         method=name,
-        dimensions=20,
+        choices=Choices((20,)),
     )
     before = predict_weights(mapping, face.positions[:200]).weights
     after = predict_weights(mapping, face.positions[:200] + 0.02).weights

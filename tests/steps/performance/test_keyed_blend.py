@@ -14,6 +14,7 @@ from usdface.core.errors import InputError
 from usdface.model.mapping.head_space import MappedMarkers
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.train import train_mapping
+from usdface.model.regressions import Choices
 from usdface.runner.execute import execute
 from usdface.specs.performance import MapSpec
 from usdface.steps.performance.map import predict_with_keyed_blend
@@ -24,7 +25,7 @@ def hybrid() -> tuple[SyntheticFace, TrainedMapping]:
     face = synthetic_face(frames=300, bend=0.2)
     references = references_of(face, np.arange(0, 300, 12))
     trained = train_mapping(
-        references, ranges=face.ranges, gram=face.gram, method="hybrid", dimensions=6
+        references, ranges=face.ranges, gram=face.gram, method="hybrid", choices=Choices((6,))
     )
     return face, trained
 

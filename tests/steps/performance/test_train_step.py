@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 
 from tests.steps.small_shot import Shot
+from usdface.media.picture.image import read_picture
 from usdface.runner.execute import execute
 from usdface.specs.performance import TrainSpec
+from usdface.steps.performance.describe import describe_mapping
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.references.read import read_references
+from usdface.usdio.take.read import read_take
 
 
 def test_the_geometry_of_the_rig_takes_part_in_training(
@@ -22,6 +25,26 @@ def test_the_geometry_of_the_rig_takes_part_in_training(
     never_keyed = arrays["forward_targets"].max(axis=0) == 0
     assert never_keyed.any()
     assert arrays["forward_shape_size2"][never_keyed].max() > 1
+
+
+def test_the_share_of_variance_is_that_of_the_take_and_the_eigen_space_is_drawn(
+    finished_shot: Shot, tmp_path: Path
+) -> None:
+    references, out = finished_shot / "hero.references.usda", tmp_path / "x.mapping.usdc"
+    picture = tmp_path / "x.jpg"
+    made = execute(TrainSpec(references=references, out=out, method="ridge", picture=picture))
+    markers = read_take(finished_shot / "shot.clean.take.usda").markers
+    packed = markers.positions.reshape(len(markers.positions), -1).astype(float)
+    values = np.linalg.svd(packed - packed.mean(axis=0), compute_uv=False) ** 2
+    shares = np.array(made.figures["variance_shares"])
+    np.testing.assert_allclose(shares[:8], (values / values.sum())[:8], atol=1e-5)
+    line = f"4 principal components hold {100 * shares[:4].sum():.2f} %"
+    assert any(note.startswith(line) for note in made.notes)
+    assert describe_mapping(out).notes[0].startswith(line)
+    assert read_picture(picture).std() > 10
+    drawn = tmp_path / "y.jpg"
+    describe_mapping(out, picture=drawn)
+    np.testing.assert_array_equal(read_picture(drawn)[200:], read_picture(picture)[200:])
 
 
 def test_weights_beyond_the_range_and_pairs_that_repeat_are_told(

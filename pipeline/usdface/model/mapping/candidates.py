@@ -7,10 +7,11 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import CandidateScore, References
+from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.model.mapping.corrected_pairs import CorrectedPairs, displacements, fit_pairs_forward
 from usdface.model.mapping.uncertainty import UncertaintyModel
-from usdface.model.regressions import AUTO, Pairs, Regression, Settings, find_method
+from usdface.model.regressions import AUTO, Choices, Pairs, Regression, Settings, find_method
 from usdface.model.regressions.frame_solve import FrameSolver
 from usdface.model.regressions.target_curve import bend, unbend
 from usdface.numerics.regression.cross_validation import (
@@ -121,14 +122,23 @@ class PairFolds:
         return out
 
 
-def list_candidates(pairs: Pairs, method: str, dimensions: int | None) -> list[Candidate]:
-    """Return what to compare: every setting of a method, or of all that ``auto`` tries."""
+def list_candidates(pairs: Pairs, method: str, choices: Choices) -> list[Candidate]:
+    """Return what to compare: every setting of a method, or of all that ``auto`` tries.
+
+    Raises
+    ------
+    InputError
+        If the method has no width, and one is asked for.
+    """
     names = AUTO if method == "auto" else (method,)
-    return [
-        Candidate(found, settings)
-        for found in map(find_method, names)
-        for settings in found.candidates(pairs, dimensions)
+    found = [
+        Candidate(each, settings)
+        for each in map(find_method, names)
+        for settings in each.candidates(pairs, choices)
     ]
+    if choices.widths and not any("width" in each.settings for each in found):
+        raise InputError(f"{method} has no width to choose; leave it out, or train rbf or d06")
+    return found
 
 
 def compare_candidates(

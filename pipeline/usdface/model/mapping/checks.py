@@ -47,22 +47,22 @@ def check_references(
     return CheckedReferences(_without_repeats(replace(references, weights=limited)), changed)
 
 
-def check_dimensions(dimensions: int | None, *, pairs: int, available: int) -> None:
+def check_dimensions(asked: tuple[int, ...], *, pairs: int, motion: MotionSpace) -> None:
     """Refuse more dimensions than the pairs or the motion space carry."""
-    if dimensions is None:
-        return
-    if dimensions < 1:
-        raise InputError(f"dimensions must be at least 1, got {dimensions}")
-    if dimensions > pairs - 1:
-        raise InputError(
-            f"{dimensions} dimensions need at least {dimensions + 1} references, got {pairs}; "
-            "tune more frames or ask for fewer dimensions"
-        )
-    if dimensions > available:
-        raise InputError(
-            f"{dimensions} dimensions asked for but the takes' motion space has {available}; "
-            "ask for fewer, or select from longer takes"
-        )
+    available = len(motion.components)
+    for dimensions in asked:
+        if dimensions < 1:
+            raise InputError(f"dimensions must be at least 1, got {dimensions}")
+        if dimensions > pairs - 1:
+            raise InputError(
+                f"{dimensions} dimensions need at least {dimensions + 1} references, got {pairs}; "
+                "tune more frames or ask for fewer dimensions"
+            )
+        if dimensions > available:
+            raise InputError(
+                f"{dimensions} dimensions asked for but the takes' motion space has {available}; "
+                "ask for fewer, or select from longer takes"
+            )
 
 
 def check_skin(skin: FloatArray | None, *, shapes: int) -> None:

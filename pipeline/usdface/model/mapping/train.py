@@ -23,7 +23,9 @@ from usdface.model.mapping.regions import (
 )
 from usdface.model.mapping.uncertainty import UncertaintyModel, calibrate_uncertainty
 from usdface.model.regressions import (
+    DEFAULT_CHOICES,
     Arrays,
+    Choices,
     Face,
     Pairs,
     RestPlaces,
@@ -50,7 +52,7 @@ def train_mapping(
     skin: FloatArray | None = None,
     rest: RestPlaces | None = None,
     method: str = "auto",
-    dimensions: int | None = None,
+    choices: Choices = DEFAULT_CHOICES,
     progress: Progress = silent,
 ) -> TrainedMapping:
     """Learn the function from markers to weights that the references show.
@@ -76,8 +78,8 @@ def train_mapping(
         they are as well, not by their motion alone.
     method : str
         A key of `usdface.model.regressions.MAPPING_METHODS`, or ``'auto'`` to try several.
-    dimensions : int, optional
-        Principal components to use; by default chosen.
+    choices : Choices, optional
+        Numbers of principal components, and widths, to compare in place of the method's own.
 
     Raises
     ------
@@ -88,7 +90,7 @@ def train_mapping(
     check_skin(skin, shapes=len(references.shape_names))
     checked = sound.references
     motion = checked.motion if checked.motion is not None else motion_of_pairs(checked)
-    check_dimensions(dimensions, pairs=len(checked.weights), available=len(motion.components))
+    check_dimensions(choices.dimensions, pairs=len(checked.weights), motion=motion)
     face = Face(
         ranges=ranges.astype(np.float64),
         gram=np.eye(len(ranges)) if gram is None else gram.astype(np.float64),
@@ -102,7 +104,7 @@ def train_mapping(
     progress(0.0, "fitting the forward model")
     corrected = correct_pairs(Pairs(z, checked.weights, face, markers))
     folds = PairFolds(corrected, checked)
-    candidates = list_candidates(corrected.pairs, method, dimensions)
+    candidates = list_candidates(corrected.pairs, method, choices)
     compared = compare_candidates(candidates, folds, in_mm=gram is not None, progress=progress)
     best = compared.best
     progress(0.9, f"fitting {best.method.name}")

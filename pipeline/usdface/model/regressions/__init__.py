@@ -11,7 +11,9 @@ from usdface.model.regressions import (
     ridge,
 )
 from usdface.model.regressions.base import (
+    DEFAULT_CHOICES,
     Arrays,
+    Choices,
     Face,
     Fitted,
     Pairs,
@@ -22,10 +24,12 @@ from usdface.model.regressions.base import (
 
 __all__ = [
     "AUTO",
+    "DEFAULT_CHOICES",
     "MAPPING_METHODS",
     "REMOVED_METHODS",
     "RETARGET_METHODS",
     "Arrays",
+    "Choices",
     "Face",
     "Fitted",
     "Pairs",

@@ -100,6 +100,19 @@ class Pairs:
 
 
 @dataclass(frozen=True)
+class Choices:
+    """Settings that a person wants compared in place of a regression's own."""
+
+    dimensions: tuple[int, ...] = ()
+    """Numbers of principal components."""
+    widths: tuple[float, ...] = ()
+    """Of kernels, as multiples of the distance that the regression measures."""
+
+
+DEFAULT_CHOICES = Choices()
+
+
+@dataclass(frozen=True)
 class Fitted:
     """What a fit learned: all that its prediction reads."""
 
@@ -122,9 +135,9 @@ class Regression:
     prepare: Callable[[Arrays, Settings], Predictor]
     """``(arrays, settings) -> Predictor``: what can be done once for many frames is done here.
     Outputs are not yet limited to ranges."""
-    mapping_candidates: Callable[[Pairs, int | None], tuple[Settings, ...]] | None = None
-    """``(pairs, dimensions or None) -> settings to try``; dimensions fixes that setting. None where
-    the regression does not serve mappings."""
+    mapping_candidates: Callable[[Pairs, tuple[int, ...]], tuple[Settings, ...]] | None = None
+    """``(pairs, dimensions) -> settings to try``; dimensions, if any, replace the regression's own.
+    None where it does not serve mappings."""
     retarget_candidates: tuple[Settings, ...] = ()
     """Settings to try; none where the regression does not serve retargeting."""
     retarget_name: str = ""
@@ -132,19 +145,27 @@ class Regression:
     solves_frames: bool = False
     """What it predicts is where `frame_solve` starts from, not yet the answer."""
 
-    def candidates(self, pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
+    def candidates(self, pairs: Pairs, choices: Choices = DEFAULT_CHOICES) -> tuple[Settings, ...]:
         """Return the settings worth trying for a mapping."""
-        return () if self.mapping_candidates is None else self.mapping_candidates(pairs, dimensions)
+        if self.mapping_candidates is None:
+            return ()
+        tried = self.mapping_candidates(pairs, choices.dimensions)
+        if not choices.widths or "width" not in tried[0]:
+            return tried
+        asked = [settings | {"width": width} for width in choices.widths for settings in tried]
+        return tuple(each for n, each in enumerate(asked) if each not in asked[:n])
 
     def predict(self, arrays: Arrays, settings: Settings, inputs: FloatArray) -> FloatArray:
         """Evaluate a fit: (frames, d) inputs to (frames, k) outputs."""
         return self.prepare(arrays, settings)(inputs)
 
 
-def dimension_choices(pairs: Pairs, fixed: int | None, usual: tuple[int, ...]) -> tuple[int, ...]:
+def dimension_choices(
+    pairs: Pairs, fixed: tuple[int, ...], usual: tuple[int, ...]
+) -> tuple[int, ...]:
     """Dimensions worth trying: the usual ones that the pairs and the motion space can carry."""
-    if fixed is not None:
-        return (fixed,)
+    if fixed:
+        return fixed
     most = min(len(pairs.inputs) - 1, pairs.inputs.shape[1])
     return tuple(sorted({min(d, most) for d in usual}))
 

@@ -51,10 +51,10 @@ _COMPARED_SHAPES = 40
 """Shapes, those that matter most on the surface, by which the covariance is chosen."""
 
 
-def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
+def _candidates(pairs: Pairs, dimensions: tuple[int, ...]) -> tuple[Settings, ...]:
     moving = int((pairs.face.motion.variances > _LEAST_VARIANCE_MM2).sum())
     most = max(1, min(moving, _MAX_DIMENSIONS, pairs.inputs.shape[1]))
-    return ({"dimensions": dimensions or most},)
+    return tuple({"dimensions": kept} for kept in dimensions or (most,))
 
 
 def _fit(pairs: Pairs, settings: Settings) -> Fitted:

@@ -29,14 +29,17 @@ from usdface.numerics.regression.rbf_ridge import (
 )
 
 PAPER_DIMENSIONS = 4
+"""In the paper they hold 90.21 % of the variance."""
 PAPER_WIDTH = 2.0
-"""Multiple of the distance to the nearest centre; the paper gives none, this is customary."""
+"""Multiple of the distance to the nearest centre. The paper gives neither a width nor a rule for
+one; a function that reaches its nearest neighbours and few others is what such networks are usually
+started with. Wider ones err less: `train --method d06 --widths 2,4,8,16` compares."""
 
 ITERATION_START = 1e-3
 """Of the largest squared singular value; the paper gives none either."""
 
 
-def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
+def _candidates(pairs: Pairs, dimensions: tuple[int, ...]) -> tuple[Settings, ...]:
     choices = dimension_choices(pairs, dimensions, (8, 16, 24, 32))
     shared = [(width, "shared") for width in (4.0, 8.0, 16.0)]
     return tuple(
@@ -62,7 +65,7 @@ def _prepare(arrays: Arrays, settings: Settings) -> Predictor:
     return lambda inputs: line(inputs) + network(inputs)
 
 
-def _published_candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
+def _published_candidates(pairs: Pairs, dimensions: tuple[int, ...]) -> tuple[Settings, ...]:
     choices = dimension_choices(pairs, dimensions, (PAPER_DIMENSIONS,))
     return tuple(
         {"dimensions": d, "width": PAPER_WIDTH, "ridge": ridge}

@@ -26,7 +26,7 @@ _ALPHAS = (0.25, 0.5, 0.75)
 """Shares of the multiquadric that retargeting tries."""
 
 
-def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
+def _candidates(pairs: Pairs, dimensions: tuple[int, ...]) -> tuple[Settings, ...]:
     return tuple(
         space | {"lines": "published", "kappa": 1e-4, "components": components}
         for space in mapping_spaces(pairs, dimensions)

@@ -25,7 +25,7 @@ from usdface.numerics.regression.multiquadric_rbf import (
 )
 
 
-def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
+def _candidates(pairs: Pairs, dimensions: tuple[int, ...]) -> tuple[Settings, ...]:
     return tuple(
         {"dimensions": d, "whitening": power, "smooth": smooth}
         for smooth in (False, True)

@@ -14,7 +14,7 @@ from usdface.model.regressions.base import (
 from usdface.numerics.regression.linear_ridge import LinearRidge, fit_linear_ridge
 
 
-def _candidates(pairs: Pairs, dimensions: int | None) -> tuple[Settings, ...]:
+def _candidates(pairs: Pairs, dimensions: tuple[int, ...]) -> tuple[Settings, ...]:
     return tuple(
         {"dimensions": d} for d in dimension_choices(pairs, dimensions, (8, 16, 24, 32, 40))
     )

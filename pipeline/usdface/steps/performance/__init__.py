@@ -1,3 +1,5 @@
 """References to a mapping, takes to performances."""
 
 _commands = ("describe",)
+
+_helpers = ("baseline", "eigenspace")

@@ -10,15 +10,22 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.text import first_few, pluralize
+from usdface.media.picture.image import write_image
 from usdface.model.mapping.regions import sample_skin, skin_points
 from usdface.model.mapping.rig_match import rig_summary
 from usdface.model.mapping.train import train_mapping
 from usdface.model.placement.rig_orientation import check_rig_stands
-from usdface.model.regressions import RestPlaces
+from usdface.model.regressions import Choices, RestPlaces
+from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.performance import TrainSpec
 from usdface.steps.inputs.placement import registered_places
 from usdface.steps.inputs.tuned_pairs import read_set_references
+from usdface.steps.performance.eigenspace import (
+    eigenspace_picture,
+    variance_line,
+    variance_shares,
+)
 from usdface.usdio.mapping import write_mapping
 from usdface.usdio.rig.read import read_rig
 
@@ -51,7 +58,7 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
         skin=sample_skin(offsets)[columns],
         rest=RestPlaces(deformer.neutral[skin_points(offsets)], registered_places(references, rig)),
         method=spec.method,
-        dimensions=spec.dimensions,
+        choices=Choices(spec.dimensions, spec.widths),
         progress=progress,
     )
     mapping = replace(
@@ -61,9 +68,14 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
         settings=mapping.settings | {"tuned": int(references.tuned.sum())},
     )
     write_mapping(spec.out, mapping, provenance=provenance)
-    notes += _correction_notes(mapping, references)
+    notes += [*_correction_notes(mapping, references), variance_line(mapping)]
+    outputs = [spec.out]
+    if spec.picture is not None:
+        picture = eigenspace_picture(mapping, references, f"eigen-space of {spec.references.stem}")
+        write_image(spec.picture, picture, metadata=provenance_metadata(provenance))
+        outputs.append(spec.picture)
     return StepResult(
-        (spec.out,), _summary(mapping, references), tuple(notes), describe_figures(mapping)
+        tuple(outputs), _summary(mapping, references), tuple(notes), describe_figures(mapping)
     )
 
 
@@ -74,6 +86,7 @@ def describe_figures(mapping: TrainedMapping) -> dict[str, object]:
         "markers": len(mapping.marker_names),
         "shapes": len(mapping.shape_names),
         "settings": dict(mapping.settings),
+        "variance_shares": [round(float(share), 6) for share in variance_shares(mapping)],
         "scores": [
             {
                 "method": score.method,

@@ -1,0 +1,106 @@
+"""The space of principal components as a picture: takes, references, and what each axis explains.
+
+Figure 3 of Deng et al. (2006) shows the first three axes in perspective; here each pair of them is
+seen straight on.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdface.core.arrays import ByteImage, FloatArray
+from usdface.media.charts.axes import (
+    add_axes,
+    add_label,
+    display_color,
+    new_figure,
+    plot_curve,
+    plot_points,
+    render,
+)
+from usdface.media.picture.color import BLUE, ORANGE
+from usdface.media.picture.sheet import HEADER_HEIGHT, draw_header
+
+_PAGE_WIDTH = 1600
+_PAGE_MARGIN = 36
+_PLOT_WIDTH, _PLOT_HEIGHT = 640, 400
+_ROW_HEIGHT = _PLOT_HEIGHT + 110
+_ROOM_SHARE = 0.05
+"""Of the range of a component, left free around it."""
+_MOST_COMPONENTS = 20
+"""Whose variance is drawn; few takes have more that anybody sees."""
+
+
+@dataclass(frozen=True)
+class Eigenspace:
+    """Takes and references in the space of principal components."""
+
+    title: str
+    facts: tuple[str, ...]
+    takes: FloatArray
+    """(frames, dimensions): frames spread over the takes [mm]."""
+    references: FloatArray
+    """(pairs, dimensions) [mm]"""
+    shares: FloatArray
+    """(dimensions,): of the markers' variance [0-1]."""
+
+
+def draw_eigenspace(space: Eigenspace) -> ByteImage:
+    """Draw the first three components, two by two, and the variance of all.
+
+    Returns
+    -------
+    (height, width, 3) uint8 array
+        sRGB.
+    """
+    top = _PAGE_MARGIN + HEADER_HEIGHT + 30
+    figure = new_figure(_PAGE_WIDTH, top + 2 * _ROW_HEIGHT + _PAGE_MARGIN)
+    second = _PAGE_WIDTH // 2
+    places = [(0, top), (second, top), (0, top + _ROW_HEIGHT)]
+    for (left, y), (one, other) in zip(places, ((0, 1), (0, 2), (1, 2)), strict=True):
+        if other >= len(space.shares):
+            continue
+        axes = add_axes(
+            figure,
+            (left + 2 * _PAGE_MARGIN, y, _PLOT_WIDTH, _PLOT_HEIGHT),
+            caption=f"component {other + 1}",
+            across=f"component {one + 1}, mm",
+            up="mm",
+        )
+        both = np.concatenate([space.takes, space.references])
+        axes.set_xlim(*_limits(both[:, one]))
+        axes.set_ylim(*_limits(both[:, other]))
+        axes.plot(
+            space.takes[:, one],
+            space.takes[:, other],
+            ".",
+            color=display_color(BLUE),
+            markersize=3,
+            alpha=0.6,
+        )
+        plot_points(axes, space.references[:, one], space.references[:, other], ORANGE)
+        add_label(axes, "frames of the takes", (0, 1), shift=(10, -20), color=BLUE)
+        add_label(axes, "references", (0, 1), shift=(10, -40), color=ORANGE)
+    shown = min(len(space.shares), _MOST_COMPONENTS)
+    percent = 100 * np.cumsum(space.shares)[:shown]
+    axes = add_axes(
+        figure,
+        (second + 2 * _PAGE_MARGIN, top + _ROW_HEIGHT, _PLOT_WIDTH, _PLOT_HEIGHT),
+        caption="Variance",
+        across="components",
+        up="% of the markers' variance",
+        whole=True,
+    )
+    axes.set_xlim(1.0, max(float(shown), 2.0))
+    axes.set_ylim(min(float(np.floor(percent[0] / 10) * 10), 90.0), 100.0)
+    plot_curve(axes, np.arange(1.0, shown + 1), percent, BLUE)
+    plot_points(axes, np.arange(1.0, shown + 1), percent, BLUE)
+    picture = render(figure)
+    draw_header(picture, space.title, space.facts, margin=_PAGE_MARGIN)
+    return picture
+
+
+def _limits(values: FloatArray) -> tuple[float, float]:
+    low, high = float(values.min()), float(values.max())
+    room = max(_ROOM_SHARE * (high - low), 1e-3)
+    return low - room, high + room
