@@ -217,12 +217,14 @@ def test_the_papers_count_is_15_visemes_and_10_extremes_an_emotion() -> None:
         1000,
         segments=segments,
         emotion_of=emotion_of,
+        visemes=visemes,
         extremes=10,
         already=NONE,
         candidates=np.ones(1200, bool),
     )
     assert len(set(choice.rows.tolist())) == 15 * 4 + 10 * 4
     assert len(choice.visemes) == 60
+    assert len(choice.extremes) == 40
     assert not choice.missing
 
 
@@ -233,11 +235,12 @@ def test_visemes_that_nobody_speaks_are_named() -> None:
         4,
         segments=segments,
         emotion_of=["joy"] * 4 + ["anger"] * 6,
+        visemes=("b", "ch", "s"),
         extremes=0,
         already=NONE,
         candidates=np.ones(10, bool),
     )
-    assert choice.missing == (("joy", "s"), ("anger", "b"))
+    assert choice.missing == (("joy", "ch"), ("joy", "s"), ("anger", "b"), ("anger", "ch"))
 
 
 def test_coverage_grows_with_every_pair_and_ends_at_the_whole() -> None:

@@ -224,8 +224,10 @@ class ReferenceChoice:
     """Error of the stand-ins on all other frames, by design."""
     visemes: dict[int, str] = field(default_factory=dict)
     """Viseme of the frames that were chosen for one."""
+    extremes: tuple[int, ...] = ()
+    """Rows that were chosen as extremes of an emotion."""
     missing: tuple[tuple[str, str], ...] = ()
-    """Emotion and viseme that nobody speaks."""
+    """Emotion and viseme that are not spoken together."""
 
 
 def pool_of(features: Features, candidates: BoolArray, *, limit: int = POOL_FRAMES) -> IntArray:
@@ -282,11 +284,19 @@ def choose_visemes(
     *,
     segments: Sequence[Segment],
     emotion_of: Sequence[str],
+    visemes: Sequence[str],
     extremes: int,
     already: IntArray,
     candidates: BoolArray,
 ) -> ReferenceChoice:
     """Choose as the paper does; of more frames than asked for, the most telling.
+
+    Parameters
+    ----------
+    visemes : sequence of str
+        Every viseme that is wanted in each emotion, whether somebody speaks it or not.
+    extremes : int
+        Extreme frames of each emotion.
 
     Returns
     -------
@@ -306,13 +316,13 @@ def choose_visemes(
     )
     rows = np.array([*spoken, *(row for each in far.values() for row in each)], dtype=np.int64)
     ordered = in_order_of_worth(features, rows, already)[:count]
-    visemes = {row: viseme for (_, viseme), row in found.items()}
+    viseme_at = {row: viseme for (_, viseme), row in found.items()}
     emotions = list(dict.fromkeys(emotion_of))
-    everything = sorted({segment.viseme for segment in segments})
-    missing = tuple((e, v) for e in emotions for v in everything if (e, v) not in found)
+    missing = tuple((e, v) for e in emotions for v in visemes if (e, v) not in found)
     return ReferenceChoice(
         ordered,
-        visemes={int(r): visemes[int(r)] for r in ordered if int(r) in visemes},
+        visemes={int(r): viseme_at[int(r)] for r in ordered if int(r) in viseme_at},
+        extremes=tuple(int(r) for r in ordered if int(r) not in viseme_at),
         missing=missing,
     )
 

@@ -24,6 +24,7 @@ from usdface.model.selection.neutral_check import find_better_neutral
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.references import SelectSpec
+from usdface.speech.phones import VISEMES, viseme_label
 from usdface.steps.inputs.cleaned_takes import CleanedTakes, plausibility_notes, read_cleaned_takes
 from usdface.steps.inputs.coverage_report import cover, coverage_figures, coverage_picture
 from usdface.steps.inputs.landmark_files import read_landmarks
@@ -260,6 +261,7 @@ def _choose(selection: _Selection) -> ReferenceChoice:
             selection.wanted if spec.method == "viseme" else selection.wanted // 2,
             segments=selection.spoken.segments,
             emotion_of=selection.spoken.emotion_of,
+            visemes=VISEMES,
             extremes=spec.extremes if spec.method == "viseme" else 0,
             already=selection.already,
             candidates=selection.candidates,
@@ -279,6 +281,7 @@ def _choose(selection: _Selection) -> ReferenceChoice:
         designed,
         rows=in_order_of_worth(selection.scene.features, together, selection.already),
         visemes=spoken.visemes,
+        extremes=spoken.extremes,
         missing=spoken.missing,
     )
 
@@ -356,18 +359,8 @@ def _notes(
         notes.append(
             f"keyed in the asset itself, and tuned from now on: {pluralize(keyed, 'pair')}"
         )
-    if choice.missing:
-        shown = [f"{viseme} {emotion}".strip() for emotion, viseme in choice.missing]
-        notes.append(
-            f"not spoken in every emotion: {pluralize(len(shown), 'viseme')}, "
-            f"{first_few(shown, most=8)}"
-        )
-    if selection.spec.method == "viseme" and choice.design:
-        spoken = len(choice.rows) - len([r for r in choice.rows if int(r) not in choice.visemes])
-        notes.append(
-            f"chosen by viseme: {pluralize(spoken, 'frame')}; the rest of {selection.spec.count} "
-            "by design"
-        )
+    if selection.spoken.segments and selection.spec.method in ("viseme", "both"):
+        notes += _viseme_notes(selection, choice)
     if selection.spec.method == "both" and not selection.spec.phones:
         notes.append(
             "no phones are given, so frames were chosen by design alone; that costs nothing in "
@@ -377,6 +370,30 @@ def _notes(
         notes += selection.scene.notes
     else:
         notes.append("weights to start from are the mapping's own predictions")
+    return notes
+
+
+def _viseme_notes(selection: _Selection, choice: ReferenceChoice) -> list[str]:
+    """Count what was chosen as what, and name the visemes that are not spoken."""
+    visemes, extremes = len(choice.visemes), len(choice.extremes)
+    rest = len(choice.rows) - visemes - extremes
+    notes = [
+        f"chosen: {pluralize(visemes, 'frame')} of visemes, {pluralize(extremes, 'extreme')} of "
+        f"emotions, {rest} by design"
+    ]
+    spoken = {segment.viseme for segment in selection.spoken.segments}
+    silent = [viseme_label(viseme) for viseme in VISEMES if viseme not in spoken]
+    if silent:
+        notes.append(
+            f"nobody speaks {pluralize(len(silent), 'viseme')} of {len(VISEMES)}: "
+            f"{first_few(silent, most=len(VISEMES))}"
+        )
+    some = [f"{v} {e}".strip() for e, v in choice.missing if v in spoken]
+    if some:
+        notes.append(
+            f"spoken, but not in every emotion: {pluralize(len(some), 'viseme')}, "
+            f"{first_few(some, most=8)}"
+        )
     return notes
 
 

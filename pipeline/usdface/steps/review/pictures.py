@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 import numpy as np
 
-from usdface.core.arrays import ByteImage, FloatArray
+from usdface.core.arrays import BoolArray, ByteImage, FloatArray
 from usdface.core.assets import Take
 from usdface.core.errors import InputError
 from usdface.media.face.markers_view import draw_markers, frame_markers
@@ -15,7 +15,7 @@ from usdface.media.face.sculpted_normals import SculptedNormals
 from usdface.media.film.image_sequence import ImageSequence, open_video
 from usdface.media.film.video import VideoReader
 from usdface.media.picture.canvas import draw_dot, draw_line
-from usdface.media.picture.color import BLUE, BRIGHT
+from usdface.media.picture.color import BLUE, BRIGHT, ORANGE
 from usdface.media.picture.display_view import DisplayView
 from usdface.media.picture.sheet import Tile
 from usdface.model.selection.baseline import BlendshapeEquation
@@ -34,6 +34,15 @@ def _spread(take: Take) -> FloatArray:
         raise InputError(f"{take.name}: has no markers")
     step = max(take.frame_count // FRAMED_BY, 1)
     return take.markers.positions[::step].astype(np.float64)
+
+
+def _repaired(take: Take, frame: int) -> BoolArray:
+    """Return which markers of a frame are not as they were measured: filled or corrected."""
+    markers = take.markers
+    if markers is None:
+        raise InputError(f"{take.name}: has no markers")
+    at = frame - take.first_frame
+    return np.asarray(~markers.visible[at] | (markers.confidence[at] < 1))
 
 
 class ShotPictures:
@@ -134,9 +143,11 @@ class ShotPictures:
     def markers_on_face(self, row: int, equation: BlendshapeEquation) -> ByteImage:
         """Draw the solve of a row with the performer's markers where they sit on the character.
 
-        A line runs from where the solve takes a marker's place on the skin to the marker.
+        A line runs from where the solve takes a marker's place on the skin to the marker. Markers
+        that were repaired are orange and hollow.
         """
         shot = self._shot
+        repaired = _repaired(shot.take, int(shot.frames[row]))
         picture = self.face(row, shot.weights[row])
         posed = shot.deformer.points(shot.weights[row][None])[0]
         motion = character_motion(equation.virtual, shot.positions[row][None], equation.neutral)[0]
@@ -147,10 +158,12 @@ class ShotPictures:
             view.project(points, width=self._width, height=self._height)[:, :2]
             for points in (equation.virtual.places(posed), seen)
         ]
-        for solved, captured in zip(*ends, strict=True):
+        for solved, captured, hollow in zip(*ends, repaired.tolist(), strict=True):
             if np.isfinite(solved).all() and np.isfinite(captured).all():
                 draw_line(picture, solved, captured, BRIGHT, thickness=1.4 * size)
-                draw_dot(picture, float(captured[0]), float(captured[1]), 2.4 * size, BLUE)
+                x, y = float(captured[0]), float(captured[1])
+                radius, color = (3.4 * size, ORANGE) if hollow else (2.4 * size, BLUE)
+                draw_dot(picture, x, y, radius, color, hollow=hollow)
         return picture
 
     def face(self, row: int, weights: FloatArray) -> ByteImage:

@@ -303,7 +303,10 @@ def _notes(spec: SheetSpec, comparison: _Comparison, *, stand_in_eyes: bool) -> 
     elif shot.performance.uncertainty_mm is None:
         notes = ["the uncertainty is not known: the performance was not mapped by this version"]
     if spec.layout != "strip":
-        notes.append("dots: the markers on the character; lines: from the solve to them")
+        notes.append(
+            "dots: the markers on the character, hollow where they were repaired; lines: from the "
+            "solve to them"
+        )
     if any(comparison.labels):
         notes.append("beside frames: phone and viseme")
     if stand_in_eyes:
