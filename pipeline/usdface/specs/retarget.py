@@ -118,6 +118,21 @@ class TrainRetargetSpec(Spec):
     alpha: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     """Share of the multiquadric in `hybrid`, 0 to 1. Default: chosen with the method. `retarget
     --alpha` varies it over time."""
+    published: bool = False
+    """With `kernel_cca` or `hybrid`: plain least squares from one reduced expression to the other,
+    over few components, as published. By default these lines are penalised as the components are,
+    which follows contradictory pairs less."""
+
+    @model_validator(mode="after")
+    def _options_of_the_method(self) -> Self:
+        if self.alpha is not None and self.method != "hybrid":
+            raise ValueError(f"--alpha is for --method hybrid, and the method is {self.method}")
+        if self.published and self.method not in ("kernel_cca", "hybrid"):
+            raise ValueError(
+                "--published is for --method kernel_cca and hybrid, and the method is "
+                f"{self.method}; the others have no such choice"
+            )
+        return self
 
 
 class RetargetSpec(Spec):
@@ -128,6 +143,9 @@ class RetargetSpec(Spec):
     Creator, FACS and others (`usdface names` shows the pairs). Each target gets its own performance
     over its rig, which is referenced and never written. Given a folder, with a folder as --out,
     every take or capture in it is retargeted.
+
+    With --source-rig and --rig, the positions of the two surfaces are matched by non-negative least
+    squares, without pairs or names: the baseline of Song et al. 2011, figure 2.
     """
 
     example: ClassVar[str] = "usdface retarget kitchen.csv --rig hero.usd --out kitchen.hero.usda"
@@ -148,6 +166,9 @@ class RetargetSpec(Spec):
     names: ReadPath | None = None
     """Table of pairs of shapes to follow instead of the names, as `usdface names` writes it (.csv
     or .json)."""
+    source_rig: ReadPath | None = None
+    """Rig of the source: match positions of its surface instead, the method that the paper compares
+    with."""
     prim: PrimPath | None = None
     """Prim path of the rig in its performance. Default: the name of the rig's default prim."""
     alpha: ReadPath | None = None
@@ -168,6 +189,8 @@ class RetargetSpec(Spec):
                 "no target is given: name its rig with --rig, or what `usdface train-retarget` "
                 "wrote with --retargeting"
             )
+        if self.retargeting and self.source_rig is not None:
+            raise ValueError("--source-rig matches positions, without --retargeting; give one")
         if not self.retargeting and self.alpha is not None:
             raise ValueError("alpha blends the two parts of a trained hybrid; give --retargeting")
         trained = len(self.retargeting) or len(self.out)
@@ -205,6 +228,11 @@ class CyclicSpec(Spec):
     """Files to write: .json for the figures, .png or .jpg for the curves. May be given twice."""
     methods: tuple[Name, ...] = METHODS
     """Methods to compare."""
+    published: bool = False
+    """Compare `kernel_cca` and `hybrid` as published; see `train-retarget --published`."""
+    alpha: ReadPath | None = None
+    """Share of the multiquadric over time, measured as `hybrid, keyed` (figure 5 of the paper):
+    .csv (frame, alpha), or .usd with a time-sampled float `face:mapping:alpha` on any prim."""
     truth: ReadPath | None = None
     """Known weights of the target (.usd, .csv or .json). With them the direct error is measured as
     well."""
@@ -264,12 +292,14 @@ class FindSequencesSpec(Spec):
     """Sequence to search for. May be given several times."""
     out: LayerOut
     """The list of matches to write."""
-    by: Literal["similarity", "threshold", "label"] = "similarity"
-    """`similarity`; `threshold`, as published; or `label`: the nearest range for each sequence with
-    the take's emotion, at any distance."""
+    by: Literal["similarity", "threshold", "published", "label"] = "similarity"
+    """`similarity`; `threshold`, a limit of the mean difference; `published`, a limit of the sum of
+    differences, which means another likeness for every length and number of shapes (Song et al.
+    2011, eq. 10); or `label`: the nearest range for each sequence with the take's emotion, at any
+    distance."""
     threshold: Annotated[float, Field(gt=0.0)] | None = None
-    """Largest mean difference of the weights, independent of the sequence's length and number of
-    shapes."""
+    """With --by threshold: largest mean difference of the weights, independent of the sequence's
+    length and number of shapes. With --by published: the paper's delta. Default there: its 1.0."""
     label: Name | None = None
     """Search only for sequences of this emotion. With --by label: use it instead of the take's."""
     shapes: tuple[Name, ...] = ()
@@ -284,8 +314,10 @@ class FindSequencesSpec(Spec):
 
     @model_validator(mode="after")
     def _threshold_where_it_counts(self) -> Self:
-        if (self.by == "threshold") != (self.threshold is not None):
-            raise ValueError("--by threshold and --threshold go together; give both or neither")
+        if self.by == "threshold" and self.threshold is None:
+            raise ValueError("--by threshold needs --threshold")
+        if self.by not in ("threshold", "published") and self.threshold is not None:
+            raise ValueError("--threshold needs --by threshold, or --by published for the paper's")
         return self
 
 
@@ -314,12 +346,13 @@ class WarpSpec(Spec):
     """Weight of the sequences' keys against the performance. At 1, as published, fast motion is
     half the performance's; at 1000 it is the sequence's alone."""
     blend: Annotated[int, Field(ge=0, le=10_000)] = 12
-    """Frames on each side over which the performance blends into a sequence."""
+    """Frames on each side over which the performance blends into a sequence; the sequence's own
+    first and last keys count less over as many. 0 for neither, as published."""
     timing: Literal["own", "fit"] = "own"
     """`own` plays a sequence at its own length, from the start of the match; `fit` stretches it to
     the match."""
     outside: Literal["exact", "published"] = "exact"
-    """`exact` keeps frames outside to the last bit; `published` uses soft constraints of weight
-    1."""
+    """`exact` keeps frames outside to the last bit; `published` uses soft constraints of weight 1:
+    with --weight 1 and --blend 0, eq. 12 of the paper."""
     curves: ImageOut | None = None
     """Picture to write of the controls that change most, before and after."""

@@ -32,8 +32,7 @@ def test_matching_positions_recovers_a_pose_of_the_same_face(faces) -> None:
     weights = np.zeros((2, len(hero.shapes)))
     weights[0, hero.shapes.index("jawOpen")] = 0.8
     weights[1, hero.shapes.index("mouthSmileLeft")] = 1.0
-    ranges = np.tile([0.0, np.inf], (len(hero.shapes), 1))
-    found = match_positions(both, weights, ranges=ranges)
+    found = match_positions(both, weights)
     assert (found >= 0).all()
     assert found[0].argmax() == hero.shapes.index("jawOpen")
     assert found[1].argmax() == hero.shapes.index("mouthSmileLeft")

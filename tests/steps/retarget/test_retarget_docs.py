@@ -26,9 +26,13 @@ def test_the_page_about_retargeting_runs(tmp_path: Path, monkeypatch, capsys) ->
     write_creature_performance(Path("dog_poses.usda"), dog, creature_acts(poses))
     write_creature_performance(Path("dog_surprise.usda"), dog, creature_acts(human_moves(50)))
     lines = commands(REPOSITORY / "docs" / "retarget.md")
-    assert len(lines) == 10
+    assert len(lines) == 11
     for line in lines:
         code = run(line)
+        if "--source-rig human.usda --rig" in line:
+            assert code == 2
+            assert "too flat for a face" in capsys.readouterr().err  # so are these three points
+            continue
         assert code == 0, f"{line}\n{capsys.readouterr()}"
     for name in ("kitchen.warped.usda", "kitchen.faces.jpg", "kitchen.cyclic.jpg"):
         assert Path(name).is_file()

@@ -317,6 +317,31 @@ def test_sequences_are_found_without_a_threshold_and_by_label(performed: Stall, 
     assert usdface(*line.split(), "--overwrite", "--shapes", "jaw*") == 0
 
 
+def test_the_papers_threshold_is_a_sum(performed: Stall, capsys) -> None:
+    """Eq. 10 as printed: its delta is the mean of --by threshold, times frames and root shapes."""
+    find = "find-sequences shot.usda --sequence joy.sequence.usda --out"
+    make = "make-sequence --source shot.usda --source-frames 150-190 --target own.usda"
+    write_creature_performance(Path("own.usda"), performed.beast, creature_acts(poses(41)))
+    assert usdface(*f"{make} --label joy --out joy.sequence.usda".split()) == 0
+    capsys.readouterr()
+    shapes = len(read_source_motion(Path("shot.usda"), None).names)
+    delta = 0.05 * 41 * np.sqrt(shapes)
+    places = []
+    for out, asked in (("a.usda", "--by threshold --threshold 0.05"),
+                       ("b.usda", f"--by published --threshold {delta}")):  # fmt: skip
+        assert usdface(*f"{find} {out} {asked} --json".split()) == 0
+        places.append(
+            [each["frames"] for each in json.loads(capsys.readouterr().out)["figures"]["matches"]]
+        )
+    assert places[0] == places[1]
+    assert places[0]
+    assert usdface(*f"{find} c.usda --by published".split()) == 0  # the paper's 1.0
+    assert usdface(*f"{find} d.usda --threshold 1.0".split()) == 2
+    assert "--by published" in capsys.readouterr().err
+    assert usdface(*f"{find} d.usda --by published --threshold 0".split()) == 2
+    assert "greater than 0" in capsys.readouterr().err
+
+
 def test_faces_are_drawn_side_by_side(performed: Stall, capsys) -> None:
     line = (
         "faces shot.usda beast.shot.usda --out faces.png --rows 2 --tile 64 --quality draft --json"
@@ -346,6 +371,44 @@ def test_alpha_is_keyed_over_time(trained: Stall) -> None:
         made.append(read_control_clip(Path(f"a{number}.usda")).clip.controls.weights)
     assert np.abs(made[1] - made[0]).max() > 1e-4
     np.testing.assert_array_equal(made[1], made[2])
+
+
+def test_a_keyed_share_is_measured_by_the_round_trip(trained: Stall, capsys) -> None:
+    """Where alpha is 1 the hybrid is the multiquadric, and where it is 0 kernel CCA."""
+    Path("alpha.csv").write_text("frame,alpha\n101,1\n")
+    line = "cyclic x.pairs.usda --source shot.usda --every 10 --methods rbf --published --json"
+    assert usdface(*line.split(), "--alpha", "alpha.csv") == 0
+    found = json.loads(capsys.readouterr().out)["figures"]["methods"]
+    assert found["hybrid, keyed"]["mean_mm"] == pytest.approx(found["rbf"]["mean_mm"], rel=1e-9)
+    Path("wrong.csv").write_text("frame,alpha\n101,1.5\n")
+    assert usdface(*line.split(), "--alpha", "wrong.csv") == 2
+    assert "alpha" in capsys.readouterr().err
+
+
+def test_kernel_cca_as_published_has_few_components_and_plain_lines(trained: Stall, capsys) -> None:
+    line = "train-retarget x.pairs.usda --method kernel_cca --published --out p.usdc --json"
+    assert usdface(*line.split()) == 0
+    settings = json.loads(capsys.readouterr().out)["figures"]["settings"]
+    assert settings["lines"] == "published"
+    assert settings["components"] in (8, 16, 32)
+    assert usdface("train-retarget", "x.pairs.usda", "--published", "--out", "q.usdc") == 2
+    assert "is for --method kernel_cca and hybrid" in capsys.readouterr().err
+
+
+def test_positions_are_matched_without_pairs(finished_shot: Shot, tmp_path: Path, capsys) -> None:
+    """A face matched with itself does what it did."""
+    out = tmp_path / "same.usda"
+    rig = str(finished_shot / "hero.usdc")
+    line = ["retarget", str(finished_shot / "shot.hero.usda"), "--source-rig", rig, "--rig", rig]
+    assert usdface(*line, "--out", str(out), "--frames", "101-140") == 0
+    assert "0.0 mm apart" in capsys.readouterr().out
+    asked = read_source_motion(finished_shot / "shot.hero.usda", (101, 140))
+    made = read_source_motion(out, None)
+    assert made.weights.min() >= 0
+    jaw = asked.names.index("jawOpen")
+    np.testing.assert_allclose(
+        made.weights[:, made.names.index("jawOpen")], asked.weights[:, jaw], atol=0.1
+    )
 
 
 def test_pairs_are_not_imported_beneath_keys_that_would_hide_them(stall: Stall, capsys) -> None:
@@ -579,7 +642,7 @@ def another_source(stall: Stall) -> str:
         (beyond_the_source, "frames 250-400 are not all there; it has 101-300"),
         (unknown_label, "no sequence is labelled 'grief'; there are joy"),
         (no_label, "needs --label"),
-        (lonely_threshold, "--by threshold and --threshold go together"),
+        (lonely_threshold, "--threshold needs --by threshold"),
         (unmatched_targets, "1 retargetings, 2 outputs and 0 rigs"),
         (alpha_without_hybrid, "train with --method hybrid"),
         (alpha_out_of_range, "frame 9: alpha is 1.5"),

@@ -24,6 +24,9 @@ MOST_POINTS = 4000
 TRAINING_POINTS = 600
 """Of them when methods are compared in training; there are many candidates."""
 
+KEYED = "hybrid, keyed"
+"""Name of the hybrid whose share of the multiquadric is keyed over time."""
+
 POSITIONS = "positions"
 """Name under which matching positions is compared: no regression, and nothing to be trained."""
 
@@ -41,6 +44,21 @@ class CyclicError:
     direct_mm: FloatArray | None = None
     """(frames,): mean distance of the target's points from where they should be [mm], where that is
     known."""
+
+
+@dataclass(frozen=True)
+class CyclicVariant:
+    """What of the methods, or of what is measured, is not as usual."""
+
+    truth: FloatArray | None = None
+    """(frames, target shapes): what the target should do, where it is known."""
+    alpha: FloatArray | None = None
+    """(frames,): share of the multiquadric in ``hybrid, keyed`` [0-1]."""
+    published: bool = False
+    """Whether kernel CCA is as published."""
+
+
+PLAIN = CyclicVariant()
 
 
 class SurfaceMeter:
@@ -90,7 +108,7 @@ def evaluate_cyclic(
     rig: Rig,
     target_rig: Rig | None = None,
     shape_ranges: FloatArray | None = None,
-    truth: FloatArray | None = None,
+    variant: CyclicVariant = PLAIN,
     progress: Progress = silent,
 ) -> tuple[CyclicError, ...]:
     """Send a performance to the target and back by several methods.
@@ -104,14 +122,13 @@ def evaluate_cyclic(
         In the order of ``pairs.source_shapes``.
     methods : tuple of str
         Names of methods; ``auto`` for what training would choose, ``positions`` for non-negative
-        least squares on the two surfaces, which reads no pairs.
+        least squares on the two surfaces, which reads no pairs, ``hybrid, keyed`` for a hybrid with
+        the variant's alpha.
     rig : Rig
         The source's, with all of ``pairs.source_shapes``.
     target_rig : Rig, optional
-        Needed for ``positions`` and `truth`.
+        Needed for ``positions`` and the variant's truth.
     shape_ranges : (target shapes, 2) float array, optional
-    truth : (frames, target shapes) float array, optional
-        What the target should do.
 
     Raises
     ------
@@ -121,6 +138,7 @@ def evaluate_cyclic(
     columns = [rig.shapes.index(name) for name in pairs.source_shapes]
     surface = spread_displacements(rig, pairs.source_shapes)
     near = SurfaceMeter(rig)
+    truth = variant.truth
     far = None if truth is None or target_rig is None else SurfaceMeter(target_rig)
     asked = np.zeros((len(performance), len(rig.shapes)))
     asked[:, columns] = performance
@@ -134,17 +152,19 @@ def evaluate_cyclic(
         else:
             trained = train_retargeting(
                 pairs,
-                method=method,
+                method="hybrid" if method == KEYED else method,
                 shape_ranges=shape_ranges,
                 surface=surface,
                 performance=performance,
+                published=variant.published,
                 progress=share,
             )
             label = f"default ({trained.method})" if method == "auto" else method
             settings = trained.scores[0].settings
             examples = make_examples(pairs, shape_ranges=shape_ranges)
-            there = retarget(trained, performance).weights
-            back = round_trip(examples, trained.method, trained.settings, performance)
+            alpha = variant.alpha if method == KEYED else None
+            there = retarget(trained, performance, alpha=alpha).weights
+            back = round_trip(examples, trained.method, trained.settings, performance, alpha=alpha)
         returned = np.zeros_like(asked)
         returned[:, columns] = back
         direct = None
@@ -165,13 +185,8 @@ def _by_positions(
     columns = [rig.shapes.index(name) for name in pairs.source_shapes]
     asked = np.zeros((len(performance), len(rig.shapes)))
     asked[:, columns] = performance
-    free = np.array([0.0, np.inf])
-    there = match_positions(
-        correspond(rig, target_rig), asked, ranges=np.tile(free, (len(target_rig.shapes), 1))
-    )
-    back = match_positions(
-        correspond(target_rig, rig), there, ranges=np.tile(free, (len(rig.shapes), 1))
-    )
+    there = match_positions(correspond(rig, target_rig), asked)
+    back = match_positions(correspond(target_rig, rig), there)
     place = [target_rig.shapes.index(name) for name in pairs.target.shapes]
     return there[:, place], back[:, columns]
 

@@ -146,14 +146,12 @@ def _mirror_partners(names: tuple[str, ...]) -> IntArray:
     )
 
 
-def match_positions(both: Correspondence, weights: FloatArray, *, ranges: FloatArray) -> FloatArray:
-    """Solve for target weights whose displacements are nearest to the source's.
+def match_positions(both: Correspondence, weights: FloatArray) -> FloatArray:
+    """Solve for weights, not negative, whose displacements are nearest to the source's.
 
     Parameters
     ----------
     weights : (frames, source shapes) float array
-    ranges : (target shapes, 2) float array
-        Limits; 0 and infinity make it NNLS as published.
 
     Returns
     -------
@@ -164,8 +162,8 @@ def match_positions(both: Correspondence, weights: FloatArray, *, ranges: FloatA
     return solve_bounded_least_squares(
         matrix,
         wanted,
-        lower=ranges[:, 0],
-        upper=ranges[:, 1],
+        lower=np.zeros(len(both.target)),
+        upper=np.full(len(both.target), np.inf),
         ridge=RIDGE_SHARE * float((matrix**2).sum(axis=0).mean()),
     ).x
 

@@ -22,6 +22,7 @@ from usdface.model.regressions import (
     find_retarget_method,
 )
 from usdface.model.regressions.hybrid import predict_blended
+from usdface.model.regressions.kernel_cca import PUBLISHED_LINES
 from usdface.model.retarget.control_space import (
     LEAST_WEIGHT,
     ControlSpace,
@@ -89,6 +90,7 @@ def train_retargeting(
     surface: FloatArray | None = None,
     performance: FloatArray | None = None,
     alpha: float | None = None,
+    published: bool = False,
     progress: Progress = silent,
 ) -> Retargeting:
     """Learn from expression pairs.
@@ -105,6 +107,8 @@ def train_retargeting(
         What will be retargeted: methods are then compared on it as well.
     alpha : float, optional
         Fixed share of the multiquadric in the hybrid [0-1].
+    published : bool, optional
+        Whether kernel CCA is as published, its lines plain least squares over few components.
 
     Raises
     ------
@@ -115,7 +119,7 @@ def train_retargeting(
     examples = make_examples(pairs, shape_ranges=shape_ranges)
     probes = make_probes(examples, performance)
     tried: list[tuple[RetargetScore, _Fit]] = []
-    candidates = _candidates(method, alpha)
+    candidates = _candidates(method, alpha, published=published)
     for number, (each, settings) in enumerate(candidates, start=1):
         fitted = _fit(each, settings, examples)
         tried.append((_score(fitted, examples, probes, surface), fitted))
@@ -272,13 +276,24 @@ def make_probes(examples: Examples, performance: FloatArray | None) -> FloatArra
 
 
 def round_trip(
-    examples: Examples, method: str, settings: Settings, source: FloatArray
+    examples: Examples,
+    method: str,
+    settings: Settings,
+    source: FloatArray,
+    *,
+    alpha: FloatArray | None = None,
 ) -> FloatArray:
-    """Send source weights to the target and back by one method: (frames, source shapes)."""
-    return _cycle(_fit(method, settings, examples), examples, source)
+    """Send source weights to the target and back by one method: (frames, source shapes).
+
+    Parameters
+    ----------
+    alpha : (frames,) float array, optional
+        Share of the multiquadric at each frame, both ways; of a hybrid.
+    """
+    return _cycle(_fit(method, settings, examples), examples, source, alpha)
 
 
-def _candidates(method: str, alpha: float | None) -> list[tuple[str, Settings]]:
+def _candidates(method: str, alpha: float | None, *, published: bool) -> list[tuple[str, Settings]]:
     names = tuple(RETARGET_METHODS) if method == "auto" else (method,)
     found: list[tuple[str, Settings]] = []
     for name in names:
@@ -286,6 +301,8 @@ def _candidates(method: str, alpha: float | None) -> list[tuple[str, Settings]]:
         if name == "hybrid" and alpha is not None:
             kernels = {(s["width"], s["kappa"]) for s in choices}
             choices = tuple({"width": w, "kappa": k, "alpha": alpha} for w, k in sorted(kernels))
+        if name in ("kernel_cca", "hybrid") and published:
+            choices = tuple(each | lines for each in choices for lines in PUBLISHED_LINES)
         found += [(name, settings) for settings in choices]
     return found
 
@@ -303,15 +320,27 @@ def _fit(name: str, settings: Settings, examples: Examples) -> _Fit:
     )
 
 
-def _forward(fitted: _Fit, examples: Examples, source: FloatArray) -> FloatArray:
+def _predict(
+    fitted: _Fit, arrays: Arrays, inputs: FloatArray, alpha: FloatArray | None
+) -> FloatArray:
+    if alpha is None:
+        return fitted.method.predict(arrays, fitted.settings, inputs)
+    return predict_blended(arrays, fitted.settings, inputs, alpha)
+
+
+def _forward(
+    fitted: _Fit, examples: Examples, source: FloatArray, alpha: FloatArray | None = None
+) -> FloatArray:
     inputs = source - examples.source_rest
-    moved = fitted.method.predict(fitted.forward, fitted.settings, inputs) * examples.units
+    moved = _predict(fitted, fitted.forward, inputs, alpha) * examples.units
     return np.asarray(np.clip(moved + examples.target_rest, *examples.target_ranges.T))
 
 
-def _cycle(fitted: _Fit, examples: Examples, source: FloatArray) -> FloatArray:
-    target = (_forward(fitted, examples, source) - examples.target_rest) / examples.spans
-    back = fitted.method.predict(fitted.backward, fitted.settings, target)
+def _cycle(
+    fitted: _Fit, examples: Examples, source: FloatArray, alpha: FloatArray | None = None
+) -> FloatArray:
+    target = (_forward(fitted, examples, source, alpha) - examples.target_rest) / examples.spans
+    back = _predict(fitted, fitted.backward, target, alpha)
     return np.asarray(np.clip(back + examples.source_rest, *examples.source_ranges.T))
 
 

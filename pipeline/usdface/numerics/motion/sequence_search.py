@@ -17,6 +17,9 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 
+PAPER_DELTA = 1.0
+"""Of eq. 10, as the paper has it for its own source of 33 shapes and its own sequence."""
+
 _MATCH_SHARE = 0.5
 """[of `mean_face_distance`] Default threshold."""
 
@@ -126,6 +129,27 @@ def find_sequence(
         nearest = int(np.abs(found.starts - starts[index]).argmin())
         starts[index], distances[index] = found.starts[nearest], found.distances[nearest]
     return _drop_overlapping(Matches(starts, distances, threshold), len(sequence))
+
+
+def find_published(motion: FloatArray, sequence: FloatArray, *, delta: float) -> Matches:
+    """Return where a motion holds a sequence as printed: sums of distances, averages of starts.
+
+    Parameters
+    ----------
+    motion : (frames, channels) float array
+    sequence : (m, channels) float array
+    delta : float
+        Largest sum over the sequence's frames of distances over all channels.
+
+    Raises
+    ------
+    ValueError
+        As `starts_within`.
+    """
+    threshold = delta / (len(sequence) * np.sqrt(sequence.shape[1]))
+    found = starts_within(motion, sequence, threshold=threshold)
+    starts = merge_starts(found.starts, len(sequence))
+    return Matches(starts, sequence_distances(motion, sequence, starts), threshold)
 
 
 def best_match(motion: FloatArray, sequence: FloatArray) -> Matches:

@@ -18,13 +18,19 @@ from usdface.media.picture.color import SERIES_COLORS
 from usdface.media.picture.image import write_image
 from usdface.model.regressions import find_retarget_method
 from usdface.model.retarget.control_space import check_pairs
-from usdface.model.retarget.cyclic import POSITIONS, CyclicError, evaluate_cyclic
+from usdface.model.retarget.cyclic import (
+    KEYED,
+    POSITIONS,
+    CyclicError,
+    CyclicVariant,
+    evaluate_cyclic,
+)
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.retarget import METHODS, CyclicSpec
 from usdface.steps.inputs.source_motion import SourceMotion, read_source_motion, source_columns
-from usdface.steps.inputs.weight_tables import read_weight_table
+from usdface.steps.inputs.weight_tables import read_alpha, read_weight_table
 from usdface.steps.retarget.train import pair_notes, target_ranges
 from usdface.usdio.retarget.pairs import read_pairs
 from usdface.usdio.rig.read import read_rig
@@ -42,7 +48,11 @@ def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress = silent
     motion = read_source_motion(spec.source, frame_range(spec.frames))
     weights, said = source_columns(spec.source, motion, pairs.source_shapes)
     picks = np.arange(0, len(weights), spec.every)
-    truth = None if spec.truth is None else _truth(spec, spec.truth, motion, picks, pairs)
+    variant = CyclicVariant(
+        truth=None if spec.truth is None else _truth(spec, spec.truth, motion, picks, pairs),
+        alpha=None if spec.alpha is None else read_alpha(spec.alpha, picks + motion.first_frame),
+        published=spec.published,
+    )
     measure = partial(
         evaluate_cyclic,
         pairs,
@@ -50,9 +60,11 @@ def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress = silent
         rig=source_rig,
         target_rig=target_rig,
         shape_ranges=target_ranges(pairs),
-        truth=truth,
+        variant=variant,
     )
     methods = tuple(method for method in spec.methods if method != POSITIONS)
+    if spec.alpha is not None:
+        methods += (KEYED,)
     found = measure(methods=methods, progress=progress)
     notes = [*said, *pair_notes(pairs)]
     if POSITIONS in spec.methods:

@@ -10,7 +10,13 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.text import pluralize
-from usdface.numerics.motion.sequence_search import Matches, best_match, find_sequence
+from usdface.numerics.motion.sequence_search import (
+    PAPER_DELTA,
+    Matches,
+    best_match,
+    find_published,
+    find_sequence,
+)
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.retarget import FindSequencesSpec
@@ -123,6 +129,8 @@ def _find(
 def _search(spec: FindSequencesSpec, motion: FloatArray, sequence: FloatArray) -> Matches:
     if spec.by == "label":
         return best_match(motion, sequence)
+    if spec.by == "published":
+        return find_published(motion, sequence, delta=spec.threshold or PAPER_DELTA)
     return find_sequence(motion, sequence, threshold=spec.threshold)
 
 

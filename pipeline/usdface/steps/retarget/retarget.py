@@ -13,6 +13,7 @@ from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import controls_path, weights_path
 from usdface.core.text import first_few, pluralize
+from usdface.model.retarget.shape_matching import Correspondence, correspond, match_positions
 from usdface.model.retarget.train import retarget
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
@@ -45,6 +46,14 @@ class _Target:
     transfer: Transfer
     """From the source's shapes to those that were trained on, or to the rig's."""
     notes: tuple[str, ...]
+    surfaces: Correspondence | None = None
+    """Of the source's rig and this one, where positions are matched."""
+
+    @property
+    def method(self) -> str:
+        if self.trained is not None:
+            return self.trained.method
+        return "names" if self.surfaces is None else "positions"
 
     @property
     def shapes(self) -> tuple[str, ...]:
@@ -53,6 +62,8 @@ class _Target:
     def controls(self, source: FloatArray, alpha: FloatArray | None) -> Controls:
         """Return the controls for source weights, (frames, source shapes)."""
         columns = source @ self.transfer.matrix
+        if self.surfaces is not None:
+            return bare_controls(self.rig.shapes, match_positions(self.surfaces, columns))
         if self.trained is None:
             return bare_controls(self.rig.shapes, columns)
         return retarget(self.trained, columns, alpha=alpha)
@@ -86,7 +97,7 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
             "targets": [
                 {
                     "out": str(out),
-                    "method": target.trained.method if target.trained else "names",
+                    "method": target.method,
                     "shapes": len(target.shapes),
                     "joints": len(target.trained.joints) if target.trained else 0,
                     "attributes": len(target.trained.attributes) if target.trained else 0,
@@ -99,9 +110,22 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
     )
 
 
+def _surface_target(
+    spec: RetargetSpec, source_rig: Path, rig: Rig, motion: SourceMotion
+) -> _Target:
+    """Return a target whose surface is matched with the source's."""
+    source = read_rig(source_rig)
+    transfer, notes = source_transfer(spec.source, motion, source.shapes, spec.names)
+    both = correspond(source, rig)
+    apart = f"the faces, laid on each other, are {both.residual_mm:.1f} mm apart"
+    return _Target(rig, None, transfer, (*notes, apart), both)
+
+
 def _target(spec: RetargetSpec, index: int, motion: SourceMotion) -> _Target:
     if not spec.retargeting:
         rig = read_rig(spec.rig[index])
+        if spec.source_rig is not None:
+            return _surface_target(spec, spec.source_rig, rig, motion)
         transfer, notes = source_transfer(spec.source, motion, rig.shapes, spec.names)
         return _Target(rig, None, transfer, (*notes, *_beyond(rig, motion, transfer)))
     path = spec.retargeting[index]

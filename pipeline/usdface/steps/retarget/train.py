@@ -6,7 +6,6 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray
 from usdface.core.controls import ExpressionPairs, Retargeting
-from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.text import first_few, pluralize
@@ -39,8 +38,6 @@ def run(
     """Learn what the pairs show."""
     pairs = read_pairs(spec.pairs)
     check_pairs(pairs, str(spec.pairs))
-    if spec.alpha is not None and spec.method != "hybrid":
-        raise InputError(f"--alpha is for --method hybrid, and the method is {spec.method}")
     notes = pair_notes(pairs)
     performance = None
     if spec.source is not None:
@@ -59,6 +56,7 @@ def run(
         surface=surface,
         performance=performance,
         alpha=spec.alpha,
+        published=spec.published,
         progress=progress,
     )
     trained = replace(trained, pairs=spec.pairs.name)
