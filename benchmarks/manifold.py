@@ -19,7 +19,7 @@ METHODS: dict[str, GpOptions | RbfOptions] = {
     "GP, HMC": GpOptions(),
     "GP, HMC, w chosen": GpOptions(blend=None),
     "GP, HMC, w = 1": GpOptions(blend=1.0),
-    "GP, HMC, eq. 7's shape": GpOptions(covariance="squared-exponential"),
+    "GP, HMC, eq. 7's shape": GpOptions(covariance="published"),
 }
 
 

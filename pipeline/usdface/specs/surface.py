@@ -55,6 +55,14 @@ _Sampler = Literal["hmc", "map", "shared"]
 _Metric = Literal["dijkstra", "dijkstra-diagonals", "heat"]
 
 
+_Positive = Annotated[float, Field(gt=0.0, le=1e6)]
+
+
+_FOR_SAMPLES = ("samples", "burn_in")
+_FOR_GP = ("sampler", *_FOR_SAMPLES, "covariance", "priors", "prior_spread", "length_scale")
+"""Options that only the samplers, or only the Gaussian process, have a use for."""
+
+
 class SurfaceSpec(Spec):
     """Options common to `deform` and `make-shapes`."""
 
@@ -77,23 +85,40 @@ class SurfaceSpec(Spec):
     """`gp`, a Gaussian process, smooths noise and estimates its uncertainty; `rbf` interpolates
     every marker."""
     sampler: _Sampler = "shared"
-    """Treatment of the hyper-parameters of `gp`: `hmc` averages 200 samples for each frame and axis
-    (Wang et al. 2006), `shared` 200 samples for the whole take; `map` uses the most probable
-    values."""
+    """Treatment of the hyper-parameters of `gp`: `hmc` averages samples for each frame and axis, as
+    published (Wang et al. 2006), `shared` samples for the whole take, which is the calmest over
+    time; `map` uses the most probable values of each frame and axis."""
+    samples: Annotated[int, Field(ge=8, le=10_000)] = 200
+    """Samples that `hmc` and `shared` keep; the paper's 200."""
+    burn_in: Annotated[int, Field(ge=8, le=10_000)] = 40
+    """Samples before those, in which a chain tunes its step; the paper gives none."""
+    covariance: Literal["creased", "published"] = "creased"
+    """How the motion of points is correlated over the distance between them: `published` is eq. 7
+    of the paper, which a distance along a surface makes indefinite: its negative part is cut off,
+    and by how much is in the result. `creased` rarely needs it, and its intervals hold."""
+    priors: tuple[_Positive, _Positive, _Positive, _Positive] = (9.0, 0.05, 4.0, 1.0)
+    """Medians of the log-normal priors of the hyper-parameters, in mm²: motion beyond a linear
+    field, noise of the markers, motion common to all, linear motion (v0, v1, a0, a1 of eq. 7). The
+    paper has no priors; these suit faces of human size."""
+    prior_spread: Annotated[float, Field(gt=0.0, le=10.0)] = 1.5
+    """Standard deviation of the logarithms. At 10 the priors hardly count."""
     blend: Annotated[float, Field(ge=0.0, le=1.0)] = 0.39
     """Share of the distance along the surface, 0 to 1; the rest is the straight-line distance (Wang
     et al. 2006)."""
     choose_blend: bool = False
     """Choose --blend by cross-validation on the take."""
+    folds: bool = True
+    """Let points inside of lips and lids follow the markers of their own side. The paper has no
+    such rule."""
     metric: _Metric = "dijkstra-diagonals"
     """Distance along the surface: over edges (`dijkstra`, as published), over edges and face
     diagonals, or by the heat method."""
     length_scale: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = None
-    """Distance over which the motion of points is correlated, in mm. Default: fitted to the
-    take."""
+    """Distance over which the motion of points is correlated, in mm; 1 in the paper's unit, which
+    it does not name. Default: fitted to the take."""
     reach: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = None
     """Points farther than this from every marker do not move, in mm along the surface; motion fades
-    from half of it. Default: four times the marker spacing."""
+    from half of it. 10000 for the field as published. Default: four times the marker spacing."""
 
     quality: Literal["draft", "final"] = "final"
     """`draft` omits soft shadows and ambient occlusion from the picture."""
@@ -102,6 +127,19 @@ class SurfaceSpec(Spec):
     def _landmarks_are_for_binding(self) -> Self:
         if self.landmarks and self.binding is not None:
             raise ValueError("--landmarks cannot be used with --binding, which has its own")
+        return self
+
+    @model_validator(mode="after")
+    def _options_of_the_method(self) -> Self:
+        fields = type(self).model_fields
+        for what, without in (
+            ("--method rbf", _FOR_GP if self.method == "rbf" else ()),
+            ("--sampler map", _FOR_SAMPLES if self.sampler == "map" else ()),
+        ):
+            given = [name for name in without if getattr(self, name) != fields[name].default]
+            if given:
+                options = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+                raise ValueError(f"{what} does not use {options}; leave it out")
         return self
 
 

@@ -54,21 +54,30 @@ def test_noise_is_smoothed_and_95_percent_intervals_contain_95_percent(
 
 def test_the_published_covariance_and_samples_are_options(mouth: Mouth) -> None:
     moved = mouth.markers(noise=0.5)
-    found = fit(
-        mouth, moved, sampler="shared", covariance="squared-exponential", samples=20, folds=False
-    )
+    found = fit(mouth, moved, sampler="shared", covariance="published", samples=20, folds=False)
     assert found.diagnostics.clipped > 0
     assert found.shared is not None
     assert found.shared.shape == (20, 4)
     assert rms(mouth, found.deform(moved).mean) < 1.0
 
 
+@pytest.mark.parametrize("sampler", ["hmc", "map"])
+def test_a_face_that_comes_again_moves_the_mesh_alike(mouth: Mouth, sampler: str) -> None:
+    """Chance must not make the mesh jitter, wherever in a take a frame is."""
+    moved = mouth.markers(noise=0.5)[:3]
+    fitted = fit(mouth, moved, sampler=sampler, length_scale=40.0, samples=20)
+    mean = fitted.deform(np.concatenate([moved, moved[::-1]])).mean
+    np.testing.assert_allclose(mean[3:], mean[2::-1], atol=1e-3)
+
+
 def test_diagnostics_of_the_sampler_show_that_it_mixed(mouth: Mouth) -> None:
-    diagnostics = fit(mouth, mouth.markers(noise=0.3), length_scale=40.0).diagnostics
-    assert diagnostics.effective_samples >= 150
-    assert diagnostics.rhat < 1.02
-    assert 0.7 < diagnostics.acceptance < 0.9
-    assert diagnostics.left_out_rms_mm < 1.5
+    moved = mouth.markers(noise=0.3)
+    for sampler, least, rhat in (("hmc", 150, 1.02), ("shared", 30, 1.1)):  # 4 chains of 50
+        diagnostics = fit(mouth, moved, length_scale=40.0, sampler=sampler).diagnostics
+        assert diagnostics.effective_samples >= least
+        assert diagnostics.rhat < rhat
+        assert 0.6 < diagnostics.acceptance < 1.0
+        assert diagnostics.left_out_rms_mm < 1.5
 
 
 def test_streaming_gives_what_deforming_gives_in_parts_that_stay_small(mouth: Mouth) -> None:

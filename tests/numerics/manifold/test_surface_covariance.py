@@ -8,7 +8,7 @@ from scipy.spatial.distance import cdist
 
 from usdface.numerics.manifold.surface_fields import fit_covariance
 
-SHAPES = ("creased", "squared-exponential")
+SHAPES = ("creased", "published")
 
 
 def circle_distances(count: int) -> np.ndarray:
@@ -22,7 +22,7 @@ def test_eq_7_over_the_circle_has_negative_eigenvalues_and_ours_has_none() -> No
     between = circle_distances(40)
     raw = np.exp(-0.5 * (between / 2.0) ** 2)
     assert np.linalg.eigvalsh(raw)[0] < -0.01
-    covariance = fit_covariance(between, length_scale=2.0, shape="squared-exponential")
+    covariance = fit_covariance(between, length_scale=2.0, shape="published")
     assert np.linalg.eigvalsh(covariance.matrix())[0] > -1e-9
     assert 0 < covariance.clipped < 0.1
 
@@ -30,7 +30,7 @@ def test_eq_7_over_the_circle_has_negative_eigenvalues_and_ours_has_none() -> No
 def test_where_it_is_a_covariance_nothing_is_changed() -> None:
     places = np.random.default_rng(0).standard_normal((20, 3))
     between = cdist(places, places)
-    covariance = fit_covariance(between, length_scale=1.0, shape="squared-exponential")
+    covariance = fit_covariance(between, length_scale=1.0, shape="published")
     assert np.allclose(covariance.matrix(), np.exp(-0.5 * between**2), atol=1e-4)
     assert covariance.clipped < 1e-4
     cross = covariance.cross(between)
@@ -59,7 +59,7 @@ def test_with_any_distances_no_point_has_a_negative_variance(
     [
         ({"length_scale": 0.0}, "length scale must be positive"),
         ({"length_scale": float("nan")}, "length scale must be positive"),
-        ({"shape": "box"}, "no covariance 'box'; there are creased, squared-exponential"),
+        ({"shape": "box"}, "no covariance 'box'; there are creased, published"),
         ({"between": np.full((3, 3), np.inf)}, "not finite"),
     ],
 )

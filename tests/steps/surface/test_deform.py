@@ -340,6 +340,21 @@ def test_a_picture_compares_the_ways_of_measuring(folder: Path) -> None:
     assert metadata["step"] == "deform"
 
 
+def test_the_paper_s_choices_are_options_and_the_sampler_says_how_it_did(
+    folder: Path,
+) -> None:
+    given = {"covariance": "published", "folds": False, "samples": 24, "burn_in": 16,
+             "length_scale": 30.0, "priors": (4.0, 0.1, 4.0, 1.0), "prior_spread": 2.0}  # fmt: skip
+    made = run(deform(folder, frames="101-108", sampler="hmc", **given))
+    figures = made.figures
+    assert 0 < figures["acceptance"] <= 1
+    assert 1 <= figures["effective_samples"] <= 24
+    assert figures["rhat"] > 0.9
+    assert figures["covariance_clipped"] > 0
+    assert any("R-hat" in note for note in made.notes)
+    assert any("was not positive definite" in note for note in made.notes)
+
+
 def test_three_markers_are_too_few(folder: Path, scan: Scan) -> None:
     take = small_scan_take(scan)
     assert take.markers is not None
@@ -428,6 +443,10 @@ def test_an_island_without_a_marker_is_told(folder: Path, scan: Scan) -> None:
         ({"landmarks": ("a=1",)}, "--landmarks cannot be used with --binding"),
         ({"blend": 1.5}, "less than or equal to 1"),
         ({"device": "cuda"}, "device"),
+        ({"method": "rbf", "sampler": "hmc"}, "--method rbf does not use --sampler"),
+        ({"method": "rbf", "length_scale": 20.0}, "--method rbf does not use --length-scale"),
+        ({"sampler": "map", "samples": 50}, "--sampler map does not use --samples"),
+        ({"priors": (1.0, 0.0, 1.0, 1.0)}, "greater than 0"),
     ],
 )
 def test_what_deform_cannot_do_is_said(moved: Path, more: dict[str, object], message: str) -> None:

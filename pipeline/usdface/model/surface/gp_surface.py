@@ -19,7 +19,11 @@ from usdface.model.surface.fit import (
     find_surface_folds,
     fitted_frames,
 )
-from usdface.numerics.manifold.hybrid_monte_carlo import effective_sample_size, split_rhat
+from usdface.numerics.manifold.hybrid_monte_carlo import (
+    CommonNumbers,
+    effective_sample_size,
+    split_rhat,
+)
 from usdface.numerics.manifold.hyper_posterior import HyperPrior, MarkerSpectrum, decompose
 from usdface.numerics.manifold.hyper_sampling import (
     draw_laplace,
@@ -87,7 +91,9 @@ class GpOptions:
     """Whether points in folds, such as the insides of lips, follow the markers of their own side;
     never where `blend` is 0, since the Euclidean distance has no sides."""
     samples: int = SAMPLES_PUBLISHED
-    """Of the hyper-parameters, with the samplers ``'hmc'`` and ``'shared'``."""
+    burn_in: int = 40
+    """`samples`, `burn_in`: of the hyper-parameters, with the samplers ``'hmc'`` and ``'shared'``;
+    the second are those in which chains tune their step."""
     seed: int = 0
     """Of every random choice: the same take moves the same way each time."""
 
@@ -112,17 +118,17 @@ class GpSurface(SurfaceModel):
     def _predict(self, moved: FloatArray, size: int, *, of_axes: bool) -> Iterator[SurfaceMotion]:
         # the next block is sampled while this one becomes fields
         with ThreadPoolExecutor(max_workers=1) as executor:
-            sampled = executor.submit(self._sample, moved[:_SAMPLED_FRAMES], 0)
+            sampled = executor.submit(self._sample, moved[:_SAMPLED_FRAMES])
             for start in range(0, len(moved), _SAMPLED_FRAMES):
                 theta = sampled.result()
                 stop = start + _SAMPLED_FRAMES
-                sampled = executor.submit(self._sample, moved[stop : stop + _SAMPLED_FRAMES], stop)
+                sampled = executor.submit(self._sample, moved[stop : stop + _SAMPLED_FRAMES])
                 block = moved[start:stop]
                 for first in range(0, len(block), size):
                     part = slice(first, min(first + size, len(block)))
                     yield self._fields(block[part], theta[..., part], of_axes)
 
-    def _sample(self, moved: FloatArray, start: int) -> FloatArray:
+    def _sample(self, moved: FloatArray) -> FloatArray:
         """Hyper-parameters of each frame and axis: (samples, 4, 3, frames)."""
         if self.shared is not None:
             return np.broadcast_to(
@@ -130,13 +136,16 @@ class GpSurface(SurfaceModel):
             )
         if not len(moved):
             return np.zeros((0, 4, 3, 0))
-        rng = np.random.default_rng((self.options.seed, start))
+        # The same numbers for all frames, in all parts of a take: neighbouring frames err alike.
+        rng = CommonNumbers(np.random.default_rng(self.options.seed))
         rows = _rows_of_axes(moved)
         if self.options.sampler == "map":
             modes = find_modes(self.table, rows)
             theta = draw_laplace(rng, self.table, modes, keep=_LAPLACE_DRAWS)
         else:
-            samples, _ = sample_hyperparameters(rng, self.table, rows, keep=self.options.samples)
+            samples, _ = sample_hyperparameters(
+                rng, self.table, rows, burn=self.options.burn_in, keep=self.options.samples
+            )
             theta = samples.theta
         return np.moveaxis(theta.reshape(len(theta), 4, len(moved), 3), 3, 2)
 
@@ -241,12 +250,17 @@ def _sample_fitted(
 ) -> tuple[FloatArray, dict[str, float]]:
     """Sample the fitted frames: theta (samples, 4, chains or 1), and diagnostics of the chains."""
     if options.sampler == "shared":
-        shared = sample_shared(rng, table, rows, keep=options.samples)
-        return shared.theta[:, :, None], {"acceptance": shared.acceptance}
+        shared = sample_shared(rng, table, rows, burn=options.burn_in, keep=options.samples)
+        return shared.theta[:, :, None], {
+            "acceptance": shared.acceptance,
+            "effective_samples": shared.effective_samples,
+            "rhat": shared.rhat,
+        }
     if options.sampler == "map":
         return find_modes(table, rows).theta[None], {}
-    first, modes = sample_hyperparameters(rng, table, rows, keep=options.samples)
-    second, _ = sample_hyperparameters(rng, table, rows, keep=options.samples, modes=modes)
+    burn, keep = options.burn_in, options.samples
+    first, modes = sample_hyperparameters(rng, table, rows, burn=burn, keep=keep)
+    second, _ = sample_hyperparameters(rng, table, rows, burn=burn, keep=keep, modes=modes)
     both = np.stack([first.theta, second.theta], axis=1)
     return first.theta, {
         "acceptance": float(np.mean(first.acceptance)),

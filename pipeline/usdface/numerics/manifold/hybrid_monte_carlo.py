@@ -54,6 +54,26 @@ class ChainSamples:
     """(chains,): mean probability of acceptance after the burn-in."""
 
 
+class CommonNumbers:
+    """A generator whose numbers are the same for all chains, which are the last axis."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+
+    def standard_normal(self, shape: tuple[int, ...], dtype: type = np.float64) -> RealArray:
+        """Return standard normal numbers (..., chains)."""
+        drawn: RealArray = self._rng.standard_normal((*shape[:-1], 1), dtype=dtype)
+        return np.broadcast_to(drawn, shape)
+
+    def random(self, shape: tuple[int, ...], dtype: type = np.float64) -> RealArray:
+        """Return numbers (..., chains) in [0-1)."""
+        drawn: RealArray = self._rng.random((*shape[:-1], 1), dtype=dtype)
+        return np.broadcast_to(drawn, shape)
+
+
+Numbers = np.random.Generator | CommonNumbers
+
+
 @dataclass(frozen=True)
 class Jumps:
     """The chains whose posterior has two modes, between which trajectories do not lead."""
@@ -73,7 +93,7 @@ def start_chains(energy: Energy, fit: LaplaceFit, white: RealArray) -> ChainStat
 
 
 def take_hmc_step(
-    rng: np.random.Generator,
+    rng: Numbers,
     state: ChainState,
     energy: Energy,
     fit: LaplaceFit,
@@ -110,7 +130,7 @@ def take_hmc_step(
 
 
 def sample_chains(
-    rng: np.random.Generator,
+    rng: Numbers,
     energy: Energy,
     laplace: LaplaceFit,
     *,
@@ -222,9 +242,7 @@ def _accept(
     ), acceptance
 
 
-def _jump_some(
-    rng: np.random.Generator, state: ChainState, laplace: LaplaceFit, jumps: Jumps
-) -> ChainState:
+def _jump_some(rng: Numbers, state: ChainState, laplace: LaplaceFit, jumps: Jumps) -> ChainState:
     """Let the chains of `jumps` propose a jump; the others stay."""
     some = jumps.chains
     before = ChainState(state.white[:, some], np.take(state.energy, some), state.residual[:, some])
@@ -234,10 +252,10 @@ def _jump_some(
     return ChainState(white, energy, residual)
 
 
-def _jump(rng: np.random.Generator, state: ChainState, fit: LaplaceFit, jumps: Jumps) -> ChainState:
+def _jump(rng: Numbers, state: ChainState, fit: LaplaceFit, jumps: Jumps) -> ChainState:
     """Propose a draw of the mixture of two Gaussians with equal weights, whatever the state."""
     chains = len(state.energy)
-    first = rng.random(chains) < 0.5
+    first = rng.random((chains,)) < 0.5
     drawn = _PROPOSAL_WIDTH * rng.standard_normal((4, chains)).astype(state.energy.dtype)
     one, other = jumps.modes
     theta = fit.theta(state.white)
@@ -245,7 +263,7 @@ def _jump(rng: np.random.Generator, state: ChainState, fit: LaplaceFit, jumps: J
     proposed = start_chains(jumps.energy, fit, fit.whiten(target))
     gained = state.energy - proposed.energy
     gained = gained + _log_mixture(theta, jumps.modes) - _log_mixture(target, jumps.modes)
-    return _accept(state, proposed, gained, rng.random(chains).astype(state.energy.dtype))[0]
+    return _accept(state, proposed, gained, rng.random((chains,)).astype(state.energy.dtype))[0]
 
 
 def _log_mixture(theta: RealArray, modes: tuple[LaplaceFit, LaplaceFit]) -> RealArray:

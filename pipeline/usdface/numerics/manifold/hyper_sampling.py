@@ -5,7 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, RealArray
-from usdface.numerics.manifold.hybrid_monte_carlo import Jumps, sample_chains
+from usdface.numerics.manifold.hybrid_monte_carlo import (
+    Jumps,
+    Numbers,
+    effective_sample_size,
+    sample_chains,
+    split_rhat,
+)
 from usdface.numerics.manifold.hyper_posterior import PhiEnergy, noise_gain, to_phi, to_theta
 from usdface.numerics.manifold.laplace import LaplaceFit, choose_fits, fit_laplace
 from usdface.numerics.manifold.tabulated_energy import SharedTable, TabulatedEnergy
@@ -79,7 +85,7 @@ def find_modes(
 
 
 def sample_hyperparameters(
-    rng: np.random.Generator,
+    rng: Numbers,
     table: SharedTable,
     displacements: FloatArray,
     *,
@@ -91,6 +97,9 @@ def sample_hyperparameters(
 
     Parameters
     ----------
+    rng : Generator or CommonNumbers
+        With `CommonNumbers` chains of like posteriors err alike, each as good as by itself: a mesh
+        does not jitter from frame to frame.
     displacements : (chains, N) float array
         [mm]
     modes : Modes, optional
@@ -115,9 +124,7 @@ def sample_hyperparameters(
     return HyperSamples(theta, samples.acceptance.astype(np.float64)), found
 
 
-def draw_laplace(
-    rng: np.random.Generator, table: SharedTable, modes: Modes, *, keep: int
-) -> FloatArray:
+def draw_laplace(rng: Numbers, table: SharedTable, modes: Modes, *, keep: int) -> FloatArray:
     """Draw from the Gaussian around the best mode instead: (keep, 4, chains) theta."""
     mode, root = modes.best.mode, modes.best.root
     drawn = rng.standard_normal((keep, *mode.shape))
@@ -142,6 +149,9 @@ class SharedSamples:
     """(samples, 4)"""
     acceptance: float
     """Mean probability of acceptance after the burn-in."""
+    effective_samples: float
+    rhat: float
+    """`effective_samples`, `rhat`: of all chains: medians over the hyper-parameters."""
 
 
 class PooledEnergy:
@@ -184,6 +194,7 @@ def sample_shared(
     table: SharedTable,
     displacements: FloatArray,
     *,
+    burn: int = 40,
     keep: int = 200,
     chains: int = 4,
 ) -> SharedSamples:
@@ -193,8 +204,8 @@ def sample_shared(
     ----------
     displacements : (rows, N) float array
         [mm]
-    keep : int
-        Samples of all chains together.
+    burn, keep : int
+        Samples of each chain in which it tunes its step; samples of all chains together.
     chains : int
         Run in lockstep from the same Laplace fit.
     """
@@ -202,11 +213,13 @@ def sample_shared(
     energy = PooledEnergy(table, displacements, chains=chains)
     with np.errstate(all="ignore"):
         samples = sample_chains(
-            rng, energy, fit.take(np.zeros(chains, np.int64)), keep=-(-keep // chains)
+            rng, energy, fit.take(np.zeros(chains, np.int64)), burn=burn, keep=-(-keep // chains)
         )
-    theta = np.moveaxis(samples.theta, 1, 2).reshape(-1, 4)[:keep]
+    each = np.moveaxis(samples.theta, 1, 2).astype(np.float64)
     return SharedSamples(
         np.asarray(fit.mode[:, 0], np.float64),
-        np.asarray(theta, np.float64),
+        each.reshape(-1, 4)[:keep],
         float(samples.acceptance.mean()),
+        float(np.median(effective_sample_size(each))),
+        float(np.median(split_rhat(each))),
     )

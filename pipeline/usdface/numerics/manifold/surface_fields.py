@@ -195,8 +195,8 @@ def _values(distances: RealArray, stiffness: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(squared), np.float64)
 
 
-CovarianceShape = Literal["creased", "squared-exponential"]
-"""``'squared-exponential'`` is eq. 7 as published."""
+CovarianceShape = Literal["creased", "published"]
+"""``'published'`` is the squared exponential of eq. 7."""
 
 ROUGH_SHARE = 0.4
 """Share a of the exponential covariance [0-1]. Between 0.2 and 0.7 errors hardly differ on the
@@ -272,7 +272,7 @@ def fit_covariance(
         [mm], symmetric.
     length_scale : float
         l [mm]; 1 in the paper's unit of length.
-    shape : {'creased', 'squared-exponential'}
+    shape : {'creased', 'published'}
 
     Raises
     ------

@@ -12,7 +12,12 @@ from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.surface import DeformSpec
 from usdface.steps.surface.picture import write_comparison
-from usdface.steps.surface.plan import SurfacePlan, plan_surface
+from usdface.steps.surface.plan import (
+    SurfacePlan,
+    plan_surface,
+    sampler_figures,
+    sampler_notes,
+)
 from usdface.usdio.rig.mesh import FaceMesh
 from usdface.usdio.surface.point_cache import PointsFormat, PointsHeader, writing_points
 from usdface.usdio.take.read import TakeReader
@@ -114,7 +119,7 @@ def _report(
     return StepResult(
         tuple(outputs),
         summary,
-        plan.notes,
+        (*plan.notes, *sampler_notes(model)),
         {
             "frames": count,
             "points": points,
@@ -123,6 +128,7 @@ def _report(
             "length_scale_mm": model.length_scale,
             "left_out_rms_mm": model.diagnostics.left_out_rms_mm,
             "covariance_clipped": model.diagnostics.clipped,
+            **sampler_figures(model),
             "uncertainty_mm": float(np.median(spread)) if spread else None,
             "points_without_marker": int(plan.distances.unreached.points.sum()),
         },

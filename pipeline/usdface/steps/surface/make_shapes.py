@@ -15,7 +15,12 @@ from usdface.runner.result import StepResult
 from usdface.specs.surface import MakeShapesSpec
 from usdface.steps.inputs.weight_tables import csv_rows
 from usdface.steps.surface.picture import write_shapes_picture
-from usdface.steps.surface.plan import SurfacePlan, plan_surface
+from usdface.steps.surface.plan import (
+    SurfacePlan,
+    plan_surface,
+    sampler_figures,
+    sampler_notes,
+)
 from usdface.usdio.references.read import read_pair_notes
 from usdface.usdio.surface.shape_rig import NewShape, WrittenShape, write_shape_rig
 from usdface.usdio.take.read import TakeReader
@@ -183,7 +188,7 @@ def _report(
     chosen: tuple[ShapeFrame, ...],
     written: tuple[WrittenShape, ...],
 ) -> StepResult:
-    notes = list(plan.notes)
+    notes = [*plan.notes, *sampler_notes(plan.model)]
     renamed = [
         f"{frame.name} as {shape.name}"
         for frame, shape in zip(chosen, written, strict=True)
@@ -204,5 +209,6 @@ def _report(
             },
             "blend": plan.model.blend,
             "length_scale_mm": plan.model.length_scale,
+            **sampler_figures(plan.model),
         },
     )

@@ -21,7 +21,7 @@ from usdface.numerics.manifold.hyper_posterior import HyperPrior
 from usdface.numerics.regression.reference_design import most_different_rows
 from usdface.runner.origin import provenance_metadata
 from usdface.specs.surface import DeformSpec, MakeShapesSpec
-from usdface.steps.surface.plan import SurfacePlan, fit_surface
+from usdface.steps.surface.plan import SurfacePlan, fit_surface, surface_options
 from usdface.usdio.surface.shape_rig import NewShape
 from usdface.usdio.take.read import TakeReader
 
@@ -35,6 +35,10 @@ _YAW_DEGREES = 18.0
 """A little from the side, where lips and lids show their depth."""
 
 _SD_NOTE = "standard deviation of each point, and its root mean square"
+_FOLD_NOTES = {
+    True: "points inside of lips and lids follow their own side, in all but the Euclidean column",
+    False: "points inside of lips and lids are treated as all others, as published",
+}
 
 
 def write_comparison(
@@ -79,7 +83,7 @@ def write_comparison(
             f"left-out markers {plan.model.diagnostics.left_out_rms_mm:.2f} mm",
             *((f"markers shaken by {spec.picture_noise:g} mm",) if spec.picture_noise else ()),
         ),
-        notes=() if sds is None else (_SD_NOTE,),
+        notes=(*(() if sds is None else (_SD_NOTE,)), _FOLD_NOTES[spec.folds]),
     )
     _write(spec.picture, plan, compared, page, quality=spec.quality, provenance=provenance)
 
@@ -88,7 +92,7 @@ def _compared_models(
     spec: DeformSpec, plan: SurfacePlan, moved: FloatArray
 ) -> tuple[tuple[str, ...], tuple[SurfaceModel, ...]]:
     """Return what is compared: each metric alone, the blend without and with smoothing."""
-    options = GpOptions(sampler="shared", blend=plan.model.blend)
+    options = replace(surface_options(spec), sampler="shared", blend=plan.model.blend)
 
     def fit(of: GpOptions) -> SurfaceModel:
         return fit_surface(spec, plan.distances, moved, of)

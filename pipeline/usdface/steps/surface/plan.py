@@ -18,6 +18,7 @@ from usdface.model.surface.distance import SurfaceDistances, surface_distances, 
 from usdface.model.surface.fit import SurfaceModel, SurfaceMotion
 from usdface.model.surface.gp_surface import GpOptions, fit_gp_surface
 from usdface.model.surface.rbf_surface import RbfOptions, fit_rbf_surface
+from usdface.numerics.manifold.hyper_posterior import HyperPrior
 from usdface.numerics.registration.marker_binding import (
     FEWEST_MARKERS,
     MarkerBinding,
@@ -258,17 +259,62 @@ def plan_surface(
     notes.extend(distances.unreached.describe())
     progress(0.6, "fitting the regression")
     moved = sample.positions[:, columns] - sample.neutral[columns]
-    options = GpOptions(
-        sampler=spec.sampler,
-        blend=None if spec.choose_blend else spec.blend,
-        length_scale=spec.length_scale,
-    )
-    model = fit_surface(spec, distances, moved @ proportions.linear.T, options)
+    model = fit_surface(spec, distances, moved @ proportions.linear.T, surface_options(spec))
     fade = _fade(distances, spec.reach)
     progress(1.0, "ready")
     return SurfacePlan(
         face, sample, columns, places, proportions, distances, model, fade, tuple(notes)
     )
+
+
+def surface_options(spec: SurfaceSpec) -> GpOptions:
+    """Return the options of the model that the spec asks for."""
+    spread = spec.prior_spread
+    return GpOptions(
+        sampler=spec.sampler,
+        blend=None if spec.choose_blend else spec.blend,
+        length_scale=spec.length_scale,
+        covariance=spec.covariance,
+        prior=HyperPrior(spec.priors, (spread, spread, spread, spread)),
+        folds=spec.folds,
+        samples=spec.samples,
+        burn_in=spec.burn_in,
+    )
+
+
+_LARGEST_RHAT = 1.05
+"""Above it chains have not mixed (Gelman et al. 2013 ask for less than 1.1)."""
+
+
+def sampler_figures(model: SurfaceModel) -> dict[str, object]:
+    """Return how well the hyper-parameters were sampled; None where they were not."""
+    quality = model.diagnostics
+    return {
+        name: None if np.isnan(value) else value
+        for name, value in (
+            ("acceptance", quality.acceptance),
+            ("effective_samples", quality.effective_samples),
+            ("rhat", quality.rhat),
+            ("two_modes", quality.two_modes),
+        )
+    }
+
+
+def sampler_notes(model: SurfaceModel) -> list[str]:
+    """Say how well the hyper-parameters were sampled, and what was cut off the covariance."""
+    quality, notes = model.diagnostics, []
+    if not np.isnan(quality.acceptance):
+        notes.append(
+            f"hyper-parameters: acceptance {quality.acceptance:.2f}, "
+            f"{quality.effective_samples:.0f} effective samples, R-hat {quality.rhat:.3f}"
+            + ("; more --samples or --burn-in" if quality.rhat > _LARGEST_RHAT else "")
+        )
+    if quality.clipped > 0:
+        notes.append(
+            f"the covariance was not positive definite: its negative part, {quality.clipped:.1%} "
+            "of it, was cut off"
+        )
+    return notes
 
 
 def fit_surface(
