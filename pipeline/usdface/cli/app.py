@@ -338,9 +338,18 @@ def describe(
     mapping: Annotated[
         Path, typer.Argument(help="A trained mapping or retargeting.", show_default=False)
     ],
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            help="Picture to write of the eigen-space: takes and references along the first "
+            "principal components."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Print the method, settings and cross-validation scores of a mapping.
+
+    The first line is the share of the markers' variance that principal components hold.
 
     Example:
 
@@ -348,7 +357,7 @@ def describe(
     """
     from usdface.steps.performance.describe import describe_mapping
 
-    show_result(describe_mapping(mapping), as_json=as_json)
+    show_result(describe_mapping(mapping, picture=picture), as_json=as_json)
 
 
 @app.command(epilog=EPILOG, rich_help_panel="retarget")
@@ -422,6 +431,14 @@ def demo(
     out_folder: Annotated[
         Path, typer.Option("--out", help="Folder of the demo.", show_default=False)
     ],
+    dog: Annotated[
+        bool,
+        typer.Option(
+            "--dog",
+            help="Retarget a performance to a dog of 28 shapes, 8 joints and 36 float controls "
+            "instead, and put its own animation in.",
+        ),
+    ] = False,
     progress: ShowProgress = "auto",
     as_json: Json = False,
 ) -> None:
@@ -433,10 +450,13 @@ def demo(
 
     usdface demo --out demo
     """
-    from usdface.demo.job import run_demo
+    if dog:
+        from usdface.demo.dog_job import run_dog_demo as run
+    else:
+        from usdface.demo.job import run_demo as run
 
     with progress_listener(progress) as listener:
-        report = run_demo(out_folder, progress=listener)
+        report = run(out_folder, progress=listener)
     show_result(report, as_json=as_json)
 
 

@@ -45,7 +45,7 @@ def run_demo(folder: Path, *, progress: Progress = silent) -> StepResult:
     """
     confine("demo", writes=[folder])
     job_file = folder / JOB_NAME
-    _make_folder(folder, job_file)
+    make_folder(folder, job_file)
     inputs = write_demo_inputs(folder, progress=part(progress, 0.0, INPUTS_SHARE))
     job = _job(inputs, folder)
     job_file.write_text(_HEADER + spec_text(job, job_file), encoding="utf-8")
@@ -77,7 +77,14 @@ _HEADER = """\
 """
 
 
-def _make_folder(folder: Path, job_file: Path) -> None:
+def make_folder(folder: Path, job_file: Path) -> None:
+    """Make a folder for a demo whose job file is to be there.
+
+    Raises
+    ------
+    InputError
+        If it cannot be made, or holds something else.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         strangers = any(folder.iterdir()) and not job_file.exists()

@@ -8,10 +8,10 @@ import pytest
 from pxr import Usd, UsdGeom
 from scipy.spatial.transform import Rotation
 
-from tests.dog_rig import dog_rig
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
+from usdface.demo.dog import dog_rig
 from usdface.demo.rig import demo_rig
 from usdface.model.placement.rig_orientation import check_rig_stands
 from usdface.usdio.rig.read import read_rig

@@ -1,5 +1,7 @@
 """Write a rig as a UsdSkel asset that USD tools and DCCs open with its shapes working."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +15,33 @@ from usdface.usdio.rig.read import RANGE_ATTRIBUTE
 from usdface.usdio.units import MM_PER_STAGE_UNIT, author_units
 
 
-def write_rig(path: Path, rig: Rig, *, provenance: Provenance | None = None) -> None:
-    """Write a rig: one SkelRoot with a one-joint Skeleton, and its meshes bound to it.
+@dataclass(frozen=True)
+class RigControls:
+    """What moves a rig besides its shapes."""
+
+    joints: tuple[str, ...]
+    """Paths, parents before their children."""
+    places: FloatArray
+    """(joints, 3): where they are at rest [mm]."""
+    influences: Mapping[str, tuple[IntArray, FloatArray]]
+    """By the path of a mesh: joints that move each point and their shares, (points, k) each. Other
+    meshes follow the first joint."""
+    attributes: tuple[str, ...]
+    """Floats, as PRIM.ATTRIBUTE from the top prim, for deformers to read."""
+
+
+ONE_JOINT = RigControls(("head",), np.zeros((1, 3)), {}, ())
+"""Some DCCs skip a skeleton without joints, and the shapes with it."""
+
+
+def write_rig(
+    path: Path,
+    rig: Rig,
+    *,
+    controls: RigControls = ONE_JOINT,
+    provenance: Provenance | None = None,
+) -> None:
+    """Write a rig: one SkelRoot with a Skeleton, and its meshes bound to it.
 
     Parameters
     ----------
@@ -28,21 +55,26 @@ def write_rig(path: Path, rig: Rig, *, provenance: Provenance | None = None) -> 
         root = UsdSkel.Root.Define(stage, root_path)
         stage.SetDefaultPrim(stage.GetPrimAtPath(root_path.GetPrefixes()[0]))
         Usd.ModelAPI(stage.GetDefaultPrim()).SetKind(Kind.Tokens.component)
-        skeleton = _define_skeleton(stage, root_path)
+        skeleton = _define_skeleton(stage, root_path, controls)
         for mesh in rig.meshes:
             _define_mesh(stage, mesh, skeleton, rig)
+            _bind_joints(stage, mesh, controls)
+        for name in controls.attributes:
+            prim, _, attribute = name.partition(".")
+            scope = UsdGeom.Scope.Define(stage, root_path.AppendPath(prim)).GetPrim()
+            scope.CreateAttribute(attribute, Sdf.ValueTypeNames.Float, custom=True).Set(0.0)
         extent = UsdGeom.BBoxCache(Usd.TimeCode.Default(), [UsdGeom.Tokens.default_])
         box = extent.ComputeUntransformedBound(root.GetPrim()).ComputeAlignedRange()
         root.CreateExtentAttr([Gf.Vec3f(box.GetMin()), Gf.Vec3f(box.GetMax())])
 
 
-def _define_skeleton(stage: Usd.Stage, root: Sdf.Path) -> UsdSkel.Skeleton:
+def _define_skeleton(stage: Usd.Stage, root: Sdf.Path, controls: RigControls) -> UsdSkel.Skeleton:
     UsdGeom.Scope.Define(stage, root.AppendChild("rig"))
     skeleton = UsdSkel.Skeleton.Define(stage, root.AppendPath("rig/skeleton"))
-    # Some DCCs skip a skeleton without joints, and the shapes with it.
-    skeleton.CreateJointsAttr(["head"])
-    skeleton.CreateBindTransformsAttr([Gf.Matrix4d(1)])
-    skeleton.CreateRestTransformsAttr([Gf.Matrix4d(1)])
+    places = controls.places / MM_PER_STAGE_UNIT
+    skeleton.CreateJointsAttr(list(controls.joints))
+    skeleton.CreateBindTransformsAttr([_moved(place) for place in places])
+    skeleton.CreateRestTransformsAttr([_moved(p) for p in from_parents(controls.joints, places)])
     UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
     return skeleton
 
@@ -66,8 +98,6 @@ def _define_mesh(stage: Usd.Stage, mesh: RigMesh, skeleton: UsdSkel.Skeleton, ri
         geometry.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     binding = UsdSkel.BindingAPI.Apply(geometry.GetPrim())
     binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
-    binding.CreateJointIndicesPrimvar(constant=True, elementSize=1).Set([0])
-    binding.CreateJointWeightsPrimvar(constant=True, elementSize=1).Set([1.0])
     binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1))
     targets = []
     for shape in mesh.shapes:
@@ -83,6 +113,34 @@ def _define_mesh(stage: Usd.Stage, mesh: RigMesh, skeleton: UsdSkel.Skeleton, ri
     if targets:
         binding.CreateBlendShapesAttr([shape.name for shape in mesh.shapes])
         binding.CreateBlendShapeTargetsRel().SetTargets(targets)
+
+
+def from_parents(joints: tuple[str, ...], places: FloatArray) -> FloatArray:
+    """Return where joints are from their parents: (joints, 3), in the unit of places."""
+    own = places.copy()
+    for row, joint in enumerate(joints):
+        parent = joint.rpartition("/")[0]
+        if parent:
+            own[row] -= places[joints.index(parent)]
+    return own
+
+
+def _moved(place: FloatArray) -> Gf.Matrix4d:
+    return Gf.Matrix4d().SetTranslate(Gf.Vec3d(*place.tolist()))
+
+
+def _bind_joints(stage: Usd.Stage, mesh: RigMesh, controls: RigControls) -> None:
+    binding = UsdSkel.BindingAPI(stage.GetPrimAtPath(mesh.path))
+    if mesh.path not in controls.influences:
+        binding.CreateJointIndicesPrimvar(constant=True, elementSize=1).Set([0])
+        binding.CreateJointWeightsPrimvar(constant=True, elementSize=1).Set([1.0])
+        return
+    joints, shares = controls.influences[mesh.path]
+    size = joints.shape[1]
+    indices = binding.CreateJointIndicesPrimvar(constant=False, elementSize=size)
+    indices.Set(_integers(joints.ravel()))
+    weights = binding.CreateJointWeightsPrimvar(constant=False, elementSize=size)
+    weights.Set(shares.ravel().tolist())
 
 
 def _define_keys(target: UsdSkel.BlendShape, keys: tuple[ShapeKey, ...]) -> None:

@@ -10,10 +10,9 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 from scipy.spatial.transform import Rotation
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.core.controls import Controls
 from usdface.demo.head import DemoHead, HeadPart
@@ -21,9 +20,9 @@ from usdface.demo.rig import make_head, mesh_points, rig_from_head
 from usdface.demo.sculpt import CHARACTER
 from usdface.model.retarget.shape_names import motion_and_side
 from usdface.usdio.rig.read import read_rig
-from usdface.usdio.rig.write import write_rig
+from usdface.usdio.rig.write import RigControls, from_parents, write_rig
 
-SHAPES = {
+DOG_SHAPES = {
     "jawDrop": "jawOpen",
     "jawThrust": "jawForward",
     "jawSideL": "jawLeft",
@@ -66,24 +65,24 @@ JOINTS = (
     "head/crown",
 )
 
-PLACES_MM = (
-    (0, 0, 0),
-    (62, 62, -16),
-    (80, 118, -18),
-    (-62, 62, -16),
-    (-80, 118, -18),
-    (0, -45, 85),
-    (0, -30, 165),
-    (0, 95, -10),
+PLACES_MM = np.array(
+    [
+        [0.0, 0.0, 0.0],
+        [62.0, 62.0, -16.0],
+        [80.0, 118.0, -18.0],
+        [-62.0, 62.0, -16.0],
+        [-80.0, 118.0, -18.0],
+        [0.0, -45.0, 85.0],
+        [0.0, -30.0, 165.0],
+        [0.0, 95.0, -10.0],
+    ]
 )
-"""Where the joints are."""
+"""Where the joints are [mm]."""
 
 LATTICE = tuple(
     f"dfm:point{row}{column}:{axis}" for row in range(3) for column in range(4) for axis in "xyz"
 )
-ATTRIBUTES = tuple(f"rig/lattice.{name}" for name in LATTICE)
-
-PAIRS = 34
+DOG_ATTRIBUTES = tuple(f"rig/lattice.{name}" for name in LATTICE)
 
 
 def warp_to_dog(points: FloatArray) -> FloatArray:
@@ -115,52 +114,32 @@ def dog_rig() -> Rig:
     return Rig(
         file=Path(),
         prim="/dog",
-        shapes=tuple(SHAPES),
+        shapes=tuple(DOG_SHAPES),
         meshes=meshes,
-        ranges=np.tile([0.0, 1.0], (len(SHAPES), 1)),
+        ranges=np.tile([0.0, 1.0], (len(DOG_SHAPES), 1)),
     )
 
 
 def write_dog(path: Path) -> Rig:
     """Write the dog with its joints and controls, and read it back."""
     rig = dog_rig()
-    write_rig(path, rig)
-    stage = Usd.Stage.Open(str(path))
-    skeleton = UsdSkel.Skeleton.Get(stage, "/dog/rig/skeleton")
-    places = 0.1 * np.array(PLACES_MM, float)
-    parents = [JOINTS.index(joint.rpartition("/")[0]) if "/" in joint else -1 for joint in JOINTS]
-    bind = [Gf.Matrix4d().SetTranslate(Gf.Vec3d(*place)) for place in places]
-    rest = [
-        Gf.Matrix4d().SetTranslate(Gf.Vec3d(*(place - (places[up] if up >= 0 else 0))))
-        for place, up in zip(places, parents, strict=True)
-    ]
-    skeleton.GetJointsAttr().Set(list(JOINTS))
-    skeleton.GetBindTransformsAttr().Set(bind)
-    skeleton.GetRestTransformsAttr().Set(rest)
-    for mesh in rig.meshes:
-        binding = UsdSkel.BindingAPI(stage.GetPrimAtPath(mesh.path))
-        skin = mesh.path.endswith("/skin")
-        of_ear = (
-            _human().parts[mesh_points(_human())["skin"]] == int(HeadPart.EARS) if skin else False
-        )
-        owner, share = _influences(mesh.points, of_ear)
-        binding.GetJointIndicesPrimvar().GetAttr().Clear()
-        binding.CreateJointIndicesPrimvar(constant=False, elementSize=3).Set(owner.ravel().tolist())
-        binding.CreateJointWeightsPrimvar(constant=False, elementSize=3).Set(share.ravel().tolist())
-    lattice = UsdGeom.Scope.Define(stage, "/dog/rig/lattice").GetPrim()
-    for number, name in enumerate(LATTICE):
-        kind = (Sdf.ValueTypeNames.Float, Sdf.ValueTypeNames.Double)[number % 2]
-        lattice.CreateAttribute(name, kind).Set(0.0)
-    stage.GetRootLayer().Save()
+    head = _human()
+    ears = head.parts[mesh_points(head)["skin"]] == int(HeadPart.EARS)
+    influences = {
+        mesh.path: _influences(mesh.points, ears)
+        for mesh in rig.meshes
+        if mesh.path.endswith("/skin")
+    }
+    write_rig(path, rig, controls=RigControls(JOINTS, PLACES_MM, influences, DOG_ATTRIBUTES))
     return read_rig(path)
 
 
 def expressions(names: tuple[str, ...]) -> tuple[tuple[str, ...], FloatArray]:
     """Return 34 source expressions by name: rest, what the dog can do, and four moods."""
-    wanted = [motion_and_side(shape) for shape in SHAPES.values()]
+    wanted = [motion_and_side(shape) for shape in DOG_SHAPES.values()]
     singles = [[name for name in names if motion_and_side(name) == each] for each in wanted]
-    singles[list(SHAPES).index("innerBrowRaiser")] = _of(names, "browinnerup")
-    singles[list(SHAPES).index("cheekPuff")] = _of(names, "cheekpuff")
+    singles[list(DOG_SHAPES).index("innerBrowRaiser")] = _of(names, "browinnerup")
+    singles[list(DOG_SHAPES).index("cheekPuff")] = _of(names, "cheekpuff")
     moods = {
         "joy": {"mouthsmile": 0.9, "cheeksquint": 0.7, "eyesquint": 0.4, "jawopen": 0.3},
         "anger": {"browdown": 1.0, "nosesneer": 0.7, "mouthupperup": 0.6, "eyesquint": 0.5},
@@ -176,21 +155,24 @@ def expressions(names: tuple[str, ...]) -> tuple[tuple[str, ...], FloatArray]:
         for motion, weight in mood.items():
             row[np.isin(names, _of(names, motion))] = weight
         rows.append(row)
-    return ("rest", *SHAPES, *moods), np.array(rows)
+    return ("rest", *DOG_SHAPES, *moods), np.array(rows)
 
 
 def act(names: tuple[str, ...], weights: FloatArray) -> Controls:
     """Return what the dog should do for source weights: the truth that pairs are keyed from."""
     shapes = np.stack(
-        [weights[:, np.isin(names, _like(names, human))].sum(axis=1) for human in SHAPES.values()],
+        [
+            weights[:, np.isin(names, _like(names, human))].sum(axis=1)
+            for human in DOG_SHAPES.values()
+        ],
         axis=1,
     )
-    shapes /= np.maximum([len(_like(names, human)) for human in SHAPES.values()], 1)
+    shapes /= np.maximum([len(_like(names, human)) for human in DOG_SHAPES.values()], 1)
     bent = 1.1 * np.tanh(1.6 * shapes) / np.tanh(1.6)  # a cartoon's early, strong onset
 
     def level(*motions: str) -> FloatArray:
         found = [weights[:, np.isin(names, _of(names, motion))] for motion in motions]
-        return np.concatenate(found, axis=1).mean(axis=1)
+        return np.asarray(np.concatenate(found, axis=1).mean(axis=1))
 
     anger, up, joy = (
         level("browdown", "nosesneer"),
@@ -207,15 +189,11 @@ def act(names: tuple[str, ...], weights: FloatArray) -> Controls:
     turns[:, 6, 0] = 0.2 * level("nosesneer")
     lengths = np.zeros((len(weights), len(JOINTS), 3))
     lengths[:, 7, 1] = 0.8 * up
-    places = 0.1 * np.array(PLACES_MM, float)
-    parents = [JOINTS.index(j.rpartition("/")[0]) if "/" in j else -1 for j in JOINTS]
-    rest = np.array(
-        [p - (places[u] if u >= 0 else 0) for p, u in zip(places, parents, strict=True)]
-    )
+    rest = 0.1 * from_parents(JOINTS, PLACES_MM)  # in the rig's unit
     rng = np.random.default_rng(7)
-    mix = rng.normal(0, 0.5, (shapes.shape[1], len(ATTRIBUTES)))
+    mix = rng.normal(0, 0.5, (shapes.shape[1], len(DOG_ATTRIBUTES)))
     return Controls(
-        shapes=tuple(SHAPES),
+        shapes=tuple(DOG_SHAPES),
         weights=np.clip(bent, 0.0, 1.0),
         joints=JOINTS,
         translations=rest + lengths,
@@ -223,7 +201,7 @@ def act(names: tuple[str, ...], weights: FloatArray) -> Controls:
         .as_quat(scalar_first=True)
         .reshape(*turns.shape[:2], 4),
         scales=1.0 + 0.15 * np.repeat(up[:, None, None], len(JOINTS), axis=1) * [0, 1, 0],
-        attributes=ATTRIBUTES,
+        attributes=DOG_ATTRIBUTES,
         values=np.tanh(shapes @ mix) + 0.2 * shapes**2 @ mix,
     )
 
@@ -241,16 +219,16 @@ def _like(names: tuple[str, ...], human: str) -> list[str]:
     ]
 
 
-def _dog_mesh(mesh: RigMesh, parts: FloatArray) -> RigMesh:
+def _dog_mesh(mesh: RigMesh, parts: IntArray) -> RigMesh:
     name = mesh.path.rpartition("/")[2]
     ears = parts == int(HeadPart.EARS)
 
-    def place(points: FloatArray, chosen: FloatArray) -> FloatArray:
+    def place(points: FloatArray, chosen: IntArray) -> FloatArray:
         moved = warp_to_dog(points)
         return np.where(ears[chosen][:, None], _ear(points), moved)
 
-    every = np.arange(len(mesh.points))
-    human = {human: dog for dog, human in SHAPES.items()}
+    every = np.arange(len(mesh.points), dtype=np.int64)
+    human = {human: dog for dog, human in DOG_SHAPES.items()}
     shapes = []
     for shape in mesh.shapes:
         if shape.name not in human:
@@ -283,12 +261,11 @@ def _ear(points: FloatArray) -> FloatArray:
     middle = np.array([74.0, -8.0, -14.0])
     own = (points * np.r_[1.0, 1.0, 1.0] - side * middle * [1, 0, 0]) - middle * [0, 1, 1]
     grown = own * [1.3, 2.2, 1.6]
-    return grown + np.concatenate(
-        [side * 66.0, np.full_like(side, 88.0), np.full_like(side, -14.0)], 1
-    )
+    place = [side * 66.0, np.full_like(side, 88.0), np.full_like(side, -14.0)]
+    return np.asarray(grown + np.concatenate(place, 1))
 
 
-def _coat(points: FloatArray, colors: FloatArray, ears: FloatArray) -> FloatArray:
+def _coat(points: FloatArray, colors: FloatArray, ears: BoolArray) -> FloatArray:
     """Brown fur, a paler muzzle and a black nose."""
     brown, pale = np.array([0.30, 0.17, 0.08]), np.array([0.62, 0.47, 0.32])
     muzzle = np.clip((points[:, 2] - 75.0) / 45.0, 0, 1)[:, None]
@@ -297,12 +274,12 @@ def _coat(points: FloatArray, colors: FloatArray, ears: FloatArray) -> FloatArra
     nose = np.linalg.norm(points - np.array([0.0, -26.0, 172.0]), axis=1) < 17.0
     coat[nose] = 0.03
     coat[ears] *= 0.6
-    return np.clip(coat, 0, 1)
+    return np.asarray(np.clip(coat, 0, 1))
 
 
-def _influences(points: FloatArray, of_ear: np.ndarray | bool) -> tuple[np.ndarray, FloatArray]:
+def _influences(points: FloatArray, of_ear: BoolArray) -> tuple[IntArray, FloatArray]:
     """Return three joints for each point and their shares: the ears bend, the rest follows."""
-    owner = np.zeros((len(points), 3), int)
+    owner = np.zeros((len(points), 3), np.int64)
     share = np.zeros((len(points), 3))
     share[:, 0] = 1.0
     for side, joint in ((1, 1), (-1, 3)):

@@ -1,0 +1,182 @@
+"""The demo of retargeting: a human performance on a dog, and the dog's own timing (S11)."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray, columns_by_name
+from usdface.core.assets import Rig
+from usdface.core.controls import Controls
+from usdface.core.progress import Progress, part, silent
+from usdface.demo.acting import performance
+from usdface.demo.dog import DOG_ATTRIBUTES, act, expressions, write_dog
+from usdface.demo.job import make_folder
+from usdface.demo.rig import demo_rig
+from usdface.runner.job import run_job
+from usdface.runner.outputs import confine
+from usdface.runner.result import StepResult
+from usdface.specs.job import JobSpec
+from usdface.specs.reading import read_job, spec_text
+from usdface.specs.retarget import (
+    CyclicSpec,
+    FindSequencesSpec,
+    MakeSequenceSpec,
+    PairsImportSpec,
+    RetargetSpec,
+    TrainRetargetSpec,
+    WarpSpec,
+)
+from usdface.specs.review import FacesSpec
+from usdface.usdio.performance.weights_layer import make_header
+from usdface.usdio.performance.write import writing_performance
+from usdface.usdio.retarget.control_performance import writing_control_performance
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.write import write_rig
+
+DOG_JOB_NAME = "dog.job.yaml"
+
+_STEP_FRAMES = 4
+"""Of the performance's 120 frames a second, every so many: 30 a second are enough to animate on."""
+
+_SMILE = range(118, 158)
+"""Frames of the human that the dog's own animation replaces: the mood turns to happiness."""
+_DOG_FRAMES = 60
+"""Of that animation: the dog takes longer."""
+
+_HEADER = """\
+# From a human face to a dog: run it with `usdface run`, look it over with `usdface check`.
+# Pairs, regression, performance, the dog's own happiness in place of the actor's, round-trip error.
+"""
+
+
+def run_dog_demo(folder: Path, *, progress: Progress = silent) -> StepResult:
+    """Make both characters, pairs and a sequence in a folder, and run the job.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be made or written, or holds something else.
+    """
+    confine("demo", writes=[folder])
+    job_file = folder / DOG_JOB_NAME
+    make_folder(folder, job_file)
+    write_dog_inputs(folder, progress=part(progress, 0.0, 0.3))
+    job = dog_job()
+    job_file.write_text(_HEADER + spec_text(job, job_file), encoding="utf-8")
+    reports = run_job(read_job(job_file), progress=part(progress, 0.3, 1.0))
+    outputs = tuple(dict.fromkeys(path for report in reports for path in report.outputs))
+    trained = next(report for report in reports if report.figures.get("scores"))
+    return StepResult(
+        (job_file, *outputs),
+        trained.summary,
+        (
+            f"look at {folder / 'talk.faces.jpg'}, {folder / 'talk.cyclic.jpg'} and "
+            f"{folder / 'talk.warp.jpg'}; open {folder / 'talk.warped.usda'} in a USD viewer",
+            f"change {job_file} and run it again: usdface run {job_file}",
+        ),
+        {"job": str(job_file), **trained.figures},
+    )
+
+
+def write_dog_inputs(folder: Path, *, progress: Progress = silent) -> None:
+    """Write a human and a dog, the human's performance, 34 pairs of poses, and the dog's smile."""
+    progress(0.0, "sculpting the human")
+    write_rig(folder / "human.usdc", demo_rig())
+    human = read_rig(folder / "human.usdc")
+    progress(0.4, "sculpting the dog")
+    dog = write_dog(folder / "dog.usdc")
+    clip = performance().weights
+    weights = columns_by_name(clip.values[::_STEP_FRAMES], clip.names, human.shapes).astype(
+        np.float64
+    )
+    _write_human(folder / "talk.human.usda", human, weights)
+    progress(0.8, "posing both")
+    _, poses = expressions(human.shapes)
+    _write_human(folder / "human_poses.usda", human, poses)
+    _write_dog(folder / "dog_poses.usda", dog, act(human.shapes, poses))
+    _write_dog(folder / "dog_smile.usda", dog, _dog_smile(human, weights))
+    progress(1.0, "posed both")
+
+
+def _dog_smile(human: Rig, weights: FloatArray) -> Controls:
+    """Return the dog's own happiness: it winces first, overshoots, and settles where the actor is.
+
+    Its ends are what the actor does there, so that the performance passes into it.
+    """
+    first, last = weights[_SMILE.start - 1], weights[_SMILE.stop - 2]
+    peak = np.zeros_like(first)
+    for name, weight in (
+        ("mouthSmileLeft", 1.0),
+        ("mouthSmileRight", 1.0),
+        ("browInnerUp", 1.0),
+        ("browOuterUpLeft", 1.0),
+        ("browOuterUpRight", 1.0),
+        ("jawOpen", 0.6),
+    ):
+        peak[human.shapes.index(name)] = weight
+    wince = first.copy()
+    for name in ("browDownLeft", "browDownRight", "eyeSquintLeft", "eyeSquintRight"):
+        wince[human.shapes.index(name)] = 0.7
+    keys, times = np.stack([first, wince, peak, 0.7 * peak, last]), np.array([0, 12, 24, 36, 59])
+    frames = np.arange(_DOG_FRAMES)
+    curves = [np.interp(frames, times, column) for column in keys.T]
+    return act(human.shapes, np.stack(curves, axis=1))
+
+
+def _write_human(path: Path, rig: Rig, weights: FloatArray) -> None:
+    header = make_header(
+        rig, shape_names=rig.shapes, rate=Fraction(30), first_frame=1, last_frame=len(weights)
+    )
+    with writing_performance(path, header, rig) as writer:
+        writer.append(weights)
+
+
+def _write_dog(path: Path, rig: Rig, controls: Controls) -> None:
+    header = make_header(
+        rig, shape_names=controls.shapes, rate=Fraction(30), first_frame=1, last_frame=len(controls)
+    )
+    with writing_control_performance(
+        path, header, rig, joints=controls.joints, attributes=controls.attributes
+    ) as writer:
+        writer.append(controls)
+
+
+def dog_job() -> JobSpec:
+    """Return the job, its paths relative to the folder."""
+    human, talk, dog = Path("human.usdc"), Path("talk.human.usda"), Path("talk.dog.usda")
+    pairs, trained = Path("human_dog.pairs.usda"), Path("human_dog.retarget.usdc")
+    smile, matches = Path("smile.sequence.usda"), Path("talk.matches.usda")
+    warped = Path("talk.warped.usda")
+    return JobSpec(
+        job="dog",
+        steps=(
+            PairsImportSpec(
+                source=Path("human_poses.usda"),
+                target=Path("dog_poses.usda"),
+                source_rig=human,
+                target_rig=Path("dog.usdc"),
+                attributes=("rig/lattice.*",),
+                out=pairs,
+            ),
+            TrainRetargetSpec(pairs=pairs, source=talk, out=trained),
+            RetargetSpec(source=talk, retargeting=(trained,), out=(dog,)),
+            MakeSequenceSpec(
+                source=talk,
+                source_frames=f"{_SMILE.start}-{_SMILE.stop - 1}",
+                target=Path("dog_smile.usda"),
+                attributes=DOG_ATTRIBUTES,
+                label="happiness",
+                out=smile,
+            ),
+            FindSequencesSpec(source=talk, sequence=(smile,), out=matches),
+            WarpSpec(performance=dog, matches=matches, out=warped, curves=Path("talk.warp.jpg")),
+            CyclicSpec(
+                pairs=pairs,
+                source=talk,
+                every=5,
+                out=(Path("talk.cyclic.json"), Path("talk.cyclic.jpg")),
+            ),
+            FacesSpec(performances=(talk, dog, warped), out=Path("talk.faces.jpg"), rows=6),
+        ),
+    )
