@@ -9,16 +9,16 @@ import time
 import numpy as np
 
 from tests.conftest import SHARED_DATA
-from tests.dog_rig import act, dog_rig, expressions
 from usdface.capture.sniff import read_capture
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.controls import ExpressionPairs, bare_controls
 from usdface.demo.acting import performance
+from usdface.demo.dog import act, dog_rig, expressions
 from usdface.demo.rig import demo_rig
 from usdface.demo.sculpt import ACTOR
 from usdface.model.retarget.control_space import find_pair_conflicts
-from usdface.model.retarget.cyclic import evaluate_cyclic, spread_displacements
+from usdface.model.retarget.cyclic import CyclicVariant, evaluate_cyclic, spread_displacements
 from usdface.model.retarget.name_matching import match_names
 from usdface.model.retarget.train import retarget, train_retargeting
 from usdface.usdio.rig.read import read_rig
@@ -49,6 +49,10 @@ def run() -> None:
     torn = _contradicted(pairs)
     label = f"dog, {len(find_pair_conflicts(torn))} conflicts added"
     _table(label, torn, source, dog, weights * used, shown)
+    _table(f"{label}, as published", torn, source, dog, weights * used, shown, published=True)
+    winner = ExpressionPairs(names, source.shapes, poses, act(source.shapes, strongest(poses)))
+    apart = act(source.shapes, strongest(weights[::EVERY] * used)).weights
+    _table("dog that does one thing at a time", winner, source, dog, weights * used, apart)
     _blind(pairs, source, weights * used)
     _speed(pairs, weights)
 
@@ -83,6 +87,12 @@ def _named_pairs(source: Rig, target: Rig) -> ExpressionPairs:
     return ExpressionPairs(labels, source.shapes, left, bare_controls(target.shapes, right))
 
 
+def strongest(weights: FloatArray) -> FloatArray:
+    """Return weights of which the strongest suppress the others: no sum over shapes."""
+    most = np.maximum(weights.max(axis=1, keepdims=True), 1e-9)
+    return weights * (weights / most) ** 2
+
+
 def _contradicted(pairs: ExpressionPairs) -> ExpressionPairs:
     """Add six pairs almost like others, with other targets: what a tired animator leaves."""
     again = np.array([1, 5, 12, 18, 24, 30])
@@ -102,14 +112,16 @@ def _table(
     target: Rig,
     weights: FloatArray,
     truth: FloatArray | None = None,
+    *,
+    published: bool = False,
 ) -> None:
     found = evaluate_cyclic(
         pairs,
         weights[::EVERY],
-        methods=METHODS,
+        methods=("rbf", "kernel_cca", "hybrid") if published else METHODS,
         rig=source,
         target_rig=target,
-        truth=truth,
+        variant=CyclicVariant(truth=truth, published=published),
     )
     for each in found:
         errors = each.mean_vertex_mm
