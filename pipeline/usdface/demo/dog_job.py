@@ -4,6 +4,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from usdface.core.arrays import FloatArray, columns_by_name
 from usdface.core.assets import Rig
@@ -39,9 +40,9 @@ DOG_JOB_NAME = "dog.job.yaml"
 _STEP_FRAMES = 4
 """Of the performance's 120 frames a second, every so many: 30 a second are enough to animate on."""
 
-_SMILE = range(118, 158)
+_SMILE = range(121, 156)
 """Frames of the human that the dog's own animation replaces: the mood turns to happiness."""
-_DOG_FRAMES = 60
+_DOG_FRAMES = 56
 """Of that animation: the dog takes longer."""
 
 _HEADER = """\
@@ -104,7 +105,8 @@ def _dog_smile(human: Rig, weights: FloatArray) -> Controls:
 
     Its ends are what the actor does there, so that the performance passes into it.
     """
-    first, last = weights[_SMILE.start - 1], weights[_SMILE.stop - 2]
+    start = _SMILE.start - 1
+    first, last = weights[start], weights[start + _DOG_FRAMES - 1]
     peak = np.zeros_like(first)
     for name, weight in (
         ("mouthSmileLeft", 1.0),
@@ -118,10 +120,9 @@ def _dog_smile(human: Rig, weights: FloatArray) -> Controls:
     wince = first.copy()
     for name in ("browDownLeft", "browDownRight", "eyeSquintLeft", "eyeSquintRight"):
         wince[human.shapes.index(name)] = 0.7
-    keys, times = np.stack([first, wince, peak, 0.7 * peak, last]), np.array([0, 12, 24, 36, 59])
-    frames = np.arange(_DOG_FRAMES)
-    curves = [np.interp(frames, times, column) for column in keys.T]
-    return act(human.shapes, np.stack(curves, axis=1))
+    times = np.array([0, 11, 23, 34, _DOG_FRAMES - 1])
+    keys = np.stack([first, wince, peak, 0.7 * peak, last])
+    return act(human.shapes, PchipInterpolator(times, keys)(np.arange(_DOG_FRAMES)))
 
 
 def _write_human(path: Path, rig: Rig, weights: FloatArray) -> None:
