@@ -26,7 +26,7 @@ def test_the_page_about_retargeting_runs(tmp_path: Path, monkeypatch, capsys) ->
     write_creature_performance(Path("dog_poses.usda"), dog, creature_acts(poses))
     write_creature_performance(Path("dog_surprise.usda"), dog, creature_acts(human_moves(50)))
     lines = commands(REPOSITORY / "docs" / "retarget.md")
-    assert len(lines) == 11
+    assert len(lines) == 12
     for line in lines:
         code = run(line)
         if "--source-rig human.usda --rig" in line:

@@ -116,9 +116,7 @@ def _surface_target(
     """Return a target whose surface is matched with the source's."""
     source = read_rig(source_rig)
     transfer, notes = source_transfer(spec.source, motion, source.shapes, spec.names)
-    both = correspond(source, rig)
-    apart = f"the faces, laid on each other, are {both.residual_mm:.1f} mm apart"
-    return _Target(rig, None, transfer, (*notes, apart), both)
+    return _Target(rig, None, transfer, notes, correspond(source, rig))
 
 
 def _target(spec: RetargetSpec, index: int, motion: SourceMotion) -> _Target:
