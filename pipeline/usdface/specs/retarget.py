@@ -120,8 +120,8 @@ class TrainRetargetSpec(Spec):
     --alpha` varies it over time."""
     published: bool = False
     """With `kernel_cca` or `hybrid`: plain least squares from one reduced expression to the other,
-    over few components, as published. By default these lines are penalised as the components are,
-    which follows contradictory pairs less."""
+    over few components, as published. By default the lines are over all components, and penalised
+    as these are."""
 
     @model_validator(mode="after")
     def _options_of_the_method(self) -> Self:

@@ -89,7 +89,7 @@ def _motions(
     moved: dict[tuple[str, str], FloatArray] = {}
     weighted: dict[tuple[str, str], FloatArray] = {}
     total: dict[tuple[str, str], float] = {}
-    meanings = read_meanings(rig.shapes)
+    meanings = read_meanings(list({s.name: s for mesh in rig.meshes for s in mesh.shapes}))
     for mesh in rig.meshes:
         for shape in mesh.shapes:
             meant, full = meanings[shape.name], shape.keys[-1]
