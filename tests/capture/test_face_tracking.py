@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.capture.simulated_faces import SimulatedFinder, turning_head
-from usdface.capture.face_landmarker import FaceLandmarker, check_model
+from usdface.capture.face_landmarker import FaceLandmarker, check_model, named_model
 from usdface.capture.face_landmarks import LANDMARK_COUNT, LANDMARKS
 from usdface.capture.face_tracking import FaceFollower
 from usdface.core.errors import InputError
@@ -104,10 +104,6 @@ def test_a_model_that_is_none_is_refused_with_what_it_must_be(tmp_path: Path) ->
     damaged.write_bytes(whole.read_bytes().replace(b"x" * 2000, b"x" * 1999 + b"y", 1))
     other = bundle(tmp_path / "hand.task", "hand_detector.tflite")
     for path, message in (
-        (
-            None,
-            r"no model is named: .*face_landmarker\.task \(3\.8 MB, Apache 2\.0.*USDFACE_FACE_M",
-        ),
         (tmp_path / "none.task", r"none\.task: no such file; .* --model"),
         (cut, r"cut\.task: is no model bundle, or is cut short \(3000 bytes"),
         (damaged, r"face_detector\.tflite in it is damaged"),
@@ -115,6 +111,16 @@ def test_a_model_that_is_none_is_refused_with_what_it_must_be(tmp_path: Path) ->
     ):
         with pytest.raises(InputError, match=message):
             check_model(path)
+
+
+def test_the_model_is_named_by_the_user_or_his_environment(monkeypatch) -> None:
+    monkeypatch.setenv("USDFACE_FACE_MODEL", "models/face.task")
+    assert named_model(None) == Path("models/face.task")
+    assert named_model(Path("own.task")) == Path("own.task")
+    monkeypatch.delenv("USDFACE_FACE_MODEL")
+    wanted = r"no model is named: .*face_landmarker\.task \(3\.8 MB, Apache 2\.0.*_FACE_MODEL"
+    with pytest.raises(InputError, match=wanted):
+        named_model(None)
 
 
 def test_without_the_extra_its_name_and_size_are_said(tmp_path: Path, monkeypatch) -> None:

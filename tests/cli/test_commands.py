@@ -238,3 +238,17 @@ def test_a_name_that_nothing_could_refer_to_is_refused(
     assert run("ingest", "a.csv", "--out", name.replace(".usda", ".take.usda")) == 2
     assert reason in capsys.readouterr().err
     assert [each.name for each in tmp_path.iterdir()] == ["a.csv"]
+
+
+def test_a_demo_from_video_needs_a_model_before_anything_is_made(
+    tmp_path: Path, monkeypatch, capsys
+) -> None:
+    monkeypatch.delenv("USDFACE_FACE_MODEL", raising=False)
+    out = tmp_path / "demo"
+    assert run("demo", "--from", "video", "--out", str(out)) == 2
+    assert "no model is named" in capsys.readouterr().err
+    assert run("demo", "--model", "x.task", "--out", str(out)) == 2
+    assert "--model is of --from video" in capsys.readouterr().err
+    assert run("demo", "--from", "video", "--model", "x.task", "--out", str(out)) == 2
+    assert "x.task: no such file" in capsys.readouterr().err
+    assert not out.exists()

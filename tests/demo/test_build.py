@@ -9,6 +9,7 @@ import pytest
 
 from usdface.capture.c3d import read_c3d_take
 from usdface.capture.marker_take import CaptureOptions
+from usdface.core.assets import WeightsClip
 from usdface.demo.acting import ActedPerformance
 from usdface.demo.build import (
     OFFSET_SECONDS,
@@ -16,6 +17,7 @@ from usdface.demo.build import (
     VIDEO_RATE,
     DemoInputs,
     Studio,
+    weights_on_video,
     write_demo_inputs,
 )
 from usdface.demo.capture import ActorFace, head_poses
@@ -88,3 +90,14 @@ def test_the_clip_runs_ahead_of_the_capture_by_its_offset(inputs: DemoInputs) ->
     loud = np.convolve(sound.astype(float) ** 2, np.ones(320) / 320, mode="same")
     heard = np.flatnonzero(loud > 0.05 * loud.max())[0] / 16000
     assert abs(heard + OFFSET_SECONDS - first.start) < 0.12
+
+
+def test_keys_on_the_clip_are_those_of_the_moment_it_shows() -> None:
+    """The camera ran before the capture did: its first frames show nothing that was keyed."""
+    times = np.arange(1800)[:, None] / 120
+    truth = WeightsClip(("jawOpen",), times.astype(np.float32), 1, Fraction(120))
+    keys = weights_on_video(truth)
+    assert keys.rate == VIDEO_RATE
+    shown = (np.arange(len(keys.values)) + keys.first_frame - 1) / float(VIDEO_RATE)
+    np.testing.assert_allclose(keys.values[:, 0], shown + OFFSET_SECONDS, atol=1e-6)
+    assert 0 <= keys.values[0, 0] < 1 / VIDEO_RATE

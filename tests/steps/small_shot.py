@@ -7,7 +7,7 @@ import yaml
 
 from usdface.capture.c3d_write import write_c3d
 from usdface.demo.acting import performance
-from usdface.demo.build import _write_weights
+from usdface.demo.build import write_weights
 from usdface.demo.capture import demo_markers, simulate_capture
 from usdface.demo.rig import demo_rig, make_head
 from usdface.demo.sculpt import ACTOR
@@ -44,7 +44,7 @@ def make_inputs(folder: Path) -> Shot:
         rate=acted.weights.rate,
         first_frame=1,
     )
-    _write_weights(folder / "keys.csv", acted.weights, rig.shapes)
+    write_weights(folder / "keys.csv", acted.weights, rig.shapes)
     steps = [
         {
             "step": "ingest",

@@ -56,16 +56,28 @@ class FaceFinding:
     `FaceLandmarker.score_names`."""
 
 
-def check_model(path: Path | None) -> str:
+def named_model(path: Path | None) -> Path:
+    """Return the model that the user names, or else his environment.
+
+    Raises
+    ------
+    InputError
+        If neither does.
+    """
+    named = path or os.environ.get(MODEL_VARIABLE)
+    if not named:
+        raise InputError(f"no model is named: {MODEL_ADVICE}")
+    return Path(named)
+
+
+def check_model(path: Path) -> str:
     """Check that a file is a face landmark model, whole; return its SHA-256.
 
     Raises
     ------
     InputError
-        If no file is named, or it is missing, cut short, or a model of another task.
+        If it is missing, cut short, or a model of another task.
     """
-    if path is None:
-        raise InputError(f"no model is named: {MODEL_ADVICE}")
     if not path.is_file():
         raise InputError(f"{path}: no such file; {MODEL_ADVICE}")
     size = path.stat().st_size

@@ -439,6 +439,20 @@ def demo(
             "instead, and put its own animation in.",
         ),
     ] = False,
+    source: Annotated[
+        Literal["markers", "video"],
+        typer.Option(
+            "--from", help="`video` tracks the actor's face in the clip, and uses no markers."
+        ),
+    ] = "markers",
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            help="With --from video: the face landmark model of `usdface track`. Default: the "
+            "file that the environment variable USDFACE_FACE_MODEL names.",
+            show_default=False,
+        ),
+    ] = None,
     progress: ShowProgress = "auto",
     as_json: Json = False,
 ) -> None:
@@ -450,13 +464,23 @@ def demo(
 
     usdface demo --out demo
     """
-    if dog:
-        from usdface.demo.dog_job import run_dog_demo as run
-    else:
-        from usdface.demo.job import run_demo as run
+    if dog and (source == "video" or model is not None):
+        raise InputError("--dog retargets a performance, and tracks nothing; leave --from out")
+    if source == "markers" and model is not None:
+        raise InputError("--model is of --from video; leave it out")
+    if source == "video":
+        from usdface.capture.face_landmarker import named_model
 
+        model = named_model(model)
     with progress_listener(progress) as listener:
-        report = run(out_folder, progress=listener)
+        if dog:
+            from usdface.demo.dog_job import run_dog_demo
+
+            report = run_dog_demo(out_folder, progress=listener)
+        else:
+            from usdface.demo.job import run_demo
+
+            report = run_demo(out_folder, model=model, progress=listener)
     show_result(report, as_json=as_json)
 
 

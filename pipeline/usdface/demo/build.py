@@ -35,7 +35,16 @@ TAIL_SECONDS = 0.25
 """How long the camera went on after the capture."""
 
 _SAMPLE_RATE = 48000
-_CAMERA = Camera(eye=(190.0, 1512.0, 1290.0), target=(60.0, 1503.0, 150.0), fov_degrees=14.2)
+_FIELD_DEGREES = 14.2
+_CAMERA = Camera(
+    eye=(190.0, 1512.0, 1290.0), target=(60.0, 1503.0, 150.0), fov_degrees=_FIELD_DEGREES
+)
+
+
+FOCAL_LENGTH = float(
+    np.hypot(36.0, 24.0) / np.hypot(*SIZE) * SIZE[1] / 2 / np.tan(np.radians(_FIELD_DEGREES) / 2)
+)
+"""Of the camera's lens, as `track` takes it [mm of a 35 mm camera]."""
 
 
 class Studio:
@@ -47,11 +56,13 @@ class Studio:
         self._renderer = FaceRenderer(rig_from_head(light).meshes)
         self._order = np.concatenate(list(mesh_points(light).values()))
 
-    def film(self, pose: FloatArray, weights: FloatArray) -> ByteImage:
+    def film(
+        self, pose: FloatArray, weights: FloatArray, size: tuple[int, int] = SIZE
+    ) -> ByteImage:
         """Draw one picture: (4, 4) pose in the room, weights in `ActorFace`'s order."""
         points = self._face.pose(weights)[self._order] @ pose[:3, :3].T + pose[:3, 3]
         return self._renderer.render(
-            points, camera=_CAMERA, width=SIZE[0], height=SIZE[1], quality="draft"
+            points, camera=_CAMERA, width=size[0], height=size[1], quality="draft"
         )
 
 
@@ -205,7 +216,7 @@ def write_demo_inputs(folder: Path, *, workers: int = 2, progress: Progress = si
         first_frame=FIRST_FRAME,
     )
     weights_file = folder / "animator_weights.csv"
-    _write_weights(weights_file, acted.weights, character.shapes)
+    write_weights(weights_file, acted.weights, character.shapes)
     transcript_file = folder / "transcript.txt"
     transcript_file.write_text(acted.transcript + "\n", encoding="utf-8")
     video_file = folder / "actor.mp4"
@@ -225,7 +236,19 @@ def write_demo_inputs(folder: Path, *, workers: int = 2, progress: Progress = si
     )
 
 
-def _write_weights(path: Path, weights: WeightsClip, shapes: tuple[str, ...]) -> None:
+def weights_on_video(truth: WeightsClip) -> WeightsClip:
+    """Return the animator's weights at the clip's frames, numbered from 1."""
+    times = np.arange(int((DURATION_SECONDS - OFFSET_SECONDS) * VIDEO_RATE)) / float(VIDEO_RATE)
+    rows = (times + OFFSET_SECONDS) * float(truth.rate)
+    inside = (rows >= 0) & (rows <= len(truth.values) - 1)
+    first = int(np.argmax(inside))
+    taken = np.arange(len(truth.values))
+    columns = [np.interp(rows[inside], taken, column) for column in truth.values.T]
+    values = np.stack(columns, axis=1).astype(np.float32)
+    return WeightsClip(truth.names, values, first + 1, VIDEO_RATE)
+
+
+def write_weights(path: Path, weights: WeightsClip, shapes: tuple[str, ...]) -> None:
     """Write what an animator keys: every shape of the rig, those left alone at 0."""
     keyed = columns_by_name(weights.values, weights.names, shapes)
     with path.open("w", newline="", encoding="utf-8") as stream:

@@ -1,18 +1,27 @@
 """The demo: generate its inputs, write its job as a user would, and run it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from usdface.capture.face_landmarker import FaceLandmarker, check_model
 from usdface.core.arrays import FloatArray
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
-from usdface.demo.build import DemoInputs, write_demo_inputs
+from usdface.demo.build import (
+    FOCAL_LENGTH,
+    DemoInputs,
+    weights_on_video,
+    write_demo_inputs,
+    write_weights,
+)
+from usdface.demo.script import NEUTRAL_TIME
 from usdface.runner.job import run_job
 from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
-from usdface.specs.capture import CleanSpec, IngestSpec
+from usdface.specs.capture import CleanSpec, IngestSpec, TrackSpec
 from usdface.specs.job import JobSpec
 from usdface.specs.performance import MapSpec, TrainSpec
 from usdface.specs.reading import read_job, spec_text
@@ -30,13 +39,16 @@ INPUTS_SHARE = 0.4
 """How much of the demo's time its inputs take."""
 
 
-def run_demo(folder: Path, *, progress: Progress = silent) -> StepResult:
+def run_demo(folder: Path, *, model: Path | None = None, progress: Progress = silent) -> StepResult:
     """Make the demo in a folder, and say how large its error is.
 
     Parameters
     ----------
     folder : Path
         Made if it is not there. A demo that is there is brought up to date.
+    model : Path, optional
+        Face landmark model of `track`: the face is then tracked in the clip, and the markers of
+        the capture are not used.
 
     Raises
     ------
@@ -44,10 +56,19 @@ def run_demo(folder: Path, *, progress: Progress = silent) -> StepResult:
         If the folder cannot be made or written, or holds something else.
     """
     confine("demo", writes=[folder])
+    if model is not None:  # before two minutes of drawing
+        check_model(model)
+        with FaceLandmarker(model):
+            pass
     job_file = folder / JOB_NAME
     make_folder(folder, job_file)
     inputs = write_demo_inputs(folder, progress=part(progress, 0.0, INPUTS_SHARE))
-    job = _job(inputs, folder)
+    if model is not None:
+        truth = weights_on_video(inputs.truth)
+        keys = folder / "video_weights.csv"
+        write_weights(keys, truth, read_rig(inputs.rig).shapes)
+        inputs = replace(inputs, truth=truth, animator_weights=keys)
+    job = _job(inputs, folder, model)
     job_file.write_text(_HEADER + spec_text(job, job_file), encoding="utf-8")
     reports = run_job(read_job(job_file), progress=part(progress, INPUTS_SHARE, 1.0))
     error = _error_of_other_frames(inputs, folder)
@@ -96,7 +117,34 @@ def make_folder(folder: Path, job_file: Path) -> None:
         raise InputError(f"{folder}: is not empty and holds no demo; choose another --out")
 
 
-def _job(inputs: DemoInputs, folder: Path) -> JobSpec:
+def _take(inputs: DemoInputs, folder: Path, model: Path | None) -> IngestSpec | TrackSpec:
+    """Return the step that makes the take: of the actor's markers, or of his face in the clip."""
+    out, video = Path("demo.take.usda"), inputs.video.relative_to(folder)
+    if model is None:
+        return IngestSpec(
+            sources=(inputs.capture.relative_to(folder),),
+            out=out,
+            video=video,
+            video_offset=inputs.video_offset_seconds,
+            rigid=inputs.rigid_markers,
+            neutral=inputs.neutral_frame,
+            performer="the demo's actor",
+            timecode="01:00:00:00",
+        )
+    truth = inputs.truth
+    last = truth.first_frame + len(truth.values) - 1
+    return TrackSpec(
+        video=video,
+        out=out,
+        model=model.absolute(),
+        frames=f"{truth.first_frame}-{last}",
+        focal_length=FOCAL_LENGTH,
+        neutral=truth.first_frame + int(NEUTRAL_TIME * truth.rate),
+        performer="the demo's actor",
+    )
+
+
+def _job(inputs: DemoInputs, folder: Path, model: Path | None) -> JobSpec:
     """Return the job a user would have written, its paths relative to the folder."""
 
     def local(path: Path) -> Path:
@@ -109,23 +157,20 @@ def _job(inputs: DemoInputs, folder: Path) -> JobSpec:
     return JobSpec(
         job="demo",
         steps=(
-            IngestSpec(
-                sources=(local(inputs.capture),),
-                out=take,
-                video=local(inputs.video),
-                video_offset=inputs.video_offset_seconds,
-                rigid=inputs.rigid_markers,
-                neutral=inputs.neutral_frame,
-                performer="the demo's actor",
-                timecode="01:00:00:00",
-            ),
+            _take(inputs, folder, model),
             CleanSpec(take=take, out=clean),
             SelectSpec(takes=(clean,), rig=rig, out=references, count=_PAIR_COUNT),
             # In a studio an animator tunes the proposals; here the keys are known.
             ReferencesImportSpec(references=references, weights=local(inputs.animator_weights)),
             TrainSpec(references=references, out=mapping),
             # at 120 frames per second noise of the markers is quicker than any face
-            MapSpec(take=clean, mapping=mapping, rig=rig, out=performance, temporal="whole"),
+            MapSpec(
+                take=clean,
+                mapping=mapping,
+                rig=rig,
+                out=performance,
+                temporal="whole" if model is None else "none",
+            ),
             SheetSpec(
                 performance=performance,
                 take=clean,

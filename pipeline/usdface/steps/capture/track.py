@@ -1,9 +1,7 @@
 """A video in, a take of the face's landmarks out."""
 
-import os
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 
@@ -11,9 +9,9 @@ from usdface.capture.channel_take import fill_frames
 from usdface.capture.face_gaze import LOOK_SHAPES, GazeAngles, closed_eyes, gaze_angles
 from usdface.capture.face_landmarker import (
     KNOWN_MODELS,
-    MODEL_VARIABLE,
     FaceLandmarker,
     check_model,
+    named_model,
 )
 from usdface.capture.face_landmarks import LANDMARKS
 from usdface.capture.face_tracking import FaceFollower, FaceTrack
@@ -56,10 +54,8 @@ _PROFILE_SINE = 0.17
 
 def run(spec: TrackSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Track the face in a video and write a take."""
-    named = spec.model or os.environ.get(MODEL_VARIABLE)
-    model = None if named is None else Path(named)
+    model = named_model(spec.model)
     digest = check_model(model)
-    assert model is not None
     rate = None if spec.video_rate is None else exact_rate(spec.video_rate, where="--video-rate")
     with open_video(spec.video, rate) as video, FaceLandmarker(model) as landmarker:
         timing = _settle_timing(spec, video, rate)
