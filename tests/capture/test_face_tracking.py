@@ -58,6 +58,14 @@ def test_one_face_that_is_found_twice_is_one() -> None:
     assert follow(finder, 2).seen.all()
 
 
+def test_a_small_face_in_the_background_is_nobody() -> None:
+    def crowd(number: int):
+        return [turning_head(number, at=(-400, 200, -1500)), turning_head(number)]
+
+    track = follow(SimulatedFinder(crowd, focal_pixels=600), 3)
+    assert np.abs(track.positions[..., 0].mean(axis=1) - 320).max() < 20
+
+
 def test_the_mirror_image_takes_out_what_leans_to_one_side() -> None:
     """A model that puts all points too far to the right does so in the mirror as well."""
     plain = follow(SimulatedFinder(lambda n: [turning_head(n)], focal_pixels=600), 5)

@@ -14,6 +14,9 @@ FaceChoice = Literal["largest", "left", "right"]
 
 _SAME_FACE = 0.5
 """Of a face's breadth: two findings whose middles lie further apart are of two faces."""
+_BACKGROUND_SHARE = 0.5
+"""Of the breadth of the broadest face: who is twice as far from the camera is not who is filmed,
+and detectors take hair and patterns for small faces."""
 _DOUBTED_RATIO = 3.0
 """Times the median over the take: 1 in 500 differences of two Gaussian measurements in a plane
 (Rayleigh) is larger."""
@@ -150,11 +153,14 @@ class FaceFollower:
 
 
 def _distinct(faces: list[FaceFinding]) -> list[FaceFinding]:
-    """Leave out findings that lie on another: the detector finds some faces twice."""
+    """Leave out small findings, and those that lie on another: the detector finds some twice."""
     distinct: list[FaceFinding] = []
+    least = _BACKGROUND_SHARE * max((_breadth(face.landmarks) for face in faces), default=0.0)
     for face in faces:
         reach = _SAME_FACE * _breadth(face.landmarks)
-        if all(_distance(face.landmarks, other.landmarks) > reach for other in distinct):
+        if _breadth(face.landmarks) >= least and all(
+            _distance(face.landmarks, other.landmarks) > reach for other in distinct
+        ):
             distinct.append(face)
     return distinct
 

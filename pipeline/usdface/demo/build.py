@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import repeat
 from pathlib import Path
 
 import numpy as np
@@ -95,6 +96,7 @@ def write_clip(
     head: DemoHead,
     acted: ActedPerformance,
     *,
+    size: tuple[int, int] = SIZE,
     workers: int = 1,
     progress: Progress = silent,
 ) -> None:
@@ -104,6 +106,8 @@ def write_clip(
     ----------
     path : Path
         ``.mp4`` or another movie that `usdface.media.film.movie` writes.
+    size : tuple of int
+        Width and height [pixels].
     """
     rate = float(acted.weights.rate)
     count = int((DURATION_SECONDS + TAIL_SECONDS - OFFSET_SECONDS) * VIDEO_RATE)
@@ -120,7 +124,7 @@ def write_clip(
     sound = np.concatenate([lead, voice, tail]) + 6e-4 * room.astype(np.float32)
     write_movie(
         path,
-        _drawn(head, poses, ordered, workers=workers, progress=progress),
+        _drawn(head, poses, ordered, size=size, workers=workers, progress=progress),
         rate=VIDEO_RATE,
         audio=sound.astype(np.float32),
         sample_rate=_SAMPLE_RATE,
@@ -128,14 +132,24 @@ def write_clip(
 
 
 def _drawn(
-    head: DemoHead, poses: FloatArray, weights: FloatArray, *, workers: int, progress: Progress
+    head: DemoHead,
+    poses: FloatArray,
+    weights: FloatArray,
+    *,
+    size: tuple[int, int],
+    workers: int,
+    progress: Progress,
 ) -> Iterator[ByteImage]:
     """Draw all pictures in order."""
     if workers > 1:
         with ProcessPoolExecutor(workers, initializer=_open_studio, initargs=(head,)) as pool:
-            yield from _track(pool.map(_film, poses, weights, chunksize=8), len(poses), progress)
+            yield from _track(
+                pool.map(_film, poses, weights, repeat(size), chunksize=8), len(poses), progress
+            )
     else:
-        yield from _track(map(Studio(head).film, poses, weights), len(poses), progress)
+        yield from _track(
+            map(Studio(head).film, poses, weights, repeat(size)), len(poses), progress
+        )
 
 
 def _track(pictures: Iterator[ByteImage], count: int, progress: Progress) -> Iterator[ByteImage]:
@@ -153,10 +167,10 @@ def _open_studio(head: DemoHead) -> None:
     _studio = Studio(head)
 
 
-def _film(pose: FloatArray, weights: FloatArray) -> ByteImage:
+def _film(pose: FloatArray, weights: FloatArray, size: tuple[int, int]) -> ByteImage:
     if _studio is None:
         raise RuntimeError("this process was started without an actor to film")
-    return _studio.film(pose, weights)
+    return _studio.film(pose, weights, size)
 
 
 @dataclass(frozen=True)
@@ -238,7 +252,9 @@ def write_demo_inputs(folder: Path, *, workers: int = 2, progress: Progress = si
 
 def weights_on_video(truth: WeightsClip) -> WeightsClip:
     """Return the animator's weights at the clip's frames, numbered from 1."""
-    times = np.arange(int((DURATION_SECONDS - OFFSET_SECONDS) * VIDEO_RATE)) / float(VIDEO_RATE)
+    times = np.arange(int(np.ceil((DURATION_SECONDS - OFFSET_SECONDS) * VIDEO_RATE))) / float(
+        VIDEO_RATE
+    )
     rows = (times + OFFSET_SECONDS) * float(truth.rate)
     inside = (rows >= 0) & (rows <= len(truth.values) - 1)
     first = int(np.argmax(inside))

@@ -1,0 +1,244 @@
+"""A face without markers: the demo's actor, filmed, tracked, and mapped to the character.
+
+Everything runs as a user would run it, through specs and files. The truth is what an animator keys
+on the character; of the gaze, how the actor's eyeballs turn in the pictures. Frames that are
+references are left out, and in a second row those within a quarter of a second of one: of 15
+seconds with 50 references few are left, so the number of frames stands beside.
+"""
+
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tests.conftest import SHARED_DATA
+from usdface.capture.face_gaze import FULL_LOOK_DEGREES, LOOK_SHAPES
+from usdface.capture.face_landmarker import FaceLandmarker
+from usdface.core.arrays import BoolArray, FloatArray, columns_by_name
+from usdface.core.assets import Rig, WeightsClip
+from usdface.core.deformer import Deformer
+from usdface.core.errors import InputError
+from usdface.demo.acting import performance
+from usdface.demo.build import (
+    FOCAL_LENGTH,
+    SIZE,
+    weights_on_video,
+    write_clip,
+    write_demo_inputs,
+    write_weights,
+)
+from usdface.demo.capture import ActorFace
+from usdface.demo.head import HeadPart
+from usdface.demo.rig import make_head
+from usdface.demo.script import NEUTRAL_TIME
+from usdface.demo.sculpt import ACTOR
+from usdface.media.film.video import VideoReader
+from usdface.numerics.measure.face_regions import gaze_shapes
+from usdface.numerics.rigid.rigid_alignment import align_rigid
+from usdface.runner.execute import execute
+from usdface.specs.capture import CleanSpec, TrackSpec
+from usdface.specs.performance import MapSpec, TrainSpec
+from usdface.specs.references import ReferencesImportSpec, SelectSpec
+from usdface.usdio.performance.read import read_performance
+from usdface.usdio.references.read import read_references
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.take.read import read_take
+
+MODEL = SHARED_DATA / "models" / "face_landmarker.task"
+COUNT = 50
+LARGE = (648, 720)
+APART_SECONDS = 0.25
+_MOUTH = ("mouth", "jaw", "tongue")
+_BLINKING = 0.7
+"""Weight of a closed eye."""
+
+
+@dataclass(frozen=True)
+class _Shot:
+    """The character, what an animator would key, and the tracked take."""
+
+    folder: Path
+    rig: Rig
+    keys: WeightsClip
+    truth: FloatArray
+    """(frames, shapes): in the rig's order."""
+
+
+def run(*, quick: bool = False) -> None:
+    """Print errors of the solve, of the model's own scores and of the gaze, and the speed.
+
+    Quick tracks the demo's own small clip; otherwise the actor is filmed again at 720 lines.
+    """
+    if not MODEL.is_file():
+        print(f"skipped: no model at {MODEL}")
+        return
+    try:
+        with FaceLandmarker(MODEL):
+            pass
+    except InputError as error:
+        print(f"skipped: {error}")
+        return
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        inputs = write_demo_inputs(folder)
+        video, size = inputs.video, SIZE
+        if not quick:
+            video, size = folder / "large.mp4", LARGE
+            write_clip(video, make_head(ACTOR), performance(), size=size, workers=2)
+        rig = read_rig(inputs.rig)
+        keys = weights_on_video(inputs.truth)
+        write_weights(folder / "keys.csv", keys, rig.shapes)
+        truth = columns_by_name(keys.values, keys.names, rig.shapes).astype(np.float64)
+        shot = _Shot(folder, rig, keys, truth)
+        print(f"the demo's actor at {size[0]} × {size[1]} pixels, 24 frames per second\n")
+        _print_speed(video)
+        _track(shot, video)
+        _print_errors(shot)
+        _print_gaze(shot)
+
+
+def _print_speed(video: Path) -> None:
+    """Print how fast one core tracks, and how much of that is the model's own time."""
+    spent = dict.fromkeys(("reading the picture", "the model, once"), 0.0)
+    frames = 100
+    with VideoReader(video) as reader, FaceLandmarker(MODEL) as landmarker:
+        for index in range(frames):
+            start = time.process_time()
+            picture = reader.frame(index)
+            read = time.process_time()
+            landmarker.find_faces(picture)
+            spent["reading the picture"] += read - start
+            spent["the model, once"] += time.process_time() - read
+    print("| processor time | ms per frame | frames/s of one core |\n|---|---|---|")
+    for what, seconds in spent.items():
+        print(f"| {what} | {1e3 * seconds / frames:.1f} | {frames / seconds:.0f} |")
+    once = sum(spent.values())
+    both = once + spent["the model, once"]
+    print(f"| `track --quality draft` | {1e3 * once / frames:.1f} | {frames / once:.0f} |")
+    print(f"| `track` | {1e3 * both / frames:.1f} | {frames / both:.0f} |\n", flush=True)
+
+
+def _track(shot: _Shot, video: Path) -> None:
+    first, count = shot.keys.first_frame, len(shot.keys.values)
+    take = shot.folder / "video.take.usda"
+    execute(
+        TrackSpec(
+            video=video,
+            out=take,
+            model=MODEL,
+            frames=f"{first}-{first + count - 1}",
+            focal_length=FOCAL_LENGTH,
+            neutral=first + int(NEUTRAL_TIME * shot.keys.rate),
+        )
+    )
+    execute(CleanSpec(take=take, out=shot.folder / "video.clean.take.usda"))
+
+
+def _solve(shot: _Shot, name: str, frames: str | None = None) -> tuple[FloatArray, BoolArray]:
+    """Return the solve of every frame in the rig's order, and which frames are references."""
+    folder, rig = shot.folder, shot.folder / "character.usdc"
+    clean = folder / "video.clean.take.usda"
+    references, mapping = folder / f"{name}.references.usda", folder / f"{name}.mapping.usdc"
+    out = folder / f"{name}.usda"
+    execute(SelectSpec(takes=(clean,), rig=rig, out=references, count=COUNT, frames=frames))
+    execute(ReferencesImportSpec(references=references, weights=folder / "keys.csv"))
+    execute(TrainSpec(references=references, out=mapping))
+    execute(MapSpec(take=clean, mapping=mapping, rig=rig, out=out))
+    clip = read_performance(out).weights
+    keyed = np.zeros(len(shot.truth), bool)
+    keyed[read_references(references).frames - shot.keys.first_frame] = True
+    values = columns_by_name(clip.values, clip.names, shot.rig.shapes)
+    return values.astype(np.float64), keyed
+
+
+def _print_errors(shot: _Shot) -> None:
+    print(f"{COUNT} references; mean surface error of the frames that count, gaze left out\n")
+    print("| solve | frames | face [mm] | p95 [mm] | mouth [mm] | blink bias | jitter |")
+    print("|---|---|---|---|---|---|---|")
+    solved, keyed = _solve(shot, "whole")
+    reach = int(APART_SECONDS * shot.keys.rate)
+    near = np.convolve(keyed, np.ones(2 * reach + 1), mode="same") > 0
+    _print_row(shot, "frames that are no references", solved, ~keyed)
+    _print_row(shot, "none within ¼ s", solved, ~near)
+    half = len(shot.truth) // 2
+    first = shot.keys.first_frame
+    later, _ = _solve(shot, "half", f"{first}-{first + half - 1}")
+    second = np.arange(len(shot.truth)) >= half
+    _print_row(shot, "references of the first half, the second", later, second)
+    take = read_take(shot.folder / "video.take.usda")
+    assert take.source is not None
+    shared = [name for name in take.source.names if name in shot.rig.shapes]
+    scores = np.zeros_like(shot.truth)
+    for name in shared:
+        column = take.source.values[:, take.source.names.index(name)]
+        scores[:, shot.rig.shapes.index(name)] = column
+    _print_row(shot, f"the model's own scores, {len(shared)} shapes", scores, ~keyed)
+    _print_row(shot, "a face at rest", np.zeros_like(shot.truth), ~keyed)
+    print(flush=True)
+
+
+def _print_row(shot: _Shot, label: str, solved: FloatArray, counted: BoolArray) -> None:
+    shapes = shot.rig.shapes
+    error = solved - shot.truth
+    error[:, gaze_shapes(shapes)] = 0
+    gram = Deformer(shot.rig).shapes.gram()
+
+    def surface(difference: FloatArray) -> FloatArray:
+        squared = np.einsum("fs,st,ft->f", difference, gram, difference)
+        return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
+
+    whole = surface(error[counted])
+    mouth = np.where([name.startswith(_MOUTH) for name in shapes], error, 0.0)
+    blinks = [shapes.index(name) for name in ("eyeBlinkLeft", "eyeBlinkRight")]
+    closed = counted & (shot.truth[:, blinks].mean(axis=1) > _BLINKING)
+    bias = error[closed][:, blinks].mean() if closed.any() else np.nan
+    moved = shot.truth.std(axis=0) > 0.02
+    moved[gaze_shapes(shapes)] = False
+    rough, smooth = (np.diff(each[:, moved], 3, axis=0).std() for each in (solved, shot.truth))
+    print(
+        f"| {label} | {counted.sum()} | {whole.mean():.2f} | {np.percentile(whole, 95):.2f} | "
+        f"{surface(mouth[counted]).mean():.2f} | {bias:+.2f} of {closed.sum()} frames | "
+        f"{rough / smooth:.2f} |",
+        flush=True,
+    )
+
+
+def _print_gaze(shot: _Shot) -> None:
+    """Print how far the measured looks are from how the eyeballs turn."""
+    source = read_take(shot.folder / "video.take.usda").source
+    assert source is not None
+    looks = source.values[:, [source.names.index(name) for name in LOOK_SHAPES]].astype(np.float64)
+    looks = looks.reshape(-1, 2, 4) * FULL_LOOK_DEGREES
+    inward, pitch = looks[..., 0] - looks[..., 1], looks[..., 2] - looks[..., 3]
+    measured = np.stack([inward * (1, -1), pitch], axis=2)
+    true = _eye_turns(shot)
+    true -= true[int(NEUTRAL_TIME * shot.keys.rate)]
+    error = np.abs(measured - true)
+    still = np.abs(true)
+    print("| gaze, both eyes | mean error [degrees] | p95 | looking straight ahead instead |")
+    print("|---|---|---|---|")
+    for axis, name in enumerate(("sideways", "up and down")):
+        print(
+            f"| {name} | {error[..., axis].mean():.1f} | {np.percentile(error[..., axis], 95):.1f} "
+            f"| {still[..., axis].mean():.1f} |",
+            flush=True,
+        )
+
+
+def _eye_turns(shot: _Shot) -> FloatArray:
+    """(frames, eyes, 2): yaw to the performer's left and pitch up, right eye first [degrees]."""
+    head = make_head(ACTOR)
+    turns = []
+    for side in (-1, 1):
+        eye = np.flatnonzero((head.parts == HeadPart.EYES) & (side * head.points[:, 0] > 0))
+        face = ActorFace(head, eye)
+        weights = face.ordered(shot.keys.names, shot.keys.values.astype(np.float64))
+        points = np.stack([face.pose(row) for row in weights])
+        turn = Rotation.from_matrix(align_rigid(points, head.points[eye]).rotations)
+        ahead = turn.apply([0.0, 0.0, 1.0])
+        yaw = np.degrees(np.arctan2(ahead[:, 0], ahead[:, 2]))
+        turns.append(np.stack([yaw, np.degrees(np.arcsin(ahead[:, 1]))], axis=1))
+    return np.stack(turns, axis=1)
