@@ -129,6 +129,7 @@ def _track(shot: _Shot, video: Path) -> None:
             video=video,
             out=take,
             model=MODEL,
+            face="largest",
             frames=f"{first}-{first + count - 1}",
             focal_length=FOCAL_LENGTH,
             neutral=first + int(NEUTRAL_TIME * shot.keys.rate),

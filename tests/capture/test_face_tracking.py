@@ -66,6 +66,17 @@ def test_a_small_face_in_the_background_is_nobody() -> None:
     assert np.abs(track.positions[..., 0].mean(axis=1) - 320).max() < 20
 
 
+def test_a_second_face_is_refused_only_if_it_lasts() -> None:
+    def passing(pictures: int):
+        other = turning_head(0, at=(-150, 0, -700))
+        return lambda n: [turning_head(n), other] if 5 <= n < 5 + pictures else [turning_head(n)]
+
+    track = follow(SimulatedFinder(passing(11), focal_pixels=600), 20)
+    assert np.abs(track.positions[..., 0].mean(axis=1) - 320).max() < 20
+    with pytest.raises(InputError, match="picture 16: 2 faces"):
+        follow(SimulatedFinder(passing(12), focal_pixels=600), 20)
+
+
 def test_the_mirror_image_takes_out_what_leans_to_one_side() -> None:
     """A model that puts all points too far to the right does so in the mirror as well."""
     plain = follow(SimulatedFinder(lambda n: [turning_head(n)], focal_pixels=600), 5)

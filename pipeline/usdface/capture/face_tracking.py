@@ -17,6 +17,8 @@ _SAME_FACE = 0.5
 _BACKGROUND_SHARE = 0.5
 """Of the breadth of the broadest face: who is twice as far from the camera is not who is filmed,
 and detectors take hair and patterns for small faces."""
+_LASTING_PICTURES = 12
+"""Half a second of a slow camera: a second face that is gone sooner is hair, or a pattern."""
 _DOUBTED_RATIO = 3.0
 """Times the median over the take: 1 in 500 differences of two Gaussian measurements in a plane
 (Rayleigh) is larger."""
@@ -88,6 +90,7 @@ class FaceFollower:
         self._choice = choice
         self._mirrored = mirrored
         self._last: FloatArray | None = None
+        self._crowded_pictures = 0
         self._rows: list[tuple[FloatArray, FloatArray, FloatArray]] = []
 
     def look(self, picture: ByteImage, *, where: str) -> bool:
@@ -96,7 +99,7 @@ class FaceFollower:
         Raises
         ------
         InputError
-            If there are several faces and none was chosen.
+            If there are several faces, at first or for half a second, and none was chosen.
         """
         faces = _distinct(self._finder.find_faces(picture))
         marker_count = len(LANDMARKS.names)
@@ -104,7 +107,9 @@ class FaceFollower:
             nothing = np.full((marker_count, 3), np.nan)
             self._rows.append((nothing, nothing[:, 0], np.array([np.nan])))
             return False
-        if len(faces) > 1 and self._choice is None:
+        self._crowded_pictures = self._crowded_pictures + 1 if len(faces) > 1 else 0
+        lasting = self._last is None or self._crowded_pictures >= _LASTING_PICTURES
+        if len(faces) > 1 and lasting and self._choice is None:
             raise InputError(
                 f"{where}: {len(faces)} faces in the picture; choose one with --face largest, left "
                 "or right (it is then followed), or crop the video"

@@ -137,6 +137,7 @@ def _take(inputs: DemoInputs, folder: Path, model: Path | None) -> IngestSpec | 
         video=video,
         out=out,
         model=model.absolute(),
+        face="largest",  # in some pictures the model takes drawn hair for another
         frames=f"{truth.first_frame}-{last}",
         focal_length=FOCAL_LENGTH,
         neutral=truth.first_frame + int(NEUTRAL_TIME * truth.rate),
