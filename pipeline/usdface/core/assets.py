@@ -14,6 +14,7 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.errors import InputError
+from usdface.core.rig_logic import Combination, RigLogic
 from usdface.core.text import first_few, pluralize
 
 MarkerSpace = Literal["captured", "stabilized"]
@@ -187,17 +188,31 @@ class Rig:
     prim: str
     """Path of the SkelRoot."""
     shapes: tuple[str, ...]
-    """Channel names over all meshes, each once, in the order they are found."""
+    """Names of the shapes that are animated, over all meshes, each once, in the order they are
+    found; without those that `combinations` drive."""
     meshes: tuple[RigMesh, ...]
     """Lengths in mm, Y up, whatever the stage's units are."""
     ranges: FloatArray
     """(shapes, 2): lowest and highest weight an animator may give; 0 to 1 unless the rig says
     otherwise."""
+    combinations: tuple[Combination, ...] = ()
+    """Shapes that others drive, parts before what they drive."""
+
+    @property
+    def logic(self) -> RigLogic:
+        """What the animated shapes make of the combinations."""
+        return RigLogic(self.shapes, self.combinations)
 
     def check_has(self, shapes: Iterable[str], *, source: object, remedy: str) -> None:
         """Raise InputError where the rig lacks shapes."""
         names = list(shapes)
         missing = [name for name in names if name not in self.shapes]
+        driven = self.logic.driven & set(missing)
+        if driven:
+            raise InputError(
+                f"{source}: {first_few(sorted(driven), most=3)} of its shapes are combinations on "
+                f"{self.file}, which other shapes drive; {remedy}"
+            )
         if missing:
             raise InputError(
                 f"{source}: {len(missing)} of its {pluralize(len(names), 'shape')} are not on "
@@ -251,6 +266,8 @@ class References:
     """(markers, 3): the performer's neutral face in the space of `markers` [mm]."""
     rig_file: Path
     rig_prim: str
+    combinations: tuple[Combination, ...] = ()
+    """Of the rig: shapes that `shape_names` leaves out, and layers hold as these drive them."""
     motion: MotionSpace | None = None
     """Of the takes the pairs were selected from; None for pairs made by hand."""
     visemes: tuple[str, ...] = ()

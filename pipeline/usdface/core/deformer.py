@@ -20,7 +20,7 @@ class Deformer:
     triangles : (triangles, 3) int array
         Every face of every mesh, cut into triangles.
     shapes : BlendShapes
-        Channels in the rig's order.
+        Channels in the rig's order; combinations follow them as its logic says.
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -33,7 +33,7 @@ class Deformer:
                 for mesh, start in zip(rig.meshes, self.starts, strict=False)
             ]
         )
-        channels = index_of(rig.shapes)
+        channels = index_of((*rig.shapes, *(each.shape for each in rig.combinations)))
         self.shapes = BlendShapes(
             len(self.neutral),
             len(rig.shapes),
@@ -45,6 +45,7 @@ class Deformer:
                 for mesh, start in zip(rig.meshes, self.starts, strict=False)
                 for shape in mesh.shapes
             ],
+            logic=rig.logic if rig.combinations else None,
         )
 
     def points(self, weights: FloatArray) -> FloatArray:

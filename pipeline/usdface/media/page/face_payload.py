@@ -30,7 +30,7 @@ from usdface.media.face.tracing import PATTERN_COUNT, Tracer, sky_seen
 from usdface.media.picture.color import bytes_from_linear
 from usdface.numerics.measure.face_regions import blinks, jaw_opener, region_of_shape
 
-PAYLOAD_FORMAT = 2
+PAYLOAD_FORMAT = 3
 """Version of the blob; the viewer refuses others."""
 
 STEPS_PER_MM = 1000.0
@@ -136,6 +136,7 @@ def pack_face(rig: Rig, *, camera: Camera | None = None) -> FacePayload:
         "triangles": len(triangles),
         "shapes": _shapes(rig),
         "tracks": _tracks(rig, keys),
+        "combinations": rig.logic.tables(),
         "eyeCenters": np.round(surface.eye_centers, 4).tolist(),
         "camera": _camera(camera or frame_rig(rig.meshes)),
         "size": round(surface.size, 3),
@@ -205,7 +206,7 @@ def _shapes(rig: Rig) -> list[dict[str, Any]]:
 
 def _tracks(rig: Rig, keys: _Keys) -> list[dict[str, Any]]:
     """List the keys of each mesh's shape, ascending, as the deformer orders them."""
-    channels = index_of(rig.shapes)
+    channels = index_of((*rig.shapes, *(each.shape for each in rig.combinations)))
     tracks, first = list[dict[str, Any]](), 0
     for shape in (shape for mesh in rig.meshes for shape in mesh.shapes):
         own = range(first, first + len(shape.keys))

@@ -1,7 +1,7 @@
 // A packed face (media/face_payload.py) as arrays, and the pose that weights give it.
 // Lengths are millimetres. No dependency, no build step.
 
-const FORMAT = 2;
+const FORMAT = 3;
 const SKIN = 0; // of FacePart in media/face/parts.py
 const MM = 1e-3; // the payload counts micrometres
 const TYPES = {
@@ -79,6 +79,8 @@ export class FaceModel {
     }
     this.parts = array("parts").slice();
     this.gaze = this.#gaze(array("eyes"), header.eyeCenters);
+    this.combinations = header.combinations;
+    this.channels = new Float64Array(this.shapes.length + this.combinations.length);
     this.tracks = this.#readTracks(header.tracks, array);
     this.keyCount = this.tracks.reduce((total, track) => total + track.keys.length, 0);
     this.keyWeights = new Float32Array(this.keyCount);
@@ -124,15 +126,17 @@ export class FaceModel {
   }
 
   /**
-   * Turn channel weights into key weights by UsdSkel's rule: straight lines between neighbouring
-   * keys, the neutral being a key at 0, and on along the outermost line.
+   * Turn channel weights into key weights: combinations as core/rig_logic.py evaluates them, then
+   * UsdSkel's rule: straight lines between neighbouring keys, the neutral being a key at 0, and on
+   * along the outermost line.
    * @param {ArrayLike<number>} weights one per shape
    * @param {Float32Array} [out]
    */
   weigh(weights, out = this.keyWeights) {
     out.fill(0);
+    const channels = this.#combine(weights);
     for (const { shape, keys } of this.tracks) {
-      const w = weights[shape];
+      const w = channels[shape];
       if (w === 0) continue;
       const stops = this.#stops(keys);
       let upper = 1;
@@ -144,6 +148,27 @@ export class FaceModel {
       if (b.row >= 0) out[b.row] += toward;
     }
     return out;
+  }
+
+  /** Put the weights of combinations after those of the shapes. */
+  #combine(weights) {
+    const { channels } = this;
+    for (let i = 0; i < this.shapes.length; i++) channels[i] = weights[i];
+    for (const { shape, mode, parts, low, peak, high } of this.combinations) {
+      const factors = parts.map((part, k) => {
+        const w = channels[part];
+        const rising = (w - low[k]) / (peak[k] - low[k]);
+        if (high[k] === null) return Math.max(rising, 0);
+        return Math.max(Math.min(rising, (high[k] - w) / (high[k] - peak[k])), 0);
+      });
+      if (mode === "product") channels[shape] = factors.reduce((all, each) => all * each, 1);
+      else if (mode === "minimum") channels[shape] = Math.min(...factors);
+      else {
+        const sum = factors.reduce((all, each) => all + 1 / Math.max(each, 1e-12), 0);
+        channels[shape] = factors.length / sum;
+      }
+    }
+    return channels;
   }
 
   #stops(keys) {

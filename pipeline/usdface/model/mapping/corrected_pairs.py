@@ -7,6 +7,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.model.mapping.regions import marker_motion
 from usdface.model.regressions import Pairs, Regression
+from usdface.model.regressions.driven_motion import DrivenMotion, driven_weights
 from usdface.model.regressions.forward_model import ForwardModel, ForwardScales, fit_forward_model
 from usdface.model.regressions.frame_solve import correct_keys
 from usdface.model.regressions.target_curve import bend, unbend
@@ -78,19 +79,36 @@ def fit_pairs_forward(pairs: Pairs, scales: ForwardScales | None = None) -> Forw
     """Fit the forward model, from what the rig's shapes do or, without a rig, the pairs' line."""
     face = pairs.face
     weights, moved = face.normalise(pairs.outputs), displacements(pairs)
+    neutral = np.zeros(moved.shape[1:]) if face.neutral is None else face.neutral
     if face.skin is None:
         expected = marker_motion(weights, moved)
-    else:
-        expected = expect_marker_motion(
-            face.skin * np.ptp(face.ranges, axis=1)[:, None, None],
-            bend(weights, _PRIOR_CURVE),
-            moved,
-            rest=None if face.rest is None else face.rest.points,
-            neutral=face.neutral,
-            places=None if face.rest is None else face.rest.markers,
-        ).basis
-    neutral = np.zeros(moved.shape[1:]) if face.neutral is None else face.neutral
-    return fit_forward_model(weights, moved, expected=expected, neutral=neutral, scales=scales)
+        return fit_forward_model(weights, moved, expected=expected, neutral=neutral, scales=scales)
+    skin, bent = face.skin * np.ptp(face.ranges, axis=1)[:, None, None], bend(weights, _PRIOR_CURVE)
+    driven = np.zeros((len(weights), 0))
+    if face.driven is not None:
+        low, high = face.ranges.T
+        driven = driven_weights(face.driven.logic, np.clip(pairs.outputs, low, high))
+        skin = np.concatenate([skin, face.driven.skin])
+    basis = expect_marker_motion(
+        skin,
+        np.concatenate([bent, driven], axis=1),
+        moved,
+        rest=None if face.rest is None else face.rest.points,
+        neutral=face.neutral,
+        places=None if face.rest is None else face.rest.markers,
+    ).basis
+    count = weights.shape[1]
+    motion = basis[count:].reshape(len(basis) - count, -1)
+    forward = fit_forward_model(
+        weights,
+        moved - (driven @ motion).reshape(moved.shape),
+        expected=basis[:count],
+        neutral=neutral,
+        scales=scales,
+    )
+    if face.driven is None:
+        return forward
+    return replace(forward, driven=DrivenMotion(face.driven.logic, face.ranges, motion))
 
 
 def displacements(pairs: Pairs) -> FloatArray:

@@ -102,7 +102,7 @@ def evaluate_weights(
     if not (np.isfinite(solved).all() and np.isfinite(truth).all()):
         raise InputError("weights to compare must be finite")
     deformer = Deformer(rig)
-    bent = deformer.shapes.has_inbetweens
+    bent = deformer.shapes.is_bent
     targets = deformer.shapes.target_offsets()
     offsets = deformer.shapes.key_offsets if bent else targets
     solved_keys = deformer.shapes.key_weights(solved) if bent else solved

@@ -5,6 +5,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.progress import Progress, silent
+from usdface.core.rig_logic import logic_of
 from usdface.model.mapping.candidates import (
     Comparison,
     PairFolds,
@@ -30,7 +31,7 @@ from usdface.model.regressions import (
     Pairs,
     RestPlaces,
 )
-from usdface.model.regressions.base import Fitted
+from usdface.model.regressions.base import DrivenSkin, Fitted
 from usdface.model.regressions.frame_solve import FrameSolver
 from usdface.numerics.measure.face_regions import shapes_by_region
 
@@ -70,9 +71,9 @@ def train_mapping(
     gram : (shapes, shapes) float array or None
         Mean over the rig's points of the dot products of the shapes' displacements [mm^2]: makes
         errors count as they show. Without it every weight counts alike.
-    skin : (shapes, points, 3) float array, optional
-        What each shape at 1 does to points spread over the rig's surface [mm]; see `sample_skin`.
-        With it a mapping also uses the rig's geometry, beyond the pairs.
+    skin : (shapes + combinations, points, 3) float array, optional
+        What each shape at 1, and after them each of the references' combinations, does to points
+        spread over the rig's surface [mm]; see `sample_skin`. With it a mapping also uses the rig's geometry, beyond the pairs.
     rest : RestPlaces, optional
         Where those points, and markers, are on the rig's neutral: markers are then placed by where
         they are as well, not by their motion alone.
@@ -87,7 +88,9 @@ def train_mapping(
         If the references cannot be learned from; all faults are listed.
     """
     sound = check_references(references, ranges=ranges, gram=gram)
-    check_skin(skin, shapes=len(references.shape_names))
+    count, combinations = len(references.shape_names), references.combinations
+    check_skin(skin, shapes=count + len(combinations))
+    logic = logic_of(references.shape_names, combinations)
     checked = sound.references
     motion = checked.motion if checked.motion is not None else motion_of_pairs(checked)
     check_dimensions(choices.dimensions, pairs=len(checked.weights), motion=motion)
@@ -95,9 +98,10 @@ def train_mapping(
         ranges=ranges.astype(np.float64),
         gram=np.eye(len(ranges)) if gram is None else gram.astype(np.float64),
         motion=motion,
-        skin=skin,
+        skin=None if skin is None else skin[:count],
         rest=rest,
         neutral=checked.neutral.astype(np.float64),
+        driven=None if skin is None or logic is None else DrivenSkin(logic, skin[count:]),
     )
     markers = checked.markers.astype(np.float64)
     z = marker_coordinates(motion, markers).values

@@ -12,6 +12,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MotionSpace
+from usdface.core.rig_logic import RigLogic
 
 if TYPE_CHECKING:
     from usdface.model.regressions.forward_model import ForwardModel
@@ -41,6 +42,16 @@ class RestPlaces:
 
 
 @dataclass(frozen=True)
+class DrivenSkin:
+    """Combinations of the rig: shapes that are evaluated, not learnt."""
+
+    logic: RigLogic
+    """Its first shapes are those of the pairs."""
+    skin: FloatArray
+    """(combinations, points, 3): what each at 1 does to the points of `Face.skin` [mm]."""
+
+
+@dataclass(frozen=True)
 class Face:
     """What is known of the face beside the pairs, where markers are mapped."""
 
@@ -58,6 +69,8 @@ class Face:
     """Where those points, and markers, are on the rig's neutral."""
     neutral: FloatArray | None = None
     """(markers, 3): the performer's neutral face [mm]."""
+    driven: DrivenSkin | None = None
+    """None where the rig has no combinations, or `skin` is not known."""
 
     def normalise(self, weights: FloatArray) -> FloatArray:
         """Return weights as shares of their ranges, in [0-1]."""

@@ -18,7 +18,7 @@ is that of the keys, which are set by eye: each is off by the share tau of itsel
 tau where it is small. Every scale (alpha, floor, eta, tau, the bend, and sigma per marker) is the
 one under which the references are most probable, marginal over D and Q (Rasmussen and Williams
 2006, eq. 5.8). Predictions, predictive variance and leave-one-out residuals are in closed form (eq.
-2.25, 2.26 and 5.12).
+2.25, 2.26 and 5.12). What combination shapes of the rig do is known, and taken out before.
 """
 
 from dataclasses import dataclass, replace
@@ -27,6 +27,7 @@ import numpy as np
 
 from usdface.core.arrays import Float32Array, FloatArray, RealArray, sample_frames
 from usdface.model.regressions.base import Arrays
+from usdface.model.regressions.driven_motion import DrivenMotion
 from usdface.model.regressions.target_curve import bend
 
 _NOISES_MM = (0.05, 0.1, 0.2, 0.35, 0.6, 1.0)
@@ -111,6 +112,8 @@ class ForwardModel:
     """(shapes, markers, 3): ``E + D`` [mm]."""
     offset: FloatArray
     """(markers, 3): ``b`` [mm]."""
+    driven: DrivenMotion | None = None
+    """What the rig's combinations do beside it."""
 
     @property
     def residuals(self) -> FloatArray:
@@ -169,8 +172,10 @@ class ForwardModel:
         arrays = {name: getattr(self, name) for name in (*names, "basis", "offset")}
         scales = self.scales
         values = [scales.alpha, scales.floor, scales.eta, scales.tau, scales.curve]
+        driven = {} if self.driven is None else self.driven.to_arrays()
         return {f"forward_{name}": each for name, each in arrays.items()} | {
-            "forward_scales": np.array(values)
+            "forward_scales": np.array(values),
+            **driven,
         }
 
     @classmethod
@@ -181,7 +186,8 @@ class ForwardModel:
             for name, each in arrays.items()
             if name.startswith("forward_")
         }
-        return cls(ForwardScales(*known.pop("scales").tolist()), **known)
+        scales, driven = known.pop("scales").tolist(), DrivenMotion.from_arrays(arrays)
+        return cls(ForwardScales(*scales), **known, driven=driven)
 
 
 def fit_forward_model(

@@ -170,13 +170,20 @@ class FrameSolver:
             None on rigs of many shapes, whose quadratic part is left out.
         """
         basis, offset, curvature = self._linear
-        t = targets.astype(np.float32)
+        t, driven, curve = (
+            targets.astype(np.float32),
+            self.forward.driven,
+            self.forward.scales.curve,
+        )
+        beside = 0.0 if driven is None else driven.at(targets, curve).astype(np.float32)
         if curvature is None:
-            return t @ basis + offset, None
+            return t @ basis + offset + beside, None
         half = (t @ curvature).reshape(len(t), *basis.shape)
-        predicted = t @ basis + offset + (t[:, None] @ half)[:, 0]
+        predicted = t @ basis + offset + (t[:, None] @ half)[:, 0] + beside
         half *= 2
         half += basis
+        if driven is not None:
+            driven.add_slope(half, targets, curve)
         return predicted, half
 
     @cached_property

@@ -49,7 +49,7 @@ class MarkerKeys:
     deltas: FloatArray
     """(keys, markers, 3): what each key, full targets included, does to the markers [mm]."""
     channels: IntArray
-    """(keys,): the shape each key belongs to."""
+    """(keys,): the shape each key belongs to; -1 for a key that several shapes drive."""
     key_weights: Callable[[FloatArray], FloatArray]
     """(frames, shapes) weights of shapes to (frames, keys) weights of keys, linear in pieces."""
 
@@ -236,23 +236,27 @@ def _relinearise(
     """Solve again with each shape's slope at the last solution, keeping what is better.
 
     A frame whose slopes are those it was solved with is done: in-betweens are linear in pieces, so
-    its equation would be the same. Of a rig without in-betweens, that is every frame.
+    its equation would be the same. Of a rig without in-betweens and combinations, that is every frame.
     """
     channels = np.asarray(keys.channels, np.int64)
+    driven = channels < 0
     best, now = weights.copy(), weights.copy()
     objective = _objective(problem, keys, weights, prior)
-    solved_with = np.repeat(keys.key_weights(np.ones((1, problem.shape_count))), len(weights), 0)
+    first = np.where(driven, 0.0, keys.key_weights(np.ones((1, problem.shape_count))))
+    solved_with = np.repeat(first, len(weights), 0)
     rows = np.arange(len(weights))
     for _ in range(_MOST_RELINEARISATIONS):
         here = keys.key_weights(now[rows])
-        # each key belongs to one shape, so one step of all shapes gives every slope
+        # One step of all shapes gives the slope of every key that belongs to one shape; one that
+        # several shapes drive stays where the last solution has it.
         slopes = (keys.key_weights(now[rows] + _SMALL_STEP) - here) / _SMALL_STEP
-        slopes = slopes.round(_SLOPE_DECIMALS)
-        changed = (slopes != solved_with[rows].round(_SLOPE_DECIMALS)).any(axis=1)
+        slopes = np.where(driven, 0.0, slopes.round(_SLOPE_DECIMALS))
+        state = np.where(driven, here, slopes).round(_SLOPE_DECIMALS)
+        changed = (state != solved_with[rows].round(_SLOPE_DECIMALS)).any(axis=1)
         rows, here, slopes = rows[changed], here[changed], slopes[changed]
         if not len(rows):
             break
-        solved_with[rows] = slopes
+        solved_with[rows] = state[changed]
         offset = here - slopes * now[rows][:, channels]
         part = problem.take(rows)
         rest = part.motion - _predict_keys(keys, offset)

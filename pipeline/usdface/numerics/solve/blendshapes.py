@@ -1,4 +1,7 @@
-"""Deform points by weighted shapes, in-betweens included, as UsdSkel does."""
+"""Deform points by weighted shapes, in-betweens included, as UsdSkel does.
+
+The one place where a rig's weights become offsets: what drives what is evaluated here.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,6 +12,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.rig_logic import RigLogic
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,7 @@ class Track:
     """What one channel does to one mesh: several meshes may follow the same channel."""
 
     channel: int
-    """Column of the weights that drives it."""
+    """Column of the weights that drives it; beyond them, a combination's."""
     keys: Sequence[Key]
     """The full target and any in-betweens."""
 
@@ -43,6 +47,8 @@ class BlendShapes:
     ----------
     channel_count : int
         Number of channels, those that move nothing included.
+    logic : RigLogic, optional
+        Drives the channels beyond `channel_count`.
 
     Raises
     ------
@@ -50,8 +56,16 @@ class BlendShapes:
         If two keys of a track are reached at the same weight.
     """
 
-    def __init__(self, point_count: int, channel_count: int, tracks: Sequence[Track]) -> None:
+    def __init__(
+        self,
+        point_count: int,
+        channel_count: int,
+        tracks: Sequence[Track],
+        *,
+        logic: RigLogic | None = None,
+    ) -> None:
         self.point_count = point_count
+        self.logic = logic
         self.channel_count = channel_count
         self._knots: list[tuple[int, list[tuple[float, int]]]] = []
         """Channel of each track, and weight and row of each of its keys."""
@@ -80,15 +94,15 @@ class BlendShapes:
         )
 
     @property
-    def has_inbetweens(self) -> bool:
-        """Whether any channel bends: has keys other than its full target."""
-        return any(len(knots) > 1 for _, knots in self._knots)
+    def is_bent(self) -> bool:
+        """Whether offsets are no sum of the channels: there are in-betweens or combinations."""
+        return self.logic is not None or any(len(knots) > 1 for _, knots in self._knots)
 
     @property
     def key_channels(self) -> IntArray:
-        """The channel that each key belongs to: (keys,) int array."""
+        """The channel that each key belongs to, -1 for a combination's: (keys,) int array."""
         channels = [channel for channel, knots in self._knots for _ in knots]
-        return np.array(channels, dtype=np.int64)
+        return np.array([each if each < self.channel_count else -1 for each in channels], np.int64)
 
     def key_weights(self, weights: ArrayLike) -> FloatArray:
         """Turn channel weights into key weights.
@@ -104,6 +118,8 @@ class BlendShapes:
         weights = np.atleast_2d(np.asarray(weights, dtype=np.float64))
         if weights.shape[1] != self.channel_count:
             raise ValueError(f"{weights.shape[1]} weights for {self.channel_count} channels")
+        if self.logic is not None:
+            weights = self.logic.evaluate(weights)
         shares = np.zeros((len(weights), self.key_offsets.shape[0]))
         rows, channels, at = self._single_keys
         shares[:, rows] = weights[:, channels] / at
@@ -122,8 +138,25 @@ class BlendShapes:
         full = sparse.csr_array(self.key_weights(np.eye(self.channel_count)))
         return sparse.csr_array(full @ self.key_offsets)
 
-    def gram(self) -> FloatArray:
+    def combination_offsets(self) -> sparse.csr_array:
+        """Return each combination at weight 1: (combinations, 3 * points) sparse array."""
+        count = 0 if self.logic is None else len(self.logic.combinations)
+        shares = np.zeros((count, self.key_offsets.shape[0]))
+        full = np.zeros((count, self.channel_count + count))
+        full[:, self.channel_count :] = np.eye(count)
+        for channel, knots in self._knots:
+            if channel >= self.channel_count:
+                _share_between(full[:, channel], knots, shares)
+        return sparse.csr_array(sparse.csr_array(shares) @ self.key_offsets)
+
+    def gram(self, poses: FloatArray | None = None) -> FloatArray:
         """Return what a small error of the weights does to the surface.
+
+        Parameters
+        ----------
+        poses : (frames, channels) float array, optional
+            Weights at which combinations follow the error, of which the mean is taken; by default
+            rest.
 
         Returns
         -------
@@ -131,7 +164,22 @@ class BlendShapes:
             ``G`` such that ``sqrt(e @ G @ e)`` is the root mean square distance of the points.
         """
         targets = self.target_offsets()
-        return np.asarray((targets @ targets.T).toarray()) / max(self.point_count, 1)
+        if self.logic is None or poses is None:
+            return np.asarray((targets @ targets.T).toarray()) / max(self.point_count, 1)
+        driven = self.combination_offsets()
+        slopes = self.logic.slopes(poses)  # a combination that one shape drives is in `targets`
+        slopes -= self.logic.evaluate(np.eye(self.channel_count))[:, self.channel_count :].T
+        every = sparse.vstack([targets, driven], format="csr")
+        whole = np.asarray((every @ every.T).toarray()) / max(self.point_count, 1)
+        mixed, own = (
+            whole[: self.channel_count, self.channel_count :],
+            whole[self.channel_count :, self.channel_count :],
+        )
+        mean = mixed @ slopes.mean(axis=0)
+        quadratic = np.einsum("fcs,cd,fdt->st", slopes, own, slopes, optimize=True) / len(slopes)
+        return np.asarray(
+            whole[: self.channel_count, : self.channel_count] + mean + mean.T + quadratic
+        )
 
 
 def _share_between(weights: FloatArray, knots: list[tuple[float, int]], shares: FloatArray) -> None:

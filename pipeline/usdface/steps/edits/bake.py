@@ -1,5 +1,7 @@
 """Compose solve and edits into the weights that are published."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray, index_of
@@ -28,7 +30,9 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress = silent) 
     reader = PerformanceReader(spec.performance, prim=spec.prim)
     file, prim = reader.rig()
     rig = read_rig(file, prim=prim)
-    header = reader.header
+    # A performance of before the rig had its logic lacks what is driven.
+    lacking = tuple(each for each in rig.combinations if each.shape not in reader.names)
+    header = replace(reader.header, combinations=lacking)
     kept = 0
     with writing_weights(spec.out, header, rig, provenance=provenance) as writer:
         surface = _Surface(rig, reader.names) if spec.unit == "mm" and spec.tolerance else None
@@ -74,7 +78,13 @@ def baked_weights(
         for name, (low, high) in zip(rig.shapes, rig.ranges, strict=True)
     }
     edits = {name: edit.during(part) for name, edit in reader.edits.items()}
-    return edited_weights(reader.names, reader.solved(first, last), edits, ranges=ranges)
+    return edited_weights(
+        reader.names,
+        reader.solved(first, last),
+        edits,
+        ranges=ranges,
+        combinations=rig.combinations,
+    )
 
 
 def _keys(spec: BakeSpec, weights: FloatArray, surface: "_Surface | None") -> IntArray:

@@ -36,7 +36,9 @@ def run(
     reader = PerformanceReader(spec.performance, prim=spec.prim)
     table = read_weight_table(spec.changed, known=reader.names)
     table.check_rate(reader.rate, file=spec.changed, performance=spec.performance)
-    known = table.shapes_among(reader.names, file=spec.changed, owner="in the performance")
+    driven = {each.shape for each in reader.combinations}
+    own = [name for name in reader.names if name not in driven]
+    known = table.shapes_among(own, file=spec.changed, owner="in the performance")
     # What is said of the last frame is not meant for those that a longer take would add.
     frames = all_frames(reader, reach=(reader.first_frame - 1, reader.last_frame + 1))
     given = _rows(spec, reader, table)

@@ -274,6 +274,11 @@ def _check_rig(spec: MapSpec, mapping: TrainedMapping, rig: Rig) -> tuple[str, .
             f"{first_few(missing, most=3)}) is on this rig, which has "
             f"{first_few(rig.shapes, most=3)}; is it the rig the mapping was trained for?"
         )
+    rig.check_has(
+        [name for name in missing if name in rig.logic.driven],
+        source=spec.mapping,
+        remedy="train again for the rig with its logic",
+    )
     if missing:
         raise InputError(
             f"{spec.rig}: {len(missing)} of the mapping's {len(mapping.shape_names)} shapes are "

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from usdface.core.arrays import FloatArray, IntArray, columns_by_name
 from usdface.core.assets import CandidateScore, References, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
@@ -51,12 +52,14 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
     columns = [rig.shapes.index(name) for name in references.shape_names]
     deformer = Deformer(rig)
     offsets = deformer.shapes.target_offsets()
+    points = skin_points(offsets)
+    poses = columns_by_name(references.weights, references.shape_names, rig.shapes)
     mapping = train_mapping(
         references,
         ranges=rig.ranges[columns],
-        gram=deformer.shapes.gram()[np.ix_(columns, columns)],
-        skin=sample_skin(offsets)[columns],
-        rest=RestPlaces(deformer.neutral[skin_points(offsets)], registered_places(references, rig)),
+        gram=deformer.shapes.gram(poses)[np.ix_(columns, columns)],
+        skin=np.concatenate([sample_skin(offsets)[columns], _driven_skin(deformer, points)]),
+        rest=RestPlaces(deformer.neutral[points], registered_places(references, rig)),
         method=spec.method,
         choices=Choices(spec.dimensions, spec.widths),
         progress=progress,
@@ -77,6 +80,13 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
     return StepResult(
         tuple(outputs), _summary(mapping, references), tuple(notes), describe_figures(mapping)
     )
+
+
+def _driven_skin(deformer: Deformer, points: IntArray) -> FloatArray:
+    """Return what combinations at 1 do to points: (combinations, points, 3) [mm]."""
+    columns = (3 * points[:, None] + np.arange(3)).ravel()
+    moved = deformer.shapes.combination_offsets().tocsc()[:, columns].toarray()
+    return np.asarray(moved.reshape(len(moved), len(points), 3))
 
 
 def describe_figures(mapping: TrainedMapping) -> dict[str, object]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray, index_of, runs
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, columns_by_name, index_of, runs
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
@@ -114,7 +114,8 @@ def _learn(
     spec: ReferencesFromEditsSpec, performance: Path, old: References, notes: list[str]
 ) -> _Lessons:
     reader = PerformanceReader(performance)
-    missing = [name for name in reader.names if name not in old.shape_names]
+    driven = {each.shape for each in old.combinations}
+    missing = [name for name in reader.names if name not in {*old.shape_names, *driven}]
     if missing:
         raise InputError(
             f"{performance}: its shapes {first_few(missing)} are not in {spec.references}; "
@@ -141,9 +142,7 @@ def _learn(
     chosen = spread_out(edited[rows], change[rows], spec.count)
     if len(chosen) < len(rows):
         notes.append(f"{performance}: taken {len(chosen)} of {len(rows)} corrected frames")
-    weights = np.zeros((len(chosen), len(old.shape_names)))
-    columns = [old.shape_names.index(name) for name in reader.names]
-    weights[:, columns] = edited[rows[chosen]]
+    weights = columns_by_name(edited[rows[chosen]], reader.names, old.shape_names)
     return _Lessons(take.name, reader.frames[rows[chosen]], markers[chosen], weights)
 
 

@@ -27,8 +27,10 @@ def run(
     """Match the file's rows to pairs and its columns to shapes, and write the tuned layer."""
     references = read_references(spec.references)
     given = read_weight_table(spec.weights, known=references.shape_names, unit=spec.weight_unit)
+    combinations = {each.shape for each in references.combinations}
     if spec.names is None:
-        transfer = transfer_by_names(given.names, references.shape_names)
+        names = tuple(name for name in given.names if name not in combinations)
+        transfer = transfer_by_names(names, references.shape_names)
     else:
         transfer = transfer_by_table(spec.names, given.names, references.shape_names)
     table = given.renamed(transfer)
@@ -54,7 +56,13 @@ def run(
     if transfer.ambiguous:
         notes.append(f"not matched, as it is not clear: {first_few(transfer.ambiguous, most=3)}")
     matched = set(transfer.matched)
-    unknown = [name for name in given.names if name not in matched]
+    driven = [name for name in given.names if name in combinations]
+    if driven:
+        notes.append(
+            f"not imported, as other shapes drive them: {pluralize(len(driven), 'combination')}, "
+            f"{first_few(driven)}"
+        )
+    unknown = [name for name in given.names if name not in {*matched, *driven}]
     if unknown:
         notes.append(
             f"left out {pluralize(len(unknown), 'column')}, of no shape of the rig: "

@@ -316,6 +316,7 @@ def _references(
         neutral=takes.neutral,
         rig_file=scene.rig.file,
         rig_prim=scene.rig.prim,
+        combinations=scene.rig.combinations,
         motion=scene.motion,
         visemes=tuple(choice.visemes.get(row, spoken.viseme_of[row]) for row in rows.tolist()),
         emotions=tuple(spoken.emotion_of[row] for row in rows.tolist()),

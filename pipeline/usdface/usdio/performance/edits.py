@@ -6,7 +6,7 @@
 whether the edit still means what it meant.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from usdface.core.arrays import Float32Array, FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, hash_files
 from usdface.core.rates import check_frame_span
+from usdface.core.rig_logic import Combination, logic_of
 from usdface.core.sidecars import edits_path
 from usdface.numerics.motion.key_reduction import (
     EditCurve,
@@ -192,22 +193,34 @@ def edited_weights(
     edits: Mapping[str, ShapeEdit],
     *,
     ranges: Mapping[str, tuple[float, float]] | None = None,
+    combinations: Sequence[Combination] = (),
 ) -> FloatArray:
     """Return weights with edits applied, (frames, shapes) as `solved`.
 
     Where `ranges` names a shape, its edited frames are kept within; frames that nobody edited are
-    left as they are solved.
+    left as they are solved. Shapes that others drive follow the edits of those, and may be edited
+    on top.
     """
-    edited = np.array(solved, dtype=np.float64)
-    for column, name in enumerate(names):
-        edit = edits.get(name)
-        if edit is None:
-            continue
-        touched = edit.curve.active
-        values = apply_edit(edited[:, column], edit.curve)
-        if ranges is not None and name in ranges:
-            values = np.clip(values, *ranges[name])
-        edited[touched, column] = values[touched]
+    edited, names = np.array(solved, dtype=np.float64), tuple(names)
+    driven = {each.shape for each in combinations}
+
+    def apply(those: Iterable[str]) -> None:
+        for name in those:
+            column, curve = names.index(name), edits[name].curve
+            values = apply_edit(edited[:, column], curve)
+            if ranges is not None and name in ranges:
+                values = np.clip(values, *ranges[name])
+            edited[curve.active, column] = values[curve.active]
+
+    present = [name for name in names if name in edits]
+    apply(name for name in present if name not in driven)
+    logic = logic_of(names, combinations)
+    if logic is not None and not driven.issuperset(present):
+        follow = logic.complete(edited, names) - logic.complete(np.asarray(solved, float), names)
+        for column, each in zip(range(-len(combinations), 0), combinations, strict=True):
+            if each.shape in names:
+                edited[:, names.index(each.shape)] += follow[:, column]
+    apply(name for name in present if name in driven)
     return edited
 
 

@@ -12,6 +12,7 @@ from pxr import Sdf, Usd, UsdSkel
 from usdface.core.arrays import Float32Array, FloatArray, IntArray
 from usdface.core.assets import Performance, SolveBasis, WeightsClip
 from usdface.core.errors import InputError
+from usdface.core.rig_logic import Combination
 from usdface.core.rates import exact_rate, shift_timecode, span_of_samples
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.edits import ShapeEdit, edited_weights, read_edits
@@ -23,6 +24,7 @@ from usdface.usdio.performance.weights_layer import (
     UNMATCHED,
     WeightsHeader,
 )
+from usdface.usdio.rig.read import faces_below, read_combinations
 from usdface.usdio.rig.reference import place_of, rig_of
 
 _CONFIDENCE_RANGE = (0.001, 0.9999)
@@ -135,6 +137,17 @@ class PerformanceReader:
         """What was edited, by shape, over all frames of the performance."""
         return read_edits(self.animation, self.frames)
 
+    @cached_property
+    @refusing_wrong_types
+    def combinations(self) -> tuple[Combination, ...]:
+        """What of the rig other shapes drive; nothing where no rig stands in the stage."""
+        place = self.stage.GetPrimAtPath(place_of(self.stage, self.animation))
+        return tuple(
+            each
+            for face in (faces_below(place) if place else ())
+            for each in read_combinations(face, self.path)
+        )
+
     @property
     def header(self) -> WeightsHeader:
         """What the header of a weights layer says that stands for the performance."""
@@ -196,7 +209,8 @@ class PerformanceReader:
         start = (self.first_frame if first is None else first) - self.first_frame
         part = slice(start, start + len(values))
         edits = {name: edit.during(part) for name, edit in self.edits.items()}
-        return edited_weights(self.names, values, edits).astype(np.float32)
+        made = edited_weights(self.names, values, edits, combinations=self.combinations)
+        return made.astype(np.float32)
 
     @refusing_wrong_types
     def series(self, name: str, first: int, last: int) -> FloatArray | None:

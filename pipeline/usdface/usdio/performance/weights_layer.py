@@ -13,6 +13,7 @@ from usdface.core.arrays import Float32Array, FloatArray, IntArray
 from usdface.core.assets import Rig, SolveBasis
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
+from usdface.core.rig_logic import Combination, logic_of
 from usdface.numerics.motion.key_reduction import sparse_rows
 from usdface.usdio.authoring import apply_api, author_timing, author_uniform, define_prim
 from usdface.usdio.layers import (
@@ -76,6 +77,14 @@ class WeightsHeader:
     """What the mapping learnt from."""
     unmatched: tuple[str, ...] = ()
     """Shapes that move in the source of a retargeting and drive nothing."""
+    combinations: tuple[Combination, ...] = ()
+    """Written after the shapes, as these drive them."""
+
+    @property
+    def written_names(self) -> tuple[str, ...]:
+        """Order of the samples."""
+        driven = [each.shape for each in self.combinations]
+        return (*(name for name in self.shape_names if name not in driven), *driven)
 
     @property
     def animation(self) -> Sdf.Path:
@@ -105,10 +114,11 @@ class WeightsWriter:
         self._weights = header.animation.AppendProperty(WEIGHTS)
         self._figures = [header.animation.AppendProperty(name) for name in FIGURES]
         self._save_frames = min(
-            FRAMES_IN_MEMORY, VALUES_IN_MEMORY // max(len(header.shape_names), 1) + 1
+            FRAMES_IN_MEMORY, VALUES_IN_MEMORY // max(len(header.written_names), 1) + 1
         )
         self._unsaved = 0
-        self._shapes = len(header.shape_names)
+        self._header = header
+        self._logic = logic_of(header.shape_names, header.combinations)
         self.next_frame = header.first_frame
 
     def append(
@@ -134,12 +144,14 @@ class WeightsWriter:
         if keys is not None:
             wanted[:] = False
             wanted[keys] = True
+        rest = len(self._header.shape_names) - weights.shape[1]
         for start in range(0, len(weights), self._save_frames):
             part = slice(start, start + self._save_frames)
-            rows = np.zeros((len(weights[part]), self._shapes), dtype=np.float32)
-            rows[:, : weights.shape[1]] = weights[part]
+            rows = np.pad(weights[part], ((0, 0), (0, rest)))
+            if self._logic is not None:
+                rows = self._logic.complete(rows, self._header.shape_names)
             self._append_block(
-                rows,
+                np.ascontiguousarray(rows, dtype=np.float32),
                 [
                     (path, np.ascontiguousarray(values[part], dtype=np.float32))
                     for path, values in zip(
@@ -213,10 +225,11 @@ class WeightsWriter:
 
     def _check_samples(self, animation: Usd.Prim, values: list[Vt.FloatArray], frames: int) -> None:
         sizes = set(map(len, values))
-        if len(values) != frames or sizes != {self._shapes}:
+        shapes = len(self._header.written_names)
+        if len(values) != frames or sizes != {shapes}:
             raise InputError(
                 f"<{animation.GetPath()}> from frame {self.next_frame}: {len(values)} samples of "
-                f"{', '.join(map(str, sorted(sizes)))} weights where {frames} of {self._shapes} "
+                f"{', '.join(map(str, sorted(sizes)))} weights where {frames} of {shapes} "
                 "are needed; map that part again"
             )
 
@@ -307,6 +320,7 @@ def make_header(
         regions=regions,
         timecode_start=timecode_start,
         name=animation_name(rig),
+        combinations=rig.combinations,
     )
 
 
@@ -339,7 +353,7 @@ def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.Prim
     prim = define_prim(layer, header.animation, "SkelAnimation")
     apply_api(prim, "FaceSolveAPI")
     tokens = Sdf.ValueTypeNames.TokenArray
-    author_uniform(prim, "blendShapes", tokens, list(header.shape_names))
+    author_uniform(prim, "blendShapes", tokens, list(header.written_names))
     Sdf.AttributeSpec(prim, WEIGHTS, Sdf.ValueTypeNames.FloatArray)
     if header.regions:
         for name in FIGURES:

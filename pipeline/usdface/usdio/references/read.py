@@ -10,10 +10,12 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MotionSpace, References
 from usdface.core.errors import InputError
+from usdface.core.rig_logic import Combination
 from usdface.core.text import first_few
 from usdface.usdio.authoring import read_array_samples
 from usdface.usdio.layers import open_layer, read_provenance, refusing_wrong_types
 from usdface.usdio.references.pair_layers import open_pair_stage
+from usdface.usdio.rig.read import faces_below, read_combinations
 from usdface.usdio.rig.reference import rig_of
 from usdface.usdio.units import MM_PER_STAGE_UNIT
 
@@ -107,14 +109,17 @@ def read_references(path: Path) -> References:
         points.GetPrim().GetAttribute("face:markers:neutral").Get(), dtype=np.float64
     )
     rig_file, rig_prim = rig_of(stage, animation.GetPrim())
+    combinations = _read_combinations(stage, path)
+    driven = {each.shape for each in combinations}
+    columns = [index for index, name in enumerate(shape_names) if name not in driven]
     take_of = tuple(str(takes.Get(pair)) for pair in pairs)
     frame_of = np.array([frames.Get(pair) for pair in pairs], dtype=np.int64)
     _check_tuning(stage, take_of, frame_of)
     return References(
         marker_names=marker_names,
-        shape_names=shape_names,
+        shape_names=tuple(shape_names[index] for index in columns),
         markers=markers * MM_PER_STAGE_UNIT,
-        weights=weights,
+        weights=weights[:, columns],
         frames=frame_of,
         takes=take_of,
         tuned=np.array([bool(tuned.Get(pair)) for pair in pairs]),
@@ -122,12 +127,21 @@ def read_references(path: Path) -> References:
         neutral=neutral.reshape(-1, 3) * MM_PER_STAGE_UNIT,
         rig_file=rig_file,
         rig_prim=rig_prim,
+        combinations=combinations,
         motion=_read_motion(root),
         visemes=_labels(root, VISEME, pairs),
         emotions=_labels(root, EMOTION, pairs),
         performer=_text(root, "face:performer"),
         session=_text(root, "face:session"),
         placement=_read_placement_path(root, path),
+    )
+
+
+def _read_combinations(stage: Usd.Stage, path: Path) -> tuple[Combination, ...]:
+    """Return the combinations of the rig that the asset refers to; none where it is gone."""
+    rig = stage.GetPrimAtPath(RIG)
+    return tuple(
+        each for face in (faces_below(rig) if rig else ()) for each in read_combinations(face, path)
     )
 
 
@@ -344,6 +358,8 @@ def take_files(path: Path) -> tuple[Path, ...]:
 
 def _check_shapes(path: Path, names: list[str], references: References) -> None:
     missing = [name for name in references.shape_names if name not in names]
+    driven = {each.shape for each in references.combinations}
+    names = [name for name in names if name not in driven]
     if missing or len(names) != len(references.shape_names):
         raise InputError(
             f"{path}: holds {len(names)} shapes and the references {len(references.shape_names)}"

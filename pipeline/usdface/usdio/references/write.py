@@ -15,6 +15,7 @@ from pxr import Kind, Sdf, UsdGeom, Vt
 from usdface.core.arrays import FloatArray, index_of
 from usdface.core.assets import MotionSpace, References, Rig
 from usdface.core.provenance import Provenance
+from usdface.core.rig_logic import logic_of
 from usdface.core.sidecars import proposed_path, tuned_path
 from usdface.usdio.authoring import apply_api, author_uniform, define_prim, doubles
 from usdface.usdio.layers import new_layer, new_layers, relative_path
@@ -93,7 +94,7 @@ def write_references(
             root = layer.GetPrimAtPath(ROOT)
             author_uniform(root, PLACEMENT, Sdf.ValueTypeNames.Asset, named)
         animation = define_prim(layer, WEIGHTS_PATH, "SkelAnimation")
-        names = list(references.shape_names)
+        names = _written_names(references)
         author_uniform(animation, "blendShapes", Sdf.ValueTypeNames.TokenArray, names)
         define_reference(layer, str(RIG), rig, path)
         turn_to_our_units(layer, str(RIG), rig)
@@ -168,11 +169,18 @@ def _author_tuned_layer(layer: Sdf.Layer, references: References, pairs: list[Tu
 def _author_weights(layer: Sdf.Layer, references: References, weights: FloatArray) -> None:
     author_pair_header(layer, ROOT, len(references.frames))
     over = Sdf.CreatePrimInLayer(layer, WEIGHTS_PATH)
-    names = list(references.shape_names)
+    names = _written_names(references)
+    logic = logic_of(references.shape_names, references.combinations)
+    if logic is not None:
+        weights = logic.complete(weights, references.shape_names)
     author_uniform(over, "blendShapes", Sdf.ValueTypeNames.TokenArray, names)
     Sdf.AttributeSpec(over, WEIGHTS_ATTRIBUTE.name, Sdf.ValueTypeNames.FloatArray)
     for pair, row in enumerate(np.ascontiguousarray(weights, dtype=np.float32)):
         layer.SetTimeSample(WEIGHTS_ATTRIBUTE, pair + 1, Vt.FloatArray.FromNumpy(row))
+
+
+def _written_names(references: References) -> list[str]:
+    return [*references.shape_names, *(each.shape for each in references.combinations)]
 
 
 def _author_pairs(layer: Sdf.Layer, references: References) -> None:

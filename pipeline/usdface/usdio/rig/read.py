@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
@@ -10,6 +11,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.core.errors import InputError
+from usdface.core.rig_logic import Combination, CombinationMode, order_combinations
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.rig.materials import read_look
 from usdface.usdio.rig.mesh import PlacedMesh, RestPose
@@ -17,6 +19,13 @@ from usdface.usdio.units import stage_to_ours
 
 RANGE_ATTRIBUTE = "face:range"
 """Optional double2 on a BlendShape prim: lowest and highest weight an animator may give."""
+
+
+COMBINATION = "FaceCombinationAPI"
+COMBINATION_PARTS = "face:combination:shapes"
+COMBINATION_MODE = "face:combination:mode"
+COMBINATION_WEIGHTS = "face:combination:weights"
+COMBINATION_SPANS = "face:combination:spans"
 
 
 @refusing_wrong_types
@@ -40,9 +49,60 @@ def read_rig(path: Path, *, prim: str | None = None) -> Rig:
     ours = stage_to_ours(stage)
     rest = RestPose(UsdSkel.Root(root), ours)
     meshes = tuple(_read_mesh(mesh, rest, path) for mesh in _meshes_below(root))
-    shapes = tuple(dict.fromkeys(shape.name for mesh in meshes for shape in mesh.shapes))
-    ranges = _read_ranges(root, shapes)
-    return Rig(file=path, prim=str(root.GetPath()), shapes=shapes, meshes=meshes, ranges=ranges)
+    every = tuple(dict.fromkeys(shape.name for mesh in meshes for shape in mesh.shapes))
+    combinations = read_combinations(root, path)
+    driven = {each.shape for each in combinations}
+    shapes = tuple(name for name in every if name not in driven)
+    return Rig(
+        file=path,
+        prim=str(root.GetPath()),
+        shapes=shapes,
+        meshes=meshes,
+        ranges=_read_ranges(root, shapes),
+        combinations=combinations,
+    )
+
+
+def shape_prims(root: Usd.Prim) -> Iterator[tuple[str, Usd.Prim]]:
+    """Yield the shapes of all meshes below a SkelRoot: name and BlendShape prim."""
+    for mesh in _meshes_below(root):
+        binding = UsdSkel.BindingAPI(mesh)
+        names = binding.GetBlendShapesAttr().Get() or []
+        for name, target in zip(names, binding.GetBlendShapeTargetsRel().GetTargets(), strict=True):
+            yield str(name), root.GetStage().GetPrimAtPath(target)
+
+
+def read_combinations(root: Usd.Prim, path: Path) -> tuple[Combination, ...]:
+    """Read which shapes below a SkelRoot others drive; see `order_combinations`.
+
+    Raises
+    ------
+    InputError
+        If a combination cannot be used, or two meshes state it differently.
+    """
+    found, names = dict[str, Combination](), set[str]()
+    for name, prim in shape_prims(root):
+        names.add(name)
+        parts = prim.GetAttribute(COMBINATION_PARTS) if prim else None
+        stated = parts.Get() if parts else None
+        if not stated:
+            continue
+        mode = prim.GetAttribute(COMBINATION_MODE)
+        weights = prim.GetAttribute(COMBINATION_WEIGHTS)
+        spans = prim.GetAttribute(COMBINATION_SPANS)
+        combination = Combination(
+            shape=name,
+            parts=tuple(map(str, stated)),
+            mode=cast(CombinationMode, str((mode.Get() if mode else None) or "product")),
+            weights=tuple(map(float, (weights.Get() if weights else None) or ())),
+            spans=tuple((low, high) for low, high in (spans.Get() if spans else None) or ()),
+        )
+        if found.setdefault(name, combination) != combination:
+            raise InputError(
+                f"{path} <{prim.GetPath()}>: states {combination}, another mesh {found[name]}; "
+                "make them equal"
+            )
+    return order_combinations(found.values(), names, source=path)
 
 
 def skeletons_of(root: Usd.Prim) -> list[Usd.Prim]:
@@ -219,17 +279,11 @@ def _shape_keys(
 
 def _read_ranges(root: Usd.Prim, shapes: tuple[str, ...]) -> FloatArray:
     ranges = {name: (0.0, 1.0) for name in shapes}
-    for mesh in _meshes_below(root):
-        binding = UsdSkel.BindingAPI(mesh)
-        for name, target in zip(
-            binding.GetBlendShapesAttr().Get() or [],
-            binding.GetBlendShapeTargetsRel().GetTargets(),
-            strict=True,
-        ):
-            attribute = root.GetStage().GetPrimAtPath(target).GetAttribute(RANGE_ATTRIBUTE)
-            value = attribute.Get() if attribute else None
-            if value is not None and value[0] < value[1]:
-                ranges[str(name)] = (float(value[0]), float(value[1]))
+    for name, prim in shape_prims(root):
+        attribute = prim.GetAttribute(RANGE_ATTRIBUTE)
+        value = attribute.Get() if attribute else None
+        if value is not None and value[0] < value[1]:
+            ranges[name] = (float(value[0]), float(value[1]))
     return np.array([ranges[name] for name in shapes], dtype=np.float64).reshape(-1, 2)
 
 

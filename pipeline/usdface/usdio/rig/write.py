@@ -10,8 +10,16 @@ from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import Rig, RigMesh, ShapeKey
 from usdface.core.provenance import Provenance
+from usdface.core.rig_logic import Combination
 from usdface.usdio.layers import new_layer
-from usdface.usdio.rig.read import RANGE_ATTRIBUTE
+from usdface.usdio.rig.read import (
+    COMBINATION,
+    COMBINATION_MODE,
+    COMBINATION_PARTS,
+    COMBINATION_SPANS,
+    COMBINATION_WEIGHTS,
+    RANGE_ATTRIBUTE,
+)
 from usdface.usdio.units import MM_PER_STAGE_UNIT, author_units
 
 
@@ -100,8 +108,10 @@ def _define_mesh(stage: Usd.Stage, mesh: RigMesh, skeleton: UsdSkel.Skeleton, ri
     binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
     binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1))
     targets = []
+    ranges = dict(zip(rig.shapes, rig.ranges.tolist(), strict=True))
+    driven = {each.shape: each for each in rig.combinations}
     for shape in mesh.shapes:
-        low, high = rig.ranges[rig.shapes.index(shape.name)]
+        low, high = ranges.get(shape.name, (0.0, 1.0))
         target = UsdSkel.BlendShape.Define(stage, geometry.GetPath().AppendChild(shape.name))
         _define_keys(target, shape.keys)
         if (low, high) != (0.0, 1.0):
@@ -109,6 +119,8 @@ def _define_mesh(stage: Usd.Stage, mesh: RigMesh, skeleton: UsdSkel.Skeleton, ri
                 RANGE_ATTRIBUTE, Sdf.ValueTypeNames.Double2, custom=True
             )
             attribute.Set(Gf.Vec2d(low, high))
+        if shape.name in driven:
+            author_combination(target.GetPrim(), driven[shape.name])
         targets.append(target.GetPath())
     if targets:
         binding.CreateBlendShapesAttr([shape.name for shape in mesh.shapes])
@@ -141,6 +153,21 @@ def _bind_joints(stage: Usd.Stage, mesh: RigMesh, controls: RigControls) -> None
     indices.Set(_integers(joints.ravel()))
     weights = binding.CreateJointWeightsPrimvar(constant=False, elementSize=size)
     weights.Set(shares.ravel().tolist())
+
+
+def author_combination(prim: Usd.Prim, combination: Combination) -> None:
+    """Write which shapes drive a BlendShape."""
+    prim.ApplyAPI(COMBINATION)
+    tokens, doubles = Sdf.ValueTypeNames.TokenArray, Sdf.ValueTypeNames.DoubleArray
+    pairs = Sdf.ValueTypeNames.Double2Array
+    for name, kind, value in (
+        (COMBINATION_PARTS, tokens, list(combination.parts)),
+        (COMBINATION_MODE, Sdf.ValueTypeNames.Token, combination.mode),
+        (COMBINATION_WEIGHTS, doubles, list(combination.part_weights)),
+        (COMBINATION_SPANS, pairs, [Gf.Vec2d(*span) for span in combination.spans]),
+    ):
+        if value:
+            prim.CreateAttribute(name, kind, False, Sdf.VariabilityUniform).Set(value)
 
 
 def _define_keys(target: UsdSkel.BlendShape, keys: tuple[ShapeKey, ...]) -> None:

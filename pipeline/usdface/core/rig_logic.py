@@ -1,0 +1,351 @@
+"""Combination shapes: shapes of a rig that other shapes drive.
+
+A combination shape (corrective) has no weight of its own. With ``f_j`` the factor of its part j::
+
+    product   f_1 f_2 ...
+    minimum   min(f_1, f_2, ...)
+    smooth    n / (1/f_1 + 1/f_2 + ...), the harmonic mean: a minimum without a crease
+
+A part that counts in full at weight 1 has the factor ``max(w, 0)``. One that counts in full at a
+weight p below 1 is an in-between: a straight line from 0 at a weight below to 1 at p, and back to 0
+at one above; where its span is not given, at the next such weights of the same part, 0 and 1
+included. A part may be a combination itself.
+
+Blender, Maya (`combinationShape`: multiplication, lowest weighting, lowest weighting smooth) and
+Simplex (`solveType`: allMul, min, and mulAvgAll, which is the harmonic mean of two parts) have
+these modes under other names.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from usdface.core.arrays import FloatArray, IntArray, columns_by_name, index_of
+from usdface.core.errors import InputError
+from usdface.core.text import first_few, pluralize
+
+CombinationMode = Literal["product", "minimum", "smooth"]
+COMBINATION_MODES: tuple[CombinationMode, ...] = get_args(CombinationMode)
+
+_TINY = 1e-12
+"""Of a weight: keeps a harmonic mean of zeros finite."""
+
+
+@dataclass(frozen=True)
+class Combination:
+    """One shape that others drive."""
+
+    shape: str
+    """The driven shape."""
+    parts: tuple[str, ...]
+    """Shapes that drive it; some may be combinations themselves."""
+    mode: CombinationMode = "product"
+    weights: tuple[float, ...] = ()
+    """(parts,): weight at which each part counts in full, in (0-1]; empty: 1 for all."""
+    spans: tuple[tuple[float, float], ...] = ()
+    """(parts, 2): weights at which each in-between is 0 again; empty: those next to it."""
+
+    @property
+    def part_weights(self) -> tuple[float, ...]:
+        """Weight at which each part counts in full: (parts,)."""
+        return self.weights or (1.0,) * len(self.parts)
+
+    def __str__(self) -> str:
+        """Write it as tables do: ``smile_jaw = smile * jaw@0.5 (minimum)``."""
+        spans = self.spans or (None,) * len(self.parts)
+        parts = [
+            part
+            + ("" if weight == 1.0 else f"@{weight:g}")
+            + ("" if weight == 1.0 or span is None else f"[{span[0]:g} {span[1]:g}]")
+            for part, weight, span in zip(self.parts, self.part_weights, spans, strict=True)
+        ]
+        mode = "" if self.mode == "product" else f" ({self.mode})"
+        return f"{self.shape} = {' * '.join(parts)}{mode}"
+
+
+def order_combinations(
+    combinations: Iterable[Combination], shapes: Iterable[str], *, source: object
+) -> tuple[Combination, ...]:
+    """Check combinations against a rig, and put parts before what they drive.
+
+    Parameters
+    ----------
+    shapes : iterable of str
+        All shapes of the rig, driven ones included.
+    source : object
+        What messages name.
+
+    Raises
+    ------
+    InputError
+        Naming every combination of shapes that are not there, that drives itself, or that is
+        stated twice.
+    """
+    given, known = list(combinations), set(shapes)
+    faults = [fault for each in given for fault in _faults(each, known)]
+    names = [each.shape for each in given]
+    faults += [f"{name} is stated {names.count(name)} times" for name in dict.fromkeys(names)
+               if names.count(name) > 1]  # fmt: skip
+    if not faults:
+        ordered, left = list[Combination](), given
+        while left:
+            waiting = {each.shape for each in left}
+            ready = [each for each in left if not waiting & set(each.parts)]
+            if not ready:
+                faults.append(f"a cycle: {_cycle(left)}")
+                break
+            ordered += ready
+            left = [each for each in left if each not in ready]
+    if faults:
+        raise InputError(
+            f"{source}: {pluralize(len(faults), 'combination')} cannot be used: "
+            f"{first_few(faults)}; correct them"
+        )
+    return tuple(ordered)
+
+
+def _faults(combination: Combination, known: set[str]) -> list[str]:
+    faults = []
+    missing = [name for name in (combination.shape, *combination.parts) if name not in known]
+    if missing:
+        faults.append(f"{combination}: {first_few(missing)} is no shape of the rig")
+    if not combination.parts:
+        faults.append(f"{combination.shape}: has no parts")
+    if len(set(combination.parts)) < len(combination.parts):
+        faults.append(f"{combination}: names a part twice")
+    if combination.mode not in COMBINATION_MODES:
+        faults.append(
+            f"{combination.shape}: its mode is {combination.mode!r}, not "
+            f"{', '.join(COMBINATION_MODES)}"
+        )
+    if len(combination.part_weights) != len(combination.parts):
+        faults.append(
+            f"{combination.shape}: {len(combination.weights)} weights for "
+            f"{len(combination.parts)} parts"
+        )
+    elif not all(0.0 < weight <= 1.0 for weight in combination.part_weights):  # NaN included
+        faults.append(f"{combination.shape}: its weights must be above 0 and at most 1")
+    elif len(combination.spans) not in (0, len(combination.parts)):
+        faults.append(
+            f"{combination.shape}: {len(combination.spans)} spans for "
+            f"{len(combination.parts)} parts"
+        )
+    elif not all(
+        weight == 1.0 or low < weight < high
+        for weight, (low, high) in zip(combination.part_weights, combination.spans, strict=False)
+    ):
+        faults.append(f"{combination.shape}: a span does not hold its part's weight")
+    return faults
+
+
+def _cycle(left: Sequence[Combination]) -> str:
+    parts = {each.shape: each.parts for each in left}
+    path = [left[0].shape]
+    while path[-1] not in path[:-1]:
+        path.append(next(part for part in parts[path[-1]] if part in parts))
+    return " <- ".join(path[path.index(path[-1]) :])
+
+
+@dataclass(frozen=True)
+class _Step:
+    """Combinations of one mode and number of parts that can be evaluated at once."""
+
+    mode: CombinationMode
+    columns: IntArray
+    """(n,): where results go."""
+    parts: IntArray
+    """(n, parts): columns they are read from."""
+    low: FloatArray
+    peak: FloatArray
+    high: FloatArray
+    """`low`, `peak`, `high`: (n, parts): where a factor leaves 0, is 1, and is 0 again; infinite
+    `high`: it goes on along its line."""
+
+    def factors(self, weights: FloatArray) -> FloatArray:
+        """Return (frames, n, parts)."""
+        at = weights[:, self.parts]
+        rising = (at - self.low) / (self.peak - self.low)
+        finite = np.isfinite(self.high)
+        falling = np.where(finite, (self.high - at) / np.where(finite, self.high - self.peak, 1), 9)
+        bent = np.where(finite, np.minimum(rising, falling), rising)
+        return np.asarray(np.maximum(bent, 0.0))
+
+    def slopes(self, weights: FloatArray) -> FloatArray:
+        """Return the derivative of `factors`; where it jumps, that towards larger weights."""
+        at = weights[:, self.parts]
+        finite = np.isfinite(self.high)
+        down = np.where(finite, -1 / np.where(finite, self.high - self.peak, 1), 0.0)
+        out = np.where(at < self.peak, 1 / (self.peak - self.low), down)
+        out = np.where(finite | (at < self.peak), out, 1 / (self.peak - self.low))
+        return np.asarray(np.where((at < self.low) | (at >= self.high), 0.0, out))
+
+    def gains(self, factors: FloatArray) -> FloatArray:
+        """Return the derivatives of `combine`: (frames, n, parts)."""
+        count = factors.shape[2]
+        if self.mode == "product":
+            rest = [np.delete(factors, part, axis=2).prod(axis=2) for part in range(count)]
+            return np.stack(rest, axis=2)
+        if self.mode == "minimum":
+            return np.asarray(factors.argmin(axis=2)[:, :, None] == np.arange(count), np.float64)
+        above = np.maximum(factors, _TINY)
+        return np.asarray(combine(factors, self.mode)[:, :, None] ** 2 / (count * above**2))
+
+
+def combine(factors: FloatArray, mode: CombinationMode) -> FloatArray:
+    """Return what factors make together, along their last axis."""
+    if mode == "product":
+        return np.asarray(factors.prod(axis=-1))
+    if mode == "minimum":
+        return np.asarray(factors.min(axis=-1))
+    return np.asarray(factors.shape[-1] / (1 / np.maximum(factors, _TINY)).sum(axis=-1))
+
+
+class RigLogic:
+    """What a rig's animated shapes make of its combination shapes.
+
+    Parameters
+    ----------
+    shapes : sequence of str
+        Those that are animated.
+    combinations : sequence of Combination
+        From `order_combinations`: parts before what they drive.
+    """
+
+    def __init__(self, shapes: Sequence[str], combinations: Sequence[Combination]) -> None:
+        self.shapes = tuple(shapes)
+        self.combinations = tuple(combinations)
+        self.driven = frozenset(each.shape for each in combinations)
+        """Names of the combinations."""
+        column = index_of((*self.shapes, *(each.shape for each in combinations)))
+        level = dict.fromkeys(self.shapes, 0)
+        for each in combinations:
+            level[each.shape] = 1 + max(level[part] for part in each.parts)
+        knots: dict[str, set[float]] = {}
+        for each in combinations:
+            for part, weight in zip(each.parts, each.part_weights, strict=True):
+                if not each.spans:
+                    knots.setdefault(part, {0.0, 1.0}).add(weight)
+
+        def key(each: Combination) -> tuple[int, str, int]:
+            return level[each.shape], each.mode, len(each.parts)
+
+        self._steps = [
+            _step(list(group), column, knots)
+            for _, group in groupby(sorted(combinations, key=key), key)
+        ]
+
+    def evaluate(self, weights: ArrayLike) -> FloatArray:
+        """Return the weights of all shapes, combinations last.
+
+        Parameters
+        ----------
+        weights : (frames, shapes) array_like
+            Of the animated shapes.
+
+        Returns
+        -------
+        (frames, shapes + combinations) float array
+        """
+        given = np.asarray(weights, dtype=np.float64)
+        out = np.zeros((len(given), len(self.shapes) + len(self.combinations)))
+        out[:, : len(self.shapes)] = given
+        for step in self._steps:
+            out[:, step.columns] = combine(step.factors(out), step.mode)
+        return out
+
+    def slopes(self, weights: ArrayLike) -> FloatArray:
+        """Return what a small change of the animated shapes does to the combinations.
+
+        Returns
+        -------
+        (frames, combinations, shapes) float array
+        """
+        values, count = self.evaluate(weights), len(self.shapes)
+        chain = np.zeros((len(values), values.shape[1], count))
+        chain[:, np.arange(count), np.arange(count)] = 1.0
+        for step in self._steps:
+            gains = step.gains(step.factors(values)) * step.slopes(values)
+            chain[:, step.columns] = sum(
+                gains[:, :, part, None] * chain[:, step.parts[:, part]]
+                for part in range(gains.shape[2])
+            )
+        return chain[:, count:]
+
+    def tables(self) -> list[dict[str, object]]:
+        """Return each combination as numbers, in the order of evaluation, ready for JSON.
+
+        ``high`` is None where a part goes on along its line.
+        """
+        return [
+            {
+                "shape": int(step.columns[row]),
+                "mode": step.mode,
+                "parts": step.parts[row].tolist(),
+                "low": step.low[row].tolist(),
+                "peak": step.peak[row].tolist(),
+                "high": [None if np.isinf(each) else each for each in step.high[row].tolist()],
+            }
+            for step in self._steps
+            for row in range(len(step.columns))
+        ]
+
+    def complete(self, weights: FloatArray, names: Sequence[str]) -> FloatArray:
+        """Return weights by name with combinations after them, as they are driven.
+
+        Parameters
+        ----------
+        weights : (frames, names) float array
+            What is not among `names` is at 0; combinations among them are left out.
+
+        Returns
+        -------
+        (frames, names + combinations) float array
+        """
+        every = self.evaluate(columns_by_name(weights, names, self.shapes))
+        kept = [column for column, name in enumerate(names) if name not in self.driven]
+        return np.concatenate([weights[:, kept], every[:, len(self.shapes) :]], axis=1)
+
+
+def _step(group: list[Combination], column: dict[str, int], knots: dict[str, set[float]]) -> _Step:
+    supports = np.array([_supports(each, knots) for each in group])
+
+    return _Step(
+        mode=group[0].mode,
+        columns=np.array([column[each.shape] for each in group], np.int64),
+        parts=np.array([[column[part] for part in each.parts] for each in group], np.int64),
+        low=supports[:, :, 0],
+        peak=supports[:, :, 1],
+        high=supports[:, :, 2],
+    )
+
+
+def _supports(
+    combination: Combination, knots: dict[str, set[float]]
+) -> list[tuple[float, float, float]]:
+    """Return where each part's factor leaves 0, is 1, and is 0 again."""
+    found = []
+    for index, (part, peak) in enumerate(
+        zip(combination.parts, combination.part_weights, strict=True)
+    ):
+        if peak == 1.0:
+            found.append((0.0, 1.0, np.inf))
+        elif combination.spans:
+            found.append((combination.spans[index][0], peak, combination.spans[index][1]))
+        else:
+            below = max(knot for knot in knots[part] if knot < peak)
+            found.append((below, peak, min(knot for knot in knots[part] if knot > peak)))
+    return found
+
+
+def logic_of(names: Sequence[str], combinations: Sequence[Combination]) -> RigLogic | None:
+    """Return the logic over some of a rig's shapes, those that drive included; None without any."""
+    if not combinations:
+        return None
+    driven = {each.shape for each in combinations}
+    driving = [part for each in combinations for part in each.parts if part not in driven]
+    shapes = dict.fromkeys((*(name for name in names if name not in driven), *driving))
+    return RigLogic(tuple(shapes), combinations)

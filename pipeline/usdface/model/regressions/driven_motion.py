@@ -1,0 +1,143 @@
+"""What combination shapes do to a performer's markers, beside the shapes that are learnt.
+
+The rig says which weights ``c(w)`` its combinations have, the pairs where each moves the markers by
+``F_c``: the forward model explains what is left of the markers without ``c(w)' F``.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray, IntArray, RealArray
+from usdface.core.rig_logic import COMBINATION_MODES, Combination, RigLogic
+from usdface.model.regressions.base import Arrays
+from usdface.model.regressions.target_curve import unbend
+
+_SLOPE_STEP = 1e-4
+"""Of a bent weight, for the slope of unbending."""
+
+
+@dataclass(frozen=True)
+class DrivenMotion:
+    """Combinations over the markers."""
+
+    logic: RigLogic
+    """Its shapes are the mapping's, in their order, perhaps with others after them, at 0."""
+    ranges: FloatArray
+    """(shapes, 2): of the mapping's shapes."""
+    motion: FloatArray
+    """(combinations, 3 markers): ``F`` [mm]."""
+
+    def at(self, targets: RealArray, curve: float) -> FloatArray:
+        """Return how far combinations move the markers: (frames, 3 markers) [mm].
+
+        Parameters
+        ----------
+        targets : (frames, shapes) float array
+            Bent weights.
+        """
+        return driven_weights(self.logic, self._weights(targets, curve)) @ self.motion
+
+    def add_slope(self, slope: RealArray, targets: RealArray, curve: float) -> None:
+        """Add the derivatives of `at` to slopes, (frames, shapes, 3 markers)."""
+        count = slope.shape[1]
+        ahead = unbend(targets + _SLOPE_STEP, curve) - unbend(targets, curve)
+        unbent = ahead / _SLOPE_STEP * np.ptp(self.ranges, axis=1)
+        gains = self.logic.slopes(self._padded(self._weights(targets, curve)))[:, :, :count]
+        for shape, driven in enumerate(self._driven_by):
+            if len(driven):
+                own = gains[:, driven, shape] * unbent[:, [shape]]
+                slope[:, shape] += own.astype(slope.dtype) @ self._single[driven]
+
+    def _weights(self, targets: RealArray, curve: float) -> FloatArray:
+        low, span = self.ranges[:, 0], np.ptp(self.ranges, axis=1)
+        return np.asarray(low + span * np.clip(unbend(targets.astype(float), curve), 0.0, 1.0))
+
+    def _padded(self, weights: FloatArray) -> FloatArray:
+        return pad_columns(weights, len(self.logic.shapes))
+
+    @cached_property
+    def _single(self) -> RealArray:
+        return self.motion.astype(np.float32)
+
+    @cached_property
+    def _driven_by(self) -> list[IntArray]:
+        """Return the combinations that each shape has a part in, through others too."""
+        parts: dict[str, set[str]] = {}
+        for each in self.logic.combinations:
+            parts[each.shape] = set().union(*(parts.get(part, {part}) for part in each.parts))
+        return [
+            np.array(
+                [
+                    row
+                    for row, each in enumerate(self.logic.combinations)
+                    if name in parts[each.shape]
+                ],
+                np.int64,
+            )
+            for name in self.logic.shapes[: len(self.ranges)]
+        ]
+
+    def to_arrays(self) -> Arrays:
+        """Return what `from_arrays` reads, as arrays of a mapping."""
+        names = [*self.logic.shapes, *(each.shape for each in self.logic.combinations)]
+        column = {name: index for index, name in enumerate(names)}
+        most = max(len(each.parts) for each in self.logic.combinations)
+        parts = np.full((len(self.motion), most), -1.0)
+        weights, modes = np.ones_like(parts), np.zeros(len(parts))
+        spans = np.zeros((*parts.shape, 2))  # all 0: those next to the in-between
+        for row, each in enumerate(self.logic.combinations):
+            count = len(each.parts)
+            parts[row, :count] = [column[part] for part in each.parts]
+            weights[row, :count] = each.part_weights
+            spans[row, :count] = each.spans or 0.0
+            modes[row] = COMBINATION_MODES.index(each.mode)
+        return {
+            "driven_shapes": np.array([float(len(self.logic.shapes))]),
+            "driven_parts": parts,
+            "driven_weights": weights,
+            "driven_spans": spans,
+            "driven_modes": modes,
+            "driven_ranges": self.ranges,
+            "driven_motion": self.motion,
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays) -> "DrivenMotion | None":
+        """Put a mapping's combinations together; None where its rig had none."""
+        if "driven_parts" not in arrays:
+            return None
+        count = int(arrays["driven_shapes"][0])
+        combinations = []
+        fields = [arrays[f"driven_{name}"] for name in ("parts", "weights", "spans", "modes")]
+        for row, (parts, weights, spans, mode) in enumerate(zip(*fields, strict=True)):
+            used = parts >= 0
+            combinations.append(
+                Combination(
+                    str(count + row),
+                    tuple(str(int(part)) for part in parts[used]),
+                    COMBINATION_MODES[int(mode)],
+                    tuple(weights[used].tolist()),
+                    tuple(map(tuple, spans[used].tolist())) if spans.any() else (),
+                )
+            )
+        logic = RigLogic([str(shape) for shape in range(count)], combinations)
+        return cls(logic, arrays["driven_ranges"], arrays["driven_motion"])
+
+
+def driven_weights(logic: RigLogic, weights: FloatArray) -> FloatArray:
+    """Return the weights of combinations: (frames, combinations).
+
+    Parameters
+    ----------
+    weights : (frames, shapes) float array
+        Of the first of the logic's shapes; the others are at 0.
+    """
+    padded = pad_columns(weights, len(logic.shapes))
+    return logic.evaluate(padded)[:, len(logic.shapes) :]
+
+
+def pad_columns(weights: FloatArray, count: int) -> FloatArray:
+    """Return weights with columns of 0 after them, up to `count`."""
+    return np.pad(weights, ((0, 0), (0, count - weights.shape[1])))
