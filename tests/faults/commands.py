@@ -47,6 +47,7 @@ COMMANDS = {
     f"--landmarks '{','.join(landmarks(small_scan()))}' --quality draft",
     "deform": f"deform {SCAN} --out talk.scan.usda --length-scale 30 --quality draft",
     "make-shapes": f"make-shapes {SCAN} --count 3 --out scan.rig.usda --length-scale 30",
+    "logic": f"logic {RIG} --definition logic.csv --out hero.logic.usda",
     "pairs-propose": "pairs propose --source human.usda --target beast.usda --out guess.pairs.usda",
     "pairs-import": "pairs import --source human_poses.usda --target beast_poses.usda "
     "--source-rig human.usda --target-rig beast.usda --attributes rig/lattice.dfm:* "

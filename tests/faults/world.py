@@ -84,6 +84,7 @@ def _write_sounds(folder: Path) -> None:
     write_video(folder / "kitchen.mov", record(event, camera, rng))
     write_wav(folder / "capture.wav", record(event, capture, rng))
     make_take(folder)
+    (folder / "logic.csv").write_text("shape,parts\njawLeft,jawOpen jawRight\n")
     if RECORDING.is_dir():
         samples = read_audio(RECORDING / "wav" / "acoustic_corpus.wav")[: 16_000 * SPOKEN_SECONDS]
         words = (RECORDING / "lab" / "acoustic_corpus.lab").read_text().split()[:SPOKEN_WORDS]

@@ -18,20 +18,21 @@ these modes under other names.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import groupby
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.core.arrays import FloatArray, IntArray, columns_by_name, index_of
+from usdface.core.arrays import FloatArray, IntArray, RealArray, columns_by_name, index_of
 from usdface.core.errors import InputError
 from usdface.core.text import first_few, pluralize
 
 CombinationMode = Literal["product", "minimum", "smooth"]
 COMBINATION_MODES: tuple[CombinationMode, ...] = get_args(CombinationMode)
 
-_TINY = 1e-12
+_LEAST_FACTOR = 1e-12
 """Of a weight: keeps a harmonic mean of zeros finite."""
 
 
@@ -191,7 +192,7 @@ class _Step:
             return np.stack(rest, axis=2)
         if self.mode == "minimum":
             return np.asarray(factors.argmin(axis=2)[:, :, None] == np.arange(count), np.float64)
-        above = np.maximum(factors, _TINY)
+        above = np.maximum(factors, _LEAST_FACTOR)
         return np.asarray(combine(factors, self.mode)[:, :, None] ** 2 / (count * above**2))
 
 
@@ -201,7 +202,8 @@ def combine(factors: FloatArray, mode: CombinationMode) -> FloatArray:
         return np.asarray(factors.prod(axis=-1))
     if mode == "minimum":
         return np.asarray(factors.min(axis=-1))
-    return np.asarray(factors.shape[-1] / (1 / np.maximum(factors, _TINY)).sum(axis=-1))
+    mean = factors.shape[-1] / (1 / np.maximum(factors, _LEAST_FACTOR)).sum(axis=-1)
+    return np.asarray(np.where(factors.min(axis=-1) > 0, mean, 0.0))
 
 
 class RigLogic:
@@ -264,16 +266,57 @@ class RigLogic:
         -------
         (frames, combinations, shapes) float array
         """
-        values, count = self.evaluate(weights), len(self.shapes)
-        chain = np.zeros((len(values), values.shape[1], count))
-        chain[:, np.arange(count), np.arange(count)] = 1.0
+        values, links = self.link_slopes(self.evaluate(weights)), self.links
+        out = np.zeros((len(values), len(self.combinations), len(self.shapes)))
+        for column, (combination, shape) in enumerate(links.tolist()):
+            out[:, combination, shape] += values[:, column]
+        return out
+
+    @cached_property
+    def links(self) -> IntArray:
+        """Which shape takes part in which combination: (links, 2), combination and shape.
+
+        One for each way through other combinations.
+        """
+        return np.array([link[:2] for step in self._paths for link in step], np.int64).reshape(
+            -1, 2
+        )
+
+    @cached_property
+    def _paths(self) -> list[list[tuple[int, int, int, int]]]:
+        """Links of each step: combination, shape, which of its gains, and the link before or -1."""
+        count = len(self.shapes)
+        known: dict[int, list[tuple[int, int]]] = {}
+        paths, number = [], 0
         for step in self._steps:
+            links = []
+            for gain, (row, part) in enumerate(np.ndindex(step.parts.shape)):
+                column, target = int(step.parts[row, part]), int(step.columns[row])
+                ways = [(column, -1)] if column < count else known[column]
+                for shape, before in ways:
+                    links.append((target - count, shape, gain, before))
+                    known.setdefault(target, []).append((shape, number))
+                    number += 1
+            paths.append(links)
+        return paths
+
+    def link_slopes(self, values: FloatArray) -> FloatArray:
+        """Return what a small change of a shape does by each of `links`: (frames, links).
+
+        Parameters
+        ----------
+        values : (frames, shapes + combinations) float array
+            From `evaluate`.
+        """
+        done = [np.ones((len(values), 1))]
+        for step, links in zip(self._steps, self._paths, strict=True):
             gains = step.gains(step.factors(values)) * step.slopes(values)
-            chain[:, step.columns] = sum(
-                gains[:, :, part, None] * chain[:, step.parts[:, part]]
-                for part in range(gains.shape[2])
-            )
-        return chain[:, count:]
+            index = np.array(links, np.int64)
+            own = gains.reshape(len(values), -1)[:, index[:, 2]]
+            if (index[:, 3] >= 0).any():
+                own = own * np.concatenate(done, axis=1)[:, index[:, 3] + 1]
+            done.append(own)
+        return np.concatenate(done[1:], axis=1) if self._steps else np.zeros((len(values), 0))
 
     def tables(self) -> list[dict[str, object]]:
         """Return each combination as numbers, in the order of evaluation, ready for JSON.
@@ -293,7 +336,7 @@ class RigLogic:
             for row in range(len(step.columns))
         ]
 
-    def complete(self, weights: FloatArray, names: Sequence[str]) -> FloatArray:
+    def complete(self, weights: RealArray, names: Sequence[str]) -> FloatArray:
         """Return weights by name with combinations after them, as they are driven.
 
         Parameters

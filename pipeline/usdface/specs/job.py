@@ -37,7 +37,7 @@ from usdface.specs.review import (
     ReportSpec,
     SheetSpec,
 )
-from usdface.specs.surface import BindSpec, DeformSpec, MakeShapesSpec
+from usdface.specs.surface import BindSpec, DeformSpec, LogicSpec, MakeShapesSpec
 from usdface.specs.takes import FOR_EACH_SCHEMA, TAKES_SCHEMA, write_out
 
 AnyStep = Annotated[
@@ -66,6 +66,7 @@ AnyStep = Annotated[
     | BindSpec
     | DeformSpec
     | MakeShapesSpec
+    | LogicSpec
     | PairsProposeSpec
     | PairsImportSpec
     | TrainRetargetSpec

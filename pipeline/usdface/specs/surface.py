@@ -1,4 +1,4 @@
-"""Specs of meshes without shapes: bind, deform, make-shapes."""
+"""Specs of meshes and rigs: bind, deform, make-shapes, logic."""
 
 from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal, Self
@@ -224,4 +224,51 @@ class MakeShapesSpec(SurfaceSpec):
         ways = [bool(self.shape_frames), self.names is not None, self.references is not None]
         if sum(ways) > 1:
             raise ValueError("frames are chosen by one of --shape-frames, --names and --references")
+        return self
+
+
+class LogicSpec(Spec):
+    """Write onto a rig which of its shapes others drive: combinations, correctives, in-betweens.
+
+    Such shapes are evaluated, not learned: `select`, `train` and the tuning page show only the
+    others, and every layer holds the evaluated weights. The logic is read from names (`A_B` where A
+    and B are shapes of the rig), from a table or a Simplex definition, from metadata, or inferred
+    from weights of a rig that evaluates it. The rig's file does not change: use the new asset,
+    which opens it, in its place.
+    """
+
+    example: ClassVar[str] = "usdface logic hero.usd --naming --out hero.logic.usda"
+    module: ClassVar[str] = "surface.logic"
+
+    step: Literal["logic"] = "logic"
+    rig: Annotated[FilePath, Reads(), Positional()]
+    """The rig."""
+    out: LayerOut
+    """The rig with its logic to write."""
+    naming: bool = False
+    """Read combinations from names: `A_B` and `A__B`, and `A50` for A at half its weight, if all
+    parts are shapes of the rig."""
+    definition: ReadPath | None = None
+    """Table with the columns shape, parts, and optionally mode (product, minimum or smooth),
+    weights and spans, parts separated by spaces (.csv, or .json with lists); or a Simplex
+    definition (.json)."""
+    metadata: Annotated[str, Field(max_length=200)] | None = None
+    """Attribute, custom property or customData key of the BlendShape prims that names their
+    drivers."""
+    weights: ReadPath | None = None
+    """Weights of the rig with its correctives evaluated, to infer the logic from: .csv or .json
+    with a `frame` column, or USD."""
+    driven: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = ()
+    """Shapes whose logic is inferred from --weights, as patterns,..."""
+    listed: Annotated[int, Field(ge=0, le=100_000)] = 10
+    """Number of combinations to list."""
+    prim: PrimPath | None = None
+    """Face in the rig's file, if it holds several."""
+
+    @model_validator(mode="after")
+    def _has_a_source(self) -> Self:
+        if not (self.naming or self.definition or self.metadata or self.weights):
+            raise ValueError("give a source: --naming, --definition, --metadata or --weights")
+        if bool(self.weights) != bool(self.driven):
+            raise ValueError("--weights and --driven go together: whose logic is to be inferred?")
         return self

@@ -163,10 +163,7 @@ export class FaceModel {
       });
       if (mode === "product") channels[shape] = factors.reduce((all, each) => all * each, 1);
       else if (mode === "minimum") channels[shape] = Math.min(...factors);
-      else {
-        const sum = factors.reduce((all, each) => all + 1 / Math.max(each, 1e-12), 0);
-        channels[shape] = factors.length / sum;
-      }
+      else channels[shape] = factors.length / factors.reduce((all, each) => all + 1 / each, 0);
     }
     return channels;
   }

@@ -98,7 +98,7 @@ def fit_pairs_forward(pairs: Pairs, scales: ForwardScales | None = None) -> Forw
         places=None if face.rest is None else face.rest.markers,
     ).basis
     count = weights.shape[1]
-    motion = basis[count:].reshape(len(basis) - count, -1)
+    motion = basis[count:].reshape(len(basis) - count, moved[0].size)
     forward = fit_forward_model(
         weights,
         moved - (driven @ motion).reshape(moved.shape),

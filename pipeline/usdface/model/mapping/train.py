@@ -73,7 +73,8 @@ def train_mapping(
         errors count as they show. Without it every weight counts alike.
     skin : (shapes + combinations, points, 3) float array, optional
         What each shape at 1, and after them each of the references' combinations, does to points
-        spread over the rig's surface [mm]; see `sample_skin`. With it a mapping also uses the rig's geometry, beyond the pairs.
+        spread over the rig's surface [mm]; see `sample_skin`. With it a mapping
+        also uses the rig's geometry, beyond the pairs.
     rest : RestPlaces, optional
         Where those points, and markers, are on the rig's neutral: markers are then placed by where
         they are as well, not by their motion alone.
@@ -88,9 +89,7 @@ def train_mapping(
         If the references cannot be learned from; all faults are listed.
     """
     sound = check_references(references, ranges=ranges, gram=gram)
-    count, combinations = len(references.shape_names), references.combinations
-    check_skin(skin, shapes=count + len(combinations))
-    logic = logic_of(references.shape_names, combinations)
+    check_skin(skin, shapes=len(references.shape_names) + len(references.combinations))
     checked = sound.references
     motion = checked.motion if checked.motion is not None else motion_of_pairs(checked)
     check_dimensions(choices.dimensions, pairs=len(checked.weights), motion=motion)
@@ -98,15 +97,13 @@ def train_mapping(
         ranges=ranges.astype(np.float64),
         gram=np.eye(len(ranges)) if gram is None else gram.astype(np.float64),
         motion=motion,
-        skin=None if skin is None else skin[:count],
+        skin=None if skin is None else skin[: len(ranges)],
+        driven=_driven_skin(references, skin),
         rest=rest,
         neutral=checked.neutral.astype(np.float64),
-        driven=None if skin is None or logic is None else DrivenSkin(logic, skin[count:]),
     )
-    markers = checked.markers.astype(np.float64)
-    z = marker_coordinates(motion, markers).values
     progress(0.0, "fitting the forward model")
-    corrected = correct_pairs(Pairs(z, checked.weights, face, markers))
+    corrected = correct_pairs(_pairs(checked, face))
     folds = PairFolds(corrected, checked)
     candidates = list_candidates(corrected.pairs, method, choices)
     compared = compare_candidates(candidates, folds, in_mm=gram is not None, progress=progress)
@@ -116,7 +113,6 @@ def train_mapping(
     progress(1.0, f"trained {best.method.name}")
     solver = FrameSolver(corrected.forward, _usual_error(fitted, compared.unseen, face))
     regions, error_arrays = _uncertainty(compared, folds, checked.shape_names, solver)
-    arrays = fitted.arrays | motion_arrays(motion) | solver.to_arrays() | error_arrays
     return TrainedMapping(
         method=best.method.name,
         marker_names=checked.marker_names,
@@ -124,10 +120,12 @@ def train_mapping(
         rigid=checked.rigid,
         neutral=checked.neutral.astype(np.float64),
         ranges=face.ranges,
-        arrays=_as_stored(arrays),
+        arrays=_as_stored(
+            fitted.arrays | motion_arrays(motion) | solver.to_arrays() | error_arrays
+        ),
         settings=fitted.settings
         | {
-            "pairs": len(markers),
+            "pairs": len(checked.weights),
             "limited_weights": sound.limited_weights,
             "regions": ",".join(regions),
             "still_regions": ",".join(_still_regions(folds, regions, checked.shape_names)),
@@ -139,6 +137,18 @@ def train_mapping(
         },
         scores=compared.scores,
     )
+
+
+def _pairs(references: References, face: Face) -> Pairs:
+    markers = references.markers.astype(np.float64)
+    return Pairs(marker_coordinates(face.motion, markers).values, references.weights, face, markers)
+
+
+def _driven_skin(references: References, skin: FloatArray | None) -> DrivenSkin | None:
+    logic = logic_of(references.shape_names, references.combinations)
+    if skin is None or logic is None:
+        return None
+    return DrivenSkin(logic, skin[len(references.shape_names) :])
 
 
 def _contradicted(corrected: CorrectedPairs, references: References) -> str:

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray, RealArray
+from usdface.core.arrays import Float32Array, FloatArray, IntArray, RealArray
 from usdface.core.rig_logic import COMBINATION_MODES, Combination, RigLogic
 from usdface.model.regressions.base import Arrays
 from usdface.model.regressions.target_curve import unbend
@@ -29,54 +29,45 @@ class DrivenMotion:
     motion: FloatArray
     """(combinations, 3 markers): ``F`` [mm]."""
 
-    def at(self, targets: RealArray, curve: float) -> FloatArray:
+    def put(
+        self, targets: RealArray, curve: float, slope: Float32Array | None = None
+    ) -> Float32Array:
         """Return how far combinations move the markers: (frames, 3 markers) [mm].
 
         Parameters
         ----------
         targets : (frames, shapes) float array
             Bent weights.
+        slope : (frames, shapes, 3 markers) float32 array, optional
+            To add the derivatives to.
         """
-        return driven_weights(self.logic, self._weights(targets, curve)) @ self.motion
-
-    def add_slope(self, slope: RealArray, targets: RealArray, curve: float) -> None:
-        """Add the derivatives of `at` to slopes, (frames, shapes, 3 markers)."""
-        count = slope.shape[1]
-        ahead = unbend(targets + _SLOPE_STEP, curve) - unbend(targets, curve)
-        unbent = ahead / _SLOPE_STEP * np.ptp(self.ranges, axis=1)
-        gains = self.logic.slopes(self._padded(self._weights(targets, curve)))[:, :, :count]
-        for shape, driven in enumerate(self._driven_by):
-            if len(driven):
-                own = gains[:, driven, shape] * unbent[:, [shape]]
-                slope[:, shape] += own.astype(slope.dtype) @ self._single[driven]
-
-    def _weights(self, targets: RealArray, curve: float) -> FloatArray:
-        low, span = self.ranges[:, 0], np.ptp(self.ranges, axis=1)
-        return np.asarray(low + span * np.clip(unbend(targets.astype(float), curve), 0.0, 1.0))
-
-    def _padded(self, weights: FloatArray) -> FloatArray:
-        return pad_columns(weights, len(self.logic.shapes))
+        bent, low, span = targets.astype(np.float64), self.ranges[:, 0], np.ptp(self.ranges, axis=1)
+        unbent = unbend(bent, curve)
+        weights = low + span * np.clip(unbent, 0.0, 1.0)
+        values = self.logic.evaluate(pad_columns(weights, len(self.logic.shapes)))
+        if slope is not None:
+            steep = (unbend(bent + _SLOPE_STEP, curve) - unbent) / _SLOPE_STEP * span
+            by_link = self.logic.link_slopes(values).astype(np.float32)
+            for shape, links in enumerate(self._links_of):
+                if len(links):
+                    own = by_link[:, links] * steep[:, [shape]].astype(np.float32)
+                    slope[:, shape] += own @ self._link_motion[links]
+        driven = values[:, len(self.logic.shapes) :].astype(np.float32)
+        return np.asarray(driven @ self._single)
 
     @cached_property
-    def _single(self) -> RealArray:
+    def _single(self) -> Float32Array:
         return self.motion.astype(np.float32)
 
     @cached_property
-    def _driven_by(self) -> list[IntArray]:
-        """Return the combinations that each shape has a part in, through others too."""
-        parts: dict[str, set[str]] = {}
-        for each in self.logic.combinations:
-            parts[each.shape] = set().union(*(parts.get(part, {part}) for part in each.parts))
+    def _link_motion(self) -> Float32Array:
+        return self._single[self.logic.links[:, 0]]
+
+    @cached_property
+    def _links_of(self) -> list[IntArray]:
+        """Return the links of each of the mapping's shapes."""
         return [
-            np.array(
-                [
-                    row
-                    for row, each in enumerate(self.logic.combinations)
-                    if name in parts[each.shape]
-                ],
-                np.int64,
-            )
-            for name in self.logic.shapes[: len(self.ranges)]
+            np.flatnonzero(self.logic.links[:, 1] == shape) for shape in range(len(self.ranges))
         ]
 
     def to_arrays(self) -> Arrays:

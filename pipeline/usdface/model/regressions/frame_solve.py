@@ -170,21 +170,16 @@ class FrameSolver:
             None on rigs of many shapes, whose quadratic part is left out.
         """
         basis, offset, curvature = self._linear
-        t, driven, curve = (
-            targets.astype(np.float32),
-            self.forward.driven,
-            self.forward.scales.curve,
-        )
-        beside = 0.0 if driven is None else driven.at(targets, curve).astype(np.float32)
-        if curvature is None:
-            return t @ basis + offset + beside, None
-        half = (t @ curvature).reshape(len(t), *basis.shape)
-        predicted = t @ basis + offset + (t[:, None] @ half)[:, 0] + beside
-        half *= 2
-        half += basis
+        t, driven = targets.astype(np.float32), self.forward.driven
+        predicted, slope = t @ basis + offset, None
+        if curvature is not None:
+            slope = (t @ curvature).reshape(len(t), *basis.shape)
+            predicted += (t[:, None] @ slope)[:, 0]
+            slope *= 2
+            slope += basis
         if driven is not None:
-            driven.add_slope(half, targets, curve)
-        return predicted, half
+            predicted += driven.put(t, self.forward.scales.curve, slope)
+        return predicted, slope
 
     @cached_property
     def residual2(self) -> FloatArray:

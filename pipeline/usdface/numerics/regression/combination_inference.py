@@ -30,13 +30,13 @@ from usdface.core.rig_logic import (
     order_combinations,
 )
 
-_ROUNDING = 2e-3
+_WEIGHT_ROUNDING = 2e-3
 """Of a weight: half precision errs by 5e-4 near 1, and the errors of factors add up."""
 
-_ACTIVE = 0.01
+_ACTIVE_WEIGHT = 0.01
 """Of a weight: no animator keys finer, so that what is below counts as rest."""
 
-_TIED = 1.0
+_TIED_SCORE = 1.0
 """Difference of scores below which rows do not tell two functions apart: a factor of e."""
 
 _MOST_PARTS = 4
@@ -110,13 +110,11 @@ def _stated(name: str, fit: _Fit) -> Combination:
 
 
 def _likeliest(fits: Iterable[_Fit]) -> list[_Fit]:
-    """Return the likeliest function and those that rows hardly tell from it; none if all leave
-    much.
-    """
+    """Return the likeliest function and those like it; none if all leave much."""
     ordered = sorted(fits, key=lambda fit: fit.score)
     if not ordered or ordered[0].left >= _LEFT_SHARE:
         return []
-    return [fit for fit in ordered if fit.score < ordered[0].score + _TIED]
+    return [fit for fit in ordered if fit.score < ordered[0].score + _TIED_SCORE]
 
 
 def _choose(fits: dict[str, list[_Fit]]) -> dict[str, _Fit]:
@@ -135,7 +133,7 @@ def _choose(fits: dict[str, list[_Fit]]) -> dict[str, _Fit]:
 
 def _candidates(factors: dict[str, FloatArray], wanted: FloatArray) -> list[str]:
     """Return what is active wherever a corrective is, what goes with it most closely first."""
-    active = wanted > _ACTIVE
+    active = wanted > _ACTIVE_WEIGHT
     if not active.any():
         return []
     able = [name for name, each in factors.items() if (each[active] > 0).all()]
@@ -151,7 +149,7 @@ def _scores(predicted: FloatArray, wanted: FloatArray, costs: FloatArray | float
     """Return score and share of the energy left of functions: (2, functions)."""
     count = len(wanted)
     squared = (predicted - wanted[:, None]) ** 2
-    scores = np.log1p(squared / _ROUNDING**2).sum(axis=0) + costs * np.log(count)
+    scores = np.log1p(squared / _WEIGHT_ROUNDING**2).sum(axis=0) + costs * np.log(count)
     return np.stack([scores, squared.sum(axis=0) / max(float((wanted**2).sum()), 1e-12)])
 
 
@@ -187,6 +185,6 @@ def _products(factors: dict[str, FloatArray], wanted: FloatArray) -> Iterator[_F
         stack = np.stack([factors[name] for name in able], axis=1)[:, rows]
         for mode in COMBINATION_MODES if count > 1 else COMBINATION_MODES[:1]:
             scores = _scores(combine(stack, mode), wanted, count)
-            for row in np.flatnonzero(scores[0] < scores[0].min() + _TIED).tolist():
+            for row in np.flatnonzero(scores[0] < scores[0].min() + _TIED_SCORE).tolist():
                 parts = tuple(able[index] for index in rows[row].tolist())
                 yield _Fit(parts, mode, None, *scores[:, row].tolist())

@@ -236,7 +236,7 @@ def _relinearise(
     """Solve again with each shape's slope at the last solution, keeping what is better.
 
     A frame whose slopes are those it was solved with is done: in-betweens are linear in pieces, so
-    its equation would be the same. Of a rig without in-betweens and combinations, that is every frame.
+    its equation would be the same. Of a rig without in-betweens, that is every frame.
     """
     channels = np.asarray(keys.channels, np.int64)
     driven = channels < 0

@@ -1,3 +1,3 @@
 """Meshes without shapes, moved by markers."""
 
-_helpers = ("plan", "picture")
+_helpers = ("plan", "picture", "logic_sources")

@@ -12,8 +12,8 @@ from pxr import Sdf, Usd, UsdSkel
 from usdface.core.arrays import Float32Array, FloatArray, IntArray
 from usdface.core.assets import Performance, SolveBasis, WeightsClip
 from usdface.core.errors import InputError
-from usdface.core.rig_logic import Combination
 from usdface.core.rates import exact_rate, shift_timecode, span_of_samples
+from usdface.core.rig_logic import Combination
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.edits import ShapeEdit, edited_weights, read_edits
 from usdface.usdio.performance.weights_layer import (

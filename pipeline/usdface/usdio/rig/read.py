@@ -72,6 +72,27 @@ def shape_prims(root: Usd.Prim) -> Iterator[tuple[str, Usd.Prim]]:
             yield str(name), root.GetStage().GetPrimAtPath(target)
 
 
+def shape_metadata(path: Path, prim: str, name: str) -> list[tuple[str, object]]:
+    """Return the shapes that have a value of some name, each with it.
+
+    Parameters
+    ----------
+    prim : str
+        Path of the SkelRoot.
+    name : str
+        Attribute, as it is or as Blender writes custom properties (``userProperties:``), or key of
+        customData.
+    """
+    stage, found = open_stage(path), dict[str, object]()
+    for shape, each in shape_prims(stage.GetPrimAtPath(prim)):
+        attributes = [each.GetAttribute(full) for full in (name, f"userProperties:{name}")]
+        values = [attribute.Get() for attribute in attributes if attribute]
+        value = next(filter(None, [*values, each.GetCustomDataByKey(name)]), None)
+        if value is not None:
+            found[shape] = value
+    return list(found.items())
+
+
 def read_combinations(root: Usd.Prim, path: Path) -> tuple[Combination, ...]:
     """Read which shapes below a SkelRoot others drive; see `order_combinations`.
 

@@ -9,9 +9,10 @@ from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import Rig, RigMesh, ShapeKey
+from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.rig_logic import Combination
-from usdface.usdio.layers import new_layer
+from usdface.usdio.layers import new_layer, open_stage, relative_path
 from usdface.usdio.rig.read import (
     COMBINATION,
     COMBINATION_MODE,
@@ -19,6 +20,7 @@ from usdface.usdio.rig.read import (
     COMBINATION_SPANS,
     COMBINATION_WEIGHTS,
     RANGE_ATTRIBUTE,
+    shape_prims,
 )
 from usdface.usdio.units import MM_PER_STAGE_UNIT, author_units
 
@@ -153,6 +155,43 @@ def _bind_joints(stage: Usd.Stage, mesh: RigMesh, controls: RigControls) -> None
     indices.Set(_integers(joints.ravel()))
     weights = binding.CreateJointWeightsPrimvar(constant=False, elementSize=size)
     weights.Set(shares.ravel().tolist())
+
+
+def write_logic(
+    path: Path,
+    rig: Rig,
+    combinations: tuple[Combination, ...],
+    *,
+    provenance: Provenance | None = None,
+) -> None:
+    """Write a layer that opens a rig's file and states its combinations.
+
+    Raises
+    ------
+    InputError
+        If a shape lies in an instance, where USD ignores what is stated.
+    """
+    source, driven = open_stage(rig.file), {each.shape: each for each in combinations}
+    with new_layer(path, provenance) as layer:
+        author_units(layer, like=rig.file)
+        root = source.GetRootLayer()
+        for key in ("timeCodesPerSecond", "framesPerSecond", "startTimeCode", "endTimeCode"):
+            if root.pseudoRoot.HasInfo(key):
+                layer.pseudoRoot.SetInfo(key, root.pseudoRoot.GetInfo(key))
+        layer.defaultPrim = Sdf.Path(rig.prim).GetPrefixes()[0].name
+        layer.subLayerPaths = [relative_path(rig.file, path)]
+        stage = Usd.Stage.CreateInMemory()
+        for name, shape in shape_prims(source.GetPrimAtPath(rig.prim)):
+            if name not in driven:
+                continue
+            if shape.IsInstanceProxy() or shape.IsInPrototype():
+                raise InputError(
+                    f"{rig.file} <{shape.GetPath()}>: lies in an instance, where USD ignores what "
+                    "is stated; make the asset not instanceable"
+                )
+            author_combination(stage.OverridePrim(shape.GetPath()), driven[name])
+        for prim in stage.GetRootLayer().rootPrims:
+            Sdf.CopySpec(stage.GetRootLayer(), prim.path, layer, prim.path)
 
 
 def author_combination(prim: Usd.Prim, combination: Combination) -> None:

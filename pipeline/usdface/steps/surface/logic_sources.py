@@ -1,0 +1,231 @@
+"""Where a rig's logic is read from: the names of its shapes, a table, a Simplex definition."""
+
+import json
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+from usdface.core.errors import InputError
+from usdface.core.rig_logic import Combination, CombinationMode
+from usdface.core.text import first_few, read_text
+from usdface.steps.inputs.weight_tables import csv_rows
+
+_LARGEST_BYTES = 1 << 26
+"""Of a definition: rigs of a thousand shapes take a few MB."""
+
+_MOST_SPLITS = 1 << 12
+"""Ways to split a name that are looked at."""
+
+_SIDE = re.compile(r"_(?:[LRlr]|[Ll]eft|[Rr]ight)$")
+_INBETWEEN = re.compile(r"(?P<part>.+?)_?(?P<percent>[1-9][05])$")
+"""A shape with two digits, a multiple of 5: the percentage at which it counts in full."""
+
+_SIMPLEX_MODES: dict[str, CombinationMode] = {
+    "None": "minimum",
+    "min": "minimum",
+    "allMul": "product",
+    "extMul": "product",
+    "mulAvgExt": "smooth",
+    "mulAvgAll": "smooth",
+}
+"""Of two parts; of more only min and allMul are among our modes."""
+
+
+def combinations_of_names(shapes: Sequence[str]) -> tuple[Combination, ...]:
+    """Read combinations from names: ``A_B`` and ``A__B`` where all parts are shapes of the rig.
+
+    A side at the end belongs to every part that has it (``smile_jaw_L`` is ``smile_L`` and
+    ``jaw``), and ``A50`` is the in-between of A at 0.5.
+
+    Raises
+    ------
+    InputError
+        If a name can be read in two ways.
+    """
+    prefix = _common_prefix(shapes)
+    known = {name.removeprefix(prefix): name for name in shapes}
+    found = []
+    for short, name in known.items():
+        ways = {frozenset(way): way for way in _splits(short, known)}
+        finest = max(map(len, ways.values()), default=0)
+        best = [way for way in ways.values() if len(way) == finest]
+        if len(best) > 1:
+            raise InputError(
+                f"{name} can be read as {' or as '.join(' and '.join(way) for way in best)}; "
+                "state it in a table"
+            )
+        between = _INBETWEEN.fullmatch(short)
+        if best:
+            found.append(Combination(name, tuple(known[part] for part in best[0])))
+        elif between is not None and between["part"] in known:
+            at = int(between["percent"]) / 100
+            found.append(Combination(name, (known[between["part"]],), weights=(at,)))
+    return tuple(found)
+
+
+def _common_prefix(shapes: Sequence[str]) -> str:
+    """Return what all names begin with, up to an underscore."""
+    first, last = min(shapes, default=""), max(shapes, default="")
+    count = next((i for i, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), 0)
+    return first[: first.rfind("_", 0, count) + 1]
+
+
+def _splits(name: str, known: dict[str, str]) -> Iterator[tuple[str, ...]]:
+    """Yield the ways to read a name as two shapes or more."""
+    side = _SIDE.search(name)
+    pieces = name.split("_")
+    for ending in ("",) if side is None else ("", side.group()):
+        own = pieces[:-1] if ending else pieces
+        ways: list[list[tuple[str, ...]]] = [[()]]
+        for stop in range(1, len(own) + 1):
+            here = []
+            for start in range(stop):
+                text = "_".join(own[start:stop]).strip("_")
+                part = next((each for each in (text + ending, text) if each in known), None)
+                if part is not None and part != name:
+                    here += [(*way, part) for way in ways[start]][:_MOST_SPLITS]
+                elif not text:
+                    here += ways[start][:_MOST_SPLITS]
+            ways.append(here)
+        yield from (way for way in ways[-1] if len(set(way)) == len(way) > 1)
+
+
+def read_definition(path: Path) -> tuple[Combination, ...]:
+    """Read a table of combinations (.csv, .json), or a Simplex definition (.json).
+
+    Raises
+    ------
+    InputError
+        If it is neither; where and what is named.
+    """
+    if path.suffix != ".json":
+        return tuple(
+            Combination(
+                str(row["shape"]),
+                tuple(str(row["parts"]).split()),
+                cast(CombinationMode, str(row.get("mode") or "product").strip()),
+                tuple(_number(each, f"{path} {where}") for each in _words(row.get("weights"))),
+                tuple(_span(each, f"{path} {where}") for each in _words(row.get("spans"))),
+            )
+            for where, row in csv_rows(path, ("shape", "parts"))
+        )
+    try:
+        data = json.loads(read_text(path, _LARGEST_BYTES))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is no JSON: {error}") from error
+    try:
+        if isinstance(data, dict) and "progressions" in data:
+            return _simplex(data, path)
+        rows = data["combinations"] if isinstance(data, dict) else data
+        return tuple(
+            Combination(
+                str(row["shape"]),
+                tuple(map(str, row["parts"])),
+                cast(CombinationMode, str(row.get("mode", "product"))),
+                tuple(map(float, row.get("weights", ()))),
+                tuple((float(low), float(high)) for low, high in row.get("spans", ())),
+            )
+            for row in rows
+        )
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise InputError(
+            f"{path}: is neither a table of combinations (shape, parts, mode, weights) nor a "
+            f"Simplex definition: {type(error).__name__} {error}"
+        ) from error
+
+
+def _words(value: object) -> list[str]:
+    return str(value or "").split()
+
+
+def _number(text: str, where: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise InputError(f"{where}: {text!r} where a weight is expected") from error
+
+
+def _span(text: str, where: str) -> tuple[float, float]:
+    low, _, high = text.partition("-")
+    return _number(low, where), _number(high, where)
+
+
+def _simplex(data: dict[str, Any], path: Path) -> tuple[Combination, ...]:
+    """Read the combos of Simplex, encoding 1 to 3: sliders at 1 or -1 that drive a shape."""
+    first = data.get("encodingVersion", 1) == 1
+    shapes = [each if isinstance(each, str) else each["name"] for each in data["shapes"]]
+    progressions = [
+        list(zip(each[1], each[2], strict=True)) if first else each["pairs"]
+        for each in data["progressions"]
+    ]
+    sliders = [each[1] if first else each["prog"] for each in data["sliders"]]
+
+    def shape_at(progression: int, value: float, who: str) -> str:
+        found = [shape for shape, at in progressions[progression] if at == value]
+        if not found:
+            raise InputError(f"{path}: {who} has no shape at {value:g}; state it in a table")
+        return str(shapes[int(found[0])])
+
+    found = []
+    for combo in data["combos"]:
+        named = dict(zip(("name", "prog", "pairs"), combo, strict=False)) if first else combo
+        name, pairs, solve = str(named["name"]), named["pairs"], str(named.get("solveType"))
+        others = [value for _, value in pairs if abs(float(value)) != 1.0]
+        if others:
+            raise InputError(
+                f"{path}: combo {name} has a slider at {others[0]:g}: Simplex interpolates such "
+                "combos over triangles, which has no mode here; state it in a table"
+            )
+        if solve not in _SIMPLEX_MODES or (
+            len(pairs) > 2 and solve not in ("None", "min", "allMul")
+        ):
+            raise InputError(
+                f"{path}: combo {name} of {len(pairs)} sliders is solved by {solve}, which is none "
+                "of product, minimum and smooth; state it in a table"
+            )
+        parts = tuple(
+            shape_at(sliders[int(slider)], float(value), f"slider {slider} of {name}")
+            for slider, value in pairs
+        )
+        driven = shape_at(int(named["prog"]), 1.0, f"combo {name}")
+        found.append(Combination(driven, parts, _SIMPLEX_MODES[solve]))
+    return tuple(found)
+
+
+def combinations_of_metadata(values: Iterable[tuple[str, object]]) -> tuple[Combination, ...]:
+    """Read combinations from what exporters put on shapes: their drivers, as a list or as text.
+
+    Parameters
+    ----------
+    values : iterable of (str, object)
+        Shape, and the value: names, or names in a text, apart by spaces, commas, ``*`` or ``+``.
+    """
+    found = []
+    for shape, value in values:
+        parts = re.split(r"[\s,;*+]+", value.strip()) if isinstance(value, str) else value
+        if not isinstance(parts, Iterable):
+            raise InputError(f"{shape}: its metadata is {value!r}, not the names of shapes")
+        found.append(Combination(shape, tuple(map(str, parts))))
+    return tuple(found)
+
+
+def merged(stated: Iterable[tuple[Combination, ...]]) -> tuple[Combination, ...]:
+    """Return combinations of several sources, each once.
+
+    Raises
+    ------
+    InputError
+        If two sources drive a shape differently.
+    """
+    found = dict[str, Combination]()
+    conflicts = []
+    for each in (each for some in stated for each in some):
+        if found.setdefault(each.shape, each) != each:
+            conflicts.append(f"{found[each.shape]} and {each}")
+    if conflicts:
+        raise InputError(
+            f"{len(conflicts)} combinations are stated in two ways: {first_few(conflicts)}; give "
+            "one source, or make them agree"
+        )
+    return tuple(found.values())
