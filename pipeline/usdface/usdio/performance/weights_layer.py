@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Sdf, Usd, Vt
 
-from usdface.core.arrays import Float32Array, FloatArray, IntArray
+from usdface.core.arrays import Float32Array, FloatArray, IntArray, RealArray
 from usdface.core.assets import Rig, SolveBasis
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
@@ -147,7 +147,7 @@ class WeightsWriter:
         rest = len(self._header.shape_names) - weights.shape[1]
         for start in range(0, len(weights), self._save_frames):
             part = slice(start, start + self._save_frames)
-            rows = np.pad(weights[part], ((0, 0), (0, rest)))
+            rows: RealArray = np.pad(weights[part], ((0, 0), (0, rest)))
             if self._logic is not None:
                 rows = self._logic.complete(rows, self._header.shape_names)
             self._append_block(
