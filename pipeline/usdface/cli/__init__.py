@@ -2,9 +2,10 @@
 
 import os
 
-# Matrices are small: a second BLAS thread mostly waits, and on a busy machine takes four times as
-# long. Set the variable to change this. It is read when numpy is first imported.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# A sum over more threads is rounded otherwise, and the same inputs have to give the same bytes.
+# Matrices are small, too: a second thread mostly waits, and on a busy machine takes four times as
+# long. Read when numpy is first imported.
+os.environ["OPENBLAS_NUM_THREADS"] = os.environ["MKL_NUM_THREADS"] = "1"
 
 from usdface.cli.app import main
 

@@ -1,8 +1,12 @@
 """Run the step that a spec describes."""
 
+import contextlib
 import errno
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
 from importlib import import_module
+
+from threadpoolctl import threadpool_limits
 
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
@@ -21,6 +25,19 @@ def find_step(spec: type[Spec]) -> Step:
     """Return a step's function; its module is imported only now, so that others start quickly."""
     step: Step = import_module(f"usdface.steps.{spec.module}").run
     return step
+
+
+@contextlib.contextmanager
+def _one_blas_thread() -> Iterator[None]:
+    """Keep linear algebra to one thread: a sum over more of them is rounded otherwise.
+
+    The same inputs then give the same bytes in any host, whatever it set for itself.
+    """
+    if os.environ.get("OPENBLAS_NUM_THREADS") != "1":
+        # SciPy has a library of its own, which would begin with a thread for each core.
+        import_module("scipy.linalg")
+    with threadpool_limits(1, user_api="blas"):
+        yield
 
 
 def execute(
@@ -48,7 +65,8 @@ def execute(
         with not_written_since(() if overwrite else spec.paths(Writes)):
             check_outputs(spec, overwrite=overwrite)
             step = find_step(type(spec))
-            return step(spec, provenance=provenance or make_provenance(spec), progress=progress)
+            with _one_blas_thread():
+                return step(spec, provenance=provenance or make_provenance(spec), progress=progress)
     except OSError as error:
         if error.errno != errno.ENAMETOOLONG:
             raise

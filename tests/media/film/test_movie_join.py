@@ -1,5 +1,6 @@
 """Parts of a movie joined without decoding: nothing lost, nothing encoded twice."""
 
+import os
 from fractions import Fraction
 from pathlib import Path
 
@@ -64,3 +65,22 @@ def test_parts_of_another_size_are_refused_and_the_old_movie_kept(tmp_path: Path
     with pytest.raises(InputError, match=r"b\.mp4: is h?.*80 × 64.*a\.mp4 is"):
         join_movies(tmp_path / "whole.mp4", [tmp_path / "a.mp4", tmp_path / "b.mp4"])
     assert (tmp_path / "whole.mp4").read_bytes() == b"kept"
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores are not to be chosen")
+@pytest.mark.parametrize("proxy", [False, True])
+def test_a_movie_has_the_same_bytes_on_any_number_of_cores(tmp_path: Path, proxy: bool) -> None:
+    cores = os.sched_getaffinity(0)
+    if len(cores) < 2:
+        pytest.skip("one core alone")
+    noise = np.random.default_rng(0).integers(0, 255, (200, 320, 3), dtype=np.uint8)
+    made = []
+    try:
+        for used in ({min(cores)}, cores):
+            os.sched_setaffinity(0, used)
+            pictures = (np.roll(noise, 3 * shift, axis=1) for shift in range(20))
+            write_movie(tmp_path / "m.mp4", pictures, rate=Fraction(25), proxy=proxy)
+            made.append((tmp_path / "m.mp4").read_bytes())
+    finally:
+        os.sched_setaffinity(0, cores)
+    assert made[0] == made[1]

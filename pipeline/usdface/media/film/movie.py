@@ -32,6 +32,8 @@ _PROXY_OPTIONS = {
     "other": {"g": "15"},
 }
 _BT709_CODE = 1
+_ENCODER_THREADS = 4
+"""Encoders write other bytes with other numbers of threads, and would take one for each core."""
 _AAC_BLOCK = 1024
 """Samples that AAC takes at a time."""
 
@@ -164,6 +166,7 @@ def _encode(
     video.pix_fmt = "yuv420p"
     context = video.codec_context
     context.time_base = 1 / rate
+    context.thread_count = _ENCODER_THREADS
     # Tagged as BT.709: no player then re-maps what is made to look right on an sRGB screen.
     context.color_primaries = context.color_trc = context.colorspace = _BT709_CODE
     context.color_range = 1  # limited, as broadcast and every player expect
