@@ -47,6 +47,25 @@ def columns_by_name(
     return out
 
 
+ROUNDING_SHARE = 1e-9
+"""Results that differ by less, as a share, are equal: sums of a million terms round to 2e-10."""
+
+
+def first_largest(values: FloatArray) -> int:
+    """Return where the largest value is; of those that differ by rounding alone, the first.
+
+    A choice that hung on the last bit would differ between processors.
+    """
+    top = values.max()
+    return int((values >= top - ROUNDING_SHARE * abs(top)).argmax())
+
+
+def first_smallest(values: FloatArray) -> IntArray:
+    """Return for each column the row of the smallest value, by the rule of `first_largest`."""
+    least = values.min(axis=0)
+    return np.asarray((values <= least + ROUNDING_SHARE * np.abs(least)).argmax(axis=0), np.int64)
+
+
 def runs(mask: BoolArray) -> list[tuple[int, int]]:
     """Return the stretches where `mask` is True as (start, stop), the stop left out."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))

@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from usdface.core.arrays import first_smallest
 from usdface.numerics.regression.design_kernel import DesignKernel, left_over, predict_from
 from usdface.numerics.regression.reference_design import (
     design_d_optimal,
@@ -185,3 +186,20 @@ def test_rows_of_nothing_give_nothing() -> None:
 def test_a_row_of_a_thousandth_of_the_largest_is_the_least_that_counts() -> None:
     rows = np.diag([10.0, 0.05, 0.011, 0.009])
     assert most_different_rows(rows, 4).tolist() == [0, 1, 2]
+
+
+def test_choices_do_not_hang_on_the_last_bit() -> None:
+    """Frames that a performer repeats are equal but for rounding; so are errors of some ridges."""
+    rng = np.random.default_rng(0)
+    features = np.tile(rng.normal(0, 1, (40, 6)), (3, 1))
+    noise = 1 + 1e-13 * rng.normal(0, 1, features.shape)
+    for design in (
+        lambda rows: most_different_rows(rows, 6),
+        lambda rows: design_k_centre(rows, 8).chosen,
+    ):
+        chosen = design(features)
+        np.testing.assert_array_equal(design(features * noise), chosen)
+        assert chosen.max() < 40
+    errors = rng.random((5, 30)).repeat(2, axis=0)
+    wobbled = errors * (1 + 1e-13 * rng.normal(0, 1, errors.shape))
+    np.testing.assert_array_equal(first_smallest(wobbled), 2 * errors[::2].argmin(axis=0))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, first_smallest
 
 _RIDGES = 10.0 ** np.arange(-8.0, 2.01, 0.25)
 """Ridges tried, as shares of the largest squared singular value of the centred features."""
@@ -76,9 +76,9 @@ def fit_linear_ridge(
     )
     if shared:
         total = errors @ (np.ones(outputs.shape[1]) if importance is None else importance)
-        chosen = np.full(outputs.shape[1], ridges[int(total.argmin())])
+        chosen = np.full(outputs.shape[1], ridges[first_smallest(total)])
     else:
-        chosen = ridges[errors.argmin(axis=0)]
+        chosen = ridges[first_smallest(errors)]
     residuals = np.empty_like(centred)
     for ridge in np.unique(chosen):
         same = chosen == ridge

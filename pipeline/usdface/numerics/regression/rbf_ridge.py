@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, first_smallest
 
 BLOCK_ROWS = 4096
 RIDGES_PER_DECADE = 8
@@ -173,7 +173,7 @@ def choose_ridge(rotated: Rotated, *, freedom_limit: float = FREEDOM_LIMIT) -> F
     top = max(1e3 * float(rotated.singular[0]) ** 2, 10 * floor)
     decades = np.log10(top / floor)
     grid = floor * 10 ** np.linspace(0, decades, int(decades * RIDGES_PER_DECADE) + 2)
-    best = grid[gcv_scores(rotated, grid).argmin(axis=0)]
+    best = grid[first_smallest(gcv_scores(rotated, grid))]
     fine = 10 ** np.linspace(-1 / RIDGES_PER_DECADE, 1 / RIDGES_PER_DECADE, 17)
     chosen: FloatArray = np.empty_like(best)
     for ridge in np.unique(best):
@@ -182,7 +182,7 @@ def choose_ridge(rotated: Rotated, *, freedom_limit: float = FREEDOM_LIMIT) -> F
         same_ridge = replace(
             rotated, outputs=rotated.outputs[:, outputs], unreached=rotated.unreached[outputs]
         )
-        chosen[outputs] = near[gcv_scores(same_ridge, near).argmin(axis=0)]
+        chosen[outputs] = near[first_smallest(gcv_scores(same_ridge, near))]
     return chosen
 
 

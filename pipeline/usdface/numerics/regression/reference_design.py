@@ -10,7 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import (
+    ROUNDING_SHARE,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    first_largest,
+)
 from usdface.numerics.regression.design_kernel import DesignKernel
 
 _BATCH_FRAMES = 512
@@ -210,7 +216,7 @@ def most_different_rows(rows: FloatArray, count: int) -> IntArray:
     least = _LEAST_LENGTH_SHARE**2 * float(energy.max(initial=0.0))
     chosen: list[int] = []
     for _ in range(min(count, len(left))):
-        best = int(energy.argmax())
+        best = first_largest(energy)
         if not energy[best] > least:
             break
         direction = left[best] / np.sqrt(energy[best])
@@ -234,7 +240,8 @@ def _lazy_best(
     fresh = np.zeros(len(features), dtype=bool)
     best, best_value = -1, -np.inf
     while True:
-        open_rows = np.flatnonzero(free & ~fresh & (bound >= best_value))
+        tie = ROUNDING_SHARE * abs(best_value) if best >= 0 else 0.0
+        open_rows = np.flatnonzero(free & ~fresh & (bound >= best_value - tie))
         if not len(open_rows):
             return best
         if len(open_rows) > _BATCH_FRAMES:
@@ -248,13 +255,13 @@ def _lazy_best(
         bound[open_rows] = value
         fresh[open_rows] = True
         top_value = float(value.max())
-        pick = int(open_rows[int(value.argmax())])
-        if top_value > best_value or (top_value == best_value and pick < best):
+        pick = int(open_rows[first_largest(value)])
+        if top_value > best_value + tie or (top_value >= best_value - tie and pick < best):
             best, best_value = pick, top_value
 
 
 def _best(score: FloatArray, free: BoolArray) -> int:
-    return int(np.where(free, score, -np.inf).argmax())
+    return first_largest(np.where(free, score, -np.inf))
 
 
 def _open_rows(
