@@ -13,6 +13,7 @@ import pytest
 from tests.steps.small_shot import Shot
 from usdface.core.assets import Take, Video
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.core.sidecars import work_folder
 from usdface.farm.plan import ChunkSizes, in_chunks
 from usdface.media.film.movie import read_movie_comment, write_movie
@@ -59,11 +60,11 @@ def test_a_stopped_run_goes_on_where_it_stopped(shot: Shot, monkeypatch) -> None
     drawn: list[int] = []
     draw = movie_step._draw_stretch
 
-    def stop_at_the_third(plan, opened, stretch) -> None:
+    def stop_at_the_third(studio, stretch) -> None:
         if len(drawn) == 2:
             raise KeyboardInterrupt
         drawn.append(stretch.start)
-        draw(plan, opened, stretch)
+        draw(studio, stretch)
 
     monkeypatch.setattr(movie_step, "_draw_stretch", stop_at_the_third)
     with pytest.raises(KeyboardInterrupt):
@@ -169,9 +170,8 @@ def test_the_timecode_burnt_in_is_that_of_the_file(shot: Shot, monkeypatch) -> N
 
 
 def test_two_processes_draw_what_one_draws(shot: Shot) -> None:
-    # 49 pictures: one more than a process draws at a time.
-    execute(spec_of(shot, "one.mp4", frames="20-117"))
-    execute(spec_of(shot, "two.mp4", frames="20-117", workers=2))
+    execute(spec_of(shot, "one.mp4", frames="20-33"))
+    execute(spec_of(shot, "two.mp4", frames="20-33", workers=2))
     np.testing.assert_array_equal(pictures_of(shot / "two.mp4"), pictures_of(shot / "one.mp4"))
 
 
@@ -179,8 +179,22 @@ def test_another_programs_python_starts_no_process(shot: Shot, monkeypatch) -> N
     """Publish hooks draw movies inside DCCs, where a new process would be another DCC."""
     monkeypatch.setattr(movie_step, "ProcessPoolExecutor", lambda *_, **__: pytest.fail("a pool"))
     monkeypatch.setattr(sys, "orig_argv", ["/opt/maya/bin/maya.bin"])
-    execute(spec_of(shot, "dcc.mp4", frames="20-117", workers=2))
-    assert len(pictures_of(shot / "dcc.mp4")) == 49
+    execute(spec_of(shot, "dcc.mp4", frames="20-33", workers=2))
+    assert len(pictures_of(shot / "dcc.mp4")) == 7
+
+
+@pytest.mark.parametrize("workers", [1, 2, 5])
+@pytest.mark.parametrize("last", [20, 33, 120, 2000])
+def test_every_process_draws_as_much(shot: Shot, workers: int, last: int) -> None:
+    spec = spec_of(shot, "cut.mp4")
+    clock = MovieClock(Fraction(60), Fraction(120), first_frame=20, frame_count=last - 19)
+    cut = movie_step._stretches(spec, clock, shot.folder, Provenance("movie"), workers)
+    sizes = [stretch.stop - stretch.start for stretch in cut]
+    assert [stretch.start for stretch in cut] == list(np.cumsum([0, *sizes[:-1]]))
+    assert sum(sizes) == clock.picture_count
+    assert max(sizes) <= movie_step.STRETCH_PICTURES
+    busiest = sum(sizes[::workers])
+    assert busiest <= clock.picture_count / workers + len(sizes[::workers])
 
 
 @pytest.mark.parametrize(

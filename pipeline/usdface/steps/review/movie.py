@@ -4,16 +4,17 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
+from multiprocessing.synchronize import Event
 from pathlib import Path
 
 from usdface.core.arrays import ByteImage
 from usdface.core.assets import Take
-from usdface.core.errors import InputError
+from usdface.core.errors import CancelledError, InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance, canonical_json, hash_text
 from usdface.core.rates import exact_rate
@@ -32,7 +33,8 @@ from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.shot import Shot, open_shot, solve_evidence
 
 STRETCH_PICTURES = 48
-"""Drawn and encoded by one process at a time, and lost at most when a run is stopped."""
+"""Drawn and encoded by one process at a time, and lost at most when a run is stopped; fewer where
+that gives every process as many."""
 
 _STRETCHES = r"\.?[0-9a-f]{16}\..*"
 """Names in the folder of stretches, those of files that are being written included."""
@@ -61,6 +63,17 @@ class _Stretch:
     file: Path
 
 
+@dataclass(frozen=True)
+class _Studio:
+    """What a process draws stretches with, one after the other."""
+
+    plan: _Plan
+    shot: Shot
+    pictures: ShotPictures
+    stopped: Callable[[], bool] = lambda: False
+    """Asked after every picture: whether nobody waits for the rest."""
+
+
 def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Draw the movie, stretch by stretch, and join them with the sound."""
     progress(0.0, "reading")
@@ -76,7 +89,8 @@ def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress = silent)
         frame_count=len(shot.frames),
     )
     folder = work_folder(spec.out, "stretches")
-    stretches = _stretches(spec, clock, folder, provenance)
+    workers = spec.workers or _cores() if _is_python() else 1  # in a DCC a pool would start the DCC
+    stretches = _stretches(spec, clock, folder, provenance, workers)
     make_side_folder(folder)
     # Those of another spec or of older inputs.
     clear_side_folder(folder, _STRETCHES, keep=frozenset(each.file.name for each in stretches))
@@ -88,7 +102,7 @@ def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress = silent)
             *shot.camera(spec.camera, spec.camera_stage).notes(clock.first_frame),
             *shot.rig.undrawn_notes(),
         ]
-    _draw_all(_Plan(spec, panels, clock), waiting, shot, progress)
+    _draw_all(_Plan(spec, panels, clock), waiting, shot, min(workers, len(waiting)), progress)
     progress(0.97, "joining the stretches")
     sound = take_sound(take, clock, notes) if spec.sound else None
     comment = provenance_metadata(provenance) | {
@@ -140,18 +154,21 @@ def _panels(spec: MovieSpec, take: Take, notes: list[str]) -> tuple[PanelKind, .
 
 
 def _stretches(
-    spec: MovieSpec, clock: MovieClock, folder: Path, provenance: Provenance
+    spec: MovieSpec, clock: MovieClock, folder: Path, provenance: Provenance, workers: int
 ) -> list[_Stretch]:
-    """Cut the movie; a stretch's name tells what it was made from, so that none is mistaken."""
+    """Cut the movie into stretches of equal length, as many for each process.
+
+    A stretch's name tells what it was made from and which pictures it holds, so that none is
+    mistaken.
+    """
     made_from = provenance_metadata(provenance) | {"rate": str(clock.rate)}
     key = hash_text(canonical_json(made_from))[:16]
+    count, rounds = clock.picture_count, -(-clock.picture_count // (STRETCH_PICTURES * workers))
+    size = -(-count // (rounds * workers))
     return [
-        _Stretch(
-            start,
-            min(start + STRETCH_PICTURES, clock.picture_count),
-            folder / f"{key}.{start:07d}{spec.out.suffix}",
-        )
-        for start in range(0, clock.picture_count, STRETCH_PICTURES)
+        _Stretch(start, stop, folder / f"{key}.{start:07d}-{stop:07d}{spec.out.suffix}")
+        for start in range(0, count, size)
+        for stop in (min(start + size, count),)
     ]
 
 
@@ -161,15 +178,24 @@ def _is_python() -> bool:
     return all(Path(name).stem.lower().startswith("python") for name in names)
 
 
-def _draw_all(plan: _Plan, stretches: list[_Stretch], shot: Shot, progress: Progress) -> None:
-    count = min(plan.spec.workers or _cores(), len(stretches))
-    if count <= 1 or not _is_python():  # a pool within a DCC would start the DCC
-        for number, stretch in enumerate(stretches):
-            progress(0.02 + 0.95 * number / len(stretches), f"drawing picture {stretch.start}")
-            _draw_stretch(plan, shot, stretch)
+def _draw_all(
+    plan: _Plan, stretches: list[_Stretch], shot: Shot, workers: int, progress: Progress
+) -> None:
+    if not stretches:
         return
+    if workers <= 1:
+        with ExitStack() as open_files:
+            studio = _open_studio(plan, shot, open_files)
+            for number, stretch in enumerate(stretches):
+                progress(0.02 + 0.95 * number / len(stretches), f"drawing picture {stretch.start}")
+                _draw_stretch(studio, stretch)
+        return
+    progress(0.02, f"drawing {pluralize(sum(s.stop - s.start for s in stretches), 'picture')}")
     context = get_context("spawn")  # a fork would copy locks that ray tracer and codecs hold
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_set_up, initargs=(plan,))
+    stop = context.Event()
+    pool = ProcessPoolExecutor(
+        workers, mp_context=context, initializer=_set_up, initargs=(plan, stop)
+    )
     try:
         left: set[Future[None]] = {pool.submit(_work, stretch) for stretch in stretches}
         while left:
@@ -179,6 +205,7 @@ def _draw_all(plan: _Plan, stretches: list[_Stretch], shot: Shot, progress: Prog
             share = 1 - len(left) / len(stretches)
             progress(0.02 + 0.95 * share, f"{len(left)} stretches left to draw")
     finally:
+        stop.set()
         pool.shutdown(wait=True, cancel_futures=True)
 
 
@@ -190,37 +217,39 @@ def _cores() -> int:
         return os.cpu_count() or 1
 
 
-_shared: tuple[_Plan, Shot] | None = None
+def _open_studio(plan: _Plan, shot: Shot, open_files: ExitStack) -> _Studio:
+    pictures = ShotPictures(
+        shot,
+        height=plan.spec.height,
+        quality=plan.spec.quality,
+        camera=shot.camera(plan.spec.camera, plan.spec.camera_stage),
+    )
+    return _Studio(plan, shot, open_files.enter_context(pictures))
+
+
+_shared: _Studio | None = None
 """What a worker process holds on to from stretch to stretch."""
 
 
-def _set_up(plan: _Plan) -> None:
+def _set_up(plan: _Plan, stop: Event) -> None:
     global _shared
     spec = plan.spec
-    _shared = plan, open_shot(spec.performance, spec.take, frames=spec.frames)
+    shot = open_shot(spec.performance, spec.take, frames=spec.frames)
+    _shared = replace(_open_studio(plan, shot, ExitStack()), stopped=stop.is_set)
 
 
 def _work(stretch: _Stretch) -> None:
     if _shared is None:
         raise RuntimeError("the worker was not set up")
-    _draw_stretch(*_shared, stretch)
+    _draw_stretch(_shared, stretch)
 
 
-def _draw_stretch(plan: _Plan, shot: Shot, stretch: _Stretch) -> None:
-    with ExitStack() as open_files:
-        pictures = ShotPictures(
-            shot,
-            height=plan.spec.height,
-            quality=plan.spec.quality,
-            camera=shot.camera(plan.spec.camera, plan.spec.camera_stage),
-        )
-        open_files.enter_context(pictures)
-        write_movie(stretch.file, _pictures(plan, shot, pictures, stretch), rate=plan.clock.rate)
+def _draw_stretch(studio: _Studio, stretch: _Stretch) -> None:
+    write_movie(stretch.file, _pictures(studio, stretch), rate=studio.plan.clock.rate)
 
 
-def _pictures(
-    plan: _Plan, shot: Shot, pictures: ShotPictures, stretch: _Stretch
-) -> Iterator[ByteImage]:
+def _pictures(studio: _Studio, stretch: _Stretch) -> Iterator[ByteImage]:
+    plan, shot, pictures = studio.plan, studio.shot, studio.pictures
     height = plan.spec.height
     widths = {panel: height for panel in plan.panels}
     if "video" in plan.panels:
@@ -232,6 +261,8 @@ def _pictures(
     verdict = judge_solve(solve_evidence(shot.performance, slice(None)))  # whatever part is drawn
     slate_end = shot.performance.weights.first_frame + _SLATE_SECONDS * shot.take.rate
     for number in range(stretch.start, stretch.stop):
+        if studio.stopped():
+            raise CancelledError("nobody waits for this movie any more")
         row = plan.clock.row(number)
         frame = int(shot.frames[row])
         panels = []

@@ -9,6 +9,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, ByteImage, FloatArray
 from usdface.core.assets import Take
 from usdface.core.errors import InputError
+from usdface.media.face.camera import Camera
 from usdface.media.face.markers_view import draw_markers, frame_markers
 from usdface.media.face.render import FaceRenderer
 from usdface.media.face.sculpted_normals import SculptedNormals
@@ -22,7 +23,8 @@ from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.numerics.registration.virtual_markers import character_motion
 from usdface.steps.review.shot import Shot, ShotCamera
 
-UNDRAWN_TOLD = 3
+_LAST_PICTURES = 2
+"""Of the face: the solve, drawn below markers, and the baseline beside it."""
 
 FRAMED_BY = 2000
 """Frames of a take that its markers are framed by."""
@@ -75,6 +77,7 @@ class ShotPictures:
         self._normals = SculptedNormals(shot.rig, shot.deformer)
         self._camera = camera or shot.camera()
         self._width = self._camera.width(height, int(shot.frames[0]))
+        self._last: dict[tuple[Camera, bytes], ByteImage] = {}
         self._cloud = frame_markers(_spread(shot.take))
         self._open = ExitStack()
         self._video: VideoReader | ImageSequence | None = None
@@ -168,14 +171,19 @@ class ShotPictures:
 
     def face(self, row: int, weights: FloatArray) -> ByteImage:
         """Draw the rig at one set of weights, (shapes,), as a row's frame sees it."""
-        return self._renderer.render(
-            self._shot.deformer.points(weights[None])[0],
-            camera=self._camera.at(int(self._shot.frames[row])),
-            width=self._width,
-            height=self._height,
-            quality=self._quality,
-            sculpted=self._normals.at(weights),
-        )
+        camera = self._camera.at(int(self._shot.frames[row]))
+        seen = (camera, weights.tobytes())
+        if seen not in self._last:  # a sheet shows the solve twice, and a still face stays
+            picture = self._renderer.render(
+                self._shot.deformer.points(weights[None])[0],
+                camera=camera,
+                width=self._width,
+                height=self._height,
+                quality=self._quality,
+                sculpted=self._normals.at(weights),
+            )
+            self._last = dict([*self._last.items(), (seen, picture)][-_LAST_PICTURES:])
+        return self._last[seen].copy()
 
     def painted(
         self, row: int, weights: FloatArray, values: FloatArray, *, high: float
