@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.numerics.simulated_face import simulate_face
-from usdface.numerics.repair.fit_low_rank import fit_low_rank, with_rank
+from usdface.numerics.repair.fit_low_rank import _Moments, fit_low_rank, with_rank
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
 
 MARKERS = 12
@@ -35,7 +35,31 @@ def conditional(model: LowRankModel, row: np.ndarray, hidden: np.ndarray) -> np.
 
 
 def test_the_precision_inverts_the_covariance(model):
-    np.testing.assert_allclose(model.precision @ covariance(model), np.eye(3 * MARKERS), atol=1e-9)
+    precision = model.precision_of(np.arange(3 * MARKERS))
+    np.testing.assert_allclose(precision @ covariance(model), np.eye(3 * MARKERS), atol=1e-9)
+
+
+def test_each_marker_is_predicted_by_all_others_as_in_the_textbook(model):
+    rng = np.random.default_rng(3)
+    rows = rng.multivariate_normal(model.mean, covariance(model), 4)
+    predicted = predict_from_others(model, rows.reshape(4, MARKERS, 3))
+    for marker in range(MARKERS):
+        hidden = np.repeat(np.arange(MARKERS) == marker, 3)
+        expected = [conditional(model, row, hidden) for row in rows]
+        np.testing.assert_allclose(predicted[:, marker], expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("frames", [20, 300], ids=["fewer than coordinates", "more"])
+def test_principal_directions_are_those_of_the_singular_value_decomposition(frames):
+    filled = np.random.default_rng(0).standard_normal((frames, MARKERS, 3)) * np.geomspace(
+        9, 0.1, MARKERS
+    ).reshape(-1, 1)
+    values, components, squares = _Moments.of(filled).principal(8)
+    centered = filled.reshape(frames, -1) - filled.reshape(frames, -1).mean(axis=0)
+    _, size, right = np.linalg.svd(centered, full_matrices=False)
+    np.testing.assert_allclose(values[:8], size[:8] ** 2)
+    np.testing.assert_allclose(np.abs(components @ right[:8].T), np.eye(8), atol=1e-6)
+    np.testing.assert_allclose(squares, (centered**2).sum(axis=0))
 
 
 @pytest.mark.parametrize("count", [1, 3, 4, 7, MARKERS])

@@ -9,6 +9,7 @@ missing entries by expectation-maximisation.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from usdface.core.arrays import (
     MAD_TO_DEVIATION,
@@ -159,18 +160,25 @@ def with_rank(model: LowRankModel, rank: int) -> LowRankModel:
 
 @dataclass
 class _Moments:
-    """Sums over frames, updated where frames change."""
+    """Sums over frames, updated where frames change.
 
+    Of fewer frames than coordinates the products of frames are the smaller matrix, and are made
+    when they are asked for.
+    """
+
+    filled: RealArray
+    """(frames, markers, 3): the frames themselves."""
     center: FloatArray
     total: FloatArray
-    products: FloatArray
-    count: int
+    products: FloatArray | None
 
     @classmethod
     def of(cls, filled: RealArray) -> "_Moments":
         flat = filled.reshape(len(filled), -1)
         center = flat[:: max(1, len(flat) // 256)].mean(axis=0, dtype=np.float64)
-        moments = cls(center, np.zeros(len(center)), np.zeros((len(center),) * 2), len(flat))
+        few = len(flat) < len(center)
+        products = None if few else np.zeros((len(center),) * 2)
+        moments = cls(filled, center, np.zeros(len(center)), products)
         moments.add(flat)
         return moments
 
@@ -179,14 +187,41 @@ class _Moments:
         for block in frame_blocks(len(flat), frames=_CHUNK_FRAMES):
             centered = flat[block].astype(np.float64) - self.center
             self.total += sign * centered.sum(axis=0)
-            self.products += sign * (centered.T @ centered)
+            if self.products is not None:
+                self.products += sign * (centered.T @ centered)
 
     def mean(self) -> FloatArray:
-        return np.asarray(self.center + self.total / self.count)
+        return np.asarray(self.center + self.total / len(self.filled))
 
-    def scatter(self) -> FloatArray:
-        """Return the sum of squares and products about the mean."""
-        return np.asarray(self.products - np.outer(self.total, self.total / self.count))
+    def principal(self, limit: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return sums of squares about the mean.
+
+        Returns
+        -------
+        values : (limit,) float array
+            Along principal directions, the largest first.
+        components : (limit, markers * 3) float array
+            These directions.
+        squares : (markers * 3,) float array
+            Of each coordinate.
+        """
+        if self.products is not None:
+            scatter = self.products - np.outer(self.total, self.total / len(self.filled))
+            values, vectors = _largest(scatter, limit)
+            return values, vectors.T, np.diag(scatter)
+        centered = self.filled.reshape(len(self.filled), -1) - self.mean()
+        values, vectors = _largest(centered @ centered.T, limit)
+        spread = vectors.T @ centered
+        length = np.linalg.norm(spread, axis=1, keepdims=True)
+        components = spread / np.maximum(length, np.finfo(float).tiny)
+        return values, components, np.einsum("fi,fi->i", centered, centered)
+
+
+def _largest(matrix: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return the largest eigenvalues of a symmetric matrix, descending, and their vectors."""
+    size = len(matrix)
+    values, vectors = linalg.eigh(matrix, subset_by_index=[size - min(count, size), size - 1])
+    return values[::-1], vectors[:, ::-1]
 
 
 def _refill(
@@ -222,20 +257,18 @@ def _model(
 ) -> LowRankModel:
     """Return the model of complete frames: principal directions that rise above the noise."""
     frames, markers = trusted.shape
-    mean, scatter = moments.mean(), moments.scatter()
-    freedom = max(frames - 1, 1)
-    values, vectors = np.linalg.eigh(scatter / freedom)
-    values, vectors = values[::-1], vectors[:, ::-1]
+    mean, freedom = moments.mean(), max(frames - 1, 1)
+    affordable = max(frames // _FRAMES_PER_DIRECTION, _LEAST_RANK_LIMIT)
+    limit = min(rank_limit, affordable, max(frames - 2, 1))
+    values, components, squares = moments.principal(limit)
+    values = values / freedom
     floor = float(np.median(sensor_noise)) ** 2
     # Eigenvalues of pure noise reach (1 + sqrt(p / n))^2 times its variance (Marchenko-Pastur).
     threshold = floor * (1.0 + np.sqrt(3 * markers / frames)) ** 2
-    affordable = max(frames // _FRAMES_PER_DIRECTION, _LEAST_RANK_LIMIT)
-    rank = int(
-        np.clip((values > threshold).sum(), 1, min(rank_limit, affordable, max(frames - 2, 1)))
-    )
-    components = vectors[:, :rank].T
+    rank = int(np.clip((values > threshold).sum(), 1, limit))
+    components = components[:rank]
     # What the directions leave of all samples, less what they leave of those not trusted.
-    left = np.diag(scatter) - freedom * (values[:rank] @ components**2)
+    left = squares - freedom * (values[:rank] @ components**2)
     square = left.reshape(markers, 3).sum(axis=1)
     rows = np.flatnonzero(~trusted.all(axis=1))
     for block in frame_blocks(len(rows), frames=_CHUNK_FRAMES):

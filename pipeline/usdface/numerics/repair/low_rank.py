@@ -50,32 +50,21 @@ class LowRankModel:
         """``inverse(inner) @ weighted``, (rank, markers * 3)."""
         return np.asarray(np.linalg.solve(self.inner, self.weighted))
 
-    @cached_property
-    def precision(self) -> FloatArray:
-        """Inverse covariance, (markers * 3, markers * 3)."""
-        noise = np.diag(np.repeat(self.noise**-2.0, 3))
-        return np.asarray(noise - self.weighted.T @ self.solved)
+    def precision_of(self, entries: IntArray) -> FloatArray:
+        """Return blocks of the inverse covariance: (..., n) entries to (..., n, n).
+
+        The whole of it is (markers * 3) squared: of a thousand markers 72 MB, and as slow.
+        """
+        blocks = -(self.weighted.T[entries] @ np.swapaxes(self.solved.T[entries], -1, -2))
+        rows = np.arange(entries.shape[-1])
+        blocks[..., rows, rows] += np.repeat(self.noise**-2.0, 3)[entries]
+        return np.asarray(blocks)
 
     @cached_property
     def conditional_covariances(self) -> FloatArray:
         """Covariance of each marker when all others are known, (markers, 3, 3)."""
-        count = len(self.noise)
-        blocks = self.precision.reshape(count, 3, count, 3)
-        return np.asarray(np.linalg.inv(blocks[np.arange(count), :, np.arange(count)]))
-
-    @cached_property
-    def regression(self) -> FloatArray:
-        """Regression of each marker on all others: (markers * 3, markers * 3).
-
-        ``(row - mean) @ regression`` is each marker's conditional mean, less its mean.
-        """
-        count = len(self.noise)
-        by_marker = self.precision.reshape(3 * count, count, 3).transpose(1, 0, 2)
-        pulled = (by_marker @ self.conditional_covariances).transpose(1, 0, 2)
-        others = np.kron(1.0 - np.eye(count), np.ones((3, 3)))
-        return np.asarray(
-            -pulled.reshape(3 * count, 3 * count) * others
-        )  # a marker does not predict itself
+        entries = np.arange(3 * len(self.noise)).reshape(-1, 3)
+        return np.asarray(np.linalg.inv(self.precision_of(entries)))
 
 
 def fill_missing(model: LowRankModel, positions: RealArray, good: BoolArray) -> RealArray:
@@ -116,14 +105,21 @@ def predict_from_others(model: LowRankModel, filled: RealArray) -> RealArray:
     (frames, markers, 3) float array
         Of the same precision as `filled`, and computed in it.
     """
-    mean, regression = model.mean.astype(filled.dtype), model.regression.astype(filled.dtype)
+    kind, count = filled.dtype, len(model.noise)
+    # With L the precision, x_m - E[x_m | others] = L_mm^-1 (L (x - mean))_m; L is diagonal but for
+    # the model's directions.
+    mean, noise = model.mean.astype(kind), np.repeat(model.noise**-2.0, 3).astype(kind)
+    weighted, solved = model.weighted.T.astype(kind), model.solved.astype(kind)
+    covariances = model.conditional_covariances.astype(kind)
     flat = filled.reshape(len(filled), -1)
-    predicted = np.empty_like(flat)
+    predicted = np.empty_like(filled)
     for start in range(0, len(flat), _CHUNK_FRAMES):
         rows = slice(start, start + _CHUNK_FRAMES)
-        np.matmul(flat[rows] - mean, regression, out=predicted[rows])
-        predicted[rows] += mean
-    return predicted.reshape(filled.shape)
+        offset = flat[rows] - mean
+        pull = offset * noise - (offset @ weighted) @ solved
+        away = np.einsum("fmi,mij->fmj", pull.reshape(-1, count, 3), covariances)
+        predicted[rows] = filled[rows] - away
+    return predicted
 
 
 def _expected(model: LowRankModel, positions: RealArray, missing: IntArray) -> FloatArray:
@@ -140,7 +136,7 @@ def _expected(model: LowRankModel, positions: RealArray, missing: IntArray) -> F
     if 3 * count <= len(model.variances):
         # x_m = mean_m - L_mm^-1 L_mo (x_o - mean_o), L the precision matrix
         pull = np.take_along_axis(weighted_offset @ model.solved, entries, axis=1)
-        system = model.precision[entries[:, :, None], entries[:, None, :]]
+        system = model.precision_of(entries)
         shift = np.linalg.solve(system, pull[..., None])
     else:
         # The scores' mean given what is seen: the precision without the missing markers' share.

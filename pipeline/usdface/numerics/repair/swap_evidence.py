@@ -225,7 +225,7 @@ def _mixing(model: LowRankModel, first: int, second: int) -> Float32Array:
     # L (x - E[x | others but the pair]) = diag(L_xx, L_yy) (x - E[x | all others of each]), with L
     # the pair's block of the precision matrix.
     entries = np.r_[3 * first : 3 * first + 3, 3 * second : 3 * second + 3]
-    block = model.precision[np.ix_(entries, entries)]
+    block = model.precision_of(entries)
     diagonal = np.zeros((6, 6))
     diagonal[:3, :3], diagonal[3:, 3:] = block[:3, :3], block[3:, 3:]
     return np.linalg.solve(block, diagonal).astype(np.float32)

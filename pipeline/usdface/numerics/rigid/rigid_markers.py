@@ -19,6 +19,8 @@ _LARGEST_TURN = np.deg2rad(1.2)
 """Head rotation in error beyond which the mouth, 80 mm away, moves by more than 1.5 mm."""
 _LEAST_SEEN = 0.5
 _NEAR_BEST = 1.2
+_SEEDS_AT_ONCE = 64
+"""Sets grown side by side: 5 MB each of a thousand markers' moments."""
 
 
 @dataclass(frozen=True)
@@ -63,11 +65,10 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
     sample[~seen[rows][:, usable]] = np.nan
     deviations = _distance_deviations(sample)
     middle = np.nanmedian(sample, axis=0) if len(usable) else np.empty((0, 3))
-    orders = [] if len(usable) < _LEAST_MARKERS else _orders(deviations)
-    promises = [_promised_errors(deviations, middle, order, noise) for order in orders]
-    least = min((float(promise.min()) for promise in promises), default=np.inf)
+    orders, promises = _judged_orders(deviations, middle, noise)
+    least = float(promises.min(initial=np.inf))
     if not least <= _LARGEST_TURN:
-        if not promises:
+        if not len(orders):
             closest = (
                 f"only {len(usable)} of {seen.shape[1]} markers are seen in at least half of the "
                 f"frames, {_LEAST_MARKERS} are needed"
@@ -97,58 +98,110 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
     return RigidMarkers(tuple(usable[chosen].tolist()), float(deviation), float(np.rad2deg(error)))
 
 
-def _orders(deviations: FloatArray) -> list[IntArray]:
-    """Return orders of markers of which every beginning is a set worth judging."""
+def _judged_orders(
+    deviations: FloatArray, middle: FloatArray, noise: float
+) -> tuple[IntArray, FloatArray]:
+    """Return orders of markers of which every beginning is a set worth judging, and what it is.
+
+    Returns
+    -------
+    orders : (orders, markers) int array
+    promises : (orders, markers - 3) float array
+        Errors of the rotation [rad], promised by the first four of an order, five, and so on;
+        infinite from markers on that were never seen together.
+    """
     count = len(deviations)
-    left, taken = list(range(count)), list[int]()
-    while left:
-        mutual = deviations[np.ix_(left, left)]
-        taken.append(left.pop(int(np.argmax(mutual.mean(axis=1)))))
-    orders = [np.array(taken[::-1], np.int64)]
-    for seed in range(count):
-        grown, total = [seed], deviations[seed].copy()
-        total[seed] = np.inf
-        while np.isfinite(total).any():
-            grown.append(int(np.argmin(total)))
-            total += deviations[grown[-1]]
-            total[grown[-1]] = np.inf
-        if len(grown) >= _LEAST_MARKERS:
-            orders.append(np.array(grown, np.int64))
-    return orders
+    if count < _LEAST_MARKERS:
+        return np.empty((0, count), np.int64), np.empty((0, 0))
+    whole = _order_by_removal(deviations)
+    beginning = np.tril(deviations[np.ix_(whole, whole)]).sum(axis=1)
+    orders = [whole[None]]
+    promises = [_promised_errors(whole[None], beginning[None], middle, noise)]
+    for start in range(0, count, _SEEDS_AT_ONCE):
+        grown, added = _grow_sets(deviations, np.arange(start, min(start + _SEEDS_AT_ONCE, count)))
+        orders.append(grown)
+        promises.append(_promised_errors(grown, added, middle, noise))
+    return np.concatenate(orders), np.concatenate(promises)
+
+
+def _order_by_removal(deviations: FloatArray) -> IntArray:
+    """Take markers out, always the one whose distances vary most, and return the last one first."""
+    apart = np.isinf(deviations)
+    finite = np.where(apart, 0.0, deviations)
+    total, never = finite.sum(axis=1), apart.sum(axis=1)
+    left, taken = np.ones(len(deviations), bool), list[int]()
+    while left.any():
+        varying = np.where(never > 0, np.inf, total)
+        taken.append(int(np.where(left, varying, -np.inf).argmax()))
+        left[taken[-1]] = False
+        total, never = total - finite[taken[-1]], never - apart[taken[-1]]
+    return np.array(taken[::-1], np.int64)
+
+
+def _grow_sets(deviations: FloatArray, seeds: IntArray) -> tuple[IntArray, FloatArray]:
+    """Grow a set from each seed by the marker whose distances to it vary least.
+
+    Returns
+    -------
+    orders : (seeds, markers) int array
+    added : (seeds, markers) float array
+        Sum of the deviations of each marker's distances to those before it.
+    """
+    rows = np.arange(len(seeds))
+    orders = np.empty((len(seeds), len(deviations)), np.int64)
+    added = np.zeros(orders.shape)
+    orders[:, 0] = seeds
+    total = deviations[seeds]
+    total[rows, seeds] = np.inf
+    for step in range(1, len(deviations)):
+        nearest = total.argmin(axis=1)
+        orders[:, step], added[:, step] = nearest, total[rows, nearest]
+        total += deviations[nearest]
+        total[rows, nearest] = np.inf
+    return orders, added
 
 
 def _promised_errors(
-    deviations: FloatArray,
-    middle: FloatArray,
-    order: IntArray,
-    noise: float,
+    orders: IntArray, added: FloatArray, middle: FloatArray, noise: float
 ) -> FloatArray:
     """Return the rotation's error [rad] promised by the first four of an order, five, and so on."""
-    count = np.arange(1, len(order) + 1)[_LEAST_MARKERS - 1 :]
-    pairs = np.tril(deviations[np.ix_(order, order)]).sum(axis=1).cumsum()[_LEAST_MARKERS - 1 :]
-    deviation = 2 * pairs / (count * (count - 1))
+    beginning = slice(_LEAST_MARKERS - 1, None)
+    count = np.arange(1, orders.shape[1] + 1)[beginning]
+    deviation = 2 * added.cumsum(axis=1)[:, beginning] / (count * (count - 1))
     residual_motion2 = np.maximum(
         deviation**2 - 2.0 * noise**2, 0.0
     )  # a distance has two ends' noise
-    points = middle[order] - middle[order].mean(axis=0)
-    products = (points[:, :, None] * points[:, None, :]).cumsum(axis=0)[_LEAST_MARKERS - 1 :]
-    centres = points.cumsum(axis=0)[_LEAST_MARKERS - 1 :] / count[:, None]
-    spread = products / count[:, None, None] - centres[:, :, None] * centres[:, None, :]
-    extent = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, 1], 0.0))
+    points = middle[orders] - middle.mean(axis=0)
+    products = (points[..., :, None] * points[..., None, :]).cumsum(axis=1)[:, beginning]
+    centres = points.cumsum(axis=1)[:, beginning] / count[:, None]
+    spread = products / count[:, None, None] - centres[..., :, None] * centres[..., None, :]
+    extent = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[..., 1], 0.0))
     errors: FloatArray = np.sqrt(residual_motion2 + noise**2 / count)
     return errors / np.maximum(extent, 1e-9)
 
 
 def _distance_deviations(sample: FloatArray) -> FloatArray:
     """Return the robust standard deviation of every mutual distance; infinite when never seen."""
-    count = sample.shape[1]
+    frames, count = sample.shape[:2]
     deviations = np.zeros((count, count))
+    tracks = np.ascontiguousarray(sample.transpose(1, 2, 0))
     for marker in range(count - 1):
-        distances = np.linalg.norm(sample[:, marker + 1 :] - sample[:, marker, None], axis=2)
-        together = np.isfinite(distances).sum(axis=0) >= 2
-        spread = np.full(distances.shape[1], np.inf)
-        if together.any():
-            low, high = np.nanpercentile(distances[:, together], (_LOW, _HIGH), axis=0)
-            spread[together] = (high - low) / _PERCENTILES_TO_DEVIATION
+        between = tracks[marker + 1 :] - tracks[marker]
+        distances = np.sqrt(np.einsum("mif,mif->mf", between, between))
+        distances.sort(axis=1)  # what is not known comes last
+        known = frames - np.isnan(distances).sum(axis=1)
+        low, high = (_sorted_percentile(distances, known, share) for share in (_LOW, _HIGH))
+        spread = np.where(known >= 2, (high - low) / _PERCENTILES_TO_DEVIATION, np.inf)
         deviations[marker, marker + 1 :] = deviations[marker + 1 :, marker] = spread
     return deviations
+
+
+def _sorted_percentile(values: FloatArray, known: IntArray, percent: float) -> FloatArray:
+    """Return a percentile of the first `known` of each row of sorted values, (rows, n)."""
+    at = np.maximum(known - 1, 0) * (percent / 100.0)
+    below = at.astype(np.int64)
+    above = np.minimum(below + 1, np.maximum(known - 1, 0))
+    rows = np.arange(len(values))
+    return np.asarray(
+        values[rows, below] + (at - below) * (values[rows, above] - values[rows, below])
+    )
