@@ -268,7 +268,8 @@ class MakeSequenceSpec(Spec):
     target_frames: Frames | None = None
     """Frames of the target, as FIRST-LAST. Default: all."""
     attributes: tuple[Name, ...] = ()
-    """Float attributes of the target in the sequence, as PRIM.ATTRIBUTE."""
+    """Float attributes of the target in the sequence, as PRIM.ATTRIBUTE from its top prim. *
+    matches any characters. Default: all that move."""
 
 
 class FindSequencesSpec(Spec):

@@ -288,19 +288,43 @@ def test_a_sequence_is_put_in_and_the_rest_stays_to_the_last_bit(
     assert read_image_metadata(Path("warp.png"))["step"] == "warp"
 
 
-def test_a_sequence_of_another_rate_is_told(performed: Stall, capsys) -> None:
+def test_a_sequence_of_another_rate_lasts_as_long(performed: Stall, capsys) -> None:
     sequence_and_matches(performed)
-    assert "frames are taken as they are" not in capsys.readouterr().out
+    assert "resampled" not in capsys.readouterr().out
+    before = read_sequence(Path("joy.sequence.usda"))
     layer = Sdf.Layer.FindOrOpen("joy.sequence.usda")
     rate = layer.timeCodesPerSecond
     layer.timeCodesPerSecond = layer.framesPerSecond = 2 * rate
     layer.Save()
-    told = f"joy.sequence.usda runs at {2 * rate:g} frames per second, and this performance at"
-    assert usdface(*"warp beast.shot.usda --matches shot.matches.usda --out w.usda".split()) == 0
-    assert told in capsys.readouterr().out
+    told = f"joy.sequence.usda runs at {2 * rate:g} frames per second, and this at {rate:g}"
+    line = "warp beast.shot.usda --matches shot.matches.usda --out w.usda --json"
+    assert usdface(*line.split()) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert any(told in note for note in said["notes"])
+    (placed,) = (each["placed"] for each in said["figures"]["sequences"])
+    assert placed[1] - placed[0] == (len(before.target) - 1) / 2
     line = "find-sequences shot.usda --sequence joy.sequence.usda --out two.matches.usda"
     assert usdface(*line.split()) == 0
     assert told in capsys.readouterr().out
+
+
+def test_attributes_that_move_are_carried(performed: Stall, capsys) -> None:
+    make = "make-sequence --source shot.usda --source-frames 150-190 --target own.usda --label joy"
+    own = creature_acts(np.sin(np.pi * np.linspace(0, 1, 61)[:, None]) * [0.1, 0.6, 1.0])
+    write_creature_performance(performed.folder / "own.usda", performed.beast, own)
+    layer = Sdf.Layer.FindOrOpen("own.controls.usdc")
+    layer.GetAttributeAtPath("/Beast/FaceSolve.face:controls:attributes").default = []
+    layer.Save()  # as another tool writes it: attributes that move, and no list of them
+    assert usdface(*make.split(), "--out", "a.sequence.usda") == 0
+    assert "with the attributes that move: rig/lattice.dfm" in capsys.readouterr().out
+    assert usdface(*make.split(), "--out", "b.sequence.usda", "--attributes", "rig/lattice.*") == 0
+    for name in ("a", "b"):
+        held = read_sequence(Path(f"{name}.sequence.usda")).target
+        assert set(held.attributes) == {"rig/lattice.dfm:curl", "rig/lattice.dfm:squash"}
+        order = [own.attributes.index(each) for each in held.attributes]
+        np.testing.assert_allclose(held.values, own.values[:, order], atol=1e-6)
+    assert usdface(*make.split(), "--out", "c.sequence.usda", "--attributes", "rig/cage.*") == 2
+    assert "no float attribute below it is like 'rig/cage.*'" in capsys.readouterr().err
 
 
 def test_sequences_are_found_without_a_threshold_and_by_label(performed: Stall, capsys) -> None:

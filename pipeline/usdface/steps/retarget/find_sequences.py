@@ -21,7 +21,8 @@ from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.retarget import FindSequencesSpec
 from usdface.steps.inputs.source_motion import SourceMotion, read_source_motion, source_columns
-from usdface.usdio.retarget.sequences import check_sequence_rate, read_sequence, write_matches
+from usdface.steps.retarget.sequence_rate import read_sequence_at
+from usdface.usdio.retarget.sequences import write_matches
 
 
 @dataclass(frozen=True)
@@ -36,12 +37,9 @@ def run(
 ) -> StepResult:
     """Look for every sequence; where two of them overlap, keep the nearer."""
     motion = read_source_motion(spec.source, frame_range(spec.frames))
-    sequences = _read_sequences(spec, motion)
-    notes: list[str] = []
+    sequences, notes = _read_sequences(spec, motion)
     found: list[_RatedMatch] = []
     for number, (path, sequence) in enumerate(sequences, start=1):
-        told = check_sequence_rate(path, motion.rate)
-        notes += [told] if told else []
         here, said = _find(spec, path, sequence, motion)
         found += here
         notes += said
@@ -79,8 +77,10 @@ def run(
 
 def _read_sequences(
     spec: FindSequencesSpec, motion: SourceMotion
-) -> list[tuple[Path, EmotionalSequence]]:
-    sequences = [(path, read_sequence(path)) for path in spec.sequence]
+) -> tuple[list[tuple[Path, EmotionalSequence]], list[str]]:
+    """Read the sequences at the rate of the motion; return them with notes on other rates."""
+    read = {path: read_sequence_at(path, motion.rate) for path in spec.sequence}
+    sequences = [(path, sequence) for path, (sequence, _) in read.items()]
     label = spec.label or (motion.emotion if spec.by == "label" else None)
     if spec.by == "label" and not label:
         raise InputError(
@@ -99,7 +99,7 @@ def _read_sequences(
                 f"and {spec.source} has {len(motion.weights)} ({motion.first_frame}-"
                 f"{motion.last_frame}); look in a longer take or cut the sequence"
             )
-    return sequences
+    return sequences, [note for path, _ in sequences if (note := read[path][1])]
 
 
 def _find(

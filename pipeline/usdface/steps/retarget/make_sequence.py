@@ -6,11 +6,13 @@ from usdface.core.controls import EmotionalSequence
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
+from usdface.core.text import first_few
 from usdface.numerics.motion.sequence_search import mean_face_distance
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.retarget import MakeSequenceSpec
 from usdface.steps.inputs.source_motion import read_source_motion
+from usdface.steps.retarget.sequence_rate import RATES_ALIKE, motion_at_rate
 from usdface.usdio.retarget.controls import read_control_clip
 from usdface.usdio.retarget.sequences import write_sequence
 
@@ -33,29 +35,34 @@ def run(
             f"{spec.source}: frames {source.first_frame}-{source.last_frame} stand still, so "
             "nothing would tell them from a face at rest; choose a stretch that moves"
         )
+    factor = read.rate / source.rate
+    alike = abs(source.rate - read.rate) < RATES_ALIKE
+    weights = source.weights if alike else motion_at_rate(source.weights, factor)
     sequence = EmotionalSequence(
         label=spec.label,
         source_shapes=source.names,
-        source=source.weights,
+        source=weights,
         target=target,
         key_weights=np.ones(len(target)),
     )
     write_sequence(spec.out, sequence, rate=read.rate, provenance=provenance)
     progress(1.0, "done")
     notes = []
-    if source.rate != read.rate:
+    if not alike:
         notes.append(
             f"the source runs at {float(source.rate):g} and the target at {float(read.rate):g} "
-            "frames per second; frames are taken as they are"
+            f"frames per second; the source is resampled to {len(weights)} frames"
         )
+    if target.attributes and not spec.attributes:
+        notes.append(f"with the attributes that move: {first_few(target.attributes)}")
     return StepResult(
         (spec.out,),
-        f"{spec.label}: {len(source.weights)} frames of {len(source.names)} source shapes, "
+        f"{spec.label}: {len(weights)} frames of {len(source.names)} source shapes, "
         f"{len(target)} frames of {target.summary}",
         tuple(notes),
         {
             "label": spec.label,
-            "source_frames": len(source.weights),
+            "source_frames": len(weights),
             "target_frames": len(target),
         },
     )

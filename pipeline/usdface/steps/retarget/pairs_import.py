@@ -1,5 +1,6 @@
 """Two animations in, pairs of what both hold at the same frames out."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from usdface.core.assets import Rig
@@ -87,7 +88,7 @@ def _check_nothing_hides(out: Path) -> None:
 def _read_target(spec: PairsImportSpec, rig: Rig) -> tuple[list[int], Controls]:
     if spec.target.suffix in LAYER_SUFFIXES:
         names = find_control_attributes(rig, spec.attributes)
-        clip = read_control_clip(spec.target, attributes=names).clip
+        clip = _without_driven(read_control_clip(spec.target, attributes=names).clip, rig)
         _check_target(spec.target, clip, rig)
         return list(range(clip.first_frame, clip.last_frame + 1)), clip.controls
     if spec.attributes:
@@ -96,6 +97,15 @@ def _read_target(spec: PairsImportSpec, rig: Rig) -> tuple[list[int], Controls]:
         )
     table = read_weight_table(spec.target)
     return list(table.frames), bare_controls(rig.shapes, table.columns(rig.shapes))
+
+
+def _without_driven(clip: ControlClip, rig: Rig) -> ControlClip:
+    """Leave out what other shapes of the rig drive: it is evaluated."""
+    held = clip.controls
+    kept = [index for index, name in enumerate(held.shapes) if name not in rig.logic.driven]
+    shapes = tuple(held.shapes[index] for index in kept)
+    controls = replace(held, shapes=shapes, weights=held.weights[:, kept])
+    return replace(clip, controls=controls)
 
 
 def _check_target(path: Path, clip: ControlClip, rig: Rig) -> None:

@@ -33,11 +33,12 @@ from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import WarpSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
+from usdface.steps.retarget.sequence_rate import read_sequence_at
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.retarget.control_performance import writing_control_performance
 from usdface.usdio.retarget.controls import ReadControls, read_control_clip
-from usdface.usdio.retarget.sequences import check_sequence_rate, read_matches, read_sequence
+from usdface.usdio.retarget.sequences import read_matches
 from usdface.usdio.rig.read import read_rig
 
 PUBLISHED_KEEP = 1.0
@@ -52,6 +53,8 @@ class _Placement:
     sequence: EmotionalSequence
     first_frame: int
     frame_count: int
+    rate_note: str = ""
+    """What to tell of the sequence's own rate."""
 
     @property
     def last_frame(self) -> int:
@@ -90,7 +93,10 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress = silent) 
         f"{pluralize(len(placements), 'sequence')} in {len(before)} frames; "
         f"{pluralize(changed, 'frame')} changed, the "
         f"others are as they were",
-        (*_rate_notes(placements, read), *edit_notes(spec.out)),
+        (
+            *filter(None, dict.fromkeys(each.rate_note for each in placements)),
+            *edit_notes(spec.out),
+        ),
         {
             "frames": len(before),
             "changed": changed,
@@ -119,12 +125,12 @@ def _placements(spec: WarpSpec, read: ReadControls) -> list[_Placement]:
             "again or activate one"
         )
     first, last = read.clip.first_frame, read.clip.last_frame
-    sequences: dict[Path, EmotionalSequence] = {}
+    sequences: dict[Path, tuple[EmotionalSequence, str]] = {}
     placed = []
     for match in sorted(matches, key=lambda each: each.first_frame):
         if match.sequence not in sequences:
-            sequences[match.sequence] = read_sequence(match.sequence)
-        sequence = sequences[match.sequence]
+            sequences[match.sequence] = read_sequence_at(match.sequence, read.rate)
+        sequence, note = sequences[match.sequence]
         _check_controls(match, sequence, read.clip.controls, spec.performance)
         found = match.last_frame - match.first_frame + 1
         count = len(sequence.target) if spec.timing == "own" else found
@@ -140,7 +146,7 @@ def _placements(spec: WarpSpec, read: ReadControls) -> list[_Placement]:
                 f"{where}: would take frames {match.first_frame}-{stop}, and {spec.performance} "
                 f"has {first}-{last}; deactivate the match, move it, or use --timing fit"
             )
-        placed.append(_Placement(match, sequence, match.first_frame, count))
+        placed.append(_Placement(match, sequence, match.first_frame, count, note))
     for one, other in pairwise(placed):
         if other.first_frame <= one.last_frame:
             raise InputError(
@@ -151,10 +157,8 @@ def _placements(spec: WarpSpec, read: ReadControls) -> list[_Placement]:
     return placed
 
 
-def _rate_notes(placements: list[_Placement], read: ReadControls) -> tuple[str, ...]:
-    files = dict.fromkeys(each.match.sequence for each in placements)
-    notes = (check_sequence_rate(file, read.rate) for file in files)
-    return tuple(note for note in notes if note)
+def _rate_notes(placements: list[_Placement]) -> list[str]:
+    return [note for note in dict.fromkeys(each.rate_note for each in placements) if note]
 
 
 def _check_controls(

@@ -40,18 +40,23 @@ def find_control_attributes(rig: Rig, patterns: Sequence[str]) -> tuple[str, ...
     """
     stage = open_stage(rig.file)
     top = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])
+    return _match_attributes(top, patterns, rig.file)
+
+
+def _match_attributes(top: Usd.Prim, patterns: Sequence[str], path: Path) -> tuple[str, ...]:
+    """Return the float attributes below a prim that names or patterns mean, each once."""
     found: list[str] = []
     for pattern in patterns:
         if any(letter in pattern for letter in "*?["):
             names = [name for name in _all_floats(top) if fnmatchcase(name, pattern)]
             if not names:
                 raise InputError(
-                    f"{rig.file} <{top.GetPath()}>: no float attribute below it is like "
+                    f"{path} <{top.GetPath()}>: no float attribute below it is like "
                     f"{pattern!r}; {_examples(top)}"
                 )
             found += names
         else:
-            control_attribute(top, pattern, rig.file)
+            control_attribute(top, pattern, path)
             found.append(pattern)
     return tuple(dict.fromkeys(found))
 
@@ -191,7 +196,8 @@ def read_control_clip(
     Parameters
     ----------
     attributes : sequence of str, optional
-        Those to read beside weights and joints; by default what the animation itself names.
+        Those to read beside weights and joints, names or patterns; by default what the animation
+        itself names, and all that move.
     frames : tuple of int, optional
         First and last, inclusive; all that the animation has by default.
 
@@ -208,8 +214,13 @@ def read_control_clip(
                 f"{path}: frames {frames[0]}-{frames[1]} are not all there; it has {first}-{last}"
             )
         first, last = frames
-    names = attribute_names(prim) if attributes is None else tuple(attributes)
-    top = top_of(reader.stage, prim, path) if names else None
+    if attributes is None:
+        top = _top_or_none(reader.stage, prim)
+        moving = () if top is None else moving_attributes(top)
+        names = tuple(dict.fromkeys((*attribute_names(prim), *moving)))
+    else:
+        top = top_of(reader.stage, prim, path) if attributes else None
+        names = () if top is None else _match_attributes(top, attributes, path)
     controls = controls_at(prim, top, names, range(first, last + 1), path)
     if reader.edits:
         edited = reader.edited(first, last).astype(np.float64)
@@ -221,6 +232,30 @@ def attribute_names(animation: Usd.Prim) -> tuple[str, ...]:
     """Return the attributes that an animation says are driven beside it."""
     attribute = animation.GetAttribute(NAMES)
     return tuple(map(str, attribute.Get() or ())) if attribute else ()
+
+
+def moving_attributes(top: Usd.Prim) -> tuple[str, ...]:
+    """Return the float attributes below a prim that change over time: what deformers are driven by.
+
+    Those of animations are theirs: edits of weights, and figures of solves.
+    """
+    names = []
+    for prim in Usd.PrimRange(top):
+        if prim.IsA(UsdSkel.Animation):
+            continue
+        place = str(prim.GetPath().MakeRelativePath(top.GetPath()))
+        names += [
+            f"{'' if place == '.' else place}.{attribute.GetName()}"
+            for attribute in prim.GetAuthoredAttributes()
+            if attribute.GetTypeName() in FLOATS and attribute.ValueMightBeTimeVarying()
+        ]
+    return tuple(names)
+
+
+def _top_or_none(stage: Usd.Stage, animation: Usd.Prim) -> Usd.Prim | None:
+    """Return where attributes are named from; None where a layer of weights says no such place."""
+    top = animation.GetParent() if animation.GetName().startswith(ANIMATION) else None
+    return top or stage.GetDefaultPrim() or None
 
 
 def top_of(stage: Usd.Stage, animation: Usd.Prim, path: Path) -> Usd.Prim:

@@ -9,7 +9,7 @@ from pxr import Sdf, Usd, UsdSkel
 from usdface.core.controls import Controls, EmotionalSequence, SequenceMatch
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.core.rates import span_of_samples
+from usdface.core.rates import exact_rate, span_of_samples
 from usdface.usdio.authoring import apply_api, author_timing, author_uniform, define_prim
 from usdface.usdio.layers import (
     new_layer,
@@ -35,9 +35,6 @@ VALUES = _ROOT.AppendProperty("face:sequence:values")
 KEY_WEIGHT = _ROOT.AppendProperty("face:sequence:keyWeight")
 
 MATCHES = Sdf.Path("/Matches")
-
-RATES_ALIKE = 1e-3
-"""Frames per second that a rate may lose where a layer holds it as a float."""
 
 
 def write_sequence(
@@ -114,15 +111,10 @@ def read_sequence(path: Path) -> EmotionalSequence:
     )
 
 
-def check_sequence_rate(path: Path, rate: Fraction) -> str:
-    """Return what to tell where a sequence runs at another rate than its use; empty if it fits."""
-    own = open_layer(path).timeCodesPerSecond
-    if abs(own - float(rate)) < RATES_ALIKE:
-        return ""
-    return (
-        f"{path.name} runs at {own:g} frames per second, and this performance at {float(rate):g}; "
-        "its frames are taken as they are, so it is faster or slower here"
-    )
+def sequence_rate(path: Path) -> Fraction:
+    """Return the frames per second of a sequence."""
+    rate = open_layer(path).timeCodesPerSecond
+    return exact_rate(rate, where=f"{path}: timeCodesPerSecond")
 
 
 def _read_side(stage: Usd.Stage, place: Sdf.Path, path: Path) -> tuple[Controls, range]:
