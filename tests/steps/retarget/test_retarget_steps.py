@@ -27,6 +27,7 @@ from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.retarget.controls import read_control_clip
 from usdface.usdio.retarget.pairs import read_pairs
+from usdface.usdio.retarget.sequences import read_sequence
 from usdface.usdio.validation import validate
 
 FRAMES = 200
@@ -311,7 +312,7 @@ def test_a_sequence_of_another_rate_lasts_as_long(performed: Stall, capsys) -> N
 def test_attributes_that_move_are_carried(performed: Stall, capsys) -> None:
     make = "make-sequence --source shot.usda --source-frames 150-190 --target own.usda --label joy"
     own = creature_acts(np.sin(np.pi * np.linspace(0, 1, 61)[:, None]) * [0.1, 0.6, 1.0])
-    write_creature_performance(performed.folder / "own.usda", performed.beast, own)
+    write_creature_performance(performed / "own.usda", performed.beast, own)
     layer = Sdf.Layer.FindOrOpen("own.controls.usdc")
     layer.GetAttributeAtPath("/Beast/FaceSolve.face:controls:attributes").default = []
     layer.Save()  # as another tool writes it: attributes that move, and no list of them
