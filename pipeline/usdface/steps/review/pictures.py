@@ -38,7 +38,7 @@ def _spread(take: Take) -> FloatArray:
     return take.markers.positions[::step].astype(np.float64)
 
 
-def _repaired(take: Take, frame: int) -> BoolArray:
+def repaired_markers(take: Take, frame: int) -> BoolArray:
     """Return which markers of a frame are not as they were measured: filled or corrected."""
     markers = take.markers
     if markers is None:
@@ -150,7 +150,7 @@ class ShotPictures:
         that were repaired are orange and hollow.
         """
         shot = self._shot
-        repaired = _repaired(shot.take, int(shot.frames[row]))
+        repaired = repaired_markers(shot.take, int(shot.frames[row]))
         picture = self.face(row, shot.weights[row])
         posed = shot.deformer.points(shot.weights[row][None])[0]
         motion = character_motion(equation.virtual, shot.positions[row][None], equation.neutral)[0]

@@ -282,8 +282,11 @@ def surface_options(spec: SurfaceSpec) -> GpOptions:
     )
 
 
-_LARGEST_RHAT = 1.05
-"""Above it chains have not mixed (Gelman et al. 2013 ask for less than 1.1)."""
+_LARGEST_RHAT = 1.1
+"""Above it chains have not mixed (Gelman et al. 2013, section 11.5)."""
+
+_LEAST_CUT = 5e-4
+"""Share of the covariance's norm below which what was cut off is rounding."""
 
 
 def sampler_figures(model: SurfaceModel) -> dict[str, object]:
@@ -309,7 +312,7 @@ def sampler_notes(model: SurfaceModel) -> list[str]:
             f"{quality.effective_samples:.0f} effective samples, R-hat {quality.rhat:.3f}"
             + ("; more --samples or --burn-in" if quality.rhat > _LARGEST_RHAT else "")
         )
-    if quality.clipped > 0:
+    if quality.clipped > _LEAST_CUT:
         notes.append(
             f"the covariance was not positive definite: its negative part, {quality.clipped:.1%} "
             "of it, was cut off"
