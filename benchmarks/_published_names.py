@@ -332,6 +332,45 @@ PUBLISHED = (
         """,
     ),
     Published(
+        "Faceshift",
+        "faceshift studio, as Vircadia lists them; rules made without it found 28 of 46, and took "
+        "two lips that close for parts of mouthClose",
+        False,
+        """
+        eyeBlink<Left,Right> > EyeBlink_<L,R>
+        eyeSquint<Left,Right> > EyeSquint_<L,R>
+        eyeLookDown<Left,Right> > EyeDown_<L,R>
+        eyeLookIn<Left,Right> > EyeIn_<L,R>
+        eyeWide<Left,Right> > EyeOpen_<L,R>
+        eyeLookOut<Left,Right> > EyeOut_<L,R>
+        eyeLookUp<Left,Right> > EyeUp_<L,R>
+        browDown<Left,Right> > BrowsD_<L,R>
+        browInnerUp > BrowsU_C
+        browOuterUp<Left,Right> > BrowsU_<L,R>
+        jawForward > JawFwd
+        jaw<Left,Right> > Jaw<Left,Right>
+        jawOpen > JawOpen
+        mouthClose > JawChew
+        mouth<Left,Right> > Mouth<Left,Right>
+        mouthFrown<Left,Right> > MouthFrown_<L,R>
+        mouthSmile<Left,Right> > MouthSmile_<L,R>
+        mouthDimple<Left,Right> > MouthDimple_<L,R>
+        mouthStretch<Left,Right> > LipsStretch_<L,R>
+        mouthRollUpper > LipsUpperClose
+        mouthRollLower > LipsLowerClose
+        mouthUpperUpLeft mouthUpperUpRight > LipsUpperUp
+        mouthLowerDownLeft mouthLowerDownRight > LipsLowerDown
+        mouthFunnel > LipsFunnel
+        mouthPucker > LipsPucker
+        mouthShrugLower > ChinLowerRaise
+        mouthShrugUpper > ChinUpperRaise
+        noseSneerLeft noseSneerRight > Sneer
+        cheekPuff > Puff
+        cheekSquint<Left,Right> > CheekSquint_<L,R>
+        LipsUpperOpen LipsLowerOpen
+        """,
+    ),
+    Published(
         "VRoid",
         "VRoid Studio; eyelids alone have a counterpart that nobody doubts",
         False,

@@ -35,7 +35,8 @@ class PairsProposeSpec(Spec):
 
     step: Literal["pairs-propose"] = "pairs-propose"
     source: ReadPath
-    """Rig whose performances will be retargeted."""
+    """Rig whose performances will be retargeted; or, where there is none, a take, capture or table
+    of weights, which is matched by names alone."""
     target: ReadPath
     """Rig that will be driven."""
     out: LayerOut

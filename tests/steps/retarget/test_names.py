@@ -134,6 +134,18 @@ def test_a_table_with_faults_is_refused(take: np.ndarray, capsys, rows: str, mes
     assert not Path("shot.usda").exists()
 
 
+def test_a_stream_without_a_rig_is_a_source_of_pairs(take: np.ndarray, capsys) -> None:
+    for line in (
+        "pairs propose --source phone.csv --target hero.usda --out x.pairs.usda",
+        "train-retarget x.pairs.usda --method additive --out x.retarget.usdc",
+        "retarget phone.csv --retargeting x.retarget.usdc --out shot.usda",
+    ):
+        assert usdface(*line.split()) == 0, capsys.readouterr().err
+    reader = PerformanceReader(Path("shot.usda"))
+    jaw = reader.solved()[:, reader.names.index("hero_bs_jawOpen")]
+    np.testing.assert_allclose(jaw, take[:, 0], atol=1e-5)
+
+
 def test_a_face_that_would_not_move_is_refused(tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     weights = np.zeros((30, 2))

@@ -132,9 +132,10 @@ def _phrases() -> dict[Phrase, tuple[str, float]]:
                 optional = [each.strip("[]") for each in words if each.startswith("[")]
                 needed = [each for each in words if not each.startswith("[")]
                 for extra in ([], optional) if optional else ([],):
-                    given = [*needed, *extra]
+                    given = [each.removeprefix("=") for each in (*needed, *extra)]
                     as_set = frozenset(WORDS.get(each, each) for each in given)
-                    key: Phrase = tuple(given) if len(as_set) < len(given) else as_set
+                    in_order = phrase.startswith("=") or len(as_set) < len(given)
+                    key: Phrase = tuple(given) if in_order else as_set
                     found.setdefault(key, (motion, float(vocabulary.rank)))
     return found
 

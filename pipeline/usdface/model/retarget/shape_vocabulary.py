@@ -1,9 +1,9 @@
 """What facial rigs and tools call the same motions: tables, each with its source.
 
-A line is ``motion: phrase | phrase``. Phrases are words in any order, as `WORDS` writes them; a
-word in brackets may be missing. Motions are ARKit's, without capitals; ``motion/upper`` is one row
-of the lips, and two motions joined by ``+`` are done by one shape together. Sides are no part of a
-phrase, but for motions to a side (`jaw left`).
+A line is ``motion: phrase | phrase``. Phrases are words in any order, as `WORDS` writes them, or
+with ``=`` before them as they stand; a word in brackets may be missing. Motions are ARKit's,
+without capitals; ``motion/upper`` is one row of the lips, and two motions joined by ``+`` are done
+by one shape together. Sides are no part of a phrase, but for motions to a side (`jaw left`).
 """
 
 from dataclasses import dataclass
@@ -154,6 +154,24 @@ VOCABULARIES = (
         """,
     ),
     Vocabulary(
+        "Faceshift",
+        "shapes of faceshift studio, from which ARKit's descend, as Vircadia lists them: "
+        "https://docs.vircadia.com/create/avatars/avatar-standards.html",
+        """
+        eyelookdown: eye down
+        eyelookup: eye raise
+        eyelookin: eye in
+        eyelookout: eye out
+        browdown: brow d
+        browinnerup: brow u c
+        browouterup: brow u
+        mouthclose: jaw chew
+        mouthroll/upper: =lips upper close
+        mouthroll/lower: =lips lower close
+        """,
+        rank=2,
+    ),
+    Vocabulary(
         "VRM and VRoid",
         "https://github.com/vrm-c/vrm-specification/blob/master/specification/VRMC_vrm-1.0/"
         "expressions.md; VRoid Studio's `Fcl_*`",
@@ -173,7 +191,7 @@ VOCABULARIES = (
         """
         eyeblink: blink | wink | lid close | lid blink | lid down
         eyesquint: squint | eye narrow | eye squeeze | eye tight | lid squint
-        eyewide: eye open wide | lid wide | lid raise | upper lid raise
+        eyewide: eye open wide | eye open | lid wide | lid raise | upper lid raise
         jawopen: open mouth | mouth open
         jawforward: jaw out | jaw protrude | chin forward
         jawleft: jaw slide left | jaw shift left | jaw move left | jaw swing left

@@ -2,9 +2,7 @@
 
 from pathlib import Path
 
-from usdface.core.assets import Rig
 from usdface.core.errors import InputError
-from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.shape_vocabulary import ARKIT
 from usdface.runner.outputs import confine
@@ -15,8 +13,7 @@ from usdface.steps.inputs.name_tables import (
     transfer_by_table,
     write_name_table,
 )
-from usdface.steps.inputs.source_motion import read_source_motion
-from usdface.steps.retarget.pairs_propose import match_rigs
+from usdface.steps.retarget.pairs_propose import match_rigs, source_shapes
 from usdface.usdio.rig.read import read_rig
 
 _TABLES = (".csv", ".json")
@@ -53,7 +50,7 @@ def list_names(
     confine("names", reads=files, writes=[] if out is None else [out])
     _check_out(out, overwrite=overwrite)
     target = read_rig(rig)
-    shapes, other = _source_shapes(source)
+    shapes, other = (tuple(ARKIT), None) if source is None else source_shapes(source)
     notes: list[str] = []
     if names is not None:
         transfer = transfer_by_table(names, shapes, target.shapes)
@@ -74,22 +71,6 @@ def _check_out(out: Path | None, *, overwrite: bool) -> None:
         raise InputError(f"{out}: a table is written, so the name must end in {', '.join(_TABLES)}")
     if out.exists() and not overwrite:
         raise InputError(f"{out} exists; choose another --out, or --overwrite it")
-
-
-def _source_shapes(source: Path | None) -> tuple[tuple[str, ...], Rig | None]:
-    """Return the names of a source, and the rig if it is one."""
-    if source is None:
-        return tuple(ARKIT), None
-    if source.suffix.lower() in (*LAYER_SUFFIXES, ".usdz"):
-        try:
-            return read_source_motion(source).names, None
-        except InputError as error:
-            try:
-                found = read_rig(source)
-            except InputError:
-                raise error from None
-            return found.shapes, found
-    return read_source_motion(source).names, None
 
 
 def _report(

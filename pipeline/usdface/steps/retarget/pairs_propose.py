@@ -1,5 +1,7 @@
 """Two characters in, pairs of expressions that mean the same out."""
 
+from pathlib import Path
+
 import numpy as np
 
 from usdface.core.arrays import FloatArray, index_of
@@ -8,7 +10,7 @@ from usdface.core.controls import Controls, ExpressionPairs, bare_controls
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import proposed_path
+from usdface.core.sidecars import LAYER_SUFFIXES, proposed_path
 from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.control_space import dead_controls
 from usdface.model.retarget.name_matching import NameMatch, NameMatching, name_matching
@@ -16,9 +18,11 @@ from usdface.model.retarget.shape_matching import ShapeMatch, match_deformations
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import PairsProposeSpec
 from usdface.steps.inputs.name_tables import Transfer, transfer_by_table
+from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.usdio.retarget.controls import rest_controls
 from usdface.usdio.retarget.pairs import keyed_above, merge_pairs, read_pairs, write_pairs
 from usdface.usdio.rig.read import read_rig
+from usdface.usdio.take.read import is_take
 
 REST = "rest"
 
@@ -27,16 +31,16 @@ def run(
     spec: PairsProposeSpec, *, provenance: Provenance, progress: Progress = silent
 ) -> StepResult:
     """Match shapes, and write a pair for rest and one for each match."""
-    source = read_rig(spec.source, prim=spec.source_prim)
+    shapes, source = source_shapes(spec.source, prim=spec.source_prim)
     target = read_rig(spec.target, prim=spec.target_prim)
-    matches, notes = _match(spec, source, target, progress)
+    matches, notes = _match(spec, shapes, source, target, progress)
     if not matches:
         raise InputError(
             f"{spec.source} and {spec.target}: no shape of the one is like one of the other; key "
             "pairs by hand and bring them in with `usdface pairs import`"
         )
     rest = rest_controls(target, attributes=spec.attributes, joints=spec.joints)
-    pairs = _pairs(source, target, matches, rest)
+    pairs = _pairs(shapes, source, target, matches, rest)
     kept = 0
     if spec.out.is_file():
         old = read_pairs(spec.out)
@@ -67,11 +71,40 @@ def run(
         notes.append(f"kept {pluralize(kept, 'pair')} at the time codes they had")
     return StepResult(
         (spec.out, proposed_path(spec.out)),
-        f"{len(pairs)} pairs of {len(source.shapes)} source shapes and {pairs.target.summary}; "
+        f"{len(pairs)} pairs of {len(shapes)} source shapes and {pairs.target.summary}; "
         "starting points to be tuned",
         tuple(notes),
         {"pairs": len(pairs), "names": list(pairs.names), "dead": list(dead)},
     )
+
+
+def source_shapes(path: Path, *, prim: str | None = None) -> tuple[tuple[str, ...], Rig | None]:
+    """Return the shapes of a source, and the rig if it is one.
+
+    Parameters
+    ----------
+    path : Path
+        A rig, a take, a performance, or a capture or table of weights.
+    prim : str, optional
+        Face in the file, if it is a rig of several.
+
+    Raises
+    ------
+    InputError
+        If it is none of them.
+    """
+    if path.suffix.lower() not in (*LAYER_SUFFIXES, ".usdz"):
+        return read_source_motion(path).names, None
+    if is_take(path):
+        return read_source_motion(path).names, None
+    try:
+        rig = read_rig(path, prim=prim)
+    except InputError as error:
+        try:
+            return read_source_motion(path).names, None
+        except InputError:
+            raise error from None
+    return rig.shapes, rig
 
 
 def match_rigs(
@@ -108,19 +141,29 @@ def match_rigs(
 
 
 def _match(
-    spec: PairsProposeSpec, source: Rig, target: Rig, progress: Progress
+    spec: PairsProposeSpec,
+    shapes: tuple[str, ...],
+    source: Rig | None,
+    target: Rig,
+    progress: Progress,
 ) -> tuple[list[NameMatch], list[str]]:
     if spec.names is not None:
-        transfer = transfer_by_table(spec.names, source.shapes, target.shapes)
+        transfer = transfer_by_table(spec.names, shapes, target.shapes)
         named, notes = _rows_as_matches(transfer), list(transfer.ambiguous)
     else:
-        found, notes = match_rigs(source, target, by=spec.match, progress=progress)
+        if source is not None:
+            found, notes = match_rigs(source, target, by=spec.match, progress=progress)
+        elif spec.match == "deformation":
+            raise InputError(f"{spec.source}: is no rig, so what its shapes do is not known")
+        else:
+            found = name_matching(shapes, target.shapes)
+            notes = ["the source is no rig: its shapes are matched by name alone"]
         named = list(found.matches)
         if found.ambiguous:
             doubts = first_few(found.ambiguous, most=3)
             notes.append(f"not matched by name, as it is not clear: {doubts}")
     used = {name for match in named for name, _ in match.source}
-    unmatched = [name for name in source.shapes if name not in used]
+    unmatched = [name for name in shapes if name not in used]
     if unmatched:
         notes.append(
             f"in no pair and without effect: {pluralize(len(unmatched), 'source shape')}, "
@@ -162,15 +205,21 @@ def _alike(
         return ()
 
 
-def _pairs(source: Rig, target: Rig, matches: list[NameMatch], rest: Controls) -> ExpressionPairs:
+def _pairs(
+    shapes: tuple[str, ...],
+    source: Rig | None,
+    target: Rig,
+    matches: list[NameMatch],
+    rest: Controls,
+) -> ExpressionPairs:
     count = len(matches) + 1
-    left = _rows([match.source for match in matches], source.shapes)
+    left = _rows([match.source for match in matches], shapes)
     right = _rows([match.target for match in matches], target.shapes)
     low, high = target.ranges.T
     controls = bare_controls(target.shapes, np.clip(right, np.minimum(low, 0), high))
     return ExpressionPairs(
         names=(REST, *(match.name for match in matches)),
-        source_shapes=source.shapes,
+        source_shapes=shapes,
         source=left,
         target=Controls(
             shapes=controls.shapes,
@@ -182,8 +231,8 @@ def _pairs(source: Rig, target: Rig, matches: list[NameMatch], rest: Controls) -
             attributes=rest.attributes,
             values=np.repeat(rest.values, count, axis=0),
         ),
-        source_rig=source.file,
-        source_prim=source.prim,
+        source_rig=source.file if source else None,
+        source_prim=source.prim if source else "",
         target_rig=target.file,
         target_prim=target.prim,
     )

@@ -64,7 +64,7 @@ def write_pairs(
     path: Path,
     pairs: ExpressionPairs,
     *,
-    source_rig: Rig,
+    source_rig: Rig | None,
     target_rig: Rig,
     provenance: Provenance | None = None,
 ) -> None:
@@ -74,6 +74,8 @@ def write_pairs(
     ----------
     path : Path
         The layer to open; `proposed_path` lies beneath it.
+    source_rig : Rig, optional
+        None of a source that is weights alone.
     """
     samples = proposed_path(path)
     with new_layers({samples: provenance, path: provenance}) as (below, layer):
@@ -147,7 +149,7 @@ def keyed_above(path: Path) -> tuple[str, ...]:
 
 
 def _author_samples(
-    layer: Sdf.Layer, path: Path, pairs: ExpressionPairs, source_rig: Rig, target_rig: Rig
+    layer: Sdf.Layer, path: Path, pairs: ExpressionPairs, source_rig: Rig | None, target_rig: Rig
 ) -> None:
     tokens = Sdf.ValueTypeNames.TokenArray
     target = pairs.target
@@ -160,6 +162,8 @@ def _author_samples(
         (_SOURCE, source_rig, SOURCE_WEIGHTS),
         (_TARGET, target_rig, TARGET_CONTROLS),
     ):
+        if rig is None:
+            continue
         define_reference(layer, str(place), rig, path)
         turn_to_our_units(layer, str(place), rig)
         point_skeletons_at(layer, str(place), rig, animation)
