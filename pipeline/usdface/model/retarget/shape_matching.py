@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
@@ -66,6 +66,8 @@ class ShapeMatch:
     target: str
     similarity: float
     """Cosine between their displacements, at most 1."""
+    share: float = 1.0
+    """Of the source's weight that the target takes."""
 
 
 def correspond(source: Rig, target: Rig) -> Correspondence:
@@ -115,35 +117,72 @@ def match_deformations(
     rows = [source.shapes.index(name) for name in source_shapes]
     columns = [target.shapes.index(name) for name in target_shapes]
     likeness = both.similarity()[np.ix_(rows, columns)]
-    partners = _mirror_partners(source_shapes), _mirror_partners(target_shapes)
-    both_ways = likeness[np.ix_(*partners)]
-    sided = (partners[0] != np.arange(len(rows)))[:, None] & (
-        partners[1] != np.arange(len(columns))
+    units = _units(source_shapes), _units(target_shapes)
+    found = _assign_units(likeness, *units)
+    rows_left = set(range(len(rows))) - {row for row, _, _ in found}
+    columns_left = set(range(len(columns))) - {column for _, column, _ in found}
+    foreign = [~_understood(names) for names in (source_shapes, target_shapes)]
+    free = sorted(rows_left), sorted(columns_left)
+    single = np.where(foreign[0][:, None] | foreign[1], likeness, -1.0)[np.ix_(*free)]
+    for i, j in zip(*map(np.ndarray.tolist, linear_sum_assignment(-single)), strict=True):
+        if single[i, j] >= _LEAST_SIMILARITY:
+            found.append((free[0][i], free[1][j], 1.0))
+    matches = (
+        ShapeMatch(source_shapes[row], target_shapes[column], float(likeness[row, column]), share)
+        for row, column, share in found
     )
-    likeness = np.where(sided, (likeness + both_ways) / 2, likeness)
-    matched = {
-        (row, column)
-        for row, column in zip(
-            *map(np.ndarray.tolist, linear_sum_assignment(-likeness)), strict=True
-        )
-        if likeness[row, column] >= _LEAST_SIMILARITY
-    }
-    found = [
-        ShapeMatch(source_shapes[row], target_shapes[column], float(likeness[row, column]))
-        for row, column in matched
-        if not sided[row, column] or (partners[0][row], partners[1][column]) in matched
-    ]
-    return tuple(sorted(found, key=lambda each: (-each.similarity, each.source)))
+    return tuple(sorted(matches, key=lambda each: (-each.similarity, each.source, each.target)))
 
 
-def _mirror_partners(names: tuple[str, ...]) -> IntArray:
-    """Return the place of each shape's other side; its own where there is none, or is not told."""
+_Unit = tuple[int, ...]
+"""Places of a shape of the middle or of both sides; or of the left and the right of a motion."""
+
+
+def _units(names: tuple[str, ...]) -> list[_Unit]:
+    """Return the shapes whose names are understood, both sides of a motion as one unit."""
     meanings = read_meanings(names)
-    place = {meanings[name].cells: index for index, name in enumerate(names)}
-    return np.array(
-        [place.get(mirrored(meanings[name].cells), index) for index, name in enumerate(names)],
-        np.int64,
+    place = {(meanings[n].cells, meanings[n].rank): index for index, n in enumerate(names)}
+    found: list[_Unit] = []
+    for index, name in enumerate(names):
+        meaning = meanings[name]
+        other = place.get((mirrored(meaning.cells), meaning.rank), -1)
+        if not meaning.understood:
+            continue
+        if mirrored(meaning.cells) == meaning.cells:
+            found.append((index,))
+        elif other >= 0 and (meaning.side == "L" or meaning.motion.endswith("left")):
+            found.append((index, other))
+    return found
+
+
+def _understood(names: tuple[str, ...]) -> BoolArray:
+    meanings = read_meanings(names)
+    return np.array([meanings[name].understood for name in names], dtype=np.bool_)
+
+
+def _assign_units(
+    likeness: FloatArray, sources: list[_Unit], targets: list[_Unit]
+) -> list[tuple[int, int, float]]:
+    """Return pairs of shapes and the share that passes, both sides of a motion alike.
+
+    Halves drive a whole by half each, a whole drives its halves in full.
+    """
+    if not (sources and targets):
+        return []
+
+    def parts(source: _Unit, target: _Unit) -> list[tuple[int, int]]:
+        count = max(len(source), len(target))
+        return [(source[k % len(source)], target[k % len(target)]) for k in range(count)]
+
+    scores = np.array(
+        [[np.mean([likeness[pair] for pair in parts(s, t)]) for t in targets] for s in sources]
     )
+    found = []
+    for i, j in zip(*map(np.ndarray.tolist, linear_sum_assignment(-scores)), strict=True):
+        if scores[i, j] >= _LEAST_SIMILARITY:
+            share = 0.5 if len(sources[i]) > len(targets[j]) else 1.0
+            found += [(row, column, share) for row, column in parts(sources[i], targets[j])]
+    return found
 
 
 def match_positions(both: Correspondence, weights: FloatArray) -> FloatArray:

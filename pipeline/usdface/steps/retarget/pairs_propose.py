@@ -131,12 +131,14 @@ def match_rigs(
     notes = [f"matched {pluralize(len(matches), 'shape')} by name"] if matches else []
     if by != "name":
         progress(0.2, "laying one face onto the other")
+        driven: dict[str, list[tuple[str, float]]] = {}
         for each in _alike(source, target, by, matches, notes):
-            matches.append(NameMatch(each.source, ((each.source, 1.0),), ((each.target, 1.0),)))
-            how[each.source] = "deformation"
+            driven.setdefault(each.source, []).append((each.target, each.share))
             notes.append(
                 f"{each.source} and {each.target} move the faces alike ({each.similarity:.2f})"
             )
+        matches += [NameMatch(s, ((s, 1.0),), tuple(parts)) for s, parts in driven.items()]
+        how |= dict.fromkeys(driven, "deformation")
     return NameMatching(tuple(matches), named.ambiguous, how), notes
 
 
