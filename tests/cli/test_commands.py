@@ -146,6 +146,24 @@ def test_a_farms_worker_makes_the_folders_it_writes_to(tmp_path: Path, capsys) -
     assert "x.usda: no such file" in capsys.readouterr().err
 
 
+def test_a_log_gets_a_line_of_progress_now_and_then(monkeypatch, capsys) -> None:
+    from usdface.cli import console
+
+    now = [100.0]
+    monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
+    with console.progress_listener("auto") as progress:  # pytest is no terminal
+        for second in range(30):
+            now[0] = 100.0 + second
+            progress(second / 30, f"frame {second}")
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.splitlines() == ["  7% frame 2", " 40% frame 12", " 73% frame 22"]
+    with console.progress_listener("auto") as progress:
+        progress(0.5, "short")
+        progress(1.0, "done")
+    assert capsys.readouterr().err == ""
+
+
 def test_every_command_is_listed_under_a_heading() -> None:
     group = get_command(app)
     assert isinstance(group, TyperGroup)

@@ -42,7 +42,10 @@ from usdface.specs.retarget import RetargetSpec
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for scripts.")]
 ShowProgress = Annotated[
     ProgressStyle,
-    typer.Option("--progress", help="Progress output. Default: a bar on a terminal."),
+    typer.Option(
+        "--progress",
+        help="Progress output. Default: a bar on a terminal, elsewhere a line every ten seconds.",
+    ),
 ]
 Overwrite = Annotated[
     bool,
@@ -472,6 +475,8 @@ def demo(
         from usdface.capture.face_landmarker import named_model
 
         model = named_model(model)
+    # On stderr, as stdout may be JSON; before the imports, which take a second or two.
+    typer.echo(f"making a demo in {out_folder}; it takes a minute or so", err=True)
     with progress_listener(progress) as listener:
         if dog:
             from usdface.demo.dog_job import run_dog_demo

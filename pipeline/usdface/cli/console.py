@@ -34,10 +34,15 @@ LEAST_FARM_PROGRESS = 0.01
 LEAST_FARM_SECONDS = 1.0
 """Progress is printed if either has passed since the last line."""
 
+QUIET_SECONDS = 2.0
+"""Where there is no terminal: no line before, so that short steps print none, ..."""
+LINE_SECONDS = 10.0
+"""... and then a line each."""
+
 
 @contextlib.contextmanager
 def progress_listener(style: ProgressStyle) -> Iterator[Listener]:
-    """Yield a listener that draws a bar on a terminal or prints Open Job Description messages."""
+    """Yield a listener: a bar on a terminal, lines elsewhere, or Open Job Description messages."""
     if style == "openjd":
         try:
             yield _FarmProgress()
@@ -47,6 +52,8 @@ def progress_listener(style: ProgressStyle) -> Iterator[Listener]:
     elif style == "bar" or (style == "auto" and sys.stderr.isatty()):
         with _bar() as listener:
             yield listener
+    elif style == "auto":
+        yield _LineProgress()
     else:
         yield silent
 
@@ -85,6 +92,18 @@ class _FarmProgress:
         self._fraction, self._when = fraction, now
         _say_to_farm("progress", f"{100 * fraction:.1f}")
         _say_to_farm("status", message)
+
+
+class _LineProgress:
+    """Prints a line on stderr now and then: what a log shows of a wait."""
+
+    def __init__(self) -> None:
+        self._next = time.monotonic() + QUIET_SECONDS
+
+    def __call__(self, fraction: float, message: str) -> None:
+        if time.monotonic() >= self._next and fraction < 1.0:
+            self._next = time.monotonic() + LINE_SECONDS
+            typer.echo(f"{fraction:4.0%} {message}", err=True)
 
 
 def _say_to_farm(what: str, message: str) -> None:
