@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import usdface
 from tests.steps.small_shot import Shot
 from tests.watching import opened_by_python, touched_by_anything
 from usdface.cli import main
@@ -246,3 +247,31 @@ def test_a_way_out_is_closed_and_open_without_its_guard(
         off = 0 if guard.endswith("_NO_LINK") else lambda *_, **__: None
         monkeypatch.setattr(f"usdface.{guard}", off)
     assert walk(way, shot, outside)
+
+
+SYSTEM = [Path(sys.prefix), Path(sys.base_prefix), Path(usdface.__file__).parents[2]] + [
+    Path(each) for each in ("/dev", "/etc", "/proc", "/sys", "/usr")
+]
+"""Where Python, its libraries and the package's own files are."""
+
+
+def test_a_confined_run_opens_nothing_outside(
+    shot: Shot, outside: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(shot.folder)
+    monkeypatch.setenv(ROOT_VARIABLE, str(shot.folder))
+    lines = [
+        "ingest shot.c3d --out n.take.usda",
+        "edit shot.hero.usda --shape jawOpen --add 0.2 --frames 9-20",
+        "bake shot.hero.usda --out baked.usdc",
+        "package shot.hero.usda --out shot.usdz",
+        "validate shot.hero.usda",
+    ]
+    with opened_by_python() as opened, touched_by_anything(outside, shot.folder.parent) as touched:
+        for line in lines:
+            with pytest.raises(SystemExit, match="0"):
+                main(line.split())
+    allowed = [shot.folder, *SYSTEM]
+    away = {path for path in opened if not any(path.is_relative_to(each) for each in allowed)}
+    assert not away
+    assert {name for name in touched if name != shot.folder.name} <= {""}
