@@ -13,6 +13,7 @@ from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.control_space import check_pairs, unused_shapes
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import PairsImportSpec
+from usdface.steps.inputs.name_tables import transfer_by_names
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.retarget.controls import find_control_attributes, read_control_clip
 from usdface.usdio.retarget.pairs import keyed_above, write_pairs
@@ -26,13 +27,15 @@ def run(
     _check_nothing_hides(spec.out)
     source_rig = read_rig(spec.source_rig, prim=spec.source_prim)
     target_rig = read_rig(spec.target_rig, prim=spec.target_prim)
-    table = read_weight_table(spec.source)
-    unknown = [name for name in table.names if name not in source_rig.shapes]
-    if len(unknown) == len(table.names):
+    given = read_weight_table(spec.source)
+    transfer = transfer_by_names(given.names, source_rig.shapes)
+    unknown = [name for name in given.names if name not in set(transfer.matched)]
+    if len(unknown) == len(given.names):
         raise InputError(
             f"{spec.source}: none of its shapes ({first_few(unknown, most=3)}) is on "
             f"{spec.source_rig} ({first_few(source_rig.shapes, most=3)}); rename them"
         )
+    table = given.renamed(transfer)
     frames, target = _read_target(spec, target_rig)
     _check_sides(spec, table.frames, frames)
     progress(0.5, "read")
