@@ -1,9 +1,11 @@
 """AYON's interface, by stand-ins made after ayon-core 1.9: the real one needs its server."""
 
 import importlib
+import re
 import shutil
 import sys
 import tempfile
+import textwrap
 from fractions import Fraction
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -11,6 +13,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 from tests.hooks.loading import HOOKS, load
+from tests.regenerate import REPOSITORY
 from tests.steps.small_shot import Shot
 from usdface.core.errors import InputError
 from usdface.publish import ReviewOptions
@@ -128,9 +131,11 @@ def test_ayon_can_remove_all_that_was_staged(shot: Shot, plugins, tmp_path: Path
 
 
 def test_a_movie_is_what_is_reviewed_in_ayon(ayon_core: None, tmp_path: Path) -> None:
-    item = SimpleNamespace(first_frame=1, last_frame=9, rate=Fraction(24))
+    item = SimpleNamespace(first_frame=1, last_frame=45, rate=Fraction(120))
     path = tmp_path / "shot.review.mp4"
-    extracted = SimpleNamespace(folder=tmp_path, item=item, path=lambda role: path)
+    extracted = SimpleNamespace(
+        folder=tmp_path, item=item, path=lambda role: path, movie_pictures=9, movie_rate=24.0
+    )
     instance = SimpleNamespace(data={})
     plugin = load("ayon/plugins/publish/extract_face_performances.py").ExtractFacePerformance()
     plugin._add(instance, extracted, "movie", "review", ["review", "webreview"])
@@ -201,3 +206,21 @@ def test_the_folder_is_an_addons_client_folder(ayon_core: None, tmp_path, monkey
     assert issubclass(found.UsdfaceAddon, sys.modules["ayon_core.addon"].AYONAddon)
     (folder,) = found.UsdfaceAddon(None, {}).get_publish_plugin_paths("maya")
     assert Path(folder) == tmp_path / "ayon_usdface" / "plugins" / "publish"
+
+
+def test_the_documented_addon_has_what_ayons_server_asks_for() -> None:
+    """The server imports `server` of an add-on and asks for its class."""
+    page = (REPOSITORY / "docs/publish.md").read_text(encoding="utf-8")
+    (files,) = re.findall(r"```python\n   # package\.py(.*?)```", page, flags=re.DOTALL)
+    package, server = textwrap.dedent(f"   # package.py{files}").split("# server/__init__.py")
+    values: dict[str, str] = {}
+    exec(package, values)
+    assert (values["name"], values["client_dir"]) == ("usdface", "ayon_usdface")
+    addons = ModuleType("ayon_server.addons")
+    addons.BaseServerAddon = type("BaseServerAddon", (), {})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, "ayon_server", ModuleType("ayon_server"))
+        patch.setitem(sys.modules, "ayon_server.addons", addons)
+        made: dict[str, object] = {}
+        exec(server, made)
+    assert issubclass(made["UsdfaceAddon"], addons.BaseServerAddon)

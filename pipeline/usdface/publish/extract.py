@@ -50,6 +50,10 @@ class Extracted:
     """Where the files are: beside where they will be, so that what they refer to stays in place."""
     files: Mapping[str, str]
     """Name of each file by its role: `performance`, `weights`, `sheet`, `movie`."""
+    movie_pictures: int = 0
+    movie_rate: float = 0.0
+    """`movie_pictures`, `movie_rate`: Length and frames per second of the movie, if there is one:
+    not those of the performance."""
 
     def path(self, role: str) -> Path | None:
         """Return the file of a role, if it was made."""
@@ -92,11 +96,11 @@ def extract_performance(
     except OSError as error:
         raise InputError(f"{folder.parent}: cannot be made: {error.strerror}") from error
     try:
-        files = _extract(item, folder, review, progress)
+        extracted = _extract(item, folder, review, progress)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    return Extracted(item, folder, files)
+    return extracted
 
 
 def _clear_abandoned(folder: Path) -> None:
@@ -112,7 +116,7 @@ def _clear_abandoned(folder: Path) -> None:
 
 def _extract(
     item: PublishItem, folder: Path, review: ReviewOptions, progress: Progress
-) -> dict[str, str]:
+) -> Extracted:
     opened = folder / f"{item.name}.usda"
     bake = BakeSpec(performance=item.performance, out=weights_path(opened))
     reader = PerformanceReader(item.performance)
@@ -123,10 +127,10 @@ def _extract(
         execute(bake, progress=part(progress, 0.0, 0.3))
     files = {"performance": opened.name, "weights": bake.out.name}
     if item.take is None:
-        return files
+        return Extracted(item, folder, files)
     if reader.moved:
         log.warning("%s: no pictures: a layer offset moves it from its take", item.performance)
-        return files
+        return Extracted(item, folder, files)
     if review.sheet:
         sheet = folder / f"{item.name}.sheet.jpg"
         spec = SheetSpec(
@@ -136,9 +140,11 @@ def _extract(
         files["sheet"] = sheet.name
     if review.movie:
         movie = folder / f"{item.name}.review.mp4"
-        execute(
+        made = execute(
             MovieSpec(performance=opened, take=item.take, out=movie, quality=review.quality),
             progress=part(progress, 0.6, 1.0),
-        )
+        ).figures
         files["movie"] = movie.name
-    return files
+        pictures, rate = int(str(made["pictures"])), float(str(made["rate"]))
+        return Extracted(item, folder, files, pictures, rate)
+    return Extracted(item, folder, files)

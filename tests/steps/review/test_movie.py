@@ -2,6 +2,7 @@
 
 import json
 import os
+import subprocess
 import sys
 from dataclasses import replace
 from fractions import Fraction
@@ -288,3 +289,20 @@ def test_movies_of_like_names_share_no_stretches(tmp_path: Path) -> None:
     folders = {work_folder(tmp_path / name, "stretches") for name in names}
     assert len(folders) == 4
     assert all(len(each.name) < 100 for each in folders)
+
+
+def test_a_script_without_a_main_guard_is_not_run_again(tmp_path: Path) -> None:
+    script = tmp_path / "publish.py"
+    script.write_text(
+        "import os\n"
+        "from concurrent.futures import ProcessPoolExecutor\n"
+        "from multiprocessing import get_context\n"
+        "from usdface.steps.review.movie import without_main\n"
+        "print('script')\n"
+        "pool = ProcessPoolExecutor(1, mp_context=get_context('spawn'))\n"
+        "with without_main():\n"
+        "    work = pool.submit(os.getpid)\n"
+        "print(work.result() != os.getpid())\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["script", "True"]

@@ -52,7 +52,10 @@ class ExtractFacePerformance(publish.Extractor):
         if tags:
             representation["tags"] = list(tags)
         if role == "movie":
-            item = extracted.item
-            representation |= {"frameStart": item.first_frame, "frameEnd": item.last_frame}
-            representation["fps"] = float(item.rate)
+            first = extracted.item.first_frame  # its rate is the video's, not the take's
+            representation |= {
+                "frameStart": first,
+                "frameEnd": first + extracted.movie_pictures - 1,
+                "fps": extracted.movie_rate,
+            }
         instance.data.setdefault("representations", []).append(representation)

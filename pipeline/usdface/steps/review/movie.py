@@ -6,11 +6,12 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from multiprocessing.synchronize import Event
 from pathlib import Path
+from types import ModuleType
 
 from usdface.core.arrays import ByteImage
 from usdface.core.assets import Take
@@ -197,7 +198,8 @@ def _draw_all(
         workers, mp_context=context, initializer=_set_up, initargs=(plan, stop)
     )
     try:
-        left: set[Future[None]] = {pool.submit(_work, stretch) for stretch in stretches}
+        with without_main():  # processes start as work is given to them
+            left: set[Future[None]] = {pool.submit(_work, stretch) for stretch in stretches}
         while left:
             done, left = wait(left, return_when=FIRST_COMPLETED)
             for future in done:
@@ -207,6 +209,17 @@ def _draw_all(
     finally:
         stop.set()
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def without_main() -> Iterator[None]:
+    """Hide the script that runs: new processes would run it again if it has no `__main__` guard."""
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
 
 
 def _cores() -> int:
