@@ -129,7 +129,7 @@ def test_a_key_changed_on_the_face_alone_becomes_an_edit(tmp_path: Path, armatur
     meshes = curves_of()
     meshes["skin"]["jawOpen"][3:5] += np.float32(0.1)
     report = bring_back(path, exported(tmp_path, meshes, armature=armature))
-    assert report.summary == "2 of 10 frames differ from the solve, in 1 shape"
+    assert report.summary == "2 of 10 frames differ from the performance, in 1 shape"
     assert report.notes == ()
     wanted = SOLVED.copy()
     wanted[3:5, 0] += np.float32(0.1)
@@ -158,12 +158,35 @@ def test_an_edit_that_was_taken_back_on_the_face_is_gone(tmp_path: Path) -> None
     np.testing.assert_allclose(shown(path), SOLVED, atol=1e-6)
 
 
+def test_an_untouched_export_changes_no_edit(tmp_path: Path) -> None:
+    """Overrides and masks stay what they are, so that they mean the same after the next map."""
+    path = perform(tmp_path)
+    shape = ("jawOpen",)
+    execute(EditSpec(performance=path, shape=shape, override=0.7, frames="103-105", fade=2))
+    execute(EditSpec(performance=path, shape=shape, add=0.1, frames="107-108"), overwrite=True)
+    edits = path.with_name(f"{path.stem}.edits.usda")
+    before, now = edits.read_bytes(), shown(path)
+    report = bring_back(path, exported(tmp_path, curves_of(now)))
+    assert report.outputs == ()
+    assert edits.read_bytes() == before
+    (tmp_path / "back.usda").unlink()
+    meshes = curves_of(now)
+    meshes["skin"]["jawOpen"][7] += np.float32(0.1)  # frame 107: where nothing is overridden
+    bring_back(path, exported(tmp_path, meshes))
+    text = edits.read_text()
+    assert "face:override:jawOpen" in text
+    assert "face:mask:jawOpen" in text
+    wanted = now.copy()
+    wanted[7, 0] += np.float32(0.1)
+    np.testing.assert_allclose(shown(path), wanted, atol=1e-6)
+
+
 def test_a_change_on_a_mesh_that_does_not_count_is_said(tmp_path: Path) -> None:
     path = perform(tmp_path)
     meshes = curves_of()
     meshes["teeth"]["jawOpen"][3] -= np.float32(0.15)
     report = bring_back(path, exported(tmp_path, meshes))
-    assert report.summary == "nothing differs from the solve; no edits were made"
+    assert report.summary == "nothing differs from the performance; its edits stay as they are"
     assert report.notes == (
         "jawOpen differs between teeth and skin, which counts, as it has the most shapes; change "
         "it there",

@@ -31,7 +31,10 @@ from usdface.usdio.performance.read import PerformanceReader
 def run(
     spec: EditsImportSpec, *, provenance: Provenance, progress: Progress = silent
 ) -> StepResult:
-    """Set edits so that the performance shows what the file shows, at the frames that it has."""
+    """Set edits so that the performance shows what the file shows, at the frames that it has.
+
+    Where it shows that already, its edits stay as they are, overrides and masks included.
+    """
     stamp = edits_stamp(spec.performance)
     reader = PerformanceReader(spec.performance, prim=spec.prim)
     table = read_weight_table(spec.changed, known=reader.names)
@@ -46,7 +49,7 @@ def run(
     edits = read_edits(reader.animation, frames)
     solved = solved_over(reader, frames)
     rows = given[:, 0] - int(frames[0])
-    shown = edited_weights(reader.names, solved, edits) if table.meshes else solved
+    shown = edited_weights(reader.names, solved, edits)
     changed: dict[str, ShapeEdit] = {}
     elsewhere: dict[str, list[str]] = {}
     differing = np.zeros(len(rows), dtype=bool)
@@ -66,18 +69,21 @@ def run(
         )
         if meshes:
             elsewhere[shape] = meshes
-        meant = np.abs(wanted) > spec.least
-        old = edits.get(shape, ShapeEdit(no_edit(len(frames)), np.full(len(frames), np.nan)))
-        if not meant.any() and not old.curve.active[rows].any():
+        meant = np.abs(now - before) > spec.least
+        if not meant.any():
             continue
+        old = edits.get(shape, ShapeEdit(no_edit(len(frames)), np.full(len(frames), np.nan)))
         differing |= meant
         touched = np.zeros(len(frames), dtype=bool)
-        touched[rows] = True
-        curve = _replaced(old.curve, rows, np.where(meant, wanted, 0.0))
+        touched[rows[meant]] = True
+        offset = np.where(np.abs(wanted) > spec.least, wanted, 0.0)[meant]
+        curve = _replaced(old.curve, rows[meant], offset)
         changed[shape] = renewed(old, curve, beneath, touched)
     notes = _notes(reader, table) + elsewhere_notes(table, elsewhere)
     if not changed:
-        return StepResult((), "nothing differs from the solve; no edits were made", notes)
+        return StepResult(
+            (), "nothing differs from the performance; its edits stay as they are", notes
+        )
     count = int(differing.sum())
     if 2 * count > len(rows) > 1:
         notes += (
@@ -90,7 +96,7 @@ def run(
     progress(1.0, "written")
     return StepResult(
         (path,),
-        f"{count} of {len(rows)} frames differ from the solve, in "
+        f"{count} of {len(rows)} frames differ from the performance, in "
         f"{pluralize(len(changed), 'shape')}",
         notes,
         {"frames": count, "shapes": sorted(changed)},
