@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import usdface
@@ -51,12 +52,54 @@ def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
 def test_what_is_wrong_with_a_step_is_said(tmp_path: Path) -> None:
     with pytest.raises(usdface.UsdfaceError, match="no step 'mop'"):
         usdface.run_step("mop")
-    with pytest.raises(usdface.UsdfaceError, match="take: Field required"):
+    with pytest.raises(usdface.UsdfaceError, match="take: is missing; give it"):
         usdface.run_step("map", out=tmp_path / "a.usda")
 
 
 def test_the_documented_script_runs(shot: Shot, monkeypatch, capsys) -> None:
     monkeypatch.chdir(shot.folder)
-    (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
-    exec(compile(code, str(PAGE), "exec"), {})
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
+    exec(compile("\n".join(blocks), str(PAGE), "exec"), {})
     assert "480 frames" in capsys.readouterr().out
+
+
+def test_messages_speak_python(shot: Shot) -> None:
+    clean = {"take": shot / "shot.take.usda", "out": shot / "shot.clean.take.usda"}
+    assert usdface.run_step("clean", **clean).up_to_date
+    with pytest.raises(usdface.UsdfaceError, match=r"choose another out=, or overwrite=True$"):
+        usdface.run_step("clean", **clean, max_gap=7)
+    with pytest.raises(
+        usdface.UsdfaceError, match=r"^sources: give a list, such as \[a, b\] \(got"
+    ):
+        usdface.run_step("ingest", sources="shot.c3d", out=shot / "b.take.usda")
+    with pytest.raises(
+        usdface.UsdfaceError, match=r"^neutrall: unknown key; did you mean neutral\?"
+    ):
+        usdface.run_step("ingest", sources=["shot.c3d"], out=shot / "b.take.usda", neutrall=3)
+
+
+def test_assets_are_short_to_see_and_asked_by_name(shot: Shot) -> None:
+    performance = usdface.read_performance(shot / "shot.hero.usda")
+    names = performance.weights.names
+    np.testing.assert_array_equal(performance[names[1]], performance.weights.values[:, 1])
+    with pytest.raises(KeyError, match=f"did you mean .*{names[1]}"):
+        performance[names[1].upper()[:1] + names[1][1:] + "x"]
+    take = usdface.read_take(shot / "shot.take.usda")
+    assert take.markers is not None
+    assert take.markers[take.markers.names[2]].shape == (len(take.markers.positions), 3)
+    rig, references = usdface.read_rig(shot / "hero.usdc"), shot / "hero.references.usda"
+    for asset in (take, performance, rig, usdface.read_references(references)):
+        assert len(repr(asset)) < 1600
+
+
+def test_tuned_weights_are_given_as_a_table(shot: Shot) -> None:
+    file = shot / "hero.references.usda"
+    references = usdface.read_references(file)
+    frame, shape = int(references.frames[2]), references.shape_names[0]
+    for table in ({frame: {shape: 0.625}}, {"frame": [frame], shape: [0.5]}):
+        result = usdface.run_step("references-import", references=file, weights=table)
+        assert result.outputs
+        value = 0.625 if frame in table else 0.5
+        assert usdface.read_references(file).weights[2, 0] == pytest.approx(value)
+    with pytest.raises(usdface.UsdfaceError, match="no column `frame`"):
+        usdface.run_step("references-import", references=file, weights={shape: [0.5]})

@@ -1,20 +1,30 @@
 """What scripts may rely on: run steps and jobs, check layers, read assets. See docs/python.md."""
 
+import contextlib
+import csv
+import hashlib
+import io
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from usdface.core.assets import Performance, References, Rig, Take, TrainedMapping
-from usdface.core.errors import InputError
+from usdface.core.errors import InputError, UsdfaceError
 from usdface.core.progress import Progress, silent
+from usdface.core.replacing import replacing
 from usdface.runner import job as jobs
 from usdface.runner.execute import execute
-from usdface.runner.job import StepState
+from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
+from usdface.runner.state import StepState, job_states
 from usdface.specs.base import Spec
 from usdface.specs.job import SPEC_BY_STEP
 from usdface.specs.reading import read_job, validation_messages
+from usdface.specs.references import ReferencesImportSpec
 from usdface.usdio import mapping as mapping_files
 from usdface.usdio import validation
 from usdface.usdio.performance import read as performance_files
@@ -50,7 +60,15 @@ def run_step(
     progress : callable
         Called with the fraction done and what is being done.
     **values
-        The step's options, with underscores: ``take=..., mapping=..., rig=..., out=...``.
+        The step's options, with underscores: ``take=..., mapping=..., rig=..., out=...``. The
+        `weights` of ``references-import`` may be a table instead of a file: ``{frame: {shape:
+        weight}}``, columns by name, one of them ``frame``, or a DataFrame of such. It is written
+        next to the references, so that the result knows what it was made from.
+
+    Returns
+    -------
+    StepResult
+        Its `up_to_date` is true if the outputs were there, made from the same inputs and options.
 
     Raises
     ------
@@ -60,7 +78,80 @@ def run_step(
     spec = SPEC_BY_STEP.get(step)
     if spec is None:
         raise InputError(f"no step {step!r}; there are {', '.join(SPEC_BY_STEP)}")
-    return execute(_filled(spec, values), overwrite=overwrite, progress=progress)
+    with _python_words():
+        if spec is ReferencesImportSpec and not isinstance(
+            values.get("weights"), str | Path | None
+        ):
+            values["weights"] = _written_table(values["weights"], Path(values["references"]))
+        result = execute(_filled(spec, values), overwrite=overwrite, progress=progress)
+    notes = tuple(map(_in_python, result.notes))
+    return replace(result, summary=_in_python(result.summary), notes=notes)
+
+
+@contextlib.contextmanager
+def _python_words() -> Iterator[None]:
+    """Raise errors as a script is written: ``overwrite=True`` for ``--overwrite``."""
+    try:
+        yield
+    except UsdfaceError as error:
+        raise type(error)(_in_python(str(error))) from error
+
+
+_OPTION = re.compile(r"--(no-)?([a-z][a-z-]*[a-z])\b")
+_SWITCHES = {
+    f"{'no-' if value is False else ''}{name.replace('_', '-')}"
+    for spec in SPEC_BY_STEP.values()
+    for name, field in spec.model_fields.items()
+    if field.annotation is bool
+    for value in (True, False)
+} | {"overwrite"}
+
+
+def _in_python(message: str) -> str:
+    """Return a message with the options of the command line as arguments."""
+    message = message.replace("--overwrite it", "--overwrite")
+
+    def argument(found: re.Match[str]) -> str:
+        name = found[2].replace("-", "_")
+        if f"{found[1] or ''}{found[2]}" in _SWITCHES:
+            return f"{name}={not found[1]}"
+        return f"{name}="
+
+    return _OPTION.sub(argument, message)
+
+
+def _written_table(table: Any, references: Path) -> Path:
+    """Write a table of weights next to the references, under a name by its content."""
+    if hasattr(table, "to_dict"):  # a DataFrame
+        table = table.to_dict("list")
+    if not isinstance(table, Mapping) or not table:
+        raise InputError(
+            f"weights: {type(table).__name__}, expected a file, {{frame: {{shape: weight}}}}, or "
+            "columns by name, one of them `frame`"
+        )
+    if "frame" in table:
+        names = ["frame", *(str(name) for name in table if name != "frame")]
+        columns = [list(table[name]) for name in ("frame", *(n for n in table if n != "frame"))]
+        if len({len(column) for column in columns}) != 1:
+            raise InputError("weights: columns of different lengths; give one value per frame")
+        rows = [list(row) for row in zip(*columns, strict=True)]
+    else:
+        if not all(isinstance(row, Mapping) for row in table.values()):
+            raise InputError("weights: no column `frame`; add it, or give {frame: {shape: weight}}")
+        shapes = list(dict.fromkeys(shape for row in table.values() for shape in row))
+        if any(len(row) != len(shapes) for row in table.values()):
+            raise InputError("weights: frames name different shapes; give each the same shapes")
+        names = ["frame", *map(str, shapes)]
+        rows = [[frame, *(row[shape] for shape in shapes)] for frame, row in table.items()]
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([names, *rows])
+    digest = hashlib.sha256(text.getvalue().encode()).hexdigest()[:8]
+    path = references.with_name(f"{references.stem}.weights-{digest}.csv")
+    confine("references-import", writes=[path])
+    if not path.exists():
+        with replacing(path) as temporary:
+            temporary.write_text(text.getvalue(), encoding="utf-8")
+    return path
 
 
 def _filled(spec: type[Spec], values: dict[str, Any]) -> Spec:
@@ -82,7 +173,8 @@ def run_job(
     CheckFailedError
         If a step was done and what it checked is not in order.
     """
-    return jobs.run_job(read_job(Path(job)), overwrite=overwrite, progress=progress)
+    with _python_words():
+        return jobs.run_job(read_job(Path(job)), overwrite=overwrite, progress=progress)
 
 
 def check_job(job: Path | str) -> list[StepState]:
@@ -93,7 +185,7 @@ def check_job(job: Path | str) -> list[StepState]:
     InputError
         If the job cannot be read, or cannot run; every fault is named.
     """
-    return jobs.job_states(read_job(Path(job)))
+    return job_states(read_job(Path(job)))
 
 
 def validate(layer: Path | str) -> list[Finding]:

@@ -4,8 +4,9 @@ Lengths are millimetres, Y is up, rates are exact fractions and frames are integ
 converts once at the border. Nothing here reads, writes or computes.
 """
 
+import difflib
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from fractions import Fraction
 from pathlib import Path
 from typing import Literal, TypeVar
@@ -20,8 +21,46 @@ from usdface.core.text import first_few, pluralize
 MarkerSpace = Literal["captured", "stabilized"]
 
 
-@dataclass(frozen=True)
-class Markers:
+class _Asset:
+    """Shown by what it holds, not by every number of it, and asked for its channels by name."""
+
+    def __repr__(self) -> str:
+        shown = (f"{each.name}={_short(getattr(self, each.name))}" for each in fields(self))  # type: ignore[arg-type]
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+
+def _short(value: object) -> str:
+    """Return a value as a person wants it: the shape of an array, how many of many."""
+    if isinstance(value, np.ndarray):
+        return f"<{' x '.join(map(str, value.shape))} {value.dtype}>"
+    if isinstance(value, tuple) and len(value) > _SHOWN_ITEMS:
+        return f"<{len(value)}: {_short(value[0])}, ...>"
+    if isinstance(value, Fraction):
+        return f"{float(value):g}"
+    text = repr(value)
+    return (
+        text
+        if len(text) <= _LONGEST_TEXT or isinstance(value, _Asset)
+        else f"{text[:_LONGEST_TEXT]}..."
+    )
+
+
+_SHOWN_ITEMS = 3
+"""Items of a tuple that are all shown."""
+_LONGEST_TEXT = 80
+"""Characters of any other value."""
+
+
+def _column(name: str, names: tuple[str, ...], what: str) -> int:
+    """Return where a name is; KeyError says which is meant perhaps."""
+    if name in names:
+        return names.index(name)
+    near = difflib.get_close_matches(name, names, n=3) or names
+    raise KeyError(f"no {what} {name!r}; did you mean {first_few(near)}?")
+
+
+@dataclass(frozen=True, repr=False)
+class Markers(_Asset):
     """A cloud of named markers over the frames of a take."""
 
     names: tuple[str, ...]
@@ -42,9 +81,13 @@ class Markers:
     space: MarkerSpace = "captured"
     """Whether head motion is still in."""
 
+    def __getitem__(self, name: str) -> Float32Array:
+        """Return the positions of one marker, (frames, 3) [mm]."""
+        return self.positions[:, _column(name, self.names, "marker")]
 
-@dataclass(frozen=True)
-class WeightsClip:
+
+@dataclass(frozen=True, repr=False)
+class WeightsClip(_Asset):
     """Named float channels over time: a performance, or a take's own blendshape weights."""
 
     names: tuple[str, ...]
@@ -55,6 +98,10 @@ class WeightsClip:
     """Frame number of ``values[0]``."""
     rate: Fraction
     """Frames per second."""
+
+    def __getitem__(self, name: str) -> Float32Array:
+        """Return the values of one channel, (frames,)."""
+        return self.values[:, _column(name, self.names, "channel")]
 
 
 Seconds = TypeVar("Seconds", float, FloatArray)
@@ -89,8 +136,8 @@ class Event:
     frame: float
 
 
-@dataclass(frozen=True)
-class Take:
+@dataclass(frozen=True, repr=False)
+class Take(_Asset):
     """One continuous recording of one performer; texts are empty when unknown."""
 
     name: str
@@ -130,8 +177,8 @@ class Take:
         return np.arange(self.first_frame, self.first_frame + self.frame_count, dtype=np.int64)
 
 
-@dataclass(frozen=True)
-class ShapeKey:
+@dataclass(frozen=True, repr=False)
+class ShapeKey(_Asset):
     """One sculpted position of a shape: its full target, or an in-between."""
 
     weight: float
@@ -144,16 +191,16 @@ class ShapeKey:
     """(n, 3)"""
 
 
-@dataclass(frozen=True)
-class MeshShape:
+@dataclass(frozen=True, repr=False)
+class MeshShape(_Asset):
     """What one channel does to one mesh: keys in ascending weight, the full target at 1."""
 
     name: str
     keys: tuple[ShapeKey, ...]
 
 
-@dataclass(frozen=True)
-class RigMesh:
+@dataclass(frozen=True, repr=False)
+class RigMesh(_Asset):
     """One mesh of a rig at rest, in the stage's world space."""
 
     path: str
@@ -180,8 +227,8 @@ class RigMesh:
     """What of its materials pictures leave out."""
 
 
-@dataclass(frozen=True)
-class Rig:
+@dataclass(frozen=True, repr=False)
+class Rig(_Asset):
     """A character's face: meshes whose BlendShapes answer to named channels."""
 
     file: Path
@@ -227,8 +274,8 @@ class Rig:
         return (f"drawn without its textures: {first_few(undrawn, most=3)}",) if undrawn else ()
 
 
-@dataclass(frozen=True)
-class MotionSpace:
+@dataclass(frozen=True, repr=False)
+class MotionSpace(_Asset):
     """What a performer's face does, in few numbers: principal components over whole takes."""
 
     mean: FloatArray
@@ -244,8 +291,8 @@ class MotionSpace:
     labels."""
 
 
-@dataclass(frozen=True)
-class References:
+@dataclass(frozen=True, repr=False)
+class References(_Asset):
     """Frames of a take with the rig weights an animator wants there; pair *i* is at index *i*."""
 
     marker_names: tuple[str, ...]
@@ -294,8 +341,8 @@ class CandidateScore:
     """The same error as it shows on the rig's surface [mm]; NaN when no rig was given."""
 
 
-@dataclass(frozen=True)
-class TrainedMapping:
+@dataclass(frozen=True, repr=False)
+class TrainedMapping(_Asset):
     """A trained function from stabilised markers to a rig's channels: all that predict needs."""
 
     method: str
@@ -331,8 +378,8 @@ class SolveBasis:
     """Regions of the face that no reference moves."""
 
 
-@dataclass(frozen=True)
-class Performance:
+@dataclass(frozen=True, repr=False)
+class Performance(_Asset):
     """The written result: weights over a rig, and how far they can be trusted."""
 
     weights: WeightsClip
@@ -353,3 +400,7 @@ class Performance:
     neutral_frame: int | None = None
     """Frame of the take that shows the performer's neutral face; None where the weights were not
     mapped from markers."""
+
+    def __getitem__(self, name: str) -> Float32Array:
+        """Return the weights of one shape, (frames,)."""
+        return self.weights[name]
