@@ -223,8 +223,13 @@ def test_only_the_pages_own_files_are_served(server: Server, name: str) -> None:
             b'"weights":{"jawOpen":NaN}}]}',
             "jawOpen",
         ),
+        (
+            b'{"revision":0,"changes":[{"pair":1,"take":"kitchen","frame":107,'
+            b'"weights":{"jawOpen":"0.5"}}]}',
+            "jawOpen",
+        ),
     ],
-    ids=["empty", "list", "negative", "extra", "nan"],
+    ids=["empty", "list", "negative", "extra", "nan", "text"],
 )
 def test_a_malformed_change_is_named(server: Server, body: bytes, said: str) -> None:
     answer = server.browser().post("/changes", content=body, headers=RIGHTS)

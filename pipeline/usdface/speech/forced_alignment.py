@@ -115,9 +115,10 @@ BEAMS = ((1e-48, 7e-29), (1e-120, 1e-100), (1e-200, 1e-200))
 found. 0 would keep them all and never end."""
 
 DOUBTFUL_SCORE = -38.0
-WRONG_SCORE = -45.0
+WRONG_SCORE = -41.0
 """Mean score per frame of speech; 0 were a phone that fits best everywhere. Recordings of people
-with their own words give -20 to -33, with words of other recordings -58 to -67."""
+with their own words give -20 to -33, with words of other recordings -58 to -67. The limit is at a
+third of the way: words of another language score better than those of another recording."""
 
 DOUBTFUL_WORD_SCORE = -75.0
 """A word below this is probably not what is said there."""
@@ -274,8 +275,8 @@ def _scored(
     mean = total / max(frames, 1)
     if mean < WRONG_SCORE:
         raise InputError(
-            f"the transcript does not fit the sound: its phones score {mean:.0f} a frame where "
-            f"{WRONG_SCORE:.0f} is the least for words that were said; is it the transcript of "
+            f"the transcript does not fit the sound: its phones score {mean:.1f} a frame, below "
+            f"{WRONG_SCORE:g}; words that were said score -20 to -33. Is it the transcript of "
             "another recording, or in another language?"
         )
     track = PhoneTrack(tuple(phones), tuple(words), (), duration)

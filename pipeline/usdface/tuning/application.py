@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, StrictFloat, ValidationError
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
@@ -43,7 +43,7 @@ class SentChange(BaseModel):
     pair: int = Field(ge=0)
     take: str
     frame: int
-    weights: dict[str, float] = Field(default_factory=dict, max_length=10_000)
+    weights: dict[str, StrictFloat] = Field(default_factory=dict, max_length=10_000)
     done: bool | None = None
 
 

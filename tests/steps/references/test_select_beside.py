@@ -133,6 +133,14 @@ def test_the_video_frame_of_each_pair_lies_beside_the_references(shot: Shot) -> 
     execute(spec(shot, takes=(take,), count=6, frames="200-400"), overwrite=True)
     kept = {path.name for path in (shot / "new.references.images").iterdir()}
     assert kept == {f"shot.{frame}.jpg" for frame in read_references(out).frames.tolist()}
+    # A picture that somebody else made is neither replaced nor removed.
+    plate = shot / "new.references.images" / sorted(kept)[0]
+    write_image(plate, np.full((8, 8, 3), 7, np.uint8))
+    content = plate.read_bytes()
+    report = execute(spec(shot, takes=(take,), count=6, frames="200-400"), overwrite=True)
+    assert plate.read_bytes() == content
+    assert any(plate.name in note and "not written by select" in note for note in report.notes)
+    plate.unlink()
     # What is not ours stays: somebody's picture, even one that is named like a pair's.
     theirs = {shot / "new.references.images" / name for name in ("face.jpg", "plate.0007.jpg")}
     for path in theirs:

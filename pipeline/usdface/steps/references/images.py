@@ -1,5 +1,6 @@
 """The video frame of each pair, kept as a picture beside the references."""
 
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.side_files import check_side_folder, make_side_folder
 from usdface.core.sidecars import images_folder
+from usdface.core.text import first_few
 from usdface.media.film.image_sequence import open_video
 from usdface.media.picture.image import read_image_metadata, write_image
 from usdface.specs.references import SelectSpec
@@ -62,8 +64,18 @@ def write_pair_images(
         else:
             try:
                 shown = _write_take(folder, references, take, pairs, metadata)
-                if len(shown) < len(pairs):
-                    unseen = len(pairs) - len(shown)
+                theirs = [
+                    pair
+                    for pair in pairs
+                    if pair not in shown and _path(folder, references, take, pair).exists()
+                ]
+                if theirs:
+                    names = [_path(folder, references, take, pair).name for pair in theirs]
+                    notes.append(
+                        f"{first_few(names)} in {folder.name}: not written by select, and stays; "
+                        "the pair has no picture: move the file away"
+                    )
+                if unseen := len(pairs) - len(shown) - len(theirs):
                     notes.append(
                         f"the video of {take.name} does not show {unseen} of {len(pairs)} pairs"
                     )
@@ -88,13 +100,14 @@ def _existing_pictures(
     folder: Path, references: References, take: Take, pairs: list[int]
 ) -> dict[int, Path]:
     """Return the pictures there are of earlier selections, of frames that can be read no more."""
-    files = {pair: folder / _file_name(take, int(references.frames[pair])) for pair in pairs}
+    files = {pair: _path(folder, references, take, pair) for pair in pairs}
     return {pair: file for pair, file in files.items() if file.is_file()}
 
 
-def _file_name(take: Take, frame: int) -> str:
+def _path(folder: Path, references: References, take: Take, pair: int) -> Path:
+    """Return where the picture of a pair lies."""
     name = re.sub(r"[^\w.-]", "_", take.name)
-    return f"{name}.{frame}.jpg"
+    return folder / f"{name}.{int(references.frames[pair])}.jpg"
 
 
 def _write_take(
@@ -114,10 +127,13 @@ def _write_take(
             seconds = (frame - take.first_frame) / float(take.rate)
             at = take.video.video_time(seconds)
             picture = video.frame_at(at)
-            if picture is not None:
-                make_side_folder(folder)
-                shown[pair] = folder / _file_name(take, frame)
-                write_image(shown[pair], picture, metadata=metadata)
+            if picture is None:
+                continue
+            make_side_folder(folder)
+            file = _path(folder, references, take, pair)
+            if _is_ours(file) or not os.path.lexists(file):
+                write_image(file, picture, metadata=metadata)
+                shown[pair] = file
     return shown
 
 
