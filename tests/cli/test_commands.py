@@ -1,6 +1,7 @@
 """The command line: what it prints, what it returns, what it refuses."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -270,3 +271,76 @@ def test_a_demo_from_video_needs_a_model_before_anything_is_made(
     assert run("demo", "--from", "video", "--model", "x.task", "--out", str(out)) == 2
     assert "x.task: no such file" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_help_is_where_people_look_for_it(capsys) -> None:
+    assert run("map", "--help") == 0
+    shown = capsys.readouterr().out
+    for arguments in (("help", "map"), ("map", "-h")):
+        assert run(*arguments) == 0
+        assert capsys.readouterr().out == shown
+    assert run("help", "references", "import") == 0
+    assert "usdface references import" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("shell", "given"),
+    [
+        ("bash", {"COMP_WORDS": "usdface map --ta", "COMP_CWORD": "2"}),
+        ("zsh", {"_TYPER_COMPLETE_ARGS": "usdface map --ta"}),
+        (
+            "fish",
+            {
+                "_TYPER_COMPLETE_ARGS": "usdface map --tem",
+                "_TYPER_COMPLETE_FISH_ACTION": "get-args",
+            },
+        ),
+    ],
+)
+def test_a_shell_completes_commands_and_options(shell: str, given: dict[str, str]) -> None:
+    command = Path(sys.executable).with_name("usdface")
+    script = subprocess.run([command, "completion", shell], capture_output=True, text=True)
+    assert f"_USDFACE_COMPLETE=complete_{shell}" in script.stdout
+    words = {name: text.replace("--ta", "--tem") for name, text in given.items()}
+    environment = {**os.environ, **words, "_USDFACE_COMPLETE": f"complete_{shell}"}
+    done = subprocess.run([command], capture_output=True, text=True, env=environment)
+    assert "--temporal" in done.stdout
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("map", "no.usda", "--mapping", "m", "--rig", "r", "--out", "o.usda", "--json"),
+        ("map", "--json"),
+        ("run", "no.job.yaml", "--json"),
+    ],
+)
+def test_an_error_is_json_where_a_script_asked_for_it(arguments, capsys) -> None:
+    assert run(*arguments) == 2
+    shown = capsys.readouterr()
+    assert json.loads(shown.out)["exit_code"] == 2
+    assert json.loads(shown.out)["error"].splitlines()[0] in shown.err
+
+
+def test_a_folder_where_a_file_is_read_is_refused(tmp_path, capsys) -> None:
+    assert run("phones", str(tmp_path), "--text", "a", "--out", str(tmp_path / "a.json")) == 2
+    assert "a folder; phones reads files" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ("deform", "t", "--mesh", "m", "--method", "rbf", "--sampler", "hmc"),
+            "sampler has no effect with method rbf",
+        ),
+        (
+            ("map", "t", "--mapping", "m", "--rig", "r", "--lag", "5"),
+            "lag has no effect with temporal none",
+        ),
+        (("deform", "t", "--mesh", "m", "--rows", "3"), "rows has no effect without picture"),
+    ],
+)
+def test_an_option_that_would_be_ignored_is_refused(arguments, message, capsys) -> None:
+    assert run(*arguments, "--out", "o.usda") == 2
+    assert message in capsys.readouterr().err

@@ -66,7 +66,7 @@ def test_chunks_run_here_are_the_whole_and_a_second_run_changes_no_byte(
     done = submit(SubmitSpec(job=job, chunk=240))
     told = capfd.readouterr().out
     assert "openjd_progress: 100.0" in told
-    assert "openjd_status: join: joined to frame 480" in told
+    assert "openjd_status: join again.usda: joined to frame 480" in told
     whole = read_performance(shot / "shot.hero.usda").weights
     joined = read_performance(shot / "again.usda").weights
     assert np.array_equal(whole.values, joined.values)
@@ -76,7 +76,7 @@ def test_chunks_run_here_are_the_whole_and_a_second_run_changes_no_byte(
     again = submit(SubmitSpec(job=job, chunk=240))
     assert again.bundle == done.bundle
     assert digests(shot.folder) == before
-    assert "map: up to date" in capfd.readouterr().out
+    assert ".usda: up to date" in capfd.readouterr().out
 
 
 @pytest.mark.slow

@@ -176,7 +176,7 @@ def wrong_extension(shot: Shot) -> list[str]:
 
 
 def newer_output(shot: Shot) -> list[str]:
-    return ["clean", "shot.take.usda", "--out", "shot.clean.take.usda"]
+    return ["clean", "shot.take.usda", "--max-gap", "7", "--out", "shot.clean.take.usda"]
 
 
 def output_of_someone_else(shot: Shot) -> list[str]:

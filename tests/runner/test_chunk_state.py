@@ -4,7 +4,7 @@ import pytest
 
 from tests.steps.small_shot import FRAMES, Shot
 from usdface.runner.execute import execute
-from usdface.runner.job import job_states
+from usdface.runner.state import job_states
 from usdface.specs.base import Spec
 from usdface.specs.job import JobSpec
 from usdface.specs.performance import JoinSpec, MapSpec, TrainSpec

@@ -13,7 +13,8 @@ from usdface.cli import main
 from usdface.core.confinement import ROOT_VARIABLE, check_confined
 from usdface.core.errors import InputError
 from usdface.runner.execute import execute
-from usdface.runner.job import job_states, run_job
+from usdface.runner.job import run_job
+from usdface.runner.state import job_states
 from usdface.specs.edits import BakeSpec
 from usdface.specs.reading import read_job
 from usdface.usdio.rig.write import write_rig

@@ -1,5 +1,6 @@
 """A job runs what it lacks, says where it stands, and goes on after a failure."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -7,11 +8,15 @@ import pytest
 from pxr import Sdf
 
 from tests.steps.small_shot import FRAMES, Shot
+from usdface.cli import main
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
+from usdface.runner import execute as executing
 from usdface.runner import job as jobs
 from usdface.runner.execute import execute
-from usdface.runner.job import job_states, run_job
+from usdface.runner.job import run_job
+from usdface.runner.state import job_states
+from usdface.specs.job import JobSpec
 from usdface.specs.reading import read_job
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.performance.read import read_performance
@@ -111,7 +116,60 @@ def test_only_what_depends_on_a_change_runs_again(shot: Shot, monkeypatch) -> No
 def test_other_settings_run_that_step_and_what_follows(shot: Shot, monkeypatch) -> None:
     job = shot / "shot.job.yaml"
     job.write_text(job.read_text().replace("rows: 2", "rows: 3"))
+    assert job_states(read_job(job))[-1].reason.endswith("other settings: rows was 2, is 3")
     assert ran(shot, monkeypatch) == ["sheet"]
+
+
+def test_repeating_a_step_says_that_it_is_up_to_date(shot: Shot, monkeypatch) -> None:
+    monkeypatch.setattr(executing, "find_step", None)
+    spec = read_job(shot / "shot.job.yaml").steps[1]
+    again = execute(spec)
+    assert again.up_to_date
+    assert again.outputs == (shot / "shot.clean.take.usda",)
+    with pytest.raises(InputError, match="newer than what it is made from"):
+        execute(spec.model_copy(update={"max_gap": 3}))
+
+
+def test_results_are_printed_as_steps_end_and_again_when_asked(shot: Shot, capsys) -> None:
+    job = shot / "shot.job.yaml"
+
+    def run(*options: str) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as ended:
+            main(["run", str(job), *options])
+        captured = capsys.readouterr()
+        return int(ended.value.code or 0), captured.out, captured.err
+
+    job.write_text(job.read_text().replace("rows: 2", "rows: 3"))
+    code, out, err = run()
+    lines = out.splitlines()
+    assert code == 0
+    assert lines[0] == "step 1 of 7, ingest shot.take.usda: up to date"
+    made = next(line for line in lines if line.startswith("step 7 of 7, sheet shot.sheet.jpg: "))
+    assert "up to date" not in made
+    assert "step 7 of 7, sheet shot.sheet.jpg ..." in err
+    summary = made.partition("jpg: ")[2]
+    assert f"  {summary}" in run("--notes")[1].splitlines()
+    assert summary not in run()[1]
+    (shot / "shot.sheet.jpg").write_bytes(b"mine")
+    code, out, err = run()
+    assert code == 2
+    assert "step 6 of 7, map shot.hero.usda: up to date" in out
+    assert "6 of 7 steps are done; run again to go on" in err
+    code, out, _ = run("--json")
+    assert code == 2
+    data = json.loads(out)
+    assert len(data["steps"]) == 6
+    assert "was not written by usdface" in data["error"]
+
+
+def test_folders_that_are_not_there_are_named_once_with_the_remedy(shot: Shot) -> None:
+    steps = read_job(shot / "shot.job.yaml").steps
+    new = shot / "new"
+    take = steps[0].model_copy(update={"out": new / "a.take.usda"})
+    clean = steps[1].model_copy(update={"take": take.out, "out": new / "a.clean.take.usda"})
+    with pytest.raises(InputError, match=r"1 folder to write to not there: .*--make-folders") as no:
+        job_states(JobSpec(job="day", steps=(take, clean)))
+    assert str(no.value).count("new") == 1
 
 
 def test_a_job_that_failed_goes_on_where_it_stopped(shot: Shot, monkeypatch) -> None:

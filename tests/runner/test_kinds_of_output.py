@@ -15,8 +15,9 @@ from usdface.core.sidecars import weights_path
 from usdface.media.page.face_payload import FacePayload
 from usdface.media.page.report_page import ReviewPage, WeightCurves, build_page, read_page_origin
 from usdface.runner.execute import execute
-from usdface.runner.job import job_states, run_job
+from usdface.runner.job import run_job
 from usdface.runner.origin import provenance_metadata, provenance_of
+from usdface.runner.state import job_states
 from usdface.specs.job import JobSpec
 from usdface.specs.performance import MapSpec
 from usdface.specs.reading import read_job

@@ -78,19 +78,19 @@ def test_a_saved_job_reads_back_the_same(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("count: 50", "count: 1"), r"steps\[2\] -> select -> count: .*greater than.*got 1"),
-        (("step: train", "step: xyzzy"), r"^\S+: steps\[4\]: .*'xyzzy'; steps are ingest, track"),
+        (("count: 50", "count: 1"), r"step 3, select -> count: give 2 or more \(got 1\)"),
+        (("step: train", "step: xyzzy"), r"^\S+: step 5: .*'xyzzy'; steps are ingest, track"),
         (
             ("step: train", "step: trian"),
             r"there is no step 'trian'; did you mean train or track\?$",
         ),
         (
             ("out: kitchen.take.usda", "oot: x"),
-            r"steps\[0\] -> ingest -> oot: unknown key; did you mean out\?$",
+            r"step 1, ingest -> oot: unknown key; did you mean out\?$",
         ),
-        (("sources: [kitchen.c3d]", "sources: []"), r"sources: .*at least 1"),
-        (("job: kitchen_talk_v003", "job: ''"), r"job: .*at least 1 character"),
-        (("take: kitchen.take.usda, ", ""), r"clean -> take: Field required"),
+        (("sources: [kitchen.c3d]", "sources: []"), r"step 1, ingest -> sources: give 1 or more"),
+        (("job: kitchen_talk_v003", "job: ''"), r"job: give 1 or more characters"),
+        (("take: kitchen.take.usda, ", ""), r"step 2, clean -> take: is missing; give it"),
         (
             ("out: hero.mapping.usdc", "out: kitchen.take.usda"),
             r"steps 1 and 5 both write kitchen\.take\.usda",

@@ -108,20 +108,20 @@ def test_what_a_take_is_called_is_never_read_as_a_place(name: str) -> None:
     [
         ({"takes": []}, "takes must be a list"),
         ({"takes": "a"}, "takes must be a list"),
-        ({"takes": [{"name": "a"}]}, r"takes\[0\]: must be a name, or a table with its name"),
-        ({"takes": ["a", "a"]}, r"takes\[1\]: 'a' is a duplicate"),
+        ({"takes": [{"name": "a"}]}, r"take 1: must be a name, or a table with its name"),
+        ({"takes": ["a", "a"]}, r"take 2: 'a' is a duplicate"),
         ({"takes": ["../../etc/passwd"]}, "cannot name a take"),
         ({"takes": [".."]}, "cannot name a take"),
         ({"takes": ["a\nopenjd_fail: x"]}, "cannot name a take"),
         ({"takes": [{"take": "a", "neutral": [1]}]}, "'neutral' must be a text or a number"),
-        ({"takes": ["a"]}, r"steps\[0\]: asks for \{neutral\}, which take 'a' does not have"),
+        ({"takes": ["a"]}, r"step 1: asks for \{neutral\}, which take 'a' does not have"),
         ({"takes": None}, "needs `takes`"),
         ({"steps": [{"for_each": "hero", "steps": []}]}, "can only be `take`"),
         ({"steps": [{"for_each": "take", "step": "x"}]}, "for_each allows only `steps`"),
         ({"steps": [{"for_each": "take", "steps": []}]}, "for_each needs `steps`"),
         (
             {"steps": [{"step": "clean", "take": "{take}.usda", "out": "x.usda"}]},
-            r"steps\[0\]: '\{take\}.usda' differs from take to take",
+            r"step 1: '\{take\}.usda' differs from take to take",
         ),
     ],
     ids=lambda value: str(value)[:40],
@@ -160,5 +160,5 @@ def test_what_is_wrong_in_a_loop_is_named_once_where_it_stands(tmp_path: Path) -
     with pytest.raises(InputError) as refused:
         read_job(path)
     first, second = str(refused.value).splitlines()[1:]
-    assert first == "  steps[0] -> steps[1] -> clean -> take: Field required"
-    assert second.startswith("  steps[1] -> select -> count: ")
+    assert first == "  step 1.2, clean -> take: is missing; give it"
+    assert second.startswith("  step 2, select -> count: ")

@@ -1,12 +1,13 @@
 """All commands: those of steps are generated from their specs, the others are written here."""
 
+import contextlib
 import inspect
 import os
 import sys
 import traceback
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
@@ -25,7 +26,7 @@ from usdface.cli.console import (
 from usdface.cli.spec_options import build_spec, command_of, help_of
 from usdface.cli.tune import tune_command
 from usdface.core.confinement import ROOT_VARIABLE, check_confined
-from usdface.core.errors import InputError, UsdfaceError
+from usdface.core.errors import CheckFailedError, InputError, UsdfaceError
 from usdface.core.progress import Progress
 from usdface.core.replacing import creating
 from usdface.core.text import first_few, pluralize
@@ -60,6 +61,9 @@ SaveSpec = Annotated[
     ),
 ]
 
+
+_COMPLETE = "_USDFACE_COMPLETE"
+"""Environment variable by which a shell asks for completions."""
 
 Root = Annotated[
     Path | None,
@@ -253,6 +257,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 
@@ -289,27 +294,28 @@ def run(
     with_folders: Annotated[
         bool, typer.Option("--make-folders", help="Create the folders of the job's outputs.")
     ] = False,
+    notes: Annotated[
+        bool,
+        typer.Option("--notes", help="Print the notes of steps that are up to date, too."),
+    ] = False,
     root: Root = None,
 ) -> None:
     """Run the steps of a job whose outputs are missing or out of date.
+
+    The result and notes of each step are printed when it ends.
 
     Example:
 
     usdface run kitchen.job.yaml
     """
-    from usdface.runner.job import make_folders, run_job
+    from usdface.cli.run import run_and_show
+    from usdface.runner.job import make_folders
 
     spec = read_job(job, path_rules=() if path_mapping is None else read_path_rules(path_mapping))
     _confine(spec, root)
     if with_folders:
         make_folders(spec)
-    with progress_listener(progress) as listener:
-        reports = run_job(spec, progress=listener, overwrite=overwrite)
-    if as_json:
-        show_json({"job": spec.job, "steps": [report.as_data() for report in reports]})
-        return
-    for report in reports:
-        show_result(report, as_json=False)
+    run_and_show(spec, job, style=progress, overwrite=overwrite, as_json=as_json, again=notes)
 
 
 @app.command(epilog=EPILOG, rich_help_panel="jobs")
@@ -324,7 +330,7 @@ def check(
 
     usdface check kitchen.job.yaml
     """
-    from usdface.runner.job import job_states
+    from usdface.runner.state import job_states
 
     spec = read_job(job)
     _confine(spec, root)
@@ -467,6 +473,8 @@ def demo(
 
     usdface demo --out demo
     """
+    from usdface.cli.run import demo_events
+
     if dog and (source == "video" or model is not None):
         raise InputError("--dog retargets a performance, and tracks nothing; leave --from out")
     if source == "markers" and model is not None:
@@ -478,15 +486,36 @@ def demo(
     # On stderr, as stdout may be JSON; before the imports, which take a second or two.
     typer.echo(f"making a demo in {out_folder}; it takes a minute or so", err=True)
     with progress_listener(progress) as listener:
+        events = demo_events(progress, as_json=as_json)
         if dog:
             from usdface.demo.dog_job import run_dog_demo
 
-            report = run_dog_demo(out_folder, progress=listener)
+            report = run_dog_demo(out_folder, progress=listener, events=events)
         else:
             from usdface.demo.job import run_demo
 
-            report = run_demo(out_folder, model=model, progress=listener)
+            report = run_demo(out_folder, model=model, progress=listener, events=events)
     show_result(report, as_json=as_json)
+
+
+@app.command(epilog=EPILOG, rich_help_panel="jobs")
+def completion(
+    shell: Annotated[
+        Literal["bash", "zsh", "fish"], typer.Argument(help="Your shell.", show_default=False)
+    ],
+) -> None:
+    """Print what makes a shell complete commands, options and values.
+
+    bash: add the line below to ~/.bashrc, with zsh for bash to ~/.zshrc. fish: usdface completion
+    fish > ~/.config/fish/completions/usdface.fish
+
+    Example:
+
+    eval "$(usdface completion bash)"
+    """
+    from typer.completion import get_completion_script  # type: ignore[attr-defined]
+
+    echo(get_completion_script(prog_name="usdface", complete_var=_COMPLETE, shell=shell))
 
 
 def _version(wanted: bool) -> None:
@@ -512,17 +541,38 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its code."""
     raise_on_signals()
     given = sys.argv[1:] if arguments is None else arguments
+    if given[:1] == ["help"]:
+        given = [*given[1:], "--help"]
+    if _COMPLETE in os.environ:
+        from typer.completion import completion_init  # type: ignore[attr-defined]
+
+        completion_init()  # Typer does so only for apps that install completion themselves
+    as_json = "--json" in given
     try:
-        app(args=given, standalone_mode=True)
+        # Otherwise errors of usage are printed and end the process where they are found.
+        code = app(args=given, standalone_mode=not as_json)
     except (UsdfaceError, KeyboardInterrupt) as error:
-        show_error(str(error) or "interrupted")
-        sys.exit(exit_code_of(error))
+        shown = isinstance(error, CheckFailedError)  # as the failures of a result
+        _fail(str(error) or "interrupted", exit_code_of(error), as_json=as_json and not shown)
     except Exception as error:
+        if as_json and hasattr(error, "format_message"):  # of usage, of either kind of click
+            _fail(error.format_message(), getattr(error, "exit_code", 2), as_json=True)
         if "--verbose" in given:
             traceback.print_exc()
-        show_error(
+        _fail(
             f"internal error: {type(error).__name__}: {error}\n"
             "No partly written files remain. Please report it with the output of "
-            "`usdface --verbose` and the same arguments."
+            "`usdface --verbose` and the same arguments.",
+            exit_code_of(error),
+            as_json=as_json,
         )
-        sys.exit(exit_code_of(error))
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail(message: str, code: int, *, as_json: bool) -> NoReturn:
+    """Print an error, for a script as JSON on stdout too, and exit."""
+    if as_json:
+        with contextlib.suppress(UsdfaceError):  # the error may be that nothing can be printed
+            show_json({"error": message, "exit_code": code})
+    show_error(message)
+    sys.exit(code)

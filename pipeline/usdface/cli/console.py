@@ -67,7 +67,9 @@ def _bar() -> Iterator[Listener]:
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     console = Console(stderr=True, highlight=False, soft_wrap=True)
-    with Progress(*columns, console=console, transient=True) as bar:
+    # What is printed while the bar stands goes through it, unless it goes to a file.
+    on_terminal = sys.stdout.isatty()
+    with Progress(*columns, console=console, transient=True, redirect_stdout=on_terminal) as bar:
         task = bar.add_task("", total=1.0)
 
         def report(fraction: float, message: str) -> None:
@@ -123,6 +125,11 @@ def show_result(report: StepResult, *, as_json: bool) -> None:
         show_json(report.as_data())
         return
     echo(report.summary)
+    show_details(report)
+
+
+def show_details(report: StepResult) -> None:
+    """Print the table, the notes and the new files of a result."""
     for line in report.table:
         echo(f"  {line}")
     for note in report.notes:

@@ -14,7 +14,7 @@ from usdface.demo.acting import performance
 from usdface.demo.dog import DOG_ATTRIBUTES, act, expressions, write_dog
 from usdface.demo.job import make_folder
 from usdface.demo.rig import demo_rig
-from usdface.runner.job import run_job
+from usdface.runner.job import JobEvents, run_job
 from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
 from usdface.specs.job import JobSpec
@@ -51,7 +51,9 @@ _HEADER = """\
 """
 
 
-def run_dog_demo(folder: Path, *, progress: Progress = silent) -> StepResult:
+def run_dog_demo(
+    folder: Path, *, progress: Progress = silent, events: JobEvents | None = None
+) -> StepResult:
     """Make both characters, pairs and a sequence in a folder, and run the job.
 
     Raises
@@ -65,9 +67,9 @@ def run_dog_demo(folder: Path, *, progress: Progress = silent) -> StepResult:
     write_dog_inputs(folder, progress=part(progress, 0.0, 0.3))
     job = dog_job()
     job_file.write_text(_HEADER + spec_text(job, job_file), encoding="utf-8")
-    reports = run_job(read_job(job_file), progress=part(progress, 0.3, 1.0))
+    reports = run_job(read_job(job_file), progress=part(progress, 0.3, 1.0), events=events)
     outputs = tuple(dict.fromkeys(path for report in reports for path in report.outputs))
-    trained = next(report for report in reports if report.figures.get("scores"))
+    trained = next((report for report in reports if report.figures.get("scores")), reports[-1])
     return StepResult(
         (job_file, *outputs),
         trained.summary,

@@ -18,7 +18,7 @@ from usdface.demo.build import (
     write_weights,
 )
 from usdface.demo.script import NEUTRAL_TIME
-from usdface.runner.job import run_job
+from usdface.runner.job import JobEvents, run_job
 from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
 from usdface.specs.capture import CleanSpec, IngestSpec, TrackSpec
@@ -39,7 +39,13 @@ INPUTS_SHARE = 0.4
 """How much of the demo's time its inputs take."""
 
 
-def run_demo(folder: Path, *, model: Path | None = None, progress: Progress = silent) -> StepResult:
+def run_demo(
+    folder: Path,
+    *,
+    model: Path | None = None,
+    progress: Progress = silent,
+    events: JobEvents | None = None,
+) -> StepResult:
     """Make the demo in a folder, and say how large its error is.
 
     Parameters
@@ -49,6 +55,8 @@ def run_demo(folder: Path, *, model: Path | None = None, progress: Progress = si
     model : Path, optional
         Face landmark model of `track`: the face is then tracked in the clip, and the markers of
         the capture are not used.
+    events : JobEvents, optional
+        Called as the steps of the job start and end.
 
     Raises
     ------
@@ -70,7 +78,7 @@ def run_demo(folder: Path, *, model: Path | None = None, progress: Progress = si
         inputs = replace(inputs, truth=truth, animator_weights=keys)
     job = _job(inputs, folder, model)
     job_file.write_text(_HEADER + spec_text(job, job_file), encoding="utf-8")
-    reports = run_job(read_job(job_file), progress=part(progress, INPUTS_SHARE, 1.0))
+    reports = run_job(read_job(job_file), progress=part(progress, INPUTS_SHARE, 1.0), events=events)
     error = _error_of_other_frames(inputs, folder)
     outputs = tuple(dict.fromkeys(path for report in reports for path in report.outputs))
     return StepResult(

@@ -15,7 +15,9 @@ from usdface.core.replacing import not_written_since
 from usdface.runner.origin import make_provenance
 from usdface.runner.outputs import check_inputs, check_outputs
 from usdface.runner.result import StepResult
+from usdface.runner.state import step_state
 from usdface.specs.base import Spec
+from usdface.specs.job import STEP_SPECS
 from usdface.specs.paths import Writes
 
 Step = Callable[..., StepResult]
@@ -47,7 +49,7 @@ def execute(
     progress: Progress = silent,
     provenance: Provenance | None = None,
 ) -> StepResult:
-    """Check what a spec reads and writes, then run its step.
+    """Check what a spec reads and writes, then run its step, unless its outputs are up to date.
 
     Parameters
     ----------
@@ -62,6 +64,11 @@ def execute(
     """
     try:
         check_inputs(spec)
+        if not overwrite and _may_be_done(spec):
+            provenance = provenance or make_provenance(spec)
+            if step_state(spec, provenance).state == "done":
+                summary = f"{spec.step}: up to date; --overwrite makes it anew"
+                return StepResult(spec.outputs(), summary, fresh=False)
         with not_written_since(() if overwrite else spec.paths(Writes)):
             check_outputs(spec, overwrite=overwrite)
             step = find_step(type(spec))
@@ -74,3 +81,10 @@ def execute(
             f"{error.filename}: a name that is too long for this file system, or that becomes so "
             f"with what {spec.step} writes beside it; choose a shorter one"
         ) from error
+
+
+def _may_be_done(spec: Spec) -> bool:
+    """Whether a step is one that a job may repeat, and its outputs are there; edits add up."""
+    outputs = spec.outputs()
+    repeatable = isinstance(spec, STEP_SPECS) and not spec.in_place
+    return repeatable and bool(outputs) and all(path.is_file() for path in outputs)

@@ -94,8 +94,12 @@ def check_may_be_read(spec: Spec) -> None:
     if root is not None:
         check_confined_inputs(spec, root)
     # A pipe or a device may never end, or never begin.
-    paths = [path for path in spec.paths(Reads) if path.exists()]
-    odd = [path for path in paths if not (path.is_file() or path.is_dir())]
+    odd = [path for path in spec.paths(Reads) if path.exists() and not path.is_file()]
+    if folders := [path for path in odd if path.is_dir()]:
+        raise InputError(
+            f"{first_few(folders)}: a folder; {spec.step} reads files: name them, such as "
+            f"{folders[0] / '*'}"
+        )
     if odd:
         raise InputError(f"{first_few(odd)}: a pipe or a device, not a file; copy it to one")
 
@@ -123,7 +127,10 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
         check_asset_name(path)
         folder = path.parent
         if not folder.is_dir():
-            raise InputError(f"{path}: folder {folder} does not exist; create it first")
+            raise InputError(
+                f"{path}: folder {folder} does not exist; create it first, or run a job with "
+                "--make-folders"
+            )
         if not os.access(folder, os.W_OK | os.X_OK):
             raise InputError(f"{path}: folder {folder} cannot be written; check its permissions")
         if path.is_dir():

@@ -4,9 +4,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from usdface.core.errors import CheckFailedError
+from usdface.core.text import pluralize
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class StepResult:
     """The result of a step, for people and scripts."""
 
@@ -25,6 +26,16 @@ class StepResult:
     fresh: bool = True
     """False where the outputs were up to date, and nothing was written."""
 
+    def __repr__(self) -> str:
+        files = ", ".join(path.name for path in self.outputs)
+        counts = f"{pluralize(len(self.notes), 'note')}, {pluralize(len(self.figures), 'figure')}"
+        return f"<StepResult: {self.summary} [{files or 'no file'}; {counts}]>"
+
+    @property
+    def up_to_date(self) -> bool:
+        """Whether the outputs were there, made from the same inputs and options: nothing done."""
+        return not self.fresh
+
     def require_success(self) -> None:
         """Raise CheckFailedError, naming every failure, if there is one."""
         if self.failures:
@@ -38,4 +49,5 @@ class StepResult:
             "notes": list(self.notes),
             "figures": self.figures,
             "failures": list(self.failures),
+            "up_to_date": self.up_to_date,
         }

@@ -113,6 +113,10 @@ class Spec(BaseModel):
     removed: ClassVar[Mapping[str, str]] = {}
     """Removed fields, each with its replacement; refused with this advice."""
 
+    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {}
+    """Options that count only with certain values of another, which follow; without values, only if
+    the other is given. Where they would be ignored they are refused."""
+
     step: str
 
     @model_validator(mode="before")
@@ -126,6 +130,20 @@ class Spec(BaseModel):
                 raise ValueError(f"{old} is now called {new}, and both are given; keep {new}")
             warn_of_old_name(cls.step_name(), old, new)
         return {cls.renamed.get(name, name): value for name, value in data.items()}
+
+    @model_validator(mode="after")
+    def _no_option_is_ignored(self) -> Self:
+        for name, (other, values) in type(self).only_with.items():
+            default = type(self).model_fields[name].get_default(call_default_factory=True)
+            chosen = getattr(self, other)
+            if getattr(self, name) == default or chosen in values or (not values and chosen):
+                continue
+            needed = " or ".join(f"{other} {value}" for value in values) or other
+            without = f"with {other} {chosen}" if values else f"without {other}"
+            raise ValueError(
+                f"{name} has no effect {without}; leave it out, or give {needed.replace('_', '-')}"
+            )
+        return self
 
     @model_validator(mode="after")
     def _names_are_text(self) -> Self:

@@ -1,6 +1,6 @@
 """Specs of performances: train, map, join."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -70,6 +70,11 @@ class MapSpec(Spec):
     sidecar: ClassVar[Sidecar | None] = weights_path
     removed: ClassVar[Mapping[str, str]] = {
         "device": "weights are always predicted on the processor; leave it out"
+    }
+    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
+        "cutoff": ("temporal", ("whole", "causal")),
+        "lag": ("temporal", ("causal",)),
+        "bands": ("temporal", ("bands",)),
     }
 
     step: Literal["map"] = "map"

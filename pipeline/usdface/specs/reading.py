@@ -27,11 +27,44 @@ PATTERN_WORDS = {
 }
 """Patterns of the specs, each with the advice for a value that does not match."""
 
+FAULT_WORDS = {
+    "missing": "is missing; give it",
+    "tuple_type": "give a list, such as [a, b]",
+    "list_type": "give a list, such as [a, b]",
+    "too_short": "give {min_length} or more",
+    "too_long": "give at most {max_length}",
+    "int_type": "give a whole number",
+    "int_parsing": "give a whole number",
+    "int_parsing_size": "give a smaller number",
+    "int_from_float": "give a whole number",
+    "float_type": "give a number",
+    "float_parsing": "give a number",
+    "finite_number": "give a finite number",
+    "bool_type": "give true or false",
+    "bool_parsing": "give true or false",
+    "string_type": "give a text; a name that looks like a number needs quotes",
+    "string_unicode": "give a text that is valid Unicode",
+    "string_too_short": "give {min_length} or more characters",
+    "string_too_long": "give at most {max_length} characters",
+    "path_type": "give the path of a file",
+    "greater_than": "give more than {gt}",
+    "greater_than_equal": "give {ge} or more",
+    "less_than": "give less than {lt}",
+    "less_than_equal": "give {le} or less",
+    "union_tag_not_found": "a step is a table with its name as `step`, such as {{step: map}}",
+    "model_attributes_type": "give a table of options",
+    "model_type": "give a table of options",
+    "dict_type": "give a table of options",
+}
+"""Kinds of pydantic's faults, each with the advice for it."""
+
 
 def validation_messages(
     error: ValidationError, spec: type[Spec], *, places: Sequence[str] = ()
 ) -> str:
-    """Return all faults of a spec as ``field -> sub[2]: reason``, one per line.
+    """Return all faults of a spec as ``step 2, select -> count: reason``, one per line.
+
+    Steps and items of lists count from 1.
 
     Parameters
     ----------
@@ -40,17 +73,29 @@ def validation_messages(
     """
     lines = []
     for fault in _drop_secondary_errors(error.errors()):
-        place, parts = "", fault["loc"]
-        if places and len(parts) > 1 and parts[0] == "steps" and isinstance(parts[1], int):
-            place, parts = places[parts[1]], parts[2:]
-        for part in parts:
-            place += f"[{part}]" if isinstance(part, int) else f"{' -> ' if place else ''}{part}"
+        place = _place(fault["loc"], places)
         reason = _reason(fault, spec)
         lines.append(f"{place}: {reason}" if place else reason)
     lines = list(dict.fromkeys(lines))  # what is wrong in a loop over takes is wrong once
     if len(lines) == 1:
         return lines[0]
     return f"{len(lines)} faults\n" + "\n".join(f"  {line}" for line in lines)
+
+
+def _place(location: Sequence[str | int], places: Sequence[str]) -> str:
+    """Return where a fault is: its step, and the option in it."""
+    parts, place = list(location), ""
+    if len(parts) > 1 and parts[0] == "steps" and isinstance(parts[1], int):
+        index = parts[1]
+        place = places[index] if index < len(places) else f"step {index + 1}"
+        place += f", {parts[2]}" if len(parts) > 2 else ""
+        parts = parts[3:]
+    for part in parts:
+        if isinstance(part, int):
+            place += f" {part + 1}"
+        else:
+            place += f"{' -> ' if place else ''}{part}"
+    return place
 
 
 def _drop_secondary_errors(faults: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -78,12 +123,17 @@ def _reason(fault: Mapping[str, Any], spec: type[Spec]) -> str:
         return f"there is no step {tag!r}; {_did_you_mean(tag, known, 'steps are')}"
     if fault["type"] == "extra_forbidden":
         return _unknown_key(fault["loc"], spec)
+    given = fault.get("input")
+    if fault["type"] == "literal_error":
+        allowed = str(context["expected"]).replace(" or ", ", ").replace("'", "").split(", ")
+        return f"{_did_you_mean(str(given), allowed)} (got {given!r})"
     if fault["type"] == "string_pattern_mismatch":
         reason = PATTERN_WORDS.get(str(context["pattern"]), str(fault["msg"]))
+    elif fault["type"] in FAULT_WORDS:
+        reason = FAULT_WORDS[fault["type"]].format(**context)
     else:
         reason = str(fault["msg"]).removeprefix("Value error, ")
-    given = fault.get("input")
-    if isinstance(given, dict | list | tuple):
+    if fault["type"] == "missing" or isinstance(given, dict | list | tuple):
         return reason
     shown = str(given) if isinstance(given, Path) else given
     return f"{reason} (got {shown!r})"
@@ -105,7 +155,7 @@ def removed_message(name: str, spec: type[Spec]) -> str:
     return f"{spec.step_name()} has no {name} any more; {spec.removed[name]}"
 
 
-def _did_you_mean(given: str, known: Sequence[str], otherwise: str) -> str:
+def _did_you_mean(given: str, known: Sequence[str], otherwise: str = "it can be") -> str:
     near = difflib.get_close_matches(given, known, n=3)
     return f"did you mean {' or '.join(near)}?" if near else f"{otherwise} {', '.join(known)}"
 
@@ -182,9 +232,16 @@ def _read_data(path: Path) -> Any:
     try:
         return yaml.safe_load(text)
     except yaml.YAMLError as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: is no valid YAML or JSON: {reason}") from error
+        raise InputError(f"{path}: is no valid YAML or JSON: {_yaml_reason(error)}") from error
     except RecursionError as error:
         raise InputError(f"{path}: is nested too deeply for a spec") from error
     except (ValueError, LookupError, AttributeError) as error:  # a number or a date that is none
         raise InputError(f"{path}: holds a value that cannot be read: {error}") from error
+
+
+def _yaml_reason(error: yaml.YAMLError) -> str:
+    """Return what is wrong in a text, with line and column from 1."""
+    mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
+    if mark is None or not problem:
+        return " ".join(str(error).replace("<unicode string>", "the file").split())
+    return f"line {mark.line + 1}, column {mark.column + 1}: {problem}"

@@ -1,5 +1,6 @@
 """Specs of references: place, select, import, from-edits, coverage, sheet."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -66,6 +67,10 @@ class SelectSpec(Spec):
     cores: ClassVar[int] = 2
     memory_mib: ClassVar[int] = 8192
 
+    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
+        "extremes": ("method", ("viseme",))
+    }
+
     step: Literal["select"] = "select"
     takes: _Takes
     """Cleaned takes of one performer."""
@@ -85,7 +90,7 @@ class SelectSpec(Spec):
     emotions: tuple[Name, ...] = ()
     """Emotion of each take, in the same order. Default: as stored in the takes."""
     extremes: Annotated[int, Field(ge=0, le=1000)] = 10
-    """With visemes: number of extreme frames added per emotion."""
+    """With `viseme`: number of extreme frames added per emotion."""
     mapping: ReadPath | None = None
     """Mapping trained on the pairs tuned so far: it proposes the weights of the others, nearer to
     what an animator keys than the rig's geometry."""

@@ -1,5 +1,6 @@
 """Specs of retargeting: pairs, train-retarget, retarget, cyclic, sequences, warp."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -106,6 +107,10 @@ class TrainRetargetSpec(Spec):
     module: ClassVar[str] = "retarget.train"
     cores: ClassVar[int] = 2
     memory_mib: ClassVar[int] = 8192
+
+    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
+        "alpha": ("method", ("hybrid",))
+    }
 
     step: Literal["train-retarget"] = "train-retarget"
     pairs: Annotated[FilePath, Reads(), Positional()]

@@ -1,6 +1,6 @@
 """Specs of meshes and rigs: bind, deform, make-shapes, logic."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
@@ -69,6 +69,10 @@ class SurfaceSpec(Spec):
     removed: ClassVar[Mapping[str, str]] = {
         "device": "leave it out: the processor is used",
         "precision": "leave it out",
+    }
+    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
+        "sampler": ("method", ("gp",)),
+        "length_scale": ("method", ("gp",)),
     }
 
     take: Annotated[FilePath, Reads(), Positional()]
@@ -158,6 +162,11 @@ class DeformSpec(SurfaceSpec):
     module: ClassVar[str] = "surface.deform"
     cores: ClassVar[int] = 2
     memory_mib: ClassVar[int] = 8192
+    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
+        **SurfaceSpec.only_with,
+        "rows": ("picture", ()),
+        "picture_noise": ("picture", ()),
+    }
 
     step: Literal["deform"] = "deform"
     out: LayerOut

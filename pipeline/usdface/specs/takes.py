@@ -105,15 +105,17 @@ def write_out(job: Mapping[str, Any]) -> dict[str, Any]:
             inner = _steps_of(step, number)
             if len(done) + len(rows) * len(inner) > _MOST_STEPS:
                 raise ValueError(f"{len(rows)} takes make more than {_MOST_STEPS} steps; split it")
-            done += [_filled(each, row, f"steps[{number - 1}]") for row in rows for each in inner]
+            done += [_filled(each, row, f"step {number}") for row in rows for each in inner]
         else:
-            done.append(_spread(step, rows, f"steps[{number - 1}]"))
+            done.append(_spread(step, rows, f"step {number}"))
     written["steps"] = done
     return written
 
 
 def step_places(job: Mapping[str, Any]) -> list[str]:
-    """Return the position in the file of each step of the expanded job.
+    """Return the position in the file of each step of the expanded job, counted from 1.
+
+    ``step 2.3`` is the third step of the loop that stands second.
 
     Parameters
     ----------
@@ -121,11 +123,14 @@ def step_places(job: Mapping[str, Any]) -> list[str]:
         One that `write_out` has written out.
     """
     places: list[str] = []
-    takes, steps = job.get("takes") or (), job.get("steps") or ()
-    for index, step in enumerate(steps):
-        inner = step["steps"] if _is_loop(step) else ()
-        each = [f"steps[{index}] -> steps[{number}]" for number in range(len(inner))]
-        places += each * len(takes) if inner else [f"steps[{index}]"]
+    takes, steps = job.get("takes"), job.get("steps")
+    if not isinstance(steps, list | tuple) or not isinstance(takes, list | tuple):
+        return places
+    for number, step in enumerate(steps, start=1):
+        inner = step.get("steps") if _is_loop(step) else None
+        count = len(inner) if isinstance(inner, list | tuple) else 0
+        each = [f"step {number}.{within}" for within in range(1, count + 1)]
+        places += each * len(takes) if each else [f"step {number}"]
     return places
 
 
@@ -150,7 +155,7 @@ def _is_loop(step: Any) -> bool:
 
 
 def _steps_of(loop: Mapping[str, Any], number: int) -> Sequence[Any]:
-    where = f"steps[{number - 1}]"
+    where = f"step {number}"
     if loop["for_each"] != "take":
         raise ValueError(f"{where}: for_each is {loop['for_each']!r}; it can only be `take`")
     unknown = sorted(map(str, set(loop) - {"for_each", "steps"}))
@@ -167,8 +172,8 @@ def _rows(takes: Any) -> list[Row]:
         raise ValueError("takes must be a list of names, or of tables with a `take` each")
     rows = [{"take": take} if isinstance(take, str) else take for take in takes]
     seen: set[str] = set()
-    for number, row in enumerate(rows):
-        where = f"takes[{number}]"
+    for number, row in enumerate(rows, start=1):
+        where = f"take {number}"
         if not isinstance(row, Mapping) or not isinstance(row.get("take"), str):
             raise ValueError(f"{where}: must be a name, or a table with its name as `take`")
         name = row["take"]

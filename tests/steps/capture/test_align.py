@@ -19,7 +19,8 @@ from usdface.core.provenance import Provenance
 from usdface.media.film.movie import write_movie
 from usdface.media.picture.image import read_image_metadata, write_image
 from usdface.runner.execute import execute
-from usdface.runner.job import job_states, run_job
+from usdface.runner.job import run_job
+from usdface.runner.state import job_states
 from usdface.specs.capture import AlignSpec, IngestSpec
 from usdface.specs.job import JobSpec
 from usdface.steps.capture.align import Evidence, TimecodeShift, decide, timecode_shift

@@ -13,7 +13,8 @@ from usdface.cli import main
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.media.picture.image import read_image_metadata
 from usdface.runner.execute import execute
-from usdface.runner.job import job_states, run_job
+from usdface.runner.job import run_job
+from usdface.runner.state import job_states
 from usdface.specs.reading import read_job
 from usdface.specs.review import EvaluateSpec
 from usdface.steps.inputs.weight_tables import read_weight_table

@@ -23,8 +23,9 @@ from usdface.core.sidecars import corrected_path
 from usdface.media.picture.image import read_image_metadata
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.runner.execute import execute
-from usdface.runner.job import job_states, run_job
+from usdface.runner.job import run_job
 from usdface.runner.result import StepResult
+from usdface.runner.state import job_states
 from usdface.specs.base import Spec
 from usdface.specs.reading import read_job
 from usdface.specs.references import SelectSpec

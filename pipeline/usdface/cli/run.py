@@ -1,0 +1,165 @@
+"""Run a job on the command line: results as its steps end, and those of earlier runs again."""
+
+import contextlib
+import hashlib
+import json
+import os
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from usdface.cli.console import (
+    STOPPED,
+    ProgressStyle,
+    echo,
+    progress_listener,
+    show_details,
+    show_error,
+    show_json,
+)
+from usdface.core.errors import CancelledError, InputError, UsdfaceError
+from usdface.core.side_files import open_side_file
+from usdface.runner.job import JobEvents, JobStep, run_job
+from usdface.runner.result import StepResult
+from usdface.specs.job import JobSpec
+
+_LARGEST_NOTES_BYTES = 16 << 20
+"""A larger file of notes is begun anew."""
+
+
+def run_and_show(
+    job: JobSpec,
+    file: Path,
+    *,
+    style: ProgressStyle,
+    overwrite: bool,
+    as_json: bool,
+    again: bool,
+) -> None:
+    """Run a job and print each step's result when it ends, also of steps before a failure.
+
+    Parameters
+    ----------
+    file : Path
+        The job's file: results are remembered next to it.
+    again : bool
+        Print what steps that are up to date said when they were made. Farms remember nothing: their
+        jobs lie in bundles, which are compared by their files.
+    """
+    remembered = _Results(file)
+    shown: list[StepResult] = []
+
+    def ended(step: JobStep, report: StepResult) -> None:
+        if report.fresh and style != "openjd":
+            remembered.add(step, report)
+        if report.up_to_date and again:
+            report = remembered.of(step, report)
+        shown.append(report)
+        if not as_json:
+            show_step(step, report)
+
+    try:
+        with progress_listener(style) as listener:
+            events = JobEvents(_announce(style), ended)
+            run_job(job, progress=listener, overwrite=overwrite, events=events)
+    except (UsdfaceError, KeyboardInterrupt) as error:
+        kind = CancelledError if isinstance(error, KeyboardInterrupt) else type(error)
+        message, steps = str(error) or STOPPED, len(job.steps)
+        if steps > 1:
+            message += f"\n{len(shown)} of {steps} steps are done; run again to go on"
+        if not as_json:
+            raise kind(message) from error
+        show_json(_as_data(job, shown) | {"error": message, "exit_code": kind.exit_code})
+        show_error(message)
+        raise typer.Exit(kind.exit_code) from error
+    if as_json:
+        show_json(_as_data(job, shown))
+
+
+def _as_data(job: JobSpec, shown: list[StepResult]) -> dict[str, object]:
+    return {"job": job.job, "steps": [report.as_data() for report in shown]}
+
+
+def show_step(step: JobStep, report: StepResult) -> None:
+    """Print the result of a job's step under its number, name and file."""
+    echo(f"{step.label}: {'up to date' if report.up_to_date else report.summary}")
+    show_details(report)
+
+
+def demo_events(style: ProgressStyle, *, as_json: bool) -> JobEvents:
+    """Return what prints the steps of the demo's job as they go."""
+    return JobEvents(_announce(style)) if as_json else JobEvents(_announce(style), show_step)
+
+
+def _announce(style: ProgressStyle) -> Any:
+    """Return what says on stderr that a step has started, where there is no bar to say so."""
+    quiet = style != "auto" or sys.stderr.isatty()
+
+    def started(step: JobStep) -> None:
+        if not quiet and step.count > 1:
+            typer.echo(f"{step.label} ...", err=True)
+
+    return started
+
+
+class _Results:
+    """What the steps of a job said, one line of JSON each in a hidden file next to the job's.
+
+    A help, not a record: where it cannot be written or read, or would lie outside the folder that
+    all work is confined to, nothing is remembered.
+    """
+
+    def __init__(self, job: Path) -> None:
+        self._folder = job.resolve().parent
+        self._file = job.with_name(f".{job.name}.notes")
+        self._entries: dict[str, Mapping[str, Any]] = {}
+        with contextlib.suppress(OSError, ValueError, InputError):
+            for line in self._open(os.O_RDONLY).splitlines():
+                with contextlib.suppress(ValueError, KeyError, TypeError):  # the last may be torn
+                    entry = json.loads(line)
+                    self._entries[entry["made"]] = entry
+
+    def add(self, step: JobStep, report: StepResult) -> None:
+        """Remember what a step said."""
+        entry = {
+            "made": self._key(step),
+            "table": [report.summary, *report.table],
+            "notes": report.notes,
+        }
+        text = json.dumps(entry, ensure_ascii=False, default=str)
+        with contextlib.suppress(OSError, ValueError, InputError):
+            self._open(os.O_WRONLY | os.O_CREAT | os.O_APPEND, text)
+
+    def of(self, step: JobStep, report: StepResult) -> StepResult:
+        """Return the result of a step that is up to date with what it said when it was made."""
+        entry = self._entries.get(self._key(step))
+        if entry is None:
+            return replace(report, table=("nothing is remembered of when it was made",))
+        try:
+            table, notes = tuple(map(str, entry["table"])), tuple(map(str, entry["notes"]))
+        except (KeyError, TypeError):
+            return report
+        return replace(report, table=table, notes=notes)
+
+    def _key(self, step: JobStep) -> str:
+        made, paths = step.provenance, step.spec.outputs()
+        files = [os.path.relpath(path.resolve(), self._folder) for path in paths]
+        return hashlib.sha256(
+            json.dumps([made.step, made.spec, dict(made.inputs), files]).encode()
+        ).hexdigest()
+
+    def _open(self, flags: int, line: str = "") -> str:
+        """Append a line to the file, or return its text."""
+        descriptor = open_side_file(self._file, flags)
+        with os.fdopen(descriptor, "a" if line else "r", encoding="utf-8") as file:
+            large = os.fstat(file.fileno()).st_size > _LARGEST_NOTES_BYTES
+            if not line:
+                return "" if large else file.read()
+            if large:
+                os.ftruncate(file.fileno(), 0)
+            file.write(f"{line}\n")
+        return ""

@@ -1,0 +1,191 @@
+"""Whether a step's outputs are there, and made from its inputs and options as they are now."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import ValidationError
+
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
+from usdface.core.sidecars import LAYER_SUFFIXES
+from usdface.core.text import first_few, pluralize
+from usdface.runner.origin import make_provenance, provenance_of, spec_of
+from usdface.runner.outputs import check_may_be_read, missing_in_job, missing_inputs
+from usdface.specs.base import Spec
+from usdface.specs.job import JobSpec
+from usdface.specs.paths import Reads, Writes, frame_range
+from usdface.specs.performance import JoinSpec, MapSpec
+from usdface.specs.review import MovieJoinSpec, MovieSpec
+from usdface.usdio.referenced_files import frame_range_of, missing_sublayers
+
+_LONGEST_VALUE = 60
+"""Characters of an option's value in a message."""
+
+_State = Literal["done", "stale", "missing"]
+
+
+@dataclass(frozen=True)
+class StepState:
+    """Where one step of a job stands."""
+
+    spec: Spec
+    state: _State
+    """Whether its outputs are there, and made from the inputs as they are now."""
+    reason: str
+
+
+def chunk_specs(spec: Spec, made: Provenance, path: Path) -> tuple[Spec, ...]:
+    """Return the specs by which a file that joins parts was made, if they come to a given one.
+
+    Parameters
+    ----------
+    spec : Spec
+        What would make the file whole.
+    made : Provenance
+        What the file says of its making.
+
+    Returns
+    -------
+    tuple of Spec
+        The join, and each part's as it should be: whether all are done is for the caller to find.
+        Empty if the file was made otherwise, or of other frames.
+    """
+    join = _join_of(spec, made)
+    if join is None:
+        return ()
+    folder = path.resolve().parent
+    join = join.with_paths(lambda part: folder / part)
+    parts, stretches = list[Spec](), list[tuple[int, int]]()
+    for path_of_part in join.parts:
+        frames = spec_of(provenance_of(path_of_part)).get("frames")
+        changed = {"frames": frames, "out": path_of_part}
+        changed |= {"chunk": None} if isinstance(spec, MapSpec) else {"sound": False}
+        try:
+            stretch = frame_range(frames)
+        except (AttributeError, ValueError):
+            return ()
+        if stretch is None:
+            return ()
+        stretches.append(stretch)
+        parts.append(spec.model_copy(update=changed))
+    stretches.sort()
+    follow = all(one[1] + 1 == other[0] for one, other in pairwise(stretches))
+    if not follow or (stretches[0][0], stretches[-1][1]) != _frames_wanted(spec):
+        return ()
+    return (join, *parts)
+
+
+def _join_of(spec: Spec, made: Provenance) -> JoinSpec | MovieJoinSpec | None:
+    kind: type[JoinSpec] | type[MovieJoinSpec]
+    if isinstance(spec, MapSpec):
+        kind = JoinSpec
+    elif isinstance(spec, MovieSpec):
+        kind = MovieJoinSpec
+    else:
+        return None
+    if made.step != kind.step_name():
+        return None
+    try:
+        return kind.model_validate(spec_of(made))
+    except ValidationError:
+        return None
+
+
+def _frames_wanted(spec: Spec) -> tuple[int, int] | None:
+    if isinstance(spec, MapSpec):
+        return frame_range(spec.frames) or frame_range_of(spec.take)
+    if isinstance(spec, MovieSpec):
+        return frame_range(spec.frames) or frame_range_of(spec.performance)
+    return None
+
+
+def job_states(job: JobSpec) -> list[StepState]:
+    """Say of each step whether it is done, stale or missing.
+
+    Raises
+    ------
+    InputError
+        If a step reads a file that neither exists nor is made by an earlier step, or writes where
+        it cannot; every fault is named.
+    """
+    faults = missing_in_job(job)
+    folders = {path.parent: None for spec in job.steps for path in spec.paths(Writes)}
+    missing = [folder for folder in folders if not folder.is_dir()]
+    if missing:
+        faults.append(
+            f"{pluralize(len(missing), 'folder')} to write to not there: {first_few(missing)}; "
+            "make them, or let `usdface run --make-folders` make them"
+        )
+    states: list[StepState] = []
+    to_come: set[Path] = set()
+    for spec in job.steps:
+        check_may_be_read(spec)
+        waits_for = [path for path in spec.paths(Reads) if path in to_come or not path.exists()]
+        if waits_for and all(path.exists() for path in spec.outputs()):
+            state = StepState(spec, "stale", f"an earlier step makes {waits_for[0].name} anew")
+        elif waits_for:
+            state = StepState(spec, "missing", "waits for an earlier step")
+        else:
+            state = step_state(spec, make_provenance(spec))
+        if state.state != "done":
+            to_come.update(spec.changes())
+        states.append(state)
+    if faults:
+        raise InputError("\n".join(faults))
+    return states
+
+
+def step_state(spec: Spec, provenance: Provenance) -> StepState:
+    """Compare what the outputs of a step say of their making with `provenance`, its present one."""
+    if not spec.outputs():
+        return StepState(spec, "missing", "writes nothing that could tell it was done")
+    for path in spec.outputs():
+        if not path.exists():
+            return StepState(spec, "missing", f"{path.name} is not there")
+        made = provenance_of(path)
+        if made is not None and (parts := chunk_specs(spec, made, path)):
+            states = [_state_of_part(each) for each in parts]
+            return next(
+                (StepState(spec, s.state, s.reason) for s in states if s.state != "done"),
+                StepState(spec, "done", "up to date, made in parts"),
+            )
+        if made is None or made.step != provenance.step:
+            return StepState(spec, "stale", f"{path.name} was made by something else")
+        if made.spec != provenance.spec:
+            changes = _changed_settings(spec_of(made), spec_of(provenance))
+            return StepState(spec, "stale", f"{path.name} was made with other settings: {changes}")
+        changed = [
+            name for name, value in provenance.inputs.items() if made.inputs.get(name) != value
+        ]
+        if changed:
+            return StepState(spec, "stale", f"{changed[0]} has changed since")
+        if path.suffix in LAYER_SUFFIXES and (lost := missing_sublayers(path)):
+            return StepState(spec, "missing", f"{lost[0]} is not there")
+    return StepState(spec, "done", "up to date")
+
+
+def _changed_settings(was: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """Return which options differ, each with both values; what is not there is the default."""
+
+    def text(data: Mapping[str, Any], name: str) -> str:
+        return (
+            json.dumps(data[name], ensure_ascii=False)[:_LONGEST_VALUE]
+            if name in data
+            else "default"
+        )
+
+    names = [name for name in {**was, **now} if was.get(name) != now.get(name)]
+    return first_few(
+        [f"{name} was {text(was, name)}, is {text(now, name)}" for name in names], most=3
+    )
+
+
+def _state_of_part(spec: Spec) -> StepState:
+    check_may_be_read(spec)
+    if missing := missing_inputs(spec):
+        return StepState(spec, "missing", f"{missing[0].name} is not there")
+    return step_state(spec, make_provenance(spec))
