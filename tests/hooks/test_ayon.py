@@ -212,7 +212,7 @@ def test_the_documented_addon_has_what_ayons_server_asks_for() -> None:
     """The server imports `server` of an add-on and asks for its class."""
     page = (REPOSITORY / "docs/publish.md").read_text(encoding="utf-8")
     (files,) = re.findall(r"```python\n   # package\.py(.*?)```", page, flags=re.DOTALL)
-    package, server = textwrap.dedent(f"   # package.py{files}").split("# server/__init__.py")
+    package, server = textwrap.dedent(files).split("# __init__.py in the folder server")
     values: dict[str, str] = {}
     exec(package, values)
     assert (values["name"], values["client_dir"]) == ("usdface", "ayon_usdface")
