@@ -48,7 +48,8 @@ def test_mapping_reads_back_to_the_last_bit(tmp_path: Path, name: str) -> None:
 def test_usd_sees_a_typed_prim(tmp_path: Path) -> None:
     write_mapping(tmp_path / "m.usda", small_mapping())
     stage = Usd.Stage.Open(str(tmp_path / "m.usda"))
-    prim = stage.GetDefaultPrim()
+    assert stage.GetDefaultPrim().GetTypeName() == "Scope"
+    prim = stage.GetPrimAtPath("/Mapping/FaceMapping")
     assert prim.GetTypeName() == "FaceMapping"
     assert prim.GetPrimDefinition().GetPropertyDocumentation("face:mapping:method")
 
@@ -65,7 +66,19 @@ def test_usd_sees_a_typed_prim(tmp_path: Path) -> None:
 def test_a_damaged_mapping_is_refused(tmp_path: Path, name, value, message) -> None:
     write_mapping(tmp_path / "m.usda", small_mapping())
     layer = Sdf.Layer.FindOrOpen(str(tmp_path / "m.usda"))
-    layer.GetAttributeAtPath(f"/Mapping.{name}").default = value
+    layer.GetAttributeAtPath(f"/Mapping/FaceMapping.{name}").default = value
     layer.Save()
     with pytest.raises(InputError, match=message):
         read_mapping(tmp_path / "m.usda")
+
+
+def test_a_mapping_of_an_earlier_version_is_read(tmp_path: Path) -> None:
+    write_mapping(tmp_path / "m.usda", small_mapping())
+    new, old = (
+        Sdf.Layer.FindOrOpen(str(tmp_path / "m.usda")),
+        Sdf.Layer.CreateNew(str(tmp_path / "old.usda")),
+    )
+    Sdf.CopySpec(new, "/Mapping/FaceMapping", old, "/Mapping")
+    old.defaultPrim = "Mapping"
+    old.Save()
+    assert read_mapping(tmp_path / "old.usda").marker_names == small_mapping().marker_names

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pxr import Sdf, Usd, Vt
+from pxr import Sdf, Usd, UsdGeom, Vt
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import Float32Array, FloatArray
 from usdface.core.errors import InputError
 
 
@@ -18,6 +18,23 @@ def define_prim(layer: Sdf.Layer, path: Sdf.Path, type_name: str) -> Sdf.PrimSpe
     prim.specifier = Sdf.SpecifierDef
     prim.typeName = type_name
     return prim
+
+
+def define_in_scope(layer: Sdf.Layer, scope: str, type_name: str) -> Sdf.PrimSpec:
+    """Define a prim of a type of ours, named by it, in a Scope that is the layer's default prim.
+
+    Tools and validators want a default prim of a type that they know.
+    """
+    root = define_prim(layer, Sdf.Path(f"/{scope}"), "Scope")
+    layer.defaultPrim = scope
+    return define_prim(layer, root.path.AppendChild(type_name), type_name)
+
+
+def prim_in_scope(stage: Usd.Stage, type_name: str) -> Usd.Prim | None:
+    """Return the prim of a type in the default prim, or the default prim itself, as it was."""
+    root = stage.GetDefaultPrim()
+    prims = (root, root.GetChild(type_name)) if root else ()
+    return next((prim for prim in prims if prim and prim.GetTypeName() == type_name), None)
 
 
 def apply_api(prim: Sdf.PrimSpec, name: str) -> None:
@@ -149,3 +166,26 @@ def read_array_samples(
             )
         out[index] = row
     return out
+
+
+class PointExtents:
+    """Authors the widths and extents of a cloud of points.
+
+    Widths are one per point: with a constant width USD computes no extent, and validators that
+    compare with it fail. Extents are those of each frame.
+    """
+
+    def __init__(self, prim: Sdf.PrimSpec, count: int, width: float) -> None:
+        widths = Sdf.AttributeSpec(prim, "widths", Sdf.ValueTypeNames.FloatArray)
+        widths.default = Vt.FloatArray(count, width)
+        widths.SetInfo("interpolation", UsdGeom.Tokens.vertex)
+        extent = Sdf.AttributeSpec(prim, "extent", Sdf.ValueTypeNames.Float3Array)
+        self._path, self._radius = extent.path, np.float32(width) / np.float32(2)
+
+    def author(self, layer: Sdf.Layer, frames: Sequence[int], points: Float32Array) -> None:
+        """Write the extents of frames, whose points are (frames, points, 3) in stage units."""
+        if not points.size:
+            return
+        ends = np.stack([points.min(axis=1) - self._radius, points.max(axis=1) + self._radius], 1)
+        for frame, end in zip(frames, ends.astype(np.float32), strict=True):
+            layer.SetTimeSample(self._path, frame, Vt.Vec3fArray.FromNumpy(end))

@@ -14,15 +14,15 @@ from usdface.core.provenance import Provenance
 from usdface.usdio.authoring import (
     author_arrays,
     author_uniform,
-    define_prim,
+    define_in_scope,
     doubles,
+    prim_in_scope,
     read_arrays,
     shaped,
 )
 from usdface.usdio.layers import new_layer, open_stage, refusing_wrong_types
 from usdface.usdio.units import author_units
 
-_ROOT = Sdf.Path("/Mapping")
 ATTRIBUTE = "face:mapping:alpha"
 
 
@@ -40,8 +40,7 @@ def write_mapping(
         for score in mapping.scores
     ]
     with new_layer(path, provenance) as layer:
-        prim = define_prim(layer, _ROOT, "FaceMapping")
-        layer.defaultPrim = _ROOT.name
+        prim = define_in_scope(layer, "Mapping", "FaceMapping")
         author_units(layer)
         for name, kind, value in (
             ("method", Sdf.ValueTypeNames.Token, mapping.method),
@@ -68,10 +67,10 @@ def read_mapping(path: Path) -> TrainedMapping:
         If the file holds no mapping, or its arrays do not have the shapes they claim.
     """
     stage = open_stage(path)
-    prim = stage.GetDefaultPrim()
-    if not prim or prim.GetTypeName() != "FaceMapping":
+    prim = prim_in_scope(stage, "FaceMapping")
+    if prim is None:
         raise InputError(
-            f"{path}: not a mapping: its default prim is no FaceMapping; make one with "
+            f"{path}: not a mapping: no FaceMapping is its default prim or in it; make one with "
             "`usdface train`"
         )
     try:

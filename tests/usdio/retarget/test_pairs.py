@@ -180,7 +180,7 @@ def test_a_damaged_retargeting_is_refused(written: tuple[Path, ExpressionPairs])
     out = path.with_name("r.usda")
     write_retargeting(out, train_retargeting(pairs, method="ridge"))
     layer = Sdf.Layer.FindOrOpen(str(out))
-    layer.GetAttributeAtPath("/Retargeting.face:array:rest").default = [1.0, 2.0]
+    layer.GetAttributeAtPath("/Retargeting/FaceRetargeting.face:array:rest").default = [1.0, 2.0]
     layer.Save()
     with pytest.raises(InputError, match=r"face:array:rest.*train again"):
         read_retargeting(out)

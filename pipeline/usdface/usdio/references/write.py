@@ -10,14 +10,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from pxr import Kind, Sdf, UsdGeom, Vt
+from pxr import Kind, Sdf, Vt
 
 from usdface.core.arrays import FloatArray, index_of
 from usdface.core.assets import MotionSpace, References, Rig
 from usdface.core.provenance import Provenance
 from usdface.core.rig_logic import logic_of
 from usdface.core.sidecars import proposed_path, tuned_path
-from usdface.usdio.authoring import apply_api, author_uniform, define_prim, doubles
+from usdface.usdio.authoring import PointExtents, apply_api, author_uniform, define_prim, doubles
 from usdface.usdio.layers import new_layer, new_layers, relative_path
 from usdface.usdio.references.pair_layers import author_pair_header
 from usdface.usdio.references.read import (
@@ -207,14 +207,10 @@ def _author_pairs(layer: Sdf.Layer, references: References) -> None:
         author_uniform(points, name, kind, value)
     neutral = doubles(references.neutral / MM_PER_STAGE_UNIT)
     author_uniform(points, NEUTRAL, Sdf.ValueTypeNames.DoubleArray, neutral)
-    widths = Sdf.AttributeSpec(points, "widths", Sdf.ValueTypeNames.FloatArray)
-    widths.default = [0.3]
-    widths.SetInfo("interpolation", UsdGeom.Tokens.constant)
+    extents = PointExtents(points, len(references.marker_names), 0.3)
     placed = Sdf.AttributeSpec(points, "points", Sdf.ValueTypeNames.Point3fArray)
     stage_points = (references.markers / MM_PER_STAGE_UNIT).astype(np.float32)
-    flat = stage_points.reshape(-1, 3)
-    extent = Sdf.AttributeSpec(points, "extent", Sdf.ValueTypeNames.Float3Array)
-    extent.default = Vt.Vec3fArray.FromNumpy(np.stack([flat.min(0), flat.max(0)]))
+    extents.author(layer, range(1, len(references.frames) + 1), stage_points)
     for pair in range(len(references.frames)):
         layer.SetTimeSample(FRAME_PATH, pair + 1, int(references.frames[pair]))
         layer.SetTimeSample(TAKE, pair + 1, references.takes[pair])

@@ -10,11 +10,16 @@ from pxr import Sdf, Usd
 from usdface.core.controls import Retargeting, RetargetScore
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.usdio.authoring import author_arrays, author_uniform, define_prim, read_arrays
+from usdface.usdio.authoring import (
+    author_arrays,
+    author_uniform,
+    define_in_scope,
+    prim_in_scope,
+    read_arrays,
+)
 from usdface.usdio.layers import new_layer, open_stage, refusing_wrong_types, relative_path
 from usdface.usdio.units import author_units
 
-_ROOT = Sdf.Path("/Retargeting")
 TYPE = "FaceRetargeting"
 
 
@@ -25,8 +30,7 @@ def write_retargeting(
     kinds = Sdf.ValueTypeNames
     rig = "" if trained.target_rig is None else relative_path(trained.target_rig, path)
     with new_layer(path, provenance) as layer:
-        prim = define_prim(layer, _ROOT, TYPE)
-        layer.defaultPrim = _ROOT.name
+        prim = define_in_scope(layer, "Retargeting", TYPE)
         author_units(layer)
         for name, kind, value in (
             ("method", kinds.Token, trained.method),
@@ -52,8 +56,7 @@ def write_retargeting(
 def is_retargeting(path: Path) -> bool:
     """Whether a USD file holds a trained retargeting."""
     stage = open_stage(path)  # a prim does not keep its stage alive
-    prim = stage.GetDefaultPrim()
-    return bool(prim) and prim.GetTypeName() == TYPE
+    return prim_in_scope(stage, TYPE) is not None
 
 
 @refusing_wrong_types
@@ -66,10 +69,10 @@ def read_retargeting(path: Path) -> Retargeting:
         If the file holds none, or its arrays do not have the shapes they claim.
     """
     stage = open_stage(path)
-    prim = stage.GetDefaultPrim()
-    if not prim or prim.GetTypeName() != TYPE:
+    prim = prim_in_scope(stage, TYPE)
+    if prim is None:
         raise InputError(
-            f"{path}: not a retargeting: its default prim is no {TYPE}; make one with "
+            f"{path}: not a retargeting: no {TYPE} is its default prim or in it; make one with "
             "`usdface train-retarget`"
         )
     arrays = read_arrays(path, prim)

@@ -11,7 +11,13 @@ from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import take_samples_path
-from usdface.usdio.authoring import apply_api, author_timing, author_uniform, define_prim
+from usdface.usdio.authoring import (
+    PointExtents,
+    apply_api,
+    author_timing,
+    author_uniform,
+    define_prim,
+)
 from usdface.usdio.layers import FRAMES_IN_MEMORY, new_layer, new_layers, open_layer, relative_path
 from usdface.usdio.units import MM_PER_STAGE_UNIT, author_units
 
@@ -134,11 +140,7 @@ def _author_markers(layer: Sdf.Layer, markers: Markers, frames: np.ndarray) -> N
         author_uniform(prim, "face:markers:anchor", token, markers.anchor)
     count = len(markers.names)
     Sdf.AttributeSpec(prim, "ids", Sdf.ValueTypeNames.Int64Array).default = list(range(count))
-    widths = Sdf.AttributeSpec(prim, "widths", Sdf.ValueTypeNames.FloatArray)
-    widths.default = [MARKER_WIDTH_MM / MM_PER_STAGE_UNIT]
-    widths.SetInfo("interpolation", UsdGeom.Tokens.constant)
-
-    _author_extent(prim, markers.positions)
+    extents = PointExtents(prim, count, MARKER_WIDTH_MM / MM_PER_STAGE_UNIT)
     points = Sdf.AttributeSpec(prim, "points", Sdf.ValueTypeNames.Point3fArray)
     visible = Sdf.AttributeSpec(prim, VISIBLE, Sdf.ValueTypeNames.BoolArray)
     confidence = Sdf.AttributeSpec(prim, MARKER_CONFIDENCE, Sdf.ValueTypeNames.FloatArray)
@@ -152,6 +154,7 @@ def _author_markers(layer: Sdf.Layer, markers: Markers, frames: np.ndarray) -> N
         placed = markers.positions[lot] / np.float32(MM_PER_STAGE_UNIT)
         for index, frame in enumerate(numbers):
             layer.SetTimeSample(points.path, frame, Vt.Vec3fArray.FromNumpy(placed[index]))
+        extents.author(layer, numbers, placed)
         writers[0].append(layer, numbers, markers.visible[lot], Vt.BoolArray)
         writers[1].append(layer, numbers, markers.confidence[lot], Vt.FloatArray)
         if len(frames) > FRAMES_IN_MEMORY:
@@ -189,18 +192,6 @@ class _ChangeWriter:
     def _set(self, layer: Sdf.Layer, frame: int, value: np.ndarray, kind: Any) -> None:
         layer.SetTimeSample(self._path, frame, kind.FromNumpy(np.ascontiguousarray(value)))
         self._written = frame
-
-
-def _author_extent(prim: Sdf.PrimSpec, positions: np.ndarray) -> None:
-    radius = MARKER_WIDTH_MM / MM_PER_STAGE_UNIT / 2
-    if not positions.size:
-        return
-    # Rows as long as they come: over columns of three the same takes ten times as long.
-    rows = positions.reshape(len(positions), -1)
-    low = rows.min(axis=0).reshape(-1, 3).min(axis=0) / MM_PER_STAGE_UNIT - radius
-    high = rows.max(axis=0).reshape(-1, 3).max(axis=0) / MM_PER_STAGE_UNIT + radius
-    extent = Sdf.AttributeSpec(prim, "extent", Sdf.ValueTypeNames.Float3Array)
-    extent.default = Vt.Vec3fArray.FromNumpy(np.stack([low, high]).astype(np.float32))
 
 
 def _author_head_motion(layer: Sdf.Layer, motion: np.ndarray, frames: np.ndarray) -> None:
