@@ -19,7 +19,8 @@ def referenced_files(path: Path) -> list[Path]:
         If the file cannot be opened.
     """
     layers, assets, _ = _dependencies(path)
-    return sorted({path, *layers, *(asset for asset in assets if asset.is_file())})
+    files = (*layers, *(asset for asset in assets if asset.is_file()), path)
+    return sorted({file.resolve(): file for file in files}.values())
 
 
 def dependencies(path: Path) -> list[Path]:
