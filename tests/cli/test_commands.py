@@ -332,7 +332,7 @@ def test_a_folder_where_a_file_is_read_is_refused(tmp_path, capsys) -> None:
     [
         (
             ("deform", "t", "--mesh", "m", "--method", "rbf", "--sampler", "hmc"),
-            "sampler has no effect with method rbf",
+            "--method rbf does not use --sampler",
         ),
         (
             ("map", "t", "--mapping", "m", "--rig", "r", "--lag", "5"),

@@ -70,11 +70,6 @@ class SurfaceSpec(Spec):
         "device": "leave it out: the processor is used",
         "precision": "leave it out",
     }
-    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
-        "sampler": ("method", ("gp",)),
-        "length_scale": ("method", ("gp",)),
-    }
-
     take: Annotated[FilePath, Reads(), Positional()]
     """The cleaned take."""
     mesh: ReadPath
@@ -163,7 +158,6 @@ class DeformSpec(SurfaceSpec):
     cores: ClassVar[int] = 2
     memory_mib: ClassVar[int] = 8192
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
-        **SurfaceSpec.only_with,
         "rows": ("picture", ()),
         "picture_noise": ("picture", ()),
     }
