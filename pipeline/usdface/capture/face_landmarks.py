@@ -111,9 +111,12 @@ _RIGHT_LEFT = {
 }
 """Right and left are the performer's."""
 
-RIGID_PARTS = ("nose_bridge", "eye_inner", "eye_outer", "temple")
-"""Where skin hardly moves over the skull: the root of the nose and the corners of the eyes lie on
-bone, the temples beside what chews."""
+RIGID_PARTS = (
+    *("nose_bridge", "nose_tip", "nose", "eye_inner", "eye_outer", "temple"),
+    *("forehead", "forehead_outer"),
+)
+"""Where skin moves over the skull by no more than a millimetre (`label_hints.skin_motion_mm`): the
+noise of the landmarks is as large, so that many count more than the stillest few."""
 
 
 @dataclass(frozen=True)
