@@ -364,7 +364,7 @@ def test_the_papers_threshold_is_a_sum(performed: Stall, capsys) -> None:
     assert usdface(*f"{find} d.usda --threshold 1.0".split()) == 2
     assert "--by published" in capsys.readouterr().err
     assert usdface(*f"{find} d.usda --by published --threshold 0".split()) == 2
-    assert "greater than 0" in capsys.readouterr().err
+    assert "give more than 0" in capsys.readouterr().err
 
 
 def test_faces_are_drawn_side_by_side(performed: Stall, capsys) -> None:
