@@ -1,5 +1,6 @@
 """Every example in the documentation runs, and every link leads somewhere."""
 
+import json
 import re
 import shlex
 from collections import Counter
@@ -12,6 +13,7 @@ from tests.reference_pages import anchor, reference_pages
 from tests.regenerate import REFERENCE, REPOSITORY, USD_SCHEMA
 from tests.steps.small_shot import make_inputs
 from usdface.cli import main
+from usdface.usdio.performance.read import PerformanceReader
 
 PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
 
@@ -127,13 +129,20 @@ def Scope "Cut"
 def test_the_review_page_runs(shot, monkeypatch, capsys) -> None:
     monkeypatch.chdir(shot.folder)
     (shot / "cut010.usda").write_text(CUT, encoding="utf-8")
+    version = PerformanceReader(shot / "shot.hero.usda").version
+    note = {"id": "a", "frame": 333, "version": version, "shape": "jawOpen", "add": 0.1}
+    notes = json.dumps({"usdface_notes": 1, "notes": [note]})
+    (shot / "shot.hero.notes.json").write_text(notes, encoding="utf-8")
     for line in commands(REPOSITORY / "docs" / "review.md"):
         command = line.split()[1]
+        if command == "tune":  # a server; it has tests of its own
+            continue
         small = {
             "sheet": " --tile 64 --quality draft --rows 4",
             "movie": " --height 64 --rate 6 --workers 1",
         }
-        code = run(f"{line}{small.get(command, '')} --overwrite")
+        replacing = "" if command == "edit" else " --overwrite"
+        code = run(f"{line}{small.get(command, '')}{replacing}")
         assert code == 0, f"{line}\n{capsys.readouterr()}"
     assert (shot / "shot.review.mp4").is_file()
 

@@ -17,6 +17,7 @@ import gazu
 
 from usdface.core.errors import InputError, UsdfaceError
 from usdface.publish.integrate import read_manifest
+from usdface.specs.notes import read_notes
 
 PREVIEWS = ("movie", "sheet")
 """Roles of a version's files that reviewers see, the main one first."""
@@ -65,7 +66,7 @@ def connect():
     return client
 
 
-def publish_to_kitsu(folder, task, *, status, client, comment=""):
+def publish_to_kitsu(folder, task, *, status, client, comment="", notes=None):
     """Post a version to a task: status, comment, previews at the version's number.
 
     What is there already is not posted again, so that a publish can be retried: a comment is found
@@ -80,6 +81,8 @@ def publish_to_kitsu(folder, task, *, status, client, comment=""):
         Short name of the status to set, such as wfa.
     client : gazu.client.KitsuClient
     comment : str
+    notes : Path, optional
+        Notes that a report saved: those that are open follow the comment, a line each.
 
     Returns
     -------
@@ -100,7 +103,7 @@ def publish_to_kitsu(folder, task, *, status, client, comment=""):
     posted = _comment_that_starts(start, found, client)
     is_new = posted is None
     if is_new:
-        text = start + (comment or said or "published")
+        text = start + "\n".join([comment or said or "published", *_lines(notes)])
         posted = gazu.task.add_comment(found, new_status, comment=text, client=client)
     return _add_missing_previews(files, found, posted, version, client) or is_new
 
@@ -122,6 +125,18 @@ def _read_version(folder):
                 raise InputError(f"{folder}: the {role} {name!r} is not in it; publish again")
             files.append(file)
     return named, version, str(manifest.get("comment") or ""), files
+
+
+def _lines(notes):
+    """Return the open notes as lines of a comment; those on another version say so."""
+    if notes is None:
+        return []
+    found = [note for note in read_notes(notes).notes if not note.done]
+    newest = found and max(found, key=lambda note: note.made).version
+    return [
+        f"- {note.sentence()}{'' if note.version == newest else ' [on another version]'}"
+        for note in sorted(found, key=lambda note: note.frame)
+    ]
 
 
 def _comment_that_starts(start, task, client):
@@ -195,6 +210,7 @@ def main(arguments=None):
     for name in ("project", "sequence", "shot", "task", "status"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--comment", default="")
+    parser.add_argument("--notes", type=Path, help="notes saved in a report, for the comment")
     given = parser.parse_args(arguments)
     try:
         posted = publish_to_kitsu(
@@ -203,6 +219,7 @@ def main(arguments=None):
             status=given.status,
             client=connect(),
             comment=given.comment,
+            notes=given.notes,
         )
     except UsdfaceError as error:
         sys.stderr.write(f"{error}\n")

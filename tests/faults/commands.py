@@ -36,6 +36,8 @@ COMMANDS = {
     "combine": f"combine {HERO} --out hero.takes.usda",
     "references-from-edits": "references from-edits edited.hero.usda "
     "--references hero.references.usda --count 3 --out second.references.usda",
+    "references-add": f"references add {HERO} --references hero.references.usda --frames 333 "
+    "--out third.references.usda",
     "sheet": f"sheet {HERO} --take {TAKE} --out shot.sheet.jpg --tile 64 --rows 2 --quality draft",
     "movie": f"movie {HERO} --take {TAKE} --out shot.mp4 --frames 1-48 --height 64 --rate 12 "
     "--workers 1",

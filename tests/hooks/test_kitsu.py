@@ -135,6 +135,23 @@ def test_a_login_by_name_works_too(kitsu: Kitsu, version: Path, monkeypatch) -> 
     assert kitsu.comments[0]["comment"] == "kitchen.hero v003: see the lips"
 
 
+def test_open_notes_of_a_report_follow_the_comment(
+    kitsu: Kitsu, version: Path, tmp_path: Path
+) -> None:
+    notes = [
+        {"id": "b", "frame": 9, "text": "lids", "made": "2026-01-01", "version": "old"},
+        {"id": "a", "frame": 4, "last": 6, "text": "jaw", "made": "2026-01-02", "version": "new"},
+        {"id": "c", "frame": 2, "text": "mended", "done": True},
+    ]
+    file = tmp_path / "notes.json"
+    file.write_text(json.dumps({"usdface_notes": 1, "notes": notes}), encoding="utf-8")
+    assert post(version, "--notes", str(file)) == 0
+    assert kitsu.comments[0]["comment"].splitlines()[1:] == [
+        "- frames 4-6: jaw",
+        "- frame 9: lids [on another version]",
+    ]
+
+
 def test_what_is_not_there_is_named(kitsu: Kitsu, version: Path, tmp_path: Path, capsys) -> None:
     assert post(version, status="approved") == 2
     assert "there is no status 'approved'" in capsys.readouterr().err

@@ -29,9 +29,10 @@ PATIENCE_SECONDS = 40.0
 class Command:
     """`usdface tune`, running."""
 
-    def __init__(self, asset: Path) -> None:
+    def __init__(self, asset: Path, *options: str) -> None:
+        command = ["tune", str(asset), "--no-browser", "--json", *options]
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "usdface", "tune", str(asset), "--no-browser", "--json"],
+            [sys.executable, "-m", "usdface", *command],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -258,11 +259,53 @@ def test_the_tools_of_a_pair_do_what_they_say(desk: Desk) -> None:
     assert page.page.locator(".shape:visible .label").all_inner_texts() == ["smile"]
     press("Escape")
     assert page.page.locator(".shape:visible").count() == 3
+    press("/")
+    page.page.keyboard.type("jw op")
+    assert page.page.locator(".shape:visible .label").all_inner_texts() == ["jawOpen"]
+    press("Enter")
+    focused = "document.activeElement.getAttribute('aria-label')"
+    assert page.page.evaluate(focused) == "jawOpen"
+    press("/")
+    press("Escape")
+    count = page.page.locator(".tile").count()
+    assert page.page.locator("#progress").inner_text() == f"1 of {count} done"
+    page.page.select_option("#sieve", "done")
+    assert page.page.locator(".tile:visible").count() == 1
+    page.page.select_option("#sieve", "todo")
+    assert page.page.locator(".tile:visible").count() == count - 1
+    page.page.select_option("#sieve", "all")
     page.saved()
     assert not page.faults
     desk.layer(2, [0.5, None, None])
     desk.layer(3, [1.0, None, None])
     assert read_references(desk.asset).tuned[2:4].all()
+
+
+def test_notes_of_a_report_stand_at_their_frame(asset: Path, context: Any, tmp_path: Path) -> None:
+    frame = int(read_references(asset).frames[2])
+    notes = [
+        {"id": "a", "frame": frame, "text": "<b>lips</b> too wide", "author": "Ada"},
+        {"id": "b", "frame": frame, "text": "was done", "done": True},
+    ]
+    file = tmp_path / "notes.json"
+    file.write_text(json.dumps({"usdface_notes": 1, "notes": notes}), encoding="utf-8")
+    command = Command(asset, "--notes", str(file), "--frame", str(frame))
+    page = Page(context, command.link)
+    assert page.page.locator("#number").inner_text() == "3"
+    said = page.page.locator("#remarks li").all_inner_texts()
+    assert said == [f"frame {frame}: <b>lips</b> too wide (Ada)"]
+    page.page.select_option("#sieve", "noted")
+    assert page.page.locator(".tile:visible").count() == 1
+    page.page.locator("summary", has_text="mouth").locator("button", has_text="Copy").click()
+    page.page.select_option("#sieve", "all")
+    page.page.locator(".tile").nth(0).click()
+    row = page.page.evaluate("[...tune.state.row()]")
+    first, third = (small_references(asset.parent).weights[pair] for pair in (0, 2))
+    assert row == pytest.approx([third[0], third[1], first[2]]), "of the mouth alone"
+    page.page.set_viewport_size({"width": 390, "height": 844})
+    assert page.page.locator("#desk").is_visible()
+    assert not page.faults
+    command.interrupt()
 
 
 def test_sides_move_together_and_change_places(desk: Desk) -> None:

@@ -16,6 +16,11 @@ def edits_path(performance: Path) -> Path:
     return performance.with_name(f"{performance.stem}.edits.usda")
 
 
+def notes_path(performance: Path) -> Path:
+    """Return the file of review notes on a performance: NAME.notes.json."""
+    return performance.with_name(f"{performance.stem}.notes.json")
+
+
 def controls_path(performance: Path) -> Path:
     """Return the layer with a performance's joints and attributes: NAME.controls.usdc."""
     return performance.with_name(f"{performance.stem}.controls.usdc")

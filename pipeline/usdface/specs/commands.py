@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from usdface.specs.base import Positional, Spec
-from usdface.specs.paths import FilePath, Reads
+from usdface.specs.paths import FilePath, ReadPath, Reads
 
 
 class TuneSpec(Spec):
@@ -26,6 +26,10 @@ class TuneSpec(Spec):
     """The references asset written by `usdface select`."""
     takes: Annotated[tuple[Path, ...], Reads()] = ()
     """Takes whose video is shown, if they have moved since `usdface select`."""
+    notes: ReadPath | None = None
+    """Notes that a report saved, shown at the pairs whose frames they are on."""
+    frame: int | None = None
+    """Frame of the pair to begin with. Default: the first pair."""
     port: Annotated[int, Field(ge=0, le=65535)] = 0
     """Port of the page. Default: one derived from the asset's path."""
     take_over: bool = False

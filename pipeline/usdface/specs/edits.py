@@ -24,9 +24,10 @@ _Change = Annotated[float, Field(ge=-10.0, le=10.0)]
 class EditSpec(Spec):
     """Change shapes of a performance over a range of frames, without touching the solve.
 
-    `--add` offsets the solve and follows it when it changes; `--override` replaces it. A later edit
-    takes precedence where it has full strength and blends in its fades. Edits are stored in
-    NAME.edits.usda next to the performance, above its weights; mapping again keeps them.
+    `--add` offsets the solve and follows it when it changes; `--override` replaces it. `--notes`
+    makes the corrections that people noted in a report. A later edit takes precedence where it has
+    full strength and blends in its fades. Edits are stored in NAME.edits.usda next to the
+    performance, above its weights; mapping again keeps them.
     """
 
     example: ClassVar[str] = (
@@ -38,7 +39,7 @@ class EditSpec(Spec):
     step: Literal["edit"] = "edit"
     performance: Annotated[FilePath, Reads(alone=True), Positional()]
     """The performance to edit."""
-    shape: Annotated[tuple[Name, ...], Field(min_length=1)]
+    shape: tuple[Name, ...] = ()
     """Names of the shapes to change."""
     add: _Change | None = None
     """Weight to add to the solve."""
@@ -46,6 +47,9 @@ class EditSpec(Spec):
     """Weight to use instead of the solve."""
     clear: bool = False
     """Remove edits, so that the solve shows again."""
+    notes: ReadPath | None = None
+    """Notes that a report saved: their open corrections are made. Those noted on another version of
+    the performance are left and named, so that none is made twice."""
     frames: Frames | None = None
     """Frames to change, as FIRST-LAST. Default: all."""
     fade: Annotated[int, Field(ge=0, le=100_000)] = 0
@@ -56,6 +60,12 @@ class EditSpec(Spec):
     @model_validator(mode="after")
     def _one_change(self) -> Self:
         given = [self.add is not None, self.override is not None, self.clear]
+        if self.notes is not None:
+            if any(given) or self.shape or self.frames or self.fade:
+                raise ValueError("--notes holds shapes, changes and frames: give it without others")
+            return self
+        if not self.shape:
+            raise ValueError("give the shapes to change by --shape, or --notes")
         if sum(given) != 1:
             raise ValueError("give one of --add, --override and --clear")
         if self.fade and self.frames is None:

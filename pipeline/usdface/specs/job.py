@@ -13,6 +13,7 @@ from usdface.specs.paths import Reads, Writes
 from usdface.specs.performance import JoinSpec, MapSpec, TrainSpec
 from usdface.specs.references import (
     PlaceSpec,
+    ReferencesAddSpec,
     ReferencesCoverageSpec,
     ReferencesFromEditsSpec,
     ReferenceSheetSpec,
@@ -58,6 +59,7 @@ AnyStep = Annotated[
     | CombineSpec
     | PackageSpec
     | ReferencesFromEditsSpec
+    | ReferencesAddSpec
     | SheetSpec
     | MovieSpec
     | MovieJoinSpec

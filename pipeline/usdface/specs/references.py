@@ -1,4 +1,4 @@
-"""Specs of references: place, select, import, from-edits, coverage, sheet."""
+"""Specs of references: place, select, import, from-edits, add, coverage, sheet."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,7 +8,16 @@ from pydantic import Field, field_validator, model_validator
 
 from usdface.core.sidecars import placement_path, proposed_path, tuned_path
 from usdface.specs.base import Name, Positional, Sidecar, Spec
-from usdface.specs.paths import FilePath, Frames, ImageOut, LayerOut, PrimPath, ReadPath, Reads
+from usdface.specs.paths import (
+    ChosenFrames,
+    FilePath,
+    Frames,
+    ImageOut,
+    LayerOut,
+    PrimPath,
+    ReadPath,
+    Reads,
+)
 
 _Takes = Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
 
@@ -211,6 +220,42 @@ class ReferencesFromEditsSpec(Spec):
     """The references asset to write."""
     count: Annotated[int, Field(ge=1, le=10_000)] = 20
     """Largest number of frames taken from each performance."""
+
+
+class ReferencesAddSpec(Spec):
+    """Add frames of a performance to the references, to be tuned.
+
+    The weights of the performance are their proposals. Use it for frames that a review finds wrong:
+    by number, or those that people noted in a report. The existing pairs of the references do not
+    change.
+    """
+
+    example: ClassVar[str] = (
+        "usdface references add kitchen.hero.usda --references hero.references.usda "
+        "--frames 434,1182 --out hero.references.usda"
+    )
+    in_place: ClassVar[bool] = True
+    module: ClassVar[str] = "references.add"
+    makes: ClassVar[str] = "references"
+    sidecar: ClassVar[Sidecar | None] = proposed_path
+
+    step: Literal["references-add"] = "references-add"
+    performance: Annotated[FilePath, Reads(), Positional()]
+    """The performance. It stores the take and the mapping it was made from."""
+    references: ReadPath
+    """The references to add to."""
+    out: LayerOut
+    """The references asset to write; it may be that of --references."""
+    frames: ChosenFrames | None = None
+    """Frames to add, as 434,1182 or FIRST-LAST."""
+    notes: ReadPath | None = None
+    """Notes that a report saved: the frames of those that are open are added."""
+
+    @model_validator(mode="after")
+    def _some_frames(self) -> Self:
+        if self.frames is None and self.notes is None:
+            raise ValueError("give the frames to add by --frames, or --notes of a report")
+        return self
 
 
 class ReferencesCoverageSpec(Spec):

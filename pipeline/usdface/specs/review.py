@@ -201,6 +201,12 @@ class ReportSpec(Spec):
     them."""
     phones: ReadPath | None = None
     """Phone labels (`usdface phones`). The report shows phone and viseme."""
+    also: Annotated[tuple[Path, ...], Field(max_length=4), Reads()] = ()
+    """More performances of the same take on the same rig, such as an earlier version: their curves,
+    and faces to compare with."""
+    notes: Annotated[tuple[Path, ...], Reads()] = ()
+    """Files of notes that reports saved. Notes on another version are shown as such. Default:
+    NAME.notes.json next to the performance, if there is one."""
     sheet: ReadPath | None = None
     """Contact sheet to embed (.jpg or .png)."""
     references: ReadPath | None = None

@@ -22,6 +22,7 @@ from usdface.core.errors import InputError
 from usdface.core.sidecars import corrected_path
 from usdface.media.page.face_payload import FacePayload, pack_face, read_web_file
 from usdface.numerics.measure.face_regions import mirrored_shapes, sided_shapes
+from usdface.specs.notes import ReviewNotes
 from usdface.tuning.journal import Change
 from usdface.tuning.pictures import PairPictures
 from usdface.tuning.session import StaleRevisionError, TuningSession
@@ -80,11 +81,16 @@ class Scene:
         rig: Rig,
         notes: list[PairNotes],
         pictures: PairPictures,
+        *,
+        review: ReviewNotes | None = None,
+        first_pair: int = 0,
     ) -> None:
         self.session = session
         self.rig = rig
         self.notes = notes
         self.pictures = pictures
+        self.review = review
+        self.first_pair = first_pair
         self._placing = threading.Lock()
 
     @functools.cached_property
@@ -116,6 +122,7 @@ class Scene:
                 "viseme": note.viseme,
                 "emotion": note.emotion,
                 "noPicture": self.pictures.reason_without(pair),
+                "notes": self._review_notes(pair),
             }
             for pair, note in enumerate(self.notes)
         ]
@@ -127,7 +134,20 @@ class Scene:
             "mirror": mirrored_shapes(references.shape_names).tolist(),
             "sided": [bool(sided[self.rig.shapes.index(n)]) for n in references.shape_names],
             "pairs": pairs,
+            "first": self.first_pair,
         }
+
+    def _review_notes(self, pair: int) -> list[str]:
+        """Return the open notes on a pair's frame."""
+        references, review = self.session.references, self.review
+        if review is None or review.take not in ("", references.takes[pair]):
+            return []
+        frame = int(references.frames[pair])
+        return [
+            note.sentence()
+            for note in review.notes
+            if not note.done and note.span[0] <= frame <= note.span[1]
+        ]
 
     def markers(self) -> dict[str, Any]:
         """Return marker targets for the live residual."""

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import ClassVar
 from urllib.parse import parse_qs
 
+import numpy as np
 import uvicorn
 from starlette.datastructures import MutableHeaders
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
@@ -29,6 +30,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from usdface.core.confinement import check_confined, confinement_root
 from usdface.core.errors import CancelledError, InputError
 from usdface.specs.commands import TuneSpec
+from usdface.specs.notes import read_notes
 from usdface.tuning.application import Scene, build_application
 from usdface.tuning.pictures import PairPictures
 from usdface.tuning.session import TuningSession
@@ -295,7 +297,14 @@ def _run(
     if root is not None:  # the asset says where its takes are
         check_confined([("tune", take) for take in takes], root)
     pictures = PairPictures(references, notes, takes)
-    scene = Scene(session, rig, notes, pictures)
+    scene = Scene(
+        session,
+        rig,
+        notes,
+        pictures,
+        review=None if spec.notes is None else read_notes(spec.notes),
+        first_pair=_first_pair(spec, session),
+    )
     guard = Guard(build_application(scene), port=listener.getsockname()[1], announce=announce)
     config = uvicorn.Config(
         guard,
@@ -312,6 +321,19 @@ def _run(
         log.info("interrupted; saving")
     finally:
         pictures.close()
+
+
+def _first_pair(spec: TuneSpec, session: TuningSession) -> int:
+    """Return the pair to begin with."""
+    frames = session.references.frames
+    if spec.frame is None:
+        return 0
+    if spec.frame not in frames:
+        raise InputError(
+            f"{spec.references}: no pair is of frame {spec.frame}; add it with `usdface references "
+            f"add PERFORMANCE --references {spec.references} --frames {spec.frame}`"
+        )
+    return int(np.flatnonzero(frames == spec.frame)[0])
 
 
 async def _serve_and_save(

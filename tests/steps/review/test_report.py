@@ -34,12 +34,9 @@ EARLY_PICTURES = 5
 
 
 def spec_of(shot: Shot, **options: object) -> ReportSpec:
-    given = {"height": 180, "baseline": False} | options
+    given = {"height": 180, "baseline": False, "out": shot / "shot.html"} | options
     return ReportSpec(
-        performance=shot / "shot.hero.usda",
-        take=shot / "shot.clean.take.usda",
-        out=shot / "shot.html",
-        **given,
+        performance=shot / "shot.hero.usda", take=shot / "shot.clean.take.usda", **given
     )
 
 
@@ -58,7 +55,10 @@ def give_video(shot: Shot, *, pictures: int = 120) -> None:
 
 
 def open_page(browser: Any, file: Path, faults: list[str]) -> Any:
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    return visit(browser.new_page(viewport={"width": 1280, "height": 900}), file, faults)
+
+
+def visit(page: Any, file: Path, faults: list[str]) -> Any:
     page.on("pageerror", lambda error: faults.append(str(error)))
     page.on("console", lambda said: faults.append(said.text) if said.type == "error" else None)
     page.on("request", lambda asked: check_request(asked.url, faults))
@@ -160,7 +160,7 @@ def test_the_page_is_worked_by_keyboard_and_by_address(shot: Shot) -> None:
         page.fill("#find", "jawopen")
         rows = page.locator(".curve:visible")
         assert rows.count() == 1
-        page.wait_for_selector(".curve:visible path.s0")
+        page.wait_for_selector(".curve:visible path.k-solve")
         assert page.locator("h2", has_text="Measured against the keys").count() == 1
         assert page.locator("button:not([aria-label])").count() == 0
         page.emulate_media(media="print")

@@ -76,13 +76,18 @@ def read_web_file(name: str) -> bytes:
     return (_WEB / name).read_bytes()
 
 
-def viewer_source() -> str:
+def viewer_source(*scripts: str) -> str:
     """Return the viewer as the text of one ES module, for pages that may not load others.
 
     It can stand in a ``<script type="module">`` with the page's own code after it, which then uses
     `FaceViewer`, `unpackFace` and `bytesFromBase64` without importing them.
+
+    Parameters
+    ----------
+    *scripts : str
+        Files of the page's own code, that follow.
     """
-    parts = [read_web_file(name).decode("utf-8") for name in _VIEWER]
+    parts = [read_web_file(name).decode("utf-8") for name in (*_VIEWER, *scripts)]
     return "\n".join(_LINKS.sub("", part) for part in parts)
 
 

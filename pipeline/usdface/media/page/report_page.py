@@ -6,25 +6,32 @@ else: no network, no evaluation, no frames.
 """
 
 import base64
+import dataclasses
 import hashlib
 import html
 import json
 import re
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from usdface.core.arrays import FloatArray, index_of
 from usdface.core.errors import InputError
 from usdface.media.page.face_payload import FacePayload, read_web_file, viewer_source
+from usdface.media.picture.color import bytes_from_linear, heat_ramp
 
 WEIGHT_STEPS = 5000
 """Weights are told in steps of 0.0002: a shape of 30 mm then moves in steps of 6 micrometres."""
-_LARGEST = 32767 / WEIGHT_STEPS
+
+_MARKER_STEPS = 100
+"""Of a millimetre: a tenth of what a capture resolves, up to 327 mm from rest."""
+
+_SCRIPTS = ("report_page.js", "report_curves.js", "report_face.js", "report_notes.js", "report.js")
 _PLACE = re.compile("@[A-Z]+@")
 
 _ORIGIN = re.compile('<meta name="usdface" content="([^"]*)">')
@@ -37,9 +44,11 @@ class WeightCurves:
     """One set of weights over the page's pictures."""
 
     name: str
-    """``'solve'``, ``'edited'``, ``'baseline'``, ``'keys'`` …"""
+    """What the page calls it."""
     values: FloatArray
     """(pictures, shapes): NaN where there is nothing."""
+    kind: str = "solve"
+    """``'solve'``, ``'edited'``, ``'baseline'``, ``'keys'`` or ``'version'``: its colour."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +60,57 @@ class Strip:
     low: float
     high: float
     unit: str
+
+
+@dataclass(frozen=True)
+class PageMarkers:
+    """The performer's markers on the character."""
+
+    names: tuple[str, ...]
+    rest: FloatArray
+    """(markers, 3): places on the rig at rest [mm]."""
+    motion: FloatArray
+    """(pictures, markers, 3): from there; NaN where a marker is not known [mm]."""
+    key_deltas: FloatArray
+    """(keys, markers, 3): what each key of ``Deformer(rig).shapes`` does to the places [mm]."""
+
+
+@dataclass(frozen=True)
+class PageHeat:
+    """What may be painted on the face: a figure of each region, or the distance of two curves."""
+
+    name: str
+    high_mm: float
+    """What the last colour stands for [mm]."""
+    against: int | None = None
+    """Index of the curves from which the distance is shown."""
+    regions: tuple[str, ...] = ()
+    values: FloatArray | None = None
+    """(pictures, regions) [mm]"""
+
+
+@dataclass(frozen=True)
+class PageCommands:
+    """Command lines that take a frame to the tuning page."""
+
+    add: str = ""
+    tune: str = ""
+    """Empty where the references are not known."""
+    pairs: tuple[int, ...] = ()
+    """Frames that are references already."""
+
+
+@dataclass(frozen=True)
+class PageNotes:
+    """Notes that a page begins with, and what it says of its performance in those it writes."""
+
+    performance: str = ""
+    take: str = ""
+    version: str = ""
+    file: str = "notes.json"
+    """What the page calls the file that it saves."""
+    notes: tuple[Mapping[str, Any], ...] = ()
+    """As `usdface.specs.notes.ReviewNote` has them."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +171,13 @@ class ReviewPage:
     """What is said in each picture; or none."""
     origin: Mapping[str, object] | None = None
     """What made it, for those who make it again."""
+    markers: PageMarkers | None = None
+    heat: PageHeat | None = None
+    """Without it nothing is painted."""
+    gaze: tuple[str, ...] = ()
+    """Shapes that turn the eyes: no matter of the skin."""
+    notes: PageNotes = PageNotes()
+    commands: PageCommands = PageCommands()
 
 
 def read_page_origin(path: Path) -> str:
@@ -131,8 +198,8 @@ def read_page_origin(path: Path) -> str:
 
 def build_page(page: ReviewPage) -> str:
     """Return the page as HTML."""
-    style = read_web_file("report.css").decode("utf-8")
-    script = f"{viewer_source()}\n{read_web_file('report.js').decode('utf-8')}"
+    style = read_web_file("report.css").decode("utf-8").replace("@RAMP@", _ramp())
+    script = viewer_source(*_SCRIPTS)
     parts = {
         "@TITLE@": html.escape(page.title),
         "@LEVEL@": page.verdict[0],
@@ -145,7 +212,7 @@ def build_page(page: ReviewPage) -> str:
         "@DATA@": _in_script(_data(page)),
         "@FACEHEADER@": page.face.header_json(),
         "@FACE@": page.face.data_base64(),
-        "@CURVES@": "".join(_curves(each) for each in page.curves),
+        "@CURVES@": "".join(_arrays(page)),
         "@MOVIE@": _base64(page.movie),
         "@PICTURES@": "".join(_picture(each) for each in page.pictures),
         "@LISTINGS@": "".join(_listing(each) for each in page.listings),
@@ -168,7 +235,18 @@ def _data(page: ReviewPage) -> Mapping[str, Any]:
         "shapes": list(page.shapes),
         "regions": list(page.regions),
         "steps": WEIGHT_STEPS,
-        "curves": [curve.name for curve in page.curves],
+        "curves": [{"name": curve.name, "kind": curve.kind} for curve in page.curves],
+        "compared": _compared(page.curves),
+        "ramp": np.round(heat_ramp(np.linspace(0, 1, 5)), 4).tolist(),
+        "heat": _heat(page.heat),
+        "gaze": list(page.gaze),
+        "markers": _markers(page.markers),
+        "performance": page.notes.performance,
+        "take": page.notes.take,
+        "version": page.notes.version,
+        "notesFile": page.notes.file,
+        "notes": list(page.notes.notes),
+        "commands": dataclasses.asdict(page.commands),
         "strips": [
             {
                 "name": strip.name,
@@ -190,20 +268,73 @@ def _data(page: ReviewPage) -> Mapping[str, Any]:
     }
 
 
-def _curves(curve: WeightCurves) -> str:
-    """Return weights as 16-bit steps, shape by shape, deflated; the lowest number is no value."""
-    limited = np.clip(np.nan_to_num(curve.values.T), -_LARGEST, _LARGEST)
-    steps = np.round(limited * WEIGHT_STEPS).astype("<i2")
-    steps[np.isnan(curve.values.T)] = np.iinfo(np.int16).min
-    packed = _base64(zlib.compress(np.ascontiguousarray(steps).tobytes(), 9))
-    return f'<script type="text/plain" id="curve-{html.escape(curve.name)}">{packed}</script>\n'
+def _compared(curves: Sequence[WeightCurves]) -> int | None:
+    """Return which curves the errors of the shapes are counted from; None without any."""
+    kinds = [curve.kind for curve in curves]
+    ranked = (kinds.index(kind) for kind in ("keys", "version", "baseline") if kind in kinds)
+    return next(ranked, None)
+
+
+def _heat(heat: PageHeat | None) -> Mapping[str, Any] | None:
+    if heat is None:
+        return None
+    if heat.values is None:
+        return {"name": heat.name, "high": heat.high_mm, "against": heat.against}
+    values = np.round(np.nan_to_num(heat.values.T), 2).ravel().tolist()
+    return {
+        "name": heat.name,
+        "high": heat.high_mm,
+        "regions": list(heat.regions),
+        "values": values,
+    }
+
+
+def _markers(markers: PageMarkers | None) -> Mapping[str, Any] | None:
+    if markers is None:
+        return None
+    return {
+        "names": list(markers.names),
+        "rest": np.round(markers.rest, 3).ravel().tolist(),
+        "steps": _MARKER_STEPS,
+    }
+
+
+def _arrays(page: ReviewPage) -> Iterator[str]:
+    """Yield curves and markers as elements of numbers, deflated."""
+    for index, curve in enumerate(page.curves):
+        yield _array(f"curve-{index}", _steps(curve.values.T, WEIGHT_STEPS))
+    if page.markers is not None:
+        motion = _steps(page.markers.motion, _MARKER_STEPS).reshape(len(page.frames), -1)
+        # Differences in time wrap like the sums that undo them.
+        yield _array("markerMotion", np.diff(motion, axis=0, prepend=np.zeros_like(motion[:1])))
+        yield _array("markerDeltas", page.markers.key_deltas.astype("<f4"))
+
+
+def _steps(values: FloatArray, per_unit: int) -> NDArray[np.int16]:
+    """Return values as 16-bit steps; the lowest number is no value."""
+    most = np.iinfo(np.int16).max
+    steps = np.clip(np.round(np.nan_to_num(values) * per_unit), -most, most).astype("<i2")
+    steps[np.isnan(values)] = np.iinfo(np.int16).min
+    return steps
+
+
+def _array(name: str, values: NDArray[Any]) -> str:
+    packed = _base64(zlib.compress(np.ascontiguousarray(values).tobytes(), 9))
+    return f'<script type="text/plain" id="{name}">{packed}</script>\n'
+
+
+def _ramp() -> str:
+    """Return the colours of the scale, as a style has them."""
+    colors = bytes_from_linear(heat_ramp(np.linspace(0, 1, 9))).tolist()
+    return ", ".join(f"rgb({red} {green} {blue})" for red, green, blue in colors)
 
 
 def _picture(picture: PagePicture) -> str:
     source = f"data:{picture.kind};base64,{_base64(picture.data)}"
     return (
         f'<section class="picture"><h2>{html.escape(picture.title)}</h2>'
-        f'<img alt="{html.escape(picture.alt)}" src="{source}"></section>'
+        f'<button title="Show it in full, or fitted" aria-expanded="false">'
+        f'<img alt="{html.escape(picture.alt)}" src="{source}"></button></section>'
     )
 
 
@@ -220,8 +351,9 @@ def _listing(listing: Listing) -> str:
             + "".join(f"<td>{cell}</td>" for cell in cells[1:])
             + "</tr>"
         )
+    title = html.escape(listing.title)
     return (
-        f"<section><h2>{html.escape(listing.title)}</h2><table><thead><tr>{head}</tr></thead>"
+        f'<section><h2>{title}</h2><table aria-label="{title}"><thead><tr>{head}</tr></thead>'
         f"<tbody>{''.join(body)}</tbody></table></section>"
     )
 

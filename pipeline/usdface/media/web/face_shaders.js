@@ -40,6 +40,8 @@ centroid in vec3 vGaze;
 centroid in float vReach;
 flat in int vPart;
 uniform float tint;
+uniform int heat;
+uniform vec3 ramp[5];
 out vec4 color;
 
 const int SKIN = 0;
@@ -93,7 +95,13 @@ void main() {
   vec3 over = max(light - 0.6, 0.0);
   light = min(light, 0.6) + 0.4 * over / (over + 0.4);
   float luma = dot(light, vec3(0.21, 0.72, 0.07));
-  light = mix(light, TINT * (0.15 + luma), 0.75 * tint * clamp(vReach, 0.0, 1.0));
+  float reach = clamp(vReach, 0.0, 1.0);
+  if (heat == 0) light = mix(light, TINT * (0.15 + luma), 0.75 * tint * reach);
+  else if (skin) { // colours of the scale, shaded a little so that the form is seen
+    float at = 4.0 * reach;
+    int below = min(int(at), 3);
+    light = mix(ramp[below], ramp[below + 1], at - float(below)) * (0.6 + 0.8 * luma);
+  }
   vec3 shown = mix(12.92 * light, 1.055 * pow(light, vec3(1.0 / 2.4)) - 0.055,
                    step(0.0031308, light));
   color = vec4(shown, 1.0);

@@ -53,6 +53,8 @@ export class FaceViewer {
     this.renderMillis = 0;
     this.posed = true;
     this.reach = null;
+    this.heat = null;
+    this.compared = null;
     this.marks = null;
     this.request = 0;
     const gl = canvas.getContext("webgl2", { alpha: true, antialias: true });
@@ -112,6 +114,32 @@ export class FaceViewer {
     this.invalidate();
   }
 
+  /**
+   * Paint the skin with values; null takes the paint off. Not together with `highlight`.
+   * @param {null | {
+   *   values: Float32Array,  one per point
+   *   high: number,          what the last colour stands for; the first stands for 0
+   *   ramp: number[][],      five colours, r g b in linear light
+   * }} heat
+   */
+  paint(heat) {
+    this.heat = heat;
+    this.reach = heat && Uint8Array.from(heat.values, (v) => 255 * Math.min(Math.max(v / heat.high, 0), 1));
+    this.reachChanged = true;
+    this.invalidate();
+  }
+
+  /**
+   * Draw a second pose as well; null leaves it out.
+   * @param {null | {weights: Float32Array, how: "wipe" | "onion", share: number}} compared
+   *   `share`: of the width that shows the first pose, or how opaque it is [0-1]
+   */
+  compare(compared) {
+    this.compared = compared;
+    this.posed = false;
+    this.invalidate();
+  }
+
   /** Frame the face from where we are. */
   frameFace() {
     this.camera.frame();
@@ -147,11 +175,14 @@ export class FaceViewer {
       canvas.width = width;
       canvas.height = height;
     }
-    this.#pose(this.weights);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     this.view = this.camera.view();
     this.projection = this.camera.projection(width / height);
-    this.#drawFace(width, height);
+    if (this.compared) this.#drawCompared(width, height);
+    else {
+      this.#pose(this.weights);
+      this.#drawFace(width, height);
+    }
     if (this.marks) this.#drawMarks(ratio);
     if (this.marks?.labels) this.labels ??= new MarkerLabels(canvas);
     this.labels?.draw(this, ratio);
@@ -312,8 +343,44 @@ export class FaceViewer {
     gl.uniformMatrix4fv(uniforms.view, false, this.view);
     gl.uniformMatrix4fv(uniforms.projection, false, this.projection);
     gl.uniform1f(uniforms.tint, tint);
+    gl.uniform1i(uniforms.heat, this.heat && tint ? 1 : 0);
+    if (this.heat) gl.uniform3fv(uniforms["ramp[0]"], this.heat.ramp.flat());
     gl.bindVertexArray(this.array);
     gl.drawElements(gl.TRIANGLES, this.face.triangles.length, gl.UNSIGNED_INT, 0);
+  }
+
+  /** Two poses: side by side of a line, or the first over the second. The first is posed last. */
+  #drawCompared(width, height) {
+    const { gl } = this;
+    const { weights, how, share } = this.compared;
+    const line = Math.round(share * width);
+    const pose = (each) => {
+      this.posed = false;
+      this.#pose(each);
+    };
+    pose(weights);
+    gl.enable(gl.SCISSOR_TEST);
+    if (how === "wipe") gl.scissor(line, 0, width - line, height);
+    else gl.scissor(0, 0, width, height);
+    this.#drawFace(width, height, 0);
+    pose(this.weights);
+    if (how === "wipe") {
+      gl.scissor(0, 0, line, height);
+      this.#drawFace(width, height);
+    } else {
+      // Depth first: what lies behind the nearest skin must not shine through.
+      gl.colorMask(false, false, false, false);
+      this.#drawFace(width, height);
+      gl.colorMask(true, true, true, true);
+      gl.depthFunc(gl.EQUAL);
+      gl.enable(gl.BLEND);
+      gl.blendColor(0, 0, 0, share);
+      gl.blendFuncSeparate(gl.CONSTANT_ALPHA, gl.ONE_MINUS_CONSTANT_ALPHA, gl.ONE, gl.ZERO);
+      gl.drawElements(gl.TRIANGLES, this.face.triangles.length, gl.UNSIGNED_INT, 0);
+      gl.disable(gl.BLEND);
+      gl.depthFunc(gl.LEQUAL);
+    }
+    gl.disable(gl.SCISSOR_TEST);
   }
 
   /** Markers before the skin in full, those behind it as a hint; lines to where they should be. */

@@ -1,61 +1,33 @@
-// The report's player: one clock for video, face, curves and strips.
+// The report's player: one clock for video, face, curves, strips and notes.
 
-const data = JSON.parse(document.getElementById("data").textContent);
-const count = data.frames.length;
-const byId = (id) => document.getElementById(id);
-const SVG = "http://www.w3.org/2000/svg";
-const NOTHING = -32768;
-const COLUMNS = 1200; // as many as a wide screen shows
+import { NOTHING, announce, byId, count, data, inflate, node, pictureOf, tell } from "./report_page.js";
+import { Curves } from "./report_curves.js";
+import { Stage } from "./report_face.js";
+import { Notes } from "./report_notes.js";
 
-function node(name, attributes = {}, ...children) {
-  const made = name === "svg" || name === "path" ? document.createElementNS(SVG, name) : document.createElement(name);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  made.append(...children);
-  return made;
-}
-
-async function curve(name) {
-  const packed = bytesFromBase64(byId(`curve-${name}`).textContent);
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-  return new Int16Array(await new Response(stream).arrayBuffer());
-}
-
-/** A line through values, its ups and downs kept where there are more values than columns. */
-function line(value, low, high, fill = false) {
-  const step = Math.max(1, Math.ceil(count / COLUMNS));
-  const y = (v) => (1 - (Math.min(Math.max(v, low), high) - low) / (high - low)).toFixed(4);
-  let path = "", open = false, first = 0, last = 0;
-  for (let start = 0; start < count; start += step) {
-    let least = Infinity, most = -Infinity;
-    for (let i = start; i < Math.min(start + step, count); i++) {
-      const v = value(i);
-      if (v === null) continue;
-      if (v < least) least = v;
-      if (v > most) most = v;
-    }
-    if (most === -Infinity) { open = false; continue; }
-    if (!open) { path += `M${start} ${y(least)}`; open = true; if (path.length < 20) first = start; }
-    path += least === most ? `L${start} ${y(most)}` : `L${start} ${y(least)}L${start} ${y(most)}`;
-    last = start;
-  }
-  return fill && path ? `${path}L${last} 1L${first} 1Z` : path;
-}
+const FASTEST = 4;
+const QUIET_MS = 350; // readers hear where the player stands once it stands
 
 class Report {
   constructor(face, curves) {
     this.curves = curves;
     this.picture = -1;
-    this.shown = [];
     this.playing = false;
+    this.speed = 1;
+    this.way = 1;
+    this.range = null;
+    this.looping = false;
     this.naming = 0;
     this.scriptMillis = 0;
     this.viewer = new FaceViewer(byId("face"), face);
     const column = new Map(data.shapes.map((name, index) => [name, index]));
-    this.columns = Float32Array.from(face.names, (name) => column.get(name) ?? -1);
-    this.pose = curves[0];
+    this.columns = face.names.map((name) => column.get(name) ?? -1);
     this.video = data.movie ? byId("video") : null;
     this.seeking = false;
     this.wanted = null;
+    this.stage = new Stage(this.viewer, (curve, picture) => this.weightsAt(picture, curve));
+    this.plots = new Curves(curves);
+    this.notes = new Notes(new Map([["face", byId("facePane")], ["video", byId("videoPane")]]), this.#player());
   }
 
   /** Show a picture: the video follows, or led where it plays. */
@@ -64,29 +36,35 @@ class Report {
     if (at === this.picture) return;
     const start = performance.now();
     this.picture = at;
-    this.viewer.setWeights(this.weightsAt(at));
-    document.documentElement.style.setProperty("--at", count > 1 ? at / (count - 1) : 0);
+    this.stage.show(at);
     const frame = data.frames[at], code = data.timecodes[at] ?? "";
     byId("clock").textContent = `${code}  ${frame}`.trim();
     byId("said").textContent = data.labels[data.said[at]] ?? "";
     clearTimeout(this.naming); // browsers refuse an address that changes with every frame
-    this.naming = setTimeout(() => history.replaceState(null, "", `#${data.frames[this.picture]}`), 200);
+    this.naming = setTimeout(() => this.#settled(), QUIET_MS);
     const scrub = byId("scrub");
     scrub.value = at;
     scrub.setAttribute("aria-valuetext", `frame ${frame}${code ? `, ${code}` : ""}`);
-    for (const { values, into } of this.shown) into.textContent = values(at);
+    this.plots.show(at, this.stage.curve);
+    this.notes.show(at);
     for (const link of byId("worst").querySelectorAll("a")) {
       link.setAttribute("aria-current", String(link.hash === `#${frame}`));
     }
+    this.#command(frame);
     if (this.video && !fromVideo) this.seek(at);
     this.scriptMillis = performance.now() - start;
   }
 
-  weightsAt(at) {
-    return this.columns.map((column) => {
-      const step = column < 0 ? 0 : this.pose.values[column * count + at];
+  weightsAt(at, curve = this.stage.curve) {
+    const { values } = this.curves[curve];
+    const weights = Float32Array.from(this.columns, (column) => {
+      const step = column < 0 ? 0 : values[column * count + at];
       return step === NOTHING ? 0 : step / data.steps;
     });
+    const change = curve === 0 ? this.notes?.correction(at) : null;
+    const place = change ? this.viewer.face.names.indexOf(change.shape) : -1;
+    if (place >= 0) weights[place] = change.override ?? weights[place] + change.add;
+    return weights;
   }
 
   /** Go to the next or the previous moment to review, in order of time. */
@@ -95,6 +73,11 @@ class Report {
     const next = way > 0 ? moments.find((at) => at > this.picture) : moments.findLast((at) => at < this.picture);
     this.play(false);
     this.show(next ?? moments.at(way > 0 ? 0 : -1) ?? this.picture);
+  }
+
+  step(by) {
+    this.play(false);
+    this.show(this.picture + by);
   }
 
   /** One seek at a time; while one is on its way only the newest is remembered. */
@@ -108,6 +91,7 @@ class Report {
 
   seeked() {
     this.seeking = false;
+    this.#restart(); // a video that plays on is the clock from here
     if (this.wanted !== null) {
       const picture = this.wanted;
       this.wanted = null;
@@ -115,23 +99,45 @@ class Report {
     }
   }
 
-  play(on = !this.playing) {
+  /** Play, at `speed`, forward or back; the video leads where it can. */
+  play(on = !this.playing, { way = 1, speed = Number(byId("speed").value) } = {}) {
     this.playing = on;
+    this.way = way;
+    this.speed = speed;
     byId("play").textContent = on ? "❚❚" : "▶";
     byId("play").setAttribute("aria-label", on ? "Pause" : "Play");
-    if (on && this.picture >= count - 1) this.show(0);
+    const [first, last] = this.#limits();
+    if (on && (way > 0 ? this.picture >= last : this.picture <= first)) this.show(way > 0 ? first : last);
     if (this.video) {
-      if (on) this.video.play().catch(() => this.play(false)); else this.video.pause();
-    } else if (on) {
-      const from = this.picture, start = performance.now();
-      const tick = (now) => {
-        if (!this.playing) return;
-        const picture = from + Math.floor(((now - start) / 1000) * data.rate);
-        this.show(picture);
-        if (picture >= count - 1) this.play(false); else requestAnimationFrame(tick);
-      };
-      requestAnimationFrame(tick);
+      this.video.playbackRate = speed;
+      if (on && way > 0) this.video.play().catch(() => this.play(false)); else this.video.pause();
     }
+    this.#restart();
+    cancelAnimationFrame(this.ticking);
+    if (on) this.ticking = requestAnimationFrame((now) => this.#tick(now));
+  }
+
+  /** J and L: play back or on; again, twice as fast. */
+  shuttle(way) {
+    const faster = this.playing && this.way === way;
+    this.play(true, { way, speed: faster ? Math.min(2 * this.speed, FASTEST) : Number(byId("speed").value) });
+  }
+
+  /** Set one end of the range that is looped to where the player stands. */
+  mark(end) {
+    const [first, last] = this.range ?? [0, count - 1];
+    const at = this.picture;
+    this.setRange(end === "first" ? [at, last > at ? last : count - 1] : [first < at ? first : 0, at]);
+  }
+
+  setRange(range, looping = true) {
+    this.range = range && range[1] > range[0] ? range : null;
+    this.looping = looping && this.range !== null;
+    byId("loop").setAttribute("aria-pressed", String(this.looping));
+    byId("range").textContent = this.range ? `${data.frames[this.range[0]]}–${data.frames[this.range[1]]}` : "";
+    byId("clear").hidden = byId("toRange").hidden = !this.range;
+    this.plots.mark(this.range);
+    this.notes.rangeChanged();
   }
 
   openVideo() {
@@ -140,21 +146,22 @@ class Report {
       return;
     }
     byId("videoPane").hidden = false;
-    this.video.src = URL.createObjectURL(
+    const { video } = this;
+    video.src = URL.createObjectURL(
       new Blob([bytesFromBase64(byId("movie").textContent)], { type: data.movie }),
     );
-    this.video.addEventListener("seeked", () => this.seeked());
-    this.video.addEventListener("ended", () => { this.show(count - 1, { fromVideo: true }); this.play(false); });
-    this.video.addEventListener("error", () => {
+    video.addEventListener("seeked", () => this.seeked());
+    video.addEventListener("ended", () => { if (this.playing) this.#arrive(); });
+    video.addEventListener("error", () => {
       tell("the video cannot be played by this browser; the face and the curves still can");
       this.video = null;
     });
+    this.mediaTime = null; // of the picture that is seen, where the browser says so
     const follow = (_now, { mediaTime }) => {
-      if (this.playing) this.show(Math.floor(mediaTime * data.rate + 1e-3), { fromVideo: true });
-      this.video?.requestVideoFrameCallback?.(follow);
+      this.mediaTime = mediaTime;
+      video.requestVideoFrameCallback(follow);
     };
-    if (this.video.requestVideoFrameCallback) this.video.requestVideoFrameCallback(follow);
-    else this.video.addEventListener("timeupdate", () => follow(0, { mediaTime: this.video.currentTime }));
+    video.requestVideoFrameCallback?.(follow);
   }
 
   fillWorst() {
@@ -168,175 +175,196 @@ class Report {
     if (!data.worst.length) byId("worst").append(node("li", {}, "nothing stands out"));
   }
 
-  plot(paths, low, high) {
-    const svg = node("svg", { viewBox: `0 0 ${Math.max(count - 1, 1)} 1`, preserveAspectRatio: "none", "aria-hidden": "true" });
-    if (low < 0 && high > 0) {
-      const zero = (high / (high - low)).toFixed(4);
-      svg.append(node("path", { class: "zero", d: `M0 ${zero}L${count - 1} ${zero}` }));
-    }
-    for (const [kind, d] of paths) svg.append(node("path", { class: kind, d }));
-    const plot = node("div", { class: "plot" }, svg);
-    const drag = (event) => {
-      const box = plot.getBoundingClientRect();
-      this.play(false);
-      this.show(((event.clientX - box.left) / box.width) * (count - 1));
-    };
-    plot.addEventListener("pointerdown", (event) => { plot.setPointerCapture(event.pointerId); drag(event); });
-    plot.addEventListener("pointermove", (event) => { if (event.buttons & 1) drag(event); });
-    return plot;
-  }
-
-  fillStrips() {
-    for (const [index, strip] of data.strips.entries()) {
-      const value = (i) => strip.values[i];
-      const kind = `s${index % 2}`;
-      const plot = this.plot([[`fill ${kind}`, line(value, strip.low, strip.high, true)], [kind, line(value, strip.low, strip.high)]], strip.low, strip.high);
-      const into = node("span", { class: "value" });
-      const scale = `${strip.low.toFixed(0)}–${strip.high.toPrecision(2)} ${strip.unit}`;
-      byId("strips").append(node("div", { class: "strip" }, node("span", { class: "name" }, `${strip.name} `, node("small", {}, scale)), plot, into));
-      this.shown.push({ into, values: (i) => (strip.values[i] === null ? "–" : strip.values[i].toFixed(2)) });
-    }
-  }
-
-  fillCurves() {
-    for (const [index, { name }] of this.curves.entries()) {
-      const sample = node("svg", { viewBox: "0 0 10 2", preserveAspectRatio: "none" }, node("path", { class: `s${index}`, d: "M0 1L10 1" }));
-      byId("legend").append(node("li", {}, sample, name));
-      byId("which").append(node("option", { value: index }, name));
-    }
-    let region = null;
-    const order = data.shapes.map((_, i) => i).sort((a, b) => data.regions[a].localeCompare(data.regions[b]) || a - b);
-    this.rows = [];
-    for (const shape of order) {
-      if (data.regions[shape] !== region) {
-        region = data.regions[shape];
-        this.rows.push({ head: true, row: byId("rows").appendChild(node("div", { class: "region" }, region)) });
-      }
-      const name = data.shapes[shape];
-      const row = node("div", { class: "curve", "data-shape": name }, node("span", { class: "name", title: name }, name));
-      byId("rows").append(row);
-      let moves = false;
-      for (const { values } of this.curves.slice(0, 2)) {
-        for (let i = 0; i < count && !moves; i++) moves = Math.abs(values[shape * count + i]) > 0.01 * data.steps;
-      }
-      this.rows.push({ row, shape, name, moves, drawn: false });
-    }
-    const seen = new IntersectionObserver((entries) => {
-      for (const entry of entries) if (entry.isIntersecting) this.drawCurve(this.rows.find(({ row }) => row === entry.target));
-    }, { rootMargin: "400px" });
-    for (const each of this.rows) if (!each.head) seen.observe(each.row);
-    this.filter();
-  }
-
-  drawCurve(entry) {
-    if (entry.drawn) return;
-    entry.drawn = true;
-    let low = 0, high = 1;
-    const value = (values) => (i) => {
-      const step = values[entry.shape * count + i];
-      return step === NOTHING ? null : step / data.steps;
-    };
-    for (const { values } of this.curves) {
-      for (let i = 0; i < count; i++) {
-        const v = value(values)(i);
-        if (v !== null) { low = Math.min(low, v); high = Math.max(high, v); }
-      }
-    }
-    const paths = this.curves.map(({ values }, index) => [`s${index}`, line(value(values), low, high)]).reverse();
-    const into = node("span", { class: "value" });
-    entry.row.append(this.plot(paths, low, high), into);
-    const values = (i) => { const v = value(this.pose.values)(i); return v === null ? "–" : v.toFixed(3); };
-    this.shown.push({ into, values });
-    into.textContent = values(Math.max(this.picture, 0));
-  }
-
-  /** Show the shapes that are looked for; of those at rest only when asked. */
-  filter() {
-    const wanted = byId("find").value.trim().toLowerCase(), quiet = byId("quiet").checked;
-    let head = null, any = false;
-    for (const each of [...this.rows, { head: true }]) {
-      if (each.head) {
-        if (head) head.hidden = !any;
-        head = each.row ?? null;
-        any = false;
-        continue;
-      }
-      each.row.hidden = !(each.name.toLowerCase().includes(wanted) && (each.moves || quiet || wanted));
-      any ||= !each.row.hidden;
-    }
-  }
-
   fromAddress() {
     const frame = Number.parseInt(location.hash.slice(1), 10);
     if (!Number.isFinite(frame)) return;
-    let best = 0;
-    for (let i = 1; i < count; i++) if (Math.abs(data.frames[i] - frame) < Math.abs(data.frames[best] - frame)) best = i;
     this.play(false);
-    this.show(best);
+    const at = pictureOf(frame);
+    this.show(at);
+    if (data.frames[at] !== frame) announce(`frame ${frame} is not in this report; this is ${data.frames[at]}`);
   }
 
   wire() {
     const scrub = byId("scrub");
     scrub.max = count - 1;
-    scrub.addEventListener("input", () => { this.play(false); this.show(Number(scrub.value)); });
-    byId("play").addEventListener("click", () => this.play());
-    byId("back").addEventListener("click", () => { this.play(false); this.show(this.picture - 1); });
-    byId("on").addEventListener("click", () => { this.play(false); this.show(this.picture + 1); });
-    byId("find").addEventListener("input", () => this.filter());
-    byId("quiet").addEventListener("change", () => this.filter());
-    byId("which").addEventListener("change", (event) => {
-      this.pose = this.curves[Number(event.target.value)];
-      const at = this.picture;
-      this.picture = -1;
-      this.show(at, { fromVideo: true });
-    });
+    const on = (id, event, action) => byId(id).addEventListener(event, action);
+    on("scrub", "input", () => { this.play(false); this.show(Number(scrub.value)); });
+    on("play", "click", () => this.play());
+    on("back", "click", () => this.step(-1));
+    on("on", "click", () => this.step(1));
+    on("speed", "change", () => { if (this.playing) this.play(true, { way: this.way }); });
+    on("loop", "click", () => this.#loop());
+    on("clear", "click", () => this.setRange(null));
+    on("toRange", "click", () => this.#zoomToRange());
+    on("which", "posed", () => this.plots.show(this.picture, this.stage.curve));
+    on("copy", "click", () => this.#copy());
+    this.plots.addEventListener("seek", ({ detail }) => { this.play(false); this.show(detail); });
+    this.plots.addEventListener("range", ({ detail }) => this.setRange(detail.map((at) => Math.min(Math.max(at, 0), count - 1))));
+    this.notes.addEventListener("seek", ({ detail }) => { this.play(false); this.show(detail); });
+    this.notes.addEventListener("preview", () => this.stage.again());
+    for (const image of document.querySelectorAll(".picture img")) {
+      const zoom = image.parentElement;
+      zoom.addEventListener("click", () => zoom.setAttribute("aria-expanded", String(zoom.parentElement.classList.toggle("full"))));
+    }
     addEventListener("hashchange", () => this.fromAddress());
     // A link to the frame in the address changes nothing there, and still goes to it.
     addEventListener("click", (event) => { if (event.target.closest?.("a[href^='#']")) setTimeout(() => this.fromAddress()); });
-    addEventListener("keydown", (event) => {
-      if (event.altKey || event.ctrlKey || event.metaKey) return;
-      const typing = event.target.matches?.("input[type=search], select, canvas");
-      const step = { ArrowLeft: -1, ArrowRight: 1, Home: -Infinity, End: Infinity }[event.key];
-      // What a space means something to keeps it; a link and the scrubber do not.
-      const own = "button, input:not([type=range]), select";
-      const way = { n: 1, p: -1 }[event.key];
-      if (event.key === " " && !event.target.matches?.(own)) this.play();
-      else if (way && !event.target.matches?.("input[type=search], select")) this.review(way);
-      else if (step !== undefined && !typing && event.target !== scrub) {
-        this.play(false);
-        this.show(step === -Infinity ? 0 : step === Infinity ? count - 1 : this.picture + step);
-      } else return;
-      event.preventDefault();
-    });
+    addEventListener("keydown", (event) => this.#key(event));
     addEventListener("beforeprint", () => this.keepStill());
   }
 
   /** A graphics context is empty on paper: put a picture in its place. */
   keepStill() {
-    for (const entry of this.rows) if (!entry.head && !entry.row.hidden) this.drawCurve(entry);
+    this.plots.drawAll();
     const still = byId("still");
     const image = this.viewer.thumbnail(this.weightsAt(this.picture), 640, 640);
     still.width = image.width;
     still.height = image.height;
     still.getContext("2d").putImageData(image, 0, 0);
   }
-}
 
-function tell(message) {
-  byId("fault").textContent = message;
-  byId("fault").hidden = false;
+  /** What the notes know of the player. */
+  #player() {
+    const report = this;
+    return {
+      get picture() { return Math.max(report.picture, 0); },
+      get range() { return report.range; },
+      pause: () => report.play(false),
+      view() {
+        const { yaw, pitch, distance, target } = report.viewer.camera;
+        return { yaw, pitch, distance, target: [...target] };
+      },
+      look({ yaw, pitch, distance, target }) {
+        if (![yaw, pitch, distance, ...(target ?? [NaN])].every(Number.isFinite) || target.length !== 3) return;
+        Object.assign(report.viewer.camera, { yaw, pitch, distance, target: [...target] });
+        report.viewer.invalidate();
+      },
+    };
+  }
+
+  #limits() {
+    return this.looping && this.range ? this.range : [0, count - 1];
+  }
+
+  /** Count time from here. */
+  #restart() {
+    this.from = this.picture;
+    this.begun = performance.now();
+    this.mediaTime = null;
+  }
+
+  #tick(now) {
+    if (!this.playing) return;
+    const led = this.video && this.way > 0;
+    const seconds = Math.max(now - this.begun, 0) / 1000; // a frame's clock may be a little behind
+    let at = this.from + this.way * Math.floor(seconds * data.rate * this.speed);
+    if (led) at = this.seeking ? this.picture : Math.floor((this.mediaTime ?? this.video.currentTime) * data.rate + 1e-3);
+    const [first, last] = this.#limits();
+    if (this.way > 0 ? at >= last && (this.looping || !led) && at > this.from : at <= first) { this.#arrive(); return; }
+    this.show(at, { fromVideo: led });
+    this.ticking = requestAnimationFrame((next) => this.#tick(next));
+  }
+
+  /** The end: again from the start of the loop, or rest on the last picture. */
+  #arrive() {
+    const [first, last] = this.#limits();
+    this.show(this.way > 0 ? last : first, { fromVideo: true });
+    if (!this.looping) { this.play(false); return; }
+    this.show(this.way > 0 ? first : last);
+    this.play(true, { way: this.way, speed: this.speed });
+  }
+
+  /** The player rests: the address names the frame, and readers hear of it. */
+  #settled() {
+    const frame = data.frames[this.picture];
+    history.replaceState(null, "", `#${frame}`);
+    if (this.playing) return;
+    const moment = data.worst.find(({ picture }) => picture === this.picture);
+    const figures = data.strips.map(({ name, unit, values }) => `${name} ${values[this.picture]?.toFixed(2) ?? "unknown"} ${unit}`);
+    announce([`frame ${frame}`, moment && `${moment.region} ${moment.reason}`, ...figures].filter(Boolean).join(", "));
+  }
+
+  #loop() {
+    if (this.range) this.setRange(this.range, !this.looping);
+    else this.setRange([0, count - 1]);
+  }
+
+  #zoomToRange() {
+    if (this.range) this.plots.zoomTo(...this.range);
+  }
+
+  /** The command that takes the shown frame to the tuning page. */
+  #command(frame) {
+    const { add, tune, pairs } = data.commands;
+    byId("copy").parentElement.hidden = !tune;
+    if (!tune) return;
+    const text = pairs.includes(frame) ? `${tune} --frame ${frame}` : `${add} --frames ${frame} && ${tune} --frame ${frame}`;
+    byId("command").value = text;
+  }
+
+  async #copy() {
+    const text = byId("command").value;
+    try {
+      await navigator.clipboard.writeText(text);
+    } catch { // not allowed here: select it, to be copied by hand
+      byId("command").select();
+      document.execCommand?.("copy");
+    }
+    clearTimeout(this.naming);
+    this.#settled();
+    announce(`copied: ${text}`);
+  }
+
+  #key(event) {
+    if (event.altKey || event.ctrlKey || event.metaKey) return;
+    const { target } = event;
+    if (event.key === "Escape") {
+      if (this.notes.drawing) this.notes.draw(false);
+      else if (!byId("noteForm").hidden) this.notes.close();
+      else this.setRange(null);
+      return;
+    }
+    if (target.matches?.("input:not([type=range], [type=checkbox]), textarea")) return;
+    // What a key means something to keeps it: a button its space, a list its letters, a face its arrows.
+    if (event.key === " " && target.matches?.("button, input, select") && target !== byId("scrub")) return;
+    if (target.matches?.("select")) return;
+    if (target === byId("face") && /^(Arrow|[+=\-0f]$)/i.test(event.key)) return;
+    if (target.matches?.("input[type=range]") && /^(Arrow|Home|End|Page)/.test(event.key)) return;
+    const press = (id) => () => byId(id).click();
+    const actions = {
+      " ": () => this.play(), ArrowLeft: () => this.step(-1), ArrowRight: () => this.step(1),
+      Home: () => this.step(-Infinity), End: () => this.step(Infinity),
+      n: () => this.review(1), p: () => this.review(-1),
+      j: () => this.shuttle(-1), k: () => this.play(false), l: () => this.shuttle(1),
+      "[": () => this.mark("first"), "]": () => this.mark("last"), o: () => this.#loop(),
+      s: () => this.#nextSpeed(), z: () => this.#zoomToRange(), "+": () => this.plots.zoom(0.5),
+      "=": () => this.plots.zoom(0.5), "-": () => this.plots.zoom(2), 0: () => this.plots.zoomAll(),
+      t: () => this.notes.open(), d: () => this.notes.draw(), m: press("markers"), h: press("heat"),
+      "?": press("help"),
+    };
+    const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+    if (!action) return;
+    event.preventDefault();
+    action();
+  }
+
+  #nextSpeed() {
+    const speed = byId("speed");
+    speed.selectedIndex = (speed.selectedIndex + 1) % speed.options.length;
+    speed.dispatchEvent(new Event("change"));
+    announce(`speed ${speed.selectedOptions[0].text}`);
+  }
 }
 
 try {
   const header = JSON.parse(byId("faceHeader").textContent);
   const face = await unpackFace(header, bytesFromBase64(byId("faceData").textContent));
   const curves = [];
-  for (const name of data.curves) curves.push({ name, values: await curve(name) });
+  for (const [index, each] of data.curves.entries()) curves.push({ ...each, values: new Int16Array(await inflate(`curve-${index}`)) });
   const report = new Report(face, curves);
+  await report.stage.load();
   report.openVideo();
   report.fillWorst();
-  report.fillStrips();
-  report.fillCurves();
   report.wire();
   report.show(0);
   report.fromAddress();

@@ -38,7 +38,7 @@ async function main() {
   const page = new Page(known, state, outbox, pick("region"));
   if (recovered) page.tell(`${recovered} values that could not be sent before were taken up again`);
   globalThis.tune = page; // for tests and for the curious
-  state.go(0);
+  state.go(known.first);
   const markers = ask("/markers.json"); // the server places them while the face is fetched
   markers.catch(() => {});
   await page.loadFace();
@@ -56,12 +56,16 @@ class Page {
     $("asset").textContent = known.name;
     $("rig").textContent = known.rig;
     document.title = `${known.name} · tune`;
-    this.panel = new ShapePanel($("shapes"), state, regions, (shape) =>
-      this.viewer?.highlight(shape === null ? null : known.columns[shape]),
+    this.panel = new ShapePanel(
+      $("shapes"),
+      state,
+      regions,
+      (shape) => this.viewer?.highlight(shape === null ? null : known.columns[shape]),
+      (shapes, part) => this.choose(true, shapes, part),
     );
     this.film = new FilmStrip($("film"), state, (pair) => this.pick(pair));
     this.video = new VideoPane($("picture"), $("noPicture"), $("videoNote"));
-    if (known.pairs.every((pair) => pair.noPicture)) document.querySelector("main").classList.add("bareVideo");
+    if (known.pairs.every((pair) => pair.noPicture)) document.querySelector("main").classList.add("noVideo");
     state.addEventListener("weights", ({ detail: { pair } }) => {
       if (pair === state.current) this.pose();
       this.buttons();
@@ -83,11 +87,7 @@ class Page {
 
   async loadFace() {
     const face = await unpackFace(this.known.face, await (await ask("/face.bin")).arrayBuffer());
-    this.viewer = new FaceViewer($("view"), face, {
-      onDraw: () => {
-        $("timing").textContent = `${this.viewer.renderMillis.toFixed(1)} ms`;
-      },
-    });
+    this.viewer = new FaceViewer($("view"), face);
     $("veil").hidden = true;
     this.pose();
     this.film.start((pair, width, height) =>
@@ -97,8 +97,9 @@ class Page {
 
   async loadMarkers(response) {
     const markers = await response.json();
+    $("markers").removeAttribute("aria-busy");
+    $("markers").disabled = $("labels").disabled = Boolean(markers.reason);
     if (markers.reason) {
-      $("markers").disabled = $("labels").disabled = true;
       $("markers").title = `No markers: ${markers.reason}`;
       this.tell(`No residual: ${markers.reason}`);
       return;
@@ -191,6 +192,11 @@ class Page {
     $("total").textContent = ` / ${state.pairs.length}`;
     const facts = [`frame ${pair.frame}`, pair.take, pair.viseme, pair.emotion].filter(Boolean);
     $("facts").textContent = facts.join(" · ");
+    $("remarks").replaceChildren(...pair.notes.map((text) => {
+      const item = document.createElement("li");
+      item.textContent = text;
+      return item;
+    }));
     this.video.show(state.current, state.pairs);
     this.film.paint();
     this.pose();
@@ -205,6 +211,8 @@ class Page {
     $("done").setAttribute("aria-pressed", state.done[state.current]);
     $("previous").disabled = state.current === 0;
     $("next").disabled = state.current === state.pairs.length - 1;
+    const done = state.done.filter(Boolean).length;
+    $("progress").textContent = `${done} of ${state.pairs.length} done`;
   }
 
   step(by) {
@@ -240,18 +248,20 @@ class Page {
     $("link").setAttribute("aria-pressed", this.state.linked);
   }
 
-  /** Choose a pair to copy from, or stop choosing. */
-  choose(on = !this.picking) {
+  /** Choose a pair to copy all shapes or a part's from, or stop choosing. */
+  choose(on = !this.picking, shapes = undefined, part = "face") {
     this.picking = on;
+    this.copied = shapes;
     $("film").classList.toggle("picking", on);
-    if (on) this.tell("Click the pair to copy from; Esc leaves", 0);
+    if (on) this.tell(`Click the pair to copy the ${part} from; Esc leaves`, 0);
     else this.hush();
   }
 
   pick(pair) {
     if (this.picking) {
+      const shapes = this.copied;
       this.choose(false);
-      this.state.copyFrom(pair);
+      this.state.copyFrom(pair, shapes);
     } else this.state.go(pair);
   }
 
@@ -269,17 +279,13 @@ class Page {
 
   tell(text, seconds = 6) {
     this.hush();
-    this.note = document.createElement("p");
-    this.note.className = "note";
-    this.note.setAttribute("role", "status");
-    this.note.textContent = text;
-    document.body.append(this.note);
+    $("message").textContent = $("message").title = text;
     if (seconds) this.noteTimer = setTimeout(() => this.hush(), 1000 * seconds);
   }
 
   hush() {
     clearTimeout(this.noteTimer);
-    this.note?.remove();
+    $("message").textContent = "";
   }
 
   toggleVideo() {
@@ -322,6 +328,8 @@ class Page {
       });
     }
     $("search").addEventListener("input", () => this.panel.find($("search").value));
+    $("search").addEventListener("keydown", (event) => { if (event.key === "Enter") this.panel.enter(); });
+    $("sieve").addEventListener("change", ({ target }) => { this.film.sieve(target.value); target.blur(); });
     $("before").addEventListener("pointerdown", () => this.hold(true));
     for (const name of ["pointerup", "pointercancel", "blur"]) {
       addEventListener(name, () => this.hold(false));

@@ -69,16 +69,28 @@ export class FilmStrip {
       const tuned = this.state.isTuned(pair);
       element.classList.toggle("done", done);
       element.classList.toggle("tuned", tuned);
+      element.classList.toggle("sieved", !this.#wanted(pair));
       mark.title = done ? "done" : tuned ? "changed, not done" : "as proposed";
     }
   }
 
+  /** Show all pairs, or those `todo`, `done` or `noted`. */
+  sieve(which) {
+    this.which = which;
+    this.paint();
+  }
+
+  #wanted(pair) {
+    const done = this.state.done[pair], noted = this.state.pairs[pair].notes.length > 0;
+    return { todo: !done, done, noted }[this.which] ?? true;
+  }
+
   #tile(pair, index, onPick) {
     const element = document.createElement("button");
-    element.className = "tile";
+    element.className = pair.notes.length ? "tile noted" : "tile";
     element.dataset.pair = index;
     element.tabIndex = -1;
-    element.title = [`pair ${index + 1}`, `frame ${pair.frame}`, pair.take, pair.viseme, pair.emotion]
+    element.title = [`pair ${index + 1}`, `frame ${pair.frame}`, pair.take, pair.viseme, pair.emotion, ...pair.notes]
       .filter(Boolean)
       .join(" · ");
     const canvas = document.createElement("canvas");

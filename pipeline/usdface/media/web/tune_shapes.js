@@ -16,15 +16,28 @@ function besides(shapes, mirror) {
   return out;
 }
 
+/** Whether the letters of each word of a query come in a name, in that order: jw op finds jawOpen. */
+function matches(name, query) {
+  return query.split(/\s+/).every((word) => {
+    let at = 0;
+    return [...word].every((letter) => {
+      at = name.indexOf(letter, at) + 1;
+      return at > 0;
+    });
+  });
+}
+
 export class ShapePanel {
   /**
    * @param {HTMLElement} root
    * @param {TuneState} state
    * @param {string[]} regions of each shape
    * @param {(shape: number | null) => void} onHover
+   * @param {(shapes: number[], part: string) => void} onCopy a part is to be copied from a pair
    */
-  constructor(root, state, regions, onHover) {
+  constructor(root, state, regions, onHover, onCopy) {
     this.root = root;
+    this.onCopy = onCopy;
     this.state = state;
     this.rows = [];
     this.groups = [];
@@ -59,6 +72,13 @@ export class ShapePanel {
     this.#sieve();
   }
 
+  /** Go to the first slider that is shown. */
+  enter() {
+    const first = this.rows.find(({ element, group }) => !element.hidden && !group.details.hidden);
+    first?.range.focus();
+    first?.element.scrollIntoView({ block: "nearest" });
+  }
+
   /** Bring rows to what the weights are. */
   paint(shapes = this.state.names.keys()) {
     for (const shape of shapes) this.#paintRow(this.rows[shape]);
@@ -81,7 +101,14 @@ export class ShapePanel {
       event.preventDefault();
       this.state.reset(shapes.filter((shape) => this.state.differs(shape)));
     });
-    summary.append(title, count, reset);
+    const copy = document.createElement("button");
+    copy.textContent = "Copy…";
+    copy.title = "Copy this part from another pair";
+    copy.addEventListener("click", (event) => {
+      event.preventDefault();
+      this.onCopy(shapes, title.textContent);
+    });
+    summary.append(title, count, copy, reset);
     details.append(summary);
     const group = { details, shapes, count, reset };
     for (const shape of shapes) details.append(this.#row(shape, group));
@@ -176,7 +203,7 @@ export class ShapePanel {
       let some = false;
       for (const shape of shapes) {
         const { element } = this.rows[shape];
-        const named = state.names[shape].toLowerCase().includes(this.query);
+        const named = matches(state.names[shape].toLowerCase(), this.query);
         const wanted =
           this.filter === "all" ||
           (this.filter === "changed" && state.differs(shape)) ||

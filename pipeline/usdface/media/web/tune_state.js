@@ -117,9 +117,11 @@ export class TuneState extends EventTarget {
     this.set(new Map(this.mirror.map((partner, shape) => [shape, row[partner]])));
   }
 
-  copyFrom(pair) {
+  /** Take the weights of another pair: of all shapes, or of some. */
+  copyFrom(pair, shapes = this.names.keys()) {
     this.endGesture();
-    this.set(new Map(Array.from(this.row(pair), (value, shape) => [shape, value])));
+    const row = this.row(pair);
+    this.set(new Map(Array.from(shapes, (shape) => [shape, row[shape]])));
   }
 
   setDone(done, pair = this.current) {

@@ -1,6 +1,7 @@
 """Fold a change into the edits of a performance."""
 
 import difflib
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from usdface.numerics.motion.key_reduction import (
 )
 from usdface.runner.result import StepResult
 from usdface.specs.edits import EditSpec
+from usdface.specs.notes import read_notes
 from usdface.specs.paths import frame_range
 from usdface.usdio.performance.edits import (
     ShapeEdit,
@@ -35,46 +37,122 @@ FARTHEST_BEYOND = UNSAMPLED_FRAMES // 4
 span is one that needs no samples to bear it out."""
 
 
+@dataclass(frozen=True)
+class _Change:
+    """What is to be done to some shapes over a range of frames."""
+
+    shapes: tuple[str, ...]
+    add: float | None = None
+    override: float | None = None
+    """Neither: cleared."""
+    frames: tuple[int, int] | None = None
+    """None: all."""
+    fade: int = 0
+
+    @property
+    def reach(self) -> tuple[int, int] | None:
+        """The frames around it that it holds still; None where it is of all frames."""
+        if self.frames is None:
+            return None
+        return self.frames[0] - self.fade - 1, self.frames[1] + self.fade + 1
+
+    def mask(self, frames: IntArray) -> FloatArray:
+        """Return how much of it each frame has."""
+        if self.frames is None:
+            return np.ones(len(frames))
+        return fade_mask(frames, *self.frames, fade=self.fade)
+
+    def folded(self, curve: EditCurve, mask: FloatArray) -> EditCurve:
+        """Return an edit with the change folded in."""
+        if self.add is not None:
+            return add_to_edit(curve, self.add, mask)
+        if self.override is not None:
+            return override_edit(curve, self.override, mask)
+        return clear_edit(curve, mask)
+
+
 def run(spec: EditSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Change the shapes named over the frames named, and keep all other edits."""
     stamp = edits_stamp(spec.performance)
     reader = PerformanceReader(spec.performance, prim=spec.prim)
-    _check_shapes(spec, reader)
-    first, last = frame_range(spec.frames) or (reader.first_frame, reader.last_frame)
+    notes: list[str] = []
+    changes = _changes(spec, reader, notes)
+    for change in changes:
+        _check_change(spec, change, reader)
+    # A change of all frames holds beyond the performance's ends, as a take mapped further needs it;
+    # one of some frames ends where it was told to, though the performance may end there, too.
+    reaches = [change.reach for change in changes if change.reach is not None]
+    reach = (min(a for a, _ in reaches), max(b for _, b in reaches)) if reaches else None
+    frames = all_frames(reader, reach=reach)
+    progress(0.2, "reading the edits")
+    edits = read_edits(reader.animation, frames)
+    solved, changed = solved_over(reader, frames), dict[str, ShapeEdit]()
+    touched = np.zeros(len(frames), dtype=bool)
+    for change in changes:
+        mask = change.mask(frames)
+        touched |= mask > 0
+        for shape in change.shapes:
+            fresh = ShapeEdit(no_edit(len(frames)), np.full(len(frames), np.nan))
+            old = changed.get(shape, edits.get(shape, fresh))
+            beneath = np.full(len(frames), np.nan)  # of a shape that the solve has no more
+            if shape in reader.names:
+                beneath = solved[:, reader.names.index(shape)]
+            changed[shape] = renewed(old, change.folded(old.curve, mask), beneath, mask > 0)
+    path = write_edits(
+        spec.performance, reader.animation, changed, frames, stamp=stamp, provenance=provenance
+    )
+    progress(1.0, "written")
+    inside = (frames >= reader.first_frame) & (frames <= reader.last_frame) & touched
+    return StepResult(
+        (path,),
+        f"{_summary(spec, changes)} over {pluralize(int(inside.sum()), 'frame')}",
+        (*notes, *_range_notes(spec, tuple(changed))),
+        {"frames": int(inside.sum()), "shapes": list(changed)},
+    )
+
+
+def _changes(spec: EditSpec, reader: PerformanceReader, notes: list[str]) -> list[_Change]:
+    """Return what is asked for: one change, or the open corrections of a file of notes."""
+    if spec.notes is None:
+        return [_Change(spec.shape, spec.add, spec.override, frame_range(spec.frames), spec.fade)]
+    corrections = [note for note in read_notes(spec.notes).notes if note.is_correction]
+    wanted = [note for note in corrections if not note.done and note.version == reader.version]
+    old = [note for note in corrections if not note.done and note.version != reader.version]
+    if old:
+        notes.append(
+            f"{spec.notes}: noted on another version of {spec.performance.name}, and left: "
+            f"{first_few([note.sentence() for note in old], most=3)}; look at them in a report, "
+            "where they can be made notes on this version"
+        )
+    if not wanted:
+        raise InputError(
+            f"{spec.notes}: none of its {pluralize(len(corrections), 'correction')} is open and "
+            f"noted on this version of {spec.performance.name}, which is {reader.version}; "
+            f"{'; '.join(notes) or 'add corrections in a report'}"
+        )
+    by_time = sorted(wanted, key=lambda note: note.made)
+    return [
+        _Change((str(note.shape),), note.add, note.override, note.span, note.fade)
+        for note in by_time
+    ]
+
+
+def _check_change(spec: EditSpec, change: _Change, reader: PerformanceReader) -> None:
+    _check_shapes(spec, change, reader)
+    first, last = change.frames or (reader.first_frame, reader.last_frame)
     if last < reader.first_frame or first > reader.last_frame:
         raise InputError(
             f"{spec.performance}: frames {first}-{last} are not in the performance, which has "
             f"{reader.first_frame}-{reader.last_frame}"
         )
-    # A change of all frames holds beyond the performance's ends, as a take mapped further needs it;
-    # one of some frames ends where it was told to, though the performance may end there, too.
-    reach = None if spec.frames is None else (first - spec.fade - 1, last + spec.fade + 1)
-    frames = all_frames(reader, reach=reach)
-    progress(0.2, "reading the edits")
-    edits = read_edits(reader.animation, frames)
-    mask = np.ones(len(frames))
-    if spec.frames is not None:
-        mask = fade_mask(frames, first, last, fade=spec.fade)
-    solved = solved_over(reader, frames)
-    changed = {}
-    for shape in spec.shape:
-        old = edits.get(shape, ShapeEdit(no_edit(len(frames)), np.full(len(frames), np.nan)))
-        beneath = np.full(len(frames), np.nan)  # of a shape that the solve does not have any more
-        if shape in reader.names:
-            beneath = solved[:, reader.names.index(shape)]
-        changed[shape] = renewed(old, _folded(spec, old.curve, mask), beneath, mask > 0)
-    path = write_edits(
-        spec.performance, reader.animation, changed, frames, stamp=stamp, provenance=provenance
-    )
-    progress(1.0, "written")
-    inside = (frames >= reader.first_frame) & (frames <= reader.last_frame) & (mask > 0)
-    what = "cleared" if spec.clear else ("added to" if spec.add is not None else "overridden")
-    return StepResult(
-        (path,),
-        f"{', '.join(spec.shape)} {what} over {pluralize(int(inside.sum()), 'frame')}",
-        tuple(_range_notes(spec, reader)),
-        {"frames": int(inside.sum()), "shapes": list(spec.shape)},
-    )
+
+
+def _summary(spec: EditSpec, changes: list[_Change]) -> str:
+    if spec.notes is not None:
+        shapes = dict.fromkeys(shape for change in changes for shape in change.shapes)
+        return f"{pluralize(len(changes), 'correction')} of {', '.join(shapes)} made"
+    done = "cleared" if spec.clear else ("added to" if spec.add is not None else "overridden")
+    return f"{', '.join(spec.shape)} {done}"
 
 
 def all_frames(reader: PerformanceReader, *, reach: tuple[int, int] | None = None) -> IntArray:
@@ -110,16 +188,8 @@ def renewed(old: ShapeEdit, curve: EditCurve, solved: FloatArray, now: BoolArray
     return ShapeEdit(curve, np.where(curve.active, beneath, np.nan))
 
 
-def _folded(spec: EditSpec, curve: EditCurve, mask: FloatArray) -> EditCurve:
-    if spec.add is not None:
-        return add_to_edit(curve, spec.add, mask)
-    if spec.override is not None:
-        return override_edit(curve, spec.override, mask)
-    return clear_edit(curve, mask)
-
-
-def _check_shapes(spec: EditSpec, reader: PerformanceReader) -> None:
-    for shape in spec.shape:
+def _check_shapes(spec: EditSpec, change: _Change, reader: PerformanceReader) -> None:
+    for shape in change.shapes:
         if shape not in reader.names and not (spec.clear and shape in reader.edits):
             near = difflib.get_close_matches(shape, reader.names, n=3, cutoff=0.5)
             some = first_few(reader.names, most=3)
@@ -129,12 +199,12 @@ def _check_shapes(spec: EditSpec, reader: PerformanceReader) -> None:
             )
 
 
-def _range_notes(spec: EditSpec, reader: PerformanceReader) -> list[str]:
+def _range_notes(spec: EditSpec, shapes: tuple[str, ...]) -> list[str]:
     """Say where the edited weights leave 0 to 1: meant or not, it is seen at once."""
     again = PerformanceReader(spec.performance, prim=spec.prim)
     edited = again.edited()
     notes = []
-    for shape in spec.shape:
+    for shape in shapes:
         if shape not in again.edits or shape not in again.names:
             continue
         column = again.names.index(shape)

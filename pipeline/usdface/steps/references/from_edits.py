@@ -18,7 +18,7 @@ from usdface.numerics.motion.key_reduction import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
 from usdface.runner.origin import spec_of
 from usdface.runner.result import StepResult
-from usdface.specs.references import ReferencesFromEditsSpec
+from usdface.specs.references import ReferencesAddSpec, ReferencesFromEditsSpec
 from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
 from usdface.steps.inputs.tuned_pairs import SAME_WEIGHT
 from usdface.steps.references.tuning_guard import nobody_tunes
@@ -73,8 +73,8 @@ def run(
     images = [note.image for note in read_pair_notes(spec.references)]
     images += [None] * (len(references.frames) - len(images))
     with nobody_tunes(spec.out):
-        notes += _left_out(spec.out, references)
-        tuned = _tuned(spec, references, notes)
+        notes += left_out(spec.out, references)
+        tuned = tuned_by_hand(spec, references, notes)
         write_references(
             spec.out,
             references,
@@ -129,8 +129,8 @@ def _learn(
     if not len(rows):
         notes.append(f"{performance}: no frame was corrected; nothing to learn from it")
         return _NO_LESSONS
-    take, mapping = _made_from(performance)
-    markers, seen = _markers_at(take, mapping, old, reader.frames[rows])
+    take, mapping = made_from(performance)
+    markers, seen = markers_at(take, mapping, old, reader.frames[rows])
     rows, markers = rows[seen], markers[seen]
     if not seen.all():
         notes.append(
@@ -182,7 +182,7 @@ def spread_out(weights: FloatArray, change: FloatArray, count: int) -> IntArray:
     return np.sort(np.concatenate([[first], further]))
 
 
-def _made_from(performance: Path) -> tuple[TakeReader, TrainedMapping]:
+def made_from(performance: Path) -> tuple[TakeReader, TrainedMapping]:
     """Return the take and the mapping that a performance, or its parts, say they were made from."""
     file, spec = performance, _spec_of(performance, "map")
     seen = set[Path]()
@@ -209,7 +209,7 @@ def _spec_of(file: Path, step: str) -> dict[str, object]:
     return spec_of(made) if made is not None and made.step == step else {}
 
 
-def _markers_at(
+def markers_at(
     take: TakeReader, mapping: TrainedMapping, old: References, frames: IntArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return the markers at frames as the references have them, and which frames can be used."""
@@ -230,8 +230,8 @@ def _markers_at(
     return positions, seen
 
 
-def _tuned(
-    spec: ReferencesFromEditsSpec, references: References, notes: list[str]
+def tuned_by_hand(
+    spec: ReferencesFromEditsSpec | ReferencesAddSpec, references: References, notes: list[str]
 ) -> list[TunedPair]:
     """Return the pairs that are tuned, as somebody tuned them in the asset that is replaced."""
     by_hand = {} if spec.out.resolve() == spec.references.resolve() else _by_hand(spec.out)
@@ -269,7 +269,7 @@ def _by_hand(out: Path) -> dict[tuple[str, int], dict[str, float]]:
     }
 
 
-def _left_out(out: Path, references: References) -> list[str]:
+def left_out(out: Path, references: References) -> list[str]:
     """Name what was tuned in the asset that is replaced and is no pair of the new one."""
     here = set(zip(references.takes, references.frames.tolist(), strict=True))
     gone = [

@@ -1,3 +1,11 @@
 """Sheets, movies, reports and figures to judge a performance by."""
 
-_helpers = ("clock", "evaluation_tables", "pictures", "report_tables", "scoring", "shot")
+_helpers = (
+    "clock",
+    "evaluation_tables",
+    "pictures",
+    "report_parts",
+    "report_tables",
+    "scoring",
+    "shot",
+)

@@ -5,7 +5,7 @@ from contextlib import ExitStack
 
 import numpy as np
 
-from usdface.core.arrays import ByteImage, FloatArray, columns_by_name
+from usdface.core.arrays import ByteImage
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
@@ -19,20 +19,30 @@ from usdface.media.page.face_payload import pack_face
 from usdface.media.page.report_page import (
     PagePicture,
     ReviewPage,
-    Strip,
-    WeightCurves,
     build_page,
 )
-from usdface.media.picture.color import KEYS_RANGE_MM, UNKEYED_RANGE_MM
 from usdface.media.picture.tiles import empty_tile, fit_picture
-from usdface.model.review.moments import ReviewSignals, review_moments
+from usdface.model.review.moments import review_moments
 from usdface.numerics.measure.face_regions import region_of_shape
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.review import ReportSpec
 from usdface.steps.inputs.phone_labels import labels_at
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
-from usdface.steps.review.report_tables import evaluate_shown, listings, show_coverage
+from usdface.steps.review.report_parts import (
+    page_commands,
+    page_curves,
+    page_heat,
+    page_markers,
+    page_notes,
+    page_strips,
+)
+from usdface.steps.review.report_tables import (
+    evaluate_shown,
+    find_references,
+    listings,
+    show_coverage,
+)
 from usdface.steps.review.scoring import (
     ShotRuler,
     read_keys,
@@ -40,7 +50,6 @@ from usdface.steps.review.scoring import (
     solve_baseline,
 )
 from usdface.steps.review.shot import Shot, open_shot
-from usdface.usdio.performance.read import PerformanceReader
 
 LONGEST_FRAMES = 36_000
 """Ten minutes at 60 frames per second: a longer page would not open."""
@@ -118,6 +127,8 @@ def _page(
         tables = (*tables[:-1], *coverage.listings, tables[-1])  # provenance is last
         pictures = (*pictures, coverage.picture)
     moments = review_moments(signals, spec.worst, rate=float(take.rate))
+    curves = page_curves(spec, shot, keys, baseline)
+    gaze = [rig.shapes[column] for column in ruler.gaze.tolist()]
     return ReviewPage(
         title=f"{take.name} on {rig.file.stem}",
         verdict=(verdict.level, verdict.sentence, verdict.advice),
@@ -127,8 +138,8 @@ def _page(
         timecodes=list(map(shot.timecode, shot.frames.tolist())) if take.timecode_start else [],
         shapes=rig.shapes,
         regions=tuple(region_of_shape(name) or "other" for name in rig.shapes),
-        curves=_curves(shot, keys, baseline),
-        strips=_strips(signals),
+        curves=curves,
+        strips=page_strips(signals),
         worst=tuple((each.row, each.region, each.reason) for each in moments),
         listings=tables,
         face=pack_face(rig, camera=view.at(clock.first_frame)),
@@ -137,39 +148,12 @@ def _page(
         pictures=pictures,
         said=labels_at(spec.phones, take, shot.frames) if spec.phones else (),
         origin=provenance_metadata(provenance),
+        markers=page_markers(shot, equation),
+        heat=page_heat(signals, curves),
+        gaze=tuple(gaze),
+        notes=page_notes(spec, shot),
+        commands=page_commands(spec, shot, spec.references or find_references(spec.performance)),
     )
-
-
-def _curves(
-    shot: Shot, truth: FloatArray | None, baseline: FloatArray | None
-) -> tuple[WeightCurves, ...]:
-    """Return every set of weights there is; the first is what is published."""
-    reader = PerformanceReader(shot.performance_file)
-    shown = WeightCurves("edited" if reader.edits else "solve", shot.weights)
-    found = [shown]
-    if reader.edits:
-        solved = reader.solved(int(shot.frames[0]), int(shot.frames[-1]))
-        ordered = columns_by_name(solved, reader.names, shot.rig.shapes)
-        found.append(WeightCurves("solve", ordered))
-    if truth is not None:
-        found.append(WeightCurves("keys", truth))
-    if baseline is not None:
-        found.append(WeightCurves("baseline", baseline))
-    return tuple(found)
-
-
-def _strips(signals: ReviewSignals) -> tuple[Strip, ...]:
-    """Return what is known of the solve over time, on the scales of all pictures."""
-    evidence = signals.evidence
-    found = []
-    if evidence.error_mm is not None:
-        found.append(Strip("error", evidence.error_mm[:, 0], 0.0, KEYS_RANGE_MM, "mm"))
-    if evidence.uncertainty_mm is not None:
-        shown = evidence.uncertainty_mm[:, 0]
-        found.append(Strip("uncertainty", shown, 0.0, UNKEYED_RANGE_MM, "mm"))
-    if evidence.coverage is not None:
-        found.append(Strip("coverage", evidence.coverage[:, 0], 0.0, 1.0, "by references"))
-    return tuple(found)
 
 
 def _facts(shot: Shot) -> tuple[str, ...]:

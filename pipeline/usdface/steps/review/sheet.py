@@ -37,7 +37,7 @@ from usdface.steps.review.scoring import (
     solve_baseline,
     surface_distance,
 )
-from usdface.steps.review.shot import Shot, ShotCamera, open_shot
+from usdface.steps.review.shot import Shot, ShotCamera, open_shot, version_labels
 
 PICKS: dict[SheetLayout, FramePick] = {
     "comparison": "expression",
@@ -125,7 +125,8 @@ def _compare(spec: SheetSpec, progress: Progress) -> _Comparison:
     if spec.baseline and spec.layout in ("comparison", "worst"):
         solved = solve_baseline(equation, shot, np.array(rows, np.int64))
         scores.insert(0, score("baseline", shot, solved, truth))
-    labels = _labels([each.performance_file for each in shots[1:]])
+    others = [each.performance_file for each in shots[1:]]
+    labels = version_labels(others, taken={"baseline", "solve"})
     for other, label in zip(shots[1:], labels, strict=True):
         known = truth if _same_face(other, shot) else None
         scores.append(score(label, other, other.weights, known))
@@ -203,22 +204,6 @@ def _open_shots(spec: SheetSpec) -> list[Shot]:
         )
         for shot in shots
     ]
-
-
-def _labels(files: list[Path]) -> list[str]:
-    """Return what each further performance is called: its name, with its folder where need be."""
-    stems = [file.stem.split(".usd")[0] for file in files]
-    taken, found = {"baseline", "solve"}, list[str]()
-    for file, stem in zip(files, stems, strict=True):
-        alone = stems.count(stem) == 1 and stem not in taken
-        label = wanted = stem if alone else f"{file.resolve().parent.name}/{stem}"
-        number = 1
-        while label in taken:
-            number += 1
-            label = f"{wanted} ({number})"
-        taken.add(label)
-        found.append(label)
-    return found
 
 
 def _same_face(shot: Shot, other: Shot) -> bool:

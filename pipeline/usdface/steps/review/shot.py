@@ -272,3 +272,25 @@ def weights_in_rig_order(performance: Performance, rig: Rig, frames: IntArray) -
     """Return (frames, shapes) weights; 0 for shapes that the performance does not drive."""
     clip = performance.weights
     return columns_by_name(clip.values[frames - clip.first_frame], clip.names, rig.shapes)
+
+
+def version_labels(files: list[Path], *, taken: set[str]) -> list[str]:
+    """Return what each further performance is called: its name, with its folder where need be.
+
+    Parameters
+    ----------
+    taken : set of str
+        Names that are used already.
+    """
+    stems = [file.stem.split(".usd")[0] for file in files]
+    used, labels = set(taken), list[str]()
+    for file, stem in zip(files, stems, strict=True):
+        alone = stems.count(stem) == 1 and stem not in used
+        label = wanted = stem if alone else f"{file.resolve().parent.name}/{stem}"
+        number = 1
+        while label in used:
+            number += 1
+            label = f"{wanted} ({number})"
+        used.add(label)
+        labels.append(label)
+    return labels

@@ -1,0 +1,180 @@
+// What is drawn on the face: the pose, another beside or below it, markers, and colours of a scale.
+
+import { byId, count, data, inflate, node } from "./report_page.js";
+
+const SKIN_PART = 0; // of FacePart in media/face/parts.py
+const MISSING = -32768;
+const SEEN = [0.47, 0.78, 1];
+
+/** Where the performer's markers lie on the character, and where the pose takes their places. */
+class PlacedMarkers {
+  constructor(face, header, motion, keyDeltas) {
+    Object.assign(this, header, { face, motion, keyDeltas });
+    this.size = 3 * header.names.length;
+    this.shares = new Float32Array(face.keyCount);
+    this.points = new Float32Array(this.size);
+    this.targets = new Float32Array(this.size);
+    this.colors = new Float32Array(this.size).map((_, i) => SEEN[i % 3]);
+  }
+
+  overlay(weights, picture) {
+    const { points, targets, motion, keyDeltas, size } = this;
+    targets.set(this.rest);
+    this.face.weigh(weights, this.shares).forEach((share, key) => {
+      for (let i = 0, k = key * size; share !== 0 && i < size; i++, k++) targets[i] += share * keyDeltas[k];
+    });
+    for (let i = 0; i < size; i++) {
+      const step = motion[picture * size + i];
+      points[i] = step === MISSING ? NaN : this.rest[i] + step / this.steps;
+      if (step === MISSING) targets[i] = NaN; // a line to nowhere
+    }
+    return { points, targets, colors: this.colors, names: this.names, diameter: 6 };
+  }
+}
+
+/** The player's face. */
+export class Stage {
+  constructor(viewer, weightsAt) {
+    this.viewer = viewer;
+    this.weightsAt = weightsAt; // (curve, picture) → weights in the viewer's order
+    this.curve = 0;
+    this.picture = 0;
+    this.markers = null;
+    this.#fill();
+  }
+
+  /** Unpack the markers, where the page has some. */
+  async load() {
+    byId("markersLabel").hidden = !data.markers;
+    if (!data.markers) return;
+    const motion = new Int16Array(await inflate("markerMotion"));
+    const size = 3 * data.markers.names.length;
+    for (let i = size; i < motion.length; i++) motion[i] += motion[i - size]; // undo differences
+    const deltas = new Float32Array(await inflate("markerDeltas"));
+    this.markers = new PlacedMarkers(this.viewer.face, data.markers, motion, deltas);
+  }
+
+  show(picture) {
+    this.picture = picture;
+    const { viewer } = this;
+    const weights = this.weightsAt(this.curve, picture);
+    viewer.setWeights(weights);
+    const other = this.other === null ? null : this.weightsAt(this.other, picture);
+    const how = byId("how").value;
+    viewer.compare(other && how !== "difference" ? { weights: other, how, share: byId("share").valueAsNumber } : null);
+    viewer.setMarkers(byId("markers").checked && this.markers ? this.markers.overlay(weights, picture) : null);
+    this.#paint(weights, other, how);
+  }
+
+  again() {
+    this.show(this.picture);
+  }
+
+  #fill() {
+    for (const [index, { name }] of data.curves.entries()) {
+      byId("which").append(node("option", { value: index }, name));
+      if (index) byId("other").append(node("option", { value: index }, name));
+    }
+    byId("otherLabel").hidden = data.curves.length < 2;
+    byId("heatLabel").hidden = !data.heat;
+    if (data.heat) byId("heatName").textContent = data.heat.name;
+    this.other = null;
+    byId("which").addEventListener("change", (event) => {
+      this.curve = Number(event.target.value);
+      this.again();
+      byId("which").dispatchEvent(new CustomEvent("posed"));
+    });
+    byId("other").addEventListener("change", (event) => {
+      this.other = event.target.value === "" ? null : Number(event.target.value);
+      this.#controls();
+      this.again();
+    });
+    byId("how").addEventListener("change", () => { this.#controls(); this.again(); });
+    for (const id of ["markers", "heat"]) byId(id).addEventListener("change", () => this.again());
+    byId("share").addEventListener("input", () => this.again());
+    this.#controls();
+  }
+
+  #controls() {
+    const compared = this.other !== null;
+    // Away from a baseline is no error: of it there is no map.
+    const known = compared && data.curves[this.other].kind !== "baseline";
+    byId("how").querySelector("[value=difference]").disabled = !known;
+    if (!known && byId("how").value === "difference") byId("how").value = "wipe";
+    byId("howLabel").hidden = !compared;
+    byId("share").hidden = !compared || byId("how").value === "difference";
+    byId("poses").textContent = this.#caption();
+  }
+
+  #caption() {
+    const name = data.curves[this.curve].name;
+    if (this.other === null) return name;
+    const other = data.curves[this.other].name;
+    return { wipe: `${name} | ${other}`, onion: `${name} over ${other}`, difference: `${name}, away from ${other}` }[byId("how").value];
+  }
+
+  #paint(weights, other, how) {
+    const difference = other && how === "difference" ? other : null;
+    const heat = byId("heat").checked ? data.heat : null;
+    byId("scale").hidden = !difference && !heat;
+    byId("poses").textContent = this.#caption();
+    if (!difference && !heat) { if (this.viewer.heat) this.viewer.paint(null); return; }
+    const against = difference ?? (heat.against === undefined ? null : this.weightsAt(heat.against, this.picture));
+    const high = difference ? 1 : heat.high;
+    byId("scaleHigh").textContent = `${high} mm`;
+    const values = against ? this.#distances(weights, against) : this.#regionValues(heat);
+    this.viewer.paint({ values, high, ramp: data.ramp });
+  }
+
+  /** How far two poses are apart at each point of the skin [mm]; eyes and teeth count 0. */
+  #distances(weights, against) {
+    const { face } = this.viewer;
+    this.values ??= new Float32Array(face.pointCount);
+    this.gaze ??= data.gaze.map((name) => face.names.indexOf(name)).filter((at) => at >= 0);
+    const skin = Float32Array.from(against); // the gaze is no matter of the skin
+    for (const at of this.gaze) skin[at] = weights[at];
+    face.pose(skin);
+    this.held ??= new Float32Array(face.positions.length);
+    this.held.set(face.positions);
+    face.pose(weights);
+    const { positions, parts } = face;
+    for (let i = 0, m = 0; i < face.pointCount; i++, m += 3) {
+      this.values[i] = parts[i] !== SKIN_PART ? 0 : Math.hypot(
+        positions[m] - this.held[m], positions[m + 1] - this.held[m + 1], positions[m + 2] - this.held[m + 2],
+      );
+    }
+    return this.values;
+  }
+
+  /** What is said of the part of the face that each point belongs to. */
+  #regionValues(heat) {
+    this.owners ??= owners(this.viewer.face, heat.regions);
+    this.values ??= new Float32Array(this.viewer.face.pointCount);
+    for (let i = 0; i < this.values.length; i++) {
+      const owner = this.owners[i];
+      this.values[i] = owner < 0 ? 0 : heat.values[owner * count + this.picture];
+    }
+    return this.values;
+  }
+}
+
+const LEAST_REACH = 0.1; // of a shape's largest motion: points that move less belong to no part
+const CARRIED = 0.85; // of the jaw: what it carries along, the lower lip above all, is not its own
+
+/** The region whose shapes move each point most, as `points_by_region` has it; −1 for none. */
+function owners(face, regions) {
+  const best = new Float32Array(face.pointCount).fill(255 * LEAST_REACH);
+  const owner = new Int8Array(face.pointCount).fill(-1);
+  for (const [shape, { region }] of face.shapes.entries()) {
+    const index = regions.indexOf(region);
+    if (index < 0) continue;
+    const share = region === "jaw" ? CARRIED : 1;
+    const reach = face.reach(shape);
+    for (let i = 0; i < reach.length; i++) {
+      if (share * reach[i] <= best[i]) continue;
+      best[i] = share * reach[i];
+      owner[i] = index;
+    }
+  }
+  return owner;
+}

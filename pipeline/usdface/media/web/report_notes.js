@@ -1,0 +1,349 @@
+// Notes on frames: typed, drawn, or a correction that the face shows at once; saved as JSON.
+
+import { announce, button, byId, data, node, pictureOf, tell } from "./report_page.js";
+
+const FORMAT_OF_NOTES = 1;
+const LONGEST_NOTE = 4000;
+const LARGEST_NOTES = 16 << 20;
+const INK = "#ffdb4d";
+
+const stamp = () => new Date().toISOString();
+const newId = () => `${Date.now().toString(36)}-${Math.random().toString(36).slice(2, 8)}`;
+
+/** Notes of two sources as one list: of a note that is in both, the one changed last. */
+function merged(one, other) {
+  const byName = new Map(one.map((note) => [note.id, note]));
+  for (const note of other) {
+    const known = byName.get(note.id);
+    if (!known || (note.made ?? "") >= (known.made ?? "")) byName.set(note.id, note);
+  }
+  return [...byName.values()].sort((a, b) => a.frame - b.frame);
+}
+
+/** Notes as a file holds them; throws where it is no such file. */
+function readNotes(text) {
+  const file = JSON.parse(text);
+  if (file?.usdface_notes !== FORMAT_OF_NOTES || !Array.isArray(file.notes)) {
+    throw new Error("it holds no notes of a usdface report");
+  }
+  const fits = ({ id, frame, text: words }) => typeof id === "string" && Number.isInteger(frame) && typeof (words ?? "") === "string";
+  if (!file.notes.every(fits)) throw new Error("a note lacks its id, frame or text");
+  return file.notes;
+}
+
+/** Emits `seek` (detail: picture), `changed`, and `preview` when the correction in the form changes. */
+export class Notes extends EventTarget {
+  /** @param panes {Map<string, HTMLElement>} what is drawn on, by name: face, video */
+  constructor(panes, player) {
+    super();
+    this.player = player; // {picture, range, view(): camera, look(camera)}
+    this.key = `usdface-notes ${location.pathname} ${data.performance}`;
+    this.notes = merged(data.notes, this.#draft());
+    this.saved = JSON.stringify(data.notes);
+    this.strokes = [];
+    this.drawing = false;
+    this.inks = new Map();
+    for (const [name, pane] of panes) this.#overlay(name, pane);
+    this.#wire();
+    this.fill();
+  }
+
+  /** What a correction in the form, or in the note that is shown, does to a weight here. */
+  correction(picture) {
+    const { change } = this;
+    const frame = data.frames[picture];
+    if (!change || frame < change.frame || frame > (change.last ?? change.frame)) return null;
+    return change;
+  }
+
+  /** Follow the player: ink of notes at the frame, and which of them are marked. */
+  show(picture) {
+    this.picture = picture;
+    const frame = data.frames[picture];
+    const here = this.notes.filter((note) => frame >= note.frame && frame <= (note.last ?? note.frame));
+    for (const [id, item] of this.items) item.setAttribute("aria-current", String(here.some((note) => note.id === id)));
+    // Ink belongs to one frame; a line on the next would point elsewhere.
+    this.#ink([...this.strokes, ...here.filter((note) => note.frame === frame && !note.done).flatMap((note) => note.strokes ?? [])]);
+  }
+
+  /** Open the form, to type. */
+  open() {
+    byId("noteForm").hidden = false;
+    this.#where();
+    byId("noteText").focus();
+  }
+
+  close() {
+    this.draw(false);
+    this.strokes = [];
+    this.editing = null;
+    byId("noteForm").reset();
+    byId("noteAuthor").value = this.author;
+    byId("noteForm").hidden = true;
+    this.#correct();
+    this.show(this.player.picture);
+  }
+
+  /** Let the pointer draw on face and video, or turn the face again. */
+  draw(on = !this.drawing) {
+    this.drawing = on;
+    byId("draw").setAttribute("aria-pressed", String(on));
+    for (const { svg } of this.inks.values()) svg.classList.toggle("drawing", on);
+    if (on) {
+      this.player.pause();
+      this.open();
+      announce("draw on the face or the video; Escape ends it");
+    }
+  }
+
+  fill() {
+    this.items = new Map();
+    byId("notes").replaceChildren(...this.notes.map((note) => this.#item(note)));
+    const open = this.notes.filter((note) => !note.done).length;
+    byId("noteCount").textContent = this.notes.length ? `${open} open of ${this.notes.length}` : "none yet";
+    const unsaved = JSON.stringify(this.notes) !== this.saved;
+    byId("save").disabled = !this.notes.length;
+    byId("unsaved").hidden = !unsaved;
+    this.show(this.player.picture ?? 0);
+  }
+
+  /** Write the file: where the browser can, to a place that is asked for; else as a download. */
+  async save() {
+    const text = this.text();
+    const blob = new Blob([text], { type: "application/json" });
+    try {
+      if (globalThis.showSaveFilePicker) {
+        this.handle ??= await showSaveFilePicker({ suggestedName: data.notesFile, types: [{ description: "Notes", accept: { "application/json": [".json"] } }] });
+        const stream = await this.handle.createWritable();
+        await stream.write(blob);
+        await stream.close();
+      } else {
+        const link = node("a", { href: URL.createObjectURL(blob), download: data.notesFile });
+        link.click();
+        setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+      }
+    } catch (error) {
+      if (error.name !== "AbortError") tell(`the notes are not saved: ${error.message}; they stay in this page`);
+      this.handle = null;
+      return;
+    }
+    this.saved = JSON.stringify(this.notes);
+    announce(`notes saved as ${this.handle?.name ?? data.notesFile}`);
+    this.fill();
+  }
+
+  text() {
+    const { performance, take } = data;
+    return `${JSON.stringify({ usdface_notes: FORMAT_OF_NOTES, performance, take, notes: this.notes }, null, 1)}\n`;
+  }
+
+  /** Take over the notes of a file; those of this page stay. */
+  async load(file) {
+    try {
+      if (file.size > LARGEST_NOTES) throw new Error("it is larger than 16 MB");
+      const found = readNotes(await file.text());
+      this.notes = merged(this.notes, found);
+      announce(`${found.length} notes from ${file.name}`);
+      tell("");
+    } catch (error) {
+      tell(`${file.name}: cannot be read as notes: ${error.message}`);
+      return;
+    }
+    this.#changed();
+  }
+
+  #draft() {
+    try {
+      const kept = localStorage.getItem(this.key);
+      return kept ? readNotes(kept) : [];
+    } catch { return []; } // no storage here
+  }
+
+  #changed() {
+    try {
+      localStorage.setItem(this.key, this.text());
+    } catch { /* no storage here: the page says that notes are not saved */ }
+    this.fill();
+    this.dispatchEvent(new Event("changed"));
+  }
+
+  get author() {
+    try { return localStorage.getItem("usdface-author") ?? ""; } catch { return ""; }
+  }
+
+  #wire() {
+    const on = (id, event, action) => byId(id).addEventListener(event, action);
+    byId("noteAuthor").value = this.author;
+    byId("noteText").maxLength = LONGEST_NOTE;
+    for (const shape of data.shapes) byId("shapeNames").append(node("option", { value: shape }));
+    on("note", "click", () => this.open());
+    on("draw", "click", () => this.draw());
+    on("save", "click", () => this.save());
+    on("load", "click", () => byId("file").click());
+    on("file", "change", (event) => {
+      for (const file of event.target.files) this.load(file);
+      event.target.value = "";
+    });
+    on("cancel", "click", () => this.close());
+    on("noteForm", "submit", (event) => { event.preventDefault(); this.#add(); });
+    for (const id of ["noteShape", "noteChange", "noteFade"]) on(id, "input", () => this.#correct());
+    on("noteKind", "change", () => this.#correct());
+    on("noteRange", "change", () => this.#where());
+    addEventListener("dragover", (event) => event.preventDefault());
+    addEventListener("drop", (event) => {
+      event.preventDefault();
+      for (const file of event.dataTransfer.files) this.load(file);
+    });
+  }
+
+  /** Frames that the form's note is of. */
+  #frames() {
+    const { range, picture } = this.player;
+    if (range && byId("noteRange").checked) return range.map((at) => data.frames[at]);
+    const frame = this.editing?.frame ?? data.frames[picture];
+    return [frame, this.editing?.last ?? frame];
+  }
+
+  /** Say which frames the form is of. */
+  #where() {
+    const { range } = this.player;
+    byId("noteRangeLabel").hidden = !range;
+    const [first, last] = this.#frames();
+    byId("noteWhere").textContent = first === last ? `frame ${first}` : `frames ${first}–${last}`;
+    this.#correct();
+  }
+
+  rangeChanged() {
+    if (!byId("noteForm").hidden) this.#where();
+  }
+
+  #correct() {
+    const shape = byId("noteShape").value.trim(), value = byId("noteChange").valueAsNumber;
+    const known = data.shapes.includes(shape);
+    byId("noteShape").setCustomValidity(shape && !known ? "the rig has no such shape" : "");
+    byId("noteChange").required = Boolean(shape);
+    const [frame, last] = this.#frames();
+    this.change = !byId("noteForm").hidden && known && Number.isFinite(value)
+      ? { shape, [byId("noteKind").value]: value, frame, last } : null;
+    this.dispatchEvent(new Event("preview"));
+  }
+
+  #add() {
+    const text = byId("noteText").value.trim();
+    const { change } = this;
+    if (!text && !change && !this.strokes.length) { byId("noteText").focus(); return; }
+    const [frame, last] = this.#frames();
+    const author = byId("noteAuthor").value.trim();
+    const note = { id: newId(), ...this.editing, frame, text, author, made: stamp(), version: data.version };
+    if (last > frame) note.last = last; else delete note.last;
+    for (const key of ["shape", "add", "override", "fade"]) delete note[key];
+    if (change) {
+      Object.assign(note, { shape: change.shape, [byId("noteKind").value]: byId("noteChange").valueAsNumber });
+      note.fade = byId("noteFade").valueAsNumber || 0;
+    }
+    if (this.strokes.length) {
+      note.strokes = this.strokes;
+      note.view = this.player.view();
+    }
+    try { localStorage.setItem("usdface-author", author); } catch { /* no storage here */ }
+    this.notes = merged(this.notes.filter(({ id }) => id !== note.id), [note]);
+    this.close();
+    this.#changed();
+    announce(`note on frame ${frame} added`);
+  }
+
+  #item(note) {
+    const inside = note.frame >= data.frames[0] && note.frame <= data.frames.at(-1);
+    const span = note.last > note.frame ? `${note.frame}–${note.last}` : `${note.frame}`;
+    const link = node(inside ? "a" : "span", inside ? { href: `#${note.frame}` } : {}, span);
+    link.addEventListener("click", () => { if (note.view) this.player.look(note.view); });
+    const words = node("p", {}, node("strong", {}, link), ` ${note.text ?? ""}`);
+    if (note.shape) {
+      const [sign, value] = note.add === undefined ? ["=", note.override] : [note.add < 0 ? "−" : "+", Math.abs(note.add)];
+      words.append(" ", node("code", {}, `${note.shape} ${sign} ${value}`));
+    }
+    if (note.strokes?.length) words.append(" ✎");
+    const from = [note.author, (note.made ?? "").slice(0, 16).replace("T", " ")].filter(Boolean).join(", ");
+    const facts = node("small", {}, from);
+    const old = note.version !== data.version;
+    if (old) facts.append(" ", node("em", {}, "on another version"));
+    if (!inside) facts.append(" ", node("em", {}, "not in these frames"));
+    const done = node("input", { type: "checkbox", "aria-label": `Done: ${note.text ?? ""}` });
+    done.checked = Boolean(note.done);
+    done.addEventListener("change", () => this.#change(note, { done: done.checked }));
+    const actions = [node("label", {}, done, " done"), button("Edit", "Edit this note", () => this.#edit(note))];
+    if (old) actions.push(button("Still stands", "Make it a note on this version", () => this.#change(note, { version: data.version })));
+    actions.push(button("Delete", "Delete this note", () => {
+      this.notes = this.notes.filter(({ id }) => id !== note.id);
+      this.#changed();
+    }));
+    const item = node("li", { class: note.done ? "done" : "" }, words, facts, node("div", { class: "acts" }, ...actions));
+    this.items.set(note.id, item);
+    return item;
+  }
+
+  #change(note, what) {
+    Object.assign(note, what, { made: stamp() });
+    this.#changed();
+  }
+
+  #edit(note) {
+    this.close();
+    if (note.frame >= data.frames[0]) this.dispatchEvent(new CustomEvent("seek", { detail: pictureOf(note.frame) }));
+    this.editing = note;
+    this.strokes = [...(note.strokes ?? [])];
+    byId("noteText").value = note.text ?? "";
+    byId("noteShape").value = note.shape ?? "";
+    byId("noteKind").value = note.override === undefined ? "add" : "override";
+    byId("noteChange").value = note.add ?? note.override ?? "";
+    byId("noteFade").value = note.fade ?? 0;
+    byId("noteRange").checked = false;
+    this.open();
+  }
+
+  /** Lay ink over a pane: lines in shares of the picture, which keep their place at any size. */
+  #overlay(name, pane) {
+    const svg = node("svg", { class: "ink", "aria-hidden": "true" });
+    pane.append(svg);
+    this.inks.set(name, { svg, pane });
+    let line = null;
+    const at = (event) => {
+      const { left, top } = pane.getBoundingClientRect();
+      const { x, y, unit } = this.#frame(name);
+      return [(event.clientX - left - x) / unit, (event.clientY - top - y) / unit].map((v) => Number(v.toFixed(4)));
+    };
+    svg.addEventListener("pointerdown", (event) => {
+      if (!this.drawing || event.button) return;
+      svg.setPointerCapture(event.pointerId);
+      line = { on: name, points: [at(event)] };
+      this.strokes.push(line);
+    });
+    svg.addEventListener("pointermove", (event) => {
+      if (!line) return;
+      line.points.push(at(event));
+      this.show(this.player.picture);
+    });
+    for (const end of ["pointerup", "pointercancel"]) svg.addEventListener(end, () => { line = null; });
+    new ResizeObserver(() => this.show(this.player.picture ?? 0)).observe(pane);
+  }
+
+  /** Where shares are counted from in a pane [CSS pixels]: its middle; a unit is the picture's least side. */
+  #frame(name) {
+    const { pane } = this.inks.get(name);
+    const [width, height] = [pane.clientWidth, pane.clientHeight];
+    const video = pane.querySelector("video");
+    const aspect = video?.videoWidth ? video.videoWidth / video.videoHeight : width / Math.max(height, 1);
+    const high = Math.min(height, width / aspect); // of what is fitted into the pane
+    return { x: width / 2, y: height / 2, unit: Math.min(high, high * aspect) || 1 };
+  }
+
+  #ink(strokes) {
+    for (const [name, { svg, pane }] of this.inks) {
+      svg.setAttribute("viewBox", `0 0 ${pane.clientWidth || 1} ${pane.clientHeight || 1}`);
+      const { x, y, unit } = this.#frame(name);
+      const lines = strokes.filter(({ on, points }) => on === name && Array.isArray(points)).map(({ points }) =>
+        node("polyline", { stroke: INK, points: points.map(([a, b]) => `${x + unit * a},${y + unit * b}`).join(" ") }));
+      svg.replaceChildren(...lines);
+    }
+  }
+}

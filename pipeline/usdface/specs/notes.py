@@ -1,0 +1,110 @@
+"""Notes of a review: a file that the report writes, and what reads it back."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from usdface.core.errors import InputError
+from usdface.core.text import read_text
+from usdface.specs.base import Spec
+from usdface.specs.reading import validation_messages
+
+NOTES_FORMAT = 1
+LARGEST_NOTES_BYTES = 16 << 20
+"""A thousand notes, each with a drawing of a thousand points, are as large."""
+
+_Frame = Annotated[int, Field(ge=-(10**9), le=10**9)]
+_Weight = Annotated[float, Field(ge=-10.0, le=10.0)]
+
+
+class NoteStroke(BaseModel):
+    """A line drawn on a picture."""
+
+    model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
+
+    on: Literal["face", "video"]
+    points: Annotated[tuple[tuple[float, float], ...], Field(max_length=100_000)]
+    """x to the right, y down, from the picture's middle; 1 is its lesser side."""
+
+
+class ReviewNote(BaseModel):
+    """What somebody noted on a frame. Keys that this version does not know are kept."""
+
+    model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
+
+    id: Annotated[str, Field(min_length=1, max_length=200)]
+    frame: _Frame
+    last: _Frame | None = None
+    """Last frame of a range."""
+    text: Annotated[str, Field(max_length=4000)] = ""
+    author: Annotated[str, Field(max_length=200)] = ""
+    made: Annotated[str, Field(max_length=40)] = ""
+    """When it was last changed, ISO 8601."""
+    version: Annotated[str, Field(max_length=100)] = ""
+    """Of the performance that was shown; see `PerformanceReader.version`."""
+    done: bool = False
+    shape: Annotated[str, Field(max_length=200)] | None = None
+    """A correction: the shape to change, by one of `add` and `override`."""
+    add: _Weight | None = None
+    override: _Weight | None = None
+    fade: Annotated[int, Field(ge=0, le=100_000)] = 0
+    """Length of the ease-in and of the ease-out of the correction, in frames."""
+    strokes: Annotated[tuple[NoteStroke, ...], Field(max_length=10_000)] = ()
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """First and last frame."""
+        return self.frame, max(self.last or self.frame, self.frame)
+
+    @property
+    def is_correction(self) -> bool:
+        """Whether it says what a weight should be."""
+        return self.shape is not None and (self.add is None) != (self.override is None)
+
+    def sentence(self) -> str:
+        """Return the note as a line of text."""
+        first, last = self.span
+        where = f"frame {first}" if first == last else f"frames {first}-{last}"
+        words = [self.text.strip()] if self.text.strip() else []
+        if self.is_correction:
+            change = f"{self.add:+g}" if self.add is not None else f"= {self.override:g}"
+            words.append(f"{self.shape} {change}")
+        if self.strokes:
+            words.append("drawn on the picture")
+        author = f" ({self.author})" if self.author else ""
+        return f"{where}: {'; '.join(words) or 'no text'}{author}"
+
+
+class ReviewNotes(BaseModel):
+    """A file of notes."""
+
+    model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
+
+    usdface_notes: Literal[1]
+    performance: Annotated[str, Field(max_length=1000)] = ""
+    """Name of the performance's file."""
+    take: Annotated[str, Field(max_length=1000)] = ""
+    """Name of the take."""
+    notes: Annotated[tuple[ReviewNote, ...], Field(max_length=100_000)]
+
+
+def read_notes(path: Path) -> ReviewNotes:
+    """Read the notes that a report saved.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or holds no notes; every fault of it is named.
+    """
+    try:
+        given = json.loads(read_text(path, LARGEST_NOTES_BYTES))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is no JSON: {error}; save the notes again") from error
+    if not isinstance(given, dict) or "usdface_notes" not in given:
+        raise InputError(f"{path}: holds no notes; save them in a report of `usdface report`")
+    try:
+        return ReviewNotes.model_validate(given)
+    except ValidationError as error:
+        raise InputError(f"{path}: {validation_messages(error, Spec)}") from error

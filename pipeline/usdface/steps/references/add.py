@@ -1,0 +1,127 @@
+"""Add frames that a review found wrong to the references, as pairs that are yet to be tuned."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from usdface.core.arrays import IntArray
+from usdface.core.assets import References
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, silent
+from usdface.core.provenance import Provenance
+from usdface.core.sidecars import proposed_path, tuned_path
+from usdface.core.text import first_few, pluralize
+from usdface.runner.result import StepResult
+from usdface.specs.notes import read_notes
+from usdface.specs.paths import frame_list, frame_range
+from usdface.specs.references import ReferencesAddSpec
+from usdface.steps.references.from_edits import left_out, made_from, markers_at, tuned_by_hand
+from usdface.steps.references.tuning_guard import nobody_tunes
+from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.references.read import read_pair_notes, read_references
+from usdface.usdio.references.write import write_references
+from usdface.usdio.rig.read import read_rig
+
+MOST_FRAMES = 1000
+"""Frames added at once: ten times what `select` chooses by default."""
+
+
+def run(
+    spec: ReferencesAddSpec, *, provenance: Provenance, progress: Progress = silent
+) -> StepResult:
+    """Add the frames with the performance's weights as proposals."""
+    old = read_references(spec.references)
+    reader = PerformanceReader(spec.performance)
+    notes: list[str] = []
+    take, mapping = made_from(spec.performance)
+    frames = _new_frames(spec, reader, old, take.name, notes)
+    markers, seen = markers_at(take, mapping, old, frames)
+    if not seen.any():
+        raise InputError(
+            f"{spec.performance}: frames {first_few(frames.tolist())} lack a marker, and a pair "
+            "needs all of them; choose other frames"
+        )
+    if not seen.all():
+        notes.append(f"left out, missing a marker: frames {first_few(frames[~seen].tolist())}")
+    progress(0.8, f"looked at {pluralize(len(frames), 'frame')}")
+    references = _with_pairs(old, reader, take.name, frames[seen], markers[seen])
+    rig = read_rig(references.rig_file, prim=references.rig_prim)
+    images = [note.image for note in read_pair_notes(spec.references)]
+    images += [None] * (len(references.frames) - len(images))
+    with nobody_tunes(spec.out):
+        notes += left_out(spec.out, references)
+        tuned = tuned_by_hand(spec, references, notes)
+        write_references(
+            spec.out, references, rig, tuned=tuned, images=images, provenance=provenance
+        )
+    progress(1.0, "written")
+    added = frames[seen].tolist()
+    return StepResult(
+        (spec.out, tuned_path(spec.out), proposed_path(spec.out)),
+        f"{pluralize(len(added), 'frame')} added to {pluralize(len(old.frames), 'pair')}; tune "
+        f"{'it' if len(added) == 1 else 'them'} with `usdface tune {spec.out} --frame {added[0]}`",
+        tuple(notes),
+        {"added": len(added), "pairs": len(references.frames), "frames": added},
+    )
+
+
+def _new_frames(
+    spec: ReferencesAddSpec,
+    reader: PerformanceReader,
+    old: References,
+    take: str,
+    notes: list[str],
+) -> IntArray:
+    """Return the frames asked for that are in the performance and no pairs yet, ascending."""
+    wanted = set(frame_list(spec.frames) or ())
+    if spec.frames is not None and not wanted:
+        first, last = frame_range(spec.frames) or (0, -1)
+        wanted = set(range(max(first, reader.first_frame), min(last, reader.last_frame) + 1))
+    if spec.notes is not None:
+        wanted |= {note.frame for note in read_notes(spec.notes).notes if not note.done}
+    beyond = sorted(f for f in wanted if not reader.first_frame <= f <= reader.last_frame)
+    if beyond:
+        notes.append(
+            f"not in {spec.performance.name}, which has {reader.first_frame}-{reader.last_frame}: "
+            f"frames {first_few(beyond)}"
+        )
+    known = {f for name, f in zip(old.takes, old.frames.tolist(), strict=True) if name == take}
+    pairs = sorted(wanted & known)
+    if pairs:
+        notes.append(f"pairs already: frames {first_few(pairs)}")
+    frames = sorted(wanted - known - set(beyond))
+    if not frames:
+        raise InputError(
+            f"{spec.performance}: there is no frame to add; {'; '.join(notes) or 'no note is open'}"
+        )
+    if len(frames) > MOST_FRAMES:
+        raise InputError(
+            f"{spec.performance}: {len(frames)} frames are too many to tune, of at most "
+            f"{MOST_FRAMES}; let `usdface select` choose those that tell most"
+        )
+    return np.array(frames, dtype=np.int64)
+
+
+def _with_pairs(
+    old: References, reader: PerformanceReader, take: str, frames: IntArray, markers: np.ndarray
+) -> References:
+    missing = [name for name in reader.names if name not in old.shape_names]
+    if missing:
+        raise InputError(
+            f"{reader.path}: its shapes {first_few(missing)} are not in the references; are these "
+            "the references its mapping was trained on?"
+        )
+    weights = np.zeros((len(frames), len(old.shape_names)))
+    columns = [old.shape_names.index(name) for name in reader.names]
+    weights[:, columns] = reader.edited()[frames - reader.first_frame]
+    unlabelled = ("",) * len(frames)
+    return replace(
+        old,
+        markers=np.concatenate([old.markers, markers]),
+        weights=np.concatenate([old.weights, weights]),
+        frames=np.concatenate([old.frames, frames]),
+        takes=(*old.takes, *((take,) * len(frames))),
+        tuned=np.concatenate([old.tuned, np.zeros(len(frames), dtype=bool)]),
+        visemes=(*old.visemes, *unlabelled) if old.visemes else (),
+        emotions=(*old.emotions, *unlabelled) if old.emotions else (),
+    )

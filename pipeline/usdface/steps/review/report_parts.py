@@ -1,0 +1,171 @@
+"""What a report's player works with: curves, markers and colours on the face, notes, commands."""
+
+import os
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray, columns_by_name
+from usdface.core.errors import InputError
+from usdface.core.sidecars import notes_path
+from usdface.core.text import first_few
+from usdface.media.page.report_page import (
+    PageCommands,
+    PageHeat,
+    PageMarkers,
+    PageNotes,
+    Strip,
+    WeightCurves,
+)
+from usdface.media.picture.color import KEYS_RANGE_MM, UNKEYED_RANGE_MM
+from usdface.model.review.moments import ReviewSignals
+from usdface.model.selection.baseline import BlendshapeEquation
+from usdface.numerics.registration.virtual_markers import character_motion
+from usdface.runner.outputs import confine
+from usdface.specs.notes import read_notes
+from usdface.specs.review import ReportSpec
+from usdface.steps.review.shot import Shot, version_labels, weights_in_rig_order
+from usdface.usdio.performance.read import PerformanceReader, read_performance
+from usdface.usdio.references.read import read_references
+from usdface.usdio.rig.read import read_rig
+
+
+def page_curves(
+    spec: ReportSpec, shot: Shot, truth: FloatArray | None, baseline: FloatArray | None
+) -> tuple[WeightCurves, ...]:
+    """Return every set of weights there is; the first is what is published."""
+    reader = PerformanceReader(shot.performance_file)
+    kind = "edited" if reader.edits else "solve"
+    curves = [WeightCurves(kind, shot.weights, kind)]
+    if reader.edits:
+        solved = reader.solved(int(shot.frames[0]), int(shot.frames[-1]))
+        ordered = columns_by_name(solved, reader.names, shot.rig.shapes)
+        curves.append(WeightCurves("solve", ordered))
+    if truth is not None:
+        curves.append(WeightCurves("keys", truth, "keys"))
+    if baseline is not None:
+        curves.append(WeightCurves("baseline", baseline, "baseline"))
+    labels = version_labels(list(spec.also), taken={each.name for each in curves})
+    for file, label in zip(spec.also, labels, strict=True):
+        curves.append(WeightCurves(label, _version_weights(file, shot), "version"))
+    return tuple(curves)
+
+
+def _version_weights(file: Path, shot: Shot) -> FloatArray:
+    """Return another performance's weights at a shot's frames; NaN where it has none."""
+    other = read_performance(file)
+    shapes = read_rig(other.rig_file, prim=other.rig_prim).shapes
+    if set(shapes) != set(shot.rig.shapes):
+        strange = sorted(set(shapes) ^ set(shot.rig.shapes))
+        raise InputError(
+            f"{file}: is on a rig with other shapes ({first_few(strange, most=3)}); --also takes "
+            "performances on the same rig, `usdface faces` draws several characters"
+        )
+    clip = other.weights
+    last = clip.first_frame + len(clip.values)
+    inside = (shot.frames >= clip.first_frame) & (shot.frames < last)
+    if not inside.any():
+        raise InputError(
+            f"{file}: has none of the frames {shot.frames[0]}-{shot.frames[-1]}; is it of the "
+            "same take?"
+        )
+    weights = np.full((len(shot.frames), len(shot.rig.shapes)), np.nan)
+    weights[inside] = weights_in_rig_order(other, shot.rig, shot.frames[inside])
+    return weights
+
+
+def page_strips(signals: ReviewSignals) -> tuple[Strip, ...]:
+    """Return what is known of the solve over time, on the scales of all pictures."""
+    evidence = signals.evidence
+    strips = []
+    if evidence.error_mm is not None:
+        strips.append(Strip("error", evidence.error_mm[:, 0], 0.0, KEYS_RANGE_MM, "mm"))
+    if evidence.uncertainty_mm is not None:
+        shown = evidence.uncertainty_mm[:, 0]
+        strips.append(Strip("uncertainty", shown, 0.0, UNKEYED_RANGE_MM, "mm"))
+    if evidence.coverage is not None:
+        strips.append(Strip("coverage", evidence.coverage[:, 0], 0.0, 1.0, "by references"))
+    return tuple(strips)
+
+
+def page_markers(shot: Shot, equation: BlendshapeEquation) -> PageMarkers | None:
+    """Return the markers that show the face's motion, where they lie on the character."""
+    markers = shot.take.markers
+    if markers is None:
+        return None
+    shown = np.array([i for i, name in enumerate(markers.names) if name not in markers.rigid])
+    if not len(shown):
+        return None
+    rows = shot.frames - shot.take.first_frame
+    motion = character_motion(equation.virtual, shot.positions, equation.neutral)[:, shown]
+    known = markers.visible[rows] | (markers.confidence[rows] > 0)
+    motion = np.where(known[:, shown, None], motion, np.nan)
+    return PageMarkers(
+        tuple(markers.names[i] for i in shown.tolist()),
+        equation.virtual.places(shot.deformer.neutral)[shown],
+        motion,
+        np.asarray(equation.keys.deltas)[:, shown],
+    )
+
+
+def page_heat(signals: ReviewSignals, curves: tuple[WeightCurves, ...]) -> PageHeat | None:
+    """Return what is painted on the face: the error against keys, else the uncertainty."""
+    kinds = [curve.kind for curve in curves]
+    if "keys" in kinds:
+        return PageHeat("error", KEYS_RANGE_MM, against=kinds.index("keys"))
+    evidence = signals.evidence
+    if evidence.uncertainty_mm is None or evidence.uncertainty_mm.shape[1] < 2:
+        return None
+    regions = evidence.regions[1 : evidence.uncertainty_mm.shape[1]]
+    return PageHeat(
+        "uncertainty", UNKEYED_RANGE_MM, regions=regions, values=evidence.uncertainty_mm[:, 1:]
+    )
+
+
+def page_notes(spec: ReportSpec, shot: Shot) -> PageNotes:
+    """Return the notes that the page begins with: of each, the one changed last."""
+    files = spec.notes
+    beside = notes_path(spec.performance)
+    if not files and beside.is_file():
+        confine("report", reads=[beside])
+        files = (beside,)
+    latest = dict[str, dict[str, Any]]()
+    for file in files:
+        for note in read_notes(file).notes:
+            known = latest.get(note.id)
+            if known is None or note.made >= known.get("made", ""):
+                latest[note.id] = note.model_dump(mode="json", exclude_unset=True)
+    return PageNotes(
+        performance=shot.performance_file.name,
+        take=shot.take.name,
+        version=PerformanceReader(shot.performance_file).version,
+        file=beside.name,
+        notes=tuple(sorted(latest.values(), key=lambda note: int(note["frame"]))),
+    )
+
+
+def page_commands(spec: ReportSpec, shot: Shot, references: Path | None) -> PageCommands:
+    """Return the command lines that take a frame to the tuning page, from the page's folder."""
+    if references is None:
+        return PageCommands()
+    try:
+        pairs = read_references(references)
+    except InputError:  # that it cannot be used is said where its coverage is shown
+        return PageCommands()
+    names = [_from_page(path, spec) for path in (spec.performance, references)]
+    return PageCommands(
+        add=f"usdface references add {names[0]} --references {names[1]} --out {names[1]}",
+        tune=f"usdface tune {names[1]}",
+        pairs=tuple(
+            frame
+            for take, frame in zip(pairs.takes, pairs.frames.tolist(), strict=True)
+            if take == shot.take.name
+        ),
+    )
+
+
+def _from_page(path: Path, spec: ReportSpec) -> str:
+    folder = spec.out.resolve().parent
+    return shlex.quote(os.path.relpath(path.resolve(), folder).replace(os.sep, "/"))

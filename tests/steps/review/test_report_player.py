@@ -1,0 +1,469 @@
+"""What people do on a report, in a real browser: one page, opened anew for each test."""
+
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.browser import chromium
+from tests.steps.review.test_report import open_page, spec_of, visit
+from tests.steps.small_shot import Shot
+from usdface.core.errors import InputError
+from usdface.runner.execute import execute
+from usdface.specs.edits import EditSpec
+from usdface.specs.notes import read_notes
+from usdface.specs.references import ReferencesAddSpec
+from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.references.read import read_references
+
+PLAYER = "document.getElementById('{}').{}"
+FRAME = "Number(document.getElementById('clock').textContent.split(/\\s+/).at(-1))"
+NOTE = {"id": "a1", "frame": 120, "last": 130, "text": "jaw too open", "made": "2026-01-01"}
+
+
+@pytest.fixture(scope="module")
+def reported(finished_shot: Shot, tmp_path_factory: pytest.TempPathFactory) -> Shot:
+    """A shot with a report, a version before an edit, and notes; tests do not change it."""
+    folder = tmp_path_factory.mktemp("report") / "shot"
+    shutil.copytree(finished_shot.folder, folder)
+    shot = Shot(folder, finished_shot.rigid, finished_shot.neutral)
+    for name in ("shot.hero.usda", "shot.hero.weights.usdc"):
+        shutil.copy(shot / name, shot / name.replace("hero", "first"))
+    layer = (shot / "shot.first.usda").read_text(encoding="utf-8")
+    (shot / "shot.first.usda").write_text(layer.replace("shot.hero.w", "shot.first.w"))
+    execute(
+        EditSpec(performance=shot / "shot.hero.usda", shape=("jawOpen",), add=0.3, frames="90-110")
+    )
+    write_notes(shot / "shot.hero.notes.json", [NOTE | {"version": "of another"}])
+    execute(spec_of(shot, against=shot / "keys.csv", also=(shot / "shot.first.usda",), worst=4))
+    return shot
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as running:
+        yield running
+
+
+@pytest.fixture
+def page(browser: Any, reported: Shot) -> Iterator[Any]:
+    faults: list[str] = []
+    opened = open_page(browser, reported / "shot.html", faults)
+    yield opened
+    opened.close()
+    assert not faults
+
+
+def write_notes(path: Path, notes: list[dict[str, Any]], **other: object) -> Path:
+    path.write_text(json.dumps({"usdface_notes": 1, "notes": notes} | other), encoding="utf-8")
+    return path
+
+
+def at(page: Any) -> int:
+    return int(page.evaluate(FRAME))
+
+
+def wait_for(page: Any, condition: str) -> None:
+    for _ in range(400):  # not by the page itself, whose policy allows no evaluation
+        if page.evaluate(condition):
+            return
+        page.wait_for_timeout(25)
+    raise AssertionError(f"never: {condition}")
+
+
+def test_a_range_is_marked_and_looped(page: Any) -> None:
+    page.evaluate("report.show(99)")
+    page.keyboard.press("[")
+    page.evaluate("report.show(104)")
+    page.keyboard.press("]")
+    assert page.inner_text("#range") == "100–105"
+    seen = page.evaluate(
+        """async () => {
+          const seen = new Set();
+          report.play(true, { speed: 1 });
+          for (let i = 0; i < 40; i++) {
+            await new Promise((next) => setTimeout(next, 10));
+            seen.add(report.picture);
+          }
+          report.play(false);
+          return [...seen];
+        }"""
+    )
+    assert set(seen) <= set(range(99, 105))
+    assert len(seen) > 1
+    page.keyboard.press("Escape")
+    assert page.inner_text("#range") == ""
+
+
+def test_the_shuttle_plays_back_rests_and_plays_faster(page: Any) -> None:
+    page.evaluate("report.show(300)")
+    page.keyboard.press("j")
+    wait_for(page, "report.picture < 290")
+    page.keyboard.press("k")
+    assert not page.evaluate("report.playing")
+    page.keyboard.press("l")
+    page.keyboard.press("l")
+    assert page.evaluate("[report.way, report.speed]") == [1, 2]
+    page.keyboard.press("k")
+    page.select_option("#speed", "0.25")
+    page.keyboard.press("Home")
+    seconds = page.evaluate(
+        """async () => {
+          const begun = performance.now();
+          report.play();
+          while (report.picture < 12) await new Promise((next) => setTimeout(next, 5));
+          report.play(false);
+          return (performance.now() - begun) / 1000;
+        }"""
+    )
+    assert seconds >= 12 / 120 / 0.25 * 0.95  # pictures of 120 per second, at a quarter
+
+
+def test_play_ends_on_the_last_picture(page: Any) -> None:
+    page.evaluate("report.show(470)")
+    page.keyboard.press(" ")
+    wait_for(page, "!report.playing")
+    assert at(page) == 480
+
+
+def test_curves_zoom_in_time_and_the_ruler_follows(page: Any) -> None:
+    page.keyboard.press("End")
+    page.evaluate("report.show(200)")
+    for _ in range(3):
+        page.keyboard.press("+")
+    first, last = page.evaluate("report.plots.window")
+    assert first < 200 < last
+    assert last - first == pytest.approx(479 / 8)
+    ticks = [int(text) for text in page.inner_text("#ruler").split()]
+    assert all(first + 1 <= tick <= last + 1 for tick in ticks)
+    assert len(ticks) >= 3
+    # What lies in the middle of a plot is the picture of the window's middle.
+    box = page.locator("#ruler").bounding_box()
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + 5)
+    assert at(page) == round((first + last) / 2) + 1
+    page.keyboard.press("End")  # what is shown stays in the window
+    assert page.evaluate("report.plots.window[1]") >= 479 - 1e-6
+    page.keyboard.press("0")
+    assert page.evaluate("report.plots.window") == [0, 479]
+
+
+def test_curves_are_hidden_by_their_legend_and_sorted_by_error(page: Any) -> None:
+    page.wait_for_selector(".curve path.k-keys")
+    path = page.locator(".curve path.k-keys").first
+    page.locator("#legend button", has_text="keys").click()
+    assert path.evaluate("(each) => getComputedStyle(each).display") == "none"
+    page.select_option("#order", "error")
+    names = page.locator(".curve:visible").evaluate_all("(all) => all.map((e) => e.dataset.shape)")
+    errors = page.evaluate(
+        """(names) => names.map((name) => {
+          const shape = report.plots.rows.find((row) => row.name === name).shape;
+          let sum = 0;
+          for (let i = 0; i < 480; i++) {
+            sum += Math.abs(report.plots.weight(0, shape, i) - report.plots.weight(2, shape, i));
+          }
+          return sum / 480;
+        })""",
+        names,
+    )
+    assert len(names) > 10
+    assert errors == sorted(errors, reverse=True)
+    assert page.inner_text("#numbers") == "numbers: edited"
+
+
+def test_curves_are_one_stop_of_the_tab_key_and_are_read_out(page: Any) -> None:
+    page.locator(".curve[tabindex='0']").focus()
+    first = page.evaluate("document.activeElement.dataset.shape")
+    page.keyboard.press("ArrowDown")
+    second = page.evaluate("document.activeElement.dataset.shape")
+    assert second != first
+    assert page.locator(".curve[tabindex='0']").count() == 1
+    assert second in page.inner_text("#live")
+    page.keyboard.press("ArrowRight")  # and the player still steps
+    assert at(page) == 2
+
+
+def test_two_versions_are_compared_on_the_face(page: Any) -> None:
+    page.evaluate("report.show(100)")
+    pixels = {}
+    for how in ("wipe", "onion", "difference"):
+        page.select_option("#other", label="shot.first")
+        page.select_option("#how", how)
+        pixels[how] = page.evaluate(PIXELS)
+    page.select_option("#other", "")
+    alone = page.evaluate(PIXELS)
+    page.select_option("#which", label="shot.first")
+    other = page.evaluate(PIXELS)
+    wiped = np.array(pixels["wipe"]).reshape(-1, 3)
+    own, theirs = (np.array(each).reshape(-1, 3) for each in (alone, other))
+    half = int(np.sqrt(len(own))) // 2
+    square = [each.reshape(2 * half, 2 * half, 3) for each in (wiped, own, theirs)]
+    assert (square[0][:, : half - 1] == square[1][:, : half - 1]).all()
+    assert (square[0][:, half + 1 :] == square[2][:, half + 1 :]).all()
+    assert (own != theirs).any(), "the edit opens the jaw"
+    onion = np.array(pixels["onion"]).reshape(-1, 3)
+    off = np.abs(onion - (own + theirs) / 2).max(axis=1)  # half of each, in bytes
+    assert np.mean(off <= 2) > 0.99, "but for edges, where samples differ"
+    assert pixels["difference"] != alone
+
+
+PIXELS = """() => {
+  const { viewer } = report;
+  const { canvas, gl } = viewer;
+  canvas.style.width = canvas.style.height = "120px";
+  canvas.style.inset = "auto";
+  viewer.draw();
+  const read = new Uint8Array(4 * canvas.width * canvas.height);
+  gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, read);
+  return [...read].filter((_, i) => i % 4 < 3);
+}"""
+
+
+def test_markers_lie_where_the_solve_takes_them_within_its_residual(page: Any) -> None:
+    page.locator("#markers").check()
+    away = page.evaluate(
+        """() => {
+          report.show(333);
+          const { points, targets } = report.viewer.marks;
+          let sum = 0, known = 0;
+          for (let i = 0; i < points.length; i += 3) {
+            const [x, y, z] = [0, 1, 2].map((k) => points[i + k] - targets[i + k]);
+            if (Number.isFinite(x)) { sum += x * x + y * y + z * z; known++; }
+          }
+          return [Math.sqrt(sum / known), known];
+        }"""
+    )
+    assert away[1] > 30
+    assert away[0] < 2.0  # the demo's actor is another head: they never meet
+
+
+def test_a_typed_note_with_a_correction_is_shown_saved_and_made(
+    page: Any, reported: Shot, tmp_path: Path
+) -> None:
+    page.evaluate("delete window.showSaveFilePicker; report.show(199)")
+    page.keyboard.press("t")
+    page.keyboard.type("close the lips [n p d]")  # letters are not keys here
+    page.fill("#noteShape", "jawOpen")
+    page.fill("#noteChange", "-0.25")
+    column = page.evaluate("report.viewer.face.names.indexOf('jawOpen')")
+    shown = page.evaluate(f"[report.viewer.weights[{column}], report.weightsAt(198)[{column}]]")
+    before = page.evaluate(f"report.plots.weight(0, {column_of(page)}, 199)")
+    assert shown[0] == pytest.approx(before - 0.25, abs=1e-4), "the face does not show it"
+    page.fill("#noteFade", "3")
+    page.fill("#noteAuthor", "Ada")
+    page.click("#noteForm button[type=submit]")
+    assert page.locator("#notes li").count() == 2
+    assert "on another version" in page.locator("#notes li").first.inner_text()
+    with page.expect_download() as got:
+        page.click("#save")
+    file = tmp_path / got.value.suggested_filename
+    got.value.save_as(file)
+    assert file.name == "shot.hero.notes.json"
+    old, new = read_notes(file).notes
+    assert old.text == NOTE["text"], "a note of another version is lost"
+    assert (new.frame, new.shape, new.add, new.fade, new.author) == (
+        200,
+        "jawOpen",
+        -0.25,
+        3,
+        "Ada",
+    )
+    performance = reported / "shot.hero.usda"
+    assert new.version == PerformanceReader(performance).version
+    shot = Shot(tmp_path / "copy", reported.rigid, reported.neutral)
+    shutil.copytree(reported.folder, shot.folder)
+    made = execute(EditSpec(performance=shot / "shot.hero.usda", notes=file))
+    assert made.figures["shapes"] == ["jawOpen"]
+    names = PerformanceReader(performance).names
+    column = names.index("jawOpen")
+    edited = PerformanceReader(shot / "shot.hero.usda").edited()[:, column]
+    change = edited - PerformanceReader(performance).edited()[:, column]
+    assert change[199] == pytest.approx(-0.25, abs=1e-6)
+    assert not change[:195].any()
+    with pytest.raises(
+        InputError, match=r"another version of shot\.hero\.usda, and left: frame 200"
+    ):
+        execute(EditSpec(performance=shot / "shot.hero.usda", notes=file))  # not made twice
+
+
+def column_of(page: Any) -> int:
+    return int(page.evaluate("report.plots.rows.find((row) => row.name === 'jawOpen').shape"))
+
+
+def test_a_drawn_note_keeps_its_place_and_stays_in_the_page(browser: Any, reported: Shot) -> None:
+    context = browser.new_context(viewport={"width": 1280, "height": 900})
+    faults: list[str] = []
+    page = visit(context.new_page(), reported / "shot.html", faults)
+    page.evaluate("report.show(49)")
+    page.keyboard.press("d")
+    box = page.locator("#facePane").bounding_box()
+    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(*middle)
+    page.mouse.down()
+    page.mouse.move(middle[0] + box["height"] / 4, middle[1] + 9)
+    page.mouse.up()
+    page.click("#noteForm button[type=submit]")
+    line = page.locator("#facePane .ink polyline")
+    assert line.count() == 1
+    page.keyboard.press("ArrowRight")
+    assert line.count() == 0, "ink is of one frame"
+    page.close()
+    again = visit(
+        context.new_page(), reported / "shot.html", faults
+    )  # nothing was saved: it is there
+    again.set_viewport_size({"width": 1000, "height": 700})
+    again.locator("#notes a", has_text="50").click()
+    again.wait_for_selector("#facePane .ink polyline")
+    size = again.locator("#facePane").bounding_box()
+    drawn = again.locator("#facePane .ink polyline").bounding_box()
+    assert drawn["x"] - size["x"] == pytest.approx(size["width"] / 2, abs=4)
+    assert drawn["width"] == pytest.approx(size["height"] / 4, abs=6)
+    assert not again.locator("#unsaved").is_hidden()
+    again.evaluate("localStorage.clear()")
+    context.close()
+    assert not faults
+
+
+def test_notes_of_a_file_join_those_of_the_page(page: Any, tmp_path: Path) -> None:
+    newer = write_notes(
+        tmp_path / "b.json",
+        [NOTE | {"text": "better", "made": "2026-02-01"}, {"id": "b2", "frame": 9000, "text": "x"}],
+    )
+    page.set_input_files("#file", newer)
+    page.wait_for_selector("#notes li >> nth=1")
+    words = page.inner_text("#notes")
+    assert "better" in words
+    assert "not in these frames" in words
+    page.set_input_files("#file", write_notes(tmp_path / "c.json", [{"id": "c"}]))
+    page.wait_for_selector("#fault:visible")
+    assert "c.json: cannot be read as notes" in page.inner_text("#fault")
+    assert page.locator("#notes li").count() == 2
+    page.evaluate("localStorage.clear()")
+
+
+def test_the_command_that_tunes_a_frame_is_copied(page: Any, reported: Shot) -> None:
+    pairs = read_references(reported / "hero.references.usda").frames.tolist()
+    free = next(frame for frame in range(2, 480) if frame not in pairs)
+    page.evaluate(f"report.show({free - 1})")
+    tune = f"usdface tune hero.references.usda --frame {free}"
+    assert page.input_value("#command").endswith(f"--frames {free} && {tune}")
+    page.evaluate(f"report.show({pairs[3] - 1})")
+    page.click("#copy")
+    wait_for(page, "document.getElementById('live').textContent.startsWith('copied')")
+    assert page.inner_text("#live").endswith(
+        f"usdface tune hero.references.usda --frame {pairs[3]}"
+    )
+
+
+def test_frames_that_were_noted_become_references(reported: Shot, tmp_path: Path) -> None:
+    references = reported / "hero.references.usda"
+    old = read_references(references)
+    taken = int(old.frames[0])
+    notes = [
+        NOTE | {"frame": 333, "last": None},
+        NOTE | {"id": "p", "frame": taken, "last": None},
+        NOTE | {"id": "d", "frame": 222, "done": True},
+        NOTE | {"id": "x", "frame": 7000, "last": None},
+    ]
+    made = execute(
+        ReferencesAddSpec(
+            performance=reported / "shot.hero.usda",
+            references=references,
+            out=reported / "second.references.usda",
+            notes=write_notes(tmp_path / "n.json", notes),
+        )
+    )
+    new = read_references(reported / "second.references.usda")
+    assert new.frames.tolist() == [*old.frames.tolist(), 333]
+    assert not new.tuned[-1]
+    np.testing.assert_array_equal(new.tuned[:-1], old.tuned)
+    np.testing.assert_allclose(new.weights[:-1], old.weights, atol=1e-6)
+    reader = PerformanceReader(reported / "shot.hero.usda")
+    order = [reader.names.index(name) for name in new.shape_names]
+    np.testing.assert_allclose(new.weights[-1], reader.edited()[332][order], atol=1e-6)
+    assert any("7000" in note for note in made.notes)
+    assert any(f"pairs already: frames {taken}" in note for note in made.notes)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_words_can_be_read_in_either_theme(browser: Any, reported: Shot, scheme: str) -> None:
+    context = browser.new_context(color_scheme=scheme)
+    page = visit(context.new_page(), reported / "shot.html", [])
+    ratio = page.evaluate(CONTRAST)
+    context.close()
+    assert min(ratio.values()) >= 4.5, ratio  # WCAG 2.2, 1.4.3
+
+
+CONTRAST = """() => {
+  const light = (color) => {
+    const [r, g, b] = color.match(/[\\d.]+/g).map(Number).map((v) => v / 255)
+      .map((v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4));
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const ground = (each) => {
+    for (let at = each; at; at = at.parentElement) {
+      const { backgroundColor } = getComputedStyle(at);
+      if (!/, 0\\)$|transparent/.test(backgroundColor)) return backgroundColor;
+    }
+    return "rgb(255, 255, 255)";
+  };
+  const ratios = {};
+  for (const name of ["#verdict strong", "#facts li", "#clock", "#worst small", "#play", "#live",
+    "#legend button", ".curve .name", ".region", "#tables td", "#ruler i", "#notes em"]) {
+    const each = document.querySelector(name);
+    const two = [getComputedStyle(each).color, ground(each)].map(light).sort();
+    ratios[name] = (two[1] + 0.05) / (two[0] + 0.05);
+  }
+  return ratios;
+}"""
+
+
+def test_fingers_find_everything_and_what_plays_stays_in_sight(
+    browser: Any, reported: Shot
+) -> None:
+    context = browser.new_context(
+        viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True
+    )
+    page = visit(context.new_page(), reported / "shot.html", [])
+    page.set_viewport_size({"width": 390, "height": 844})
+    small = page.evaluate(
+        """[...document.querySelectorAll("button, select, input:not([type=checkbox])")]
+          .map((each) => [each.id || each.textContent, each.getBoundingClientRect()])
+          .filter(([, box]) => box.height && box.height < 39.5).map(([name]) => name)"""
+    )
+    play = page.locator("#play").bounding_box()
+    sideways = page.evaluate("document.documentElement.scrollWidth")
+    context.close()
+    assert not small
+    assert play["y"] + play["height"] <= 844
+    assert sideways <= 390
+
+
+def test_the_data_of_a_report_are_its_own(reported: Shot) -> None:
+    text = (reported / "shot.html").read_text(encoding="utf-8")
+    data = json.loads(re.search(r'id="data">(.*?)</script>', text)[1])
+    assert [each["kind"] for each in data["curves"]] == ["edited", "solve", "keys", "version"]
+    assert data["notes"][0]["text"] == NOTE["text"]
+    assert data["heat"]["name"] == "error"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[]", "holds no notes"),
+        ("{", "is no JSON"),
+        ('{"usdface_notes": 2, "notes": []}', "usdface_notes"),
+        ('{"usdface_notes": 1, "notes": [{"id": "a", "frame": "x"}]}', r"notes\[0\] -> frame"),
+    ],
+)
+def test_what_is_no_file_of_notes_is_named(
+    reported: Shot, tmp_path: Path, text: str, message: str
+) -> None:
+    file = tmp_path / "notes.json"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        execute(spec_of(reported, notes=(file,), out=tmp_path / "x.html"))
