@@ -1,6 +1,6 @@
 """Numbers and lists as messages write them; text files that people write."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from usdface.core.confinement import check_may_open
@@ -45,3 +45,18 @@ def read_text(path: Path, largest_bytes: int) -> str:
         return data.decode(encoding)
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not UTF-8 at byte {error.start}; save it as UTF-8") from error
+
+
+def aligned_rows(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows as lines whose columns are aligned.
+
+    Parameters
+    ----------
+    rows : sequence of sequence of str
+        As many cells in each.
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]

@@ -16,9 +16,10 @@ from usdface.runner.origin import make_provenance
 from usdface.runner.outputs import check_inputs, check_outputs
 from usdface.runner.result import StepResult
 from usdface.runner.state import step_state
-from usdface.specs.base import Spec
+from usdface.specs.base import MovedRigSpec, Spec
 from usdface.specs.job import STEP_SPECS
 from usdface.specs.paths import Writes
+from usdface.usdio.rig.reference import moved_rig
 
 Step = Callable[..., StepResult]
 
@@ -72,8 +73,10 @@ def execute(
         with not_written_since(() if overwrite else spec.paths(Writes)):
             check_outputs(spec, overwrite=overwrite)
             step = find_step(type(spec))
-            with _one_blas_thread():
-                return step(spec, provenance=provenance or make_provenance(spec), progress=progress)
+            made = provenance or make_provenance(spec)
+            moved = spec.rig if isinstance(spec, MovedRigSpec) else None
+            with _one_blas_thread(), moved_rig(moved):
+                return step(spec, provenance=made, progress=progress)
     except OSError as error:
         if error.errno != errno.ENAMETOOLONG:
             raise

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, model_v
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import core_schema
 
-from usdface.specs.paths import Reads, Writes
+from usdface.specs.paths import ReadPath, Reads, Writes
 
 log = logging.getLogger(__name__)
 
@@ -255,3 +255,10 @@ def warn_of_old_name(step: str, old: str, new: str) -> None:
     log.warning(
         "%s: %s is now called %s; the old name is accepted in this version alone", step, old, new
     )
+
+
+class MovedRigSpec(Spec):
+    """A step that finds its rig by what a performance or references refer to."""
+
+    rig: ReadPath | None = None
+    """The rig, if its file has moved since the performance or the references were written."""

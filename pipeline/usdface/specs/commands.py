@@ -5,11 +5,11 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from usdface.specs.base import Positional, Spec
+from usdface.specs.base import MovedRigSpec, Positional, Spec
 from usdface.specs.paths import FilePath, ReadPath, Reads
 
 
-class TuneSpec(Spec):
+class TuneSpec(MovedRigSpec):
     """Tune the weights of reference pairs on a page in your browser.
 
     Prints a link that works on this machine only, and serves the page until interrupted (Ctrl+C).

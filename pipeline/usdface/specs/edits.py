@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from usdface.core.sidecars import edits_path
-from usdface.specs.base import Name, Positional, Spec
+from usdface.specs.base import MovedRigSpec, Name, Positional, Spec
 from usdface.specs.paths import (
     FilePath,
     Frames,
@@ -103,7 +103,7 @@ class EditsImportSpec(Spec):
         return (edits_path(self.performance),)
 
 
-class BakeSpec(Spec):
+class BakeSpec(MovedRigSpec):
     """Compose solve and edits into one layer of weights to publish.
 
     The layer holds the animation and the overs that bind the rig's skeletons to it. Any tool that
@@ -155,7 +155,7 @@ class CombineSpec(Spec):
     """The take that is shown unless another is selected. Default: the first."""
 
 
-class PackageSpec(Spec):
+class PackageSpec(MovedRigSpec):
     """Pack rig, textures and edited weights of a performance into one .usdz for review.
 
     The package has no external dependencies and opens in any USD viewer. It is a copy for review;

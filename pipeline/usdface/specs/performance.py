@@ -7,11 +7,11 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from usdface.core.sidecars import weights_path
-from usdface.specs.base import Name, Positional, Sidecar, Spec
+from usdface.specs.base import MovedRigSpec, Name, Positional, Sidecar, Spec
 from usdface.specs.paths import FilePath, Frames, ImageOut, LayerOut, PrimPath, ReadPath, Reads
 
 
-class TrainSpec(Spec):
+class TrainSpec(MovedRigSpec):
     """Train the mapping from marker positions to the weights of a rig.
 
     `auto` cross-validates face_map, ridge, rbf and d06 on the references and keeps the one with the

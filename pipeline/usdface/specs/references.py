@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from usdface.core.sidecars import placement_path, proposed_path, tuned_path
-from usdface.specs.base import Name, Positional, Sidecar, Spec
+from usdface.specs.base import MovedRigSpec, Name, Positional, Sidecar, Spec
 from usdface.specs.paths import (
     ChosenFrames,
     FilePath,
@@ -159,7 +159,7 @@ class SelectSpec(Spec):
         return self.picture or self.out.with_name(f"{self.out.stem}.coverage.png")
 
 
-class ReferencesImportSpec(Spec):
+class ReferencesImportSpec(MovedRigSpec):
     """Import tuned weights into a references asset.
 
     Weights are matched to the rig by what the shapes' names mean and to the pairs by frame. Shapes
@@ -195,7 +195,7 @@ class ReferencesImportSpec(Spec):
         return (*self.outputs(), self.references)
 
 
-class ReferencesFromEditsSpec(Spec):
+class ReferencesFromEditsSpec(MovedRigSpec):
     """Add frames that an animator edited to the references, as tuned pairs.
 
     Frames are chosen at which edits have full strength, outside their fades, and which differ from
@@ -222,7 +222,7 @@ class ReferencesFromEditsSpec(Spec):
     """Largest number of frames taken from each performance."""
 
 
-class ReferencesAddSpec(Spec):
+class ReferencesAddSpec(MovedRigSpec):
     """Add frames of a performance to the references, to be tuned.
 
     The weights of the performance are their proposals. Use it for frames that a review finds wrong:
@@ -283,7 +283,7 @@ class ReferencesCoverageSpec(Spec):
     """Count tuned pairs only: the coverage of a mapping trained on them now."""
 
 
-class ReferenceSheetSpec(Spec):
+class ReferenceSheetSpec(MovedRigSpec):
     """Draw the reference pairs for an animator to work from, on screen or on paper.
 
     Each pair shows the video frame, the markers and the rig at its current weights, with viseme,

@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
 
-from usdface.specs.base import Name, Positional, Spec
+from usdface.specs.base import MovedRigSpec, Name, Positional, Spec
 from usdface.specs.paths import (
     PRIM_PATTERN,
     ChosenFrames,
@@ -39,7 +39,7 @@ SheetLayout = Literal["comparison", "worst", "strip", "characters"]
 FramePick = Literal["expression", "review", "residual", "uncertainty", "jump", "even"]
 
 
-class SheetSpec(Spec):
+class SheetSpec(MovedRigSpec):
     """Draw a contact sheet of a performance.
 
     It begins with a verdict. Layouts: `comparison` shows video, the markers on the solve, the
@@ -60,7 +60,9 @@ class SheetSpec(Spec):
     performance: Annotated[FilePath, Reads(), Positional()]
     """The performance to draw."""
     take: ShownPath | None = None
-    """The cleaned take it was mapped from. Default: the one its provenance names."""
+    """The take it was made from. Default: the one its provenance names."""
+    video: ReadPath | None = None
+    """The take's video, if its file has moved."""
     out: ImageOut
     """Picture to write: .jpg, .png or .exr. Further pages are NAME.2.jpg and so on."""
     layout: SheetLayout = "comparison"
@@ -107,7 +109,7 @@ PanelKind = Literal["video", "markers", "performance"]
 MovieOut = Annotated[WritePath, AfterValidator(file_ending(MOVIE_SUFFIXES, "a movie"))]
 
 
-class MovieSpec(Spec):
+class MovieSpec(MovedRigSpec):
     """Make a review movie: video and performance side by side, with sound and timecode.
 
     Every frame is a key frame, so that players can scrub. An interrupted run is resumed.
@@ -125,7 +127,9 @@ class MovieSpec(Spec):
     performance: Annotated[FilePath, Reads(), Positional()]
     """The performance to draw."""
     take: ShownPath | None = None
-    """The cleaned take it was mapped from. Default: the one its provenance names."""
+    """The take it was made from. Default: the one its provenance names."""
+    video: ReadPath | None = None
+    """The take's video, if its file has moved."""
     out: MovieOut
     """Movie to write: .mp4, .mov, .mkv or .webm."""
     frames: Frames | None = None
@@ -175,7 +179,7 @@ class MovieJoinSpec(Spec):
 PAGE_SUFFIXES = (".html", ".htm")
 
 
-class ReportSpec(Spec):
+class ReportSpec(MovedRigSpec):
     """Write an HTML report of a performance that opens from disk, offline.
 
     The face plays in 3D, synchronised with the video. The report shows the curves of every shape,
@@ -191,7 +195,9 @@ class ReportSpec(Spec):
     performance: Annotated[FilePath, Reads(), Positional()]
     """The performance to show."""
     take: ShownPath | None = None
-    """The cleaned take it was mapped from. Default: the one its provenance names."""
+    """The take it was made from. Default: the one its provenance names."""
+    video: ReadPath | None = None
+    """The take's video, if its file has moved."""
     out: Annotated[WritePath, AfterValidator(file_ending(PAGE_SUFFIXES, "a page"))]
     """Report to write: .html."""
     frames: Frames | None = None
@@ -257,7 +263,7 @@ class FacesSpec(Spec):
 Limit = Annotated[float, Field(ge=0.0)]
 
 
-class EvaluateSpec(Spec):
+class EvaluateSpec(MovedRigSpec):
     """Measure the error of a performance against keys or another performance.
 
     Measures the error of the weights over the shapes that markers can show, of the surface and the

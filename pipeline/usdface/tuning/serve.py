@@ -36,6 +36,7 @@ from usdface.tuning.pictures import PairPictures
 from usdface.tuning.session import TuningSession
 from usdface.usdio.references.read import read_pair_notes, take_files
 from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.reference import moved_rig
 
 HEADER = "x-usdface-tune"
 """Only a script of our own origin can set it without asking the server first."""
@@ -265,16 +266,17 @@ def serve(spec: TuneSpec, *, announce: Callable[[str], None]) -> TuningSession:
     InputError
         If the references cannot be tuned, someone else is tuning them, or the port is in use.
     """
-    session = TuningSession(
-        spec.references,
-        take_over=spec.take_over,
-        first_revision=secrets.randbelow(REVISION_RANGE),
-    )
-    try:
-        with contextlib.closing(_listen(spec)) as listener:
-            _run(session, spec, listener, announce)
-    finally:
-        session.close()
+    with moved_rig(spec.rig):
+        session = TuningSession(
+            spec.references,
+            take_over=spec.take_over,
+            first_revision=secrets.randbelow(REVISION_RANGE),
+        )
+        try:
+            with contextlib.closing(_listen(spec)) as listener:
+                _run(session, spec, listener, announce)
+        finally:
+            session.close()
     return session
 
 

@@ -221,7 +221,7 @@ def test_describe_says_what_was_tried(trained: Stall, capsys) -> None:
     assert usdface("describe", "x.retarget.usdc") == 0
     told = capsys.readouterr().out
     for method in ("additive", "rbf", "kernel_cca", "hybrid", "ridge"):
-        assert method in told
+        assert told.count(f"\n  {method} ") == 1, "a row for the best of each method"
 
 
 def test_cyclic_errors_are_figures_and_curves(trained: Stall, capsys) -> None:

@@ -65,6 +65,8 @@ class SolveEvidence:
     error_mm: FloatArray | None = None
     """Against keys; NaN where there are none [mm]."""
     basis: SolveBasis | None = None
+    by_markers: bool = True
+    """False for weights that came as weights, such as a phone's."""
 
     def exceeds(self, seen_mm: float, uncovered: float) -> BoolArray | None:
         """Return where a figure is beyond its limit: (frames, regions); None if none is known."""
@@ -87,6 +89,12 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
     bad = evidence.exceeds(SEEN_MM, _GUESSED_SHARE)
     doubtful = evidence.exceeds(SEEN_MM / 2, UNCOVERED_SHARE)
     if bad is None or doubtful is None:
+        if not evidence.by_markers:
+            return SolveVerdict(
+                "check",
+                f"{OPENINGS['check']}: weights of another solver, whose error nothing here tells",
+                "compare them with the video, or measure them against keys (--against)",
+            )
         return SolveVerdict(
             "check",
             f"{OPENINGS['check']}: nothing is known of this solve's references or its error",

@@ -128,8 +128,13 @@ class CleanedTakes:
         return np.array([self.usable[take][row] for take, row in self.places(rows)], dtype=np.bool_)
 
 
-def read_cleaned(path: Path) -> Take:
+def read_cleaned(path: Path, *, need_markers: bool = True) -> Take:
     """Read a take that has markers and no head motion.
+
+    Parameters
+    ----------
+    need_markers : bool
+        False takes one of weights as well, such as a phone's.
 
     Raises
     ------
@@ -138,6 +143,8 @@ def read_cleaned(path: Path) -> Take:
     """
     take = read_take(path, head_motion=False)
     if take.markers is None:
+        if not need_markers and take.source is not None:
+            return take
         raise InputError(f"{path}: has no markers; ingest a capture that has")
     if take.markers.space != "stabilized":
         raise InputError(f"{path}: still holds head motion; run `usdface clean {path}` first")

@@ -1,12 +1,14 @@
 """Say what a mapping is."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
+from usdface.core.text import aligned_rows
 from usdface.media.picture.image import write_image
-from usdface.model.retarget.train import describe_retargeting_figures, retargeting_table
+from usdface.model.retarget.train import describe_retargeting_figures
 from usdface.runner.origin import path_made_from
 from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
@@ -18,7 +20,7 @@ from usdface.usdio.retarget.retargeting import is_retargeting, read_retargeting
 
 
 def describe_mapping(path: Path, *, picture: Path | None = None) -> StepResult:
-    """Return a mapping's method, settings and the table of what was tried, best first.
+    """Return a mapping's method and settings, and a table of the best of each method tried.
 
     Parameters
     ----------
@@ -31,20 +33,23 @@ def describe_mapping(path: Path, *, picture: Path | None = None) -> StepResult:
     mapping = read_mapping(path)
     if picture is not None:
         _draw(mapping, path, picture)
-    lines = [variance_line(mapping)]
-    lines += [f"setting {name}: {value}" for name, value in sorted(mapping.settings.items())]
-    for rank, score in enumerate(mapping.scores, start=1):
-        surface = "" if math.isnan(score.vertex_rms_mm) else f"{score.vertex_rms_mm:.3f} mm, "
-        lines.append(
-            f"tried {rank}: {score.method} ({score.settings}): {surface}"
-            f"{score.weight_rmse:.4f} in the weights"
+    head = ("method", "surface, mm", "weights, RMSE", "settings")
+    tried = [
+        (
+            score.method,
+            "unknown" if math.isnan(score.vertex_rms_mm) else f"{score.vertex_rms_mm:.3f}",
+            f"{score.weight_rmse:.4f}",
+            score.settings,
         )
+        for score in mapping.scores
+    ]
     return StepResult(
         () if picture is None else (picture,),
         f"{mapping.method}: {len(mapping.marker_names)} markers to {len(mapping.shape_names)} "
         f"shapes, trained on {mapping.references or 'unnamed references'}",
-        tuple(lines),
+        (),
         describe_figures(mapping),
+        (variance_line(mapping), *_table(mapping.settings, head, tried)),
     )
 
 
@@ -63,13 +68,39 @@ def _draw(mapping: TrainedMapping, path: Path, picture: Path) -> None:
 
 def _describe_retargeting(path: Path) -> StepResult:
     trained = read_retargeting(path)
-    lines = [f"setting {name}: {value}" for name, value in sorted(trained.settings.items())]
-    lines += [f"tried {rank}: {line}" for rank, line in enumerate(retargeting_table(trained), 1)]
+    head = ("method", "round trip", "pairs missed, of range", "settings")
+    tried = [
+        (score.method, f"{score.cyclic_mm:.4f}", f"{score.pair_error:.4f}", score.settings)
+        for score in trained.scores
+    ]
     return StepResult(
         (),
         f"{trained.method}: {len(trained.source_shapes)} source shapes to {len(trained.shapes)} "
         f"shapes, {len(trained.joints)} joints and {len(trained.attributes)} attributes, trained "
         f"on {trained.pairs or 'unnamed pairs'}",
-        tuple(lines),
+        (),
         describe_retargeting_figures(trained),
+        _table(trained.settings, head, tried),
     )
+
+
+def _table(
+    settings: dict[str, float | int | str | bool],
+    head: tuple[str, ...],
+    tried: Sequence[tuple[str, ...]],
+) -> tuple[str, ...]:
+    """Return settings and what was tried as columns: of each method the best, which is first."""
+    best = {row[0]: row for row in reversed(tried)}
+    rows = [row for row in tried if best[row[0]] is row]
+    lines = aligned_rows(
+        [
+            (name.replace("_", " "), f"{value:.6g}" if isinstance(value, float) else str(value))
+            for name, value in sorted(settings.items())
+            if value != ""
+        ]
+    )
+    if rows:
+        lines += ["", "cross-validation, the best of each method:", *aligned_rows([head, *rows])]
+    if len(rows) < len(tried):
+        lines.append(f"{len(tried) - len(rows)} other settings were worse; --json lists them")
+    return tuple(lines)

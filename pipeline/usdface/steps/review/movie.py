@@ -78,7 +78,7 @@ class _Studio:
 def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Draw the movie, stretch by stretch, and join them with the sound."""
     progress(0.0, "reading")
-    shot = open_shot(spec.performance, spec.take, frames=spec.frames)
+    shot = open_shot(spec.performance, spec.take, frames=spec.frames, video=spec.video)
     take = shot.take
     notes: list[str] = []
     panels = _panels(spec, take, notes)
@@ -147,9 +147,14 @@ def _panels(spec: MovieSpec, take: Take, notes: list[str]) -> tuple[PanelKind, .
                 f"{spec.take}: has no video to show; leave it out of --panels, or ingest with "
                 "--video"
             )
+        if "markers" in spec.panels and take.markers is None:
+            raise InputError(f"{take.name}: has no markers to show; leave them out of --panels")
         return spec.panels
     if take.video is not None:
         return ("video", "performance")
+    if take.markers is None:
+        notes.append("the take has neither video nor markers: the performance is shown alone")
+        return ("performance",)
     notes.append("the take has no video: its markers are shown in its place")
     return ("markers", "performance")
 
@@ -247,7 +252,7 @@ _shared: _Studio | None = None
 def _set_up(plan: _Plan, stop: Event) -> None:
     global _shared
     spec = plan.spec
-    shot = open_shot(spec.performance, spec.take, frames=spec.frames)
+    shot = open_shot(spec.performance, spec.take, frames=spec.frames, video=spec.video)
     _shared = replace(_open_studio(plan, shot, ExitStack()), stopped=stop.is_set)
 
 
@@ -271,7 +276,9 @@ def _pictures(studio: _Studio, stretch: _Stretch) -> Iterator[ByteImage]:
         widths["performance"] = pictures.face_width
     title = f"{shot.take.name}  ·  {shot.rig.file.stem}"
     uncertainty = shot.face_uncertainty_mm()
-    verdict = judge_solve(solve_evidence(shot.performance, slice(None)))  # whatever part is drawn
+    evidence = solve_evidence(shot.performance, slice(None))  # whatever part is drawn
+    evidence = replace(evidence, by_markers=shot.take.markers is not None)
+    verdict = judge_solve(evidence)
     slate_end = shot.performance.weights.first_frame + _SLATE_SECONDS * shot.take.rate
     for number in range(stretch.start, stretch.stop):
         if studio.stopped():

@@ -10,7 +10,7 @@ from usdface.core.arrays import BoolArray, ByteImage, FloatArray
 from usdface.core.assets import Take
 from usdface.core.errors import InputError
 from usdface.media.face.camera import Camera
-from usdface.media.face.markers_view import draw_markers, frame_markers
+from usdface.media.face.markers_view import MarkersFrame, draw_markers, frame_markers
 from usdface.media.face.render import FaceRenderer
 from usdface.media.face.sculpted_normals import SculptedNormals
 from usdface.media.film.image_sequence import ImageSequence, open_video
@@ -30,12 +30,12 @@ FRAMED_BY = 2000
 """Frames of a take that its markers are framed by."""
 
 
-def _spread(take: Take) -> FloatArray:
-    """Return markers of frames all over a take: a part of it is framed as the whole is."""
+def _frame_of(take: Take) -> MarkersFrame | None:
+    """Return what part of space a take's markers are in: one for all of its parts."""
     if take.markers is None:
-        raise InputError(f"{take.name}: has no markers")
+        return None
     step = max(take.frame_count // FRAMED_BY, 1)
-    return take.markers.positions[::step].astype(np.float64)
+    return frame_markers(take.markers.positions[::step].astype(np.float64))
 
 
 def repaired_markers(take: Take, frame: int) -> BoolArray:
@@ -78,7 +78,7 @@ class ShotPictures:
         self._camera = camera or shot.camera()
         self._width = self._camera.width(height, int(shot.frames[0]))
         self._last: dict[tuple[Camera, bytes], ByteImage] = {}
-        self._cloud = frame_markers(_spread(shot.take))
+        self._cloud = _frame_of(shot.take)
         self._open = ExitStack()
         self._video: VideoReader | ImageSequence | None = None
 

@@ -61,7 +61,7 @@ SHEET_TYPES = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}
 def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Gather everything and write the page."""
     progress(0.0, "reading")
-    shot = open_shot(spec.performance, spec.take, frames=spec.frames)
+    shot = open_shot(spec.performance, spec.take, frames=spec.frames, video=spec.video)
     clock = _clock(spec, shot)
     notes: list[str] = []
     page = _page(spec, shot, clock, notes, provenance, progress)
@@ -111,11 +111,11 @@ def _page(
     take, rig, ruler = shot.take, shot.rig, ShotRuler(shot)
     keys = read_keys(spec.against, rig, shot.frames)
     progress(0.05, "placing the markers on the rig")
-    equation = set_up_shot_baseline(shot)
+    equation = set_up_shot_baseline(shot) if take.markers is not None else None
     signals = ruler.signals(keys, equation)
     verdict = ruler.verdict(signals)
     rows = np.arange(len(shot.frames))
-    baseline = solve_baseline(equation, shot, rows) if spec.baseline else None
+    baseline = solve_baseline(equation, shot, rows) if spec.baseline and equation else None
     pictures = _sheet(spec)
     tables = listings(shot, evaluate_shown(shot, keys), provenance)
     progress(0.2, "packing the face")
@@ -148,7 +148,7 @@ def _page(
         pictures=pictures,
         said=labels_at(spec.phones, take, shot.frames) if spec.phones else (),
         origin=provenance_metadata(provenance),
-        markers=page_markers(shot, equation),
+        markers=None if equation is None else page_markers(shot, equation),
         heat=page_heat(signals, curves),
         gaze=tuple(gaze),
         notes=page_notes(spec, shot),

@@ -62,7 +62,8 @@ class _Comparison:
     """Of the first."""
     signals: ReviewSignals
     """Of the first."""
-    equation: BlendshapeEquation
+    equation: BlendshapeEquation | None
+    """None for a take without markers."""
     truth: FloatArray | None
     """(frames, shapes): the keys; NaN at frames that have none."""
     scores: list[Score]
@@ -116,13 +117,14 @@ def _compare(spec: SheetSpec, progress: Progress) -> _Comparison:
     shots = _open_shots(spec)
     shot = shots[0]
     progress(0.1, "placing the markers on the rig")
-    equation, ruler = set_up_shot_baseline(shot), ShotRuler(shot)
+    equation = None if shot.take.markers is None else set_up_shot_baseline(shot)
+    ruler = ShotRuler(shot)
     truth = read_keys(spec.against, shot.rig, shot.frames)
     signals = ruler.signals(truth, equation)
     chosen = _choose(spec, shot, signals)
     rows = [frame.row for frame in chosen]
     scores = [score("solve", shot, shot.weights, truth)]
-    if spec.baseline and spec.layout in ("comparison", "worst"):
+    if equation is not None and spec.baseline and spec.layout in ("comparison", "worst"):
         solved = solve_baseline(equation, shot, np.array(rows, np.int64))
         scores.insert(0, score("baseline", shot, solved, truth))
     others = [each.performance_file for each in shots[1:]]
@@ -187,7 +189,7 @@ def _open_shots(spec: SheetSpec) -> list[Shot]:
     files = (spec.performance, *spec.also)
     listed = frame_list(spec.frames)
     limits = spec.frames if listed is None else None
-    shots = [open_shot(file, spec.take, frames=limits) for file in files]
+    shots = [open_shot(file, spec.take, frames=limits, video=spec.video) for file in files]
     first = max(int(shot.frames[0]) for shot in shots)
     last = min(int(shot.frames[-1]) for shot in shots)
     if last < first:
@@ -285,9 +287,11 @@ def _notes(spec: SheetSpec, comparison: _Comparison, *, stand_in_eyes: bool) -> 
             if each.against_truth
         )
         notes.append(f"mean: {', '.join(means)}")
+    elif shot.take.markers is None:
+        notes = ["the take is one of weights: compare with the video, or give keys (--against)"]
     elif shot.performance.uncertainty_mm is None:
         notes = ["the uncertainty is not known: the performance was not mapped by this version"]
-    if spec.layout != "strip":
+    if spec.layout != "strip" and comparison.equation is not None:
         notes.append(
             "dots: the markers on the character, hollow where they were repaired; lines: from the "
             "solve to them"
@@ -333,8 +337,8 @@ def sheet_columns(
     columns: list[Column] = []
     if shot.take.video is not None:
         columns.append(Column("video", lambda row: drawn.video(int(shot.frames[row]))))
-    if spec.layout != "strip":
-        equation = comparison.equation
+    equation = comparison.equation
+    if spec.layout != "strip" and equation is not None:
         columns.append(Column("markers", lambda row: Tile(drawn.markers_on_face(row, equation))))
     others = iter(pictures[1:])
     for each in comparison.scores:

@@ -1,6 +1,6 @@
 """A shot: performance, take and rig over the frames they share, and where it is seen from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from usdface.steps.inputs.cleaned_takes import read_cleaned
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.stage_camera import StageCamera, StageView
+from usdface.usdio.take.read import is_take
 
 WIDEST_ASPECT = 3.0
 """Width over height at which a picture is cut: wider film would leave a face of few pixels."""
@@ -170,7 +171,8 @@ class Shot:
         if error_mm is not None and regions is not None:
             return SolveEvidence(regions, error_mm=error_mm, basis=self.performance.basis)
         rows = self.frames - self.performance.weights.first_frame
-        return solve_evidence(self.performance, rows)
+        evidence = solve_evidence(self.performance, rows)
+        return replace(evidence, by_markers=self.take.markers is not None)
 
     def timecode(self, frame: int) -> str:
         """Return the SMPTE label of a frame; empty when the take has none."""
@@ -205,9 +207,7 @@ def find_take(performance: Path, given: Path | None) -> Path:
     InputError
         If it is not known where the take is, or another is given.
     """
-    made = provenance_of(performance)
-    named = spec_of(made).get("take")
-    own = performance.parent / named if isinstance(named, str) and named else None
+    made, own = provenance_of(performance), _take_of(performance)
     if given is None:
         if own is None:
             raise InputError(f"{performance}: does not say which take it is of; give it by --take")
@@ -223,10 +223,32 @@ def find_take(performance: Path, given: Path | None) -> Path:
     )
 
 
+def _take_of(performance: Path) -> Path | None:
+    """Return the take that a performance says it was made of; None where it says none.
+
+    Of one that was retargeted it is the source's.
+    """
+    file, seen = performance, set[Path]()
+    while file not in seen:
+        seen.add(file)
+        spec = spec_of(provenance_of(file))
+        named = spec.get("take") or spec.get("source")
+        if not isinstance(named, str) or not named:
+            return None
+        file = file.parent / named
+        if "take" in spec or not file.is_file() or is_take(file):
+            return file
+    return None
+
+
 def open_shot(
-    performance_file: Path, take_file: Path | None = None, *, frames: str | None = None
+    performance_file: Path,
+    take_file: Path | None = None,
+    *,
+    frames: str | None = None,
+    video: Path | None = None,
 ) -> Shot:
-    """Read a performance with the take it was mapped from.
+    """Read a performance with the take it was made from: of markers, or of weights.
 
     Parameters
     ----------
@@ -234,6 +256,8 @@ def open_shot(
         See `find_take`.
     frames : str, optional
         FIRST-LAST, to use no others.
+    video : Path, optional
+        Where the take's video is now.
 
     Raises
     ------
@@ -249,7 +273,7 @@ def open_shot(
             "the offset"
         )
     performance = read_performance(performance_file)
-    take = read_cleaned(take_file)
+    take = _with_video(take_file, read_cleaned(take_file, need_markers=False), video)
     rig = read_rig(performance.rig_file, prim=performance.rig_prim)
     clip = performance.weights
     first = max(clip.first_frame, take.first_frame)
@@ -266,6 +290,21 @@ def open_shot(
     numbers = np.arange(first, last, dtype=np.int64)
     weights = weights_in_rig_order(performance, rig, numbers)
     return Shot(performance_file, take, performance, rig, Deformer(rig), numbers, weights)
+
+
+def _with_video(file: Path, take: Take, moved: Path | None) -> Take:
+    """Return a take with the video where it is now."""
+    if take.video is None:
+        if moved is not None:
+            raise InputError(f"{file}: has no video that {moved} could be; ingest with --video")
+        return take
+    if moved is not None:
+        return replace(take, video=replace(take.video, file=moved))
+    if not take.video.file.is_file():
+        raise InputError(
+            f"{file}: its video, {take.video.file}, is gone; put it back, or say where by --video"
+        )
+    return take
 
 
 def weights_in_rig_order(performance: Performance, rig: Rig, frames: IntArray) -> FloatArray:

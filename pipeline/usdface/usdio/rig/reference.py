@@ -1,7 +1,8 @@
 """Reference a rig into another stage and point its skeletons at an animation."""
 
+import contextlib
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -192,15 +193,56 @@ def rig_of(stage: Usd.Stage, animation: Usd.Prim) -> tuple[Path, str]:
     InputError
         If no skeleton follows the animation.
     """
+    moved = os.environ.get(_MOVED_RIG)
     for prim in stage.Traverse():
         if prim.IsA(UsdSkel.Skeleton) and _follows(prim, animation):
             source = _source_of(prim, animation)
             if source is not None:
-                return source.file, source.root
-    raise InputError(
-        f"{stage.GetRootLayer().realPath} <{animation.GetPath()}>: no rig follows this animation; "
-        "is the rig's file still where it was?"
-    )
+                return Path(moved) if moved else source.file, source.root
+    where = f"{stage.GetRootLayer().realPath} <{animation.GetPath()}>"
+    missing = _missing_reference(stage)
+    if missing is None:
+        raise InputError(f"{where}: no rig follows this animation; reference the rig it is for")
+    file, top = missing
+    if moved:
+        return Path(moved), top
+    raise InputError(f"{where}: its rig, {file}, is gone; put it back, or say where it is by --rig")
+
+
+_MOVED_RIG = "USDFACE_MOVED_RIG"
+"""Of the environment, which the processes that draw a movie share."""
+
+
+@contextlib.contextmanager
+def moved_rig(rig: Path | None) -> Iterator[None]:
+    """Take the rig of every performance and of all references from one file; None changes nothing.
+
+    The prim is the one they refer to.
+    """
+    if rig is None:
+        yield
+        return
+    before = os.environ.get(_MOVED_RIG)
+    os.environ[_MOVED_RIG] = str(rig.resolve())
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_MOVED_RIG]
+        else:
+            os.environ[_MOVED_RIG] = before
+
+
+def _missing_reference(stage: Usd.Stage) -> tuple[str, str] | None:
+    """Return the first file that a prim refers to and that is gone, and the prim in it."""
+    specs = (spec for prim in stage.TraverseAll() for spec in prim.GetPrimStack())
+    for spec in specs:
+        arcs = (spec.referenceList, spec.payloadList)
+        for each in (arc for arcs_of in arcs for arc in arcs_of.GetAddedOrExplicitItems()):
+            file = spec.layer.ComputeAbsolutePath(each.assetPath) if each.assetPath else ""
+            if file and not Path(file).exists():
+                return file, str(each.primPath)
+    return None
 
 
 def _follows(skeleton: Usd.Prim, animation: Usd.Prim) -> bool:

@@ -1,0 +1,91 @@
+"""Takes of weights, as phones record them, and files that moved after a performance was made."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.steps.review.test_report import give_video, spec_of
+from tests.steps.small_shot import Shot
+from usdface.core.assets import WeightsClip
+from usdface.core.errors import InputError
+from usdface.media.film.video import VideoReader
+from usdface.runner.execute import execute
+from usdface.specs.edits import BakeSpec
+from usdface.specs.review import EvaluateSpec, MovieSpec, ReportSpec, SheetSpec
+from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.take.read import read_take
+from usdface.usdio.take.write import write_take
+
+DRAFT = {"tile": 64, "rows": 1, "quality": "draft"}
+
+
+def make_phone_take(shot: Shot, *, video: bool) -> None:
+    """Replace the shot's take by one of weights alone."""
+    if video:
+        give_video(shot)
+    path = shot / "shot.clean.take.usda"
+    take = read_take(path)
+    reader = PerformanceReader(shot / "shot.hero.usda")
+    source = WeightsClip(reader.names, reader.solved(), reader.first_frame, reader.rate)
+    for file in shot.folder.glob("shot.clean.take.*"):
+        file.unlink()
+    weights = replace(take, markers=None, head_motion=None, source=source)
+    write_take(path, weights)
+
+
+@pytest.mark.parametrize("video", [True, False])
+def test_takes_of_weights_are_reviewed(shot: Shot, video: bool) -> None:
+    make_phone_take(shot, video=video)
+    hero = shot / "shot.hero.usda"
+    sheet = execute(SheetSpec(performance=hero, out=shot / "phone.jpg", **DRAFT))
+    assert sheet.figures["frames"]
+    report = execute(
+        ReportSpec(performance=hero, out=shot / "phone.html", frames="1-60", height=120)
+    )
+    text = (shot / "phone.html").read_text(encoding="utf-8")
+    assert '"markers":null' in text
+    assert ('"movie":""' in text) != video
+    assert report.figures["pictures"] == 60
+    movie = execute(
+        MovieSpec(
+            performance=hero, out=shot / "p.mp4", frames="1-24", height=64, rate=12, workers=1
+        )
+    )
+    assert movie.figures["panels"] == (["video"] if video else []) + ["performance"]
+    with VideoReader(shot / "p.mp4") as drawn:
+        picture = drawn.frame_at(0.0)
+    assert picture is not None
+    assert picture.std() > 5, "nothing is drawn"
+    with pytest.raises(InputError, match="has no markers to show"):
+        execute(MovieSpec(performance=hero, out=shot / "m.mp4", panels=("markers",)))
+
+
+def test_a_rig_that_moved_is_named_and_found_where_it_is_said_to_be(
+    shot: Shot, tmp_path: Path
+) -> None:
+    hero, before = shot / "shot.hero.usda", PerformanceReader(shot / "shot.hero.usda").edited()
+    (tmp_path / "rigs").mkdir()
+    moved = Path(shutil.move(shot / "hero.usdc", tmp_path / "rigs" / "anders.usdc"))
+    given = {"performance": hero, "out": shot / "x.jpg", **DRAFT}
+    with pytest.raises(InputError, match=r"its rig, .*hero\.usdc, is gone;.* by --rig"):
+        execute(SheetSpec(**given))
+    execute(SheetSpec(**given, rig=moved))
+    keys = {"against": shot / "keys.csv", "rig": moved}
+    figures = execute(EvaluateSpec(performance=hero, out=(shot / "e.json",), **keys)).figures
+    assert figures["weight_rmse"] < 0.2
+    execute(BakeSpec(performance=hero, out=shot / "baked.usdc", rig=moved))
+    np.testing.assert_allclose(PerformanceReader(shot / "baked.usdc").edited(), before, atol=1e-6)
+    with pytest.raises(InputError, match="is gone"):  # it was said for one command
+        execute(EvaluateSpec(performance=hero, against=shot / "keys.csv"))
+
+
+def test_a_video_that_moved_is_named_and_found_where_it_is_said_to_be(shot: Shot) -> None:
+    give_video(shot)
+    moved = Path(shutil.move(shot / "camera.mp4", shot / "kamera 2.mp4"))
+    with pytest.raises(InputError, match=r"its video, .*camera\.mp4, is gone;.* by --video"):
+        execute(spec_of(shot, frames="1-24"))
+    execute(spec_of(shot, frames="1-24", video=moved))
+    assert '"movie":"video' in (shot / "shot.html").read_text(encoding="utf-8")
