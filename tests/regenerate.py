@@ -67,8 +67,10 @@ def main() -> None:
         old.unlink()
     for name, text in json_schemas().items():
         (JSON_SCHEMAS / name).write_text(text, encoding="utf-8")
-    REFERENCE.mkdir(exist_ok=True)
+    for old in REFERENCE.rglob("*.md"):
+        old.unlink()
     for name, text in reference_pages(USD_SCHEMA / "schema.usda").items():
+        (REFERENCE / name).parent.mkdir(parents=True, exist_ok=True)
         (REFERENCE / name).write_text(text, encoding="utf-8")
 
 
