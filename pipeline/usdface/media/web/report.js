@@ -260,7 +260,14 @@ class Report {
     let at = this.from + this.way * Math.floor(seconds * data.rate * this.speed);
     if (led) at = this.seeking ? this.picture : Math.floor((this.mediaTime ?? this.video.currentTime) * data.rate + 1e-3);
     const [first, last] = this.#limits();
-    if (this.way > 0 ? at >= last && (this.looping || !led) && at > this.from : at <= first) { this.#arrive(); return; }
+    if (this.looping && !led) { // a loop may be shorter than what a screen takes for a picture
+      const span = last - first + 1;
+      at = first + ((((at - first) % span) + span) % span);
+      this.show(at);
+      this.ticking = requestAnimationFrame((next) => this.#tick(next));
+      return;
+    }
+    if (this.way > 0 ? at >= last && (this.looping || !led) : at <= first) { this.#arrive(); return; }
     this.show(at, { fromVideo: led });
     this.ticking = requestAnimationFrame((next) => this.#tick(next));
   }
