@@ -40,7 +40,7 @@ def test_the_share_of_variance_is_that_of_the_take_and_the_eigen_space_is_drawn(
     np.testing.assert_allclose(shares[:8], (values / values.sum())[:8], atol=1e-5)
     line = f"4 principal components hold {100 * shares[:4].sum():.2f} %"
     assert any(note.startswith(line) for note in made.notes)
-    assert describe_mapping(out).notes[0].startswith(line)
+    assert describe_mapping(out).table[0].startswith(line)
     assert read_picture(picture).std() > 10
     drawn = tmp_path / "y.jpg"
     describe_mapping(out, picture=drawn)
