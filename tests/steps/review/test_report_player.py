@@ -457,7 +457,7 @@ def test_the_data_of_a_report_are_its_own(reported: Shot) -> None:
         ("[]", "holds no notes"),
         ("{", "is no JSON"),
         ('{"usdface_notes": 2, "notes": []}', "usdface_notes"),
-        ('{"usdface_notes": 1, "notes": [{"id": "a", "frame": "x"}]}', r"notes\[0\] -> frame"),
+        ('{"usdface_notes": 1, "notes": [{"id": "a", "frame": "x"}]}', "notes 1 -> frame"),
     ],
 )
 def test_what_is_no_file_of_notes_is_named(
