@@ -191,7 +191,7 @@ def "Take"
     text = yaml.safe_dump({"step": "clean", "take": "take.usda", "out": "out.usda"})
     (shows / "job.yaml").write_text(text)
     job = shows / "job.yaml"
-    with pytest.raises(InputError, match=r"refers to: .*secret\.png: lies outside"):
+    with pytest.raises(InputError, match=r"refers to .*secret\.png, which lies outside"):
         submit(SubmitSpec(job=job, write_only=True))
     (shows / "take.usda").write_text('#usda 1.0\ndef "Take" {}\n')
     with pytest.raises(InputError, match=r"bundle: lies outside"):

@@ -100,7 +100,7 @@ def rig_without_shapes(shot: Shot) -> list[str]:
 
 
 def names_that_match_nothing(shot: Shot) -> list[str]:
-    (shot / "tuned.csv").write_text("frame,jaw_drop,grin\n1,0.5,0.5\n")
+    (shot / "tuned.csv").write_text("frame,tail_wag,ear_flop\n1,0.5,0.5\n")
     return ["references", "import", "hero.references.usda", "--weights", "tuned.csv"]
 
 
@@ -226,7 +226,7 @@ CASES: list[tuple[Callable[[Shot], list[str]], tuple[str, ...]]] = [
     (clean_twice_named_wrongly, ("shot.take.usda", "usdface clean")),
     (too_many_pairs, ("9999", "480", "--count")),
     (rig_without_shapes, ("bare.usda", "BlendShapes")),
-    (names_that_match_nothing, ("tuned.csv", "jaw_drop", "rename")),
+    (names_that_match_nothing, ("tuned.csv", "tail_wag", "rename")),
     (frames_that_match_nothing, ("tuned.csv", "90001", "--at")),
     (nan_in_the_table, ("tuned.csv", "line 3", "jawOpen", "nan")),
     (too_many_dimensions, ("40", "24")),

@@ -171,7 +171,10 @@ def test_one_source_drives_many_targets_at_once(trained: Stall, capsys) -> None:
     assert [each["attributes"] for each in told["figures"]["targets"]] == [2, 1]
     for name in ("one.usda", "two.usda"):
         assert len(read_control_clip(Path(name)).clip.controls) == FRAMES
-    assert usdface(*line.split()) == 2  # nothing is replaced unasked
+    before = Path("one.usda").read_bytes()
+    assert usdface(*line.split()) == 0  # nothing has changed, and nothing is written
+    assert json.loads(capsys.readouterr().out)["up_to_date"]
+    assert Path("one.usda").read_bytes() == before
 
 
 def test_pairs_are_proposed_by_name_and_by_hand_keyed_ones_stay(stall: Stall, capsys) -> None:

@@ -82,7 +82,10 @@ def run(
     notes = _notes(reader, table) + elsewhere_notes(table, elsewhere)
     if not changed:
         return StepResult(
-            (), "nothing differs from the performance; its edits stay as they are", notes
+            (),
+            "nothing differs from the performance; its edits stay as they are",
+            notes,
+            {"frames": 0, "shapes": []},
         )
     count = int(differing.sum())
     if 2 * count > len(rows) > 1:

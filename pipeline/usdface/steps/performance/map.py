@@ -30,7 +30,6 @@ from usdface.specs.performance import MapSpec
 from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.inputs.weight_tables import read_alpha
-from usdface.steps.performance.baseline import write_baseline
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance.weights_layer import every_shape, make_header
 from usdface.usdio.performance.write import writing_performance
@@ -222,6 +221,8 @@ def _predict(
 def _run_baseline(spec: MapSpec, provenance: Provenance, progress: Progress) -> StepResult:
     rig, take = read_rig(spec.rig, prim=spec.rig_prim), TakeReader(spec.take)
     first, last = _frames(spec, take)
+    from usdface.steps.performance.baseline import write_baseline  # mapping starts without it
+
     return write_baseline(
         spec,
         take,

@@ -34,7 +34,9 @@ def run(
     else:
         transfer = transfer_by_table(spec.names, given.names, references.shape_names)
     table = given.renamed(transfer)
-    known = table.shapes_among(references.shape_names, file=spec.weights, owner="on the rig")
+    known = (table if table.names else given).shapes_among(
+        references.shape_names, file=spec.weights, owner="on the rig"
+    )
     pairs = _pairs(spec, references, table, known)
     if not pairs:
         raise InputError(
