@@ -271,6 +271,7 @@ def test_the_face_and_its_columns_belong_together(server: Server) -> None:
         "viseme": "",
         "emotion": "",
         "noPicture": "",
+        "notes": [],
     }
 
 
