@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.assets import SolveBasis, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.coordinates import Coordinates, marker_coordinates
@@ -14,8 +14,9 @@ from usdface.model.mapping.head_space import MINIMUM_SHARE
 from usdface.model.mapping.motion_space import motion_of
 from usdface.model.mapping.uncertainty import UncertaintyModel
 from usdface.model.regressions import REMOVED_METHODS, find_method
-from usdface.model.regressions.frame_solve import FrameSolver
+from usdface.model.regressions.frame_solve import FrameSolution, FrameSolver
 from usdface.model.regressions.target_curve import bend, unbend
+from usdface.numerics.regression.usage_prior import expected_weights
 
 _BLOCK_FRAMES = 1024
 """What is worked on stays near the processor: a quarter quicker than in large blocks."""
@@ -75,6 +76,7 @@ class WeightPredictor:
             self._members = mapping.arrays["region_markers"]
             self._coverage = CoverageModel(self._solver, self._members)
             self._method = find_method(mapping.method)
+            self._driving = self._find_driving()
             with np.errstate(all="ignore"):  # what is not finite is refused below
                 self._predict = self._method.prepare(mapping.arrays, mapping.settings)
                 tried = self.predict(mapping.neutral[None])
@@ -158,12 +160,37 @@ class WeightPredictor:
             moved = positions[rows] - self._mapping.neutral
             start = bend((weights[rows] - low) / (high - low), curve)
             solution = solver.solve(moved, visible[rows], start, bounded=solves)
-            if solves:
+            estimated = len(self._driving) > 0 and solution.hessian is not None
+            if estimated:
+                start[:, self._driving] = self._expected(solution)
+                solution = solver.solve(moved, visible[rows], start, bounded=False)
+            if solves or estimated:
                 solved = np.clip(unbend(solution.targets, curve), 0.0, 1.0)
                 weights[rows] = low + (high - low) * solved
             left[rows] = solution.left.reshape(-1, *left.shape[1:])
             uncertainty[rows] = self._uncertainty.deviations(solver, solution, visible[rows])
         return weights, uncertainty, left
+
+    def _find_driving(self) -> IntArray:
+        """Return the shapes that drive combinations, where the method says less than is known.
+
+        A method that solves frames has weighed its error already.
+        """
+        driven = self._solver.forward.driven
+        if driven is None or self._method.solves_frames:
+            return np.zeros(0, np.int64)
+        used = np.unique(driven.logic.links[:, 1])
+        return np.asarray(used[used < len(self._mapping.shape_names)])
+
+    def _expected(self, solution: FrameSolution) -> FloatArray:
+        """Return the expected bent weights of `_driving`, as the references use them."""
+        curve = self._solver.forward.scales.curve
+        variance = np.einsum("fss->fs", solution.covariance(curve))[:, self._driving]
+        keys, solved = (
+            unbend(each[:, self._driving], curve)
+            for each in (self._solver.forward.targets, solution.targets)
+        )
+        return bend(expected_weights(solved, np.sqrt(variance), keys), curve)
 
 
 def predict_weights(

@@ -27,7 +27,6 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray, RealArray
 from usdface.model.regressions.base import Arrays
 from usdface.model.regressions.frame_solve import FrameSolution, FrameSolver
-from usdface.model.regressions.target_curve import unbend
 
 ERROR_PROBABILITY = 0.9
 """That the error of a frame stays below `LIMIT_DEVIATIONS` of its uncertainty."""
@@ -40,8 +39,6 @@ as uncertain as constants of regions differ."""
 
 _CALIBRATION_RANGE = (0.5, 4.0)
 """Of ``c``: folds of few references say no more."""
-
-_BEND_STEP = 1e-3
 
 _LEAST_MM2 = 1e-12
 """Variance of a region that nothing moves."""
@@ -80,11 +77,7 @@ class UncertaintyModel:
         if solution.hessian is None:
             squared = self._shared_squared(solver, solution)
         else:
-            curve = solver.forward.scales.curve
-            ahead = unbend(solution.targets + _BEND_STEP, curve)
-            unbent = (ahead - unbend(solution.targets, curve)) / _BEND_STEP
-            covariance = np.linalg.inv(solution.hessian)
-            covariance *= unbent.astype(np.float32)[:, :, None] * unbent.astype(np.float32)[:, None]
+            covariance = solution.covariance(solver.forward.scales.curve)
             packed = self.grams.reshape(len(self.grams), -1).astype(np.float32)
             squared = covariance.reshape(len(visible), -1) @ packed.T
         chi2, excess2 = self._unexplained(solver, solution.left, visible)

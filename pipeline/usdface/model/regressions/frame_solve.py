@@ -30,6 +30,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, RealArray
 from usdface.model.regressions.base import Arrays
 from usdface.model.regressions.forward_model import ForwardModel
+from usdface.model.regressions.target_curve import unbend
 from usdface.numerics.solve.bounded_least_squares import descend_in_boxes
 
 CLEANED_NOISE_MM = 0.05
@@ -57,6 +58,9 @@ _TAIL_DEVIATIONS = 1.5
 _TAIL_ROUNDS = 2
 """Of reweighting for the tails: the first is without."""
 
+_BEND_STEP = 1e-3
+"""Of a bent weight, for the slope of unbending."""
+
 _GRADIENT_STEPS = 30
 """Accelerated gradient steps of the bounded solve. The forward model is linearised once, at t0: a
 second time changes crosstake by less than .001 mm and takes as long again."""
@@ -81,6 +85,24 @@ class FrameSolution:
     """(frames, 3 markers): markers minus where the weights put them; 0 where unseen [mm]."""
     hessian: RealArray | None
     """(frames, shapes, shapes): of half the sum that is minimised; None on rigs of many shapes."""
+
+    def covariance(self, curve: float) -> RealArray:
+        """Return the posterior covariance of the weights, as shares of their ranges.
+
+        (frames, shapes, shapes).
+
+        Raises
+        ------
+        ValueError
+            If the rig has too many shapes for each frame to have a Hessian.
+        """
+        if self.hessian is None:
+            raise ValueError("frames of rigs of many shapes have no Hessian of their own")
+        ahead = unbend(self.targets + _BEND_STEP, curve)
+        slope = ((ahead - unbend(self.targets, curve)) / _BEND_STEP).astype(np.float32)
+        covariance: RealArray = np.linalg.inv(self.hessian)
+        covariance *= slope[:, :, None] * slope[:, None]
+        return covariance
 
 
 @dataclass(frozen=True)
