@@ -36,6 +36,13 @@ COUNTS = (25, 30, 50, 100)
 COLUMNS = ("weight_rmse", "vertex_rms_mm", "vertex_p95_mm", "blink_bias", "jitter")
 SEED = 0
 
+_PUBLISHED: dict[str, dict[str, Any]] = {
+    "d06, 16 × nearest": {"widths": (16,)},
+    "d06, 16 components, 16 × nearest": {"dimensions": (16,), "widths": (16,)},
+    "d06, by cross-validation": {"dimensions": (4, 8, 16, 24), "widths": (2, 4, 8, 16, 32)},
+}
+"""Options of `train --method d06` beside those called "as published"."""
+
 
 def run(
     counts: tuple[int, ...] = COUNTS, methods: tuple[str, ...] = (), *, quick: bool = False
@@ -66,6 +73,9 @@ def run(
             print(f"|---|{'---|' * len(COLUMNS)}")
             for label, weights in _equation(folders[DAMAGES[0]], rig_file).items():
                 print_row(label, score(ruler, weights, truth, rig_file))
+            for label, options in {} if quick else _PUBLISHED.items():
+                solved = map_take(references[DAMAGES[0]], rig_file, "d06", **options)
+                print_row(label, score(ruler, solved, truth, rig_file))
             spoiled: dict[str, list[dict[str, float]]] = {}
             for method in methods or ("auto", *MAPPING_METHODS):
                 spoiled[method] = [
@@ -134,9 +144,11 @@ def _equation(folder: Path, rig_file: Path) -> dict[str, tuple[tuple[str, ...], 
         rigid=tuple(markers.names.index(name) for name in markers.rigid),
         labels=markers.names,
     )
+    printed = equation.solve_published(markers.positions)
     return {
-        "equation, least squares": (rig.shapes, equation.solve_published(markers.positions)),
-        "equation, proposals": (rig.shapes, equation.propose(markers.positions)),
+        "baseline, eq. 7 as printed": (rig.shapes, printed),
+        "the same weights, limited": (rig.shapes, np.clip(printed, 0.0, 1.0)),
+        "baseline within the ranges": (rig.shapes, equation.propose(markers.positions)),
     }
 
 
@@ -155,10 +167,13 @@ def choose_references(folder: Path, rig_file: Path, count: int) -> Path:
     return references
 
 
-def map_take(references: Path, rig_file: Path, method: str) -> tuple[tuple[str, ...], np.ndarray]:
+def map_take(
+    references: Path, rig_file: Path, method: str, **options: Any
+) -> tuple[tuple[str, ...], np.ndarray]:
     folder = references.parent
     mapping, out = folder / "x.mapping.usdc", folder / "x.hero.usda"
-    execute(TrainSpec(references=references, out=mapping, method=method), overwrite=True)
+    train = TrainSpec(references=references, out=mapping, method=method, **options)
+    execute(train, overwrite=True)
     execute(
         MapSpec(take=folder / "x.clean.take.usda", mapping=mapping, rig=rig_file, out=out),
         overwrite=True,

@@ -14,10 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.retarget import contradicted
 from usdface.cli import main
 from usdface.model.retarget.cyclic import evaluate_cyclic
 from usdface.steps.inputs.source_motion import read_source_motion
-from usdface.usdio.retarget.pairs import read_pairs
+from usdface.usdio.retarget.pairs import read_pairs, write_pairs
 from usdface.usdio.rig.read import read_rig
 
 ALPHA_KEYS = 7
@@ -58,6 +59,9 @@ _S11 = (
     ("faces talk.human.usda kcca.usda rbf.usda --rows 4 --out fig4.jpg", "fig4"),
     (f"cyclic human_dog.pairs.usda --source talk.human.usda --every {EVERY} --published "
      "--methods rbf,kernel_cca,hybrid --alpha alpha.csv --out fig5.jpg --out fig5.json", "fig5"),
+    (f"cyclic contradicted.pairs.usda --source talk.human.usda --every {EVERY} --published "
+     "--methods rbf,kernel_cca --out fig5_conflicts.jpg --out fig5_conflicts.json",
+     "fig5_conflicts"),
     ("retarget talk.human.usda --rig ../demo/character.usdc --out names.usda", ""),
     ("faces talk.human.usda talk.dog.usda names.usda --rows 4 --out fig6.jpg", "fig6"),
 )  # fmt: skip
@@ -75,6 +79,7 @@ def run(*, pictures: Path | None = None) -> None:
             _call("demo --out demo --progress none")
             _call("demo --dog --out dog --progress none")
             _key_alpha(Path("dog"))
+            _contradict(Path("dog"))
             for paper, folder, commands in (
                 ("D06", "demo", _D06),
                 ("S11", "dog", _S11),
@@ -114,3 +119,13 @@ def _key_alpha(folder: Path) -> None:
         frame = motion.first_frame + EVERY * int(rows[len(rows) // 2])
         lines.append(f"{frame},{float(better[rows].mean()):.2f}")
     (folder / "alpha.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _contradict(folder: Path) -> None:
+    """Write the demo's pairs with six that contradict others."""
+    write_pairs(
+        folder / "contradicted.pairs.usda",
+        contradicted(read_pairs(folder / "human_dog.pairs.usda")),
+        source_rig=read_rig(folder / "human.usdc"),
+        target_rig=read_rig(folder / "dog.usdc"),
+    )

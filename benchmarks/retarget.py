@@ -1,4 +1,4 @@
-"""From face to face: there and back, against the truth where it is known, and how fast.
+"""From face to face: the round trip, against the truth where it is known, and how fast.
 
 A recorded Live Link performance (or, without it, the demo's) on a human head drives a head of
 another maker and a dog of 28 shapes, 8 joints and 36 deformer controls.
@@ -33,7 +33,7 @@ def run() -> None:
     source, weights, recorded = _performance()
     what = "livelink_alex on ict_head" if recorded else "the demo's performance on the demo's actor"
     print(f"{what}: {len(weights):,} frames, every {EVERY}th measured\n")
-    print("| target | method | there and back mm | 95 % below | against truth mm |")
+    print("| target | method | round trip mm | 95th percentile | against truth mm |")
     print("|---|---|---|---|---|")
     if recorded:
         cap = read_rig(SHARED_DATA / "rigs" / "facecap_head.usdc")
@@ -46,7 +46,7 @@ def run() -> None:
     _table("dog, 34 pairs", pairs, source, dog, weights, truth.weights)
     shown = act(source.shapes, weights[::EVERY] * used).weights
     _table("dog, what the pairs show", pairs, source, dog, weights * used, shown)
-    torn = _contradicted(pairs)
+    torn = contradicted(pairs)
     label = f"dog, {len(find_pair_conflicts(torn))} conflicts added"
     _table(label, torn, source, dog, weights * used, shown)
     _table(f"{label}, as published", torn, source, dog, weights * used, shown, published=True)
@@ -93,7 +93,7 @@ def strongest(weights: FloatArray) -> FloatArray:
     return weights * (weights / most) ** 2
 
 
-def _contradicted(pairs: ExpressionPairs) -> ExpressionPairs:
+def contradicted(pairs: ExpressionPairs) -> ExpressionPairs:
     """Add six pairs almost like others, with other targets: what a tired animator leaves."""
     again = np.array([1, 5, 12, 18, 24, 30])
     rng = np.random.default_rng(0)

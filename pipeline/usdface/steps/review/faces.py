@@ -9,7 +9,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.text import pluralize
-from usdface.media.face.camera import Camera, frame_rig
+from usdface.media.face.camera import frame_rig
 from usdface.media.face.render import FaceRenderer
 from usdface.media.picture.image import write_image
 from usdface.media.picture.sheet import SheetPage, SheetRow, Tile, compose_sheet
@@ -36,6 +36,9 @@ def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress = silent)
     chosen = _most_different(actors[0], frames, spec.rows)
     rows = []
     columns = [_Column(actor, chosen, spec) for actor in actors]
+    further = max(column.needed_share() for column in columns)
+    for column in columns:  # all alike, so that the faces keep one size
+        column.step_back(further)
     first = actors[0].reader
     for number, frame in enumerate(chosen.tolist()):
         rows.append(
@@ -69,8 +72,36 @@ class _Column:
         self._spec = spec
         self._posed = {frame: actor.points(frame) for frame in frames.tolist()}
         self._renderer = FaceRenderer(actor.rig.meshes)
-        camera = frame_rig(actor.rig.meshes, yaw_degrees=spec.yaw)
-        self._camera = _with_all_that_moves(camera, np.stack(list(self._posed.values())))
+        self._camera = frame_rig(actor.rig.meshes, yaw_degrees=spec.yaw)
+        self._with_hair = frame_rig(actor.rig.meshes, yaw_degrees=spec.yaw, hair=True)
+
+    def needed_share(self) -> float:
+        """Return how many times further away hair and all that moves are in the picture.
+
+        Ears turn by joints, which no frame of the rig at rest shows.
+        """
+        posed = np.stack(list(self._posed.values()))
+        moving = np.ptp(posed, axis=0).max(axis=1) > MOVES_MM
+        camera = self._camera
+        right, up, back = camera.axes()
+        wide = np.tan(np.deg2rad(camera.fov_degrees / 2))
+        target = np.array(self._with_hair.target)
+        half_height = wide * np.linalg.norm(np.subtract(self._with_hair.eye, target))
+        shown = np.vstack(
+            [posed[:, moving].reshape(-1, 3), target + half_height / _MARGIN_FACTOR * up]
+        )
+        away = shown - np.array(camera.target)
+        across = np.maximum(np.abs(away @ right), np.abs(away @ up))
+        # Distance from which each point is just inside.
+        needed = _MARGIN_FACTOR * across / wide + away @ back
+        distance = float(np.linalg.norm(np.subtract(camera.eye, camera.target)))
+        return max(float(needed.max()) / distance, 1.0)
+
+    def step_back(self, share: float) -> None:
+        """Move the camera so many times as far away."""
+        target = np.array(self._camera.target)
+        x, y, z = (target + share * np.subtract(self._camera.eye, target)).tolist()
+        self._camera = replace(self._camera, eye=(x, y, z))
 
     def tile(self, frame: int) -> Tile:
         size = self._spec.tile
@@ -82,24 +113,6 @@ class _Column:
             quality=self._spec.quality,
         )
         return Tile(pixels)
-
-
-def _with_all_that_moves(camera: Camera, posed: FloatArray) -> Camera:
-    """Step back until what moves in some frame is in the picture: ears turn by joints alone."""
-    moving = np.ptp(posed, axis=0).max(axis=1) > MOVES_MM
-    if not moving.any():
-        return camera
-    right, up, back = camera.axes()
-    away = posed[:, moving].reshape(-1, 3) - np.array(camera.target)
-    wide = np.tan(np.deg2rad(camera.fov_degrees / 2))
-    across = np.maximum(np.abs(away @ right), np.abs(away @ up))
-    needed = (
-        _MARGIN_FACTOR * across / wide + away @ back
-    )  # distance from which each point is just inside
-    distance = float(np.linalg.norm(np.subtract(camera.eye, camera.target)))
-    share = max(float(needed.max()) / distance, 1.0)
-    x, y, z = np.array(camera.target) + share * np.subtract(camera.eye, camera.target)
-    return replace(camera, eye=(float(x), float(y), float(z)))
 
 
 def _shared(spec: FacesSpec, actors: list[PosedRig]) -> IntArray:
