@@ -33,7 +33,7 @@ from usdface.model.regressions import RestPlaces
 from usdface.numerics.measure.face_regions import gaze_shapes
 from usdface.numerics.regression.combination_inference import infer_combinations
 from usdface.numerics.regression.linear_ridge import fit_linear_ridge
-from usdface.numerics.regression.reference_design import most_different_rows
+from usdface.numerics.regression.reference_design import pivoted_selection
 from usdface.numerics.regression.usage_prior import expected_weights
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
@@ -52,7 +52,7 @@ def run() -> None:
     print(f"| correctives of compskin, logic from {ROWS} rows | energy lost | wanted |")
     print("|---|---|---|")
     for label, rows in (
-        ("rows that differ most", most_different_rows(weights, ROWS)),
+        ("rows that differ most", pivoted_selection(weights, ROWS)),
         ("rows farthest apart in the primaries", _farthest(weights[:, :PRIMARIES], ROWS)),
     ):
         _print_lost(label, weights, rows)
@@ -211,7 +211,7 @@ def _trained(rig: Rig) -> tuple[WeightPredictor, FloatArray]:
     clip = np.concatenate(
         [deformer.points(weights[frames[i : i + 64]])[:, markers] for i in range(0, FRAMES, 64)]
     )
-    rows = most_different_rows(weights[frames], PAIRS)
+    rows = pivoted_selection(weights[frames], PAIRS)
     columns = (3 * points[:, None] + np.arange(3)).ravel()
     driven = deformer.shapes.combination_offsets().tocsc()[:, columns].toarray()
     references = References(

@@ -1,11 +1,23 @@
 """The performance: natural, labelled, the same every time."""
 
+import itertools
+from pathlib import Path
+
 import numpy as np
 
 from tests.demo.test_shapes import lid_gap, lip_offset
 from usdface.demo.acting import ActedPerformance, performance
 from usdface.demo.head import DemoHead
-from usdface.demo.script import LINES, VISEME_OF_PHONE, VISEME_SHAPES, speak, timed_phones
+from usdface.demo.script import (
+    DURATION_SECONDS,
+    LINES,
+    VISEME_OF_PHONE,
+    VISEME_SHAPES,
+    speak,
+    spoken_phones,
+    timed_phones,
+)
+from usdface.speech.track_files import read_phone_track, write_phone_track
 
 
 def channel(acted: ActedPerformance, name: str) -> np.ndarray:
@@ -19,18 +31,33 @@ def test_it_is_long_enough_and_within_range(acted: ActedPerformance) -> None:
     assert np.all(np.isfinite(acted.weights.values))
 
 
-def test_the_four_emotions_follow_each_other_without_gaps(acted: ActedPerformance) -> None:
-    assert [e.label for e in acted.emotions] == ["neutral", "happiness", "anger", "sadness"]
-    for before, after in zip(acted.emotions[:-1], acted.emotions[1:], strict=True):
-        assert before.last_frame + 1 == after.first_frame
+def test_the_four_emotions_follow_each_other_without_gaps() -> None:
+    moods = spoken_phones().emotions
+    assert [e.label for e in moods] == ["neutral", "happiness", "anger", "sadness"]
+    for before, after in itertools.pairwise(moods):
+        assert before.end == after.start
+
+
+def test_labels_cover_the_performance(tmp_path: Path) -> None:
+    phones = spoken_phones().phones
+    assert phones[0].start == 0.0
+    assert all(before.end == after.start for before, after in itertools.pairwise(phones))
+    assert phones[-1].end == DURATION_SECONDS
+    write_phone_track(tmp_path / "actor.phones.json", spoken_phones())
+    assert [each.label for each in read_phone_track(tmp_path / "actor.phones.json").phones] == [
+        each.label for each in phones
+    ]
 
 
 def test_moods_show_in_their_own_shapes(acted: ActedPerformance) -> None:
+    def rows(seconds: float) -> int:
+        return round(seconds * float(acted.weights.rate))
+
     telling = {"happiness": "mouthSmileLeft", "anger": "browDownLeft", "sadness": "mouthFrownLeft"}
     for mood, name in telling.items():
         means = {
-            e.label: channel(acted, name)[e.first_frame - 1 : e.last_frame].mean()
-            for e in acted.emotions
+            e.label: channel(acted, name)[rows(e.start) : rows(e.end)].mean()
+            for e in spoken_phones().emotions
         }
         assert max(means, key=means.__getitem__) == mood
         assert means[mood] > 0.3

@@ -88,24 +88,11 @@ _PARTING_LIPS = tuple(
 
 
 @dataclass(frozen=True)
-class Interval:
-    """A labelled stretch of the performance, in frame numbers, both ends included."""
-
-    label: str
-    first_frame: int
-    last_frame: int
-
-
-@dataclass(frozen=True)
 class ActedPerformance:
     """Everything the actor does."""
 
     weights: WeightsClip
     """ARKit names, [0-1]."""
-    emotions: tuple[Interval, ...]
-    phones: tuple[Interval, ...]
-    """ARPAbet."""
-    transcript: str
     neutral_frame: int
     """Frame number at which the face is at rest."""
     rotation: FloatArray
@@ -140,16 +127,8 @@ def performance(rate: int = 120) -> ActedPerformance:
     values = np.stack([np.clip(curves[name], 0.0, 1.0) for name in names], axis=1)
     rotation, translation = _head_motion(time)
 
-    def interval(label: str, start: float, stop: float) -> Interval:
-        return Interval(
-            label, FIRST_FRAME + round(start * rate), FIRST_FRAME + round(stop * rate) - 1
-        )
-
     return ActedPerformance(
         weights=WeightsClip(names, values.astype(np.float32), FIRST_FRAME, Fraction(rate)),
-        emotions=tuple(interval(line.emotion, line.start, line.stop) for line in LINES),
-        phones=tuple(interval(p.phone, p.start, p.stop) for p in timed_phones()),
-        transcript=" ".join(line.text for line in LINES),
         neutral_frame=FIRST_FRAME + round(NEUTRAL_TIME * rate),
         rotation=rotation,
         translation=translation,

@@ -14,15 +14,16 @@ from usdface.capture.c3d_write import write_c3d
 from usdface.core.arrays import ByteImage, FloatArray, IntArray, columns_by_name
 from usdface.core.assets import WeightsClip
 from usdface.core.progress import Progress, part, silent
-from usdface.demo.acting import FIRST_FRAME, ActedPerformance, Interval, performance
+from usdface.demo.acting import FIRST_FRAME, ActedPerformance, performance
 from usdface.demo.capture import ActorFace, demo_markers, head_poses, simulate_capture
 from usdface.demo.head import DemoHead, HeadPart
 from usdface.demo.rig import demo_rig, make_head, mesh_points, rig_from_head
-from usdface.demo.script import DURATION_SECONDS, speak
+from usdface.demo.script import DURATION_SECONDS, speak, spoken_phones
 from usdface.demo.sculpt import ACTOR
 from usdface.media.face.camera import Camera
 from usdface.media.face.render import FaceRenderer
 from usdface.media.film.movie import write_movie
+from usdface.speech.track_files import write_phone_track
 from usdface.usdio.rig.write import write_rig
 
 VIDEO_RATE = Fraction(24)
@@ -185,18 +186,14 @@ class DemoInputs:
     """The actor on camera, with sound."""
     animator_weights: Path
     """CSV: `frame` (of the capture), then one column per shape of the rig."""
-    transcript: Path
-    """What is said, as plain text."""
+    phones: Path
+    """What is said, and in which mood: phone labels on the capture's clock."""
     rigid_markers: tuple[str, ...]
     """Names of the markers that move with the skull alone."""
     neutral_frame: int
     """Frame of the capture at which the face is at rest."""
     video_offset_seconds: float
     """Take time of the video's first frame [s]."""
-    emotions: tuple[Interval, ...]
-    """Moods by capture frames."""
-    phones: tuple[Interval, ...]
-    """Sounds by capture frames."""
     truth: WeightsClip
     """The animator's weights on every frame, of the shapes that the performance uses."""
 
@@ -231,8 +228,8 @@ def write_demo_inputs(folder: Path, *, workers: int = 2, progress: Progress = si
     )
     weights_file = folder / "animator_weights.csv"
     write_weights(weights_file, acted.weights, character.shapes)
-    transcript_file = folder / "transcript.txt"
-    transcript_file.write_text(acted.transcript + "\n", encoding="utf-8")
+    phones_file = folder / "actor.phones.json"
+    write_phone_track(phones_file, spoken_phones())
     video_file = folder / "actor.mp4"
     write_clip(video_file, actor, acted, workers=workers, progress=part(progress, 0.2, 1.0))
     return DemoInputs(
@@ -240,12 +237,10 @@ def write_demo_inputs(folder: Path, *, workers: int = 2, progress: Progress = si
         capture=capture_file,
         video=video_file,
         animator_weights=weights_file,
-        transcript=transcript_file,
+        phones=phones_file,
         rigid_markers=markers.rigid,
         neutral_frame=acted.neutral_frame,
         video_offset_seconds=OFFSET_SECONDS,
-        emotions=acted.emotions,
-        phones=acted.phones,
         truth=acted.weights,
     )
 

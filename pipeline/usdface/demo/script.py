@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from usdface.core.arrays import Float32Array, FloatArray
 from usdface.demo.details import smooth_step
+from usdface.speech.phones import SILENCE, PhoneTrack, Span
 
 Weights = Mapping[str, float]
 
@@ -121,6 +122,23 @@ def timed_phones() -> tuple[TimedPhone, ...]:
                 found.append(TimedPhone(phone, time, stop, line.emotion))
             time = stop
     return tuple(found)
+
+
+def spoken_phones() -> PhoneTrack:
+    """Return sounds, silences and moods as labels on the capture's clock."""
+    phones: list[Span] = []
+    end = 0.0
+    for sound in timed_phones():
+        if sound.start > end:
+            phones.append(Span(end, sound.start, SILENCE))
+        phones.append(Span(sound.start, sound.stop, sound.phone))
+        end = sound.stop
+    return PhoneTrack(
+        (*phones, Span(end, DURATION_SECONDS, SILENCE)),
+        (),
+        tuple(Span(line.start, line.stop, line.emotion) for line in LINES),
+        DURATION_SECONDS,
+    )
 
 
 def both(**weights: float) -> dict[str, float]:

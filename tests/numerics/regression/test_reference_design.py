@@ -12,7 +12,7 @@ from usdface.numerics.regression.reference_design import (
     design_d_optimal,
     design_gp_variance,
     design_k_centre,
-    most_different_rows,
+    pivoted_selection,
     whiten,
 )
 
@@ -169,23 +169,23 @@ def test_the_chosen_rows_are_those_of_a_pivoted_qr() -> None:
 
     rows = np.random.default_rng(0).normal(size=(40, 12)) * np.linspace(0.2, 3, 40)[:, None]
     _, _, pivots = qr(rows.T, pivoting=True, mode="economic")
-    np.testing.assert_array_equal(most_different_rows(rows, 9), pivots[:9])
+    np.testing.assert_array_equal(pivoted_selection(rows, 9), pivots[:9])
 
 
 def test_half_a_smile_is_not_chosen_beside_the_smile() -> None:
     smile, jaw = np.eye(5)[:2] * [[10], [6]]
     rows = np.array([0.5 * smile, smile, 0.9 * smile, jaw, 0.2 * jaw])
-    assert most_different_rows(rows, 4).tolist() == [1, 3]
+    assert pivoted_selection(rows, 4).tolist() == [1, 3]
 
 
 def test_rows_of_nothing_give_nothing() -> None:
-    assert most_different_rows(np.zeros((4, 3)), 2).tolist() == []
-    assert most_different_rows(np.zeros((0, 3)), 2).tolist() == []
+    assert pivoted_selection(np.zeros((4, 3)), 2).tolist() == []
+    assert pivoted_selection(np.zeros((0, 3)), 2).tolist() == []
 
 
 def test_a_row_of_a_thousandth_of_the_largest_is_the_least_that_counts() -> None:
     rows = np.diag([10.0, 0.05, 0.011, 0.009])
-    assert most_different_rows(rows, 4).tolist() == [0, 1, 2]
+    assert pivoted_selection(rows, 4).tolist() == [0, 1, 2]
 
 
 def test_choices_do_not_hang_on_the_last_bit() -> None:
@@ -194,7 +194,7 @@ def test_choices_do_not_hang_on_the_last_bit() -> None:
     features = np.tile(rng.normal(0, 1, (40, 6)), (3, 1))
     noise = 1 + 1e-13 * rng.normal(0, 1, features.shape)
     for design in (
-        lambda rows: most_different_rows(rows, 6),
+        lambda rows: pivoted_selection(rows, 6),
         lambda rows: design_k_centre(rows, 8).chosen,
     ):
         chosen = design(features)

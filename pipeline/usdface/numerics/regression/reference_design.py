@@ -193,7 +193,7 @@ def design_gp_variance(
     return _design(chosen, gain)
 
 
-def most_different_rows(rows: FloatArray, count: int) -> IntArray:
+def pivoted_selection(rows: FloatArray, count: int) -> IntArray:
     """Choose rows that differ most, by pivoted orthogonalisation.
 
     The longest row first; then always the one furthest from the span of those chosen. So a half

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
-from usdface.core.text import aligned_rows
+from usdface.core.text import aligned_rows, pluralize
 from usdface.media.picture.image import write_image
 from usdface.model.retarget.train import describe_retargeting_figures
 from usdface.runner.origin import path_made_from
@@ -102,5 +102,7 @@ def _table(
     if rows:
         lines += ["", "cross-validation, the best of each method:", *aligned_rows([head, *rows])]
     if len(rows) < len(tried):
-        lines.append(f"{len(tried) - len(rows)} other settings were worse; --json lists them")
+        lines.append(
+            f"worse: {pluralize(len(tried) - len(rows), 'other setting')}; --json lists them"
+        )
     return tuple(lines)

@@ -10,7 +10,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.text import first_few
-from usdface.numerics.regression.reference_design import most_different_rows
+from usdface.numerics.regression.reference_design import pivoted_selection
 from usdface.runner.result import StepResult
 from usdface.specs.surface import MakeShapesSpec
 from usdface.steps.inputs.weight_tables import csv_rows
@@ -87,7 +87,7 @@ def choose_shape_frames(
         If the take shows fewer different faces than that.
     """
     allowed = np.flatnonzero(usable.mean(axis=1) >= _USABLE_SHARE)
-    rows = allowed[most_different_rows(displacements[allowed].reshape(len(allowed), -1), count)]
+    rows = allowed[pivoted_selection(displacements[allowed].reshape(len(allowed), -1), count)]
     if len(rows) < count:
         raise InputError(
             f"the take shows only {len(rows)} faces that differ from the neutral one and from each "

@@ -18,7 +18,7 @@ from usdface.model.surface.binding import facing_yaw
 from usdface.model.surface.fit import SurfaceModel
 from usdface.model.surface.gp_surface import GpOptions
 from usdface.numerics.manifold.hyper_posterior import HyperPrior
-from usdface.numerics.regression.reference_design import most_different_rows
+from usdface.numerics.regression.reference_design import pivoted_selection
 from usdface.runner.origin import provenance_metadata
 from usdface.specs.surface import DeformSpec, MakeShapesSpec
 from usdface.steps.surface.plan import SurfacePlan, fit_surface, surface_options
@@ -59,7 +59,7 @@ def write_comparison(
     if spec.picture_noise:
         every = every + np.random.default_rng(0).normal(0, spec.picture_noise, every.shape)
     moved = every[inside]
-    rows = np.sort(most_different_rows(moved.reshape(len(moved), -1), spec.rows))
+    rows = np.sort(pivoted_selection(moved.reshape(len(moved), -1), spec.rows))
     columns, models = _compared_models(spec, plan, every)
     surfaces = [each.deform(moved[rows]) for each in models]
     sds = surfaces[-1].sd
