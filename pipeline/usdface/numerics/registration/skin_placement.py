@@ -320,14 +320,14 @@ def _path_misfit(
     A path may be longer or shorter than the shapes': its own gain is fitted within limits.
     """
     weights = solve_weights_at(skin, samples, paths, ranges)
-    gram = weights.T @ weights
+    root = np.linalg.qr(weights, mode="r")  # as long as weights, with no more rows than shapes
     energy = (paths**2).sum(axis=(0, 2))
     count = len(skin.positions)
     common, own = np.zeros((paths.shape[1], count)), np.zeros(count)
     for axis in range(3):
         moves = np.ascontiguousarray(skin.deltas[:, :, axis])
         common += (paths[:, :, axis].T @ weights) @ moves
-        own += np.einsum("ks,ks->s", moves, gram @ moves)
+        own += ((root @ moves) ** 2).sum(axis=0)
     gain = np.clip(common / np.maximum(own, 1e-9), *_GAIN_LIMITS)
     left = np.maximum(energy[:, None] - 2 * gain * common + gain**2 * own, 0)
     noise = 3 * len(paths) * _NOISE_MM**2

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dposv
 
 from usdface.core.arrays import BoolArray, FloatArray, RealArray
 
@@ -26,8 +27,6 @@ _PATIENCE_ROUNDS = 3
 _WALK_STEPS_PER_VARIABLE = 5
 _WALK_TOLERANCE = 1e-10
 """[of the largest linear term] Breach of optimality above which frames are walked."""
-_SYSTEM_FLOATS = 4_000_000
-"""Size of one batch of linear systems: 32 MB."""
 _DEPENDENT_EIGENVALUE = 1e-8
 """At unit diagonal: columns with a smaller one count as dependent."""
 _DEPENDENT_RIDGE = 1e-6
@@ -294,23 +293,15 @@ def _solve_free(H: FloatArray, b: FloatArray, fixed: FloatArray, free: BoolArray
     """Solve each frame's free variables, the others staying at their bounds."""
     rest = b - fixed @ H
     value = fixed.copy()
-    counts = free.sum(axis=1)
-    first = np.argsort(~free, axis=1, kind="stable")  # the free variables of each frame come first
-    by_count = np.argsort(counts, kind="stable")[::-1]
-    start = 0
-    while start < len(by_count) and counts[by_count[start]] > 0:
-        k = int(counts[by_count[start]])
-        rows = by_count[start : start + max(1, _SYSTEM_FLOATS // (k * k))]
-        index = first[rows, :k]
-        inside = np.arange(k) < counts[rows, None]
-        system = H[index[:, :, None], index[:, None, :]]
-        system *= inside[:, :, None] & inside[:, None, :]
-        system[:, np.arange(k), np.arange(k)] += ~inside
-        right = np.take_along_axis(rest[rows], index, axis=1) * inside
-        solved = np.linalg.solve(system, right[..., None])[..., 0]
-        frame, slot = np.nonzero(inside)
-        value[rows[frame], index[frame, slot]] = solved[frame, slot]
-        start += len(rows)
+    for row, chosen in enumerate(free):
+        index = np.flatnonzero(chosen)
+        if not len(index):
+            continue
+        system = H[index[:, None], index]
+        solved, failed = dposv(system.T, rest[row, index], overwrite_a=True)[1:]
+        if failed:  # rounding made a nearly singular system indefinite
+            solved = np.linalg.lstsq(H[index[:, None], index], rest[row, index])[0]
+        value[row, index] = solved
     return value
 
 
