@@ -10,7 +10,8 @@ from typing import Any, Literal
 import typer
 from pxr import Sdf
 
-from usdface.cli.app import COMMON, app
+from usdface.cli.app import app
+from usdface.cli.options import COMMON
 from usdface.cli.command_list import EPILOG
 from usdface.specs.base import Spec
 from usdface.specs.job import STEP_SPECS

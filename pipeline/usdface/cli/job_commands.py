@@ -1,0 +1,172 @@
+"""Commands of jobs: run, check, demo, completion."""
+
+import os
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from usdface.cli.console import echo, progress_listener, show_json, show_result
+from usdface.cli.options import Json, Overwrite, ShowProgress
+from usdface.core.confinement import ROOT_VARIABLE, check_confined
+from usdface.core.errors import InputError
+from usdface.specs.job import JobSpec
+from usdface.specs.paths import read_path_rules
+from usdface.specs.reading import read_job
+
+COMPLETE_VARIABLE = "_USDFACE_COMPLETE"
+"""Environment variable by which a shell asks for completions."""
+
+Root = Annotated[
+    Path | None,
+    typer.Option(
+        envvar=ROOT_VARIABLE, help="Refuse jobs that read or write files outside this folder."
+    ),
+]
+
+
+def run(
+    job: Annotated[Path, typer.Argument(help="Job file, YAML or JSON.", show_default=False)],
+    progress: ShowProgress = "auto",
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    path_mapping: Annotated[
+        Path | None,
+        typer.Option(help="Path mapping rules of a farm (JSON, pathmapping-1.0)."),
+    ] = None,
+    with_folders: Annotated[
+        bool, typer.Option("--make-folders", help="Create the folders of the job's outputs.")
+    ] = False,
+    notes: Annotated[
+        bool,
+        typer.Option("--notes", help="Print the notes of steps that are up to date, too."),
+    ] = False,
+    root: Root = None,
+) -> None:
+    """Run the steps of a job whose outputs are missing or out of date.
+
+    The result and notes of each step are printed when it ends.
+
+    Example:
+
+    usdface run kitchen.job.yaml
+    """
+    from usdface.cli.run import run_and_show
+    from usdface.runner.job import make_folders
+
+    spec = read_job(job, path_rules=() if path_mapping is None else read_path_rules(path_mapping))
+    _confine(spec, root)
+    if with_folders:
+        make_folders(spec)
+    run_and_show(spec, job, style=progress, overwrite=overwrite, as_json=as_json, again=notes)
+
+
+def check(
+    job: Annotated[Path, typer.Argument(help="Job file, YAML or JSON.", show_default=False)],
+    as_json: Json = False,
+    root: Root = None,
+) -> None:
+    """Validate a job without running it, and list the steps that would run.
+
+    Example:
+
+    usdface check kitchen.job.yaml
+    """
+    from usdface.runner.state import job_states
+
+    spec = read_job(job)
+    _confine(spec, root)
+    states = job_states(spec)
+    if as_json:
+        show_json([{"step": s.spec.step, "state": s.state, "reason": s.reason} for s in states])
+        return
+    for number, state in enumerate(states, start=1):
+        echo(f"{number}. {state.spec.step}: {state.state} ({state.reason})")
+
+
+def demo(
+    out_folder: Annotated[
+        Path, typer.Option("--out", help="Folder of the demo.", show_default=False)
+    ],
+    dog: Annotated[
+        bool,
+        typer.Option(
+            "--dog",
+            help="Retarget a performance to a dog of 28 shapes, 8 joints and 36 float controls "
+            "instead, and put its own animation in.",
+        ),
+    ] = False,
+    source: Annotated[
+        Literal["markers", "video"],
+        typer.Option(
+            "--from", help="`video` tracks the actor's face in the clip, and uses no markers."
+        ),
+    ] = "markers",
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            help="With --from video: the face landmark model of `usdface track`. Default: the "
+            "file that the environment variable USDFACE_FACE_MODEL names.",
+            show_default=False,
+        ),
+    ] = None,
+    progress: ShowProgress = "auto",
+    as_json: Json = False,
+) -> None:
+    """Generate a character, an actor and a take, and run a job from capture to report.
+
+    All inputs are generated. The job file stays in the folder, to be changed and run again.
+
+    Example:
+
+    usdface demo --out demo
+    """
+    from usdface.cli.run import demo_events
+
+    if dog and (source == "video" or model is not None):
+        raise InputError("--dog retargets a performance, and tracks nothing; leave --from out")
+    if source == "markers" and model is not None:
+        raise InputError("--model is of --from video; leave it out")
+    if source == "video":
+        from usdface.capture.face_landmarker import named_model
+
+        model = named_model(model)
+    # On stderr, as stdout may be JSON; before the imports, which take a second or two.
+    typer.echo(f"making a demo in {out_folder}; it takes a minute or so", err=True)
+    with progress_listener(progress) as listener:
+        events = demo_events(progress, as_json=as_json)
+        if dog:
+            from usdface.demo.dog_job import run_dog_demo
+
+            report = run_dog_demo(out_folder, progress=listener, events=events)
+        else:
+            from usdface.demo.job import run_demo
+
+            report = run_demo(out_folder, model=model, progress=listener, events=events)
+    show_result(report, as_json=as_json)
+
+
+def completion(
+    shell: Annotated[
+        Literal["bash", "zsh", "fish"], typer.Argument(help="Your shell.", show_default=False)
+    ],
+) -> None:
+    """Print what makes a shell complete commands, options and values.
+
+    bash: add the line below to ~/.bashrc, with zsh for bash to ~/.zshrc. fish: usdface completion
+    fish > ~/.config/fish/completions/usdface.fish
+
+    Example:
+
+    eval "$(usdface completion bash)"
+    """
+    from typer.completion import get_completion_script  # type: ignore[attr-defined]
+
+    echo(get_completion_script(prog_name="usdface", complete_var=COMPLETE_VARIABLE, shell=shell))
+
+
+def _confine(job: JobSpec, root: Path | None) -> None:
+    """Refuse paths outside a root, for this job and for every step that it runs."""
+    if root is not None:
+        os.environ[ROOT_VARIABLE] = str(root.resolve())
+        check_confined(job.named_paths(), root)

@@ -1,0 +1,178 @@
+"""Commands that are generated from the specs of steps."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from usdface.cli.command_list import CommandMaker, commands_on_demand
+from usdface.cli.console import ProgressStyle, echo, progress_listener, show_result
+from usdface.cli.options import COMMON
+from usdface.cli.spec_options import build_spec, command_of, help_of
+from usdface.cli.tune import tune_command
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress
+from usdface.core.replacing import creating
+from usdface.core.text import first_few, pluralize
+from usdface.runner.result import StepResult
+from usdface.specs.base import Spec
+from usdface.specs.capture import IngestSpec
+from usdface.specs.commands import SubmitSpec, TuneSpec
+from usdface.specs.job import COMMAND_SPECS
+from usdface.specs.reading import spec_text
+from usdface.specs.retarget import RetargetSpec
+
+_SUBMIT_COMMON = ("overwrite", "as_json")
+
+
+def _run_step(
+    spec_type: type[Spec],
+    values: dict[str, Any],
+    *,
+    overwrite: bool,
+    save_spec: Path | None,
+    progress: ProgressStyle,
+    as_json: bool,
+) -> None:
+    folder = _folder_of_takes(spec_type, values)
+    if folder is not None:
+        if save_spec is not None:
+            raise InputError(
+                f"{folder}: --save-spec writes the spec of one take; name a take's files instead "
+                "of a folder, or leave it out"
+            )
+        with progress_listener(progress) as listener:
+            report = _run_folder(spec_type, values, folder, overwrite, listener)
+        show_result(report, as_json=as_json)
+        return
+    spec = build_spec(spec_type, values)
+    if save_spec is not None:
+        text = spec_text(spec.relative_to(save_spec.parent), save_spec)
+        with creating(save_spec) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+        echo(f"wrote {save_spec}")
+        return
+    from usdface.runner.execute import execute
+
+    with progress_listener(progress) as listener:
+        report = execute(spec, overwrite=overwrite, progress=listener)
+    show_result(report, as_json=as_json)
+    report.require_success()
+
+
+def _folder_of_takes(spec_type: type[Spec], values: dict[str, Any]) -> Path | None:
+    """Return the folder that `ingest` or `retarget` is pointed at, if it is one."""
+    if spec_type not in (IngestSpec, RetargetSpec):
+        return None
+    given = values.get("sources" if spec_type is IngestSpec else "source")
+    sources = given if isinstance(given, list | tuple) else [given]
+    return sources[0] if len(sources) == 1 and sources[0] and sources[0].is_dir() else None
+
+
+def _run_folder(
+    spec_type: type[Spec],
+    values: dict[str, Any],
+    folder: Path,
+    overwrite: bool,
+    progress: Progress,
+) -> StepResult:
+    if spec_type is IngestSpec:
+        from usdface.steps.capture.ingest_folder import ingest_folder
+
+        target = values.pop("out")
+        ingest = build_spec(IngestSpec, values | {"out": target / "all.take.usda"})
+        return ingest_folder(folder, target, ingest, overwrite=overwrite, progress=progress)
+    from usdface.steps.retarget.retarget_folder import retarget_folder
+
+    outs = list(values.pop("out"))
+    if len(outs) != 1:
+        raise InputError(f"{folder}: is a folder, so one folder is written; give one --out")
+    count = max(len(values.get(name) or ()) for name in ("retargeting", "rig"))
+    names = tuple(outs[0] / f"all{index}.usda" for index in range(count))
+    shared = build_spec(RetargetSpec, values | {"out": names})
+    return retarget_folder(folder, outs[0], shared, overwrite=overwrite, progress=progress)
+
+
+def _unchunked_notes(names: list[str]) -> tuple[str, ...]:
+    if not names:
+        return ()
+    return (
+        f"not split into chunks: {first_few(names, most=3)}; the number of frames is known only "
+        "after ingest, so set `frames` in the job",
+    )
+
+
+def _submit(
+    spec_type: type[SubmitSpec],
+    values: dict[str, Any],
+    *,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    from usdface.farm.submit import describe, submit
+
+    spec = build_spec(spec_type, values)
+    done = submit(spec, overwrite=overwrite, quiet=as_json)
+    notes = _unchunked_notes([path.name for path in done.plan.whole])
+    tasks = {step.name: len(step.tasks) for step in done.plan.steps}
+    verb = "written" if spec.write_only else "done" if spec.farm == "openjd" else "submitted"
+    summary = f"{done.job}: {pluralize(sum(tasks.values()), 'task')}, {verb}"
+    report = StepResult(
+        (done.bundle,), summary, notes, {"job": done.job, "tasks": tasks}, describe(done)
+    )
+    show_result(report, as_json=as_json)
+
+
+GROUPS = {
+    "references": (
+        "references",
+        "Import tuned weights and edits into references, measure and draw them.",
+    ),
+    "pairs": ("retarget", "Make pairs of corresponding expressions of two characters."),
+    "edits": ("edits", "Import edits from a DCC, or list the edits of a performance."),
+}
+"""Groups of commands: the workflow each is listed under, and its summary."""
+
+
+def _step_maker(spec: type[Spec]) -> CommandMaker:
+    make = partial(command_of, spec, _run_step, COMMON)
+    return CommandMaker(make, help_of(spec), spec.workflow())
+
+
+def make_group(group: str) -> typer.Typer:
+    """Return a group with the commands of the steps whose names begin with its own."""
+    makers = {
+        spec.step_name().removeprefix(f"{group}-"): _step_maker(spec)
+        for spec in COMMAND_SPECS
+        if spec.step_name().startswith(f"{group}-")
+    }
+    workflow, summary = GROUPS[group]
+    made = typer.Typer(
+        cls=commands_on_demand(makers), help=summary, no_args_is_help=True, rich_markup_mode=None
+    )
+    made.info.rich_help_panel = workflow  # the constructor drops it
+    return made
+
+
+def top_commands(groups: dict[str, typer.Typer]) -> dict[str, CommandMaker]:
+    """Return what makes each command of the top; a group stands where its first command would."""
+    makers: dict[str, CommandMaker] = {}
+    for spec in COMMAND_SPECS:
+        group = spec.step_name().partition("-")[0]
+        if group in GROUPS:
+            workflow, summary = GROUPS[group]
+            makers[group] = CommandMaker(partial(groups.__getitem__, group), summary, workflow)
+        else:
+            makers[spec.step_name()] = _step_maker(spec)
+    shared = [each for each in COMMON if each.name in _SUBMIT_COMMON]
+    return makers | {
+        "tune": CommandMaker(
+            partial(tune_command, COMMON[-1]), help_of(TuneSpec), TuneSpec.workflow()
+        ),
+        "submit": CommandMaker(
+            partial(command_of, SubmitSpec, _submit, shared),
+            help_of(SubmitSpec),
+            SubmitSpec.workflow(),
+        ),
+    }
