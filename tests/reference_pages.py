@@ -11,8 +11,8 @@ import typer
 from pxr import Sdf
 
 from usdface.cli.app import app
-from usdface.cli.options import COMMON
 from usdface.cli.command_list import EPILOG
+from usdface.cli.options import COMMON
 from usdface.specs.base import Spec
 from usdface.specs.job import STEP_SPECS
 from usdface.specs.paths import Reads, Writes

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg.lapack import dposv
 
 from usdface.core.arrays import BoolArray, FloatArray, RealArray
 
@@ -291,6 +290,8 @@ def _walk(
 
 def _solve_free(H: FloatArray, b: FloatArray, fixed: FloatArray, free: BoolArray) -> FloatArray:
     """Solve each frame's free variables, the others staying at their bounds."""
+    from scipy.linalg.lapack import dposv  # frames of a performance are solved without
+
     rest = b - fixed @ H
     value = fixed.copy()
     for row, chosen in enumerate(free):
