@@ -1,13 +1,17 @@
-"""How noisy a capture is, from what moves faster than a face can."""
+"""How noisy a capture is, from what moves faster than a face can, and whether it moves at all."""
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.core.arrays import MAD_TO_DEVIATION, FloatArray
+from usdface.core.arrays import MAD_TO_DEVIATION, FloatArray, RealArray
 
 _THIRD_DIFFERENCE_GAIN = np.sqrt(20.0)
 """Deviation of the third differences of white noise over its own: sqrt(1² + 3² + 3² + 1²)."""
 _SAMPLE_FRAMES = 20_000
+_STILL_MM, _STILL_NOISE_DEVIATIONS = 0.5, 6.0
+"""Range of a coordinate that is no motion of a face: the larger of the two."""
 
 
 def marker_noise(positions: ArrayLike, visible: ArrayLike) -> FloatArray:
@@ -48,3 +52,27 @@ def measurement_noise(positions: ArrayLike, visible: ArrayLike) -> float:
     """Return the median of `marker_noise` over the markers; 0 when there are none."""
     noise = marker_noise(positions, visible)
     return float(np.median(noise)) if noise.size else 0.0
+
+
+def still_range_mm(clips: Sequence[RealArray], noise_mm: float) -> float | None:
+    """Return how far markers range that only stand still, or None if one moves.
+
+    Parameters
+    ----------
+    clips : sequence of (frames, markers, 3) float arrays
+        [mm] Of the same markers in one space, without head motion and without gaps.
+    noise_mm : float
+        Standard deviation of the measurement noise per coordinate.
+
+    Returns
+    -------
+    float or None
+        [mm] The largest range of a coordinate over all clips.
+    """
+    filled = [clip for clip in clips if clip.size]
+    if not filled:
+        return 0.0
+    high = np.max([clip.max(axis=0) for clip in filled], axis=0)
+    low = np.min([clip.min(axis=0) for clip in filled], axis=0)
+    largest = float((high - low).max())
+    return None if largest > max(_STILL_MM, _STILL_NOISE_DEVIATIONS * noise_mm) else largest

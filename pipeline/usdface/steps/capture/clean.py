@@ -12,6 +12,7 @@ from usdface.core.text import first_few, pluralize
 from usdface.media.charts.repair import RepairKind, draw_repairs
 from usdface.media.picture.image import write_image
 from usdface.model.placement.label_hints import label_hint, skin_motion_mm
+from usdface.numerics.motion.noise import still_range_mm
 from usdface.numerics.repair.cleaning import CleanedMarkers, PosePrior, clean_markers
 from usdface.numerics.rigid.rigid_markers import find_rigid_markers
 from usdface.runner.origin import provenance_metadata
@@ -40,6 +41,9 @@ OUTLIER_COLOR, LEFT_COLOR = (206, 96, 190), (226, 74, 66)
 _LISTED_SWAPS = 20
 """More repairs than this are counted, not listed."""
 
+_LISTED_RIGID = 24
+"""A face has no more to name; of a dense cloud the rest are counted."""
+
 
 def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Stabilise, relabel, fill and smooth the markers of a take."""
@@ -67,7 +71,7 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
         )
     except ValueError as error:
         raise InputError(f"{spec.take}: cannot be cleaned: {error}") from error
-    notes += _repairs(cleaned, markers, take)
+    notes += _still_notes(cleaned) + _repairs(cleaned, markers, take)
     progress(0.9, f"writing {spec.out.name}")
     still = Markers(
         names=markers.names,
@@ -175,8 +179,8 @@ def _head_markers(
         ) from error
     names = tuple(markers.names[index] for index in found.indices)
     notes.append(
-        f"no rigid markers were named; {', '.join(names)} keep their mutual distances to "
-        f"{found.deviation_mm:.2f} mm and are used"
+        f"no rigid markers were named; {first_few(names, most=_LISTED_RIGID)} keep their mutual "
+        f"distances to {found.deviation_mm:.2f} mm and are used"
     )
     notes += _soft_notes(names)
     return names, None
@@ -190,6 +194,19 @@ def _soft_notes(names: tuple[str, ...]) -> list[str]:
     return [
         f"{first_few(soft)} {'is' if len(soft) == 1 else 'are'} used as rigid, but the label names "
         "skin that moves: the head's pose follows the face; name markers of the skull with --rigid"
+    ]
+
+
+def _still_notes(cleaned: CleanedMarkers) -> list[str]:
+    """Say that no marker moves on the head: such a take shows one expression, or is frozen."""
+    still = still_range_mm([cleaned.positions], cleaned.noise_mm)
+    if still is None:
+        return []
+    return [
+        f"no marker moves on the head (by at most {still:.2f} mm along an axis, at "
+        f"{cleaned.noise_mm:.2f} mm of noise): the take shows one expression, and no references "
+        "can be selected from it alone; if the face did move, the capture was exported without its "
+        "motion (a static pose, a frozen stream): export and ingest it again"
     ]
 
 

@@ -21,6 +21,7 @@ from usdface.model.selection.design import (
 )
 from usdface.model.selection.lip_contact import find_lips, keep_lip_contact
 from usdface.model.selection.neutral_check import find_better_neutral
+from usdface.numerics.motion.noise import measurement_noise, still_range_mm
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.references import SelectSpec
@@ -89,6 +90,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     progress(0.0, "reading the takes")
     check_nobody_tunes(spec.out)
     takes = read_cleaned_takes(spec.takes)
+    _check_something_moves(spec, takes)
     rig = read_rig(spec.rig, prim=spec.prim)
     doubts = plausibility_notes(takes, spec.takes, rig)
     progress(0.1, "placing the markers on the rig")
@@ -171,6 +173,19 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
             **coverage_figures(covered, takes),
         },
     )
+
+
+def _check_something_moves(spec: SelectSpec, takes: CleanedTakes) -> None:
+    """Refuse takes of one expression, before the markers are placed: their pairs would be noise."""
+    clip, usable = takes.positions[0], takes.usable[0]
+    still = still_range_mm(takes.positions, measurement_noise(clip, usable))
+    if still is not None:
+        raise InputError(
+            f"{first_few(spec.takes)}: no marker moves on the head (by at most {still:.2f} mm "
+            f"along an axis, in {len(takes.frames)} frames), so there are no expressions to "
+            "select; give takes of a moving face. If the face did move, the capture was "
+            "exported without its motion: export and ingest it again"
+        )
 
 
 def _check_tuning_is_as_read(spec: SelectSpec, kept: list[PlacedPair]) -> None:

@@ -1,0 +1,225 @@
+"""Every command that writes, killed at random times while it replaces what it wrote before.
+
+What was there is from other options, so that every file tells which run it is from: after a kill,
+all outputs are of the run before or all are of the new one, and nothing else in the folder changed.
+Commands run in processes forked from one that has imported everything, so that kills fall into
+their work. `USDFACE_KILLS` sets how many each gets.
+"""
+
+import json
+import multiprocessing
+import os
+import shlex
+import shutil
+import signal
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.faults.commands import ALL_STEPS, COMMANDS, COMMON, MAP, contents, leftovers
+from tests.faults.conftest import together
+from tests.faults.forked_command import preloaded, run_forked
+from tests.faults.world import World, copy_of
+
+pytestmark = pytest.mark.faults
+
+KILLS = int(os.environ.get("USDFACE_KILLS", "50"))
+ENDED_SECONDS = 20
+"""Within which every process that a killed command started has to have ended."""
+
+CHANGED = {
+    "ingest": ("--neutral 31", "--neutral 40"),
+    "clean": ("--out", "--no-smooth --out"),
+    "select": ("--count 24", "--count 26"),
+    "references-import": ("keys.csv", "other_keys.csv"),
+    "train": ("--method ridge", "--method rbf"),
+    "map": ("--out", "--frames 1-300 --out"),
+    "join": ("two.hero.usda", ""),
+    "bake": ("shot.hero.usda", "one.hero.usda"),
+    "package": ("shot.hero.usda", "one.hero.usda"),
+    "sheet": ("--rows 2", "--rows 1"),
+    "report": ("--worst 2", "--worst 1"),
+    "deform": ("--length-scale 30", "--length-scale 20"),
+    "make-shapes": ("--count 3", "--count 2"),
+    "train-retarget": ("--method hybrid", "--method rbf"),
+    "retarget": ("--out", "--frames 1-100 --out"),
+    "warp": ("--blend 8", "--blend 6"),
+}
+"""What of the command of a step is replaced by what, for outputs that differ."""
+
+KINDS = ("process", "group", "stopped group", "terminated group", "process")
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A folder with what a command wrote, and what another run of it writes instead.
+
+    Attributes
+    ----------
+    folder : Path
+    words : str
+        The command of that other run.
+    before, after : dict
+        Every file, before and after it.
+    seconds : float
+        How long it takes, undisturbed.
+    """
+
+    folder: Path
+    words: str
+    before: dict[str, bytes]
+    after: dict[str, bytes]
+    seconds: float
+
+    @property
+    def outputs(self) -> list[str]:
+        """Files that the run replaces, makes or removes."""
+        names = self.before.keys() | self.after.keys()
+        return sorted(name for name in names if self.before.get(name) != self.after.get(name))
+
+    def restore(self) -> None:
+        """Undo the run, but for hidden files, which a later run has to clear."""
+        for name in self.outputs:
+            if name in self.before:
+                (self.folder / name).write_bytes(self.before[name])
+            else:
+                (self.folder / name).unlink(missing_ok=True)
+
+
+def start(campaign_folder: Path, words: str) -> BaseProcess:
+    """Start a command as the leader of a group of processes."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(preloaded())
+    arguments = [*shlex.split(words), *COMMON]
+    process = context.Process(target=run_forked, args=(str(campaign_folder), arguments))
+    process.start()
+    return process
+
+
+@pytest.fixture(scope="module")
+def killed_world(world: World, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The world, with inputs for the second runs."""
+    folder = copy_of(world.folder, tmp_path_factory.mktemp("campaign") / "world")
+    head, *rows = (folder / "keys.csv").read_text().splitlines()
+    halved = [
+        ",".join([frame, *(str(0.5 * float(value)) for value in values)])
+        for frame, *values in (row.split(",") for row in rows)
+    ]
+    (folder / "other_keys.csv").write_text("\n".join([head, *halved]) + "\n")
+    finish(folder, f"{MAP} --frames 1-240 --out one.hero.usda")
+    finish(folder, f"{MAP} --frames 241-480 --out two.hero.usda")
+    return folder
+
+
+def finish(folder: Path, words: str) -> float:
+    """Run a command to its end, which must be a good one, and return how long it took [s]."""
+    begun = time.perf_counter()
+    process = start(folder, words)
+    process.join()
+    told = (folder / ".stderr").read_text()
+    assert process.exitcode == 0, f"{words}\n{told}"
+    (folder / ".stderr").unlink()
+    return time.perf_counter() - begun
+
+
+@pytest.fixture(scope="module", params=together(CHANGED))
+def campaign(
+    request: pytest.FixtureRequest, killed_world: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Campaign]:
+    """A folder in which both runs of a command have been, and the first is the last."""
+    step = request.param
+    folder = copy_of(killed_world, tmp_path_factory.mktemp(step) / "Schuss 1 ü")
+    words = COMMANDS[step]
+    assert CHANGED[step][0] in words
+    changed = words.replace(*CHANGED[step], 1)
+    finish(folder, words)
+    before = contents(folder)
+    seconds = finish(folder, changed)
+    found = Campaign(folder, changed, before, contents(folder), seconds)
+    assert found.outputs, "both runs wrote the same"
+    found.restore()
+    yield found
+    shutil.rmtree(folder)
+
+
+def kill(process: BaseProcess, kind: str) -> None:
+    """End a command, or its group, as a farm, a shell or a user does."""
+    assert process.pid is not None
+    if kind == "process":
+        os.kill(process.pid, signal.SIGKILL)
+        return
+    if kind == "stopped group":
+        os.killpg(process.pid, signal.SIGSTOP)
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGTERM if kind == "terminated group" else signal.SIGKILL)
+
+
+def wait_for_group(process: BaseProcess) -> None:
+    """Wait until the command and all that it started have ended."""
+    process.join(ENDED_SECONDS)
+    assert process.exitcode is not None, "still runs"
+    for _ in range(10 * ENDED_SECONDS):
+        try:
+            os.killpg(process.pid or 0, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.1)
+    os.killpg(process.pid or 0, signal.SIGKILL)
+    raise AssertionError("a process of a killed command lives on")
+
+
+def state_of(campaign: Campaign) -> str:
+    """Return whether the outputs are those before or after; fail if a file is neither."""
+    now = contents(campaign.folder)
+    # A tuning lock of a killed process holds nobody off; the next run takes it away.
+    now = {name: content for name, content in now.items() if not name.endswith(".tuned.lock")}
+    seen = set()
+    for name in now.keys() | campaign.before.keys() | campaign.after.keys():
+        content, old, new = now.get(name), campaign.before.get(name), campaign.after.get(name)
+        if name not in campaign.outputs:
+            assert content == old, f"{name} is no output, and changed"
+        else:
+            assert content in (old, new), f"{name} is neither old nor new"
+            seen.add("old" if content == old else "new")
+    return "/".join(sorted(seen))
+
+
+def test_outputs_are_those_before_or_after(campaign: Campaign, capsys) -> None:
+    rng = np.random.default_rng(0)
+    told: Counter[str] = Counter()
+    hidden: Counter[str] = Counter()
+    for number in range(KILLS):
+        kind = KINDS[number % len(KINDS)]
+        process = start(campaign.folder, campaign.words)
+        earliest = 0.7 if number % 2 else 0.0  # half of them near the end, where files are written
+        time.sleep(float(rng.uniform(earliest, 1.05)) * campaign.seconds)
+        if process.is_alive():
+            kill(process, kind)
+        wait_for_group(process)
+        stderr = campaign.folder / ".stderr"
+        if stderr.exists():
+            assert "Traceback" not in stderr.read_text()
+            stderr.unlink()
+        state = state_of(campaign)
+        told[f"{kind}: {'done' if process.exitcode == 0 else state}"] += 1
+        hidden["left hidden files"] += bool(leftovers(campaign.folder))
+        campaign.restore()
+    finish(campaign.folder, campaign.words)
+    assert state_of(campaign) == "new"
+    assert leftovers(campaign.folder) == []
+    assert list(campaign.folder.glob("*.tuned.lock")) == []
+    with capsys.disabled():
+        sys.stderr.write(f"\n{campaign.words}\n  {json.dumps(told)}, {json.dumps(hidden)}\n")
+    mixed = [name for name in told if "new/old" in name]
+    assert not mixed, f"some files are old and some new after {mixed}"
+
+
+def test_the_commands_are_of_steps() -> None:
+    assert set(CHANGED) <= set(ALL_STEPS)

@@ -1,0 +1,72 @@
+"""Takes whose markers never move: cleaned with a note that says so, and refused as references."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.steps.small_shot import Shot
+from usdface.core.assets import Markers, Take
+from usdface.core.errors import InputError
+from usdface.runner.execute import execute
+from usdface.specs.capture import CleanSpec
+from usdface.specs.references import SelectSpec
+from usdface.usdio.take.read import read_take
+from usdface.usdio.take.write import write_take
+
+
+def write_still(path: Path, markers: int, *, noise_mm: float = 0.0, turning: bool = False) -> None:
+    """Write a take of points on half a cylinder, the size of a face, that hold one place."""
+    rng = np.random.default_rng(0)
+    angle = rng.uniform(-1.3, 1.3, markers)
+    face = np.stack([80 * np.sin(angle), rng.uniform(-90, 90, markers), 80 * np.cos(angle)], axis=1)
+    positions = np.repeat(face[None], 60, axis=0)
+    if turning:
+        turn = 0.2 * np.sin(np.linspace(0, np.pi, 60))
+        x, z = positions[..., 0].copy(), positions[..., 2].copy()
+        cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
+        positions[..., 0], positions[..., 2] = cosine * x + sine * z, cosine * z - sine * x
+    positions += rng.normal(0, noise_mm, positions.shape)
+    visible = np.ones((60, markers), bool)
+    visible[20:30, ::7] = False
+    still = Markers(
+        names=tuple(f"m{index}" for index in range(markers)),
+        positions=positions.astype(np.float32),
+        visible=visible,
+        confidence=visible.astype(np.float32),
+        neutral_frame=1,
+    )
+    write_take(path, Take(name="still", rate=Fraction(60), first_frame=1, markers=still))
+
+
+@pytest.mark.parametrize(
+    ("markers", "noise_mm", "turning"),
+    [(2000, 0.0, False), (60, 0.1, False), (60, 0.0, True)],
+    ids=["2,000 markers", "with noise", "on a head that turns"],
+)
+def test_a_still_face_is_cleaned_with_words_and_its_pairs_are_refused(
+    shot: Shot, markers: int, noise_mm: float, turning: bool
+) -> None:
+    take, clean = shot / "still.take.usda", shot / "still.clean.take.usda"
+    write_still(take, markers, noise_mm=noise_mm, turning=turning)
+    notes = execute(CleanSpec(take=take, out=clean)).notes
+    assert sum("no marker moves on the head" in note for note in notes) == 1
+    assert all(len(note) < 600 for note in notes), "two thousand names are no note"
+    markers_in, markers_out = read_take(take).markers, read_take(clean).markers
+    assert markers_out is not None
+    assert markers_out.visible.all()
+    if not turning:
+        assert markers_in is not None
+        away = np.abs(markers_out.positions - markers_in.positions[:1])
+        assert away.max() < max(6 * noise_mm, 0.01)
+    out = shot / "still.references.usda"
+    spec = SelectSpec(takes=(clean,), rig=shot / "hero.usdc", count=4, out=out)
+    with pytest.raises(InputError, match=r"no marker moves on the head .* give takes of a moving"):
+        execute(spec)
+    assert not out.exists()
+
+
+def test_a_face_that_moves_is_not_called_still(shot: Shot) -> None:
+    report = execute(CleanSpec(take=shot / "shot.take.usda", out=shot / "again.take.usda"))
+    assert not any("no marker moves" in note for note in report.notes)
