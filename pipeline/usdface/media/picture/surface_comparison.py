@@ -33,6 +33,7 @@ def draw_compared(
     mesh: RigMesh,
     frames: Sequence[ComparedFrame],
     *,
+    still: Sequence[RigMesh] = (),
     near: FloatArray,
     yaw_degrees: float,
     size: int = 320,
@@ -43,6 +44,8 @@ def draw_compared(
 
     Parameters
     ----------
+    still : sequence of RigMesh
+        What stays as it is: eyes, teeth, hair.
     near : (markers, 3) float array
         Places on the mesh that the picture must show [mm].
     yaw_degrees : float
@@ -57,24 +60,33 @@ def draw_compared(
     ------
     SheetRow
     """
-    renderer = FaceRenderer([mesh])
+    renderer = FaceRenderer([mesh, *still])
+    others = np.concatenate([np.zeros((0, 3)), *(each.points for each in still)])
     room = 0.10 * float(np.ptp(near, axis=0).max())
     low, high = near.min(axis=0) - room, near.max(axis=0) + room
     shown = ((mesh.points >= low) & (mesh.points <= high)).all(axis=1).astype(np.float64)
     camera = frame_face(mesh.points, weights=shown, yaw_degrees=yaw_degrees)
     for each in frames:
         tiles = [
-            Tile(renderer.render(points, camera=camera, width=size, height=size, quality=quality))
+            Tile(
+                renderer.render(
+                    np.concatenate([points, others]),
+                    camera=camera,
+                    width=size,
+                    height=size,
+                    quality=quality,
+                )
+            )
             for points in each.surfaces
         ]
         if each.uncertainty_mm is not None:
             heat = renderer.render(
-                each.surfaces[-1],
+                np.concatenate([each.surfaces[-1], others]),
                 camera=camera,
                 width=size,
                 height=size,
                 quality=quality,
-                values=each.uncertainty_mm,
+                values=np.concatenate([each.uncertainty_mm, np.zeros(len(others))]),
                 value_range=(0.0, high_mm),
             )
             inside = each.uncertainty_mm[shown > 0]

@@ -1,5 +1,6 @@
 """Pictures of moved meshes: metrics compared, and shapes."""
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -7,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray
+from usdface.core.assets import RigMesh
+from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.rates import shift_timecode
@@ -22,6 +25,7 @@ from usdface.numerics.regression.reference_design import pivoted_selection
 from usdface.runner.origin import provenance_metadata
 from usdface.specs.surface import DeformSpec, MakeShapesSpec
 from usdface.steps.surface.plan import SurfacePlan, fit_surface, surface_options
+from usdface.usdio.rig.mesh import read_face_mesh
 from usdface.usdio.surface.shape_rig import NewShape
 from usdface.usdio.take.read import TakeReader
 
@@ -151,6 +155,7 @@ def _write(
     rows = draw_compared(
         plan.face.mesh,
         compared,
+        still=_still_meshes(plan),
         near=at[_moving(plan)],
         yaw_degrees=facing_yaw(plan.face.mesh, at) + _YAW_DEGREES,
         high_mm=high,
@@ -158,6 +163,15 @@ def _write(
     )
     metadata = provenance_metadata(provenance)
     write_image(path, compose_sheet(replace(page, rows=tuple(rows), high=high)), metadata=metadata)
+
+
+def _still_meshes(plan: SurfacePlan) -> list[RigMesh]:
+    """Read the file's other meshes; a picture does without one that cannot be drawn."""
+    found = []
+    for path in plan.face.others:
+        with contextlib.suppress(InputError):
+            found.append(read_face_mesh(plan.face.file, prim=path).mesh)
+    return found
 
 
 def _moving(plan: SurfacePlan) -> BoolArray:
