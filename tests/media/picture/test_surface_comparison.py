@@ -9,12 +9,16 @@ from usdface.media.picture.surface_comparison import ComparedFrame, draw_compare
 def square(size: float, z: float) -> RigMesh:
     corners = size * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     blue = np.tile([0.0, 0.0, 1.0], (4, 1)) if z else None
-    return RigMesh("/face", corners + [0, 0, z], np.array([4]), np.arange(4), colors=blue)
+    return RigMesh(
+        "/face", corners + np.array([0.0, 0.0, z]), np.array([4]), np.arange(4), colors=blue
+    )
 
 
 def test_parts_that_stay_are_drawn_in_every_column() -> None:
     face, eye = square(50.0, 0.0), square(15.0, 10.0)
-    moved = ComparedFrame(7, "", (face.points, face.points + [0, 1, 0]), np.full(4, 0.5))
+    moved = ComparedFrame(
+        7, "", (face.points, face.points + np.array([0.0, 1.0, 0.0])), np.full(4, 0.5)
+    )
 
     def middles(still: list[RigMesh]) -> list[np.ndarray]:
         (row,) = draw_compared(

@@ -16,7 +16,7 @@ from tests.model.synthetic import (
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model import Prediction, predict_weights, sample_skin, train_mapping
-from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
+from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS, calibrate_uncertainty
 
 CHOSEN = np.arange(0, 1200, 30)
 NAMES = ("browUp", "browDown", "eyeBlink", "eyeSquint", "mouthSmile", "mouthOpen")
@@ -141,3 +141,17 @@ def test_a_mapping_of_an_earlier_version_is_refused() -> None:
     old = replace(mapping, arrays={k: v for k, v in mapping.arrays.items() if "region" not in k})
     with pytest.raises(InputError, match=r"lacks region_markers.*train it again"):
         predict_weights(old, face.positions)
+
+
+@pytest.mark.parametrize("count", [25, 50, 100])
+def test_constants_of_few_errors_hold_with_confidence(count: int) -> None:
+    """Nine in ten samples give a constant under which nine in ten of all errors lie."""
+    rng = np.random.default_rng(count)
+    gram, everybody = np.ones((1, 1, 1)), np.abs(rng.standard_normal(20_000))
+    held = []
+    for _ in range(300):
+        errors = rng.standard_normal((count, 1))
+        ones, nothing = np.ones((count, 1)), np.zeros((count, 1))
+        constant = calibrate_uncertainty(gram, errors, ones, nothing)[0]
+        held.append((everybody < LIMIT_DEVIATIONS * constant).mean() >= 0.9)
+    assert 0.85 < np.mean(held) < 0.99

@@ -15,8 +15,9 @@ the solve leaves behind. The standard deviation of the region's surface is
     sigma_g = c_g sqrt(tr(G_g D C D) (1 + chi2_g) + d_g^2)
 
 ``c_g`` is calibrated on errors of references predicted by folds that have not seen them, of other
-times or takes: nine in ten are to be within 1.645 sigma, as of a normal distribution. A region with
-few errors of note has the face's constant.
+times or takes: nine in ten are to be within 1.645 sigma, as of a normal distribution. So few errors
+do not fix a quantile, so that their upper tolerance limit is taken (Wilks 1941). A region with few
+errors has the face's constant.
 """
 
 from dataclasses import dataclass
@@ -32,6 +33,9 @@ ERROR_PROBABILITY = 0.9
 """That the error of a frame stays below `LIMIT_DEVIATIONS` of its uncertainty."""
 
 LIMIT_DEVIATIONS = NormalDist().inv_cdf((1 + ERROR_PROBABILITY) / 2)
+
+_TOLERANCE_CONFIDENCE = 0.9
+"""That no less than `ERROR_PROBABILITY` of all errors are below the limit taken from a sample."""
 
 _REGION_PRIOR_ERRORS = 20.0
 """Errors that the face's constant counts for beside a region's: of 20 errors, the quantile at .9 is
@@ -138,10 +142,27 @@ def calibrate_uncertainty(
     squared = np.einsum("ns,rst,nt->nr", errors, grams, errors, optimize=True)
     squared -= key_variance @ np.einsum("rss->sr", grams)
     ratios = np.sqrt(np.maximum(squared, 0.0)) / np.maximum(deviations, 1e-9)
-    needed = np.log(
-        np.maximum(np.quantile(ratios, ERROR_PROBABILITY, axis=0), 1e-6) / LIMIT_DEVIATIONS
-    )
+    limits = _tolerance_limits(ratios)
+    needed = np.log(np.maximum(limits, 1e-6) / LIMIT_DEVIATIONS)
     share = len(errors) / (len(errors) + _REGION_PRIOR_ERRORS)
     return np.asarray(
         np.clip(np.exp(share * needed + (1 - share) * needed[0]), *_CALIBRATION_RANGE)
     )
+
+
+def _tolerance_limits(sample: FloatArray) -> FloatArray:
+    """Return the upper tolerance limit of each column: an order statistic, of any distribution.
+
+    Of n values the k-th smallest exceeds the quantile p with the probability that at most k - 1
+    of them are below it, binomial in n and p. Of fewer than 22 the largest has to do.
+
+    References
+    ----------
+    Wilks (1941), Annals of Mathematical Statistics 12(1), 91-96.
+    """
+    from scipy.special import bdtr  # only training calibrates: a chunk of mapping starts without
+
+    count = len(sample)
+    below = bdtr(np.arange(count), count, ERROR_PROBABILITY)
+    rank = min(int(np.searchsorted(below, _TOLERANCE_CONFIDENCE)), count - 1)
+    return np.asarray(np.sort(sample, axis=0)[rank])
